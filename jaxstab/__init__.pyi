@@ -1,0 +1,23 @@
+from .atlas import Atlas as Atlas
+from .atlas import AtlasSpec as AtlasSpec
+from .atlas import build_atlas as build_atlas
+from .atlas import open_atlas as open_atlas
+from .conventions import AXES as AXES
+from .conventions import NOT_COMPUTED as NOT_COMPUTED
+from .conventions import STABLE as STABLE
+from .conventions import UNDECIDED as UNDECIDED
+from .conventions import UNSTABLE as UNSTABLE
+from .conventions import Verdict as Verdict
+from .model import HapticLoop as HapticLoop
+from .model import PlantCoefficients as PlantCoefficients
+from .model import characteristic_polynomial as characteristic_polynomial
+from .model import companion_matrix as companion_matrix
+from .model import plant_coefficients as plant_coefficients
+from .stability import SpectralRadius as SpectralRadius
+from .stability import closed_loop_poles as closed_loop_poles
+from .stability import is_stable as is_stable
+from .stability import spectral_radius as spectral_radius
+from .stability import verdict as verdict
+
+__version__: str
+__all__: list[str]

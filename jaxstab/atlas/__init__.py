@@ -1,0 +1,5 @@
+"""Many points on disk: built once, queried without JAX."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

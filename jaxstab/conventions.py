@@ -1,0 +1,30 @@
+"""Facts that every floor shares: the order of the parameters and the codes of a verdict.
+
+Standard library only, so that a reader of an atlas can use it without JAX.
+"""
+
+from enum import IntEnum
+from typing import Final
+
+AXES: Final = ("alpha", "beta", "gamma", "delta", "delay")
+"""The dimensionless parameters (paper, Table I) in the order of signatures, axes and files."""
+
+
+class Verdict(IntEnum):
+    """What is known about the stability of one point; small integers, so that arrays store int8.
+
+    A loop is stable when every root of its characteristic polynomial (paper, eq. (9)) lies inside
+    the unit circle. Zero means that nothing was computed: a block of a file that was wiped or never
+    written cannot be taken for a verdict.
+    """
+
+    NOT_COMPUTED = 0
+    STABLE = 1
+    UNSTABLE = 2
+    UNDECIDED = 3
+
+
+NOT_COMPUTED: Final = Verdict.NOT_COMPUTED
+STABLE: Final = Verdict.STABLE
+UNSTABLE: Final = Verdict.UNSTABLE
+UNDECIDED: Final = Verdict.UNDECIDED

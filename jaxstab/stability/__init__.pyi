@@ -1,0 +1,7 @@
+from .schur_cohn import verdict as verdict
+from .spectrum import SpectralRadius as SpectralRadius
+from .spectrum import closed_loop_poles as closed_loop_poles
+from .spectrum import is_stable as is_stable
+from .spectrum import spectral_radius as spectral_radius
+
+__all__: list[str]

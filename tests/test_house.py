@@ -1,0 +1,163 @@
+"""The rules of the house that a machine can check (CONTRIBUTING.md)."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import jaxstab
+
+ROOT = Path(__file__).resolve().parents[1]
+LONGEST_FILE = 400  # lines
+
+# One good call of each public function that computes. Without x64 every one of them must refuse.
+COMPUTING_CALLS: dict[str, list[Any]] = {
+    "plant_coefficients": [0.001, 0.015],
+    "characteristic_polynomial": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "companion_matrix": [[1.0, -0.5, 0.25]],
+    "closed_loop_poles": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "spectral_radius": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "is_stable": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "verdict": [0.1, 0.2, 0.001, 0.015, 1.0],
+}
+
+FLOORS_THAT_COMPUTE = ("jaxstab.model", "jaxstab.stability", "jaxstab.boundary")
+
+
+def run_python(
+    *arguments: str, input: str = "", **environment: str
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=ROOT,
+        env=os.environ | environment,
+        input=input,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def assert_succeeds(*arguments: str) -> None:
+    completed = run_python(*arguments)
+    assert completed.returncode == 0, completed.stdout + completed.stderr
+
+
+def loaded_by(module: str) -> set[str]:
+    """The modules that a fresh interpreter holds after importing this one."""
+    completed = run_python("-c", f"import sys, {module}; print(*sys.modules)")
+    assert completed.returncode == 0, completed.stderr
+    return set(completed.stdout.split())
+
+
+def is_function(value: object) -> bool:
+    """By being callable and no class: ``inspect.isfunction`` would miss the jitted ones."""
+    return callable(value) and not isinstance(value, type)
+
+
+def computes(value: object) -> bool:
+    return is_function(value) and value.__module__.startswith(FLOORS_THAT_COMPUTE)
+
+
+REFUSALS_SCRIPT = """
+import json, sys
+import jaxstab
+
+answers = {}
+for name, arguments in json.load(sys.stdin).items():
+    try:
+        getattr(jaxstab, name)(*arguments)
+        answers[name] = "no error"
+    except Exception as error:
+        answers[name] = f"{type(error).__name__}: {error}"
+print(json.dumps(answers))
+"""
+
+
+@pytest.fixture(scope="module")
+def refusals_without_x64() -> dict[str, str]:
+    """What each call of the table answers in a process that left JAX in float32."""
+    completed = run_python(
+        "-c", REFUSALS_SCRIPT, input=json.dumps(COMPUTING_CALLS), JAX_ENABLE_X64="0"
+    )
+    assert completed.returncode == 0, completed.stderr
+    return json.loads(completed.stdout)
+
+
+def test_the_linter_has_nothing_to_say() -> None:
+    assert_succeeds("-m", "ruff", "check", ".")
+
+
+def test_the_code_is_formatted() -> None:
+    assert_succeeds("-m", "ruff", "format", "--check", ".")
+
+
+def test_the_types_are_right_under_strict_mypy() -> None:
+    assert_succeeds("-m", "mypy")
+
+
+def test_imports_keep_their_contracts() -> None:
+    assert_succeeds("-c", "from importlinter.cli import lint_imports_command as c; c()")
+
+
+@pytest.mark.parametrize("package", ["", ".model", ".stability", ".boundary", ".atlas"])
+def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
+    loads = loaded_by(f"jaxstab{package}")
+    assert loads.isdisjoint({"jax", "numpy", "h5py", "matplotlib", "pydantic"})
+
+
+@pytest.mark.parametrize("module", ["schema", "file", "query"])
+def test_the_reader_of_an_atlas_loads_no_jax(module: str) -> None:
+    assert loaded_by(f"jaxstab.atlas.{module}").isdisjoint({"jax", "jaxlib", "matplotlib"})
+
+
+@pytest.mark.parametrize("name", jaxstab.__all__)
+def test_every_public_name_can_be_imported(name: str) -> None:
+    assert getattr(jaxstab, name) is not None
+
+
+@pytest.mark.parametrize("name", jaxstab.__all__)
+def test_every_public_callable_says_what_it_is_what_it_refuses_and_where_it_is_from(
+    name: str,
+) -> None:
+    value = getattr(jaxstab, name)
+    if not callable(value):
+        pytest.skip(f"{name} is a value")
+    # A dataclass or a named tuple without a docstring gets its signature for one.
+    text = value.__doc__ or ""
+    assert text
+    assert not text.startswith(f"{name}(")
+    if is_function(value):
+        assert re.search(r"\bRaises:", text), "says nothing about errors"
+    if computes(value):
+        assert re.search(r"(?i)\b(paper|eqs?\.|theorem|criterion|table|sec\.)", text), "no source"
+
+
+@pytest.mark.parametrize("name", sorted(COMPUTING_CALLS))
+def test_a_computing_function_refuses_without_x64(
+    name: str, refusals_without_x64: dict[str, str]
+) -> None:
+    kind, _, message = refusals_without_x64[name].partition(": ")
+    assert kind == "RuntimeError"
+    assert "jax_enable_x64" in message
+    assert "\n" not in message
+
+
+def test_every_computing_function_is_in_the_table_of_calls() -> None:
+    computing = {name for name in jaxstab.__all__ if computes(getattr(jaxstab, name))}
+    assert computing == set(COMPUTING_CALLS)
+
+
+def test_no_file_is_longer_than_a_reader_likes() -> None:
+    lengths = {
+        path.relative_to(ROOT).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
+        for path in (ROOT / "jaxstab").rglob("*.py*")
+        if path.suffix in {".py", ".pyi"}
+    }
+    assert lengths
+    assert {path: n for path, n in lengths.items() if n > LONGEST_FILE} == {}
