@@ -1,9 +1,13 @@
 from .double_double import DoubleDouble as DoubleDouble
 from .parameters import HapticLoop as HapticLoop
+from .parameters import checked_delay as checked_delay
+from .parameters import checked_delta as checked_delta
+from .parameters import checked_gain as checked_gain
+from .parameters import checked_gamma as checked_gamma
 from .parameters import require_x64 as require_x64
 from .plant import PlantCoefficients as PlantCoefficients
 from .plant import plant_coefficients as plant_coefficients
+from .plant import plant_pairs as plant_pairs
 from .polynomial import characteristic_polynomial as characteristic_polynomial
 from .polynomial import companion_matrix as companion_matrix
-
-__all__: list[str]
+from .polynomial import polynomial_degree as polynomial_degree

@@ -1,0 +1,155 @@
+"""The five dimensionless parameters (Table I), where they come from and what is allowed for them."""
+
+from dataclasses import dataclass, fields
+from math import isfinite, ulp
+from numbers import Real
+from typing import TypeVar
+
+import jax
+import numpy as np
+from jax.typing import ArrayLike
+
+GAMMA_LIMIT = 1e4
+DELTA_LIMIT = 1e3
+GAIN_LIMIT = 1e150
+
+Values = TypeVar("Values", bound=ArrayLike)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HapticLoop:
+    """A haptic device held by a hand, and the sampled loop that renders a virtual wall on it.
+
+    Source: eqs. (1) and (12), Table I. Every field is a finite number in SI units.
+
+    Args:
+        device_mass: effective mass of the device at the handle in kg, > 0.
+        device_damping: physical damping of the device in N s/m, >= 0.
+        sample_time: sampling period T in s, > 0.
+        hand_mass: mass of the hand and arm in kg, >= 0.
+        hand_damping: damping of the hand in N s/m, >= 0.
+        hand_stiffness: stiffness of the hand in N/m, >= 0.
+        delay: time delay t_d of the loop in s, >= 0, beside the half sample of the hold.
+
+    Raises:
+        TypeError: a value is not a real number.
+        ValueError: a value is NaN, infinite or outside its range.
+    """
+
+    device_mass: float
+    device_damping: float
+    sample_time: float
+    hand_mass: float = 0.0
+    hand_damping: float = 0.0
+    hand_stiffness: float = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            positive = field.name in ("device_mass", "sample_time")
+            _check_number(field.name, getattr(self, field.name), positive=positive)
+
+    @property
+    def mass(self) -> float:
+        """Effective mass m in kg, eq. (1)."""
+        return self.device_mass + self.hand_mass
+
+    @property
+    def gamma(self) -> float:
+        """Dimensionless physical stiffness k T^2/m, eq. (12)."""
+        return self.hand_stiffness * self.sample_time**2 / self.mass
+
+    @property
+    def delta(self) -> float:
+        """Dimensionless physical damping b T/m, eq. (12)."""
+        return (self.device_damping + self.hand_damping) * self.sample_time / self.mass
+
+    @property
+    def delay_samples(self) -> float:
+        """Delay t_d/T in samples; whole where it is whole up to the rounding of the division."""
+        samples = self.delay / self.sample_time
+        nearest = float(round(samples))
+        return nearest if abs(samples - nearest) <= 4.0 * ulp(samples) else samples
+
+    def alpha(self, stiffness: Values) -> Values:
+        """Dimensionless stiffness K T^2/m of a wall of stiffness K in N/m (Table I)."""
+        return stiffness * (self.sample_time**2 / self.mass)
+
+    def beta(self, damping: Values) -> Values:
+        """Dimensionless damping B T/m of a wall of damping B in N s/m (Table I)."""
+        return damping * (self.sample_time / self.mass)
+
+    def stiffness(self, alpha: Values) -> Values:
+        """Wall stiffness K in N/m for a dimensionless stiffness alpha (Table I)."""
+        return alpha * (self.mass / self.sample_time**2)
+
+    def damping(self, beta: Values) -> Values:
+        """Wall damping B in N s/m for a dimensionless damping beta (Table I)."""
+        return beta * (self.mass / self.sample_time)
+
+
+def require_x64() -> None:
+    """Refuse to compute while JAX is in its default single precision.
+
+    Raises:
+        RuntimeError: x64 mode is off.
+    """
+    if not jax.config.jax_enable_x64:
+        raise RuntimeError(
+            "jaxstab computes in float64, but JAX's x64 mode is off: call "
+            'jax.config.update("jax_enable_x64", True) before the first computation.'
+        )
+
+
+def checked_gain(name: str, value: ArrayLike) -> ArrayLike:
+    """Return a wall gain alpha or beta; raise ValueError for a concrete one that is not finite."""
+    return _checked(name, value, -GAIN_LIMIT, GAIN_LIMIT)
+
+
+def checked_gamma(gamma: ArrayLike) -> ArrayLike:
+    """Return gamma; raise ValueError for a concrete one outside [0, 1e4]."""
+    return _checked("gamma", gamma, 0.0, GAMMA_LIMIT)
+
+
+def checked_delta(delta: ArrayLike) -> ArrayLike:
+    """Return delta; raise ValueError for a concrete one outside [0, 1e3]."""
+    return _checked("delta", delta, 0.0, DELTA_LIMIT)
+
+
+def checked_delay(delay: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return the delay in samples as a NumPy array, for it decides the degree of p(z).
+
+    Raises:
+        TypeError: the delay is traced by jit, vmap or grad.
+        ValueError: a delay is negative, infinite or NaN.
+    """
+    if isinstance(delay, jax.core.Tracer):
+        raise TypeError(
+            "delay must be a concrete number because it sets the degree of p(z); close over it or "
+            "mark it static instead of tracing it."
+        )
+    return np.asarray(_checked("delay", np.asarray(delay, np.float64), 0.0, np.inf), np.float64)
+
+
+def _checked(name: str, value: ArrayLike, lower: float, upper: float) -> ArrayLike:
+    if isinstance(value, jax.core.Tracer):
+        return value
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "iuf":
+        raise TypeError(f"{name} is {value!r}; give real numbers.")
+    wrong = ~((numbers >= lower) & (numbers <= upper) & np.isfinite(numbers))
+    if np.any(wrong):
+        culprit = float(numbers[wrong].flat[0])
+        raise ValueError(
+            f"{name} is {culprit}; allowed are finite values from {lower:g} to {upper:g}."
+        )
+    return value
+
+
+def _check_number(name: str, value: object, *, positive: bool) -> None:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"{name} is {value!r}; give a real number in SI units.")
+    allowed = "> 0" if positive else ">= 0"
+    number = float(value)
+    if not isfinite(number) or number < 0.0 or (positive and number == 0.0):
+        raise ValueError(f"{name} is {value}; give a finite number {allowed} in SI units.")
