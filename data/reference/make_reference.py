@@ -118,7 +118,8 @@ def root_rows(alpha: float, beta: float, gamma: float, delta: float, delay: floa
 
 ROOTS = Table(
     """Roots of the characteristic polynomial, one per line, the largest modulus first.
-    Dimensionless; inputs are float64 numbers (delay in samples); results have 50 digits of the modulus.
+    Dimensionless; inputs are float64 numbers (delay in samples); results have 50 digits of the
+    modulus.
     A multiple root is repeated.""",
     "alpha beta gamma delta delay number real imag modulus",
     root_points(),
