@@ -8,7 +8,6 @@ Popescu (2017). All operations are polynomial or one division, so JAX differenti
 """
 
 from dataclasses import dataclass
-from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +31,7 @@ class DoubleDouble:
     lo: Array
 
     @classmethod
-    def of(cls, value: "Array | float | Self") -> "DoubleDouble":
+    def of(cls, value: "Array | float | DoubleDouble") -> "DoubleDouble":
         """Return a float64 array, a Python float or a pair, unchanged in value, as a pair."""
         if isinstance(value, DoubleDouble):
             return value
@@ -84,11 +83,11 @@ def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def two_product(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return ``a b`` rounded and the error of it, with 2^-105 relative accuracy of their sum
-    (2^-53 below 1e-270).
+    """Return ``a b`` rounded and the error of it; their sum is right to 2^-105 relative.
 
     It is summed from products of half significands, which are exact. XLA contracts a product and a
-    sum to one fused operation as it likes: with exact products that changes nothing.
+    sum to one fused operation as it likes: with exact products that changes nothing. A product
+    below 1e-270 is only rounded.
     """
     a_high, a_low = _halves(a)
     b_high, b_low = _halves(b)
@@ -111,5 +110,6 @@ def _halves(a: Array) -> tuple[Array, Array]:
 
 
 def _kept(rounded: Array) -> Array:
-    # Without the barrier XLA rewrites (c + x) - c as x for a constant c, and the error term is lost.
-    return lax.optimization_barrier(rounded)
+    # Without the barrier XLA rewrites (c + x) - c as x for a constant c: no error term is left.
+    kept: Array = lax.optimization_barrier(rounded)
+    return kept

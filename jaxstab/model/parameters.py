@@ -1,4 +1,4 @@
-"""The five dimensionless parameters (Table I), where they come from and what is allowed for them."""
+"""The five dimensionless parameters (Table I): where they come from, what is allowed for them."""
 
 from dataclasses import dataclass, fields
 from math import isfinite, ulp
@@ -7,13 +7,15 @@ from typing import TypeVar
 
 import jax
 import numpy as np
+from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Float64
 
 GAMMA_LIMIT = 1e4
 DELTA_LIMIT = 1e3
 GAIN_LIMIT = 1e150
 
-Values = TypeVar("Values", bound=ArrayLike)
+Values = TypeVar("Values", float, Array, np.ndarray[tuple[int, ...], np.dtype[np.float64]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +96,7 @@ def require_x64() -> None:
     Raises:
         RuntimeError: x64 mode is off.
     """
-    if not jax.config.jax_enable_x64:
+    if not jax.config.read("jax_enable_x64"):
         raise RuntimeError(
             "jaxstab computes in float64, but JAX's x64 mode is off: call "
             'jax.config.update("jax_enable_x64", True) before the first computation.'
@@ -102,7 +104,7 @@ def require_x64() -> None:
 
 
 def checked_gain(name: str, value: ArrayLike) -> ArrayLike:
-    """Return a wall gain alpha or beta; raise ValueError for a concrete one that is not finite."""
+    """Return a wall gain alpha or beta; raise ValueError for a concrete one beyond +-1e150."""
     return _checked(name, value, -GAIN_LIMIT, GAIN_LIMIT)
 
 
@@ -116,7 +118,7 @@ def checked_delta(delta: ArrayLike) -> ArrayLike:
     return _checked("delta", delta, 0.0, DELTA_LIMIT)
 
 
-def checked_delay(delay: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def checked_delay(delay: ArrayLike) -> Float64[np.ndarray, "*grid"]:
     """Return the delay in samples as a NumPy array, for it decides the degree of p(z).
 
     Raises:

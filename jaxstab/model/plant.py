@@ -10,8 +10,10 @@ differences at the nodes a^2 and q, whose distance is gamma:
 so there is no 0/0 at critical damping or at gamma = 0, where eq. (9) has one, and no branch. The
 functions come from a short Taylor series and the duplication formulas
 
-    sigma(4x) = sigma(x) kappa(x)               4 sigma[4x, 4y] = sigma[x, y] kappa(x) + sigma(y) kappa[x, y]
-    kappa(4x) = 1 + 2 x sigma(x)^2              2 kappa[4x, 4y] = sigma(y)^2 + x (sigma(x) + sigma(y)) sigma[x, y]
+    sigma(4x) = sigma(x) kappa(x)
+    kappa(4x) = 1 + 2 x sigma(x)^2
+    4 sigma[4x, 4y] = sigma[x, y] kappa(x) + sigma(y) kappa[x, y]
+    2 kappa[4x, 4y] = sigma(y)^2 + x (sigma(x) + sigma(y)) sigma[x, y]
 
 in double-double arithmetic. For x >= 0 the divided differences are sums of positive terms, so they
 keep their relative accuracy even at gamma = (2 pi)^2, delta = 0, where N(z) vanishes.
@@ -68,8 +70,10 @@ def plant_coefficients(
             enters here.
 
     Returns:
-        PlantCoefficients of float64 arrays of the broadcast shape. Each field is within 1 ulp of the
-        exact value over gamma <= 40, delta <= 10; differentiable to any order in gamma and delta.
+        PlantCoefficients of float64 arrays of the broadcast shape, differentiable to any order in
+        gamma and delta. Over gamma <= 40, delta <= 10 each field is the correctly rounded value,
+        or within 3 ulp of it where it nearly vanishes (d1 at gamma = (pi/2)^2, N(z) at
+        gamma = (2 pi)^2, both at delta = 0); values below 1e-300 may be flushed to zero.
 
     Raises:
         ValueError: a concrete gamma, delta or delay is outside its range or NaN.
@@ -94,7 +98,9 @@ def plant_pairs(
     """
     whole = not isinstance(fraction, jax.core.Tracer) and not np.any(fraction)
     arrays = (jnp.asarray(value, jnp.float64) for value in (gamma, delta, fraction))
-    return _plant_pairs(*jnp.broadcast_arrays(*arrays), whole=whole)
+    pairs: PlantCoefficients[DoubleDouble]
+    pairs = _plant_pairs(*jnp.broadcast_arrays(*arrays), whole=whole)
+    return pairs
 
 
 @partial(jax.jit, static_argnames="whole")
@@ -123,7 +129,7 @@ def _plant_pairs(
 
 
 class _Hold(NamedTuple):
-    """The plant over a hold of length t <= 1, in which a force acts; a and q are scaled by t, t^2."""
+    """The plant while a force is held for a time t <= 1; here a stands for a t, q for q t^2."""
 
     length: DoubleDouble
     decay: DoubleDouble  # e^-a

@@ -29,7 +29,7 @@ def polynomial_degree(delay: ArrayLike) -> int:
         TypeError: the delay is traced.
         ValueError: a delay is negative, infinite or NaN.
 
-    Source: design of eq. (9) and its modified z-transform.
+    Source: eq. (9), and its modified z-transform for a fractional delay.
     """
     return 3 + int(np.ceil(np.max(checked_delay(delay), initial=0.0)))
 
@@ -69,18 +69,17 @@ def characteristic_polynomial(
     delay = checked_delay(delay)
     whole_part = np.floor(delay)
     plant = plant_pairs(checked_gamma(gamma), checked_delta(delta), delay - whole_part)
-    return _polynomial(
+    coefficients: Array = _polynomial(
         jnp.asarray(checked_gain("alpha", alpha), jnp.float64),
         jnp.asarray(checked_gain("beta", beta), jnp.float64),
         plant,
         jnp.asarray(whole_part),
         degree=polynomial_degree(delay),
     )
+    return coefficients
 
 
-def companion_matrix(
-    coefficients: Float64[Array, "*grid coefficient"],
-) -> Float64[Array, "*grid degree degree"]:
+def companion_matrix(coefficients: ArrayLike) -> Float64[Array, "*grid degree degree"]:
     """Return the companion matrix of monic polynomials: its eigenvalues are their roots.
 
     Args:
@@ -92,13 +91,16 @@ def companion_matrix(
 
     Raises:
         ValueError: fewer than two coefficients.
+        RuntimeError: JAX's x64 mode is off.
 
     Source: Horn and Johnson, Matrix Analysis, 3.3; the layout of numpy.roots.
     """
-    degree = coefficients.shape[-1] - 1
+    require_x64()
+    coefficients = jnp.asarray(coefficients, jnp.float64)
+    degree = coefficients.shape[-1] - 1 if coefficients.ndim else 0
     if degree < 1:
         raise ValueError(
-            f"coefficients has {degree + 1} entries on its last axis; give at least two."
+            f"coefficients has shape {coefficients.shape}; give at least two on the last axis."
         )
     shifted = jnp.broadcast_to(jnp.eye(degree, k=-1), (*coefficients.shape[:-1], degree, degree))
     return shifted.at[..., 0, :].set(-coefficients[..., 1:])
