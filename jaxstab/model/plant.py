@@ -23,44 +23,56 @@ from fractions import Fraction
 from functools import partial
 from math import factorial
 from operator import itemgetter
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
+from jaxtyping import Float64
 
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma, require_x64
-
-Number = TypeVar("Number")
 
 _DUPLICATIONS = 10
 _TERMS = 10
 _PAIR_TERMS = 3  # the terms beyond are below 2^-53 of the sum: float64 is enough for them
 
 
-class PlantCoefficients(NamedTuple, Generic[Number]):
+class PlantCoefficients(NamedTuple):
     """The sampled plant: D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, times m/T^2.
 
     For a whole delay N(z) is z times the zero-order-hold numerator, so n0 = 0. The remaining fields
     are N(1), N(-1) and D(1) = gamma N(1), each with a relative accuracy of its own.
     """
 
-    d1: Number
-    d0: Number
-    n2: Number
-    n1: Number
-    n0: Number
-    sum: Number
-    difference: Number
-    den_at_one: Number
+    d1: Float64[Array, "*grid"]
+    d0: Float64[Array, "*grid"]
+    n2: Float64[Array, "*grid"]
+    n1: Float64[Array, "*grid"]
+    n0: Float64[Array, "*grid"]
+    sum: Float64[Array, "*grid"]
+    difference: Float64[Array, "*grid"]
+    den_at_one: Float64[Array, "*grid"]
+
+
+class PlantPairs(NamedTuple):
+    """The fields of PlantCoefficients before rounding, for sums that may still cancel."""
+
+    d1: DoubleDouble
+    d0: DoubleDouble
+    n2: DoubleDouble
+    n1: DoubleDouble
+    n0: DoubleDouble
+    sum: DoubleDouble
+    difference: DoubleDouble
+    den_at_one: DoubleDouble
 
 
 def plant_coefficients(
     gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike = 0.0
-) -> PlantCoefficients[Array]:
+) -> PlantCoefficients:
     """Discretise mass, spring and damper behind a zero-order hold and the fraction of a delay.
 
     Args:
@@ -89,24 +101,20 @@ def plant_coefficients(
     return PlantCoefficients(*(pair.rounded() for pair in pairs))
 
 
-def plant_pairs(
-    gamma: ArrayLike, delta: ArrayLike, fraction: ArrayLike
-) -> PlantCoefficients[DoubleDouble]:
+def plant_pairs(gamma: ArrayLike, delta: ArrayLike, fraction: ArrayLike) -> PlantPairs:
     """Return the plant coefficients as double-double pairs, for sums that may still cancel.
 
     A concrete ``fraction`` (of the delay, in [0, 1)) that is zero throughout costs a third.
     """
     whole = not isinstance(fraction, jax.core.Tracer) and not np.any(fraction)
     arrays = (jnp.asarray(value, jnp.float64) for value in (gamma, delta, fraction))
-    pairs: PlantCoefficients[DoubleDouble]
+    pairs: PlantPairs
     pairs = _plant_pairs(*jnp.broadcast_arrays(*arrays), whole=whole)
     return pairs
 
 
 @partial(jax.jit, static_argnames="whole")
-def _plant_pairs(
-    gamma: Array, delta: Array, fraction: Array, *, whole: bool
-) -> PlantCoefficients[DoubleDouble]:
+def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) -> PlantPairs:
     full = DoubleDouble.of(jnp.ones_like(fraction))
     if whole:
         step = _hold(gamma, delta, full)
@@ -125,7 +133,7 @@ def _plant_pairs(
     at_minus_one = (n2 + n0).scaled(2.0) - total
     difference = jax.tree.map(partial(jnp.where, fraction == 0.0), odd, at_minus_one)
     n1 = total - n2 - n0
-    return PlantCoefficients(d1, d0, n2, n1, n0, total, difference, total * gamma)
+    return PlantPairs(d1, d0, n2, n1, n0, total, difference, total * gamma)
 
 
 class _Hold(NamedTuple):

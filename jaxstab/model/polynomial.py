@@ -17,7 +17,7 @@ from jaxstab.model.parameters import (
     checked_gamma,
     require_x64,
 )
-from jaxstab.model.plant import PlantCoefficients, plant_pairs
+from jaxstab.model.plant import PlantPairs, plant_pairs
 
 
 def polynomial_degree(delay: ArrayLike) -> int:
@@ -110,7 +110,7 @@ def companion_matrix(coefficients: ArrayLike) -> Float64[Array, "*grid degree de
 def _polynomial(
     alpha: Array,
     beta: Array,
-    plant: PlantCoefficients[DoubleDouble],
+    plant: PlantPairs,
     whole_delay: Array,
     *,
     degree: int,
@@ -129,9 +129,7 @@ def _polynomial(
     return jnp.stack(columns, axis=-1)
 
 
-def _times_wall(
-    alpha: Array, beta: Array, plant: PlantCoefficients[DoubleDouble]
-) -> tuple[DoubleDouble, ...]:
+def _times_wall(alpha: Array, beta: Array, plant: PlantPairs) -> tuple[DoubleDouble, ...]:
     """Return the coefficients of N(z) ((alpha + beta) z - beta), highest power first."""
     stiffness, damping = DoubleDouble.of(alpha), DoubleDouble.of(beta)
     # b2 - b1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
