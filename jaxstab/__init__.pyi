@@ -7,6 +7,7 @@ from .conventions import NOT_COMPUTED as NOT_COMPUTED
 from .conventions import STABLE as STABLE
 from .conventions import UNDECIDED as UNDECIDED
 from .conventions import UNSTABLE as UNSTABLE
+from .conventions import RadiusStatus as RadiusStatus
 from .conventions import Verdict as Verdict
 from .model import HapticLoop as HapticLoop
 from .model import PlantCoefficients as PlantCoefficients
@@ -17,6 +18,7 @@ from .stability import SpectralRadius as SpectralRadius
 from .stability import closed_loop_poles as closed_loop_poles
 from .stability import is_stable as is_stable
 from .stability import spectral_radius as spectral_radius
+from .stability import sweep as sweep
 from .stability import verdict as verdict
 
 __version__: str

@@ -24,6 +24,23 @@ class Verdict(IntEnum):
     UNDECIDED = 3
 
 
+class RadiusStatus(IntEnum):
+    """How far the error of a spectral radius can be trusted."""
+
+    NOT_COMPUTED = 0
+    PROVED = 1
+    NO_BOUND = 2
+
+    @property
+    def words(self) -> str:
+        """The status in words."""
+        return {
+            RadiusStatus.NOT_COMPUTED: "not computed",
+            RadiusStatus.PROVED: "the error bound is proved",
+            RadiusStatus.NO_BOUND: "no error bound could be proved: the error is infinite",
+        }[self]
+
+
 NOT_COMPUTED: Final = Verdict.NOT_COMPUTED
 STABLE: Final = Verdict.STABLE
 UNSTABLE: Final = Verdict.UNSTABLE

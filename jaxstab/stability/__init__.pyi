@@ -3,5 +3,6 @@ from .spectrum import SpectralRadius as SpectralRadius
 from .spectrum import closed_loop_poles as closed_loop_poles
 from .spectrum import is_stable as is_stable
 from .spectrum import spectral_radius as spectral_radius
+from .sweep import sweep as sweep
 
 __all__: list[str]

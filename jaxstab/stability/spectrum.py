@@ -1,0 +1,152 @@
+"""The closed loop's poles and spectral radius by companion eigenvalues: the reference path."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Bool, Complex128, Float64, Int8
+
+from jaxstab.conventions import RadiusStatus, Verdict
+from jaxstab.model import companion_matrix, require_x64
+from jaxstab.stability.schur_cohn import radius_error, verdict
+from jaxstab.stability.sweep import over_grid
+
+
+class SpectralRadius(NamedTuple):
+    """The largest modulus of a root of p(z), how wrong it may be, and how that is known."""
+
+    value: Float64[Array, "*grid"]
+    error: Float64[Array, "*grid"]
+    status: Int8[Array, "*grid"]
+
+
+def closed_loop_poles(
+    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
+) -> Complex128[Array, "*grid degree"]:
+    """Return the poles of the closed loop, the eigenvalues of the companion matrix of p(z).
+
+    Args:
+        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m in [0, 1e4].
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, concrete.
+
+    Returns:
+        Array of shape (*grid, degree), the largest modulus first. For an array of delays, a loop of
+        a lower degree has zeros at the end.
+
+    Raises:
+        ValueError: a concrete argument is outside its range, infinite or NaN.
+        TypeError: the delay is traced.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: eq. (9); each pole is an exact root of a polynomial within a few ulp of p(z) (backward
+    error), so a root of multiplicity k is only good to about ulp^(1/k).
+    """
+    require_x64()
+    poles: Array = over_grid(_poles, alpha, beta, gamma, delta, delay)
+    return poles
+
+
+def spectral_radius(
+    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
+) -> SpectralRadius:
+    """Return the largest modulus of a closed-loop pole with a proved error bound.
+
+    Args:
+        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m in [0, 1e4].
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, concrete.
+
+    Returns:
+        SpectralRadius of arrays of the broadcast shape: ``value``; ``error``, proved by certified
+        verdicts: all roots are inside value + error, not all inside value - error; ``status``, a
+        RadiusStatus. The derivative of ``value`` is that of the dominant root by the implicit
+        function theorem; it is infinite or NaN where that root is multiple.
+
+    Raises:
+        ValueError: a concrete argument is outside its range, infinite or NaN.
+        TypeError: the delay is traced.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: eq. (9); sec. V of the paper for its use.
+    """
+    require_x64()
+    radius: SpectralRadius = over_grid(_radius, alpha, beta, gamma, delta, delay)
+    return radius
+
+
+def is_stable(
+    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
+) -> Bool[Array, "*grid"]:
+    """Return True where all poles are proved to lie inside the unit circle.
+
+    False where the loop is unstable, marginal, or closer to the boundary than float64 can decide:
+    ``verdict`` tells these apart.
+
+    Args:
+        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m in [0, 1e4].
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, concrete.
+
+    Raises:
+        ValueError: a concrete argument is outside its range, infinite or NaN.
+        TypeError: the delay is traced.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: sec. V of the paper.
+    """
+    stable: Array = verdict(alpha, beta, gamma, delta, delay) == Verdict.STABLE
+    return stable
+
+
+@jax.jit
+def _poles(coefficients: Float64[Array, "*grid coefficient"]) -> Complex128[Array, "*grid degree"]:
+    poles = jnp.linalg.eigvals(companion_matrix(coefficients))
+    order = jnp.argsort(-jnp.abs(poles), axis=-1)
+    return jnp.take_along_axis(poles, order, axis=-1)
+
+
+@jax.jit
+def _radius(coefficients: Float64[Array, "*grid coefficient"]) -> SpectralRadius:
+    value = _largest_modulus(coefficients)
+    error = radius_error(*jax.lax.stop_gradient((coefficients, value)))
+    status = jnp.where(jnp.isfinite(error), RadiusStatus.PROVED, RadiusStatus.NO_BOUND)
+    return SpectralRadius(value, error, status.astype(jnp.int8))
+
+
+@jax.custom_jvp
+def _largest_modulus(
+    coefficients: Float64[Array, "*grid coefficient"],
+) -> Float64[Array, "*grid"]:
+    return jnp.abs(_poles(coefficients)[..., 0])
+
+
+@_largest_modulus.defjvp
+def _largest_modulus_jvp(
+    primals: tuple[Array], tangents: tuple[Array]
+) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid"]]:
+    """Differentiate p(z) = 0 at the dominant root: eigvals has no derivative at double roots."""
+    (coefficients,), (change,) = primals, tangents
+    degree = coefficients.shape[-1] - 1
+    root = _poles(coefficients)[..., 0]
+    slope = _evaluated(coefficients[..., :-1] * jnp.arange(degree, 0, -1), root)
+    motion = -_evaluated(change, root) / slope
+    modulus = jnp.abs(root)
+    return modulus, (root.conj() * motion).real / modulus
+
+
+def _evaluated(
+    coefficients: Float64[Array, "*grid coefficient"], z: Complex128[Array, "*grid"]
+) -> Complex128[Array, "*grid"]:
+    value = jnp.zeros_like(z)
+    for power in range(coefficients.shape[-1]):
+        value = value * z + coefficients[..., power]
+    return value

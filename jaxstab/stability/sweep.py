@@ -1,0 +1,126 @@
+"""Broadcast grids of points in chunks of one shape, each point at the degree of its own delay.
+
+The grid itself is never made: a chunk is a list of flat indices, looked up in the arguments as they
+were given. A grid of five axes needs the memory of its axes, of one chunk and of its results, and
+``sweep`` does without the latter.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float64, Int64
+
+from jaxstab.model import characteristic_polynomial, checked_delay, require_x64
+
+CHUNK = 2**15
+_GROWTH = 8  # sizes of chunks are CHUNK / 8^k: a single point does not pay for 32768
+
+Result = TypeVar("Result")
+
+
+def sweep(
+    function: Callable[..., Result],
+    alpha: ArrayLike,
+    beta: ArrayLike,
+    gamma: ArrayLike,
+    delta: ArrayLike,
+    delay: ArrayLike,
+    *,
+    chunk: int = CHUNK,
+) -> Iterator[tuple[slice, Result]]:
+    """Go through a grid that is larger than memory.
+
+    Args:
+        function: called with five arrays of at most ``chunk`` points: spectral_radius, verdict ...
+        alpha: wall stiffness K T^2/m, any shape; like the four others it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m.
+        delta: physical damping b T/m.
+        delay: time delay t_d/T in samples.
+        chunk: points per call.
+
+    Yields:
+        The range of flat indices (C order) of the broadcast grid, and the function's answer for it.
+
+    Raises:
+        ValueError: ``chunk`` is below 1, or the shapes do not broadcast; else as the function.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: Table I for the parameters.
+    """
+    require_x64()
+    if chunk < 1:
+        raise ValueError(f"chunk is {chunk}; give at least 1 point.")
+    arguments = [np.asarray(value, np.float64) for value in (alpha, beta, gamma, delta, delay)]
+    shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
+    total = int(np.prod(shape))
+    for start in range(0, total, chunk):
+        points = slice(start, min(start + chunk, total))
+        yield points, function(*_looked_up(arguments, shape, np.arange(points.start, points.stop)))
+
+
+def over_grid(kernel: Callable[[Array], Result], *parameters: ArrayLike) -> Result:
+    """Apply a compiled function of coefficients (point, degree + 1) to every point of a grid.
+
+    The results' arrays have the point first; where further axes are longer for a higher degree, the
+    shorter results end in zeros. Traced parameters are not taken apart: one padded batch.
+    """
+    alpha, beta, gamma, delta, delay = parameters
+    delay = checked_delay(delay)
+    if any(isinstance(value, jax.core.Tracer) for value in parameters):
+        return kernel(characteristic_polynomial(alpha, beta, gamma, delta, delay))
+    arguments = [np.asarray(value, np.float64) for value in parameters]
+    shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
+    chunks = list(_chunks(delay, shape))
+    parts = [
+        kernel(characteristic_polynomial(*_looked_up(arguments, shape, np.resize(points, size))))
+        for points, size in chunks
+    ]
+    whole: Result = jax.tree.map(lambda *arrays: _scattered(chunks, arrays, shape), *parts)
+    return whole
+
+
+def _chunks(
+    delay: Float64[np.ndarray, "..."], shape: tuple[int, ...]
+) -> Iterator[tuple[Int64[np.ndarray, " point"], int]]:
+    """Yield flat indices of points of one degree, and the size to which to pad them."""
+    degrees = np.ceil(delay)
+    for degree in np.unique(degrees):
+        members = np.flatnonzero(np.broadcast_to(degrees == degree, shape))
+        size = CHUNK
+        while size // _GROWTH >= members.size:
+            size //= _GROWTH
+        for start in range(0, members.size, size):
+            yield members[start : start + size], size
+
+
+def _looked_up(
+    arguments: list[Float64[np.ndarray, "..."]],
+    shape: tuple[int, ...],
+    points: Int64[np.ndarray, " point"],
+) -> list[Float64[np.ndarray, "..."]]:
+    """Return the arguments at flat indices; single numbers stay so and are computed with once."""
+    place = np.unravel_index(points, shape)
+    return [
+        argument.reshape(()) if argument.size == 1 else np.broadcast_to(argument, shape)[place]
+        for argument in arguments
+    ]
+
+
+def _scattered(
+    chunks: list[tuple[Int64[np.ndarray, " point"], int]],
+    parts: tuple[Array, ...],
+    shape: tuple[int, ...],
+) -> Array:
+    longest = max((part.shape[1:] for part in parts), default=())
+    result = np.zeros((int(np.prod(shape)), *longest), parts[0].dtype)
+    for (points, _), part in zip(chunks, parts, strict=True):
+        values = np.asarray(part)[: points.size]
+        missing = [(0, full - length) for full, length in zip(longest, part.shape[1:], strict=True)]
+        result[points] = np.pad(values, [(0, 0), *missing])
+    return jnp.asarray(result.reshape(*shape, *longest))

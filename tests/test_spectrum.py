@@ -1,0 +1,177 @@
+"""Poles and spectral radius by companion eigenvalues, against certified roots."""
+
+import csv
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import truth
+from mpmath import mp, mpf
+
+import jaxstab
+from jaxstab.conventions import RadiusStatus
+from jaxstab.stability import sweep as sweep_module
+
+REFERENCE = Path(__file__).parents[1] / "data" / "reference"
+SCENE = (0.05, 0.3, 1e-3, 0.015)
+TRIPLE_ROOT = 4.0 ** (1 / 3) - 1  # the smallest radius over all gains at gamma = delta = delay = 0
+
+
+def reference_scenes() -> dict[tuple[float, ...], list[mpf]]:
+    """The moduli of all roots of each scene of the reference file, largest first."""
+    lines = (REFERENCE / "roots.tsv").read_text().splitlines()
+    scenes: dict[tuple[float, ...], list[mpf]] = {}
+    for row in csv.DictReader((x for x in lines if x[0] != "#"), delimiter="\t"):
+        key = tuple(float(row[axis]) for axis in jaxstab.AXES)
+        scenes.setdefault(key, []).append(mpf(row["modulus"]))
+    return scenes
+
+
+def random_scenes(rng: np.random.Generator, count: int) -> np.ndarray:
+    delay = rng.choice([0.0, 0.5, 1.0, 2.0, 3.7, 6.0], count)
+    gains = rng.uniform(-0.2, 1.0, (2, count)) / (1 + delay)
+    return np.array([*gains, rng.uniform(0, 2, count), rng.uniform(0, 1, count), delay])
+
+
+class TestPoles:
+    def test_are_the_certified_roots(self) -> None:
+        for scene in [
+            (0.1, 0.3, 0.2, 0.1, 0),
+            (0.05, 0.2, 1e-3, 0.015, 2),
+            (0.1, 0.2, 2.0, 0.1, 1.5),
+        ]:
+            poles = np.asarray(jaxstab.closed_loop_poles(*scene))
+            exact = np.array([complex(root) for root in truth.roots(*scene)])
+            assert len(poles) == len(exact)
+            distance = np.abs(poles[:, None] - exact)
+            assert distance.min(axis=0).max() < 1e-12
+            assert distance.min(axis=1).max() < 1e-12
+            assert (np.diff(np.abs(poles)) <= 1e-15).all()
+
+    def test_a_lower_degree_in_an_array_of_delays_ends_in_zeros(self) -> None:
+        delays = np.array([2.5, 0.0, 1.0])
+        poles = jaxstab.closed_loop_poles(*SCENE, delays)
+        assert poles.shape == (3, 6)
+        for row, delay in zip(poles, delays, strict=True):
+            alone = jaxstab.closed_loop_poles(*SCENE, delay)
+            np.testing.assert_allclose(row[: len(alone)], alone, rtol=1e-12)
+            assert (row[len(alone) :] == 0).all()
+
+
+class TestSpectralRadius:
+    def test_is_honest_over_the_reference_scenes(self) -> None:
+        scenes = reference_scenes()
+        radius = jaxstab.spectral_radius(*np.array(list(scenes)).T)
+        for number, (scene, moduli) in enumerate(scenes.items()):
+            value, error = float(radius.value[number]), float(radius.error[number])
+            assert abs(mpf(value) - moduli[0]) <= error, scene
+
+    def test_converges_where_the_dominant_root_is_simple(self, rng: np.random.Generator) -> None:
+        radius = jaxstab.spectral_radius(*random_scenes(rng, 300))
+        assert (radius.status == RadiusStatus.PROVED).all()
+        assert np.quantile(radius.error, 0.95) < 1e-12
+
+    def test_is_honest_at_random_scenes(self, rng: np.random.Generator) -> None:
+        scenes = random_scenes(rng, 300)
+        radius = jaxstab.spectral_radius(*scenes)
+        for scene, value, error in zip(scenes.T.tolist(), radius.value, radius.error, strict=True):
+            lower, upper = truth.spectral_radius(*scene)
+            assert lower - error <= mpf(float(value)) <= upper + error, scene
+
+    def test_is_honest_at_a_triple_root(self) -> None:
+        alpha, beta = 6 * TRIPLE_ROOT**2 - 2, 2 * TRIPLE_ROOT**3
+        radius = jaxstab.spectral_radius(alpha, beta, 0.0, 0.0, 0)
+        lower, _ = truth.spectral_radius(alpha, beta, 0.0, 0.0, 0)
+        assert abs(mpf(float(radius.value)) - lower) <= float(radius.error)
+        assert float(radius.error) < 1e-3
+
+    @pytest.mark.parametrize("delay", [0, 2])
+    def test_is_honest_without_a_controller(self, delay: int) -> None:
+        """alpha = beta = 0: roots at zero as many as the delay, defective in the companion."""
+        radius = jaxstab.spectral_radius(0.0, 0.0, 0.5, 0.2, delay)
+        assert abs(float(radius.value) - float(mp.exp(-mpf(0.2) / 2))) <= float(radius.error)
+        assert float(radius.error) < 1e-12
+
+    def test_broadcasts_over_five_axes_with_fractional_delays(self) -> None:
+        axes = np.ix_([0.01, 0.1, 0.2], [0.1, 0.3], [0.0, 1e-3], [0.0, 0.015], [0.0, 0.5, 2.0])
+        radius = jaxstab.spectral_radius(*axes)
+        assert radius.value.shape == radius.error.shape == radius.status.shape == (3, 2, 2, 2, 3)
+        lower, upper = truth.spectral_radius(0.2, 0.1, 1e-3, 0.015, 0.5)
+        error = float(radius.error[2, 0, 1, 1, 1])
+        assert lower - error <= float(radius.value[2, 0, 1, 1, 1]) <= upper + error
+
+    @pytest.mark.parametrize("delay", [0, 1.5])
+    def test_gradient_is_the_motion_of_the_dominant_root(self, delay: float) -> None:
+        function = lambda *scene: jaxstab.spectral_radius(*scene, delay).value  # noqa: E731
+        gradient = jax.grad(function, argnums=(0, 1, 2, 3))(*SCENE)
+        for axis, derivative in enumerate(gradient):
+            with mp.workdps(60):
+                moved = [list(map(mpf, SCENE)) for _ in range(2)]
+                moved[0][axis] -= mpf(10) ** -20
+                moved[1][axis] += mpf(10) ** -20
+                below, above = (truth.spectral_radius(*scene, delay)[0] for scene in moved)
+                exact = float((above - below) / (2 * mpf(10) ** -20))
+            assert float(derivative) == pytest.approx(exact, rel=1e-10)
+
+    def test_gradient_is_finite_where_the_companion_matrix_is_defective(self) -> None:
+        """alpha = beta = 0 with delay: the roots at zero are multiple, the dominant pair is not."""
+        function = lambda alpha: jaxstab.spectral_radius(alpha, 0.0, 0.5, 0.2, 2).value  # noqa: E731
+        assert jnp.isfinite(jax.grad(function)(0.0))
+
+    def test_jit_and_vmap_agree_with_a_direct_call(self) -> None:
+        direct = jaxstab.spectral_radius(*SCENE, 1)
+        function = lambda alpha: jaxstab.spectral_radius(alpha, *SCENE[1:], 1)  # noqa: E731
+        for wrapped in (jax.jit(function), lambda a: jax.vmap(function)(jnp.array([a]))):
+            assert float(jnp.ravel(wrapped(SCENE[0]).value)[0]) == pytest.approx(
+                float(direct.value), rel=1e-14
+            )
+
+
+class TestIsStable:
+    def test_knows_the_exact_set_of_the_undamped_mass(self, rng: np.random.Generator) -> None:
+        beta = rng.uniform(0.01, 1.99, 500)
+        alpha = rng.uniform(-0.2, 1.0, 500)
+        inside = (alpha > 0) & (alpha < 2 * beta * (2 - beta) / (beta + 2))
+        np.testing.assert_array_equal(jaxstab.is_stable(alpha, beta, 0.0, 0.0, 0), inside)
+
+    def test_a_marginal_loop_is_not_stable(self) -> None:
+        assert not jaxstab.is_stable(0.0, 0.5, 0.0, 0.0, 0)
+
+
+class TestSweep:
+    def test_a_grid_larger_than_its_chunks_gives_the_same_numbers(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        axes = np.ix_(np.linspace(0.01, 0.2, 9), np.linspace(0.1, 0.5, 7), [1e-3], [0.0], [0, 0.5])
+        whole = jaxstab.spectral_radius(*axes).value
+        monkeypatch.setattr(sweep_module, "CHUNK", 64)
+        np.testing.assert_array_equal(jaxstab.spectral_radius(*axes).value, whole)
+
+    def test_streams_a_grid_in_order(self) -> None:
+        axes = np.ix_([0.01, 0.1], [0.1, 0.3, 0.5], [1e-3], [0.0, 0.01], [1.0])
+        whole = np.ravel(jaxstab.spectral_radius(*axes).value)
+        seen = np.zeros_like(whole)
+        for points, part in jaxstab.sweep(jaxstab.spectral_radius, *axes, chunk=5):
+            assert points.stop - points.start <= 5
+            seen[points] = part.value
+        np.testing.assert_array_equal(seen, whole)
+
+    def test_a_billion_points_need_no_memory_before_they_are_asked_for(self) -> None:
+        axis = np.linspace(0.01, 0.1, 1000)
+        axes = np.ix_(axis, axis, axis, [0.0], [0.0])
+        points, part = next(jaxstab.sweep(jaxstab.is_stable, *axes, chunk=100))
+        assert (points, part.shape) == (slice(0, 100), (100,))
+
+    def test_compiles_once_per_degree(self) -> None:
+        kernel = jax.jit(lambda coefficients: coefficients[..., 0])
+        alpha = np.linspace(0.0, 0.1, 700)
+        for gamma in (0.0, 0.1, 0.2):
+            sweep_module.over_grid(kernel, alpha, 0.1, gamma, 0.0, np.array([[0.0], [1.0], [0.5]]))
+        assert kernel._cache_size() == 2
+
+    @pytest.mark.parametrize("chunk", [0, -3])
+    def test_refuses_an_empty_chunk(self, chunk: int) -> None:
+        with pytest.raises(ValueError, match="chunk is"):
+            next(jaxstab.sweep(jaxstab.is_stable, 0.1, 0.1, 0.0, 0.0, 0, chunk=chunk))
