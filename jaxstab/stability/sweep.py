@@ -104,11 +104,16 @@ def _looked_up(
     shape: tuple[int, ...],
     points: Int64[np.ndarray, " point"],
 ) -> list[Float64[np.ndarray, "..."]]:
-    """Return the arguments at flat indices; single numbers stay so and are computed with once."""
-    place = np.unravel_index(points, shape)
+    """Return the arguments at flat indices.
+
+    Single numbers stay so and are computed with once; only the first argument is always repeated.
+    """
+    place = np.unravel_index(points, shape or (1,))
     return [
-        argument.reshape(()) if argument.size == 1 else np.broadcast_to(argument, shape)[place]
-        for argument in arguments
+        argument.reshape(())
+        if number > 0 and argument.size == 1
+        else np.broadcast_to(argument, shape or (1,))[place]
+        for number, argument in enumerate(arguments)
     ]
 
 
@@ -123,4 +128,4 @@ def _scattered(
         values = np.asarray(part)[: points.size]
         missing = [(0, full - length) for full, length in zip(longest, part.shape[1:], strict=True)]
         result[points] = np.pad(values, [(0, 0), *missing])
-    return jnp.asarray(result.reshape(*shape, *longest))
+    return jnp.asarray(result.reshape((*shape, *longest)))
