@@ -1,0 +1,167 @@
+"""The closed form of the boundary against 50-digit truth, its limits and its derivatives."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+import truth
+from mpmath import mp, mpf
+
+from jaxstab.boundary import boundary_curve, minus_line, plus_line
+
+ACCURACY = 1e-13
+ROUNDING = 2.0**-52
+ENDS = 1e-8
+
+Slices = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def random_angles(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Half of them uniform, half of them as close to one of the ends as 1e-8."""
+    distance = np.where(
+        rng.random(count) < 0.5, rng.uniform(0, np.pi, count), 10 ** rng.uniform(-8, 0, count)
+    )
+    theta = np.where(rng.random(count) < 0.5, distance, np.pi - distance)
+    return np.clip(theta, ENDS, np.pi - ENDS)
+
+
+def random_slices(rng: np.random.Generator, count: int) -> Slices:
+    """Over the whole box and over all magnitudes, with each special case among them."""
+    gamma = np.where(
+        rng.random(count) < 0.5, rng.uniform(0, 40, count), 10 ** rng.uniform(-12, 1.6, count)
+    )
+    delta = np.where(
+        rng.random(count) < 0.5, rng.uniform(0, 10, count), 10 ** rng.uniform(-12, 1, count)
+    )
+    delay = np.where(rng.random(count) < 0.5, rng.integers(0, 51, count), rng.uniform(0, 51, count))
+    case = rng.integers(0, 8, count)
+    gamma[case == 1], delta[case == 1] = 0.0, 0.0
+    gamma[case == 2], delta[case == 2] = np.pi**2, 0.0
+    critical = case == 3
+    delta[critical] = np.minimum(2.0 * np.sqrt(gamma[critical]), 10.0)
+    gamma[critical] = delta[critical] ** 2 / 4.0
+    delta[case == 4] = 0.0
+    return gamma, delta, delay
+
+
+def worst_error(theta: Any, gamma: Any, delta: Any, delay: Any, radius: Any) -> float:
+    """The largest error beside the distance from (-gamma, 0), beyond the rounding of alpha."""
+    alpha, beta = boundary_curve(theta, gamma, delta, delay, radius)
+    worst = 0.0
+    places = np.broadcast_arrays(theta, gamma, delta, delay, radius)
+    for a, b, *place in zip(alpha, beta, *places, strict=True):
+        exact_alpha, exact_beta = truth.boundary_point(*map(float, place))
+        distance = mp.hypot(exact_alpha + mpf(float(place[1])), exact_beta)
+        alpha_error = abs(mpf(float(a)) - exact_alpha) - ROUNDING * abs(exact_alpha)
+        worst = max(worst, alpha_error / distance, abs(mpf(float(b)) - exact_beta) / distance)
+    return float(worst)
+
+
+def test_the_curve_is_within_1e_13_of_the_truth_over_the_whole_box(
+    rng: np.random.Generator,
+) -> None:
+    slices = random_slices(rng, 400)
+    assert worst_error(random_angles(rng, 400), *slices, np.ones(400)) < ACCURACY
+
+
+def test_the_curve_of_a_decay_rate_is_within_1e_13_of_the_truth(rng: np.random.Generator) -> None:
+    slices = random_slices(rng, 200)
+    radius = np.where(
+        rng.random(200) < 0.5, rng.uniform(0.05, 1, 200), 1 - 10 ** rng.uniform(-12, -1, 200)
+    )
+    assert worst_error(random_angles(rng, 200), *slices, radius) < ACCURACY
+
+
+def test_without_hand_and_delay_the_curve_is_the_known_one() -> None:
+    theta = np.linspace(1e-3, 3.0, 50)
+    alpha, beta = boundary_curve(theta, 0.0, 0.0, 0.0)
+    np.testing.assert_allclose(alpha, 2 * beta * (2 - beta) / (beta + 2), rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 50.0])
+def test_the_curve_starts_on_the_line_of_a_root_at_plus_one(delay: float) -> None:
+    for radius in (1.0, 0.8):
+        start = boundary_curve(0.0, 0.3, 0.2, delay, radius)
+        near = boundary_curve(1e-7, 0.3, 0.2, delay, radius)
+        np.testing.assert_allclose(start, near, rtol=1e-10)
+        np.testing.assert_allclose(
+            start[0], plus_line(start[1], 0.3, 0.2, delay, radius), rtol=1e-14
+        )
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 50.0])
+def test_the_curve_ends_on_the_line_of_a_root_at_minus_one(delay: float) -> None:
+    for radius in (1.0, 0.8):
+        end = boundary_curve(np.pi, 0.3, 0.2, delay, radius)
+        near = boundary_curve(np.pi - 1e-7, 0.3, 0.2, delay, radius)
+        np.testing.assert_allclose(end, near, rtol=1e-9)
+        np.testing.assert_allclose(end[0], minus_line(end[1], 0.3, 0.2, delay, radius), rtol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 3.0, 0.25, 7.75])
+@pytest.mark.parametrize("radius", [1.0, 0.7])
+def test_the_lines_put_a_real_root_at_plus_and_minus_the_radius(
+    delay: float, radius: float
+) -> None:
+    gamma, delta, beta = 0.4, 0.3, 0.75
+    for line, z in ((plus_line, radius), (minus_line, -radius)):
+        alpha = float(line(beta, gamma, delta, delay, radius))
+        polynomial = truth.polynomial(alpha, beta, gamma, delta, delay)
+        scale = sum(abs(c) for c in polynomial)
+        assert abs(truth.evaluate(polynomial, mpf(z))) < 1e-14 * scale
+
+
+def test_a_root_at_one_takes_alpha_to_minus_gamma_exactly() -> None:
+    gamma = np.array([0.0, 1e-9, 0.3, np.pi**2, 40.0])
+    np.testing.assert_array_equal(plus_line(0.7, gamma, 0.1, 2.0), -gamma)
+
+
+def test_without_damping_and_with_a_whole_delay_the_line_of_minus_one_is_at_infinity() -> None:
+    assert np.isinf(minus_line(0.5, 0.3, 0.0, 1.0))
+    assert np.isfinite(minus_line(0.5, 0.3, 0.0, 1.5))
+
+
+@pytest.mark.parametrize(
+    ("theta", "gamma", "delta", "delay"),
+    [(0.7, 0.0, 0.0, 1.0), (2.5, 0.25, 1.0, 0.5), (1e-4, 1e-3, 0.015, 2.0), (3.1, 9.9, 0.1, 3.3)],
+)
+def test_the_derivatives_are_those_of_the_truth(
+    theta: float, gamma: float, delta: float, delay: float
+) -> None:
+    place = (theta, gamma, delta, delay)
+    step = mpf(10) ** -20
+    traced = (0, 1, 2, 3) if delay % 1 else (0, 1, 2)
+    slopes = jax.jacfwd(boundary_curve, argnums=traced)(*place)
+    for of_alpha_or_beta, row in enumerate(slopes):
+        for argument, slope in zip(traced, row, strict=True):
+            there = list(map(mpf, place))
+            there[argument] += step
+            ahead = truth.boundary_point(*there)[of_alpha_or_beta]
+            exact = (ahead - truth.boundary_point(*place)[of_alpha_or_beta]) / step
+            assert abs(mpf(float(slope)) - exact) < 1e-11 * (1 + abs(exact))
+
+
+def test_the_limits_have_finite_derivatives() -> None:
+    for theta in (0.0, np.pi):
+        slopes = jax.jacfwd(boundary_curve, argnums=(0, 1, 2))(theta, 0.3, 0.2, 1.0)
+        assert np.all(np.isfinite(slopes))
+        np.testing.assert_allclose([slopes[0][0], slopes[1][0]], 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ((-0.1, 0.0, 0.0, 0.0), "theta"),
+        ((np.nan, 0.0, 0.0, 0.0), "theta"),
+        ((0.5, -1.0, 0.0, 0.0), "gamma"),
+        ((0.5, 0.0, np.inf, 0.0), "delta"),
+        ((0.5, 0.0, 0.0, -1.0), "delay"),
+        ((0.5, 0.0, 0.0, 0.0, 0.0), "radius"),
+        ((0.5, 0.0, 0.0, 0.0, 1.5), "radius"),
+        ((0.5, 0.0, 0.0, 0.0, np.nan), "radius"),
+    ],
+)
+def test_bad_input_is_refused_by_name(arguments: tuple[float, ...], name: str) -> None:
+    with pytest.raises(ValueError, match=rf"^{name} is [^\n]*; [^\n]*\.$"):
+        boundary_curve(*arguments)
