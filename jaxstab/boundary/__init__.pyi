@@ -1,5 +1,14 @@
+from .criteria import LinearValidity as LinearValidity
+from .criteria import ValidityStatus as ValidityStatus
+from .criteria import linear_alpha_limit as linear_alpha_limit
+from .criteria import linear_condition as linear_condition
+from .criteria import linear_error as linear_error
+from .criteria import linear_validity as linear_validity
+from .criteria import routh_hurwitz_condition as routh_hurwitz_condition
 from .curve import boundary_curve as boundary_curve
 from .curve import minus_line as minus_line
 from .curve import plus_line as plus_line
+from .passive import PassiveRegion as PassiveRegion
+from .passive import passive_region as passive_region
 
 __all__: list[str]
