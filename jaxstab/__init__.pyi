@@ -1,5 +1,8 @@
 from .atlas import Atlas as Atlas
+from .atlas import AtlasAnswer as AtlasAnswer
 from .atlas import AtlasSpec as AtlasSpec
+from .atlas import FittedAxis as FittedAxis
+from .atlas import QueryStatus as QueryStatus
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
 from .conventions import AXES as AXES

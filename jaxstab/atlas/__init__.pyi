@@ -1,1 +1,9 @@
+from .build import build_atlas as build_atlas
+from .query import Atlas as Atlas
+from .query import AtlasAnswer as AtlasAnswer
+from .query import QueryStatus as QueryStatus
+from .query import open_atlas as open_atlas
+from .spec import AtlasSpec as AtlasSpec
+from .spec import FittedAxis as FittedAxis
+
 __all__: list[str]

@@ -1,0 +1,143 @@
+"""The format of an atlas file: every name, meaning, code and limit in one place.
+
+Standard library only. A file holds one HDF5 image and then a footer; the image holds the variables
+below in its root group. How to read one is described in data/README.md.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from jaxstab.conventions import Verdict
+
+FORMAT: Final = "jaxstab atlas"
+SCHEMA_VERSION: Final = 1
+
+FOOTER_MAGIC: Final = b"jaxstab\n"
+"""After the image: these 8 bytes, its length (uint64, little endian), its SHA-256 (32 bytes)."""
+
+LARGEST_IMAGE: Final = 2**33  # bytes
+LARGEST_ARRAY: Final = 2**28  # elements
+
+VERDICT: Final = "verdict"
+CELL_VERDICT: Final = "cell_verdict"
+SPECTRAL_RADIUS: Final = "spectral_radius"
+RADIUS_ERROR: Final = "spectral_radius_error"
+SPEC: Final = "spec"
+
+NODE: Final = ("alpha_node", "beta_node", "gamma", "delta", "delay")
+CELL: Final = ("alpha_cell", "beta_cell", "gamma_cell", "delta_cell", "delay")
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One dataset: its type, its dimensions (itself for an axis) and what its numbers mean."""
+
+    name: str
+    dtype: str
+    dimensions: tuple[str, ...]
+    long_name: str
+    interpretation: str
+
+    @property
+    def is_axis(self) -> bool:
+        """Whether this is the coordinate of the dimension of its name (an HDF5 dimension scale)."""
+        return self.dimensions == (self.name,)
+
+    @property
+    def holds_verdicts(self) -> bool:
+        """Whether the values are codes of ``jaxstab.Verdict``."""
+        return self.dtype == "int8"
+
+
+def _axis(name: str, dtype: str, long_name: str, interpretation: str) -> Variable:
+    return Variable(name, dtype, (name,), long_name, interpretation)
+
+
+def _numbers(name: str, interpretation: str) -> Variable:
+    return _axis(name, "int32", f"number along {name}", interpretation)
+
+
+def _cells(axis: str, nodes: str) -> Variable:
+    return _numbers(f"{axis}_cell", f"cell i lies between {nodes} i and i + 1")
+
+
+VARIABLES: Final = {
+    variable.name: variable
+    for variable in (
+        _axis("delay", "float64", "time delay", "t_d/T, in sampling periods T"),
+        _axis("gamma", "float64", "physical stiffness", "k T^2/m, k of device and hand"),
+        _axis("delta", "float64", "physical damping", "b T/m, b of device and hand"),
+        _numbers("alpha_node", "node i at delay k is at alpha[i, k]"),
+        _numbers("beta_node", "node i at delay k is at beta[i, k]"),
+        _cells("alpha", "alpha_node"),
+        _cells("beta", "beta_node"),
+        _cells("gamma", "gamma"),
+        _cells("delta", "delta"),
+        Variable(
+            "alpha",
+            "float64",
+            ("alpha_node", "delay"),
+            "stiffness of the virtual wall",
+            "K T^2/m; one column of ascending nodes for each delay",
+        ),
+        Variable(
+            "beta",
+            "float64",
+            ("beta_node", "delay"),
+            "damping of the virtual wall",
+            "B T/m; one column of ascending nodes for each delay",
+        ),
+        Variable(
+            VERDICT,
+            "int8",
+            NODE,
+            "stability at the node",
+            "stable: all roots of the characteristic polynomial inside the unit circle; "
+            "unstable: not so; undecided: too close to the boundary for float64; each proved",
+        ),
+        Variable(
+            CELL_VERDICT,
+            "int8",
+            CELL,
+            "stability of all points of the cell",
+            "stable or unstable: proved for each point of the closed cell (no root crosses the "
+            "unit circle, by zero exclusion, and the verdict of a corner); undecided: no proof",
+        ),
+        Variable(
+            SPECTRAL_RADIUS,
+            "float64",
+            NODE,
+            "largest modulus of a closed-loop pole at the node",
+            "decay per sampling period; below 1 for a stable loop",
+        ),
+        Variable(
+            RADIUS_ERROR,
+            "float64",
+            NODE,
+            "error bound of spectral_radius",
+            "proved: the true radius is within spectral_radius +- this; infinite: no bound",
+        ),
+        _numbers("spec_line", "line of the specification"),
+        Variable(
+            SPEC,
+            "S",
+            ("spec_line",),
+            "specification of this atlas",
+            "the lines of a TOML file from which the same atlas can be built",
+        ),
+    )
+}
+"""All variables in the order in which they are written; those of a product only if it is chosen."""
+
+PRODUCTS: Final = {
+    VERDICT: (VERDICT, CELL_VERDICT),
+    SPECTRAL_RADIUS: (SPECTRAL_RADIUS, RADIUS_ERROR),
+}
+"""What can be chosen in a specification, and the variables that hold it."""
+
+ALWAYS: Final = frozenset(VARIABLES) - {name for names in PRODUCTS.values() for name in names}
+
+FLAG_VALUES: Final = tuple(int(code) for code in Verdict)
+FLAG_MEANINGS: Final = " ".join(code.name.lower() for code in Verdict)
+
+LONGEST_LINE: Final = 4096  # bytes in a line of the specification
