@@ -1,7 +1,7 @@
 """The format of an atlas file: every name, meaning, code and limit in one place.
 
 Standard library only. A file holds one HDF5 image and then a footer; the image holds the variables
-below in its root group. How to read one is described in data/README.md.
+below in its root group, with dimension scales. All numbers are dimensionless.
 """
 
 from dataclasses import dataclass

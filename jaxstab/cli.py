@@ -1,0 +1,264 @@
+"""The command line. JAX, matplotlib and rich are imported inside the commands that need them."""
+
+import csv
+import json
+import math
+import shlex
+import sys
+from collections.abc import Iterable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import jaxstab
+from jaxstab.conventions import AXES, STABLE, Verdict
+
+if TYPE_CHECKING:
+    from jaxstab.atlas import Atlas, AtlasAnswer
+
+_ANSWER = ("verdict", "spectral_radius", "radius_error", "status")
+
+
+class OneSentence(click.Group):
+    """Commands whose every failure is one sentence on stderr and a non-zero exit code."""
+
+    def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
+        """Run a command; see click.Command.main."""
+        run = partial(super().main, *args, standalone_mode=False, **extra)
+        if not standalone_mode:
+            return run()
+        try:
+            code: object = run()
+        except click.ClickException as error:
+            click.echo(f"jaxstab: {error.format_message()}", err=True)
+            sys.exit(error.exit_code)
+        except click.Abort:
+            click.echo("jaxstab: interrupted; nothing was written.", err=True)
+            sys.exit(130)
+        except BrokenPipeError:  # the reader of our output has enough
+            sys.stderr.close()
+            sys.exit(1)
+        except OSError as error:
+            click.echo(f"jaxstab: {error.strerror or error}", err=True)
+            sys.exit(1)
+        except (ValueError, TypeError, RuntimeError, MemoryError) as error:
+            click.echo(f"jaxstab: {str(error) or 'there is not enough memory.'}", err=True)
+            sys.exit(1)
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+@click.group(cls=OneSentence)
+@click.version_option(jaxstab.__version__, prog_name="jaxstab")
+def main() -> None:
+    """Stability of haptic rendering loops."""
+
+
+@main.group()
+def atlas() -> None:
+    """Build, inspect, ask and plot atlases: stability over a grid of loops, in one file."""
+
+
+@atlas.command()
+@click.option("--spec", type=Path, help="TOML file; without, the haptic range of the paper.")
+@click.option("-o", "--output", type=Path, default=Path("atlas.h5"), show_default=True)
+def build(spec: Path | None, output: Path) -> None:
+    """Compute an atlas and write it as one HDF5 file."""
+    import jax
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from jaxstab.atlas import AtlasSpec, build_atlas
+
+    jax.config.update("jax_enable_x64", True)
+    chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task(f"building {output}", total=None)
+        built = build_atlas(
+            chosen, output, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    click.echo(_described(built, output))
+
+
+@atlas.command()
+@click.argument("file", type=Path)
+def info(file: Path) -> None:
+    """Print what an atlas holds, and a line to query it."""
+    click.echo(_described(jaxstab.open_atlas(file), file))
+
+
+def _axis_options(command: Any) -> Any:
+    for name in reversed(AXES):
+        command = click.option(f"--{name}", type=float)(command)
+    return command
+
+
+@atlas.command()
+@click.argument("file", type=Path)
+@_axis_options
+@click.option(
+    "--csv", "table", type=Path, help="CSV file of points ('-': stdin), columns in any order."
+)
+@click.option("--format", "form", type=click.Choice(["csv", "json"]), default="csv")
+@click.option(
+    "--outside",
+    type=click.Choice(["error", "undecided"]),
+    default="error",
+    help="Refuse points outside of the atlas, or answer that they are undecided.",
+)
+def query(file: Path, table: Path | None, form: str, outside: Any, **point: float | None) -> None:
+    """Ask an atlas about a point, or about the points of a CSV file.
+
+    An option such as --gamma gives the value of a column that the CSV file does not have.
+    """
+    given = {name: value for name, value in point.items() if value is not None}
+    points = _read_points(table, given) if table else _one_point(given)
+    answer = jaxstab.open_atlas(file).query(**points, outside=outside)
+    rows = _answered(points, answer)
+    if form == "csv":
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow((*AXES, *_ANSWER))
+        writer.writerows(row.values() for row in rows)
+    else:
+        click.echo(json.dumps([_finite(row) for row in rows], indent=1))
+
+
+@atlas.command()
+@click.argument("file", type=Path)
+@click.option("-o", "--output", type=Path, required=True, help="PNG file to write.")
+@click.option("--gamma", type=float, help="Physical stiffness; without, the smallest.")
+@click.option("--delta", type=float, help="Physical damping; without, the smallest.")
+@click.option("--delay", type=float, multiple=True, help="May be repeated; without, all.")
+def plot(
+    file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
+) -> None:
+    """Draw verdict and spectral radius in the (alpha, beta) plane."""
+    from jaxstab.atlas.file import publish
+    from jaxstab.figures import draw_atlas
+
+    opened = jaxstab.open_atlas(file)
+    lowest = {name: float(nodes[0]) for name, nodes in opened.nodes(0).items()}
+    png = draw_atlas(
+        opened,
+        lowest["gamma"] if gamma is None else gamma,
+        lowest["delta"] if delta is None else delta,
+        delay or None,
+    )
+    publish(png, output)
+
+
+# ------------------------------------------------------------------------------------------- points
+
+
+def _one_point(given: dict[str, float]) -> dict[str, list[float]]:
+    _check_complete(given, "give it as an option, or points with --csv")
+    return {name: [given[name]] for name in AXES}
+
+
+def _read_points(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
+    """Return the columns of a CSV file, and those that the options fill in."""
+    if str(table) == "-":
+        return _parsed(sys.stdin, "stdin", given)
+    try:
+        with table.open(encoding="utf-8-sig", newline="") as stream:
+            return _parsed(stream, str(table), given)
+    except OSError as error:
+        raise OSError(error.errno, f"cannot read {table}: {error.strerror}.") from error
+
+
+def _parsed(stream: Iterable[str], source: str, given: dict[str, float]) -> dict[str, list[float]]:
+    lines = csv.reader(stream)
+    header = [name.strip() for name in next(lines, [])]
+    columns = {name: header.index(name) for name in AXES if name in header}
+    both = sorted(columns.keys() & given.keys())
+    if both:
+        raise ValueError(f"{both[0]} is a column of {source} and an option; give one of them.")
+    _check_complete(columns.keys() | given.keys(), f"{source} has the columns {', '.join(header)}")
+    points: dict[str, list[float]] = {name: [] for name in AXES}
+    for row in lines:
+        if row:
+            where = f"line {lines.line_num} of {source}"
+            for name in AXES:
+                value = _cell(row, columns[name], name, where) if name in columns else given[name]
+                points[name].append(value)
+    return points
+
+
+def _cell(row: list[str], column: int, name: str, where: str) -> float:
+    text = row[column] if column < len(row) else ""
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{name} is {text!r} in {where}; give a number.") from None
+
+
+def _check_complete(known: Iterable[str], remedy: str) -> None:
+    missing = [name for name in AXES if name not in known]
+    if missing:
+        raise ValueError(f"{missing[0]} is missing; {remedy}.")
+
+
+def _answered(
+    points: dict[str, list[float]], answer: "AtlasAnswer"
+) -> Iterator[dict[str, float | str]]:
+    """Yield a row of words and numbers for each point."""
+    from jaxstab.atlas import QueryStatus
+
+    columns = (*points.values(), *(getattr(answer, name).tolist() for name in _ANSWER))
+    for *numbers, verdict, radius, error, status in zip(*columns, strict=True):
+        words = {
+            "verdict": Verdict(verdict).name.lower(),
+            "spectral_radius": radius,
+            "radius_error": error,
+            "status": QueryStatus(status).name.lower(),
+        }
+        yield dict(zip(AXES, numbers, strict=True)) | words
+
+
+def _finite(row: dict[str, float | str]) -> dict[str, float | str | None]:
+    """Return a row for JSON, which has no NaN and no infinity."""
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in row.items()
+    }
+
+
+# ----------------------------------------------------------------------------------------- describe
+
+
+def _described(opened: "Atlas", file: Path) -> str:
+    """Return what an atlas holds, ending in a line to query it."""
+    shape = {name: nodes.size for name, nodes in opened.nodes(0).items()}
+    lines = [
+        f"{file}: {file.stat().st_size / 1e6:.2f} MB, made by {opened.created_by}",
+        f"products: {', '.join(opened.products)}",
+        *(
+            f"{name}: {shape[name]} nodes from {nodes[0]:g} to {nodes[-1]:g}"
+            for name, nodes in list(opened.nodes(0).items())[2:]
+        ),
+        "",
+        f"delay   alpha ({shape['alpha']} nodes)      beta ({shape['beta']} nodes)       "
+        "decided between nodes",
+    ]
+    for number, delay in enumerate(opened.delays):
+        spans = [f"{n[0]:9.3g} to {n[-1]:<8.3g}" for n in list(opened.nodes(number).values())[:2]]
+        decided = f"{100.0 * opened.decided_fraction(number):.1f} %"
+        lines.append(f"{delay:<5g} {spans[0]} {spans[1]}   {decided}")
+    options = " ".join(f"--{name} {value:g}" for name, value in _example(opened).items())
+    lines += ["", "Query it with", f"  jaxstab atlas query {shlex.quote(str(file))} {options}"]
+    return "\n".join(lines)
+
+
+def _example(opened: "Atlas") -> dict[str, float]:
+    """Return a point in the middle of the first delay's box, or rather of what is stable there."""
+    nodes = opened.nodes(0)
+    middle = {name: axis.size // 2 for name, axis in nodes.items()}
+    if "verdict" in opened.arrays:
+        plane = opened.arrays["verdict"][:, :, middle["gamma"], middle["delta"], 0]
+        stable = (plane == STABLE).nonzero()
+        if stable[0].size:
+            centre = stable[0].size // 2
+            middle |= {"alpha": int(stable[0][centre]), "beta": int(stable[1][centre])}
+    point = {name: float(axis[middle[name]]) for name, axis in nodes.items()}
+    return point | {"delay": float(opened.delays[0])}

@@ -1,0 +1,115 @@
+"""Pictures: matplotlib is used here and nowhere else."""
+
+from collections.abc import Sequence
+from io import BytesIO
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.contour import QuadContourSet
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from jaxstab.atlas import Atlas
+from jaxstab.conventions import Verdict
+
+_RASTER = 400  # points along each side of a plane
+_WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
+_DOTS_PER_INCH = 150
+_MOST_PLANES = 6
+
+# Told apart with any colour vision, and in grey.
+_COLOURS = {
+    Verdict.NOT_COMPUTED: "#ffffff",
+    Verdict.STABLE: "#56b4e9",
+    Verdict.UNSTABLE: "#f5ead0",
+    Verdict.UNDECIDED: "#444444",
+}
+_RADII = (0.6, 0.7, 0.8, 0.85, 0.9, 0.94, 0.97, 1.0, 1.02, 1.05, 1.1)  # finer towards the boundary
+
+Floats = NDArray[np.float64]
+
+
+def draw_atlas(
+    atlas: Atlas, gamma: float, delta: float, delays: Sequence[float] | None = None
+) -> bytes:
+    """Return a PNG of what an atlas answers in planes of (alpha, beta), a column for each delay.
+
+    Args:
+        atlas: the atlas to ask.
+        gamma: physical stiffness k T^2/m of the planes.
+        delta: physical damping b T/m of the planes.
+        delays: delays t_d/T of the atlas, at most 6; by default its first ones.
+
+    Raises:
+        ValueError: gamma or delta is outside of the atlas, or a delay is none of its own.
+    """
+    numbers = _numbers_of(atlas, delays)
+    rows = atlas.products
+    figure = Figure(figsize=(_WIDTH * len(numbers) + 0.9, _HEIGHT * len(rows) + 1.0))
+    figure.set_layout_engine("constrained")
+    panels = figure.subplots(len(rows), len(numbers), squeeze=False)
+    for column, number in zip(panels.T, numbers, strict=True):
+        nodes = atlas.nodes(number)
+        alpha, beta = (
+            np.linspace(nodes[name][0], nodes[name][-1], _RASTER) for name in ("alpha", "beta")
+        )
+        answer = atlas.query(alpha, beta[:, None], gamma, delta, atlas.delays[number])
+        for panel, product in zip(column, rows, strict=True):
+            if product == "verdict":
+                _draw_verdicts(panel, alpha, beta, answer.verdict)
+            else:
+                filled = _draw_radii(panel, alpha, beta, answer.spectral_radius)
+            panel.tick_params(labelsize=8)
+        column[0].set_title(f"delay {atlas.delays[number]:g} T", fontsize=10)
+        column[-1].set_xlabel(r"stiffness  $\alpha = K\,T^2/m$")
+    for panel in panels[:, 0]:
+        panel.set_ylabel(r"damping  $\beta = B\,T/m$")
+    if "spectral_radius" in rows:
+        bar = figure.colorbar(filled, ax=list(panels[-1]), pad=0.01, ticks=_RADII)
+        bar.ax.tick_params(labelsize=8)
+        bar.set_label("spectral radius (line: 1)")
+    if "verdict" in rows:
+        figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
+    figure.suptitle(rf"$\gamma = {gamma:g}$,  $\delta = {delta:g}$", fontsize=11)
+    image = BytesIO()
+    figure.savefig(image, format="png", dpi=_DOTS_PER_INCH)
+    return image.getvalue()
+
+
+def _numbers_of(atlas: Atlas, delays: Sequence[float] | None) -> list[int]:
+    known = atlas.delays.tolist()
+    chosen = known if delays is None else list(delays)
+    for delay in chosen:
+        if delay not in known:
+            of_the_atlas = ", ".join(f"{one:g}" for one in known)
+            raise ValueError(f"delay {delay:g} is none of this atlas; give some of {of_the_atlas}.")
+    return [known.index(delay) for delay in chosen[:_MOST_PLANES]]
+
+
+def _draw_verdicts(panel: Axes, alpha: Floats, beta: Floats, verdict: NDArray[np.int8]) -> None:
+    colours = ListedColormap([_COLOURS[code] for code in Verdict])
+    panel.pcolormesh(alpha, beta, verdict, cmap=colours, vmin=-0.5, vmax=len(Verdict) - 0.5)
+
+
+def _draw_radii(panel: Axes, alpha: Floats, beta: Floats, radius: Floats) -> QuadContourSet:
+    filled = panel.contourf(
+        alpha,
+        beta,
+        radius,
+        levels=_RADII,
+        norm=BoundaryNorm(_RADII, ncolors=256, extend="both"),
+        cmap="viridis",
+        extend="both",
+    )
+    panel.contour(alpha, beta, radius, levels=[1.0], colors="white", linewidths=1.2)
+    return filled
+
+
+def _legend() -> list[Patch]:
+    shown = (Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNDECIDED)
+    return [
+        Patch(facecolor=_COLOURS[code], edgecolor="#888888", label=code.name.lower())
+        for code in shown
+    ]
