@@ -1,0 +1,140 @@
+"""Records: what was measured, on which machine, with which versions, as JSON."""
+
+import json
+import os
+import platform
+import re
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+
+import jaxstab
+
+Row = dict[str, Any]
+Record = dict[str, Any]
+
+RESULTS = Path(__file__).parent / "results"
+PACKAGES = (
+    "jax",
+    "jaxlib",
+    "numpy",
+    "scipy",
+    "optimistix",
+    "contourpy",
+    "control",
+    "h5py",
+    "python-flint",
+    "mpmath",
+)
+ROW_COLUMNS = {
+    "section": str,  # rows of one section are rivals
+    "method": str,
+    "delay": (int, float),
+    "points": int,  # how many points one call answers or finds
+    "seconds": float,  # median of the repeats of one call
+    "seconds_quartiles": list,
+    "repeats": int,
+    "error": (int, float),
+    "error_measure": str,  # in words
+}
+"""Columns of every row; a benchmark adds columns of its own, which are numbers, texts or null."""
+
+
+def new_record(benchmark: str, small: bool, rows: Iterable[Row]) -> Record:
+    """Collect rows, each shown on a line as it comes."""
+    collected = []
+    for row in rows:
+        print(line(row), flush=True)
+        collected.append(row)
+    record = {
+        "benchmark": benchmark,
+        "small": small,
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": machine(),
+        "versions": versions(),
+        "rows": collected,
+    }
+    check(record)
+    return record
+
+
+def check(record: Record) -> None:
+    """Raise ValueError where a record is not as its readers expect."""
+    expected = {"benchmark", "small", "date", "machine", "versions", "rows"}
+    if set(record) != expected:
+        raise ValueError(f"the record has {sorted(record)}; give {sorted(expected)}.")
+    if not record["rows"]:
+        raise ValueError("the record has no rows; measure something.")
+    for row in record["rows"]:
+        for name, kind in ROW_COLUMNS.items():
+            if not isinstance(row.get(name), kind) or isinstance(row[name], bool):
+                raise ValueError(f"{name} is {row.get(name)!r} in {row}; give a {kind}.")
+        if not (row["seconds"] > 0 and row["repeats"] > 0 and row["error"] >= 0):
+            raise ValueError(f"times, repeats and errors are positive numbers, not as in {row}.")
+
+
+def path_of(record: Record, folder: Path) -> Path:
+    """Return the file of a record; those of small runs lie apart."""
+    folder = folder / "small" if record["small"] else folder
+    return folder / f"{record['benchmark']}-{record['machine']['name']}.json"
+
+
+def write(record: Record, folder: Path) -> Path:
+    path = path_of(record, folder)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return path
+
+
+def read(path: Path) -> Record:
+    record: Record = json.loads(path.read_text(encoding="utf-8"))
+    check(record)
+    return record
+
+
+def line(row: Row) -> str:
+    """Return a row in words: time and error side by side."""
+    own = (f"{k}={_short(v)}" for k, v in row.items() if k not in ROW_COLUMNS)
+    return (
+        f"{row['section']:10} {row['method']:26} delay {row['delay']:<4g} "
+        f"{row['points']:>10} points  {row['seconds'] * 1e3:12.4g} ms  "
+        f"error {row['error']:9.2e}  {' '.join(own)}"
+    )
+
+
+def machine() -> dict[str, Any]:
+    """Return what a run time depends on; no name of a host."""
+    cpu = _cpu_model()
+    device = jax.devices()[0]
+    accelerator = None if device.platform == "cpu" else device.device_kind
+    name = accelerator or f"{cpu} {os.cpu_count()} cores"
+    return {
+        "name": re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-"),
+        "cpu": cpu,
+        "cores": os.cpu_count(),
+        "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+        "system": f"{platform.system()} {platform.machine()}",
+        "accelerator": accelerator,
+    }
+
+
+def versions() -> dict[str, str]:
+    found = {name: version(name) for name in PACKAGES}
+    return {"python": platform.python_version(), "jaxstab": jaxstab.__version__, **found}
+
+
+def _cpu_model() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        models = re.findall(r"model name\s*: (.+)", info.read_text(encoding="utf-8"))
+        if models:
+            return re.sub(r"\s*(\((R|TM)\)|CPU|@.*)", "", models[0]).strip()
+    return platform.processor() or platform.machine()
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
