@@ -1,0 +1,137 @@
+"""The loop's p(z) in the form of the certified recursion, and what is lost in forming it.
+
+Source: eq. (9), in the form of the design; plants are computed once, in double-double.
+"""
+
+from functools import partial
+from typing import Generic, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstab.conventions import UNSTABLE
+from jaxstab.model import DoubleDouble, plant_pairs
+from jaxstab.stability.recursion import (
+    UNDERFLOW,
+    Chain,
+    Ends,
+    Number,
+    decide,
+    leading,
+    size,
+    size_sum,
+)
+
+# Measured against 50 digits: errors of the plant's pairs, relative to N(1) or 1, stay below 1e-30
+# for gamma <= 40, delta <= 10, below 1e-21 for delta <= 10 and below 1e-18 up to delta = 1e3.
+_ACCURATE_GAMMA, _ACCURATE_DELTA = 40.0, 10.0
+_PLANT_ERROR, _STIFF_PLANT_ERROR, _DAMPED_PLANT_ERROR = 2.0**-97, 2.0**-66, 2.0**-56
+
+
+class Plant(NamedTuple, Generic[Number]):
+    """A sampled plant, with N(z) ((alpha + beta) z - beta) = stiff(z) alpha - damp(z) beta."""
+
+    gap: Number  # 1 - d0
+    d1: Number
+    d0: Number
+    stiff: tuple[Number, ...]  # lowest power of z first
+    damp: tuple[Number, ...]
+    difference: Number  # N(-1)
+    at_minus_one: Number  # D(-1)
+    error: Array  # of the numbers above, relative to N(1) or 1
+    sum: Array  # N(1)
+
+
+@partial(jax.jit, static_argnames="is_fractional")
+def float_plant(
+    gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool
+) -> Plant[Array]:
+    """Return the plant rounded to float64; without a fraction, ``fraction`` is not read."""
+    pairs = pair_plant(gamma, delta, fraction, is_fractional=is_fractional)
+
+    def is_pair(value: object) -> bool:
+        return isinstance(value, DoubleDouble)
+
+    rounded = jax.tree.map(lambda v: v.rounded() if is_pair(v) else v, pairs, is_leaf=is_pair)
+    return cast(Plant[Array], rounded)
+
+
+def pair_plant(
+    gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool
+) -> Plant[DoubleDouble]:
+    """Return the plant in double-double; without a fraction, ``fraction`` is not read."""
+    pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
+    one = DoubleDouble.of(jnp.ones_like(pairs.d0.hi))
+    zero = one - one
+    stiff = (zero, pairs.n0, pairs.n1, pairs.n2)
+    # n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
+    damp = (pairs.n0, pairs.n1 - pairs.n0, pairs.difference - pairs.n0, -pairs.n2)
+    soft_error = jnp.where(gamma <= _ACCURATE_GAMMA, _PLANT_ERROR, _STIFF_PLANT_ERROR)
+    return Plant(
+        gap=one - pairs.d0,
+        d1=pairs.d1,
+        d0=pairs.d0,
+        stiff=stiff if is_fractional else stiff[1:],
+        damp=damp if is_fractional else damp[1:],
+        difference=pairs.difference,
+        at_minus_one=one - pairs.d1 + pairs.d0,
+        error=jnp.where(delta <= _ACCURATE_DELTA, soft_error, _DAMPED_PLANT_ERROR),
+        sum=pairs.sum.hi,
+    )
+
+
+def loop_codes(
+    alpha: Number,
+    beta: Number,
+    gamma: Array,
+    plant: Plant[Number],
+    *,
+    unit: float,
+    degree: int | Array,
+) -> Array:
+    """Return the code of each point, computed in numbers of the given unit roundoff."""
+    chain = _closed_loop(alpha, beta, plant, unit)
+    ends = _ends(alpha, beta, gamma, plant, unit, degree)
+    # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
+    large = size_sum(chain.tail) - chain.error > 8.0 * 2.0**degree
+    if not isinstance(degree, int):
+        chain = chain._replace(drift=chain.error + chain.head_error + 4.0 * unit)
+    return jnp.where(large, UNSTABLE, decide(chain, ends, unit, degree)).astype(jnp.int8)
+
+
+def _closed_loop(alpha: Number, beta: Number, plant: Plant[Number], unit: float) -> Chain[Number]:
+    """Return p(z) and what is lost in its coefficients."""
+    tail = tuple(
+        stiff * alpha - damp * beta for stiff, damp in zip(plant.stiff, plant.damp, strict=True)
+    )
+    # Three roundings: of the plant's coefficient, of the product, of the difference.
+    per_alpha = 3.0 * unit * size_sum(plant.stiff) + 4.0 * plant.error * plant.sum
+    per_beta = 3.0 * unit * size_sum(plant.damp) + 8.0 * plant.error * plant.sum
+    error = unit * size(plant.gap) + plant.error + UNDERFLOW
+    return Chain(
+        gap=plant.gap,
+        head=(plant.d1, plant.d0),
+        tail=tail,
+        head_error=unit * (size(plant.d1) + 2.0 * size(plant.d0)) + 4.0 * plant.error,
+        error=error + (per_alpha * size(alpha) + per_beta * size(beta)),
+    )
+
+
+def _ends(
+    alpha: Number,
+    beta: Number,
+    gamma: Array,
+    plant: Plant[Number],
+    unit: float,
+    degree: int | Array,
+) -> Ends:
+    """Return (gamma + alpha) N(1) and D(-1) - (-1)^floor(delay) N(-1) (alpha + 2 beta)."""
+    whole_delay = degree - len(plant.stiff)
+    sign = 1.0 - 2.0 * (whole_delay % 2)
+    gain = (alpha + (beta + beta)) * sign
+    wall = plant.difference * gain
+    error = unit * (2.0 * size(plant.at_minus_one) + 5.0 * size(wall))
+    error = error + plant.error * (8.0 + plant.sum * size(gain)) + UNDERFLOW
+    at_one = leading(alpha) + gamma  # N(1) > 0, and the sign of a sum of two is exact
+    return Ends(at_one, 0.0, leading(plant.at_minus_one - wall), error)

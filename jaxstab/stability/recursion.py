@@ -1,0 +1,175 @@
+"""A Schur-Cohn recursion in O(degree) operations whose rounding errors are part of a proof.
+
+**Recursion.** p(z) = z^(m-2) (u0 z^2 + u1 z + u2 + u3/z) + (v0 + v1 z + v2 z^2 + v3 z^3): only the
+first and the last few coefficients of p are not zero, whatever the delay. A step of Schur and Cohn,
+p -> (p - K z^m p(1/z)) / z with K = v0/u0, lowers the degree m by one and keeps this form:
+
+    u_i -> u_i - K v_i,        v_i -> v_(i+1) - K u_(i+1).
+
+**Proof.** Let F_j be what these steps give in exact arithmetic, for the true p but with the K that
+were computed, however wrong. On the unit circle |z^m p(1/z)| = |p|. So while |K| is not 1, F_j has
+no zero there if F_(j+1) has none, and the winding number of p follows from that of F_(n-2). The
+computed quadratic differs from F_(n-2) by a Laurent polynomial whose coefficients have the l1 norm
+``error`` at most, for a step multiplies errors by 1 + |K| at most. On the upper half circle
+
+    Im(F_(n-2) / z) / sin(theta) = u0 - u2 + (at most (n - 1) error),
+
+so once the left side keeps its sign, the winding number is known from the signs of p(1) and p(-1).
+If all |K| < 1 and u0 > u2, every root is inside. If a |K| > 1, at least one is not: a step with
+|K| > 1 at degree m exchanges the numbers of roots inside and outside, and from none outside no
+such exchanges at m >= 3 lead to the 0 ... 2 that the quadratic can have.
+
+**Near z = 1** u0 and u2 are both close to 1. Their difference, the ``gap``, is carried instead; u1
+enters F_(n-2) at the centre, where it does not count. So errors are relative to the gap and to the
+tail, not to the coefficients of p.
+
+**Far outside**, for long delays, factors of 1 + |K| add up to more than float64 has digits, though
+an early K is certainly above 1. ``drift`` bounds the distance to the steps with the exact K, each
+of which has |K| < 1 for a stable polynomial.
+
+Sources: Schur (1917), Cohn (1922); Jury (1964), Theory and Application of the z-Transform Method.
+"""
+
+from itertools import zip_longest
+from typing import Generic, NamedTuple, TypeVar, cast
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model import DoubleDouble
+
+Number = TypeVar("Number", Array, DoubleDouble)
+
+FLOAT_UNIT = 2.0**-53
+PAIR_UNIT = 2.0**-99  # of the least accurate operation, the division
+UNDERFLOW = 1e-260  # more than all that is lost by numbers flushed to zero
+_SAFETY = 1.001  # the bounds themselves are rounded
+
+
+class Chain(NamedTuple, Generic[Number]):
+    """A polynomial in the form of the recursion, with the error bounds of its coefficients."""
+
+    gap: Number  # u0 - u2
+    head: tuple[Number, ...]  # u1, u2 and u3 where it is not zero
+    tail: tuple[Number, ...]  # v0, v1, ... as far as they are not zero
+    head_error: Array  # of u1 and twice that of u2
+    error: Array  # l1 norm of all other errors
+    inside: Array | bool = True  # every |K| < 1 so far
+    regular: Array | bool = True  # no |K| = 1 so far
+    outside: Array | bool = False  # an exact |K| > 1
+    drift: Array | None = None  # of each coefficient from exact steps; None: not followed
+
+
+class Ends(NamedTuple):
+    """p(1) and (-1)^n p(-1) up to positive factors, and bounds of their errors."""
+
+    at_one: Array
+    at_one_error: Array | float
+    at_minus_one: Array
+    at_minus_one_error: Array
+
+
+def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -> Array:
+    """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff.
+
+    A degree that is an array sets the length of a loop, one compilation serving all above 3.
+    """
+    is_cubic = isinstance(degree, int) and degree == 3
+    if not is_cubic:
+        chain = _step(chain, unit, is_monic=True)
+    if not isinstance(degree, int):
+        chain = _steps(chain, unit, degree - 4)
+    else:
+        for _ in range(degree - 4):
+            chain = _step(chain, unit)
+    # The last step, from a cubic b0 z^3 + b1 z^2 + b2 z + b3 to u0 - u2 of the quadratic.
+    head, tail = chain.head, chain.tail
+    b0 = chain.gap + head[1]
+    b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
+    b3 = tail[0] + head[2] if len(head) > 2 else tail[0]
+    ratio = b3 if is_cubic else b3 / b0
+    modulus = size(ratio)
+    gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
+    sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
+    error = chain.error + modulus * (chain.error + chain.head_error + 4.0 * unit * sizes)
+    error = error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2]))
+    is_clear = size(gap) > (_SAFETY * (degree - 1)) * error
+    is_clear = is_clear & chain.regular & (modulus != 1.0)
+    is_inside = chain.inside & (modulus < 1.0) & (leading(gap) > 0.0)
+    real_outside = (ends.at_one < -ends.at_one_error) | (
+        ends.at_minus_one < -ends.at_minus_one_error
+    )
+    no_real = (ends.at_one > ends.at_one_error) & (ends.at_minus_one > ends.at_minus_one_error)
+    counted = jnp.where(is_inside, STABLE, UNSTABLE)
+    codes = jnp.where(no_real & is_clear, counted, UNDECIDED)
+    return jnp.where(real_outside | chain.outside, UNSTABLE, codes).astype(jnp.int8)
+
+
+def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
+    shape = jnp.shape(chain.error)
+    start = jax.tree.map(lambda value: jnp.broadcast_to(value, shape), chain)
+    steps = lax.fori_loop(0, count, lambda _, state: _step(state, unit), start)
+    return cast(Chain[Number], steps)
+
+
+def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Number]:
+    """Lower the degree by one, and bound what exact steps with the same K could differ by."""
+    gap, head, tail = chain.gap, chain.head, chain.tail
+    first = gap + head[1]
+    ratio = tail[0] if is_monic else lax.optimization_barrier(tail[0] / first)
+    modulus = size(ratio)
+    lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
+    sizes = size(first) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
+    small = size(gap) + size_sum(tail[1:])
+    carried = chain.error + chain.head_error + 4.0 * unit * sizes
+    # Where v_i = 0, u_i stays and is not rounded.
+    touched = list(zip(head[:2], tail[1:3], (1.0, 2.0), strict=False))
+    rounded = sum(weight * (size(u) + 2.0 * modulus * size(v)) for u, v, weight in touched)
+    outside, drift = chain.outside, chain.drift
+    if drift is not None:
+        outside = outside | (size(tail[0]) - size(first) > 4.0 * drift)
+        drift = _drifted(drift, modulus, size(first), sizes + small, unit)
+    pairs = list(zip_longest(head, tail[1:]))
+    return Chain(
+        gap=gap - ratio * lowered,
+        head=tuple(_minus(u, ratio, v) for u, v in pairs),
+        tail=tuple(_minus(v, ratio, u) for u, v in pairs),
+        head_error=chain.head_error + 2.0 * modulus * chain.error + unit * rounded,
+        error=chain.error + modulus * carried + unit * small,
+        inside=chain.inside & (modulus < 1.0),
+        regular=chain.regular & (modulus != 1.0),
+        outside=outside,
+        drift=drift,
+    )
+
+
+def _drifted(drift: Array, modulus: Array, first: Array, total: Array, unit: float) -> Array:
+    """Bound the distance to exact steps after one more, while u0 is large beside its error."""
+    ratio_error = 3.0 * drift * (1.0 + modulus) / first + 3.0 * unit * modulus
+    grown = drift * (1.0 + 2.0 * modulus) + 2.0 * ratio_error * total
+    grown = grown + 5.0 * unit * total * (1.0 + modulus)
+    return jnp.where(first >= 6.0 * drift, grown, jnp.inf)
+
+
+def _minus(a: Number | None, ratio: Number, b: Number | None) -> Number:
+    """Return a - ratio b, where None is zero."""
+    if b is None:
+        return cast(Number, a)
+    return -(ratio * b) if a is None else a - ratio * b
+
+
+def leading(number: Array | DoubleDouble) -> Array:
+    """Return the number rounded to float64, its sign being exact."""
+    return number.hi if isinstance(number, DoubleDouble) else number
+
+
+def size(number: Array | DoubleDouble) -> Array:
+    """Return the absolute value, to float64 accuracy."""
+    return jnp.abs(leading(number))
+
+
+def size_sum(numbers: tuple[Number, ...]) -> Array:
+    """Return the l1 norm."""
+    return sum((size(number) for number in numbers), jnp.zeros(()))
