@@ -17,9 +17,11 @@ from .model import PlantCoefficients as PlantCoefficients
 from .model import characteristic_polynomial as characteristic_polynomial
 from .model import companion_matrix as companion_matrix
 from .model import plant_coefficients as plant_coefficients
+from .stability import Response as Response
 from .stability import SpectralRadius as SpectralRadius
 from .stability import closed_loop_poles as closed_loop_poles
 from .stability import is_stable as is_stable
+from .stability import simulate as simulate
 from .stability import spectral_radius as spectral_radius
 from .stability import sweep as sweep
 from .stability import verdict as verdict

@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LONGEST_FILE = 400  # lines
 
 # One good call of each public function that computes. Without x64 every one of them must refuse.
+# "loop" stands for a HapticLoop.
 COMPUTING_CALLS: dict[str, list[Any]] = {
     "plant_coefficients": [0.001, 0.015],
     "characteristic_polynomial": [0.1, 0.2, 0.001, 0.015, 1.0],
@@ -24,6 +25,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "spectral_radius": [0.1, 0.2, 0.001, 0.015, 1.0],
     "is_stable": [0.1, 0.2, 0.001, 0.015, 1.0],
     "verdict": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "simulate": ["loop", 1000.0, 10.0],
 }
 
 FLOORS_THAT_COMPUTE = ("jaxstab.model", "jaxstab.stability", "jaxstab.boundary")
@@ -68,8 +70,10 @@ REFUSALS_SCRIPT = """
 import json, sys
 import jaxstab
 
+loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
 answers = {}
 for name, arguments in json.load(sys.stdin).items():
+    arguments = [loop if argument == "loop" else argument for argument in arguments]
     try:
         getattr(jaxstab, name)(*arguments)
         answers[name] = "no error"

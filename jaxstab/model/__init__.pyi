@@ -9,6 +9,7 @@ from .plant import PlantCoefficients as PlantCoefficients
 from .plant import PlantPairs as PlantPairs
 from .plant import plant_coefficients as plant_coefficients
 from .plant import plant_pairs as plant_pairs
+from .plant import plant_transition as plant_transition
 from .polynomial import characteristic_polynomial as characteristic_polynomial
 from .polynomial import companion_matrix as companion_matrix
 from .polynomial import polynomial_degree as polynomial_degree

@@ -101,6 +101,46 @@ def plant_coefficients(
     return PlantCoefficients(*(pair.rounded() for pair in pairs))
 
 
+def plant_transition(
+    gamma: ArrayLike, delta: ArrayLike, time: ArrayLike
+) -> Float64[Array, "*grid 2 3"]:
+    """Return how the plant moves while a force is held for a time of at most one sample.
+
+    Position and velocity (rows) at the end, for a unit of position, of velocity and of force
+    (columns) at its beginning: upper rows of expm(t [[0, 1, 0], [-gamma, -delta, 1], [0, 0, 0]]).
+
+    Args:
+        gamma: physical stiffness k T^2/m in [0, 1e4], any shape; like all arguments it broadcasts.
+        delta: physical damping b T/m in [0, 1e3].
+        time: in [0, 1], in samples.
+
+    Raises:
+        ValueError: a concrete gamma or delta is outside its range or NaN.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: eqs. (1)-(3) of Hulin, Preusche, Hirzinger (2008).
+    """
+    require_x64()
+    values = (checked_gamma(gamma), checked_delta(delta), time)
+    arrays = (jnp.asarray(value, jnp.float64) for value in values)
+    transition: Array = _plant_transition(*jnp.broadcast_arrays(*arrays))
+    return transition
+
+
+@jax.jit
+def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
+    length = DoubleDouble.of(time)
+    hold = _hold(gamma, delta, length)
+    even = hold.decay * hold.kappa
+    odd = length * (hold.decay * hold.sigma)  # the position after a unit impulse
+    lag = odd * (0.5 * delta)
+    rows = (
+        (even + lag, odd, hold.response()),
+        (-(odd * gamma), even - lag, odd),
+    )
+    return jnp.stack([jnp.stack([x.rounded() for x in row], axis=-1) for row in rows], axis=-2)
+
+
 def plant_pairs(gamma: ArrayLike, delta: ArrayLike, fraction: ArrayLike) -> PlantPairs:
     """Return the plant coefficients as double-double pairs, for sums that may still cancel.
 
@@ -142,6 +182,7 @@ class _Hold(NamedTuple):
     length: DoubleDouble
     decay: DoubleDouble  # e^-a
     kappa: DoubleDouble  # kappa(q)
+    sigma: DoubleDouble  # sigma(q)
     even: DoubleDouble  # kappa[a^2, q]
     odd: DoubleDouble  # a sigma[a^2, q]
 
@@ -162,7 +203,7 @@ def _hold(gamma: Array, delta: Array, length: DoubleDouble) -> _Hold:
     nodes = _Nodes(x, y, kappa=_series(_KAPPA, x, y), sigma=_series(_SIGMA, x, y))
     nodes = lax.fori_loop(0, _DUPLICATIONS, lambda _, state: _duplicate(state), nodes)
     decay = DoubleDouble.of(jnp.ones_like(x.hi)) / (nodes.kappa.x + a * nodes.sigma.x)
-    return _Hold(length, decay, nodes.kappa.y, nodes.kappa.xy, a * nodes.sigma.xy)
+    return _Hold(length, decay, nodes.kappa.y, nodes.sigma.y, nodes.kappa.xy, a * nodes.sigma.xy)
 
 
 class _Values(NamedTuple):

@@ -1,3 +1,5 @@
+from .response import Response as Response
+from .response import simulate as simulate
 from .schur_cohn import verdict as verdict
 from .spectrum import SpectralRadius as SpectralRadius
 from .spectrum import closed_loop_poles as closed_loop_poles

@@ -1,0 +1,181 @@
+"""The simulated loop, against scipy's discretisation of a finer grid and against p(z)."""
+
+import jax
+import numpy as np
+import pytest
+import scipy.signal
+import truth
+
+import jaxstab
+from jaxstab import HapticLoop
+from jaxstab.model import plant_transition
+
+PHANTOM = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)  # Remark 4
+HELD = HapticLoop(
+    device_mass=0.2,
+    device_damping=0.1,
+    hand_mass=0.3,
+    hand_damping=3.0,
+    hand_stiffness=150.0,
+    sample_time=2e-3,
+    delay=3.5e-3,
+)
+OSCILLATING = HapticLoop(  # beyond the haptic range: gamma = 1, undamped
+    device_mass=1.0, device_damping=0.0, hand_stiffness=1.0, sample_time=1.0, delay=2.25
+)
+SCENES = [
+    (PHANTOM, 20_000.0, 20.0),
+    (HELD, 2_000.0, 30.0),
+    (OSCILLATING, 0.05, -0.02),
+    (HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0), 0.1, 0.4),
+]
+FINE = 4  # steps per sample: every delay above is a multiple of them
+
+
+def march_on_a_fine_grid(
+    loop: HapticLoop, stiffness: float, damping: float, samples: int, push: float, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position and velocity, and the wall's force, with the delay as a queue of fine steps."""
+    rates = np.array([[0.0, 1.0], [-loop.hand_stiffness, 0.0]])
+    rates[1, 1] = -(loop.device_damping + loop.hand_damping)
+    rates[1] /= loop.mass
+    system = (rates, np.array([[0.0], [1 / loop.mass]]), np.eye(2), np.zeros((2, 1)))
+    phi, gain, *_ = scipy.signal.cont2discrete(system, loop.sample_time / FINE)
+    queue = [0.0] * round(loop.delay / loop.sample_time * FINE)
+    state, sampled, wall = start.astype(float), start[0], 0.0
+    states, forces = [], []
+    for step in range(samples * FINE):
+        if step % FINE == 0:
+            wall = -stiffness * state[0] - damping * (state[0] - sampled) / loop.sample_time
+            sampled = state[0]
+        queue.append(wall)
+        acting = queue.pop(0)
+        states.append(state)
+        forces.append(acting)
+        state = phi @ state + gain[:, 0] * (acting + push)
+    return np.array(states), np.array(forces)
+
+
+class TestPlantTransition:
+    @pytest.mark.parametrize("time", [1e-9, 0.3, 1.0])
+    def test_is_the_motion_of_the_plant_to_the_last_digits(self, time: float) -> None:
+        gammas, deltas = (
+            np.array([0.0, 1e-3, 0.25, 2.0, 9.9]),
+            np.array([0.0, 0.015, 1.0, 6.0, 0.1]),
+        )
+        transition = np.asarray(plant_transition(gammas, deltas, time))
+        for matrix, gamma, delta in zip(transition, gammas, deltas, strict=True):
+            x, v = truth.motion(gamma, delta, time)
+            exact = (1 - gamma * x, v, x, -gamma * v, 1 - delta * v - gamma * x, v)
+            for mine, right in zip(matrix.ravel().tolist(), exact, strict=True):
+                assert truth.ulps(mine, right) <= 1
+
+
+class TestSimulate:
+    @pytest.mark.parametrize(("loop", "stiffness", "damping"), SCENES)
+    def test_is_the_fine_discretisation_at_samples_and_between(
+        self, loop: HapticLoop, stiffness: float, damping: float
+    ) -> None:
+        response = jaxstab.simulate(
+            loop, stiffness, damping, samples=60, force=2.0, velocity=0.1, between=FINE - 1
+        )
+        states, forces = march_on_a_fine_grid(
+            loop, stiffness, damping, 60, 2.0, np.array([0.0, 0.1])
+        )
+        for mine, theirs in [
+            (response.position, states[:, 0]),
+            (response.velocity, states[:, 1]),
+            (response.force, forces),
+        ]:
+            np.testing.assert_allclose(mine, theirs, atol=1e-11 * np.abs(theirs).max())
+        step = loop.sample_time / FINE
+        np.testing.assert_allclose(response.time, np.arange(60 * FINE) * step, rtol=1e-14)
+
+    @pytest.mark.parametrize(("loop", "stiffness", "damping"), SCENES)
+    def test_an_impact_obeys_the_recurrence_of_the_characteristic_polynomial(
+        self, loop: HapticLoop, stiffness: float, damping: float
+    ) -> None:
+        position = np.asarray(jaxstab.simulate(loop, stiffness, damping, velocity=1.0).position)
+        scene = loop.alpha(stiffness), loop.beta(damping), loop.gamma, loop.delta
+        coefficients = np.array(truth.polynomial(*scene, loop.delay_samples), float)
+        recurrence = np.convolve(position, coefficients, mode="valid")
+        assert np.abs(recurrence).max() < 1e-13 * np.abs(position).max()
+
+    def test_an_unstable_loop_grows_as_its_spectral_radius(self) -> None:
+        response = jaxstab.simulate(PHANTOM, 20_000.0, 200.0, samples=400, velocity=0.01)
+        scene = PHANTOM.alpha(20_000.0), PHANTOM.beta(200.0), PHANTOM.gamma, PHANTOM.delta
+        radius = float(truth.spectral_radius(*scene, 0)[0])
+        assert radius > 1
+        x = np.asarray(response.position)[-4:]
+        ratio = (x[1] * x[3] - x[2] ** 2) / (x[0] * x[2] - x[1] ** 2)  # radius^2 of a lone pair
+        assert ratio**0.5 == pytest.approx(radius, rel=1e-9)
+
+    def test_a_pushing_hand_ends_where_all_springs_carry_its_force(self) -> None:
+        response = jaxstab.simulate(HELD, 2_000.0, 30.0, samples=2000, force=5.0)
+        assert float(response.position[-1]) == pytest.approx(5.0 / 2150.0, rel=1e-12)
+        assert float(response.force[-1]) == pytest.approx(-5.0 * 2000 / 2150, rel=1e-12)
+        assert abs(float(response.velocity[-1])) < 1e-12
+
+    def test_a_displaced_device_returns(self) -> None:
+        response = jaxstab.simulate(PHANTOM, 10_000.0, 30.0, samples=300, position=1e-3)
+        assert float(response.position[0]) == 1e-3
+        assert abs(float(response.position[-1])) < 1e-9
+
+    def test_walls_and_excitations_broadcast(self) -> None:
+        walls, speeds = np.array([[1_000.0], [5_000.0]]), np.array([0.1, 0.2, 0.4])
+        response = jaxstab.simulate(PHANTOM, walls, 10.0, samples=30, velocity=speeds)
+        assert response.position.shape == response.force.shape == (2, 3, 30)
+        assert response.time.shape == (30,)
+        np.testing.assert_allclose(response.position[:, 2], 4 * response.position[:, 0], rtol=1e-12)
+        assert not np.allclose(response.position[0], response.position[1])
+
+    def test_the_derivative_in_stiffness_is_that_of_the_fine_discretisation(self) -> None:
+        last = lambda k: jaxstab.simulate(HELD, k, 30.0, samples=40, force=5.0).position[-1]  # noqa: E731
+        start = np.zeros(2)
+        above, below = (
+            march_on_a_fine_grid(HELD, 2_000.0 + h, 30.0, 40, 5.0, start)[0][-FINE, 0]
+            for h in (1.0, -1.0)
+        )
+        assert float(jax.grad(last)(2_000.0)) == pytest.approx((above - below) / 2, rel=1e-5)
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            ({}, "nothing moves"),
+            ({"velocity": 0.1, "samples": 0}, "samples is 0"),
+            ({"velocity": 0.1, "between": -1}, "between is -1"),
+            ({"velocity": np.nan}, "NaN"),
+        ],
+    )
+    def test_refuses(self, arguments: dict[str, float], message: str) -> None:
+        with pytest.raises(ValueError, match=message):
+            jaxstab.simulate(PHANTOM, 1_000.0, 10.0, **arguments)
+
+    @pytest.mark.parametrize("gain", [np.nan, np.inf])
+    def test_refuses_a_gain_that_is_not_finite(self, gain: float) -> None:
+        with pytest.raises(ValueError, match="stiffness is"):
+            jaxstab.simulate(PHANTOM, gain, 10.0, velocity=0.1)
+
+
+class TestUnilateralWall:
+    def test_a_device_that_stays_inside_does_not_notice(self) -> None:
+        """Remark 1: the hand pushes hard enough, so the position never leaves the wall."""
+        arguments = {"samples": 150, "force": 5.0, "velocity": 0.05}
+        one, both = (
+            jaxstab.simulate(PHANTOM, 10_000.0, 30.0, unilateral=side, **arguments)
+            for side in (True, False)
+        )
+        assert (one.position[1:] > 0).all()
+        np.testing.assert_array_equal(one.position, both.position)
+
+    def test_a_bouncing_device_flies_freely(self) -> None:
+        free = HapticLoop(device_mass=0.1, device_damping=0.0, sample_time=1e-3)
+        response = jaxstab.simulate(
+            free, 10_000.0, 30.0, samples=200, velocity=0.5, unilateral=True, between=1
+        )
+        outside = np.flatnonzero(np.asarray(response.position) < 0)
+        assert outside.size
+        flight = slice(outside[0] + 2, None)  # the last force is still held for one sample
+        assert (response.force[flight] == 0).all()
+        assert np.ptp(response.velocity[flight]) == 0
+        assert -0.5 < float(response.velocity[-1]) < 0
