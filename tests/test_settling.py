@@ -1,0 +1,164 @@
+"""Settling and the dominant oscillation, against fine discretisations, closed forms and roots."""
+
+import math
+
+import jax
+import numpy as np
+import pytest
+import truth
+from mpmath import mp
+from test_response import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
+
+import jaxstab
+from jaxstab import HapticLoop, SettlingStatus
+
+LONG = 4000  # samples, enough for every loop below to come to rest
+
+
+def settled_since(position: np.ndarray, final: float, band: float) -> int:
+    outside = np.flatnonzero(np.abs(position - final) > band)
+    return int(outside[-1]) + 1 if outside.size else 0
+
+
+class TestSettling:
+    @pytest.mark.parametrize(
+        ("loop", "stiffness", "damping"),
+        [(PHANTOM, 20_000.0, 20.0), (HELD, 2_000.0, 30.0), (OSCILLATING, 0.05, -0.24)],
+    )
+    @pytest.mark.parametrize("level", [0.02, 0.05])
+    def test_of_a_push_and_of_an_impact_are_those_of_the_fine_discretisation(
+        self, loop: HapticLoop, stiffness: float, damping: float, level: float
+    ) -> None:
+        push = stiffness + loop.hand_stiffness
+        arguments = (loop, stiffness, damping, LONG)
+        pushed, _ = march_on_a_fine_grid(*arguments, push, np.zeros(2))
+        hit, _ = march_on_a_fine_grid(*arguments, 0.0, np.array([0.0, 1.0]))
+        pushed, hit = pushed[::FINE, 0], hit[::FINE, 0]
+        assert abs(pushed[-1] - 1.0) < 1e-6
+        assert abs(hit[-1]) < 1e-6 * np.abs(hit).max()
+        expected = {
+            "force": settled_since(pushed, 1.0, level),
+            "impact": settled_since(hit, 0.0, level * np.abs(hit).max()),
+        }
+        for excitation, samples in expected.items():
+            found = jaxstab.settling_time(loop, stiffness, damping, level, excitation=excitation)
+            assert int(found.status) == SettlingStatus.SETTLED
+            assert float(found.value) == pytest.approx(samples * loop.sample_time, rel=1e-14)
+
+    def test_without_a_wall_is_that_of_the_free_oscillator(self) -> None:
+        gamma, delta, delay = 0.09, 0.06, 2.6
+        time = np.arange(1000)
+        frequency = math.sqrt(gamma - delta**2 / 4)
+        phase = frequency * time
+        deviation = np.exp(-delta / 2 * time) * (
+            np.cos(phase) + delta / 2 / frequency * np.sin(phase)
+        )
+        found = jaxstab.settling_samples(0.0, 0.0, gamma, delta, delay)
+        assert float(found.value) == settled_since(deviation, 0.0, 0.02)
+
+    def test_of_a_grid_of_delays_are_those_of_each_loop(self) -> None:
+        delays = np.array([0.0, 0.4, 2.0, 2.5])
+        betas = np.array([[0.08], [0.1]])
+        together = jaxstab.settling_samples(0.004, betas, 1e-3, 0.015, delays)
+        assert together.value.shape == (2, 4)
+        assert (together.status == SettlingStatus.SETTLED).all()
+        for column, delay in enumerate(delays):
+            alone = HapticLoop(
+                device_mass=1.0,
+                device_damping=0.015,
+                hand_stiffness=1e-3,
+                sample_time=1.0,
+                delay=delay,
+            )
+            response = jaxstab.simulate(alone, 0.004, betas[:, 0], samples=800, force=0.005)
+            for row, position in enumerate(np.asarray(response.position)):
+                assert float(together.value[row, column]) == settled_since(position, 1.0, 0.02)
+
+    def test_many_loops_at_once_are_those_of_a_recurrence(self) -> None:
+        """gamma = delta = 0, delay 1, on a grid larger than a batch: all in plain NumPy."""
+        alpha, beta = np.linspace(0.002, 0.14, 40)[:, None], np.linspace(0.02, 0.55, 40)
+        found = jaxstab.settling_samples(alpha, beta, 0.0, 0.0, 1.0)
+        stable = np.asarray(jaxstab.verdict(alpha, beta, 0.0, 0.0, 1.0)) == jaxstab.STABLE
+        alpha, beta = np.broadcast_arrays(alpha, beta)
+        alpha, beta = alpha[stable], beta[stable]
+        x, v, previous, waiting, last = -np.ones((5, alpha.size))
+        v, waiting, last = np.zeros_like(v), alpha, np.zeros_like(last)
+        for sample in range(20_000):
+            last = np.where(np.abs(x) > 0.02, sample + 1, last)
+            force, waiting = waiting, -(alpha * x + beta * (x - previous))
+            x, v, previous = x + v + force / 2, v + force, x
+        value, status = (np.asarray(field)[stable] for field in found)
+        settled = status == SettlingStatus.SETTLED
+        assert settled.mean() > 0.9
+        np.testing.assert_array_equal(value[settled], last[settled])
+        assert (last[~settled] > 400).all()
+        assert (np.asarray(found.status)[~stable] == SettlingStatus.UNSTABLE).all()
+
+    def test_of_an_unstable_loop_is_infinite_and_says_so(self) -> None:
+        found = jaxstab.settling_time(PHANTOM, 20_000.0, 300.0)
+        assert math.isinf(found.value)
+        assert SettlingStatus(int(found.status)).words == "the loop is unstable and never settles"
+
+    def test_beyond_the_horizon_is_infinite_and_says_so(self) -> None:
+        found = jaxstab.settling_time(PHANTOM, 20.0, 0.0, horizon=64)
+        assert math.isinf(found.value)
+        assert int(found.status) == SettlingStatus.NOT_SETTLED
+        assert "horizon" in SettlingStatus(int(found.status)).words
+
+    def test_on_the_edge_of_stability_does_not_end(self) -> None:
+        found = jaxstab.settling_samples(0.0, 0.5, 0.0, 0.0, 0)
+        assert int(found.status) == SettlingStatus.NOT_SETTLED
+
+    def test_maps_over_gains(self) -> None:
+        alphas = np.array([0.01, 0.03])
+        direct = jaxstab.settling_samples(alphas, 0.3, 0.0, 0.0, 0).value
+        mapped = jax.vmap(lambda a: jaxstab.settling_samples(a, 0.3, 0.0, 0.0, 0).value)(alphas)
+        np.testing.assert_array_equal(direct, mapped)
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"level": 0.0}, "level is 0.0"),
+            ({"level": 2.0}, "level is 2.0"),
+            ({"level": math.nan}, "level is nan"),
+            ({"excitation": "kick"}, "excitation"),
+            ({"horizon": 0}, "horizon is 0"),
+        ],
+    )
+    def test_refuses(self, options: dict[str, object], message: str) -> None:
+        with pytest.raises((ValueError, TypeError), match=message):
+            jaxstab.settling_samples(0.1, 0.3, 0.0, 0.0, 0, **options)
+
+
+class TestDominantMode:
+    @pytest.mark.parametrize(
+        "scene",
+        [
+            (0.1, 0.3, 0.2, 0.1, 0.0),
+            (0.05, 0.02, 1e-3, 0.015, 1.5),
+            (0.1, 2.2, 0.0, 0.0, 0.0),  # a pole on the negative axis, outside
+            (1e-3, 0.4, 0.0, 0.0, 0.0),  # a slow positive pole
+        ],
+    )
+    def test_is_the_logarithm_of_the_certified_root(self, scene: tuple[float, ...]) -> None:
+        exponent = mp.log(truth.roots(*scene)[0])
+        mode = jaxstab.dominant_mode(*scene)
+        ratio = -exponent.real / abs(exponent)
+        assert float(mode.damping_ratio) == pytest.approx(float(ratio), rel=1e-11)
+        assert float(mode.frequency) == pytest.approx(float(abs(exponent.imag)), rel=1e-11)
+
+    def test_of_a_loop_without_a_wall_is_that_of_its_springs(self) -> None:
+        loop = HapticLoop(
+            device_mass=0.4,
+            device_damping=0.0,
+            hand_mass=0.1,
+            hand_damping=2.0,
+            hand_stiffness=200.0,
+            sample_time=1e-3,
+            delay=5e-4,
+        )
+        mode = jaxstab.dominant_oscillation(loop, 0.0, 0.0)
+        ratio = 2.0 / (2 * math.sqrt(200.0 * 0.5))
+        assert float(mode.damping_ratio) == pytest.approx(ratio, rel=1e-10)
+        hertz = math.sqrt(400.0 * (1 - ratio**2)) / (2 * math.pi)
+        assert float(mode.frequency) == pytest.approx(hertz, rel=1e-10)
