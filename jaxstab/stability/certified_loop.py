@@ -3,8 +3,9 @@
 Source: eq. (9), in the form of the design; plants are computed once, in double-double.
 """
 
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Generic, NamedTuple, cast
+from typing import Generic, cast
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +30,9 @@ _ACCURATE_GAMMA, _ACCURATE_DELTA = 40.0, 10.0
 _PLANT_ERROR, _STIFF_PLANT_ERROR, _DAMPED_PLANT_ERROR = 2.0**-97, 2.0**-66, 2.0**-56
 
 
-class Plant(NamedTuple, Generic[Number]):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Plant(Generic[Number]):
     """A sampled plant, with N(z) ((alpha + beta) z - beta) = stiff(z) alpha - damp(z) beta."""
 
     gap: Number  # 1 - d0
@@ -96,7 +99,7 @@ def loop_codes(
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
     large = size_sum(chain.tail) - chain.error > 8.0 * 2.0**degree
     if not isinstance(degree, int):
-        chain = chain._replace(drift=chain.error + chain.head_error + 4.0 * unit)
+        chain = replace(chain, drift=chain.error + chain.head_error + 4.0 * unit)
     return jnp.where(large, UNSTABLE, decide(chain, ends, unit, degree)).astype(jnp.int8)
 
 

@@ -30,6 +30,7 @@ of which has |K| < 1 for a stable polynomial.
 Sources: Schur (1917), Cohn (1922); Jury (1964), Theory and Application of the z-Transform Method.
 """
 
+from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Generic, NamedTuple, TypeVar, cast
 
@@ -48,7 +49,9 @@ UNDERFLOW = 1e-260  # more than all that is lost by numbers flushed to zero
 _SAFETY = 1.001  # the bounds themselves are rounded
 
 
-class Chain(NamedTuple, Generic[Number]):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Chain(Generic[Number]):
     """A polynomial in the form of the recursion, with the error bounds of its coefficients."""
 
     gap: Number  # u0 - u2

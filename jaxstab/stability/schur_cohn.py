@@ -6,7 +6,7 @@ computed once in double-double and then rounded, and p(r z) for a bound of the s
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -62,7 +62,7 @@ def verdict(
     delta: ArrayLike,
     delay: ArrayLike,
     *,
-    resolve: Literal["exact"] | None = None,
+    resolve: str | None = None,
 ) -> Int8[Array, "*grid"]:
     """Prove for every point whether all roots of p(z) lie inside the unit circle.
 
@@ -95,7 +95,7 @@ def verdict(
         raise ValueError(f'resolve is {resolve!r}; give "exact" or None.')
     delays = checked_delay(delay)
     point = tuple(
-        cast(Array, value if isinstance(value, jax.core.Tracer) else np.asarray(value, np.float64))
+        value if isinstance(value, jax.core.Tracer) else np.asarray(value, np.float64)
         for value in (
             checked_gain("alpha", alpha),
             checked_gain("beta", beta),
@@ -104,8 +104,8 @@ def verdict(
         )
     )
     shape = np.broadcast_shapes(*(np.shape(value) for value in point), delays.shape)
-    wholes = np.floor(delays)
-    fractions = delays - wholes
+    wholes = np.asarray(np.floor(delays))
+    fractions = np.asarray(delays - wholes)
     if delays.size == 1:
         at = _Delay(int(wholes.item()), bool(fractions.item()))
         codes = _float_verdict(point, fractions, at)
@@ -208,9 +208,9 @@ def _scaled_codes(
     return decide(chain, ends, FLOAT_UNIT, degree if degree <= _UNROLLED else jnp.asarray(degree))
 
 
-def _float_verdict(point: tuple[Array, ...], fraction: ArrayLike, at: _Delay) -> Array:
-    alpha, beta, gamma, delta = point
-    plant = float_plant(gamma, delta, fraction, is_fractional=at.is_fractional)
+def _float_verdict(point: tuple[ArrayLike, ...], fractions: Values, at: _Delay) -> Array:
+    alpha, beta, gamma, delta = map(jnp.asarray, point)
+    plant = float_plant(gamma, delta, jnp.asarray(fractions), is_fractional=at.is_fractional)
     return _float_codes((alpha, beta, gamma, plant), at)
 
 
@@ -236,7 +236,7 @@ def _long_codes(arguments: tuple[Any, ...], degree: Array) -> Array:
 
 
 def _grouped_verdict(
-    point: tuple[Array, ...],
+    point: tuple[ArrayLike, ...],
     wholes: Values,
     fractions: Values,
     shape: tuple[int, ...],
@@ -246,7 +246,9 @@ def _grouped_verdict(
     codes = np.zeros(shape, np.int8)
     for at, places in _groups(wholes, fractions, np.full(shape, True)):
         # Plants on the smallest grid that holds them, then gathered like the points.
-        plants = float_plant(gamma, delta, fractions, is_fractional=at.is_fractional)
+        plants = float_plant(
+            *map(jnp.asarray, (gamma, delta, fractions)), is_fractional=at.is_fractional
+        )
         for some in _batches(places):
             values = _gathered((alpha, beta, gamma, plants), shape, some)
             codes.flat[some] = np.asarray(_float_codes(values, at))
@@ -255,13 +257,13 @@ def _grouped_verdict(
 
 def _resolved(
     codes: Array,
-    point: tuple[Array, ...],
+    point: tuple[ArrayLike, ...],
     wholes: Values,
     fractions: Values,
 ) -> Array:
     """Repeat UNDECIDED points in double-double."""
     settled = np.array(codes)
-    for at, places in _groups(wholes, fractions, settled == UNDECIDED):
+    for at, places in _groups(wholes, fractions, np.asarray(settled == UNDECIDED)):
         for some in _batches(places):
             values = _gathered((*point, fractions), settled.shape, some)
             exact = _pair_codes(
@@ -302,8 +304,9 @@ def _batches(places: Values) -> list[Values]:
 
 
 def _gathered(values: Any, shape: tuple[int, ...], places: Values) -> Any:
+    shape = shape or (1,)
     index = np.unravel_index(places, shape)
-    return jax.tree.map(lambda value: np.broadcast_to(value, shape)[index], values)
+    return jax.tree.map(lambda value: jnp.asarray(np.broadcast_to(value, shape)[index]), values)
 
 
 def over_tiles(codes: Callable[..., Array], arguments: tuple[Any, ...]) -> Array:
