@@ -132,7 +132,7 @@ def _at_some_corner(
 
 
 def _rounded(
-    value: Float64[np.ndarray, "*grid"], error: Float64[np.ndarray, "*grid"], rounding: float
+    value: Float64[np.ndarray, "*grid"], error: Float64[np.ndarray, "*grid"], rounding: float | int
 ) -> tuple[Float64[np.ndarray, "*grid"], Float64[np.ndarray, "*grid"]]:
     """Round radii as the specification says, and their errors up to powers of two."""
     if rounding > 0.0:

@@ -87,7 +87,7 @@ def cells_without_crossing(
     require_x64()
     stiffness, damping = Intervals.between(gamma), Intervals.between(delta)
     plant = plant_coefficients(stiffness.centre[0], damping.centre[0], delay)
-    motion = _plant_motion(stiffness, damping)
+    motion = plant_motion(stiffness, damping)
     whole_delay = jnp.floor(jnp.asarray(delay))
     proved = _without_crossing(
         Intervals.between(alpha), Intervals.between(beta), plant, motion, whole_delay
@@ -95,7 +95,7 @@ def cells_without_crossing(
     return np.asarray(proved)
 
 
-class _PlantMotion(NamedTuple):
+class PlantMotion(NamedTuple):
     """How far the plant's coefficients can be from those at the centre of the cell."""
 
     d1: Array
@@ -103,10 +103,11 @@ class _PlantMotion(NamedTuple):
     numerator: Array  # the sum over n2, n1, n0
 
 
-def _plant_motion(gamma: Intervals, delta: Intervals) -> _PlantMotion:
+def plant_motion(gamma: Intervals, delta: Intervals) -> PlantMotion:
+    """Return the bounds that are derived in the heading of this file, for one cell."""
     h_gamma, h_delta = gamma.half_width[0], delta.half_width[0]
     largest_gamma = gamma.centre[0] + h_gamma
-    return _PlantMotion(
+    return PlantMotion(
         d1=h_gamma + h_delta,
         den_at_one=h_gamma + 0.5 * largest_gamma * h_delta,
         numerator=h_gamma / 12.0 + 0.5 * h_delta,
@@ -129,7 +130,7 @@ def _without_crossing(
     alpha: Intervals,
     beta: Intervals,
     plant: PlantCoefficients,
-    motion: _PlantMotion,
+    motion: PlantMotion,
     whole_delay: Array,
 ) -> Array:
     circle = _circle(plant, motion, whole_delay)
@@ -154,7 +155,7 @@ def _without_crossing(
     return proved
 
 
-def _circle(plant: PlantCoefficients, motion: _PlantMotion, whole_delay: Array) -> _Circle:
+def _circle(plant: PlantCoefficients, motion: PlantMotion, whole_delay: Array) -> _Circle:
     # Small steps near z = 1, where F is as small as alpha + gamma.
     angle = jnp.asarray(np.pi * (np.arange(_INTERVALS + 1) / _INTERVALS) ** 1.5)
     z = jnp.exp(1j * angle)

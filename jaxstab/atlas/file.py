@@ -65,9 +65,13 @@ def write(contents: Contents, path: Path) -> None:
     Raises:
         OSError: the folder is missing, read-only or full.
     """
-    image = encode(contents)
-    footer = _FOOTER.pack(schema.FOOTER_MAGIC, len(image), hashlib.sha256(image).digest())
-    publish(image + footer, path)
+    publish(sealed(encode(contents)), path)
+
+
+def sealed(image: bytes) -> bytes:
+    """Return the image with the footer by which a reader knows that it is whole."""
+    digest = hashlib.sha256(image).digest()
+    return image + _FOOTER.pack(schema.FOOTER_MAGIC, len(image), digest)
 
 
 def publish(data: bytes, path: Path) -> None:

@@ -12,7 +12,7 @@ from jaxstab.stability import spectral_radius
 
 _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
-_ANGLES = 400
+_ANGLES = 256
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 _TOLERANCE = 1e-6  # a double root on the circle is computed that well
 
@@ -56,7 +56,7 @@ def lay_out(spec: AtlasSpec) -> Grid:
         RuntimeError: JAX's x64 mode is off.
     """
     gamma, delta, delay = (np.array(axis) for axis in (spec.gamma, spec.delta, spec.delay))
-    walls = [_wall_axes(spec, gamma, delta, samples) for samples in spec.delay]
+    walls = [_wall_axes(spec, gamma, delta, samples) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
     return Grid(alpha, beta, gamma, delta, delay)
 
@@ -102,7 +102,8 @@ def _stable_box(
     at 1 and at -1 meet. So this is close, not proved; the margin of the axes covers the rest.
     """
     stiffness, damping = _thinned(gamma)[:, None, None], _thinned(delta)[:, None]
-    angles = np.linspace(0.0, np.pi, _ANGLES)
+    even = np.linspace(0.0, 1.0, _ANGLES)
+    angles = np.pi * np.concatenate([even**2, even])  # at a long delay the region's edge is near 0
     curve = boundary_curve(angles, stiffness, damping, delay)
     both_lines = (minus_line(0.0, stiffness, damping, delay) + stiffness) / 2.0
     alpha = np.concatenate([curve[0], np.broadcast_to(-stiffness, both_lines.shape)], axis=-1)

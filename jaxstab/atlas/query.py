@@ -21,6 +21,7 @@ from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
 Floats = NDArray[np.float64]
 Integers = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+Numbers = ArrayLike | float | int
 
 
 class QueryStatus(IntEnum):
@@ -128,11 +129,11 @@ class Atlas:
 
     def query(
         self,
-        alpha: ArrayLike,
-        beta: ArrayLike,
-        gamma: ArrayLike,
-        delta: ArrayLike,
-        delay: ArrayLike,
+        alpha: Numbers,
+        beta: Numbers,
+        gamma: Numbers,
+        delta: Numbers,
+        delay: Numbers,
         outside: Literal["error", "undecided"] = "error",
     ) -> AtlasAnswer:
         """Answer for points of any broadcast shape, and never with a guess.
@@ -231,7 +232,7 @@ def open_atlas(path: str | PathLike[str]) -> Atlas:
     return Atlas(file.read(Path(path)))
 
 
-def _checked(name: str, value: ArrayLike) -> Floats:
+def _checked(name: str, value: Numbers) -> Floats:
     numbers = np.asarray(value)
     if numbers.dtype.kind not in "iuf":
         raise TypeError(f"{name} is {value!r}; give real numbers.")

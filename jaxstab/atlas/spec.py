@@ -10,9 +10,10 @@ from itertools import pairwise
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxstab.atlas.schema import LARGEST_ARRAY, PRODUCTS
 from jaxstab.conventions import AXES
@@ -63,13 +64,13 @@ class AtlasSpec:
         ValueError: a value is out of range, out of order, or the atlas would be too large.
     """
 
-    alpha: Sequence[float] | FittedAxis = field(default_factory=partial(FittedAxis, 128))
-    beta: Sequence[float] | FittedAxis = field(default_factory=partial(FittedAxis, 112))
-    gamma: Sequence[float] = tuple(np.linspace(0.0, 1e-3, 3).tolist())
-    delta: Sequence[float] = tuple(np.linspace(0.0, 0.015, 9).tolist())
-    delay: Sequence[float] = (0.0, 1.0, 2.0, 3.0)
+    alpha: ArrayLike | FittedAxis = field(default_factory=partial(FittedAxis, 128))
+    beta: ArrayLike | FittedAxis = field(default_factory=partial(FittedAxis, 112))
+    gamma: ArrayLike = tuple(np.linspace(0.0, 1e-3, 3).tolist())
+    delta: ArrayLike = tuple(np.linspace(0.0, 0.015, 9).tolist())
+    delay: ArrayLike = (0.0, 1.0, 2.0, 3.0)
     products: Sequence[str] = tuple(PRODUCTS)
-    radius_rounding: float = 1e-7
+    radius_rounding: float | int = 1e-7
 
     def __post_init__(self) -> None:
         for name in AXES:
@@ -91,7 +92,7 @@ class AtlasSpec:
         return tuple(axis.count if isinstance(axis, FittedAxis) else len(axis) for axis in axes)
 
     @classmethod
-    def from_file(cls, path: str | PathLike[str]) -> Self:
+    def from_file(cls, path: str | PathLike[str]) -> "AtlasSpec":
         """Read a TOML file.
 
         Raises:
@@ -104,7 +105,7 @@ class AtlasSpec:
             raise type(error)(f"{path}: {error}") from error
 
     @classmethod
-    def from_toml(cls, text: str) -> Self:
+    def from_toml(cls, text: str) -> "AtlasSpec":
         """Read a specification in TOML; what is left out has its default.
 
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
@@ -129,15 +130,15 @@ class AtlasSpec:
         return "\n".join(entries) + "\n"
 
 
-def _axis_of(name: str, entry: Any) -> Sequence[float] | FittedAxis:
+def _axis_of(name: str, entry: Any) -> Any:
     if not isinstance(entry, Mapping):
-        return cast(Sequence[float], entry)
+        return entry
     allowed = ["values", *_RANGE] + (["fitted"] if name in ("alpha", "beta") else [])
     _check_names(f"axis {name}", entry, allowed)
     if set(entry) == {"fitted"}:
         return FittedAxis(entry["fitted"])
     if set(entry) == {"values"}:
-        return cast(Sequence[float], entry["values"])
+        return entry["values"]
     if set(entry) | {"spacing"} != set(_RANGE):
         raise ValueError(
             f"axis {name} has {', '.join(entry) or 'nothing'}; give either values, or start, stop "
@@ -146,9 +147,7 @@ def _axis_of(name: str, entry: Any) -> Sequence[float] | FittedAxis:
     return _spaced(name, **entry)
 
 
-def _spaced(
-    name: str, start: float, stop: float, count: int, spacing: str = "linear"
-) -> Sequence[float]:
+def _spaced(name: str, start: Any, stop: Any, count: Any, spacing: Any = "linear") -> list[float]:
     _check_count(f"count of {name}", count, 1)
     ends = [_check_number(f"{end} of {name}", v) for end, v in (("start", start), ("stop", stop))]
     if spacing not in _SPACINGS:

@@ -1,0 +1,303 @@
+"""Files: what is written is read; what is damaged, foreign or hostile is refused in a sentence."""
+
+import errno
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from atlases import small_contents, small_image, write_small
+
+from jaxstab import open_atlas
+from jaxstab.atlas import file, schema
+
+FOREIGN = {
+    "empty": b"",
+    "short": b"jaxstab\n",
+    "text": b"alpha,beta\n" * 99,
+    "zeros": bytes(5000),
+}
+
+
+def refusal(path: Path) -> str:
+    """What a reader is told, in one sentence."""
+    with pytest.raises(ValueError, match=r"\.$") as caught:
+        open_atlas(path)
+    assert "\n" not in str(caught.value)
+    assert path.name in str(caught.value)
+    return str(caught.value)
+
+
+def edited(edit: Callable[[h5py.File], None]) -> bytes:
+    """The small atlas after an edit, with the right footer."""
+    with h5py.File.in_memory(small_image()) as opened:
+        edit(opened)
+        opened.flush()
+        return file.sealed(bytes(opened.id.get_file_image()))
+
+
+def replace(name: str, **options: object) -> Callable[[h5py.File], None]:
+    """An edit that stores a dataset in another way."""
+
+    def edit(opened: h5py.File) -> None:
+        values = opened[name][()]
+        del opened[name]
+        opened.create_dataset(name, **({"data": values} | options))
+
+    return edit
+
+
+# --------------------------------------------------------------------------------------- round trip
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    contents = small_contents()
+    read = file.read(write_small(tmp_path))
+    assert read.created_by == contents.created_by
+    assert list(read.arrays) == list(contents.arrays)
+    for name, values in contents.arrays.items():
+        assert read.arrays[name].dtype == values.dtype
+        np.testing.assert_array_equal(read.arrays[name], values)
+
+
+def test_equal_contents_make_equal_bytes_at_any_time(tmp_path: Path) -> None:
+    first = file.encode(small_contents())
+    time.sleep(1.1)  # HDF5 keeps times in whole seconds
+    assert file.encode(small_contents()) == first
+
+
+def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_path: Path) -> None:
+    """As any HDF5 program sees it: the footer does not disturb one."""
+    with h5py.File(write_small(tmp_path)) as opened:
+        assert set(opened) == set(schema.VARIABLES)
+        for name, dataset in opened.items():
+            assert dataset.fletcher32
+            assert dataset.shuffle
+            assert dataset.compression == "gzip"
+            assert dataset.attrs["long_name"].decode()
+            assert dataset.attrs["interpretation"].decode()
+            variable = schema.VARIABLES[name]
+            assert dataset.is_scale == variable.is_axis
+            if not variable.is_axis:
+                scales = [dimension[0].name for dimension in dataset.dims]
+                assert scales == [f"/{dimension}" for dimension in variable.dimensions]
+        meanings = opened["verdict"].attrs["flag_meanings"].decode().split()
+        flags = dict(zip(opened["verdict"].attrs["flag_values"], meanings, strict=True))
+        assert flags == {0: "not_computed", 1: "stable", 2: "unstable", 3: "undecided"}
+
+
+def test_a_file_of_another_version_of_the_schema_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "newer.h5"
+    path.write_bytes(edited(lambda f: f.attrs.modify("schema_version", np.int32(99))))
+    assert "schema version 99" in refusal(path)
+
+
+# ------------------------------------------------------------------------------------------- damage
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_a_foreign_file_is_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(FOREIGN[name])
+    refusal(path)
+
+
+def test_another_hdf5_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.h5"
+    with h5py.File(path, "w") as other:
+        other["verdict"] = np.ones((2, 2))
+    refusal(path)
+    path.write_bytes(file.sealed(path.read_bytes()))
+    refusal(path)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.h5"):
+        open_atlas(tmp_path / "nowhere.h5")
+    with pytest.raises(OSError, match="cannot read"):
+        open_atlas(tmp_path)
+
+
+def test_every_flipped_bit_and_every_truncation_is_noticed(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    path = write_small(tmp_path)
+    whole = path.read_bytes()
+    for place in rng.integers(0, 8 * len(whole), 300):
+        damaged = bytearray(whole)
+        damaged[place // 8] ^= 1 << (place % 8)
+        path.write_bytes(damaged)
+        refusal(path)
+    for length in rng.integers(0, len(whole), 100):
+        path.write_bytes(whole[:length])
+        refusal(path)
+    path.write_bytes(whole + b"\0")
+    refusal(path)
+
+
+# --------------------------------------------------------------------------------- hostile contents
+
+
+def soft_link(opened: h5py.File) -> None:
+    opened.move("alpha", "hidden")
+    opened["alpha"] = h5py.SoftLink("/hidden")
+
+
+def external_link(opened: h5py.File) -> None:
+    del opened["alpha"]
+    opened["alpha"] = h5py.ExternalLink("/etc/passwd", "/alpha")
+
+
+def group(opened: h5py.File) -> None:
+    del opened["alpha"]
+    opened.create_group("alpha")
+
+
+def stranger(opened: h5py.File) -> None:
+    opened["passengers"] = np.arange(3)
+
+
+def missing(opened: h5py.File) -> None:
+    del opened["alpha"]
+
+
+def half_a_product(opened: h5py.File) -> None:
+    del opened["cell_verdict"]
+
+
+def virtual(opened: h5py.File) -> None:
+    shape = opened["verdict"].shape
+    del opened["verdict"]
+    layout = h5py.VirtualLayout(shape, np.int8)
+    layout[:] = h5py.VirtualSource("elsewhere.h5", "verdict", shape)
+    opened.create_virtual_dataset("verdict", layout)
+
+
+def external_storage(opened: h5py.File) -> None:
+    shape = opened["verdict"].shape
+    del opened["verdict"]
+    opened.create_dataset(
+        "verdict", shape, np.int8, external=[("/etc/passwd", 0, h5py.h5f.UNLIMITED)]
+    )
+
+
+def promise_without_data(opened: h5py.File) -> None:
+    shape = (1 << 10, *opened["verdict"].shape[1:])
+    del opened["verdict"]
+    opened.create_dataset(
+        "verdict",
+        shape,
+        np.int8,
+        chunks=shape,
+        shuffle=True,
+        compression="gzip",
+        fletcher32=True,
+    )
+
+
+def wrong_code(opened: h5py.File) -> None:
+    opened["verdict"][0, 0, 0, 0, 0] = 77
+
+
+def descending_axis(opened: h5py.File) -> None:
+    opened["gamma"][:] = opened["gamma"][()][::-1]
+
+
+def long_attribute(opened: h5py.File) -> None:
+    opened.attrs["created_by"] = np.arange(3)
+
+
+HOSTILE = {
+    edit.__name__: edit
+    for edit in (
+        soft_link,
+        external_link,
+        group,
+        stranger,
+        missing,
+        half_a_product,
+        virtual,
+        external_storage,
+        promise_without_data,
+        wrong_code,
+        descending_axis,
+        long_attribute,
+    )
+} | {
+    "contiguous": replace("alpha"),
+    "unchecked": replace("alpha", chunks=True, compression="gzip", shuffle=True),
+    "other filter": replace("alpha", compression="lzf", shuffle=True, fletcher32=True),
+    "single precision": replace("alpha", dtype="float32", chunks=True),
+    "strings of any length": replace("spec", dtype=h5py.string_dtype(), data=["a", "b"]),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_sealed_file_that_is_not_as_the_schema_says_is_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "hostile.h5"
+    path.write_bytes(edited(HOSTILE[name]))
+    refusal(path)
+
+
+# ----------------------------------------------------------------------------------------- failures
+
+
+def failing_write(error: int, after: int) -> Callable[[int, bytes], int]:
+    """An os.write that writes by small pieces and fails at last, as on a full disk."""
+    real_write, calls = os.write, iter(range(after))
+
+    def write(descriptor: int, data: bytes) -> int:
+        if next(calls, None) is None:
+            raise OSError(error, os.strerror(error))
+        return real_write(descriptor, bytes(data[:1000]))
+
+    return write
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EDQUOT])
+@pytest.mark.parametrize("after", [0, 1, 7])
+def test_a_full_disk_leaves_the_former_file_and_nothing_else(
+    error: int, after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_small(tmp_path)
+    former = path.read_bytes()
+    monkeypatch.setattr(os, "write", failing_write(error, after))
+    with pytest.raises(OSError, match="cannot write") as caught:
+        file.write(small_contents(), path)
+    assert caught.value.errno == error
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+    assert path.read_bytes() == former
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace", "open"])
+def test_a_failure_of_any_step_leaves_nothing(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    contents = small_contents()
+    monkeypatch.setattr(os, step, fail)
+    with pytest.raises(OSError, match="cannot write"):
+        file.write(contents, tmp_path / "new.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_short_writes_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "write", failing_write(errno.EIO, 10**6))
+    assert len(file.read(write_small(tmp_path)).arrays) == len(schema.VARIABLES)
+
+
+def test_a_place_that_cannot_be_written_is_known_before_the_work(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="cannot write"):
+        file.check_folder_of(tmp_path / "missing" / "new.h5")
+    with pytest.raises(IsADirectoryError, match="cannot write"):
+        file.check_folder_of(tmp_path)
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(NotADirectoryError, match="cannot write"):
+        file.check_folder_of(tmp_path / "file" / "new.h5")
+    file.check_folder_of(tmp_path / "new.h5")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]

@@ -1,0 +1,210 @@
+"""The commands, as a user meets them."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from atlases import SMALL_TOML, write_small
+from click.testing import CliRunner, Result
+
+from jaxstab.cli import main
+
+POINT = ["--alpha", "0.1", "--beta", "0.5", "--gamma", "0.0005", "--delta", "0.01", "--delay", "0"]
+SMALLEST_TOML = """
+products = ["verdict"]
+alpha = [0.1, 0.2]
+beta = [0.5, 0.6]
+gamma = [0, 0.001]
+delta = [0, 0.01]
+delay = [0]
+"""
+START = "import sys; from jaxstab.cli import main; main()"
+
+
+def run(*arguments: str | Path, stdin: str = "") -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments], input=stdin)
+
+
+def run_process(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", START, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def assert_one_sentence(stderr: str) -> None:
+    assert stderr.startswith("jaxstab: ")
+    assert stderr.count("\n") == 1
+    assert "Traceback" not in stderr
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return write_small(tmp_path)
+
+
+def test_version_and_help() -> None:
+    assert run("--version").output.startswith("jaxstab, version ")
+    for command in ([], ["atlas"], ["atlas", "build"], ["atlas", "query"], ["atlas", "plot"]):
+        answer = run(*command, "--help")
+        assert answer.exit_code == 0
+        assert answer.output.startswith("Usage:")
+
+
+def test_a_build_prints_what_the_file_holds_and_a_line_that_queries_it(tmp_path: Path) -> None:
+    spec = tmp_path / "small.toml"
+    spec.write_text(SMALL_TOML, encoding="utf-8")
+    output = tmp_path / "an atlas.h5"
+    built = run("atlas", "build", "--spec", spec, "-o", output)
+    assert built.exit_code == 0, built.stderr
+    assert "verdict, spectral_radius" in built.stdout
+    assert "delta: 3 nodes from 0 to 0.015" in built.stdout
+    assert built.stdout == run("atlas", "info", output).stdout
+    line = built.stdout.splitlines()[-1].strip()
+    completed = subprocess.run(
+        ["/bin/sh", "-c", f"jaxstab() {{ '{sys.executable}' -c '{START}' \"$@\"; }}; {line}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert completed.stderr == ""
+    assert next(csv.DictReader(completed.stdout.splitlines()))["verdict"] == "stable"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["an atlas.h5", "small.toml"]
+
+
+def test_a_build_sets_up_jax_for_itself(tmp_path: Path) -> None:
+    spec = tmp_path / "smallest.toml"
+    spec.write_text(SMALLEST_TOML, encoding="utf-8")
+    built = run_process("atlas", "build", "--spec", spec, "-o", tmp_path / "smallest.h5")
+    assert built.returncode == 0, built.stderr
+    assert "products: verdict\n" in built.stdout
+
+
+def test_a_point_is_answered_as_csv_and_as_json(path: Path) -> None:
+    answer = run("atlas", "query", path, *POINT)
+    (row,) = csv.DictReader(answer.stdout.splitlines())
+    assert (row["verdict"], row["status"], row["radius_error"]) == ("stable", "cell", "inf")
+    assert float(row["alpha"]) == 0.1
+    (entry,) = json.loads(run("atlas", "query", path, *POINT, "--format", "json").stdout)
+    assert entry["verdict"] == "stable"
+    assert entry["spectral_radius"] == float(row["spectral_radius"])
+    assert entry["radius_error"] is None
+
+
+def test_points_come_from_csv_with_columns_in_any_order_and_options_for_the_rest(
+    path: Path, tmp_path: Path
+) -> None:
+    text = "name,delay, beta,alpha,delta\na,0,0.5,0.1,0.01\n\nb,1.5,0.2,0.02,0.01\n"
+    table = tmp_path / "points.csv"
+    table.write_text(text, encoding="utf-8-sig")
+    from_file = run("atlas", "query", path, "--csv", table, "--gamma", "0.0005")
+    from_stdin = run("atlas", "query", path, "--csv", "-", "--gamma", "0.0005", stdin=text)
+    assert from_file.exit_code == 0, from_file.stderr
+    assert from_file.stdout == from_stdin.stdout
+    rows = list(csv.DictReader(from_file.stdout.splitlines()))
+    assert [row["alpha"] for row in rows] == ["0.1", "0.02"]
+    assert [row["gamma"] for row in rows] == ["0.0005", "0.0005"]
+    assert rows[0]["verdict"] == "stable"
+
+
+def test_points_outside_are_refused_or_undecided(path: Path) -> None:
+    far = [*POINT, "--alpha", "9"]
+    answer = run("atlas", "query", path, *far)
+    assert (answer.exit_code, answer.stdout) == (1, "")
+    assert "alpha is 9.0" in answer.stderr
+    answer = run("atlas", "query", path, *far, "--outside", "undecided")
+    assert "undecided,nan,inf,outside" in answer.stdout
+
+
+def test_a_plot_is_a_picture(path: Path, tmp_path: Path) -> None:
+    png = tmp_path / "plot.png"
+    answer = run("atlas", "plot", path, "-o", png, "--delta", "0.01", "--delay", "1.5")
+    assert answer.exit_code == 0, answer.stderr
+    assert png.read_bytes().startswith(b"\x89PNG")
+    answer = run("atlas", "plot", path, "-o", png, "--delay", "9")
+    assert "delay 9 is none of this atlas" in answer.stderr
+
+
+CSV = "alpha,beta,gamma,delta,delay\n"
+BAD_QUERIES = {
+    "not a number": ("", ["--alpha", "much"], 2),
+    "an unknown option": ("", ["--alfa", "1"], 2),
+    "a missing option": ("", ["--alpha", "0.1"], 1),
+    "an empty table": ("", ["--csv", "-"], 1),
+    "a misspelt column": ("alfa,beta,gamma,delta,delay\n", ["--csv", "-"], 1),
+    "a column twice": (CSV, ["--csv", "-", "--alpha", "1"], 1),
+    "a word in a table": (CSV + "0,0.1,0,zero,0\n", ["--csv", "-"], 1),
+    "a short row": (CSV + "0,0.1,0\n", ["--csv", "-"], 1),
+    "NaN": (CSV + "0,0.1,0,nan,0\n", ["--csv", "-"], 1),
+    "a missing table": ("", ["--csv", "missing.csv"], 1),
+}
+
+
+@pytest.mark.parametrize("name", BAD_QUERIES)
+def test_a_bad_query_is_one_sentence(name: str, path: Path) -> None:
+    stdin, arguments, code = BAD_QUERIES[name]
+    answer = run("atlas", "query", path, *arguments, stdin=stdin)
+    assert (answer.exit_code, answer.stdout) == (code, "")
+    assert_one_sentence(answer.stderr)
+
+
+@pytest.mark.parametrize("command", ["info", "query", "plot"])
+@pytest.mark.parametrize("damage", ["missing", "foreign", "truncated", "folder"])
+def test_a_bad_file_is_one_sentence(command: str, damage: str, path: Path, tmp_path: Path) -> None:
+    if damage == "missing":
+        path.unlink()
+    elif damage == "foreign":
+        path.write_text("no atlas")
+    elif damage == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
+    else:
+        path = tmp_path
+    options = {"info": [], "query": POINT, "plot": ["-o", tmp_path / "plot.png"]}
+    answer = run("atlas", command, path, *options[command])
+    assert (answer.exit_code, answer.stdout) == (1, "")
+    assert_one_sentence(answer.stderr)
+    assert not (tmp_path / "plot.png").exists()
+
+
+@pytest.mark.parametrize(
+    "spec", ["gama = [0, 1]", "gamma = [1, 0]", "gamma = [0]", "gamma = [0, nan]", "gamma = 3", "]"]
+)
+def test_a_bad_specification_is_one_sentence_and_no_file(spec: str, tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text(spec, encoding="utf-8")
+    answer = run_process("atlas", "build", "--spec", tmp_path / "bad.toml", "-o", tmp_path / "a.h5")
+    assert (answer.returncode, answer.stdout) == (1, "")
+    assert_one_sentence(answer.stderr)
+    assert not (tmp_path / "a.h5").exists()
+
+
+def test_an_output_folder_that_cannot_be_written_is_one_sentence_before_the_work() -> None:
+    answer = run_process("atlas", "build", "-o", "/proc/atlas.h5")
+    assert answer.returncode == 1
+    assert_one_sentence(
+        answer.stderr.split("\n", 1)[-1] if "building" in answer.stderr else answer.stderr
+    )
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["atlas", "query"]])
+def test_help_and_queries_start_without_anything_heavy(arguments: list[str], path: Path) -> None:
+    given = [*arguments, str(path), *POINT] if "query" in arguments else arguments
+    script = (
+        "import sys\n"
+        "from jaxstab.cli import main\n"
+        "try:\n"
+        "    main()\n"
+        "finally:\n"
+        "    print(*sys.modules, file=sys.stderr)\n"
+    )
+    completed = subprocess.run(
+        [sys.executable, "-c", script, *given], capture_output=True, text=True, check=False
+    )
+    assert completed.returncode == 0
+    loaded = set(completed.stderr.split())
+    assert loaded.isdisjoint({"jax", "jaxtyping", "matplotlib", "rich", "scipy", "pydantic"})
+    assert ("numpy" in loaded) == ("query" in arguments)
