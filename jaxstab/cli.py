@@ -73,11 +73,18 @@ def build(spec: Path | None, output: Path) -> None:
 
     jax.config.update("jax_enable_x64", True)
     chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task(f"building {output}", total=None)
-        built = build_atlas(
-            chosen, output, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    bar = Progress(console=Console(stderr=True))
+    task = bar.add_task(f"building {output}")
+
+    def show(done: int, total: int) -> None:
+        bar.start()  # only now: what is refused before the work is refused without a bar
+        bar.update(task, completed=done, total=total)
+
+    try:
+        built = build_atlas(chosen, output, show)
+    finally:
+        if bar.live.is_started:
+            bar.stop()
     click.echo(_described(built, output))
 
 

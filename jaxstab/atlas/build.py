@@ -58,11 +58,11 @@ def compute(spec: AtlasSpec, progress: Progress) -> Arrays:
     Raises:
         ValueError, RuntimeError: as ``build_atlas``.
     """
-    grid = lay_out(spec)
-    nodes = node_tiles(grid)
-    cells = cell_tiles(grid) if VERDICT in spec.products else []
+    nodes = node_tiles(spec)
+    cells = cell_tiles(spec) if VERDICT in spec.products else []
     total = len(nodes) + len(cells)
     progress(0, total)
+    grid = lay_out(spec)
     arrays = _axes(grid, spec) | _empty_products(grid, spec)
     for done, tile in enumerate(nodes, start=1):
         for name, values in node_tile(grid, tile, spec).items():

@@ -61,14 +61,16 @@ def lay_out(spec: AtlasSpec) -> Grid:
     return Grid(alpha, beta, gamma, delta, delay)
 
 
-def node_tiles(grid: Grid) -> list[Tile]:
+def node_tiles(spec: AtlasSpec) -> list[Tile]:
     """Return the tiles that cover all nodes."""
-    return [Tile(g, d) for d in range(grid.delay.size) for g in range(grid.gamma.size)]
+    *_, gamma, _, delay = spec.shape
+    return [Tile(g, d) for d in range(delay) for g in range(gamma)]
 
 
-def cell_tiles(grid: Grid) -> list[Tile]:
-    """Return the tiles that cover all cells."""
-    return [Tile(g, d) for d in range(grid.delay.size) for g in range(grid.gamma.size - 1)]
+def cell_tiles(spec: AtlasSpec) -> list[Tile]:
+    """Return the tiles that cover all cells; each needs the nodes of two tiles."""
+    *_, gamma, _, delay = spec.shape
+    return [Tile(g, d) for d in range(delay) for g in range(gamma - 1)]
 
 
 def _wall_axes(
