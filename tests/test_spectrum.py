@@ -12,7 +12,7 @@ from mpmath import mp, mpf
 
 import jaxstab
 from jaxstab.conventions import RadiusStatus
-from jaxstab.stability import sweep as sweep_module
+from jaxstab.stability import grid
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 SCENE = (0.05, 0.3, 1e-3, 0.015)
@@ -146,7 +146,7 @@ class TestSweep:
     ) -> None:
         axes = np.ix_(np.linspace(0.01, 0.2, 9), np.linspace(0.1, 0.5, 7), [1e-3], [0.0], [0, 0.5])
         whole = jaxstab.spectral_radius(*axes).value
-        monkeypatch.setattr(sweep_module, "CHUNK", 64)
+        monkeypatch.setattr(grid, "CHUNK", 64)
         np.testing.assert_array_equal(jaxstab.spectral_radius(*axes).value, whole)
 
     def test_streams_a_grid_in_order(self) -> None:
@@ -168,7 +168,7 @@ class TestSweep:
         kernel = jax.jit(lambda coefficients: coefficients[..., 0])
         alpha = np.linspace(0.0, 0.1, 700)
         for gamma in (0.0, 0.1, 0.2):
-            sweep_module.over_grid(kernel, alpha, 0.1, gamma, 0.0, np.array([[0.0], [1.0], [0.5]]))
+            grid.over_grid(kernel, alpha, 0.1, gamma, 0.0, np.array([[0.0], [1.0], [0.5]]))
         assert kernel._cache_size() == 2
 
     @pytest.mark.parametrize("chunk", [0, -3])

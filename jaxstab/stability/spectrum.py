@@ -10,8 +10,8 @@ from jaxtyping import Bool, Complex128, Float64, Int8
 
 from jaxstab.conventions import RadiusStatus, Verdict
 from jaxstab.model import companion_matrix, require_x64
+from jaxstab.stability.grid import over_grid
 from jaxstab.stability.schur_cohn import radius_error, verdict
-from jaxstab.stability.sweep import over_grid
 
 
 class SpectralRadius(NamedTuple):

@@ -18,7 +18,7 @@ from jaxtyping import Float64, Int64
 from jaxstab.model import characteristic_polynomial, checked_delay, require_x64
 
 CHUNK = 2**15
-_GROWTH = 8  # sizes of chunks are CHUNK / 8^k: a single point does not pay for 32768
+_GROWTH = 64  # sizes of chunks are CHUNK / 64^k: a single point does not pay for 32768
 
 Result = TypeVar("Result")
 
@@ -118,7 +118,7 @@ def _looked_up(
 
 
 def _scattered(
-    chunks: list[tuple[Int64[np.ndarray, " point"], int]],
+    chunks: list[tuple[Int64[np.ndarray, "_"], int]],
     parts: tuple[Array, ...],
     shape: tuple[int, ...],
 ) -> Array:
