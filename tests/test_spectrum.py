@@ -78,7 +78,7 @@ class TestSpectralRadius:
         radius = jaxstab.spectral_radius(*scenes)
         for scene, value, error in zip(scenes.T.tolist(), radius.value, radius.error, strict=True):
             lower, upper = truth.spectral_radius(*scene)
-            assert lower - error <= mpf(float(value)) <= upper + error, scene
+            assert lower - float(error) <= mpf(float(value)) <= upper + float(error), scene
 
     def test_is_honest_at_a_triple_root(self) -> None:
         alpha, beta = 6 * TRIPLE_ROOT**2 - 2, 2 * TRIPLE_ROOT**3
