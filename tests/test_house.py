@@ -24,12 +24,17 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "closed_loop_poles": [0.1, 0.2, 0.001, 0.015, 1.0],
     "spectral_radius": [0.1, 0.2, 0.001, 0.015, 1.0],
     "is_stable": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "sweep": [None, 0.1, 0.2, 0.001, 0.015, 1.0],
     "verdict": [0.1, 0.2, 0.001, 0.015, 1.0],
     "simulate": ["loop", 1000.0, 10.0],
     "settling_samples": [0.1, 0.2, 0.001, 0.015, 1.0],
     "settling_time": ["loop", 1000.0, 10.0],
     "dominant_mode": [0.1, 0.2, 0.001, 0.015, 1.0],
     "dominant_oscillation": ["loop", 1000.0, 10.0],
+    "least_radius": [0.001, 0.015, 1.0],
+    "least_radius_damping": [0.1, 0.001, 0.015, 1.0],
+    "least_settling": [0.001, 0.015, 1.0],
+    "optimal_gains": ["loop"],
 }
 
 FLOORS_THAT_COMPUTE = ("jaxstab.model", "jaxstab.stability", "jaxstab.boundary")

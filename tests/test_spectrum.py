@@ -174,4 +174,4 @@ class TestSweep:
     @pytest.mark.parametrize("chunk", [0, -3])
     def test_refuses_an_empty_chunk(self, chunk: int) -> None:
         with pytest.raises(ValueError, match="chunk is"):
-            next(jaxstab.sweep(jaxstab.is_stable, 0.1, 0.1, 0.0, 0.0, 0, chunk=chunk))
+            jaxstab.sweep(jaxstab.is_stable, 0.1, 0.1, 0.0, 0.0, 0, chunk=chunk)

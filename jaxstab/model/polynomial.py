@@ -93,7 +93,7 @@ def companion_matrix(coefficients: ArrayLike) -> Float64[Array, "*grid degree de
         ValueError: fewer than two coefficients.
         RuntimeError: JAX's x64 mode is off.
 
-    Source: Horn and Johnson, Matrix Analysis, 3.3; the layout of numpy.roots.
+    Source: theorem 3.3.14 of Horn and Johnson, Matrix Analysis, in the layout of numpy.roots.
     """
     require_x64()
     coefficients = jnp.asarray(coefficients, jnp.float64)

@@ -5,6 +5,7 @@ were given. A grid of five axes needs the memory of its axes, of one chunk and o
 ``sweep`` does without the latter.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
@@ -44,8 +45,9 @@ def sweep(
         delay: time delay t_d/T in samples.
         chunk: points per call.
 
-    Yields:
-        The range of flat indices (C order) of the broadcast grid, and the function's answer for it.
+    Returns:
+        An iterator over the range of flat indices (C order) of each part of the broadcast grid, and
+        the function's answer for it.
 
     Raises:
         ValueError: ``chunk`` is below 1, or the shapes do not broadcast; else as the function.
@@ -58,10 +60,12 @@ def sweep(
         raise ValueError(f"chunk is {chunk}; give at least 1 point.")
     arguments = [np.asarray(value, np.float64) for value in (alpha, beta, gamma, delta, delay)]
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
-    total = int(np.prod(shape))
-    for start in range(0, total, chunk):
-        points = slice(start, min(start + chunk, total))
-        yield points, function(*_looked_up(arguments, shape, np.arange(points.start, points.stop)))
+    total = math.prod(shape)
+    ranges = (slice(start, min(start + chunk, total)) for start in range(0, total, chunk))
+    return (
+        (points, function(*_looked_up(arguments, shape, np.arange(points.start, points.stop))))
+        for points in ranges
+    )
 
 
 def over_grid(kernel: Callable[[Array], Result], *parameters: ArrayLike) -> Result:
@@ -123,7 +127,7 @@ def _scattered(
     shape: tuple[int, ...],
 ) -> Array:
     longest = max((part.shape[1:] for part in parts), default=())
-    result = np.zeros((int(np.prod(shape)), *longest), parts[0].dtype)
+    result = np.zeros((math.prod(shape), *longest), parts[0].dtype)
     for (points, _), part in zip(chunks, parts, strict=True):
         values = np.asarray(part)[: points.size]
         missing = [(0, full - length) for full, length in zip(longest, part.shape[1:], strict=True)]
