@@ -1,0 +1,111 @@
+"""The README's table: a line for each task and method, with its run time and its error."""
+
+from collections.abc import Callable, Iterator
+
+from benchmarks.record import Record, Row
+
+_HEADING = ("task", "method", "run time", "error", "times as fast as LAPACK")
+_DELAYS = (0.0, 1.0, 5.0, 20.0)  # of the throughput: the plot has the others, and more rivals
+_METHODS = ("verdict", "spectral_radius", "numpy eigvals")
+
+Line = tuple[str, str, str, str, str]
+
+
+def markdown(records: list[Record]) -> str:
+    """Return the tables of all machines, each under its machine's name."""
+    parts = []
+    for machine in dict.fromkeys(one["machine"]["name"] for one in records):
+        of_machine = [one for one in records if one["machine"]["name"] == machine]
+        lines = [line for one in of_machine for line in _LINES[one["benchmark"]](one["rows"])]
+        parts += [_caption(of_machine), "", _row(_HEADING), _row(("---",) * len(_HEADING))]
+        parts += [*map(_row, lines), ""]
+    return "\n".join(parts)
+
+
+def _caption(records: list[Record]) -> str:
+    machine, versions = records[0]["machine"], records[0]["versions"]
+    device = machine["accelerator"] or machine["cpu"]
+    small = " Small runs: they only show that the benchmarks run." if records[0]["small"] else ""
+    return (
+        f"{device}, {machine['cores']} cores, {machine['memory_gib']:g} GiB; Python "
+        f"{versions['python']}, jax {versions['jax']}, NumPy {versions['numpy']}.{small}"
+    )
+
+
+def _boundary(rows: list[Row]) -> Iterator[Line]:
+    delay = 1.0
+    rows = [row for row in rows if row["delay"] == delay]
+    outlines = [row for row in rows if row["section"] == "outline"]
+    finest = max(row["n"] for row in outlines)
+    for row in outlines:
+        if row["n"] == finest:
+            task = f"boundary of a slice, delay {delay:g}, N = {finest}"
+            yield task, row["method"], _time(row["seconds"]), _error(row["error"]), ""
+    for row in rows:
+        if row["section"] == "region":
+            time = f"{_time(row['seconds'])} ({row['regions_per_second']:,.0f} regions/s)"
+            task = (
+                f"one region, delay {delay:g}"
+                if row["regions"] == 1
+                else f"{row['regions']} regions"
+            )
+            yield task, row["method"], time, _error(row["error"]), ""
+
+
+def _throughput(rows: list[Row]) -> Iterator[Line]:
+    for row in rows:
+        shown = row["delay"] in _DELAYS and row["method"] in _METHODS
+        if row["section"] == "delay" and shown:
+            ratios = ""
+            if "times_numpy_eigvals" in row:
+                numpy, jax = row["times_numpy_eigvals"], row["times_jax_eigvals"]
+                ratios = f"{numpy:,.3g} (NumPy), {jax:,.3g} (jax)"
+            task = f"slice of {row['batch']:,} points, delay {row['delay']:g}"
+            time = f"{_time(row['seconds_per_point'])} per point"
+            yield task, row["method"], time, _error(row["error"]), ratios
+
+
+def _queries(rows: list[Row]) -> Iterator[Line]:
+    rows = [row for row in rows if row["section"] == "wall" and row["delay"] == 1.0]
+    finest = max(row["nodes_wall"] for row in rows)
+    for row in rows:
+        if row["nodes_wall"] == finest:
+            kept = f", {_bytes(row['bytes'])}" if row["bytes"] else ""
+            error = f"{row['undecided']:.2%} undecided, {row['wrong']:.2%} wrong"
+            task = f"query between nodes, {finest} x {finest}{kept}"
+            yield task, row["method"], f"{_time(row['seconds_per_point'])} per point", error, ""
+
+
+def _scaling(rows: list[Row]) -> Iterator[Line]:
+    streamed = [row for row in rows if row["section"] == "points"]
+    row = max(streamed, key=lambda row: row["points"])
+    time = f"{_time(row['seconds'])}, peak {row['peak_mib']:.0f} MiB"
+    error = f"{row['error']:.2%} wrong or undecided"
+    yield f"{row['points']:,} points streamed", row["method"], time, error, ""
+
+
+_LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
+    "boundary": _boundary,
+    "queries": _queries,
+    "throughput": _throughput,
+    "scaling": _scaling,
+}
+
+
+def _row(cells: tuple[str, ...]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _time(seconds: float) -> str:
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-9:.3g} ns"
+
+
+def _error(error: float) -> str:
+    return f"{error:.1e}" if error else "0"
+
+
+def _bytes(count: int) -> str:
+    return f"{count / 1e6:.3g} MB" if count >= 1e6 else f"{count / 1e3:.3g} kB"
