@@ -18,6 +18,7 @@ from benchmarks.exact import ExactSlice
 from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.timing import interleaved
+from jaxstab.boundary import region_outline, stable_region, trace_boundary
 
 GAMMA, DELTA = 1e-3, 0.015
 MEASURE = "largest distance of found points from the exact boundary, relative to the region"
@@ -92,7 +93,7 @@ def verdict_grid(alpha: np.ndarray, beta: np.ndarray, delay: float) -> Outline:
 def _traced(exact: ExactSlice, resolution: float) -> Outline:
     """Trace all branches in the box, and keep what bounds the stable set."""
     alpha_ends, beta_ends = exact.box()
-    trace = jaxstab.trace_boundary(
+    trace = trace_boundary(
         ("alpha", "beta"),
         (tuple(alpha_ends.tolist()), tuple(beta_ends.tolist())),
         resolution=resolution,
@@ -106,7 +107,7 @@ def _traced(exact: ExactSlice, resolution: float) -> Outline:
 
 
 def _closed_form(delay: float, points: int) -> jax.Array:
-    region = jaxstab.region_outline(GAMMA, DELTA, delay, points=points)
+    region = region_outline(GAMMA, DELTA, delay, points=points)
     return region.outline.vertices
 
 
@@ -155,9 +156,9 @@ def _region_rows(exact: ExactSlice, small: bool) -> Iterator[Row]:
 
 
 def _stable_region(delay: float, tolerance: float) -> np.ndarray:
-    return jaxstab.stable_region(GAMMA, DELTA, delay, tolerance=tolerance).points
+    return stable_region(GAMMA, DELTA, delay, tolerance=tolerance).points
 
 
 def _vertices(delay: float, gamma: jax.Array, delta: jax.Array) -> jax.Array:
-    region = jaxstab.region_outline(gamma, delta, delay, points=_OUTLINE_POINTS)
+    region = region_outline(gamma, delta, delay, points=_OUTLINE_POINTS)
     return region.outline.vertices

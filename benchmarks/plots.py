@@ -122,9 +122,10 @@ def _scaling(rows: list[Row]) -> Figure:
         some = [row for row in rows if row["section"] == section]
         _lines(column[0], some, x, "seconds_per_point")
         _lines(column[1], some, x, "error")
-        _lines(column[2], some, x, "peak_mib")
+        # Rivals share a process, so one line says what they took together.
+        _lines(column[2], [row for row in some if "verdict" in row["method"]], x, "peak_mib")
         column[0].set_yscale("log")
-        column[1].set_yscale("symlog", linthresh=_SMALLEST * 10)
+        column[1].set_yscale("symlog", linthresh=1e-3 if x == "points" else 10 * _SMALLEST)
         column[1].set_ylim(bottom=0.0)
         column[2].set_ylim(bottom=0.0)
         for panel in column:
@@ -169,6 +170,8 @@ def _lines(
             markersize=5,
             linewidth=1.2,
             label=method,
+            clip_on=False,
+            zorder=3,
         )
 
 
