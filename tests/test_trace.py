@@ -1,0 +1,236 @@
+"""The traced boundary against the closed form, certified roots and counts of unstable roots."""
+
+from math import pi
+
+import numpy as np
+import pytest
+import truth
+
+from jaxstab import HapticLoop
+from jaxstab.boundary import TraceStatus, boundary_curve, minus_line, trace_boundary
+from jaxstab.boundary.arcs import Branch
+from jaxstab.boundary.circle import Loops, exclude
+
+LOOP = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+
+# plane, window, fixed, and how the parameters follow from the axes
+PLANES = {
+    "alpha-beta": (
+        ("alpha", "beta"),
+        ((-0.05, 0.2), (-0.1, 0.9)),
+        {"gamma": 1e-3, "delta": 0.015, "delay": 1.0},
+        lambda x, y: (x, y, 1e-3, 0.015, 1.0),
+    ),
+    "gamma-alpha": (
+        ("gamma", "alpha"),
+        ((0.0, 1.0), (-0.5, 0.5)),
+        {"beta": 0.2, "delta": 0.1, "delay": 1.0},
+        lambda x, y: (y, 0.2, x, 0.1, 1.0),
+    ),
+    "gamma-delta": (
+        ("gamma", "delta"),
+        ((0.0, 12.0), (1e-3, 1.0)),
+        {"alpha": 0.2, "beta": 0.1, "delay": 1.0},
+        lambda x, y: (0.2, 0.1, x, y, 1.0),
+    ),
+    "gamma-delay": (
+        ("gamma", "delay"),
+        ((0.0, 12.0), (0.0, 6.0)),
+        {"alpha": 0.2, "beta": 0.1, "delta": 0.2},
+        lambda x, y: (0.2, 0.1, x, 0.2, y),
+    ),
+    "stiffness-sample_time": (
+        ("stiffness", "sample_time"),
+        ((0.0, 2e4), (1e-4, 5e-3)),
+        {"mass": 0.1, "physical_damping": 1.5, "physical_stiffness": 0.0}
+        | {"damping": 10.0, "time_delay": 1e-3},
+        lambda x, y: (x * y**2 / 0.1, 10 * y / 0.1, 0.0, 1.5 * y / 0.1, 1e-3 / y),
+    ),
+    "stiffness-time_delay": (
+        ("stiffness", "time_delay"),
+        ((0.0, 2e4), (0.0, 5e-3)),
+        {"mass": 0.1, "physical_damping": 1.5, "physical_stiffness": 0.0}
+        | {"damping": 10.0, "sample_time": 1e-3},
+        lambda x, y: (x * 1e-5, 0.1, 0.0, 0.015, y / 1e-3),
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=PLANES)
+def traced(request):
+    plane, window, fixed, loop_of = PLANES[request.param]
+    return trace_boundary(plane, window, **fixed), np.array(window), loop_of
+
+
+def roots_outside(loop):
+    """By NumPy's companion eigenvalues; a root within 1e-6 of the circle counts as none."""
+    coefficients = [float(c) for c in truth.polynomial(*loop)]
+    moduli = np.abs(np.roots(coefficients))
+    return None if np.any(np.abs(moduli - 1) < 1e-6) else int(np.sum(moduli > 1))
+
+
+def in_window(points, window):
+    """In units of the window."""
+    return (points - window[:, 0]) / (window[:, 1] - window[:, 0])
+
+
+def distance_to_segment(points, start, end):
+    chord = end - start
+    along = np.clip((points - start) @ chord / (chord @ chord), 0.0, 1.0)
+    return np.linalg.norm(points - start - along[:, None] * chord, axis=1)
+
+
+def test_the_window_is_accounted_for(traced):
+    trace, window, _ = traced
+    assert trace.complete
+    assert np.all(trace.status == TraceStatus.CONVERGED)
+    unit = in_window(trace.points, window)
+    assert np.all((unit > -1e-9) & (unit < 1 + 1e-9))
+    same = np.diff(trace.piece) == 0
+    steps = np.linalg.norm(np.diff(unit, axis=0), axis=1)[same]
+    assert np.max(steps) <= trace.resolution * (1 + 1e-6)
+
+
+def test_points_have_their_root_on_the_circle(traced, rng):
+    trace, _, loop_of = traced
+    assert np.max(trace.residual) < 1e-14
+    for number in rng.choice(len(trace.points), 12, replace=False):
+        loop = [max(v, 0.0) if i > 1 else v for i, v in enumerate(loop_of(*trace.points[number]))]
+        value = truth.evaluate(truth.polynomial(*loop), truth.mp.expj(trace.theta[number]))
+        assert abs(value) < 1e-14
+        if truth.unstable_count(*loop) is not None:
+            outside = [abs(root) for root in truth.roots(*loop) if abs(root) > 1 + 1e-7]
+            assert trace.edge[number] == (not outside)
+
+
+def test_the_number_of_unstable_roots_changes_only_across_the_trace(traced, rng):
+    trace, window, loop_of = traced
+    unit = in_window(trace.points, window)
+    changes = 0
+    for start, move in zip(rng.uniform(0, 1, (150, 2)), rng.normal(0, 0.05, (150, 2)), strict=True):
+        ends = np.stack([start, np.clip(start + move, 0, 1)])
+        counts = [
+            roots_outside(loop_of(*(window[:, 0] + end * np.ptp(window, axis=1)))) for end in ends
+        ]
+        if None not in counts and counts[0] != counts[1]:
+            changes += 1
+            assert np.min(distance_to_segment(unit, *ends)) < trace.resolution
+    assert changes > 0
+
+
+@pytest.mark.parametrize(
+    ("window", "gamma", "delta", "delay"),
+    [
+        (((-0.05, 0.2), (-0.1, 0.9)), 1e-3, 0.015, 1.0),
+        (((-12.0, 4.0), (-4.0, 12.0)), 3.0, 0.015, 5.5),
+        (((-0.5, 0.8), (-0.1, 2.1)), 0.0, 0.0, 0.0),
+    ],
+)
+def test_in_the_plane_of_gains_the_trace_is_the_closed_form(window, gamma, delta, delay):
+    trace = trace_boundary(("alpha", "beta"), window, gamma=gamma, delta=delta, delay=delay)
+    assert trace.complete
+    scale = np.maximum(1.0, np.abs(trace.points))
+    pair = trace.branch == Branch.CURVE
+    curve = np.stack(boundary_curve(trace.theta[pair], gamma, delta, delay), axis=1)
+    assert np.max(np.abs(curve - trace.points[pair]) / scale[pair]) < 1e-12
+    plus, minus = (trace.points[trace.branch == b] for b in (Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE))
+    assert np.max(np.abs(plus[:, 0] + gamma), initial=0.0) < 1e-12
+    line = minus_line(minus[:, 1], gamma, delta, delay)
+    assert np.max(np.abs(line - minus[:, 0]), initial=0.0) < 1e-12 * np.max(scale)
+    # All of the curve in the window is there.
+    box = np.array(window)
+    unit = in_window(trace.points, box)
+    dense = np.stack(boundary_curve(np.linspace(0, pi, 2001)[1:-1], gamma, delta, delay), axis=1)
+    dense = in_window(dense, box)
+    for point in dense[np.all((dense >= 0) & (dense <= 1), axis=1)]:
+        assert np.min(np.linalg.norm(unit - point, axis=1)) < trace.resolution
+
+
+def test_branches_go_on_through_folds():
+    plane, window, fixed, _ = PLANES["gamma-delay"]
+    trace = trace_boundary(plane, window, **fixed)
+    turns = 0
+    for piece in range(trace.piece.max() + 1):
+        step = np.diff(trace.points[trace.piece == piece], axis=0)
+        turns += np.sum(np.diff(np.sign(step), axis=0) != 0)
+    assert turns >= 2
+
+
+def test_a_loop_gives_the_physical_quantities():
+    plane, window, fixed, _ = PLANES["stiffness-time_delay"]
+    by_name = trace_boundary(plane, window, **fixed)
+    by_loop = trace_boundary(plane, window, loop=LOOP, damping=10.0)
+    assert np.allclose(by_name.points, by_loop.points, rtol=1e-12, atol=0)
+
+
+def test_a_boundary_of_a_single_point_is_reported_as_unresolved():
+    # At gamma = pi^2, delta = 0 every loop without delay has a root at z = -1; beside it none has.
+    trace = trace_boundary(
+        ("gamma", "delta"), ((9.0, 11.0), (0.0, 1.0)), alpha=0.2, beta=0.1, delay=1.0
+    )
+    assert not trace.complete
+    low, high = trace.unresolved[:, 0].min(axis=0), trace.unresolved[:, 1].max(axis=0)
+    assert low[0] < pi**2 < high[0]
+    assert high[0] - low[0] < 0.2
+    assert low[1] == 0.0
+    assert high[1] < 0.01
+
+
+def test_a_window_without_boundary_is_proved_empty():
+    trace = trace_boundary(
+        ("alpha", "beta"), ((1.0, 2.0), (10.0, 12.0)), gamma=0.1, delta=0.0, delay=1.0
+    )
+    assert trace.complete
+    assert trace.points.shape == (0, 2)
+
+
+def test_no_box_that_holds_a_root_is_called_free(rng):
+    count = 20_000
+    gamma = rng.uniform(0, 12, count) * rng.choice([0, 1e-3, 0.1, 1], count)
+    delta = rng.uniform(0, 3, count) * rng.choice([0, 0.01, 1], count)
+    delay = np.where(rng.random(count) < 0.3, rng.integers(0, 4, count), rng.uniform(0, 4, count))
+    theta = rng.uniform(0, pi, count)
+    alpha, beta = (np.asarray(v) for v in boundary_curve(theta, gamma, delta, delay))
+    loops = np.stack([alpha, beta, gamma, delta, delay, theta])
+    loops = loops[:, np.abs(loops[:2]).max(axis=0) < 50]
+    count = loops.shape[1]
+    size = 10.0 ** rng.uniform(-6, 0.5, count)
+    radius = rng.uniform(0, 1, (6, count)) * size * rng.choice([0, 0.01, 1], (6, count))
+    center = loops + radius * rng.uniform(-1, 1, (6, count))
+    center[2:5] = np.maximum(center[2:5], 0.0)
+    radius = np.maximum(radius, np.abs(center - loops) * (1 + 1e-12))
+    assert not np.any(exclude(Loops(*center), Loops(*radius)).free)
+    away = center + np.array([[5.0], [0], [0], [0], [0], [0]])
+    assert np.mean(exclude(Loops(*away), Loops(*(1e-3 * radius))).free) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("plane", "window", "fixed", "message"),
+    [
+        (("alpha", "betta"), ((0.0, 1.0), (0.0, 1.0)), {}, "'betta' is no quantity of this"),
+        (("alpha", "alpha"), ((0.0, 1.0), (0.0, 1.0)), {}, "alpha is given twice"),
+        (("alpha", ""), ((0.0, 1.0), (0.0, 1.0)), {}, "'' is no quantity of this"),
+        (("alpha", "beta"), ((0.0, 1.0), (0.0, 1.0)), {"gamma": 0.0}, "delta has no value"),
+        (("alpha", "beta"), ((1.0, 1.0), (0.0, 1.0)), {}, "the window of alpha"),
+        (("alpha", "gamma"), ((0.0, 1.0), (-1.0, 1.0)), {"beta": 0.0}, "gamma is -1"),
+        (("alpha", "beta"), ((0.0, float("nan")), (0.0, 1.0)), {}, "alpha is nan"),
+    ],
+)
+def test_tracing_refuses_bad_input(plane, window, fixed, message):
+    complete = {"gamma": 0.0, "delta": 0.0, "delay": 0.0} if "window" in message else {}
+    more = {"delta": 0.0, "delay": 0.0} if "gamma is" in message else {}
+    nan = {"gamma": 0.0, "delta": 0.0, "delay": 0.0} if "nan" in message else {}
+    with pytest.raises(ValueError, match=message):
+        trace_boundary(plane, window, **(fixed | complete | more | nan))
+
+
+def test_a_resolution_out_of_range_is_refused():
+    with pytest.raises(ValueError, match="resolution is 0"):
+        trace_boundary(
+            ("alpha", "beta"),
+            ((0.0, 1.0), (0.0, 1.0)),
+            resolution=0.0,
+            gamma=0.0,
+            delta=0.0,
+            delay=0.0,
+        )
