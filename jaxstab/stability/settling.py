@@ -101,7 +101,7 @@ def settling_samples(
     Source: the loop of eqs. (1)-(5); 2 % settling is what later papers of the same authors use.
     """
     require_x64()
-    _check_options(level, excitation, horizon)
+    check_options(level, excitation, horizon)
     lanes, shape = lanes_of(alpha, beta, gamma, delta, delay)
     first = _settle(
         lanes,
@@ -279,7 +279,8 @@ def _in_batches(function: Callable[[Lanes], Array], lanes: Lanes) -> Array:
     return jnp.ravel(lax.map(jax.vmap(function), batches))[:count]
 
 
-def _check_options(level: float, excitation: str, horizon: int) -> None:
+def check_options(level: float, excitation: str, horizon: int = HORIZON) -> None:
+    """Refuse what is no level, excitation or horizon."""
     if not 0.0 < level < 1.0:
         raise ValueError(f"level is {level}; give a number between 0 and 1, such as 0.02.")
     if excitation not in get_args(Excitation):

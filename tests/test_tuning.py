@@ -1,0 +1,260 @@
+"""The best gains, against closed forms, 50-digit multiple roots and brute force in plain NumPy."""
+
+import itertools
+import math
+
+import jax
+import numpy as np
+import pytest
+import scipy.optimize
+import truth
+from mpmath import mp, mpf
+from test_response import HELD, PHANTOM
+
+import jaxstab
+from jaxstab import TuningStatus
+
+LEAST_RADII = (0.587401, 0.752114, 0.824656, 0.864687, 0.889931, 0.907271)  # gamma = delta = 0
+LARGEST_ALPHAS = (12 - 8 * math.sqrt(2), 0.14447, 0.06243, 0.03478)
+
+Plant = tuple[float, float, float]
+
+
+def exact_family(plant: Plant) -> list[np.ndarray]:
+    """p at no gains, and what a unit of alpha and of beta adds, all to 50 digits."""
+    base, alpha, beta = (
+        np.array(truth.polynomial(*gains, *plant)) for gains in [(0, 0), (1, 0), (0, 1)]
+    )
+    return [base, alpha - base, beta - base]
+
+
+def radii(plant: Plant, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    base, stiff, damp = (part.astype(float) for part in exact_family(plant))
+    alpha, beta = np.broadcast_arrays(alpha, beta)
+    coefficients = base + alpha[..., None] * stiff + beta[..., None] * damp
+    companion = np.zeros((*alpha.shape, base.size - 1, base.size - 1))
+    companion[..., 1:, :-1] = np.eye(base.size - 2)
+    companion[..., 0, :] = -coefficients[..., 1:]
+    return np.abs(np.linalg.eigvals(companion)).max(-1)
+
+
+def multiple_root(plant: Plant, near: jaxstab.OptimalGains, angle: float) -> list[mpf]:
+    """alpha, beta and the radius of the triple real root or the double pair, to 40 digits."""
+    with mp.workdps(60):
+        base, stiff, damp = exact_family(plant)
+
+        def equations(alpha: mpf, beta: mpf, *parts: mpf) -> list[mpf]:
+            slopes = [list(base + alpha * stiff + beta * damp)]
+            for _ in range(2):
+                powers = range(len(slopes[-1]) - 1, 0, -1)
+                slopes.append([c * k for c, k in zip(slopes[-1][:-1], powers, strict=True)])
+            if len(parts) == 1:
+                return [truth.evaluate(slope, parts[0]) for slope in slopes]
+            values = [truth.evaluate(slope, mp.mpc(*parts)) for slope in slopes[:2]]
+            return [value.real for value in values] + [value.imag for value in values]
+
+        radius = float(near.value)
+        parts = [radius] if angle == 0 else [radius * math.cos(angle), radius * math.sin(angle)]
+        start = [float(near.alpha), float(near.beta), *parts]
+        solution = mp.findroot(equations, start, tol=mpf(10) ** -80, maxsteps=50)
+        return [solution[0], solution[1], mp.norm(solution[2:])]
+
+
+TRIPLE_ROOTS = [(0.0, 0.0, 0.0), (1e-3, 0.015, 1.0), (0.1, 1.0, 0.5), (0.0, 0.3, 2.3)]
+DOUBLE_PAIRS = [((1.0, 0.0, 1.0), 0.94862), ((5.0, 0.3, 0.5), 2.11121)]
+
+
+class TestLeastRadius:
+    @pytest.mark.parametrize("delay", range(6))
+    def test_of_the_undamped_mass_is_the_known_one(self, delay: int) -> None:
+        best = jaxstab.least_radius(0.0, 0.0, delay)
+        assert float(best.value) == pytest.approx(LEAST_RADII[delay], abs=5e-7)
+        assert int(best.status) == TuningStatus.TRIPLE_ROOT
+
+    def test_of_the_undamped_mass_without_delay_is_a_closed_form(self) -> None:
+        best = jaxstab.least_radius(0.0, 0.0, 0)
+        root = 4 ** (1 / 3) - 1
+        assert float(best.value) == pytest.approx(root, rel=1e-14)
+        assert float(best.alpha) == pytest.approx(6 * root**2 - 2, rel=1e-13)
+        assert float(best.beta) == pytest.approx(2 * root**3, rel=1e-14)
+
+    @pytest.mark.parametrize(
+        ("plant", "angle"), [(plant, 0.0) for plant in TRIPLE_ROOTS] + DOUBLE_PAIRS
+    )
+    def test_is_the_multiple_root_to_full_precision(self, plant: Plant, angle: float) -> None:
+        best = jaxstab.least_radius(*plant)
+        kind = TuningStatus.TRIPLE_ROOT if angle == 0 else TuningStatus.DOUBLE_PAIR
+        assert int(best.status) == kind
+        for mine, exact in zip(best[:3], multiple_root(plant, best, angle), strict=True):
+            assert float(mine) == pytest.approx(float(exact), rel=1e-12)
+
+    @pytest.mark.parametrize(
+        "plant", [*TRIPLE_ROOTS, *(p for p, _ in DOUBLE_PAIRS), (10.601024803602744, 0.0, 0.5)]
+    )
+    def test_is_not_beaten_by_brute_force(self, plant: Plant, rng: np.random.Generator) -> None:
+        best = jaxstab.least_radius(*plant)
+        alpha, beta, value = (float(x) for x in best[:3])
+        span = np.linspace(-1.5, 1.5, 120) * max(abs(alpha), abs(beta))
+        grid = radii(plant, alpha + span[:, None], beta + span)
+        near = rng.normal(size=(2, 8000)) * np.geomspace(1e-7, 1e-1, 8000)
+        assert min(grid.min(), radii(plant, alpha + near[0], beta + near[1]).min()) >= value - 1e-9
+        assert float(radii(plant, alpha, beta)) == pytest.approx(value, abs=1e-4)
+
+    def test_says_where_it_only_knows_a_scan(self) -> None:
+        """Beyond the Nyquist frequency a double and a simple real pole can face each other."""
+        plant = (10.601024803602744, 0.0, 0.5)
+        best = jaxstab.least_radius(*plant)
+        assert int(best.status) == TuningStatus.SCANNED
+        assert "scan" in TuningStatus(int(best.status)).words
+        slope = jax.grad(lambda gamma: jaxstab.least_radius(gamma, *plant[1:]).value)(plant[0])
+        assert math.isnan(slope)
+
+    def test_broadcasts_over_plants(self) -> None:
+        gammas, deltas = np.array([[0.0], [1e-3], [1.0]]), np.array([0.0, 0.1])
+        best = jaxstab.least_radius(gammas, deltas, 1.0)
+        assert best.value.shape == best.status.shape == (3, 2)
+        assert set(np.unique(best.status)) == {TuningStatus.TRIPLE_ROOT, TuningStatus.DOUBLE_PAIR}
+        assert float(best.value[0, 0]) == pytest.approx(LEAST_RADII[1], abs=5e-7)
+
+    @pytest.mark.parametrize(("plant", "angle"), [(TRIPLE_ROOTS[1], 0.0), DOUBLE_PAIRS[0]])
+    def test_derivative_is_the_motion_of_the_multiple_root(
+        self, plant: Plant, angle: float
+    ) -> None:
+        gamma, delta, delay = plant
+        slopes = jax.jacfwd(lambda g: jaxstab.least_radius(g, delta, delay)[:3])(gamma)
+        step = mpf(10) ** -8
+        best = jaxstab.least_radius(*plant)
+        below, above = (
+            multiple_root((mpf(gamma) + sign * step, delta, delay), best, angle) for sign in (-1, 1)
+        )
+        for slope, low, high in zip(slopes, below, above, strict=True):
+            assert float(slope) == pytest.approx(float((high - low) / (2 * step)), rel=1e-9)
+        backwards = jax.grad(lambda g: jaxstab.least_radius(g, delta, delay).value)(gamma)
+        assert float(backwards) == pytest.approx(float(slopes[2]), rel=1e-12)
+
+    def test_needs_less_than_half_of_the_largest_stable_stiffness(self) -> None:
+        for delay, largest in enumerate(LARGEST_ALPHAS):
+            assert 0 < float(jaxstab.least_radius(0.0, 0.0, delay).alpha) < largest / 2
+
+    def test_refuses_an_array_of_delays(self) -> None:
+        with pytest.raises((ValueError, TypeError), match="delay"):
+            jaxstab.least_radius(0.0, 0.0, np.array([0.0, 1.0]))
+
+
+class TestLeastRadiusDamping:
+    @pytest.mark.parametrize(
+        ("alpha", "plant"),
+        [(0.1, (0.0, 0.0, 0.0)), (0.02, (1e-3, 0.015, 1.5)), (0.0, (1.0, 0.0, 1.0))],
+    )
+    def test_is_the_minimum_over_beta(self, alpha: float, plant: Plant) -> None:
+        best = jaxstab.least_radius_damping(alpha, *plant)
+        betas = np.linspace(-1.0, 2.0, 30_001)
+        values = radii(plant, np.array(alpha), betas)
+        middle = values.argmin()
+        refined = scipy.optimize.minimize_scalar(
+            lambda beta: radii(plant, np.array(alpha), np.array(beta)),
+            bounds=(betas[middle - 1], betas[middle + 1]),
+            method="bounded",
+            options={"xatol": 1e-12},
+        )
+        assert float(best.value) <= refined.fun + 1e-6
+        assert float(best.beta) == pytest.approx(refined.x, abs=1e-6)
+
+    def test_of_a_wall_that_is_too_stiff_says_so(self) -> None:
+        best = jaxstab.least_radius_damping(0.8, 0.0, 0.0, 0.0)
+        assert int(best.status) == TuningStatus.NO_STABLE_GAINS
+        assert float(best.value) > 1
+
+
+def settled_mass(alpha: np.ndarray, beta: np.ndarray, delay: int, length: int) -> np.ndarray:
+    """2 % settling of a pushed, undamped mass (gamma = delta = 0) after ``length`` samples."""
+    alpha, beta = np.broadcast_arrays(alpha, beta)
+    x, v = -np.ones(alpha.shape), np.zeros(alpha.shape)
+    previous, waiting, first = x, [alpha] * delay, np.zeros(alpha.shape)
+    for sample in range(length):
+        first = np.where(np.abs(x) <= 0.02, first, sample + 1)
+        waiting = [*waiting, -(alpha * x + beta * (x - previous))]
+        force = waiting.pop(0)
+        x, v, previous = x + v + force / 2, v + force, x
+    return first
+
+
+@pytest.fixture(scope="module")
+def best() -> list[jaxstab.OptimalGains]:
+    """The gains of least settling for the undamped mass, by delay."""
+    return [jaxstab.least_settling(0.0, 0.0, delay) for delay in range(4)]
+
+
+class TestLeastSettling:
+    def test_grows_by_about_5_samples_per_sample_of_delay(
+        self, best: list[jaxstab.OptimalGains]
+    ) -> None:
+        samples = [float(gains.value) for gains in best]
+        assert all(4 <= b - a <= 6 for a, b in itertools.pairwise(samples))
+        assert (samples[-1] - samples[0]) / 3 == pytest.approx(5, abs=0.5)
+
+    def test_needs_less_than_half_of_the_largest_stable_stiffness(
+        self, best: list[jaxstab.OptimalGains]
+    ) -> None:
+        for gains, largest in zip(best, LARGEST_ALPHAS, strict=True):
+            assert 0 < float(gains.alpha) < largest / 2
+
+    def test_is_reached_and_not_beaten_by_brute_force(
+        self, best: list[jaxstab.OptimalGains]
+    ) -> None:
+        for delay, gains in enumerate(best):
+            alpha, beta, samples = (np.asarray(x) for x in gains[:3])
+            assert settled_mass(alpha, beta, delay, 400) == samples
+            alphas = np.linspace(0, LARGEST_ALPHAS[delay], 300)[:, None]
+            betas = np.linspace(0, 2 / (1 + delay), 300)
+            assert settled_mass(alphas, betas, delay, 120).min() >= samples
+
+    def test_with_a_given_stiffness_is_not_beaten_by_brute_force(self) -> None:
+        gains = jaxstab.least_settling(0.0, 0.0, 0, alpha=0.3)
+        brute = settled_mass(np.array(0.3), np.linspace(0.0, 2.0, 20_001), 0, 400)
+        assert float(gains.alpha) == 0.3
+        assert float(gains.value) == brute.min()
+
+    def test_of_an_impact_is_slower_than_of_a_push(self, best: list[jaxstab.OptimalGains]) -> None:
+        gains = jaxstab.least_settling(0.0, 0.0, 1, excitation="impact")
+        proved = jaxstab.settling_samples(*gains[:2], 0.0, 0.0, 1, excitation="impact")
+        assert float(best[1].value) < float(gains.value) == float(proved.value)
+
+    def test_without_stable_gains_is_infinite(self) -> None:
+        gains = jaxstab.least_settling(0.0, 0.0, 0, alpha=0.8)
+        assert math.isinf(gains.value)
+        assert int(gains.status) == TuningStatus.NO_STABLE_GAINS
+
+    def test_refuses_several_plants(self) -> None:
+        with pytest.raises((ValueError, TypeError), match="gamma"):
+            jaxstab.least_settling(np.array([0.0, 0.1]), 0.0, 0)
+
+
+class TestOptimalGains:
+    def test_for_the_radius_are_those_of_the_dimensionless_loop(self) -> None:
+        wall = jaxstab.optimal_gains(HELD, "radius")
+        best = jaxstab.least_radius(HELD.gamma, HELD.delta, 1.75)
+        assert HELD.alpha(wall.stiffness) == pytest.approx(float(best.alpha), rel=1e-14)
+        assert HELD.beta(wall.damping) == pytest.approx(float(best.beta), rel=1e-14)
+        assert wall.radius == pytest.approx(float(best.value), abs=1e-4)
+        assert wall.status == TuningStatus.TRIPLE_ROOT
+
+    def test_for_settling_beat_those_for_the_radius(self) -> None:
+        quick, damped = (jaxstab.optimal_gains(PHANTOM, goal) for goal in ("settling", "radius"))
+        assert quick.settling_time < damped.settling_time
+        assert quick.radius > damped.radius
+        response = jaxstab.simulate(
+            PHANTOM, quick.stiffness, quick.damping, samples=100, force=quick.stiffness
+        )
+        outside = np.abs(np.asarray(response.position) - 1) > 0.02
+        assert np.flatnonzero(outside)[-1] + 1 == round(quick.settling_time / PHANTOM.sample_time)
+
+    def test_keep_a_given_stiffness(self) -> None:
+        for goal in ("radius", "settling"):
+            wall = jaxstab.optimal_gains(PHANTOM, goal, stiffness=5_000.0)
+            assert wall.stiffness == pytest.approx(5_000.0, rel=1e-14)
+            assert wall.radius < 1
+
+    def test_refuse_an_unknown_goal(self) -> None:
+        with pytest.raises((ValueError, TypeError), match="goal"):
+            jaxstab.optimal_gains(PHANTOM, "beauty")
