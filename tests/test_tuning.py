@@ -109,6 +109,12 @@ class TestLeastRadius:
         slope = jax.grad(lambda gamma: jaxstab.least_radius(gamma, *plant[1:]).value)(plant[0])
         assert math.isnan(slope)
 
+    def test_at_half_the_sampling_rate_no_gains_are_stable(self) -> None:
+        """gamma = pi^2, delta = 0: a pole at z = -1 for every delay (sec. VIII of the paper)."""
+        best = jaxstab.least_radius(math.pi**2, 0.0, 1.0)
+        assert int(best.status) == TuningStatus.NO_STABLE_GAINS
+        assert float(best.value) == pytest.approx(1.0, abs=1e-5)
+
     def test_broadcasts_over_plants(self) -> None:
         gammas, deltas = np.array([[0.0], [1e-3], [1.0]]), np.array([0.0, 0.1])
         best = jaxstab.least_radius(gammas, deltas, 1.0)

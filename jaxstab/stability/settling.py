@@ -10,7 +10,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from functools import partial
 from math import ceil, log2, prod
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -211,9 +211,7 @@ class _Run(NamedTuple):
 def _settle(
     lanes: Lanes, level: Array, horizon: Array, *, impact: bool, squarings: int
 ) -> Float64[Array, " lane"]:
-    def settle(lane: Lanes) -> Array:
-        growth = _growth(lane, squarings)
-
+    def settle(lane: Lanes, growth: Array) -> Array:
         def is_proved(run: _Run) -> Array:
             return growth * jnp.max(jnp.abs(_scaled(lane, run.motion))) <= level * run.peak
 
@@ -231,24 +229,32 @@ def _settle(
         run = lax.while_loop(runs, lambda run: lax.fori_loop(0, _STRIDE, look, run), start)
         return jnp.where(is_proved(run), run.first, jnp.inf)
 
-    return _in_batches(settle, lanes)
+    growth, slowness = _in_batches(partial(_growth, squarings), lanes)
+    order = jnp.argsort(slowness)  # a batch runs as long as its slowest lane
+    sorted_lanes, growth = jax.tree.map(lambda x: x[order], (lanes, growth))
+    return jnp.zeros_like(growth).at[order].set(_in_batches(settle, sorted_lanes, growth))
 
 
-def _growth(lane: Lanes, squarings: int) -> Array:
-    """Bound the row-sum norm of every power of the loop's transition; infinite if none is < 1."""
+def _growth(squarings: int, lane: Lanes) -> tuple[Array, Array]:
+    """Bound the row-sum norm of every power of the loop's transition; infinite if none is < 1.
+
+    The second value is how often the transition was squared before the norm fell below 1.
+    """
     size = 4 + lane.line.shape[0]
     step = jax.jacfwd(lambda state: _scaled(lane, advanced(lane, _unscaled(lane, state))))
 
-    def square(_: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        power, growth, contracts = state
+    def square(
+        _: Array, state: tuple[Array, Array, Array, Array]
+    ) -> tuple[Array, Array, Array, Array]:
+        power, growth, contracts, slowness = state
         norm = jnp.max(jnp.sum(jnp.abs(power), axis=-1))
         contracts = contracts | (norm < 1.0)
         growth = jnp.where(contracts, growth, growth * jnp.maximum(norm, 1.0))
-        return power @ power, growth, contracts
+        return power @ power, growth, contracts, slowness + ~contracts
 
-    start = (step(jnp.zeros(size)), jnp.ones(()), jnp.asarray(False))
-    _, growth, contracts = lax.fori_loop(0, squarings, square, start)
-    return jnp.where(contracts, growth, jnp.inf)
+    start = (step(jnp.zeros(size)), jnp.ones(()), jnp.asarray(False), jnp.asarray(0))
+    _, growth, contracts, slowness = lax.fori_loop(0, squarings, square, start)
+    return jnp.where(contracts, growth, jnp.inf), slowness
 
 
 def _scaled(lane: Lanes, motion: Motion) -> Array:
@@ -269,14 +275,15 @@ def _natural_rate(lane: Lanes) -> Array:
     return jnp.sqrt(jnp.abs(lane.alpha) + jnp.abs(lane.propagate[1, 0]) + _LEAST_STIFFNESS)
 
 
-def _in_batches(function: Callable[[Lanes], Array], lanes: Lanes) -> Array:
+def _in_batches(function: Callable[..., Any], *lanes: Any) -> Any:
     """Apply a function of one lane to all, so many at once that each batch ends by itself."""
-    count = lanes.alpha.shape[0]
+    count = jax.tree.leaves(lanes)[0].shape[0]
     if count <= _BATCH:
-        return jax.vmap(function)(lanes)
+        return jax.vmap(function)(*lanes)
     places = jnp.arange(-(-count // _BATCH) * _BATCH).reshape((-1, _BATCH)) % count
     batches = jax.tree.map(lambda x: x[places], lanes)
-    return jnp.ravel(lax.map(jax.vmap(function), batches))[:count]
+    results = lax.map(lambda batch: jax.vmap(function)(*batch), batches)
+    return jax.tree.map(lambda x: x.reshape((-1, *x.shape[2:]))[:count], results)
 
 
 def check_options(level: float, excitation: str, horizon: int = HORIZON) -> None:

@@ -22,12 +22,14 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 from jaxtyping import Float64, Int8
 
+from jaxstab.conventions import Verdict
 from jaxstab.model import (
     PlantCoefficients,
     checked_delay,
     plant_coefficients,
     require_x64,
 )
+from jaxstab.stability.schur_cohn import verdict
 
 _SMALLEST, _LARGEST = 1e-4, 1.3  # radii that are looked at
 _GRID, _ZOOMS = 64, 9  # of the scan over the dominant pair
@@ -95,8 +97,13 @@ def least_radius(gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike) -> Optima
     plant = plant_coefficients(gamma, delta, delay)
     shape = plant.d0.shape
     flat = PlantCoefficients(*(jnp.ravel(field) for field in plant))
-    found = _least_radius(flat, whole_delay=int(delay))
-    return OptimalGains(*(field.reshape(shape) for field in found))
+    found = OptimalGains(
+        *(field.reshape(shape) for field in _least_radius(flat, whole_delay=int(delay)))
+    )
+    scene = lax.stop_gradient((found.alpha, found.beta, gamma, delta))
+    is_stable = verdict(*scene, delay) == Verdict.STABLE
+    status = jnp.where(is_stable, found.status, TuningStatus.NO_STABLE_GAINS)
+    return found._replace(status=status.astype(jnp.int8))
 
 
 def one_number(name: str, value: ArrayLike) -> float:
@@ -157,7 +164,7 @@ def _solved(family: _Family) -> OptimalGains:
     value = jnp.hypot(pair.x, pair.y)
     kind = jnp.where(is_triple, TuningStatus.TRIPLE_ROOT, TuningStatus.DOUBLE_PAIR)
     status = jnp.where(exact, kind, TuningStatus.SCANNED)
-    status = jnp.where(found & (value < 1.0), status, TuningStatus.NO_STABLE_GAINS)
+    status = jnp.where(found, status, TuningStatus.NO_STABLE_GAINS)
     return OptimalGains(pair.alpha, pair.beta, value, status.astype(jnp.int8))
 
 
