@@ -18,7 +18,7 @@ def main() -> int:
         nargs="?",
         choices=[*BENCHMARKS, "plot"],
         help="what to measure, or plot: draw all records and print the README's table; "
-        "all benchmarks, each in a process of its own, without a name",
+        "without a name all benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
     parser.add_argument("--billion", action="store_true", help="scaling goes on to 1e9 points")
@@ -26,27 +26,24 @@ def main() -> int:
         "--out", type=Path, default=record.RESULTS, help="folder of the records and plots"
     )
     choice = parser.parse_args()
-    if choice.name is None:
-        return _run_each(sys.argv[1:])
     if choice.name == "plot":
         import_module("benchmarks.plots").draw_all(
             choice.out / "small" if choice.small else choice.out
         )
         return 0
-    options = {"billion": True} if choice.billion and choice.name == "scaling" else {}
-    rows = import_module(f"benchmarks.{choice.name}").rows(choice.small, **options)
-    made = record.new_record(choice.name, choice.small, rows)
-    print(record.write(made, choice.out))
+    if choice.name is None and not choice.small:
+        return _each_in_its_process(sys.argv[1:])
+    for name in [choice.name] if choice.name else BENCHMARKS:
+        options = {"billion": True} if choice.billion and name == "scaling" else {}
+        rows = import_module(f"benchmarks.{name}").rows(choice.small, **options)
+        print(record.write(record.new_record(name, choice.small, rows), choice.out))
     return 0
 
 
-def _run_each(options: list[str]) -> int:
-    """Run every benchmark in a process of its own: memory of one is not counted for the next."""
-    codes = [
-        subprocess.run([sys.executable, "-m", "benchmarks", name, *options], check=False).returncode
-        for name in BENCHMARKS
-    ]
-    return max(codes)
+def _each_in_its_process(options: list[str]) -> int:
+    """Run the benchmarks one after the other: none inherits the memory of those before."""
+    commands = [[sys.executable, "-m", "benchmarks", name, *options] for name in BENCHMARKS]
+    return max(subprocess.run(command, check=False).returncode for command in commands)
 
 
 if __name__ == "__main__":

@@ -55,9 +55,9 @@ class Answer(NamedTuple):
 
 def rows(small: bool) -> Iterator[Row]:
     plants = (2,) if small else (2, 3, 5, 9, 17)
-    walls = (8, 16) if small else (16, 32, 64, 128, 256)
-    middle = walls[len(walls) // 2 - 1]
-    for delay in (1.0,) if small else (0.0, 1.0, 3.0):
+    walls = (8,) if small else (16, 32, 64, 128, 256)
+    middle = walls[(len(walls) - 1) // 2]
+    for delay in (1.0,) if small else (1.0, 3.0):
         atlases = {
             "wall": [_built(delay, wall, plants[len(plants) // 2]) for wall in walls],
             "plant": [_built(delay, middle, plant) for plant in plants],

@@ -36,11 +36,11 @@ Axes = tuple[np.ndarray, np.ndarray]  # alpha (m, 1) and beta (n,)
 def rows(small: bool, billion: bool = False) -> Iterator[Row]:
     run = _here if small else _in_new_process
     powers = range(4, 6 if small else 10 if billion else 9)
-    delays = (0, 10) if small else (0, 1, 2, 3, 5, 8, 9, 10, 15, 20, 40, 60)
+    delays = (1, 10) if small else (0, 1, 2, 3, 5, 8, 9, 10, 15, 20, 40, 60)
     for power in powers:
         yield from run(streamed_rows, 10**power, 10 if small else 200)
     for delay in delays:
-        yield from run(delay_rows, float(delay), 30 if small else 300, 10 if small else 100)
+        yield from run(delay_rows, float(delay), 8 if small else 300, 8 if small else 100)
 
 
 def streamed_rows(count: int, judged: int) -> list[Row]:

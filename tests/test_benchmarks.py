@@ -1,0 +1,164 @@
+"""Every benchmark runs at its smallest size and leaves a record that can be read and drawn.
+
+Times are not looked at. Errors are: a benchmark that compares wrong answers compares nothing.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = ("boundary", "queries", "throughput", "scaling")
+
+# Compiled quickly rather than well: the compiler is most of what a small run costs.
+QUICK = {"XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"}
+
+ROW = {
+    "section": str,
+    "method": str,
+    "delay": (int, float),
+    "points": int,
+    "seconds": float,
+    "seconds_quartiles": list,
+    "repeats": int,
+    "error": (int, float),
+    "error_measure": str,
+}
+
+
+def run_benchmarks(*arguments: str) -> str:
+    completed = subprocess.run(
+        [sys.executable, "-m", "benchmarks", *arguments],
+        cwd=ROOT,
+        env=os.environ | QUICK,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert completed.returncode == 0, completed.stdout + completed.stderr
+    return completed.stdout
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder with the records of all small runs."""
+    folder = tmp_path_factory.mktemp("benchmarks")
+    run_benchmarks("--small", "--out", str(folder))
+    return folder / "small"
+
+
+@pytest.fixture(scope="module")
+def records(out: Path) -> dict[str, dict[str, Any]]:
+    texts = [path.read_text(encoding="utf-8") for path in sorted(out.glob("*.json"))]
+    return {one["benchmark"]: one for one in map(json.loads, texts)}
+
+
+@pytest.fixture
+def rows(records: dict[str, dict[str, Any]]) -> Callable[..., list[dict[str, Any]]]:
+    """Rows of a benchmark whose columns are as asked."""
+
+    def chosen(name: str, **columns: Any) -> list[dict[str, Any]]:
+        found = [
+            row
+            for row in records[name]["rows"]
+            if all(row.get(column) == value for column, value in columns.items())
+        ]
+        assert found, f"no rows with {columns}"
+        return found
+
+    return chosen
+
+
+def test_there_is_a_record_of_each_benchmark(records: dict[str, dict[str, Any]]) -> None:
+    assert set(records) == set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_record_says_on_what_it_was_made(name: str, records: dict[str, dict[str, Any]]) -> None:
+    record = records[name]
+    assert set(record) == {"benchmark", "small", "date", "machine", "versions", "rows"}
+    assert record["small"] is True
+    machine = record["machine"]
+    assert set(machine) == {"name", "cpu", "cores", "memory_gib", "system", "accelerator"}
+    assert machine["cpu"]
+    assert machine["cores"] == os.cpu_count()
+    assert machine["memory_gib"] > 0
+    assert {"python", "jaxstab", "jax", "numpy"} <= set(record["versions"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_row_holds_a_time_and_an_error(name: str, records: dict[str, dict[str, Any]]) -> None:
+    for row in records[name]["rows"]:
+        for column, kind in ROW.items():
+            assert isinstance(row[column], kind), (column, row)
+        low, high = row["seconds_quartiles"]
+        assert 0.0 < low <= row["seconds"] <= high
+        assert row["repeats"] >= 1
+        assert row["error"] >= 0.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rows_hold_plain_values_only(name: str, records: dict[str, dict[str, Any]]) -> None:
+    for row in records[name]["rows"]:
+        for column, value in row.items():
+            if column != "seconds_quartiles":
+                assert value is None or isinstance(value, str | int | float), (column, value)
+
+
+@pytest.mark.parametrize("method", ["traced", "closed form"])
+def test_exact_ways_to_the_boundary_find_it_to_full_precision(
+    method: str, rows: Callable[..., list[dict[str, Any]]]
+) -> None:
+    for row in rows("boundary", section="outline", method=method):
+        assert row["error"] < 1e-12
+        assert row["radius_error"] < 1e-12
+
+
+@pytest.mark.parametrize("method", ["eigenvalue grid", "verdict grid", "n-cube bisection"])
+def test_grids_find_the_boundary_within_a_cell(
+    method: str, rows: Callable[..., list[dict[str, Any]]]
+) -> None:
+    for row in rows("boundary", section="outline", method=method):
+        assert 1e-12 < row["error"] < 2.0 / row["n"]
+        assert row["gap"] < 2.0 / row["n"]
+
+
+def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, Any]]]) -> None:
+    assert {row["wrong"] for row in rows("throughput", method="verdict")} == {0}
+    assert {row["wrong"] for row in rows("queries", method="atlas")} == {0}
+    assert {row["error"] for row in rows("scaling", method="streamed verdict")} == {0}
+
+
+def test_memory_is_measured_before_and_after_the_work(
+    rows: Callable[..., list[dict[str, Any]]],
+) -> None:
+    for row in rows("scaling"):
+        assert row["peak_mib"] >= row["start_mib"] > 0.0
+
+
+def test_plots_and_table_are_made_of_the_records(out: Path) -> None:
+    printed = run_benchmarks("plot", "--small", "--out", str(out.parent))
+    for path in out.glob("*.json"):
+        assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    table = [line for line in printed.splitlines() if line.startswith("|")]
+    assert len(table) > 10
+    assert len({line.count("|") for line in table}) == 1
+
+
+def test_a_plot_of_nothing_says_what_to_run_first(tmp_path: Path) -> None:
+    completed = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "plot", "--out", str(tmp_path)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert completed.returncode != 0
+    assert "python -m benchmarks" in completed.stderr
+    assert "Traceback" not in completed.stderr
