@@ -1,0 +1,78 @@
+"""The angles at which a scan looks for arcs of the boundary of the stable set."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float64
+
+from jaxstab.boundary.arcs import Arcs, minus_margin, other_roots
+from jaxstab.boundary.curve import SliceCoefficients, curve_and_lift
+
+_CLOSEST = 1e-9
+_OFFSETS = 20  # to each side of an angle
+_CENTERS = 6  # for each slot
+_NEAR_CIRCLE = 0.02
+_SAME = 1e-7
+
+Angles = Float64[np.ndarray, " angle"]
+
+
+def scan_angles(whole_delay: int, fineness: int) -> Angles:
+    """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends."""
+    count = fineness * (48 + 8 * whole_delay)
+    even = (np.arange(count) + 0.5) * (np.pi / count)
+    ends = np.geomspace(1e-7, even[0], 12 * fineness, endpoint=False)
+    return np.concatenate([ends, even, np.pi - ends[::-1]])
+
+
+def padded_angles(angles: Angles, slots: int) -> Angles:
+    """Return the angles in an array as long as that of ``closer_angles``, for one compilation."""
+    return np.concatenate([np.full(_CENTERS * slots * 2 * _OFFSETS, angles[0]), angles])
+
+
+def closer_angles(c: SliceCoefficients, arcs: Arcs, angles: Angles, *, whole_delay: int) -> Angles:
+    """Return the angles with more of them around those where something may hide between two.
+
+    What was missed begins or ends where the curve crosses a line, next to a corner that was found,
+    or at the angle of another pair of roots that reaches the circle at such a corner.
+    """
+    found = np.asarray(arcs.exists)
+    corners = np.concatenate([np.asarray(arcs.begin)[found], np.asarray(arcs.end)[found]])
+    partners = _partners(c, corners, whole_delay)
+    known = np.concatenate([corners, partners, _line_crossings(c, angles)])
+    centers = np.full(_CENTERS * len(found), angles[0])
+    centers[: len(known)] = known[: len(centers)]
+    offsets = np.geomspace(_CLOSEST, np.max(np.diff(angles)), _OFFSETS)
+    around = centers[:, None] + np.concatenate([-offsets, offsets])
+    return np.sort(np.concatenate([angles, np.clip(around.ravel(), angles[0], angles[-1])]))
+
+
+def same_arcs(one: Arcs, other: Arcs) -> bool:
+    """Return whether two scans found the same arcs."""
+    first, second = (np.stack([arcs.exists, arcs.begin, arcs.end]) for arcs in (one, other))
+    return bool(np.allclose(first, second, rtol=_SAME, atol=_SAME))
+
+
+def _partners(c: SliceCoefficients, corners: Angles, whole_delay: int) -> Angles:
+    """Return the angles of the roots that lie near the circle beside the pair at each angle."""
+    inside = corners[(corners > 0.0) & (corners < np.pi)]
+    polynomials = np.asarray(other_roots(c, jnp.asarray(inside), whole_delay))
+    roots = np.concatenate([np.empty(0), *(np.roots(p) for p in polynomials.T)])
+    near = roots[(np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE) & (roots.imag >= 0.0)]
+    partners: Angles = np.angle(near)
+    return partners
+
+
+def _line_crossings(c: SliceCoefficients, angles: Angles) -> Angles:
+    """Return the angles, to a step of the scan, at which the curve crosses one of the lines."""
+    changes = np.diff(np.sign(np.asarray(_line_margins(c, jnp.asarray(angles)))), axis=1) != 0.0
+    steps = np.flatnonzero(np.any(changes, axis=0))
+    middles: Angles = 0.5 * (angles[steps] + angles[steps + 1])
+    return middles
+
+
+@jax.jit
+def _line_margins(c: SliceCoefficients, theta: Array) -> Array:
+    alpha, beta, lift = curve_and_lift(c, theta)
+    return jnp.stack([lift, minus_margin(c, alpha, beta)])
