@@ -38,7 +38,10 @@ class Paving(NamedTuple):
 
 
 def pave(
-    boxes: Boxes, smallest: float, extent: Callable[[Boxes], Extent], most: int = 60_000
+    boxes: Boxes,
+    smallest: float | Float64[np.ndarray, " axis"],
+    extent: Callable[[Boxes], Extent],
+    most: int = 60_000,
 ) -> Paving:
     """Halve boxes, along the axis that matters most, until proved free or ``smallest`` in half.
 

@@ -1,0 +1,107 @@
+"""Robust regions against certified root counts and against the passive region."""
+
+from math import pi
+
+import numpy as np
+import pytest
+import truth
+
+from jaxstab.boundary import (
+    RobustStatus,
+    passive_region,
+    robust_region,
+    stable_region,
+)
+from jaxstab.conventions import Verdict
+
+NYQUIST = pi**2 + 0.25  # for delta = 1
+
+RANGES = {
+    "figure 9": ((0.0, NYQUIST), (1.0, 1.0), 0.0),
+    "figure 10": ((0.0, NYQUIST), (1.0, 1.0), 1.0),
+    "haptic hands": ((0.0, 1e-3), (0.0, 0.015), 1.0),
+    "fraction": ((0.0, 1.0), (0.1, 0.4), 0.5),
+}
+
+
+@pytest.fixture(scope="module", params=RANGES)
+def robust(request):
+    return robust_region(*RANGES[request.param])
+
+
+def random_hands(region, rng, count):
+    return rng.uniform(*region.gamma, count), rng.uniform(*region.delta, count)
+
+
+def test_walls_of_a_proved_outline_are_stable_for_every_hand(robust, rng):
+    assert robust.status == RobustStatus.PROVED
+    walls = robust.outline[rng.integers(0, len(robust.outline), 60)]
+    middle = robust.outline.mean(axis=0)
+    walls = middle + rng.uniform(0, 1, (60, 1)) ** 0.2 * (walls - middle)
+    for (alpha, beta), gamma, delta in zip(walls, *random_hands(robust, rng, 60), strict=True):
+        assert truth.unstable_count(alpha, beta, gamma, delta, robust.delay) == 0
+
+
+def test_outline_is_tight(robust):
+    middle = robust.outline.mean(axis=0)
+    beyond = middle + (robust.outline - middle) * (1 + 3 * robust.tolerance)
+    codes = robust.contains(*beyond[::16].T)
+    assert np.mean(codes == Verdict.UNSTABLE) > 0.9
+    assert not np.any(codes == Verdict.STABLE)
+    inside = robust.contains(*robust.outline[::43].T)
+    assert np.all(inside == Verdict.STABLE)
+
+
+def test_passive_walls_lie_in_the_robust_region(robust):
+    # At alpha = 0 the wall has no stiffness, and a hand of gamma = 0 none either: marginal.
+    passive = passive_region(robust.delta[0], robust.delay)
+    if robust.delta[0] == 0.0:
+        assert not len(passive.outline)
+        return
+    alpha, beta = passive.outline[:: max(1, len(passive.outline) // 12)].T * 0.97
+    codes = robust.contains(alpha + 1e-3 * robust.delta[0], beta * 0.99)
+    assert np.all(codes == Verdict.STABLE)
+
+
+def test_the_passive_triangle_lies_in_the_robust_region_and_is_smaller():
+    robust = robust_region(*RANGES["figure 9"])
+    assert robust.max_alpha[0] > passive_region(1.0).max_alpha[0] * 1.1
+
+
+def test_without_damping_only_the_origin_is_robust():
+    region = robust_region((0.0, 9.0), (0.0, 0.0), 0.0)
+    assert region.status == RobustStatus.EMPTY
+    assert region.outline.shape == (0, 2)
+    assert np.all(np.isnan(region.max_alpha))
+
+
+def test_of_one_hand_it_is_the_stable_region():
+    gamma, delta = 0.2, 0.3
+    robust = robust_region((gamma, gamma), (delta, delta), 1.0, tolerance=0.005)
+    stable = stable_region(gamma, delta, 1.0)
+    assert robust.status == RobustStatus.PROVED
+    assert np.all(np.asarray(stable.contains(*robust.outline.T)))
+    assert robust.max_alpha[0] == pytest.approx(float(stable.max_alpha[0]), rel=0.02)
+
+
+def test_a_verdict_on_a_wall_is_for_all_hands():
+    region = robust_region(*RANGES["haptic hands"])
+    alpha = np.array([0.05, 0.2, -1e-3, 0.0])
+    codes = region.contains(alpha, 0.3)
+    assert codes.tolist()[:3] == [Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNSTABLE]
+    assert codes[3] == Verdict.UNDECIDED  # a root at z = 1 for gamma = 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (((1.0, 0.0), (0.0, 0.0)), "gamma is"),
+        (((0.0, 1.0), (0.0, -1.0)), "delta is -1"),
+        (((0.0, float("nan")), (0.0, 1.0)), "gamma is nan"),
+        (((0.0, 1.0), (0.0, 1.0), -1.0), "delay is -1"),
+        (((0.0, 1.0), (0.0, 1.0), 0.0, 0.0), "tolerance is 0"),
+    ],
+)
+def test_robust_region_refuses_bad_input(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        robust_region(*arguments)
