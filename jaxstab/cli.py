@@ -155,6 +155,60 @@ def plot(
     publish(png, output)
 
 
+@main.command()
+@click.argument("number", type=click.Choice([*map(str, range(4, 11)), "all"]))
+@click.option("-o", "--output", type=Path, default=Path(), help="Folder to write to.")
+@click.option("--format", "form", type=click.Choice(["png", "svg"]), default="png")
+def figure(number: str, output: Path, form: str) -> None:
+    """Draw a figure of Hulin, Preusche, Hirzinger (2008): NUMBER is 4 ... 10, or all."""
+    import jax
+
+    from jaxstab.atlas.file import publish
+    from jaxstab.paper import FIGURES, paper_figure, picture
+
+    jax.config.update("jax_enable_x64", True)
+    for one in FIGURES if number == "all" else [int(number)]:
+        file = output / f"figure_{one}.{form}"
+        publish(picture(paper_figure(one), form), file)
+        click.echo(file)
+
+
+@main.command()
+@click.option("--gamma", type=float, required=True, help="Physical stiffness k T^2/m.")
+@click.option("--delta", type=float, required=True, help="Physical damping b T/m.")
+@click.option("--delay", type=float, default=0.0, show_default=True, help="t_d/T in samples.")
+@click.option("--radius", type=float, default=1.0, show_default=True, help="Of all roots.")
+@click.option("-o", "--output", type=Path, help="PNG or SVG file to draw the region into.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def region(
+    gamma: float, delta: float, delay: float, radius: float, output: Path | None, as_json: bool
+) -> None:
+    """Measure the stable region in the (alpha, beta) plane, and draw it."""
+    import jax
+
+    from jaxstab.boundary import region_facts
+
+    jax.config.update("jax_enable_x64", True)
+    facts = region_facts(gamma, delta, delay, radius)
+    if output:
+        from jaxstab.atlas.file import publish
+        from jaxstab.paper import picture, region_figure
+
+        publish(picture(region_figure(gamma, delta, delay, radius), output.suffix[1:]), output)
+    if as_json:
+        click.echo(json.dumps(facts, indent=1, allow_nan=False))
+    else:
+        width = max(map(len, facts))
+        for name, value in facts.items():
+            click.echo(f"{name.replace('_', ' '):{width}}  {_in_words(value)}")
+
+
+def _in_words(value: Any) -> str:
+    if isinstance(value, list):
+        return "(" + ", ".join(_in_words(part) for part in value) + ")"
+    return f"{value:.10g}" if isinstance(value, float) else "none" if value is None else str(value)
+
+
 # ------------------------------------------------------------------------------------------- points
 
 

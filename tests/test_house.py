@@ -35,6 +35,16 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "least_radius_damping": [0.1, 0.001, 0.015, 1.0],
     "least_settling": [0.001, 0.015, 1.0],
     "optimal_gains": ["loop"],
+    "linear_alpha_limit": [0.2, 0.015, 1.0],
+    "linear_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "linear_error": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "linear_validity": [0.02, 0.001, 0.015, 1.0],
+    "passive_region": [0.015, 1.0],
+    "region_facts": [0.001, 0.015, 1.0],
+    "resolved_region": [0.001, 0.015, 1.0],
+    "robust_region": [[0.0, 0.001], [0.0, 0.015], 1.0],
+    "routh_hurwitz_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "trace_boundary": [["gamma", "delta"], [[0.0, 1.0], [0.0, 1.0]]],
 }
 
 FLOORS_THAT_COMPUTE = ("jaxstab.model", "jaxstab.stability", "jaxstab.boundary")

@@ -9,6 +9,8 @@ from .criteria import routh_hurwitz_condition as routh_hurwitz_condition
 from .curve import boundary_curve as boundary_curve
 from .curve import minus_line as minus_line
 from .curve import plus_line as plus_line
+from .facts import region_facts as region_facts
+from .facts import resolved_region as resolved_region
 from .passive import PassiveRegion as PassiveRegion
 from .passive import passive_region as passive_region
 from .region import RegionStatus as RegionStatus
