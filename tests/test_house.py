@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LONGEST_FILE = 400  # lines
 
 # One good call of each public function that computes. Without x64 every one of them must refuse.
-# "loop" stands for a HapticLoop.
+# "loop" stands for a HapticLoop, "hands" for a HandRange.
 COMPUTING_CALLS: dict[str, list[Any]] = {
     "plant_coefficients": [0.001, 0.015],
     "characteristic_polynomial": [0.1, 0.2, 0.001, 0.015, 1.0],
@@ -35,6 +35,13 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "least_radius_damping": [0.1, 0.001, 0.015, 1.0],
     "least_settling": [0.001, 0.015, 1.0],
     "optimal_gains": ["loop"],
+    "wall_limits": ["loop"],
+    "stiffness_limits": ["loop", 10.0],
+    "damping_limits": ["loop", 1000.0],
+    "boundary_distance": ["loop", 1000.0, 10.0],
+    "margins": ["loop", 1000.0, 10.0],
+    "worst_hand": ["loop", "hands", 1000.0, 10.0],
+    "robust_limit": ["loop", "hands"],
     "linear_alpha_limit": [0.2, 0.015, 1.0],
     "linear_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
     "linear_error": [0.1, 0.2, 0.001, 0.015, 1.0],
@@ -90,9 +97,11 @@ import json, sys
 import jaxstab
 
 loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+hands = jaxstab.HandRange(mass=(0.0, 1.0))
 answers = {}
 for name, arguments in json.load(sys.stdin).items():
-    arguments = [loop if argument == "loop" else argument for argument in arguments]
+    known = {"loop": loop, "hands": hands}
+    arguments = [known.get(str(argument), argument) for argument in arguments]
     try:
         getattr(jaxstab, name)(*arguments)
         answers[name] = "no error"
