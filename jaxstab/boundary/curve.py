@@ -230,9 +230,18 @@ def minus_slope(c: SliceCoefficients) -> Array:
     return (c.radius + 1.0) / c.radius
 
 
-@jax.jit
 def curve_point(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
     """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices."""
+    alpha, beta, _ = curve_and_lift(c, theta)
+    return alpha, beta
+
+
+@jax.jit
+def curve_and_lift(c: SliceCoefficients, theta: Array) -> tuple[Array, Array, Array]:
+    """Return alpha, beta and (alpha + plus_slope beta - w(r)) / (1 - cos th).
+
+    The third value vanishes where the curve crosses the line z = r, but not where it starts on it.
+    """
     upper = theta > pi / 2
     # Without the barrier XLA would add the two parts of pi first.
     folded = jnp.where(upper, lax.optimization_barrier(pi - theta) + _PI_REST, theta)
@@ -248,26 +257,21 @@ def curve_point(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
     scale = c.gain / (q**2 + c.nu**2 * sine_square)
     real = d * q + c.eps * c.nu * sine_square
     slope = c.eps * q - c.nu * d
-
     beta = -scale * c.radius * (sine_ratio * real + cos_turns * slope)
-    anchored = (
-        plus_offset(c)
-        - plus_slope(c) * beta
-        + h
-        * (
-            scale
-            * (
-                q * (c.kappa - c.ratio * c.sigma)
-                + rest * (c.nu * (c.ratio * c.nu - c.eps) + sine_ratio * slope)
-                + lag_ratio * real
-            )
-            - beta / c.radius
-        )
+
+    line = plus_offset(c) - plus_slope(c) * beta
+    lift = -beta / c.radius + scale * (
+        q * (c.kappa - c.ratio * c.sigma)
+        + rest * (c.nu * (c.ratio * c.nu - c.eps) + sine_ratio * slope)
+        + lag_ratio * real
     )
-    direct = -scale * (cos_turns * real - sine_ratio * sine_square * slope)
-    direct = direct - beta * (plus_slope(c) + h / c.radius)
+    direct = -beta * (plus_slope(c) + h / c.radius) - scale * (
+        cos_turns * real - sine_ratio * sine_square * slope
+    )
     lost = jnp.abs(c.num_plus) < _VANISHING * (jnp.abs(c.sigma) + jnp.abs(c.nu))
-    return jnp.where(upper | lost, direct, anchored), beta
+    away = upper | lost
+    alpha = jnp.where(away, direct, line + h * lift)
+    return alpha, beta, jnp.where(away, (direct - line) / jnp.where(away, h, 1.0), lift)
 
 
 def _turning(
