@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxstab
+from jaxstab import commands
 from jaxstab.conventions import AXES, STABLE, Verdict
 
 if TYPE_CHECKING:
@@ -53,6 +54,10 @@ class OneSentence(click.Group):
 @click.version_option(jaxstab.__version__, prog_name="jaxstab")
 def main() -> None:
     """Stability of haptic rendering loops."""
+
+
+for _command in (commands.limits, commands.check, commands.tune, commands.design, commands.scene):
+    main.add_command(_command)
 
 
 @main.group()

@@ -21,8 +21,6 @@ from .limits import boundary_distance as boundary_distance
 from .limits import damping_limits as damping_limits
 from .limits import stiffness_limits as stiffness_limits
 from .limits import wall_limits as wall_limits
-from .stability_margins import Margins as Margins
-from .stability_margins import margins as margins
 from .passive import PassiveRegion as PassiveRegion
 from .passive import passive_region as passive_region
 from .region import RegionStatus as RegionStatus
@@ -32,6 +30,8 @@ from .region import stable_region as stable_region
 from .robust import RobustRegion as RobustRegion
 from .robust import RobustStatus as RobustStatus
 from .robust import robust_region as robust_region
+from .stability_margins import Margins as Margins
+from .stability_margins import margins as margins
 from .trace import BoundaryTrace as BoundaryTrace
 from .trace import TraceStatus as TraceStatus
 from .trace import trace_boundary as trace_boundary

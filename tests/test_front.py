@@ -1,0 +1,179 @@
+"""The commands around a scene, as a user meets them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+import truth
+from click.testing import CliRunner, Result
+
+from jaxstab import commands
+from jaxstab.cli import main
+from jaxstab.scene import EXAMPLE
+
+FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]
+PHANTOM = ["--device", "phantom", "--sample-time", "0.001"]
+GRID = 0.05  # s: of FREE, K = alpha m / T^2 and B = beta m / T
+
+
+@pytest.fixture(autouse=True)
+def _no_cache_of_the_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The commands must not write into the cache of whoever runs the tests."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def answered(*arguments: str | Path, exit_code: int = 0) -> Any:
+    result = run(*arguments, "--json")
+    assert result.exit_code == exit_code, result.stderr
+    return json.loads(result.stdout)
+
+
+def test_limits_of_a_free_device_are_those_of_the_closed_form_in_si_units() -> None:
+    limits = answered("limits", *FREE, "--at-damping", 10)
+    assert limits["best"]["largest_stiffness"] == pytest.approx(
+        (12 - 8 * np.sqrt(2)) / GRID**2, rel=1e-9
+    )
+    assert limits["most_damped"]["largest_damping"] == pytest.approx(2 / GRID, rel=1e-9)
+    assert limits["passive"]["largest_stiffness"] == 0.0
+    given = limits["at_given_damping"]
+    assert given["stiffness_limits"][1] == pytest.approx(2 * 0.5 * 1.5 / 2.5 / GRID**2, rel=1e-9)
+    assert given["linear_rule_stiffness"] == pytest.approx(10 / (GRID / 2))  # eq. (22)
+
+
+def test_the_passive_limit_is_colgates() -> None:
+    limits = answered("limits", *PHANTOM)
+    assert limits["passive"]["largest_stiffness"] == pytest.approx(2 * 1.5 / 1e-3, rel=1e-9)
+
+
+def test_check_ends_with_zero_only_if_every_wall_is_stable() -> None:
+    stable, unstable = ["--wall", "a", "100", "10"], ["--wall", "b", "1000", "10"]
+    only = ["check", *FREE]
+    assert answered(*only, *stable)["a"]["verdict"] == "stable"
+    both = answered(*only, *stable, *unstable, exit_code=1)
+    assert [wall["verdict"] for wall in both.values()] == ["stable", "unstable"]
+    assert both["b"]["extra_delay"] is None
+
+
+def test_check_measures_the_dominant_pole_and_the_settling() -> None:
+    wall = answered("check", *PHANTOM, "--wall", "a", "800", "5")["a"]
+    point = (800e-5, 5e-2, 0.0, 0.015, 0.0)
+    pole = complex(truth.root_balls(*point)[0])
+    assert wall["spectral_radius"] == pytest.approx(abs(pole), rel=1e-12)
+    logarithm = np.log(pole)
+    assert wall["frequency"] == pytest.approx(abs(logarithm.imag) / (2 * np.pi * 1e-3), rel=1e-9)
+    assert wall["damping_ratio"] == pytest.approx(-logarithm.real / abs(logarithm), rel=1e-9)
+    slowest = -1e-3 / np.log(abs(pole))  # s, the time constant
+    assert wall["settling_time_5_percent"] / slowest > 2
+    assert wall["settling_time_5_percent"] < wall["settling_time_2_percent"] < 6 * slowest
+
+
+def test_a_range_of_hands_is_proved_and_its_worst_hand_named() -> None:
+    hands = ["--hand-mass", "0:0.3", "--hand-stiffness", "0:200"]
+    wall = answered("check", *PHANTOM, *hands, "--wall", "a", "3000", "20")["a"]
+    assert wall["verdict"] == "stable"
+    assert wall["worst_hand"]["mass"] == 0.3  # the slowest one; the margins are the least of all
+    alone = answered("check", *PHANTOM, "--wall", "a", "3000", "20")["a"]
+    assert 0.9 * alone["extra_delay"] < wall["extra_delay"] <= alone["extra_delay"]
+    limits = answered("limits", *PHANTOM, *hands)
+    assert limits["all_hands"]["certainty"] == "proved for every hand"
+    assert limits["all_hands"]["worst_hand"]["mass"] == 0.0
+
+
+def test_tune_finds_the_triple_pole_and_the_best_damping_for_a_wall() -> None:
+    tuned = answered("tune", *FREE, "--wall", "a", "60", "0")
+    best = tuned["least_radius"]
+    radius = 4 ** (1 / 3) - 1
+    assert best["spectral_radius"] == pytest.approx(radius, rel=1e-5)
+    assert best["stiffness"] == pytest.approx((6 * radius**2 - 2) / GRID**2, rel=1e-9)
+    assert tuned["least_settling"]["share_of_largest"] < 0.5
+    assert tuned["wall a"]["stiffness"] == pytest.approx(60.0)
+    fastest = tuned["least_settling"]["settling_time_2_percent"]
+    assert fastest <= min(
+        best["settling_time_2_percent"], tuned["wall a"]["settling_time_2_percent"]
+    )
+
+
+def test_design_returns_the_sample_time_at_which_the_wanted_stiffness_is_the_largest() -> None:
+    wanted = 500.0
+    found = answered("design", *FREE, "--stiffness", wanted)
+    period = np.sqrt((12 - 8 * np.sqrt(2)) / wanted)
+    assert found["sample_time"]["largest_sample_time"] == pytest.approx(period, rel=1e-7)
+    assert found["delay"]["largest_delay"] is None  # not even without any
+
+
+def test_a_scene_answers_what_it_wants_and_explains_itself(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    written = run("scene", "init", "-o", file)
+    assert written.exit_code == 0
+    assert file.read_text(encoding="utf-8") == EXAMPLE == run("scene", "init").stdout
+    assert run("scene", "init", "-o", file).exit_code != 0  # never over an existing file
+    plan = run("scene", file, "--explain")
+    assert plan.exit_code == 0
+    lines = plan.stdout.splitlines()
+    assert any(line.startswith("skip    tune") for line in lines)
+    assert any(line.startswith("compute limits") for line in lines)
+
+
+def test_options_go_before_the_values_of_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(EXAMPLE, encoding="utf-8")
+    table = answered("check", file, "--delay", "0", "--wall", "soft", "500", "3", exit_code=0)
+    assert table["soft"]["stiffness"] == 500.0
+    assert list(table) == ["soft", "hard"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["check", *PHANTOM], "walls is empty; give at least one wall"),
+        (["check", *PHANTOM, "--wall", "a", "nan", "1"], "walls.a.stiffness is nan"),
+        (["limits", "--mass", "-1", "--damping", "0", "--sample-time", "1"], "device.mass is -1.0"),
+        (["limits", *PHANTOM, "--hand-mass", "2:1"], "its ends are swapped"),
+        (["limits", *PHANTOM, "--hand-mass", "2:x"], "neither a number nor LOW:HIGH"),
+        (["limits", "nowhere.toml"], "cannot read nowhere.toml"),
+        (["limits"], "device.mass is missing"),
+        (["design", *PHANTOM], "wanted.stiffness is missing"),
+        (["scene", "nowhere.toml"], "cannot read nowhere.toml"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_two(arguments: list[str], words: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("jaxstab: ")
+    assert words in result.stderr
+
+
+def test_an_unusual_scale_is_a_warning_of_one_line() -> None:
+    result = run("limits", "--mass", "500", "--damping", "0", "--sample-time", "1", "--json")
+    assert result.exit_code == 0
+    assert result.stderr.count("\n") == 1
+    assert "device.mass is 500 kg" in result.stderr
+    assert "controller.sample_time is 1 s" in result.stderr
+
+
+def test_what_was_compiled_is_kept_in_the_cache_of_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    names = (
+        "jax_compilation_cache_dir",
+        "jax_persistent_cache_min_compile_time_secs",
+        "jax_persistent_cache_min_entry_size_bytes",
+    )
+    before = {name: getattr(jax.config, name) for name in names}
+    try:
+        commands.start_jax()
+        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "jaxstab")
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)

@@ -1,0 +1,151 @@
+"""Scenes in TOML: what is read, what is refused and in which words, what is planned."""
+
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from jaxstab.scene import EXAMPLE, MEASURES, PRESETS, Scene, plan
+
+SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))
+GOOD: dict[str, Any] = {
+    "device": {"mass": 0.1, "damping": 1.5},
+    "controller": {"sample_time": 1e-3},
+}
+
+
+def with_value(path: str, value: Any) -> dict[str, Any]:
+    table: dict[str, Any] = {name: dict(section) for name, section in GOOD.items()}
+    place = table
+    *sections, key = path.split(".")
+    for section in sections:
+        place = place.setdefault(section, {})
+    place[key] = value
+    return table
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_the_scenes_that_come_along_are_good_and_usual_but_for_what_they_say(path: Path) -> None:
+    scene = Scene.from_file(path)
+    assert scene.walls
+    assert scene.unusual() == []
+
+
+def test_there_is_a_scene_for_each_use() -> None:
+    assert {path.stem for path in SCENES} >= {
+        "phantom",
+        "omega",
+        "falcon",
+        "teleoperation",
+        "collision",
+    }
+
+
+def test_the_example_is_a_scene_with_ranges_walls_and_a_fractional_delay() -> None:
+    scene = Scene.from_table(tomllib.loads(EXAMPLE))
+    assert scene.hand is not None
+    assert scene.hand.varies
+    assert scene.hand.mass == (0.0, 0.3)
+    assert scene.hand.damping == (1.0, 1.0)
+    assert list(scene.walls) == ["soft", "hard"]
+    assert scene.controller.time_delay == pytest.approx(1.5e-3)
+
+
+def test_every_value_that_is_commented_out_in_the_example_is_good_too() -> None:
+    lines = [line.removeprefix("# ") if " = " in line else line for line in EXAMPLE.splitlines()]
+    scene = Scene.from_table(tomllib.loads("\n".join(lines)))
+    assert scene.device.preset == "phantom"
+    assert scene.wanted.stiffness == 3000.0
+
+
+def test_a_preset_gives_what_the_table_does_not() -> None:
+    table = with_value("device", {"preset": "phantom", "mass": 0.2})
+    device = Scene.from_table(table).device
+    assert (device.mass, device.damping) == (0.2, PRESETS["phantom"].damping)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("device.mas", 1.0, "device.mas is unknown; did you mean 'mass'?"),
+        ("contoller", {}, "contoller is unknown; did you mean 'controller'?"),
+        ("walls.a.stifness", 1.0, "walls.a.stiffness is missing; give it a value."),
+        (
+            "walls.a",
+            {"stiffness": 1.0, "damping": 1.0, "stifness": 2.0},
+            "walls.a.stifness is unknown; did you mean 'stiffness'?",
+        ),
+        ("device.mass", -1.0, "device.mass is -1.0; give a finite number > 0 in kg."),
+        ("device.mass", 0, "device.mass is 0; give a finite number > 0 in kg."),
+        ("device.damping", math.nan, "device.damping is nan; give a finite number >= 0 in N s/m."),
+        ("device.mass", "heavy", "device.mass is 'heavy'; give a finite number > 0 in kg."),
+        ("device.mass", True, "device.mass is True; give a finite number > 0 in kg."),
+        ("device.preset", "phantm", "device.preset is 'phantm'; did you mean 'phantom'?"),
+        ("device", 3, "device is 3; give a table."),
+        (
+            "hand.stiffness",
+            [200.0, 100.0],
+            "hand.stiffness is [200.0, 100.0]; its ends are swapped, so give [100, 200].",
+        ),
+        (
+            "hand.mass",
+            [0.0, math.inf],
+            "hand.mass is [0.0, inf]; give a finite number >= 0 in kg, or [lowest, highest].",
+        ),
+        (
+            "hand.mass",
+            [1.0],
+            "hand.mass is [1.0]; give a finite number >= 0 in kg, or [lowest, highest].",
+        ),
+        (
+            "controller",
+            {"sample_time": 1e-3, "delay": 1e-3, "delay_samples": 1.0},
+            "controller.delay is 0.001 beside controller.delay_samples; give one.",
+        ),
+        ("controller", {}, "controller.sample_time is missing; give it a value."),
+        ("wanted.answers", ["limit"], "wanted.answers.0 is 'limit'; did you mean 'limits'?"),
+        ("wanted.answers", "limits", "wanted.answers is 'limits'; give a list."),
+    ],
+)
+def test_bad_input_is_named_with_its_value_and_what_is_allowed(
+    path: str, value: Any, words: str
+) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(words)}$"):
+        Scene.from_table(with_value(path, value))
+
+
+def test_a_file_that_is_no_toml_is_refused_by_name(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text("[device", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"scene.toml: this is not TOML"):
+        Scene.from_file(file)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("device.mass", 500.0, "device.mass is 500 kg"),
+        ("controller.sample_time", 1.0, "controller.sample_time is 1 s"),
+        ("walls.a", {"stiffness": 1e8, "damping": 1.0}, "walls.a.stiffness is 1e+08 N/m"),
+    ],
+)
+def test_a_scale_that_looks_like_a_slip_is_remarked_on(path: str, value: Any, words: str) -> None:
+    unusual = Scene.from_table(with_value(path, value)).unusual()
+    assert len(unusual) == 1
+    assert unusual[0].startswith(words)
+
+
+def test_the_plan_computes_only_what_is_asked_for() -> None:
+    bare = {step.what: step.computed for step in plan(Scene.from_table(GOOD))}
+    assert [what for what, computed in bare.items() if computed] == ["limits"]
+    asked = Scene.from_table(
+        with_value("wanted", {"answers": ["check"], "measures": ["radius"]})
+        | {"walls": {"a": {"stiffness": 1.0, "damping": 1.0}}, "hand": {"mass": [0.0, 1.0]}}
+    )
+    computed = {step.what for step in plan(asked) if step.computed}
+    assert computed == {"certified verdicts", "radius", "proof and worst case over the hands"}
+    assert set(MEASURES) <= {step.what for step in plan(asked)}
+    assert all(step.why for step in plan(asked))
