@@ -63,7 +63,7 @@ def sweep(
     total = math.prod(shape)
     ranges = (slice(start, min(start + chunk, total)) for start in range(0, total, chunk))
     return (
-        (points, function(*_looked_up(arguments, shape, np.arange(points.start, points.stop))))
+        (points, function(*looked_up(arguments, shape, np.arange(points.start, points.stop))))
         for points in ranges
     )
 
@@ -82,7 +82,7 @@ def over_grid(kernel: Callable[[Array], Result], *parameters: ArrayLike) -> Resu
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     chunks = list(_chunks(delay, shape))
     parts = [
-        kernel(characteristic_polynomial(*_looked_up(arguments, shape, np.resize(points, size))))
+        kernel(characteristic_polynomial(*looked_up(arguments, shape, np.resize(points, size))))
         for points, size in chunks
     ]
     whole: Result = jax.tree.map(lambda *arrays: _scattered(chunks, arrays, shape), *parts)
@@ -103,7 +103,7 @@ def _chunks(
             yield members[start : start + size], size
 
 
-def _looked_up(
+def looked_up(
     arguments: list[Float64[np.ndarray, "..."]],
     shape: tuple[int, ...],
     points: Int64[np.ndarray, " point"],

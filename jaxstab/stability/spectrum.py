@@ -1,16 +1,25 @@
-"""The closed loop's poles and spectral radius by companion eigenvalues: the reference path."""
+"""The closed loop's poles and spectral radius, by companion eigenvalues or without them."""
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Complex128, Float64, Int8
 
 from jaxstab.conventions import RadiusStatus, Verdict
-from jaxstab.model import companion_matrix, require_x64
-from jaxstab.stability.grid import over_grid
+from jaxstab.model import (
+    checked_delay,
+    checked_delta,
+    checked_gain,
+    checked_gamma,
+    companion_matrix,
+    require_x64,
+)
+from jaxstab.stability.fast_radius import TOLERANCE, fast_radius
+from jaxstab.stability.grid import looked_up, over_grid
 from jaxstab.stability.schur_cohn import radius_error, verdict
 
 
@@ -52,7 +61,13 @@ def closed_loop_poles(
 
 
 def spectral_radius(
-    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
+    alpha: ArrayLike,
+    beta: ArrayLike,
+    gamma: ArrayLike,
+    delta: ArrayLike,
+    delay: ArrayLike,
+    *,
+    method: str = "fast",
 ) -> SpectralRadius:
     """Return the largest modulus of a closed-loop pole with a proved error bound.
 
@@ -62,22 +77,32 @@ def spectral_radius(
         gamma: physical stiffness k T^2/m in [0, 1e4].
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, concrete.
+        method: "fast" finds and proves the dominant root without eigenvalues and leaves only the
+            points where that fails, and delays above 21, to the companion matrix; "companion" takes
+            it for all. Inside jit, vmap and grad it is always the companion matrix.
 
     Returns:
-        SpectralRadius of arrays of the broadcast shape: ``value``; ``error``, proved by certified
-        verdicts: all roots are inside value + error, not all inside value - error; ``status``, a
-        RadiusStatus. The derivative of ``value`` is that of the dominant root by the implicit
-        function theorem; it is infinite or NaN where that root is multiple.
+        SpectralRadius of arrays of the broadcast shape: ``value``; ``error``, proved: all roots are
+        inside value + error, not all inside value - error; ``status``, a RadiusStatus. The
+        derivative of ``value`` is that of the dominant root by the implicit function theorem; it is
+        infinite or NaN where that root is multiple.
 
     Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
+        ValueError: a concrete argument is outside its range, infinite or NaN, or the method is
+            unknown.
         TypeError: the delay is traced.
         RuntimeError: JAX's x64 mode is off.
 
     Source: eq. (9); sec. V of the paper for its use.
     """
     require_x64()
-    radius: SpectralRadius = over_grid(_radius, alpha, beta, gamma, delta, delay)
+    if method not in ("fast", "companion"):
+        raise ValueError(f'method is {method!r}; give "fast" or "companion".')
+    arguments = alpha, beta, gamma, delta, delay
+    is_traced = any(isinstance(value, jax.core.Tracer) for value in arguments)
+    if method == "fast" and not is_traced:
+        return _fast_radius(*arguments)
+    radius: SpectralRadius = over_grid(_radius, *arguments)
     return radius
 
 
@@ -112,6 +137,32 @@ def _poles(coefficients: Float64[Array, "*grid coefficient"]) -> Complex128[Arra
     poles = jnp.linalg.eigvals(companion_matrix(coefficients))
     order = jnp.argsort(-jnp.abs(poles), axis=-1)
     return jnp.take_along_axis(poles, order, axis=-1)
+
+
+def _fast_radius(
+    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
+) -> SpectralRadius:
+    arguments = [
+        np.asarray(value, np.float64)
+        for value in (
+            checked_gain("alpha", alpha),
+            checked_gain("beta", beta),
+            checked_gamma(gamma),
+            checked_delta(delta),
+            checked_delay(delay),
+        )
+    ]
+    value, error = fast_radius(arguments[:4], arguments[4])
+    left = np.flatnonzero(~(error <= TOLERANCE))
+    if left.size:
+        exact = over_grid(_radius, *looked_up(arguments, value.shape, left))
+        closer = np.asarray(~(exact.error >= error.flat[left]))
+        value.flat[left[closer]] = np.asarray(exact.value)[closer]
+        error.flat[left[closer]] = np.asarray(exact.error)[closer]
+    status = np.where(
+        np.isfinite(error), np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
+    )
+    return SpectralRadius(*map(jnp.asarray, (value, error, status)))
 
 
 @jax.jit

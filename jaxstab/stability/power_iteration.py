@@ -1,0 +1,174 @@
+"""A first guess of the dominant root of polynomials: powers of the companion matrix.
+
+z^M mod p, by repeated squaring, is what M turns of the companion matrix leave of a state: almost
+only the dominant roots. Four samples of it determine them, one real root or a pair.
+
+A polynomial is a list of columns, the coefficients of many points, lowest power first; None stands
+for a column of zeros. Only elementwise operations: a compiler keeps all of it in registers.
+
+Source: Henrici, Applied and Computational Complex Analysis I, 7.4, with the powers by squaring.
+"""
+
+from functools import reduce
+from operator import add
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+_EXPONENT = 0x7FF0_0000_0000_0000
+_LARGEST_EXPONENT = 0x7FE0_0000_0000_0000
+_RECIPROCAL = 0x7FDE_6238_22FC_16E6  # minus the bits of x: 1/x within 13 %
+_INVERSE_ROOT = 0x5FE6_EB50_C7B5_37A9  # minus half the bits of x: 1/sqrt(x) within 4 %
+_ONE_ROOT = 1e-10  # relative determinant below which one real root is left
+
+Column = Array | None
+
+
+def guessed_root(
+    coefficients: list[Column], doublings: int, *, is_unrolled: bool
+) -> tuple[Array, Array]:
+    """Return real and imaginary part of z - 1, the latter >= 0, of the dominant root z.
+
+    The power is degree 2^doublings. Unrolled code is faster as long as a compiler copes with it.
+    """
+    power = _power if is_unrolled else _rolled_power
+    return _fitted(_samples(power(coefficients, doublings), coefficients))
+
+
+def _power(coefficients: list[Column], doublings: int) -> list[Column]:
+    """Return z^(degree 2^doublings) mod p up to a factor, lowest power first."""
+    remainder = [None if column is None else -column for column in coefficients]
+    for turn in range(doublings):
+        remainder = _squared(remainder, coefficients)
+        if turn % 2 == 0:  # two squarings neither overflow nor underflow
+            remainder = _rescaled(remainder)
+    return remainder
+
+
+def _rolled_power(coefficients: list[Column], doublings: int) -> list[Column]:
+    """Return the same by loops: slower, but the code does not grow with the degree."""
+    degree = len(coefficients)
+    shape = jnp.broadcast_shapes(*(jnp.shape(c) for c in coefficients if c is not None))
+    dense = jnp.stack([jnp.broadcast_to(0.0 if c is None else c, shape) for c in coefficients])
+
+    def added(square: Array, place: Array, columns: Array) -> Array:
+        before = lax.dynamic_slice_in_dim(square, place, degree)
+        return lax.dynamic_update_slice_in_dim(square, before + columns, place, 0)
+
+    def doubled(_: Array, remainder: Array) -> Array:
+        def multiplied(power: Array, square: Array) -> Array:
+            return added(square, power, remainder[power] * remainder)
+
+        def reduced(step: Array, square: Array) -> Array:
+            top = 2 * degree - 1 - step
+            return added(square, top - degree, -square[top] * dense)
+
+        square = jnp.zeros((2 * degree - 1, *shape))
+        square = lax.fori_loop(0, degree, multiplied, square)
+        square = lax.fori_loop(1, degree, reduced, square)[:degree]
+        return jnp.multiply(square, power_of_two_below_inverse(jnp.sum(jnp.abs(square), axis=0)))
+
+    remainder: Array = lax.fori_loop(0, doublings, doubled, -dense)
+    return [remainder[power] for power in range(degree)]
+
+
+def _samples(remainder: list[Column], coefficients: list[Column]) -> list[Array]:
+    """Return the recurrence of p after as many turns as the power of z, and the next three."""
+    degree = len(coefficients)
+    samples: list[Array] = []
+    for turn in range(4):
+        sample = remainder[degree - 1 - turn] if turn < degree else None
+        for before, value in enumerate(samples):
+            place = degree - turn + before
+            sample = _minus(sample, value, coefficients[place]) if place >= 0 else sample
+        assert sample is not None
+        samples.append(sample)
+    return samples
+
+
+def _squared(remainder: list[Column], coefficients: list[Column]) -> list[Column]:
+    """Return the square of a polynomial modulo p, lowest power first."""
+    degree = len(coefficients)
+    square: list[Column] = [None] * (2 * degree - 1)
+    for power in range(2 * degree - 1):
+        for low in range(max(0, power - degree + 1), (power + 1) // 2):
+            square[power] = _plus_product(square[power], remainder[low], remainder[power - low])
+        twice = square[power]
+        square[power] = None if twice is None else twice + twice
+        if power % 2 == 0:
+            middle = remainder[power // 2]
+            square[power] = _plus_product(square[power], middle, middle)
+    for power in range(2 * degree - 2, degree - 1, -1):
+        top = square[power]
+        for place, coefficient in enumerate(coefficients, start=power - degree):
+            square[place] = (
+                square[place] if top is None else _minus(square[place], top, coefficient)
+            )
+    return square[:degree]
+
+
+def _rescaled(columns: list[Column]) -> list[Column]:
+    """Multiply by a power of two that brings the sum of sizes to [1, 2)."""
+    scale = power_of_two_below_inverse(
+        reduce(add, (jnp.abs(column) for column in columns if column is not None))
+    )
+    return [None if column is None else column * scale for column in columns]
+
+
+def power_of_two_below_inverse(x: Array) -> Array:
+    """Return the power of two that brings x > 0 to [1, 2)."""
+    exponent = lax.bitcast_convert_type(x, jnp.int64) & _EXPONENT
+    return lax.bitcast_convert_type(_LARGEST_EXPONENT - exponent, jnp.float64)
+
+
+def _fitted(samples: list[Array]) -> tuple[Array, Array]:
+    """Return t of the larger root of the recurrence of order two, or one, that fits best."""
+    h0, h1, h2, h3 = samples
+    determinant = h1 * h1 - h0 * h2
+    inverse = reciprocal(jnp.abs(determinant)) * jnp.where(determinant < 0.0, -1.0, 1.0)
+    centre = 0.5 * (h1 * h2 - h0 * h3) * inverse
+    offset = centre * centre - (h2 * h2 - h1 * h3) * inverse
+    width = _square_root(jnp.abs(offset))
+    is_pair = offset < 0.0
+    re = jnp.where(is_pair, centre, centre + jnp.where(centre < 0.0, -width, width))
+    size = h0 * h0 + h1 * h1 + h2 * h2
+    single = (h0 * h1 + h1 * h2 + h2 * h3) * reciprocal(size)
+    is_single = jnp.abs(determinant) < _ONE_ROOT * size
+    return jnp.where(is_single, single, re) - 1.0, jnp.where(is_pair & ~is_single, width, 0.0)
+
+
+# XLA does not fuse divisions and square roots whose results are used more than once. The results of
+# these go through Newton's method.
+
+
+def reciprocal(x: Array) -> Array:
+    """Return 1/x for x > 0 to eight digits."""
+    y = lax.bitcast_convert_type(_RECIPROCAL - lax.bitcast_convert_type(x, jnp.int64), jnp.float64)
+    for _ in range(3):
+        y = y * (2.0 - x * y)
+    return y
+
+
+def _square_root(x: Array) -> Array:
+    """Return the root of x >= 0 to eight digits."""
+    y = lax.bitcast_convert_type(
+        _INVERSE_ROOT - (lax.bitcast_convert_type(x, jnp.int64) >> 1), jnp.float64
+    )
+    for _ in range(3):
+        y = y * (1.5 - 0.5 * x * y * y)
+    return x * y
+
+
+def plus(a: Column, b: Array) -> Array:
+    """Return a + b."""
+    return b if a is None else a + b
+
+
+def _plus_product(a: Column, b: Column, c: Column) -> Column:
+    return a if b is None or c is None else plus(a, b * c)
+
+
+def _minus(a: Column, b: Array, c: Column) -> Column:
+    if c is None:
+        return a
+    return -(b * c) if a is None else a - b * c

@@ -1,0 +1,198 @@
+"""The spectral radius without eigenvalues: converged, honest, seldom left to the eigenvalues."""
+
+import csv
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import truth
+from mpmath import mp, mpf
+
+import jaxstab
+from jaxstab.conventions import RadiusStatus
+from jaxstab.stability import dominant_root, fast_radius, power_iteration
+
+REFERENCE = Path(__file__).parents[1] / "data" / "reference"
+DELAYS = (0.0, 1.0, 0.5, 2.0, 3.7, 5.0, 12.0, 20.0)  # four degrees are shared with other tests
+
+
+def anchors(fact: str) -> list[tuple[float, ...]]:
+    """(gamma, delta, delay, radius, alpha, beta) of one kind of distinguished gains."""
+    lines = (REFERENCE / "anchors.tsv").read_text().splitlines()
+    rows = csv.DictReader((line for line in lines if line[0] != "#"), delimiter="\t")
+    columns = ("gamma", "delta", "delay", "radius", "alpha", "beta")
+    return [tuple(float(row[name]) for name in columns) for row in rows if row["fact"] == fact]
+
+
+def gains_around_the_stable_set(
+    rng: np.random.Generator, delay: float, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gains of which about half are stable in the haptic range, some negative."""
+    alpha = rng.uniform(-0.3, 1.5, count) * 0.7 / (1.0 + delay) ** 2
+    return alpha, rng.uniform(-0.2, 2.2, count) / (1.0 + 2.0 * delay)
+
+
+def assert_honest(radius: jaxstab.SpectralRadius, scenes: np.ndarray) -> None:
+    for scene, value, error in zip(scenes.T.tolist(), radius.value, radius.error, strict=True):
+        lower, upper = truth.spectral_radius(*scene)
+        assert upper - mpf(float(error)) <= mpf(float(value)) <= lower + mpf(float(error)), scene
+
+
+class TestFastRadius:
+    @pytest.mark.parametrize("delay", DELAYS)
+    def test_is_honest_and_within_1e12_at_simple_roots(
+        self, rng: np.random.Generator, delay: float
+    ) -> None:
+        count = 60
+        alpha, beta = gains_around_the_stable_set(rng, delay, count)
+        gamma, delta = rng.uniform(0.0, 2.0, count), rng.uniform(0.0, 0.5, count)
+        gamma[::2], delta[::2] = 1e-3, 0.015
+        scenes = np.array([alpha, beta, gamma, delta, np.full(count, delay)])
+        radius = jaxstab.spectral_radius(alpha, beta, gamma, delta, delay)
+        assert_honest(radius, scenes)
+        assert (radius.error < 1e-12).all()
+
+    def test_is_honest_over_the_whole_box(self, rng: np.random.Generator) -> None:
+        count = 60
+        scenes = np.array(
+            [
+                rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-12, 3, count),
+                rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-12, 3, count),
+                10.0 ** rng.uniform(-15, 4, count),
+                10.0 ** rng.uniform(-15, 3, count),
+                rng.choice([0.0, 1.0, 0.5, 5.0], count),
+            ]
+        )
+        assert_honest(jaxstab.spectral_radius(*scenes), scenes)
+
+    @pytest.mark.parametrize("anchor", anchors("smallest_radius")[:8])
+    def test_is_honest_around_a_triple_root(
+        self, rng: np.random.Generator, anchor: tuple[float, ...]
+    ) -> None:
+        gamma, delta, delay, _, alpha, beta = anchor
+        offsets = np.concatenate([[0.0], 10.0 ** rng.uniform(-16, -3, 7)])
+        scenes = np.array(
+            [
+                alpha * (1.0 + offsets),
+                beta * (1.0 - offsets),
+                *(np.full(8, value) for value in (gamma, delta, delay)),
+            ]
+        )
+        radius = jaxstab.spectral_radius(*scenes)
+        assert_honest(radius, scenes)
+        assert (radius.error < 1e-3).all()
+
+    def test_is_honest_where_real_roots_meet_and_where_two_roots_are_alike(
+        self, rng: np.random.Generator
+    ) -> None:
+        """A real root r and a pair of the same modulus, or twice r, at delay 0, gamma = delta = 0.
+
+        p = z^3 - 2 z^2 + z + ((z + 1) / 2) ((alpha + beta) z - beta) has a root at z = -1 never,
+        so two conditions on the roots fix alpha and beta.
+        """
+        r = rng.uniform(0.3, 0.95, 20)
+        # p = (z - r)^2 (z - s): coefficients a2 = -2 + (alpha + beta)/2, a1 = 1 + alpha/2,
+        # a0 = -beta/2 give s = (1 - r)^2 ... from a2 - a1 + a0 = -3 (p(-1) = -4).
+        s = 4.0 / (1.0 + r) ** 2 - 1.0
+        alpha, beta = 2.0 * (r * r + 2.0 * r * s - 1.0), 2.0 * r * r * s
+        moved = 1.0 + rng.choice([0.0, 1e-15, 1e-12, 1e-9, 1e-6], 20)
+        zeros = np.zeros(20)
+        scenes = np.array([alpha * moved, beta, zeros, zeros, zeros])
+        assert_honest(jaxstab.spectral_radius(*scenes), scenes)
+
+    @pytest.mark.parametrize("delay", [1.0, 5.0, 20.0, 2.5])
+    def test_knows_the_free_plant_whose_roots_at_zero_are_multiple(self, delay: float) -> None:
+        radius = jaxstab.spectral_radius(0.0, 0.0, 0.5, 0.2, delay)
+        assert abs(mpf(float(radius.value)) - mp.exp(-mpf(0.2) / 2)) <= float(radius.error)
+        assert float(radius.error) < 1e-12
+
+    def test_a_slow_loop_keeps_all_digits(self) -> None:
+        """Stiffness of 1e-8 moves the roots by 1e-4 from z = 1; eigenvalues lose four digits."""
+        scenes = np.array([[1e-8, 1e-8], [2e-4, 1e-4], [0.0, 1e-9], [0.0, 1e-5], [0.0, 2.0]])
+        radius = jaxstab.spectral_radius(*scenes)
+        assert_honest(radius, scenes)
+        assert (radius.error < 1e-14).all()
+
+    @pytest.mark.parametrize("delay", [0.0, 1.0, 5.0])
+    def test_leaves_less_than_a_permille_to_the_eigenvalues(self, delay: float) -> None:
+        alpha = np.linspace(-0.2, 1.0, 600)[:, None] / (1.0 + delay) ** 2
+        beta = np.linspace(-0.2, 2.2, 600) / (1.0 + 2.0 * delay)
+        parameters = [alpha, beta, np.asarray(1e-3), np.asarray(0.015)]
+        _, error = fast_radius.fast_radius(parameters, np.asarray(delay))
+        assert np.mean(~(error <= fast_radius.TOLERANCE)) < 1e-3
+
+    def test_a_grid_a_list_and_a_single_point_agree(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Blocks of a grid that broadcasts, lists filled up, several delays at once."""
+        alpha, beta = np.linspace(0.01, 0.3, 23)[:, None, None], np.linspace(0.1, 0.9, 11)[:, None]
+        scene = alpha, beta, 1e-3, 0.015
+        listed = jaxstab.spectral_radius(*scene, np.array([0.0, 1.0]))
+        monkeypatch.setattr(fast_radius, "_LIST", 16)
+        monkeypatch.setattr(fast_radius, "_BLOCK", 100)
+        for number, delay in enumerate((0.0, 1.0)):
+            blocks = jaxstab.spectral_radius(*scene, delay)
+            assert blocks.value.shape == (23, 11, 1)
+            apart = jnp.abs(blocks.value[..., 0] - listed.value[..., number])
+            assert (apart <= blocks.error[..., 0] + listed.error[..., number]).all()
+
+    @pytest.mark.parametrize("delay", [2.0, 30.0])
+    def test_agrees_with_the_eigenvalues_within_the_errors(
+        self, rng: np.random.Generator, delay: float
+    ) -> None:
+        scene = *gains_around_the_stable_set(rng, delay, 40), 0.3, 0.1, delay
+        fast = jaxstab.spectral_radius(*scene)
+        companion = jaxstab.spectral_radius(*scene, method="companion")
+        assert (jnp.abs(fast.value - companion.value) <= fast.error + companion.error).all()
+        assert (fast.status == RadiusStatus.PROVED).all()
+
+    def test_gains_beyond_all_float64_can_square_are_answered(self) -> None:
+        radius = jaxstab.spectral_radius(np.array([1e100, -1e120]), 1.0, 0.1, 0.1, 0)
+        assert radius.value.shape == (2,)
+        assert ((radius.status == RadiusStatus.PROVED) == jnp.isfinite(radius.error)).all()
+
+    def test_an_unknown_method_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="method is 'slow'"):
+            jaxstab.spectral_radius(0.1, 0.1, 0.0, 0.0, 0, method="slow")
+
+
+class TestPowerIteration:
+    @pytest.mark.parametrize("degree", [5, 9])
+    def test_loops_give_the_same_power_as_unrolled_code(
+        self, rng: np.random.Generator, degree: int
+    ) -> None:
+        """z^(8 degree) mod p, against polynomial division in numpy."""
+        tail = rng.uniform(-0.5, 0.5, degree)
+        tail[3 : degree - 2] = 0.0
+        columns = [jnp.asarray([value]) if value else None for value in tail]
+        power = np.zeros(8 * degree + 1)
+        power[0] = 1.0
+        _, remainder = np.polydiv(power, np.concatenate([[1.0], tail[::-1]]))
+        exact = np.pad(remainder, (degree - len(remainder), 0))[::-1]
+        for compute in (power_iteration._power, power_iteration._rolled_power):
+            found = np.concatenate(compute(columns, 3))
+            np.testing.assert_allclose(
+                found / np.abs(found).sum(), exact / np.abs(exact).sum(), atol=1e-12
+            )
+
+
+class TestDominantRoot:
+    def test_a_root_that_is_not_dominant_is_not_proved(self) -> None:
+        plant = jaxstab.stability.certified_loop.float_plant(
+            jnp.asarray(0.2), jnp.asarray(0.1), jnp.asarray(0.0), is_fractional=False
+        )
+        loop = dominant_root.Loop(jnp.asarray(0.1), jnp.asarray(0.3), jnp.asarray(0.2), plant)
+        roots = truth.roots(0.1, 0.3, 0.2, 0.1, 0)
+        tried = jnp.array([complex(root) - 1.0 for root in roots if root.imag >= 0])
+        distances = dominant_root.distance_of_dominant(tried, loop, degree=3)
+        assert jnp.isfinite(distances).tolist() == [True, False]
+
+    def test_roots_inside_are_proved_only_with_a_margin(self) -> None:
+        inside = [jnp.asarray(value) for value in (1.0, -0.9, 0.5)]
+        outside = [jnp.asarray(value) for value in (1.0, -2.1, 1.08)]
+        for polynomial, error, proved in [
+            (inside, 1e-3, True),
+            (inside, 0.9, False),
+            (outside, 1e-3, False),
+            (inside, np.inf, False),
+        ]:
+            assert bool(dominant_root._all_inside(polynomial, jnp.asarray(error))) is proved
