@@ -35,6 +35,7 @@ from jaxstab.stability import verdict
 
 Range = tuple[float, float]
 Points = Float64[np.ndarray, "points 2"]
+Hands = Float64[np.ndarray, "hands 2"]
 Rows = Float64[np.ndarray, " rows"]
 
 _FIRST_FREQUENCIES = 17
@@ -81,7 +82,7 @@ class RobustRegion:
     tolerance: float
     status: RobustStatus
     outline: Points = field(repr=False)
-    hands: Points = field(repr=False)
+    hands: Hands = field(repr=False)
 
     @property
     def max_alpha(self) -> Float64[np.ndarray, " 2"]:
@@ -154,11 +155,10 @@ def robust_region(
         raise ValueError(f"tolerance is {tolerance}; give a number in [0.001, 0.5].")
     sample = _Sample(gamma, delta, delay)
     for _ in range(_ATTEMPTS):
-        outer = sample.intersection()
+        outer = sample.intersection() if sample.regions else np.zeros((0, 2))
         if not len(outer):
-            return RobustRegion(
-                gamma, delta, delay, tolerance, RobustStatus.EMPTY, outer, sample.hands
-            )
+            status = RobustStatus.EMPTY if sample.regions else RobustStatus.UNPROVED
+            return RobustRegion(gamma, delta, delay, tolerance, status, outer, sample.hands)
         outline = _pulled_in(outer, tolerance)
         failures = _failures(outline, np.roll(outline, -1, axis=0), gamma, delta, delay)
         if not len(failures):
@@ -183,18 +183,19 @@ class _Sample:
         damping = np.linspace(*delta, _FIRST_DAMPINGS if delta[0] < delta[1] else 1)
         self.add(np.stack(np.meshgrid(stiffness, damping), axis=-1).reshape(-1, 2))
 
-    def add(self, hands: Points) -> None:
+    def add(self, hands: Hands) -> None:
         """Add hands; those already there are passed over."""
         for hand in hands:
             if not np.any(np.all(self.hands == hand, axis=1)):
                 self.hands = np.concatenate([self.hands, hand[None]])
                 gamma, delta = map(float, hand)
                 region = stable_region(gamma, delta, self.delay, tolerance=_OUTLINE_TOLERANCE)
-                self.regions.append(region)
+                if region.status != RegionStatus.UNRESOLVED:  # the proof covers this hand too
+                    self.regions.append(region)
 
     def intersection(self) -> Points:
         """Return the intersection of the stable regions, of which each row is an interval."""
-        if any(region.status != RegionStatus.COMPLETE for region in self.regions):
+        if any(region.is_empty for region in self.regions):
             return np.zeros((0, 2))
         tops = [region.points[:, 1] for region in self.regions]
         low, high = max(t.min() for t in tops), min(t.max() for t in tops)
@@ -231,7 +232,7 @@ def _pulled_in(outline: Points, tolerance: float) -> Points:
     return pulled
 
 
-def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: float) -> Points:
+def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: float) -> Hands:
     """Return some hands at which walls between start and end could not be proved; none is a proof.
 
     The axes of the boxes: the place on the edge in [-1, 1], gamma, delta, theta, then the edge
@@ -268,12 +269,12 @@ def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: flo
     left = paving.boxes.center[:, 1:3]
     if not len(left):
         return left
-    extremes: Points = left[[*np.argmin(left, axis=0), *np.argmax(left, axis=0)]]
+    extremes: Hands = left[[*np.argmin(left, axis=0), *np.argmax(left, axis=0)]]
     return np.unique(extremes, axis=0)
 
 
 def _walls_and_hands(
-    walls: Points, hands: Points
+    walls: Points, hands: Hands
 ) -> tuple[
     Float64[np.ndarray, "points 1"],
     Float64[np.ndarray, "points 1"],
