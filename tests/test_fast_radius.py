@@ -11,7 +11,7 @@ from mpmath import mp, mpf
 
 import jaxstab
 from jaxstab.conventions import RadiusStatus
-from jaxstab.stability import dominant_root, fast_radius, power_iteration
+from jaxstab.stability import cubic, dominant_root, fast_radius, power_iteration
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 DELAYS = (0.0, 1.0, 0.5, 2.0, 3.7, 5.0, 12.0, 20.0)  # four degrees are shared with other tests
@@ -173,6 +173,19 @@ class TestPowerIteration:
             np.testing.assert_allclose(
                 found / np.abs(found).sum(), exact / np.abs(exact).sum(), atol=1e-12
             )
+
+
+class TestCubic:
+    def test_the_largest_root_is_found_to_eight_digits(self, rng: np.random.Generator) -> None:
+        """Built from its roots: a real one, and a pair or two real ones."""
+        real, re, im = rng.uniform(-2.0, 2.0, (3, 500))
+        im[::3] = 0.0
+        other = np.where(im == 0.0, rng.uniform(-2.0, 2.0, 500), re)
+        total, product = re + other, np.where(im == 0.0, re * other, re * re + im * im)
+        a, b, c = -(real + total), product + real * total, -real * product
+        found = np.hypot(*cubic.largest_root(*map(jnp.asarray, (a, b, c))))
+        moduli = np.abs([real, re + 1j * im, other + 1j * im])
+        np.testing.assert_allclose(found, moduli.max(axis=0), rtol=1e-6)
 
 
 class TestDominantRoot:

@@ -35,6 +35,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxstab.stability.certified_loop import Plant
+from jaxstab.stability.cubic import largest_root
 from jaxstab.stability.power_iteration import (
     Column,
     guessed_root,
@@ -110,13 +111,10 @@ def dominant_root(loop: Loop, *, degree: int, doublings: int, corrections: int =
     """Return t = z - 1 of a root z >= 0 that is likely dominant, as a complex array.
 
     The imaginary part is >= 0, and 0 for real roots. Each doubling halves the number of points
-    where two roots of nearly one modulus are confused; ``distance_of_dominant`` tells.
+    where two roots of nearly one modulus are confused; no doublings means the closed form for
+    degree 3. ``distance_of_dominant`` tells how it went.
     """
-    products = doublings * degree * (degree + 10) + 160 * corrections
-    guess = guessed_root(
-        loop.coefficients(degree), doublings, is_unrolled=products <= _LONGEST_UNROLLED
-    )
-    t = _Complex(*guess)
+    t = _guess(loop.coefficients(degree), doublings, corrections)
     for _ in range(corrections):
         t = _newton(t, loop, degree)
     return lax.complex(t.re, t.im)
@@ -141,6 +139,16 @@ def distance_of_dominant(root: Array, loop: Loop, *, degree: int) -> Array:
 def modulus(root: Array) -> Array:
     """Return |1 + root| to 3 ulp."""
     return jnp.sqrt(_Complex(root.real, root.imag).shifted(1.0).squared_modulus())
+
+
+def _guess(coefficients: list[Column], doublings: int, corrections: int) -> _Complex:
+    degree = len(coefficients)
+    if doublings == 0:
+        c, b, a = (jnp.asarray(coefficient) for coefficient in coefficients)
+        return _Complex(*largest_root(a, b, c)).shifted(-1.0)
+    products = doublings * degree * (degree + 10) + 160 * corrections
+    is_unrolled = products <= _LONGEST_UNROLLED
+    return _Complex(*guessed_root(coefficients, doublings, is_unrolled=is_unrolled))
 
 
 # ------------------------------------------------------------------------------------------ Newton

@@ -29,7 +29,7 @@ Answer = tuple[Values, Values]  # value and error
 
 
 class _Try(NamedTuple):
-    """What is spent on a start: squarings of a power of z, and steps of Newton."""
+    """What is spent on a point: squarings of a power of z, 0 for a closed form; Newton steps."""
 
     doublings: int
     corrections: int
@@ -100,6 +100,8 @@ def _tried(parameters: list[Values], delay: float, effort: _Try) -> Answer:
 
 
 def _first_try(delay: float) -> _Try:
+    if delay == 0.0:
+        return _Try(doublings=0, corrections=1, longest_list=2**15)
     if delay <= 1.0:
         return _Try(doublings=8, corrections=2, longest_list=2**15)
     if delay <= 10.0:

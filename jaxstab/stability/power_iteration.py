@@ -128,7 +128,7 @@ def _fitted(samples: list[Array]) -> tuple[Array, Array]:
     inverse = reciprocal(jnp.abs(determinant)) * jnp.where(determinant < 0.0, -1.0, 1.0)
     centre = 0.5 * (h1 * h2 - h0 * h3) * inverse
     offset = centre * centre - (h2 * h2 - h1 * h3) * inverse
-    width = _square_root(jnp.abs(offset))
+    width = square_root(jnp.abs(offset))
     is_pair = offset < 0.0
     re = jnp.where(is_pair, centre, centre + jnp.where(centre < 0.0, -width, width))
     size = h0 * h0 + h1 * h1 + h2 * h2
@@ -149,7 +149,7 @@ def reciprocal(x: Array) -> Array:
     return y
 
 
-def _square_root(x: Array) -> Array:
+def square_root(x: Array) -> Array:
     """Return the root of x >= 0 to eight digits."""
     y = lax.bitcast_convert_type(
         _INVERSE_ROOT - (lax.bitcast_convert_type(x, jnp.int64) >> 1), jnp.float64
