@@ -29,7 +29,12 @@ from jaxstab.boundary.curve import (
     plus_slope,
 )
 
-_MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
+# Reflection coefficients closer to 1 are taken for roots on the circle. Close to th = pi a root at
+# z = -r is known worse: the division of p by the pair beside it costs digits.
+_MARGIN = 1e-12
+_MARGIN_AT_MINUS_ONE = 4e-14  # over 1 + cos(th)
+_PROBE = 1e-7  # beyond the end of an arc, to see what it has crossed
+_SLACK = 1e-9
 _NARROWINGS = 9
 _NEWTON_STEPS = 16
 _NEWTON_TOLERANCE = 1e-10  # of the last step: its square is below rounding
@@ -85,8 +90,11 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, whole_delay: int, slots: i
         padded[jnp.concatenate([begins, ends + 2])],
         padded[jnp.concatenate([begins, ends]) + 1],
     )
-    met = branch_met(known, 2.0 * outer - inner)
+    beyond = outer - inner
+    beyond = jnp.sign(beyond) * jnp.maximum(jnp.abs(beyond), _PROBE)
+    met = branch_met(known, jnp.clip(outer + beyond, 0.0, jnp.pi))
     at_start, at_stop = begins == 0, ends == len(angles) - 1
+    pinned = jnp.concatenate([at_start, at_stop])
     begin_branch = jnp.where(at_start, Branch.Z_PLUS_ONE, met[:slots])
     end_branch = jnp.where(at_stop, Branch.Z_MINUS_ONE, met[slots:])
     begin_branch = jnp.where(exists, begin_branch, NO_BRANCH)
@@ -101,11 +109,10 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, whole_delay: int, slots: i
     next_arc, previous_arc = jnp.argmin(gaps, axis=1), jnp.argmin(gaps, axis=0)
     solved, found = jax.vmap(_corner, in_axes=(None, 0, 0, 0))(
         c,
-        jnp.concatenate([begin_branch, end_branch]),
+        jnp.where(pinned, NO_BRANCH, jnp.concatenate([begin_branch, end_branch])),
         rough,
         jnp.concatenate([last[previous_arc], first[next_arc]]),
     )
-    pinned = jnp.concatenate([at_start, at_stop])
     found = pinned | (found & _between(solved, outer, inner))
     begin = jnp.where(at_start, 0.0, solved[:slots])
     end = jnp.where(at_stop, jnp.pi, solved[slots:])
@@ -134,15 +141,16 @@ def others_inside(c: SliceCoefficients, theta: Array, whole_delay: int) -> Array
     """
     falling = other_roots(c, theta, whole_delay)
     rising = falling[::-1]
+    limit = 1.0 - _MARGIN - _MARGIN_AT_MINUS_ONE / (1.0 + jnp.cos(theta))
 
-    def step(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def step(_: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         falling, rising, inside = state
         reflection = rising[0] / falling[0]
         lower = rising - reflection * falling
         return (
             falling - reflection * rising,
             jnp.concatenate([lower[1:], jnp.zeros_like(lower[:1])]),
-            inside & (jnp.abs(reflection) < 1.0 - _MARGIN),
+            inside & (jnp.abs(reflection) < limit),
         )
 
     state = (falling, rising, jnp.full(theta.shape, True))
@@ -194,7 +202,8 @@ def _corner(c: SliceCoefficients, branch: Array, theta: Array, other: Array) -> 
 
     The curve meets itself at an angle near ``other``. Differentiable in the slice.
     """
-    sizes = lax.stop_gradient(_sizes(c, theta))
+    known = lax.stop_gradient(c)
+    sizes = _sizes(known, theta)
 
     def mismatch(angles: Array, slice_: SliceCoefficients) -> Array:
         alpha, beta, lift = curve_and_lift(slice_, angles)
@@ -209,11 +218,20 @@ def _corner(c: SliceCoefficients, branch: Array, theta: Array, other: Array) -> 
         rtol=_NEWTON_TOLERANCE, atol=_NEWTON_TOLERANCE
     )
     start = jnp.stack([theta, other])
-    angles = optx.root_find(
-        mismatch, newton, start, args=c, max_steps=_NEWTON_STEPS, throw=False
-    ).value
+    angles: Array = lax.stop_gradient(
+        optx.root_find(
+            mismatch, newton, start, args=known, max_steps=_NEWTON_STEPS, throw=False
+        ).value
+    )
+    value, jacobian = mismatch(angles, c), jax.jacfwd(mismatch)(angles, known)
+    # Zero, with the derivative of the angle by the theorem of the implicit function.
+    change = value - lax.stop_gradient(value)
+    determinant = jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0]
+    regular = jnp.isfinite(determinant) & (determinant != 0.0)
+    step = (jacobian[1, 1] * change[0] - jacobian[0, 1] * change[1]) / determinant
+    angle = jnp.where(regular, angles[0] - step, angles[0])
     # Newton's own verdict asks for more than rounding leaves where the curve hardly moves with th.
-    return angles[0], jnp.all(jnp.abs(mismatch(angles, c)) < _NEWTON_TOLERANCE)
+    return angle, jnp.all(jnp.abs(value) < _NEWTON_TOLERANCE)
 
 
 def _sizes(c: SliceCoefficients, theta: Array) -> tuple[Array, Array, Array]:
@@ -227,7 +245,7 @@ def _sizes(c: SliceCoefficients, theta: Array) -> tuple[Array, Array, Array]:
 def _narrowed(inside: Callable[[Array], Array], outer: Array, inner: Array) -> tuple[Array, Array]:
     """Bisect from angles that fail the test and angles that pass it."""
 
-    def halved(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halved(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         outer, inner = ends
         middle = 0.5 * (outer + inner)
         passes = inside(middle)
@@ -288,7 +306,7 @@ def _squared_distances(c: SliceCoefficients, theta: Array, other: Array) -> Arra
 
 
 def _between(x: Array, one: Array, two: Array) -> Array:
-    slack = 2.0 * jnp.abs(one - two)
+    slack = 2.0 * jnp.abs(one - two) + _SLACK
     return (x >= jnp.minimum(one, two) - slack) & (x <= jnp.maximum(one, two) + slack)
 
 

@@ -20,7 +20,7 @@ from jaxstab.boundary.scan import closer_angles, padded_angles, same_arcs, scan_
 from jaxstab.model import checked_delay, checked_gain, require_x64
 
 _FINENESS = {1: 4, 4: 32, 16: 128, 64: 256}  # of the scan: slots for arcs
-_EMPTY_FINENESS = 16
+_EMPTY_FINENESS = 4
 _ROUNDS = 8
 _POINTS = (256, 1024, 4096, 16384, 65536)
 _FINEST = 1e-10

@@ -9,21 +9,25 @@ from jaxtyping import Float64
 from jaxstab.boundary.arcs import Arcs, minus_margin, other_roots
 from jaxstab.boundary.curve import SliceCoefficients, curve_and_lift
 
+_FIRST, _PI_MINUS_LAST = 1e-7, 1e-5
 _CLOSEST = 1e-9
 _OFFSETS = 20  # to each side of an angle
 _CENTERS = 6  # for each slot
 _NEAR_CIRCLE = 0.02
 _SAME = 1e-7
 
-Angles = Float64[np.ndarray, " angle"]
+Angles = Float64[np.ndarray, " _"]  # of any length
 
 
 def scan_angles(whole_delay: int, fineness: int) -> Angles:
     """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends."""
     count = fineness * (48 + 8 * whole_delay)
     even = (np.arange(count) + 0.5) * (np.pi / count)
-    ends = np.geomspace(1e-7, even[0], 12 * fineness, endpoint=False)
-    return np.concatenate([ends, even, np.pi - ends[::-1]])
+    start, end = (
+        np.geomspace(first, even[0], 12 * fineness, endpoint=False)
+        for first in (_FIRST, _PI_MINUS_LAST)
+    )
+    return np.concatenate([start, even, np.pi - end[::-1]])
 
 
 def padded_angles(angles: Angles, slots: int) -> Angles:

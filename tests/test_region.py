@@ -1,0 +1,300 @@
+"""The stable region against certified root counts, the paper's claims and 50-digit solutions."""
+
+from collections.abc import Callable
+from math import log, sqrt
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import truth
+from mpmath import mp, mpf
+
+from jaxstab.boundary import (
+    Branch,
+    RegionStatus,
+    StableRegion,
+    boundary_curve,
+    region_outline,
+    stable_region,
+)
+
+HAPTIC = (1e-3, 0.015)
+NYQUIST = np.pi**2
+
+
+def is_stable(alpha: float, beta: float, region: tuple[float, ...]) -> bool | None:
+    """By certified roots; None within 1e-10 of the circle."""
+    gamma, delta, delay, radius = region
+    lower, upper = truth.spectral_radius(float(alpha), float(beta), gamma, delta, delay)
+    if abs(upper - radius) < 1e-10:
+        return None
+    return bool(upper < radius) if upper < radius or lower > radius else None
+
+
+def probes(region: StableRegion, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Points in and around the region's box, and points close to its outline."""
+    outline = region.points
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    size = high - low
+    anywhere = rng.uniform(low - 0.2 * size, high + 0.2 * size, (count, 2))
+    scale = size * 10.0 ** rng.uniform(-6, -1, (count, 1))
+    close = outline[rng.integers(0, len(outline), count)] + scale * rng.normal(size=(count, 2))
+    return np.concatenate([anywhere, close])
+
+
+def random_slices(rng: np.random.Generator) -> list[tuple[float, ...]]:
+    """Stability and decay rates, weak and strong hands, whole and fractional delays."""
+    slices = []
+    for delay in (0.0, 1.0, 1.5, 3.25):
+        for _ in range(4):
+            slices.append((12 * rng.uniform() ** 3, rng.uniform(0, 0.6), delay, 1.0))
+            slices.append((10 ** rng.uniform(-9, 0), 10 ** rng.uniform(-9, 0), delay, 1.0))
+        slices.append((rng.uniform(0, 0.3), rng.uniform(0, 0.3), delay, rng.uniform(0.92, 1)))
+        slices.append((rng.uniform(0, 12), 0.0, delay, 1.0))
+    return slices
+
+
+def test_no_point_is_misclassified(rng: np.random.Generator) -> None:
+    wrong, decided = [], 0
+    for place in random_slices(rng):
+        region = stable_region(*place)
+        assert region.status == RegionStatus.COMPLETE, place
+        points = probes(region, rng, 12)
+        for point, inside in zip(points, region.contains(*points.T), strict=True):
+            expected = is_stable(*point, place)
+            decided += expected is not None
+            if expected is not None and expected != bool(inside):
+                wrong.append((place, point))
+    assert wrong == []
+    assert decided > 900
+
+
+def test_without_hand_and_delay_the_region_is_the_known_one() -> None:
+    region = stable_region(0.0, 0.0, 0.0)
+    np.testing.assert_allclose(region.max_alpha, [12 - 8 * sqrt(2), 2 * sqrt(2) - 2], rtol=1e-14)
+    np.testing.assert_allclose(region.max_beta, [0, 2], atol=1e-14)
+    np.testing.assert_allclose(region.area, 12 - 16 * log(2), rtol=1e-13)
+    beta = np.linspace(0.01, 1.99, 40)
+    limits = region.alpha_limits(beta)
+    np.testing.assert_allclose(limits[:, 0], 0.0, atol=1e-15)
+    np.testing.assert_allclose(limits[:, 1], 2 * beta * (2 - beta) / (beta + 2), rtol=1e-12)
+    alpha = np.asarray(limits[:, 1])[:15]
+    np.testing.assert_allclose(region.beta_limits(alpha)[:, 0], beta[:15], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("delay", "largest"), [(1.0, 0.14447), (2.0, 0.06243), (3.0, 0.03478)])
+def test_the_largest_stiffness_without_a_hand_is_the_known_one(
+    delay: float, largest: float
+) -> None:
+    assert float(stable_region(0.0, 0.0, delay).max_alpha[0]) == pytest.approx(largest, abs=5e-6)
+
+
+def test_the_left_edge_is_at_minus_gamma() -> None:
+    for gamma in (0.0, 0.02, 0.3):
+        region = stable_region(gamma, 0.1, 1.0)
+        left = region.points[:-1][region.branch == Branch.Z_PLUS_ONE]
+        np.testing.assert_allclose(left[:, 0], -gamma, rtol=1e-14, atol=1e-14)
+        assert np.min(region.points[:, 0]) == pytest.approx(-gamma, abs=1e-14)
+
+
+@pytest.mark.parametrize(("gamma", "delay"), [(NYQUIST / 4, 0.0), (NYQUIST / 16, 1.0)])
+def test_some_hands_leave_no_positive_stiffness(gamma: float, delay: float) -> None:
+    assert float(stable_region(gamma, 0.0, delay).max_alpha[0]) == pytest.approx(0, abs=1e-14)
+
+
+def test_beyond_the_nyquist_frequency_the_region_is_a_triangle() -> None:
+    region = stable_region(NYQUIST + 0.25, 1.0, 0.0)
+    assert len(region.corners) == 3
+    assert set(region.branch.tolist()) == set(Branch)
+    sides = region.corners - np.roll(region.corners, 1, axis=0)
+    triangle = 0.5 * abs(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])
+    np.testing.assert_allclose(region.area, triangle, rtol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+def test_an_undamped_hand_at_the_nyquist_frequency_leaves_nothing(delay: float) -> None:
+    region = stable_region(NYQUIST, 0.0, delay)
+    assert region.is_empty
+    assert region.points.shape == (0, 2)
+    assert len(region.corners) == len(region.branch) == 0
+    assert np.all(np.isnan(region.max_alpha))
+    assert np.all(np.isnan(region.alpha_limits(0.1)))
+    assert not bool(region.contains(0.0, 0.0))
+    assert float(region.distance(0.0, 0.0)) == -np.inf
+    assert float(region.area) == 0.0
+
+
+@pytest.mark.parametrize(
+    "place", [(*HAPTIC, 1.0), (0.3, 0.1, 2.5), (20.0, 0.5, 3.0), (0.1, 0.1, 50.0)]
+)
+def test_the_outline_is_closed_counter_clockwise_and_within_the_tolerance(
+    place: tuple[float, float, float],
+) -> None:
+    tolerance = 1e-5
+    region = stable_region(*place, tolerance=tolerance)
+    x, y = region.points.T
+    polygon = 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+    np.testing.assert_array_equal(region.points[0], region.points[-1])
+    assert len(region.branch) == len(region.points) - 1
+    assert region.loops == 1
+    assert region.rows_are_intervals
+    diameter = np.hypot(np.ptp(x), np.ptp(y))
+    perimeter = np.sum(np.hypot(np.diff(x), np.diff(y)))
+    assert polygon > 0.0
+    assert abs(polygon - float(region.area)) < tolerance * diameter * perimeter
+
+
+@pytest.mark.parametrize("place", [(*HAPTIC, 1.0), (0.3, 0.1, 2.5), (20.0, 0.5, 3.0)])
+def test_a_corner_has_two_kinds_of_roots_on_the_circle(place: tuple[float, float, float]) -> None:
+    corners = stable_region(*place).corners
+    assert len(corners) > 0
+    for alpha, beta in corners:
+        moduli = [abs(root) for root in truth.roots(float(alpha), float(beta), *place)]
+        on_circle = [modulus for modulus in moduli if abs(modulus - 1) < 1e-7]
+        assert len(on_circle) >= 2
+        assert max(moduli) < 1 + 1e-7
+
+
+def test_each_piece_names_the_root_on_the_circle() -> None:
+    place = (NYQUIST + 0.25, 1.0, 0.0)
+    region = stable_region(*place, tolerance=1e-3)
+    signs = {Branch.Z_PLUS_ONE: 1, Branch.Z_MINUS_ONE: -1}
+    for first, last, branch in zip(region.points, region.points[1:], region.branch, strict=False):
+        middle = map(float, 0.5 * (first + last))
+        if branch != Branch.CURVE:
+            nearest = min(abs(r - signs[Branch(branch)]) for r in truth.roots(*middle, *place))
+            assert nearest < 1e-13
+
+
+def test_a_long_delay_has_a_small_region() -> None:
+    region = stable_region(0.0, 0.0, 50.0)
+    assert region.status == RegionStatus.COMPLETE
+    alpha, beta = map(float, region.max_alpha)
+    assert is_stable(alpha - 1e-6, beta, (0.0, 0.0, 50.0, 1.0))
+    assert not is_stable(alpha + 1e-6, beta, (0.0, 0.0, 50.0, 1.0))
+
+
+def test_the_distance_is_that_to_the_known_curve(rng: np.random.Generator) -> None:
+    region = stable_region(0.0, 0.0, 0.0)
+    beta = np.linspace(0, 2, 200_001)
+    curve = np.stack([2 * beta * (2 - beta) / (beta + 2), beta])
+    alpha, damping = rng.uniform([-0.2, -0.2], [0.9, 2.2], (40, 2)).T
+    signed = np.asarray(region.distance(alpha, damping))
+    for a, b, distance in zip(alpha, damping, signed, strict=True):
+        to_curve = np.min(np.hypot(curve[0] - a, curve[1] - b))
+        to_edge = np.hypot(a, b - np.clip(b, 0, 2))
+        inside = 0 < b < 2 and 0 < a < 2 * b * (2 - b) / (b + 2)
+        expected = min(to_curve, to_edge) * (1 if inside else -1)
+        assert distance == pytest.approx(expected, abs=1e-9)
+
+
+def test_lines_beside_the_region_have_no_limits() -> None:
+    region = stable_region(*HAPTIC, 1.0)
+    assert np.all(np.isnan(region.alpha_limits(np.array([[-1.0, 2.0]]))))
+    assert region.alpha_limits(np.array([[-1.0, 2.0]])).shape == (1, 2, 2)
+    assert np.all(np.isnan(region.beta_limits(0.2)))
+
+
+def test_many_slices_at_once_are_the_single_ones() -> None:
+    gamma, delta = jnp.asarray([1e-3, 0.1, 0.3]), jnp.asarray([0.015, 0.0, 0.2])
+    batch = jax.vmap(lambda g, d: region_outline(g, d, 1.0))(gamma, delta)
+    assert batch.outline.vertices.shape == (3, 256, 2)
+    np.testing.assert_array_equal(batch.status, RegionStatus.COMPLETE)
+    for index in range(3):
+        single = stable_region(float(gamma[index]), float(delta[index]), 1.0)
+        np.testing.assert_allclose(batch.max_alpha[index], single.max_alpha, rtol=1e-13)
+        found = batch.outline.corners[index][: len(single.corners)]
+        np.testing.assert_allclose(found, single.corners, rtol=1e-13)
+
+
+# The same quantities from 50-digit arithmetic: a corner, a limit, the largest alpha.
+DELAY, ROW = 1.0, 0.3
+
+
+def exact_corner(gamma: mpf, delta: mpf, guess: float) -> mpf:
+    theta = mp.findroot(
+        lambda t: truth.boundary_point(t, gamma, delta, DELAY)[0] + gamma, mpf(guess)
+    )
+    return truth.boundary_point(theta, gamma, delta, DELAY)[1]
+
+
+def exact_limit(gamma: mpf, delta: mpf, guess: float) -> mpf:
+    theta = mp.findroot(
+        lambda t: truth.boundary_point(t, gamma, delta, DELAY)[1] - mpf(ROW), mpf(guess)
+    )
+    return truth.boundary_point(theta, gamma, delta, DELAY)[0]
+
+
+def exact_largest(gamma: mpf, delta: mpf, guess: float) -> mpf:
+    step = mpf(10) ** -12
+    theta = mp.findroot(
+        lambda t: (
+            (
+                truth.boundary_point(t + step, gamma, delta, DELAY)[0]
+                - truth.boundary_point(t - step, gamma, delta, DELAY)[0]
+            )
+            / step
+        ),
+        mpf(guess),
+    )
+    return truth.boundary_point(theta, gamma, delta, DELAY)[0]
+
+
+def angle_near(alpha: float, beta: float, gamma: float, delta: float) -> float:
+    theta = np.linspace(0.01, 1.5, 3000)
+    curve = boundary_curve(theta, gamma, delta, DELAY)
+    return float(theta[np.argmin(np.hypot(curve[0] - alpha, curve[1] - beta))])
+
+
+def quantities(gamma: jax.Array, delta: jax.Array) -> jax.Array:
+    region = region_outline(gamma, delta, DELAY)
+    end_of_curve = region.outline.corners[1, 1]
+    return jnp.stack([end_of_curve, region.alpha_limits(ROW)[1], region.max_alpha[0]])
+
+
+def test_corners_limits_and_the_largest_alpha_are_differentiable() -> None:
+    place, step = (0.05, 0.1), mpf(10) ** -15
+    values = quantities(*map(jnp.asarray, place))
+    slopes = np.stack(jax.jacfwd(quantities, argnums=(0, 1))(*map(jnp.asarray, place)))
+    region = stable_region(*place, DELAY)
+    points = [(-place[0], float(values[0])), (float(values[1]), ROW), tuple(region.max_alpha)]
+    exact: list[Callable[[mpf, mpf, float], mpf]] = [exact_corner, exact_limit, exact_largest]
+    for index, (function, point) in enumerate(zip(exact, points, strict=True)):
+        guess = angle_near(*map(float, point), *place)
+        value = function(mpf(place[0]), mpf(place[1]), guess)
+        assert abs(mpf(float(values[index])) - value) < 1e-13
+        for argument, moved in enumerate(((step, 0), (0, step))):
+            ahead = function(mpf(place[0]) + moved[0], mpf(place[1]) + moved[1], guess)
+            assert abs(slopes[argument, index] - float((ahead - value) / step)) < 1e-9
+
+
+def test_reverse_mode_gives_the_derivative_too() -> None:
+    def largest(gamma: jax.Array) -> jax.Array:
+        return region_outline(gamma, 0.1, DELAY).max_alpha[0]
+
+    step = 1e-15
+    guess = angle_near(*map(float, stable_region(0.05, 0.1, DELAY).max_alpha), 0.05, 0.1)
+    start, ahead = (exact_largest(mpf(0.05) + h, mpf(0.1), guess) for h in (0, mpf(step)))
+    slope = jax.grad(largest)(jnp.asarray(0.05))
+    assert float(slope) == pytest.approx(float((ahead - start) / mpf(step)), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ((-1.0, 0.0, 0.0), "gamma"),
+        ((0.0, float("nan"), 0.0), "delta"),
+        ((0.0, 0.0, -1.0), "delay"),
+        ((0.0, 0.0, 0.0, 1.2), "radius"),
+        ((0.0, 0.0, 0.0, 1.0, 0.0), "tolerance"),
+    ],
+)
+def test_bad_input_is_refused_by_name(arguments: tuple[float, ...], name: str) -> None:
+    with pytest.raises(ValueError, match=rf"^{name} is [^\n]*\.$"):
+        stable_region(*arguments)
+
+
+def test_an_outline_too_short_for_its_corners_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"^points is 16; give at least 48 for 4 slots\.$"):
+        region_outline(0.0, 0.0, 0.0, points=16)
