@@ -44,6 +44,13 @@ def _range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     return numbers if len(numbers) > 1 else numbers[0]
 
 
+def _picture_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+    """Return the name of a picture, or refuse it before anything is computed."""
+    if path and path.suffix not in (".png", ".svg"):
+        raise click.BadParameter(f"{path} ends in neither .png nor .svg.", param=option)
+    return path
+
+
 def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add what describes a scene: a file, options that go before it, and the form of the answer."""
     decorations = (
@@ -71,8 +78,14 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
+_plot_option = click.option(
+    "--plot", type=Path, callback=_picture_file, help="PNG or SVG file to draw the scene into."
+)
+
+
 @click.command()
 @scene_options
+@_plot_option
 @click.option("--at-damping", type=float, help="Give the stiffness limits at this B in N s/m.")
 @click.option("--at-stiffness", type=float, help="Give the damping limits at this K in N/m.")
 def limits(as_json: bool, **given: Any) -> None:
@@ -82,6 +95,7 @@ def limits(as_json: bool, **given: Any) -> None:
 
 @click.command()
 @scene_options
+@_plot_option
 def check(as_json: bool, **given: Any) -> int:
     """Check each wall: stable or not, its margins, how fast it settles.
 
@@ -153,7 +167,15 @@ def answer(file: Path, explain: bool, as_json: bool) -> None:
 
 
 def _answer(given: dict[str, Any], name: str, as_json: bool) -> dict[str, Any]:
-    found = _computed(_scene(given), name)
+    made, plot = _scene(given), given.get("plot")
+    found = _computed(made, name)
+    if plot:
+        from jaxstab.atlas.file import publish
+        from jaxstab.paper import picture
+        from jaxstab.scene_figure import scene_figure
+
+        figure = scene_figure(made, found if name == "check" else None)
+        publish(picture(figure, plot.suffix[1:]), plot)
     _print(found, as_json)
     return found
 

@@ -28,6 +28,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.model import HapticLoop
 from jaxstab.scene import Hand, Scene, Wall
 from jaxstab.stability import (
+    SettlingStatus,
     dominant_oscillation,
     optimal_gains,
     settling_time,
@@ -36,6 +37,7 @@ from jaxstab.stability import (
 )
 
 _AGREEMENT = 1e-9  # relative, of a designed sample time or delay
+_HORIZON = 2**17  # samples within which settling is looked for
 _STEPS = 60
 _DOUBLINGS = 24
 
@@ -213,7 +215,7 @@ def _checked(scene: Scene, wall: Wall) -> dict[str, Any]:
     if hands:
         worst = worst_hand(loop, hands, *gains)
         loop = worst.loop
-        loops = [loop, *_at_corners(loop, hands)]
+        loops = [loop, *corner_loops(loop, hands)]
         answer |= {"verdict": worst.verdict.name.lower(), "worst_hand": _hand(loop)}
     else:
         answer["verdict"] = _verdict(loop, *gains).name.lower()
@@ -230,8 +232,12 @@ def _checked(scene: Scene, wall: Wall) -> dict[str, Any]:
     return answer
 
 
-def _at_corners(loop: HapticLoop, hands: HandRange) -> list[HapticLoop]:
-    """Return the loop with each hand of the corners of a range."""
+def corner_loops(loop: HapticLoop, hands: HandRange) -> list[HapticLoop]:
+    """Return the loop with each hand at the corners of a range.
+
+    Raises:
+        ValueError: a quantity is out of range.
+    """
     return [
         replace(loop, hand_mass=mass, hand_stiffness=stiffness, hand_damping=damping)
         for mass, stiffness, damping in product(*(sorted(set(ends)) for ends in hands))
@@ -270,12 +276,11 @@ def _radius(loop: HapticLoop, stiffness: float, damping: float) -> dict[str, Any
 
 
 def _settling(loop: HapticLoop, stiffness: float, damping: float) -> dict[str, Any]:
-    return {
-        f"settling_time_{percent}_percent": float(
-            settling_time(loop, stiffness, damping, percent / 100.0).value
-        )
-        for percent in (2, 5)
-    }
+    answer: dict[str, Any] = {}
+    for percent in (2, 5):
+        found = settling_time(loop, stiffness, damping, percent / 100.0, horizon=_HORIZON)
+        answer[f"settling_time_{percent}_percent"] = float(found.value)
+    return answer | {"settling_status": SettlingStatus(int(found.status)).words}
 
 
 def _oscillation(loop: HapticLoop, stiffness: float, damping: float) -> dict[str, Any]:

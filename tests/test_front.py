@@ -12,7 +12,9 @@ from click.testing import CliRunner, Result
 
 from jaxstab import commands
 from jaxstab.cli import main
-from jaxstab.scene import EXAMPLE
+from jaxstab.front import check
+from jaxstab.scene import EXAMPLE, Scene
+from jaxstab.scene_figure import scene_figure
 
 FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]
 PHANTOM = ["--device", "phantom", "--sample-time", "0.001"]
@@ -141,6 +143,7 @@ def test_options_go_before_the_values_of_a_file(tmp_path: Path) -> None:
         (["limits"], "device.mass is missing"),
         (["design", *PHANTOM], "wanted.stiffness is missing"),
         (["scene", "nowhere.toml"], "cannot read nowhere.toml"),
+        (["limits", *PHANTOM, "--plot", "picture.pdf"], "ends in neither .png nor .svg"),
     ],
 )
 def test_bad_input_is_one_sentence_and_exit_code_two(arguments: list[str], words: str) -> None:
@@ -150,6 +153,40 @@ def test_bad_input_is_one_sentence_and_exit_code_two(arguments: list[str], words
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith("jaxstab: ")
     assert words in result.stderr
+
+
+def test_the_picture_shows_the_exact_edge_and_tells_the_walls_apart_without_colour() -> None:
+    walls = {
+        "soft": {"stiffness": 0.2, "damping": 0.8},
+        "hard": {"stiffness": 0.9, "damping": 0.8},
+    }
+    scene = Scene.from_table(
+        {
+            "device": {"mass": 1.0, "damping": 0.0},
+            "controller": {"sample_time": 1.0},
+            "walls": walls,
+            "wanted": {"measures": ["settling"]},
+        }
+    )
+    plane, response = scene_figure(scene, check(scene)).axes
+    edge, *_ = plane.get_lines()
+    stiffness, damping = np.asarray(edge.get_data())
+    closed = 2 * damping * (2 - damping) / (damping + 2)
+    np.testing.assert_allclose(np.minimum(abs(stiffness - closed), abs(stiffness)), 0, atol=1e-9)
+    drawn = {line.get_label(): line.get_marker() for line in plane.get_lines()}
+    assert drawn["wall, stable"] != drawn["wall, unstable"]
+    assert {text.get_text() for text in plane.texts} == {"soft", "hard"}
+    styles = [line.get_linestyle() for line in response.get_lines()]
+    assert len(styles) == len(set(styles)) == 2
+
+
+def test_a_picture_comes_with_the_answer(tmp_path: Path) -> None:
+    file = tmp_path / "scene.svg"
+    limits = answered("limits", *FREE, "--hand-mass", "0:1", "--plot", file)
+    assert limits["best"]["largest_stiffness"] > 0
+    text = file.read_text(encoding="utf-8")
+    assert text.startswith("<?xml")
+    assert "</svg>" in text
 
 
 def test_an_unusual_scale_is_a_warning_of_one_line() -> None:
