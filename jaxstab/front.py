@@ -7,7 +7,7 @@ are for its lowest ends unless they say otherwise.
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from math import isfinite, log
+from math import isfinite, isinf, log
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from jaxstab.boundary import (
     wall_limits,
     worst_hand,
 )
+from jaxstab.boundary.stability_margins import MOST_DELAY
 from jaxstab.conventions import Verdict
 from jaxstab.model import HapticLoop
 from jaxstab.scene import Hand, Scene, Wall
@@ -36,6 +37,7 @@ from jaxstab.stability import (
     verdict,
 )
 
+_LOWEST = {"hand": "at its lowest values, where nothing else is said"}
 _AGREEMENT = 1e-9  # relative, of a designed sample time or delay
 _HORIZON = 2**17  # samples within which settling is looked for
 _STEPS = 60
@@ -80,12 +82,13 @@ def limits(scene: Scene) -> dict[str, Any]:
     answer: dict[str, Any] = {
         "best": {"largest_stiffness": best.stiffness, "at_damping": best.at_damping},
         "most_damped": {"largest_damping": best.damping, "at_stiffness": best.at_stiffness},
-        "linear_rule": _linear_rule(loop, best.at_damping),
         "passive": {
             "largest_stiffness": float(loop.stiffness(passive[0])),
             "at_damping": float(loop.damping(passive[1])),
         },
     }
+    if isfinite(best.at_damping):
+        answer["linear_rule"] = _linear_rule(loop, best.at_damping)
     if wanted.at_damping is not None:
         answer["at_given_damping"] = _at_damping(loop, wanted.at_damping)
     if wanted.at_stiffness is not None:
@@ -96,6 +99,7 @@ def limits(scene: Scene) -> dict[str, Any]:
         )
     hands = hands_of(scene)
     if hands:
+        answer |= _LOWEST
         found = robust_limit(loop, hands)
         answer["all_hands"] = {
             "largest_stiffness": found.stiffness,
@@ -141,7 +145,7 @@ def tune(scene: Scene) -> dict[str, Any]:
         given["at_given_stiffness"] = scene.wanted.at_stiffness
     for name, stiffness in given.items():
         answer[name] = _best(scene, loop, "settling", stiffest, stiffness)
-    return answer
+    return answer | (_LOWEST if hands_of(scene) else {})
 
 
 def design(scene: Scene) -> dict[str, Any]:
@@ -184,7 +188,7 @@ def design(scene: Scene) -> dict[str, Any]:
     answer["delay"] = {"largest_delay": delay}
     if delay is not None:
         answer["delay"] |= {"at_damping": wall_limits(delayed(delay)).at_damping}
-    return answer
+    return answer | (_LOWEST if hands_of(scene) else {})
 
 
 def _linear_rule(loop: HapticLoop, damping: float) -> dict[str, float]:
@@ -267,7 +271,11 @@ def _margins(loops: list[HapticLoop], stiffness: float, damping: float) -> dict[
         "damping_limits": [lowest[2], highest[3]],
         "extra_delay": extra_delay,
     }
-    return answer | ({"margins_are": f"the least of {len(found)} hands"} if len(found) > 1 else {})
+    if isinf(extra_delay):
+        answer["delay_searched"] = MOST_DELAY * loops[0].sample_time
+    if len(loops) > 1:
+        answer["margins_are"] = f"the least of {len(loops)} hands"
+    return answer
 
 
 def _radius(loop: HapticLoop, stiffness: float, damping: float) -> dict[str, Any]:

@@ -49,6 +49,13 @@ def test_limits_of_a_free_device_are_those_of_the_closed_form_in_si_units() -> N
     assert given["linear_rule_stiffness"] == pytest.approx(10 / (GRID / 2))  # eq. (22)
 
 
+def test_a_scene_without_any_stable_wall_is_answered_with_none() -> None:
+    # Sec. VIII: at gamma = pi^2 without damping a root stays at z = -1 whatever the wall.
+    scene = ["--mass", "0.1", "--damping", "0", "--sample-time", "0.001"]
+    limits = answered("limits", *scene, "--hand-stiffness", 0.1e6 * np.pi**2)
+    assert limits["best"] == {"largest_stiffness": None, "at_damping": None}
+
+
 def test_the_passive_limit_is_colgates() -> None:
     limits = answered("limits", *PHANTOM)
     assert limits["passive"]["largest_stiffness"] == pytest.approx(2 * 1.5 / 1e-3, rel=1e-9)

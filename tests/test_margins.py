@@ -84,6 +84,16 @@ def test_a_loop_that_no_delay_upsets_has_all_of_it_to_spare() -> None:
     assert jaxstab.margins(held, 1.0, 0.1).extra_delay == np.inf
 
 
+def test_a_long_delay_may_grow_by_more_than_a_hundred_samples_to_its_crossing() -> None:
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=0.1005)
+    least = (loop.delay + jaxstab.margins(loop, 10.0, 0.5).extra_delay) / loop.sample_time
+    assert least > 200.0
+    for delay, side in ((least - 1e-5, 1), (least + 1e-5, -1)):
+        coefficients = truth.polynomial(loop.alpha(10.0), loop.beta(0.5), 0.0, loop.delta, delay)
+        radius = abs(np.roots([float(c) for c in coefficients])).max()
+        assert side * (1.0 - radius) > 0.0
+
+
 def test_an_unstable_wall_has_no_margins() -> None:
     found = jaxstab.margins(FREE, 0.9, 0.8)
     assert found.verdict == Verdict.UNSTABLE

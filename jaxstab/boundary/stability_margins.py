@@ -24,7 +24,7 @@ Point = Float64[np.ndarray, " axis"]
 _FINEST = 2.0**-32  # of a stretch and of pi: half the size of the smallest boxes
 _DOUBLINGS = 48
 _LEAST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
-_MOST_DELAY = 64.0  # samples: further delay is not looked at
+MOST_DELAY = 1024.0  # samples: further delay is not looked at
 
 
 class Margins(NamedTuple):
@@ -32,8 +32,8 @@ class Margins(NamedTuple):
 
     ``stiffness`` and ``damping`` are the intervals (least, largest) of K in N/m, at this B, and of
     B in N s/m, at this K, in which the wall stays stable. ``extra_delay`` is the time in s by which
-    the delay may grow; infinite where no further delay up to 64 samples is too much. All of them
-    are proved up to a relative error of about 1e-9 of the way to the first root on the circle.
+    the delay may grow; infinite where nothing up to 1024 samples (MOST_DELAY) is too much. All of
+    them are proved, and fall short of the first root on the circle by about 1e-9 of the way there.
     """
 
     verdict: Verdict
@@ -116,7 +116,7 @@ def _reach(point: Point, axis: int, way: float) -> float:
 def _extra_delay(point: Point) -> float:
     """Return by how many samples the delay may grow."""
     start, stretch = 0.0, 1.0
-    while start < _MOST_DELAY:
+    while start < MOST_DELAY:
         away = _to_crossing(_moved(point, AXES.index("delay"), start), AXES.index("delay"), stretch)
         if isfinite(away):
             return start + away
@@ -143,7 +143,13 @@ def _to_crossing(point: Point, axis: int, stretch: float) -> float:
             [_loops(along, flat), _loops(still, turn)],
         )
 
-    left = pave(Boxes(np.full((1, 2), 0.5), np.full((1, 2), 0.5)), smallest, extent).boxes
+    whole = Boxes(np.full((1, 2), 0.5), np.full((1, 2), 0.5))
+    left, is_finished = pave(whole, smallest, extent)
+    if not is_finished:  # too many boxes at once
+        half = 0.5 * stretch
+        near = _to_crossing(point, axis, half)
+        beyond = _moved(point, axis, half)
+        return near if isfinite(near) else abs(half) + _to_crossing(beyond, axis, half)
     if not len(left.center):
         return inf
     return abs(stretch) * float(np.min(left.center[:, 0] - left.half[:, 0]))
