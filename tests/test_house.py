@@ -18,6 +18,11 @@ LONGEST_FILE = 400  # lines
 # One good call of each public function that computes. Without x64 every one of them must refuse.
 # "loop" stands for a HapticLoop, "hands" for a HandRange.
 COMPUTING_CALLS: dict[str, list[Any]] = {
+    "boundary_curve": [1.0, 0.001, 0.015, 1.0],
+    "minus_line": [0.1, 0.001, 0.015, 1.0],
+    "plus_line": [0.1, 0.001, 0.015, 1.0],
+    "region_outline": [0.001, 0.015, 1.0],
+    "stable_region": [0.001, 0.015, 1.0],
     "plant_coefficients": [0.001, 0.015],
     "characteristic_polynomial": [0.1, 0.2, 0.001, 0.015, 1.0],
     "companion_matrix": [[1.0, -0.5, 0.25]],
