@@ -80,7 +80,8 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, whole_delay: int, slots: i
         return others_inside(known, theta, whole_delay)
 
     padded = jnp.concatenate([jnp.zeros(1), angles, jnp.full(1, jnp.pi)])
-    passes = jnp.concatenate([jnp.zeros(1, bool), inside(angles), jnp.zeros(1, bool)])
+    scanned = lax.optimization_barrier(inside(angles))
+    passes = jnp.concatenate([jnp.zeros(1, bool), scanned, jnp.zeros(1, bool)])
     begins = _places(passes[1:-1] & ~passes[:-2], slots)
     ends = _places(passes[1:-1] & ~passes[2:], slots)
     exists = begins >= 0
@@ -251,7 +252,8 @@ def _narrowed(inside: Callable[[Array], Array], outer: Array, inner: Array) -> t
         passes = inside(middle)
         return jnp.where(passes, outer, middle), jnp.where(passes, middle, inner)
 
-    ends: tuple[Array, Array] = lax.fori_loop(0, _NARROWINGS, halved, (outer, inner))
+    start = lax.optimization_barrier((outer, inner))
+    ends: tuple[Array, Array] = lax.fori_loop(0, _NARROWINGS, halved, start)
     return ends
 
 

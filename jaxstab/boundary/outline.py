@@ -58,7 +58,8 @@ def polygon(c: SliceCoefficients, arcs: Arcs, points: int) -> Outline:
     turns = extra_vertices(slots) - 4 * slots
     order, loop = _sequence(arcs)
     arcs = jax.tree.map(lambda x: x[order] if x.ndim else x, arcs)
-    nodes, tangents = _survey(c, arcs)
+    # Barriers keep XLA from computing the curve again in every place that reads it.
+    nodes, tangents = lax.optimization_barrier(_survey(c, arcs))
     extremes, fits = _turning_points(c, arcs, nodes, tangents, turns)
     spread = _spread(arcs, nodes, tangents, points - 4 * slots - turns)
     places = jnp.arange(slots)
@@ -73,7 +74,9 @@ def polygon(c: SliceCoefficients, arcs: Arcs, points: int) -> Outline:
         _marks(_VIA, places, ends, arcs.via),
         _marks(_CLOSING, places, begins[first], closes),
     ]
-    everything: _Marks = jax.tree.map(lambda *parts: jnp.concatenate(parts), *marks)
+    everything: _Marks = lax.optimization_barrier(
+        jax.tree.map(lambda *parts: jnp.concatenate(parts), *marks)
+    )
     along = everything.theta - begins[everything.place]
     along = along / (ends - begins)[everything.place]
     along = jnp.where(everything.stage == _ON_ARC, along, 1.0 + everything.stage)
@@ -174,7 +177,7 @@ def _spread(arcs: Arcs, nodes: Array, tangents: Array, count: int) -> tuple[Arra
 
 def _edges(c: SliceCoefficients, arcs: Arcs, marks: _Marks) -> tuple[Array, Array, Array]:
     """Return the vertices, and for the edge after each the branch and the angles at its ends."""
-    on_curve = jnp.stack(curve_point(c, marks.theta), axis=-1)
+    on_curve = lax.optimization_barrier(jnp.stack(curve_point(c, marks.theta), axis=-1))
     crossing = jnp.stack(lines_crossing(c))
     vertices = jnp.where((marks.stage == _VIA)[:, None], crossing, on_curve)
     here, there = (jax.tree.map(lambda x, part=part: x[part], marks) for part in (_HERE, _THERE))
