@@ -7,7 +7,7 @@ are for its lowest ends unless they say otherwise.
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from math import isfinite, isinf, log
+from math import inf, isfinite, isinf
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from jaxstab.boundary import (
     wall_limits,
     worst_hand,
 )
+from jaxstab.boundary.limits import stiffest_wall
 from jaxstab.boundary.stability_margins import MOST_DELAY
 from jaxstab.conventions import Verdict
 from jaxstab.model import HapticLoop
@@ -38,10 +39,11 @@ from jaxstab.stability import (
 )
 
 _LOWEST = {"hand": "at its lowest values, where nothing else is said"}
-_AGREEMENT = 1e-9  # relative, of a designed sample time or delay
+_AGREEMENT = 1e-8  # relative, of a designed sample time or delay
 _HORIZON = 2**17  # samples within which settling is looked for
-_STEPS = 60
-_DOUBLINGS = 24
+_MOST_SAMPLES = 256.0  # of delay, looked at in a design
+_FACTOR = 1024.0  # how much longer or shorter a sample time is looked for
+_LEAST = 1e-3  # of a sample: smaller delays count as none at first
 
 
 def loop_of(scene: Scene) -> HapticLoop:
@@ -135,7 +137,7 @@ def tune(scene: Scene) -> dict[str, Any]:
         RuntimeError: JAX's x64 mode is off.
     """
     loop = loop_of(scene)
-    stiffest = wall_limits(loop).stiffness
+    stiffest, _ = stiffest_wall(loop)
     answer = {
         "least_radius": _best(scene, loop, "radius", stiffest),
         "least_settling": _best(scene, loop, "settling", stiffest),
@@ -171,23 +173,27 @@ def design(scene: Scene) -> dict[str, Any]:
         return replace(loop, delay=delay)
 
     period = _largest(
-        lambda value: wall_limits(sampled(value)).stiffness, stiffness, loop.sample_time
+        lambda value: stiffest_wall(sampled(value))[0] / stiffness - 1.0,
+        loop.sample_time,
+        max(loop.sample_time / _FACTOR, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0),
+        loop.sample_time * _FACTOR,
     )
     delay = _largest(
-        lambda value: wall_limits(delayed(value)).stiffness, stiffness, loop.sample_time
+        lambda value: stiffest_wall(delayed(value))[0] / stiffness - 1.0,
+        loop.sample_time,
+        0.0,
+        _MOST_SAMPLES * loop.sample_time,
     )
-    if delay is None and wall_limits(delayed(0.0)).stiffness >= stiffness:
-        delay = 0.0
     answer: dict[str, Any] = {
         "stiffness": stiffness,
-        "now_allowed_stiffness": wall_limits(loop).stiffness,
+        "now_allowed_stiffness": stiffest_wall(loop)[0],
     }
     answer["sample_time"] = {"largest_sample_time": period}
-    if period is not None:
-        answer["sample_time"] |= {"at_damping": wall_limits(sampled(period)).at_damping}
+    if period is not None and isfinite(period):
+        answer["sample_time"] |= {"at_damping": stiffest_wall(sampled(period))[1]}
     answer["delay"] = {"largest_delay": delay}
-    if delay is not None:
-        answer["delay"] |= {"at_damping": wall_limits(delayed(delay)).at_damping}
+    if delay is not None and isfinite(delay):
+        answer["delay"] |= {"at_damping": stiffest_wall(delayed(delay))[1]}
     return answer | (_LOWEST if hands_of(scene) else {})
 
 
@@ -323,38 +329,33 @@ def _best(
     return answer
 
 
-def _largest(allowed: Callable[[float], float], stiffness: float, start: float) -> float | None:
-    """Return the largest value that still allows a stiffness, of a function that falls.
+def _largest(
+    spare: Callable[[float], float], start: float, lowest: float, highest: float
+) -> float | None:
+    """Return the largest value with something to spare, of a function that falls.
 
-    None where no value down to a tiny part of ``start`` allows it.
+    Infinite where ``highest`` leaves some, None where ``lowest`` leaves none.
     """
-
-    def spare(value: float) -> float:
-        most = allowed(value)
-        return log(most / stiffness) if most > 0.0 else -1.0
-
     low = high = start
     at_low = at_high = spare(start)
-    for _ in range(_DOUBLINGS):
-        if at_low >= 0.0 > at_high:
-            break
-        if at_low < 0.0:
-            high, at_high, low = low, at_low, low / 2.0
-            at_low = spare(low)
-        else:
-            low, at_low, high = high, at_high, high * 2.0
-            at_high = spare(high)
-    else:
-        return None
-    for _ in range(_STEPS):
-        if high - low <= _AGREEMENT * high:
-            break
-        # False position along a line of logarithms, kept away from the ends.
-        share = min(max(at_low / (at_low - at_high), 0.02), 0.98)
-        middle = low + share * (high - low)
+    while at_high >= 0.0:
+        if high >= highest:
+            return inf
+        low, at_low, high = high, at_high, min(2.0 * high, highest)
+        at_high = spare(high)
+    while not at_low >= 0.0:
+        if low <= lowest:
+            return None
+        high, at_high, low = low, at_low, max(0.5 * low, lowest)
+        low = lowest if low < _LEAST * start else low
+        at_low = spare(low)
+    # False position; the weight of an end that stays is halved (Illinois).
+    while high - low > _AGREEMENT * high:
+        share = at_low / (at_low - at_high) if isfinite(at_high) else 0.5
+        middle = low + min(max(share, _AGREEMENT / 4), 1.0 - _AGREEMENT / 4) * (high - low)
         at_middle = spare(middle)
         if at_middle >= 0.0:
-            low, at_low = middle, at_middle
+            low, at_low, at_high = middle, at_middle, 0.5 * at_high
         else:
-            high, at_high = middle, at_middle
+            high, at_high, at_low = middle, at_middle, 0.5 * at_low
     return low

@@ -221,3 +221,9 @@ def test_what_was_compiled_is_kept_in_the_cache_of_the_user(
     finally:
         for name, value in before.items():
             jax.config.update(name, value)
+
+
+def test_design_says_when_no_sample_time_makes_up_for_a_delay() -> None:
+    answer = answered("design", *PHANTOM, "--delay", "0.02", "--stiffness", 6e4)
+    assert answer["sample_time"]["largest_sample_time"] is None
+    assert 0.0 < answer["delay"]["largest_delay"] < 1e-3  # the most is 70.6 kN/m, without any

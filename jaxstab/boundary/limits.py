@@ -22,7 +22,7 @@ from jaxstab.stability import verdict
 Values = Float64[np.ndarray, " values"]
 Limits = Float64[np.ndarray, "values 2"]
 
-_ANGLES = 4096  # of the curve
+_ANGLES = 4096  # of the curve, for each 64 samples of delay
 _BATCH = 512  # angles, and walls to judge, at once: one size, compiled once
 _BISECTIONS = 56
 _ROWS = 48
@@ -69,6 +69,12 @@ def wall_limits(loop: HapticLoop) -> WallLimits:
         loop.damping(other_beta),
         loop.stiffness(other_alpha),
     )
+
+
+def stiffest_wall(loop: HapticLoop) -> tuple[float, float]:
+    """Return the largest stable stiffness in N/m and its damping in N s/m, as ``wall_limits``."""
+    alpha, beta = Plane(loop).farthest(0)
+    return loop.stiffness(alpha), loop.damping(beta)
 
 
 def stiffness_limits(loop: HapticLoop, damping: ArrayLike) -> Float64[np.ndarray, "*grid 2"]:
@@ -169,8 +175,9 @@ class Plane:
         self.plant = (loop.gamma, loop.delta, loop.delay_samples)
         self.slice = slice_coefficients(*self.plant)
         # Evenly, but finer towards both ends, where the curve runs to corners or to infinity.
-        half = np.geomspace(1e-6, 1e-2, _ANGLES // 8)
-        inner = np.linspace(1e-2, pi - 1e-2, _ANGLES - 2 * half.size + 2)[1:-1]
+        count = _ANGLES * (1 + int(loop.delay_samples) // 64)
+        half = np.geomspace(1e-6, 1e-2, count // 8)
+        inner = np.linspace(1e-2, pi - 1e-2, count - 2 * half.size + 2)[1:-1]
         self.angles = np.concatenate([half, inner, pi - half[::-1]])
         self.points = self._curve(self.angles)
         self.line = float(minus_offset(self.slice))  # alpha + 2 beta on the line z = -1
