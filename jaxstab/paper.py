@@ -121,7 +121,7 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
     panel.plot(limit, beta, "--", color=RED, label="linear condition")
     panel.plot(*region.corners.T, "s", color=BLACK, markersize=5, label="corners")
     for point, name, mark in ((region.max_alpha, "alpha", ">"), (region.max_beta, "beta", "^")):
-        alpha, beta_value = map(float, point)
+        alpha, beta_value = (round(float(value), 12) + 0.0 for value in point)  # no "-1e-16"
         label = rf"largest $\{name}$: ({alpha:.5g}, {beta_value:.5g})"
         panel.plot(alpha, beta_value, mark, color=ORANGE, markersize=8, label=label)
     panel.set(xlim=window[0], ylim=window[1])

@@ -67,7 +67,10 @@ def scene_figure(scene: Scene, checked: dict[str, Any] | None = None) -> Figure:
             "a constant push, and the band of 2 %" + (_LOWEST if hands_of(scene) else "")
         )
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=8, frameon=False, ncols=4, loc="outside lower center")
+    columns = 2 if checked is None else 4
+    figure.legend(
+        handles, labels, fontsize=8, frameon=False, ncols=columns, loc="outside lower center"
+    )
     return figure
 
 

@@ -1,0 +1,11 @@
+#!/usr/bin/env bash
+# Draw the pictures of README.md again: bash data/pictures/make_pictures.sh (jaxstab installed).
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")"
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
+
+jaxstab region --gamma 0 --delta 0.015 --delay 1 -o region.png
+jaxstab limits ../scenes/omega.toml --plot limits.png
+jaxstab atlas build -o "$scratch/atlas.h5"
+jaxstab atlas plot "$scratch/atlas.h5" -o atlas.png
