@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from jaxstab.boundary.arcs import Arcs, minus_margin, other_roots
 from jaxstab.boundary.curve import SliceCoefficients, curve_and_lift
@@ -41,11 +41,12 @@ def closer_angles(c: SliceCoefficients, arcs: Arcs, angles: Angles, *, whole_del
     What was missed begins or ends where the curve crosses a line, next to a corner that was found,
     or at the angle of another pair of roots that reaches the circle at such a corner.
     """
-    found = np.asarray(arcs.exists)
-    corners = np.concatenate([np.asarray(arcs.begin)[found], np.asarray(arcs.end)[found]])
-    partners = _partners(c, corners, whole_delay)
+    exists = np.tile(np.asarray(arcs.exists), 2)
+    ends = np.concatenate([np.asarray(arcs.begin), np.asarray(arcs.end)])
+    others = np.asarray(_others(c, jnp.asarray(ends), whole_delay=whole_delay))
+    corners, partners = ends[exists], _angles_near_circle(others[:, exists & _is_open(ends)])
     known = np.concatenate([corners, partners, _line_crossings(c, angles)])
-    centers = np.full(_CENTERS * len(found), angles[0])
+    centers = np.full(_CENTERS * len(arcs.exists), angles[0])
     centers[: len(known)] = known[: len(centers)]
     offsets = np.geomspace(_CLOSEST, np.max(np.diff(angles)), _OFFSETS)
     around = centers[:, None] + np.concatenate([-offsets, offsets])
@@ -58,14 +59,20 @@ def same_arcs(one: Arcs, other: Arcs) -> bool:
     return bool(np.allclose(first, second, rtol=_SAME, atol=_SAME))
 
 
-def _partners(c: SliceCoefficients, corners: Angles, whole_delay: int) -> Angles:
-    """Return the angles of the roots that lie near the circle beside the pair at each angle."""
-    inside = corners[(corners > 0.0) & (corners < np.pi)]
-    polynomials = np.asarray(other_roots(c, jnp.asarray(inside), whole_delay))
+_others = jax.jit(other_roots, static_argnames="whole_delay")
+
+
+def _is_open(angles: Angles) -> Bool[np.ndarray, " _"]:
+    inner: Bool[np.ndarray, " _"] = (angles > 0.0) & (angles < np.pi)
+    return inner
+
+
+def _angles_near_circle(polynomials: Float64[np.ndarray, "coefficient _"]) -> Angles:
+    """Return the angles in [0, pi] of the roots close to the circle."""
     roots = np.concatenate([np.empty(0), *(np.roots(p) for p in polynomials.T)])
     near = roots[(np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE) & (roots.imag >= 0.0)]
-    partners: Angles = np.angle(near)
-    return partners
+    angles: Angles = np.angle(near)
+    return angles
 
 
 def _line_crossings(c: SliceCoefficients, angles: Angles) -> Angles:
