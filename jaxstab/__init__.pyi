@@ -2,9 +2,12 @@ from .atlas import Atlas as Atlas
 from .atlas import AtlasAnswer as AtlasAnswer
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FittedAxis as FittedAxis
+from .atlas import Plan as Plan
 from .atlas import QueryStatus as QueryStatus
+from .atlas import ToleranceAxis as ToleranceAxis
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
+from .atlas import plan_atlas as plan_atlas
 from .boundary import BoundaryTrace as BoundaryTrace
 from .boundary import Branch as Branch
 from .boundary import HandRange as HandRange

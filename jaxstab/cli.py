@@ -62,7 +62,7 @@ for _command in (commands.limits, commands.check, commands.tune, commands.design
 
 @main.group()
 def atlas() -> None:
-    """Build, inspect, ask and plot atlases: stability over a grid of loops, in one file."""
+    """Plan, build, inspect, ask and plot atlases: stability over a grid of loops, in one file."""
 
 
 @atlas.command()
@@ -91,6 +91,18 @@ def build(spec: Path | None, output: Path) -> None:
         if bar.live.is_started:
             bar.stop()
     click.echo(_described(built, output))
+
+
+@atlas.command()
+@click.option("--spec", type=Path, help="TOML file; without, the haptic range of the paper.")
+def plan(spec: Path | None) -> None:
+    """Print what a build would compute, and why it need not compute the rest."""
+    import jax
+
+    from jaxstab.atlas import AtlasSpec, plan_atlas
+
+    jax.config.update("jax_enable_x64", True)
+    click.echo(plan_atlas(AtlasSpec.from_file(spec) if spec else AtlasSpec()))
 
 
 @atlas.command()

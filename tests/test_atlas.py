@@ -24,7 +24,7 @@ from jaxstab import (
     open_atlas,
 )
 from jaxstab.atlas import file
-from jaxstab.atlas.plan import lay_out
+from jaxstab.atlas.layout import lay_out
 
 TRIANGLE = AtlasSpec(
     alpha=FittedAxis(16),

@@ -172,7 +172,7 @@ def test_a_bad_file_is_one_sentence(command: str, damage: str, path: Path, tmp_p
 
 
 @pytest.mark.parametrize(
-    "spec", ["gama = [0, 1]", "gamma = [1, 0]", "gamma = [0]", "gamma = [0, nan]", "gamma = 3", "]"]
+    "spec", ["gama = [0, 1]", "gamma = [1, 0]", "gamma = []", "gamma = [0, nan]", "gamma = 3", "]"]
 )
 def test_a_bad_specification_is_one_sentence_and_no_file(spec: str, tmp_path: Path) -> None:
     (tmp_path / "bad.toml").write_text(spec, encoding="utf-8")

@@ -1,9 +1,12 @@
 from .build import build_atlas as build_atlas
+from .plan import Plan as Plan
+from .plan import plan_atlas as plan_atlas
 from .query import Atlas as Atlas
 from .query import AtlasAnswer as AtlasAnswer
 from .query import QueryStatus as QueryStatus
 from .query import open_atlas as open_atlas
 from .spec import AtlasSpec as AtlasSpec
 from .spec import FittedAxis as FittedAxis
+from .spec import ToleranceAxis as ToleranceAxis
 
 __all__: list[str]

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 import jaxstab
 from jaxstab.atlas import file, schema
-from jaxstab.atlas.certificate import cells_without_crossing
-from jaxstab.atlas.plan import Grid, Tile, cell_tiles, lay_out, node_tiles
+from jaxstab.atlas.layout import Grid
+from jaxstab.atlas.plan import Plan, Tile, plan_atlas
 from jaxstab.atlas.query import Atlas, open_atlas
 from jaxstab.atlas.schema import CELL_VERDICT, RADIUS_ERROR, SPECTRAL_RADIUS, VARIABLES, VERDICT
 from jaxstab.atlas.spec import AtlasSpec
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import require_x64
-from jaxstab.stability import spectral_radius, verdict
+from jaxstab.stability import spectral_radius
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[int, int], object]
@@ -58,61 +58,54 @@ def compute(spec: AtlasSpec, progress: Progress) -> Arrays:
     Raises:
         ValueError, RuntimeError: as ``build_atlas``.
     """
-    nodes = node_tiles(spec)
-    cells = cell_tiles(spec) if VERDICT in spec.products else []
-    total = len(nodes) + len(cells)
-    progress(0, total)
-    grid = lay_out(spec)
-    arrays = _axes(grid, spec) | _empty_products(grid, spec)
-    for done, tile in enumerate(nodes, start=1):
-        for name, values in node_tile(grid, tile, spec).items():
+    plan = plan_atlas(spec)
+    tiles = plan.tiles
+    progress(0, len(tiles))
+    arrays = _axes(plan.grid, spec) | _empty_products(plan.grid, spec)
+    for done, tile in enumerate(tiles, start=1):
+        for name, values in computed(plan, tile, arrays).items():
             arrays[name][:, :, tile.gamma, :, tile.delay] = values
-        progress(done, total)
-    for done, tile in enumerate(cells, start=len(nodes) + 1):
-        corners = arrays[VERDICT][:, :, tile.gamma : tile.gamma + 2, :, tile.delay]
-        arrays[CELL_VERDICT][:, :, tile.gamma, :, tile.delay] = cell_tile(grid, tile, corners)
-        progress(done, total)
+        progress(done, len(tiles))
     return {name: arrays[name] for name in VARIABLES if name in arrays}
 
 
-def node_tile(grid: Grid, tile: Tile, spec: AtlasSpec) -> Arrays:
-    """Return the products at the nodes of a tile, each of shape (alpha, beta, delta)."""
-    points = (
+def computed(plan: Plan, tile: Tile, known: Arrays) -> Arrays:
+    """Return what a tile holds, each array of shape (alpha, beta, delta).
+
+    Args:
+        plan: what to compute.
+        tile: one of the plan's.
+        known: for cells, the verdicts at the nodes.
+    """
+    if tile.variable == VERDICT:
+        slices = [filling.codes() for filling in plan.fillings(tile.gamma, tile.delay)]
+        return {VERDICT: np.stack(slices, axis=-1)}
+    if tile.variable == SPECTRAL_RADIUS:
+        return _radii(plan, tile)
+    corners = known[VERDICT][:, :, tile.gamma : tile.gamma + 2, :, tile.delay]
+    proved = [blocks.cells() for blocks in plan.blocks(tile.gamma, tile.delay)]
+    return {CELL_VERDICT: _cell_codes(np.stack(proved, axis=-1), corners)}
+
+
+def _radii(plan: Plan, tile: Tile) -> Arrays:
+    grid = plan.grid
+    radius = spectral_radius(
         grid.alpha[:, tile.delay, None, None],
         grid.beta[:, tile.delay, None],
         grid.gamma[tile.gamma],
         grid.delta,
         grid.delay[tile.delay],
     )
-    products: Arrays = {}
-    if VERDICT in spec.products:
-        products[VERDICT] = np.asarray(verdict(*points))
-    if SPECTRAL_RADIUS in spec.products:
-        radius = spectral_radius(*points)
-        value, error = np.asarray(radius.value), np.asarray(radius.error)
-        products[SPECTRAL_RADIUS], products[RADIUS_ERROR] = _rounded(
-            value, error, spec.radius_rounding
-        )
-    return products
+    value, error = np.asarray(radius.value), np.asarray(radius.error)
+    value, error = _rounded(value, error, plan.spec.radius_rounding)
+    return {SPECTRAL_RADIUS: value, RADIUS_ERROR: error}
 
 
-def cell_tile(
-    grid: Grid, tile: Tile, corners: Int8[np.ndarray, "alpha_node beta_node 2 delta"]
+def _cell_codes(
+    proved: Bool[np.ndarray, "alpha_cell beta_cell delta_cell"],
+    corners: Int8[np.ndarray, "alpha_node beta_node gamma_side delta"],
 ) -> Int8[np.ndarray, "alpha_cell beta_cell delta_cell"]:
-    """Return the verdicts that are proved for whole cells, from the verdicts at their corners."""
-    proved: Bool[np.ndarray, "alpha_cell beta_cell delta_cell"] = np.stack(
-        [
-            cells_without_crossing(
-                grid.alpha[:, tile.delay],
-                grid.beta[:, tile.delay],
-                grid.gamma[tile.gamma : tile.gamma + 2],
-                grid.delta[number : number + 2],
-                float(grid.delay[tile.delay]),
-            )
-            for number in range(grid.delta.size - 1)
-        ],
-        axis=-1,
-    )
+    """Return the verdicts of cells without a crossing, from the verdicts at their corners."""
     some_stable, some_unstable = (_at_some_corner(corners == code) for code in (STABLE, UNSTABLE))
     return np.select(
         [proved & some_stable & ~some_unstable, proved & some_unstable & ~some_stable],
@@ -122,12 +115,12 @@ def cell_tile(
 
 
 def _at_some_corner(
-    nodes: Bool[np.ndarray, "alpha_node beta_node 2 delta"],
+    nodes: Bool[np.ndarray, "alpha_node beta_node gamma_side delta"],
 ) -> Bool[np.ndarray, "alpha_cell beta_cell delta_cell"]:
-    for axis in range(nodes.ndim):
-        count = nodes.shape[axis] - 1
-        lower, upper = (np.take(nodes, range(k, k + count), axis) for k in (0, 1))
-        nodes = lower | upper
+    for axis, count in enumerate(nodes.shape):
+        if count > 1:  # a fixed parameter has one node, which is both sides of the cell
+            lower, upper = (np.take(nodes, range(k, k + count - 1), axis) for k in (0, 1))
+            nodes = lower | upper
     return nodes[:, :, 0]
 
 

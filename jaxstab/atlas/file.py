@@ -331,7 +331,7 @@ def _inconsistency(arrays: Arrays) -> str:
         ("gamma", "gamma"),
         ("delta", "delta"),
     ):
-        if lengths[f"{axis}_cell"] != lengths[nodes] - 1:
+        if lengths[f"{axis}_cell"] != max(lengths[nodes] - 1, 1):
             return f"{axis} has {lengths[nodes]} nodes and {lengths[f'{axis}_cell']} cells"
     for axis in ("alpha", "beta", "gamma", "delta", "delay"):
         if not (np.all(np.isfinite(arrays[axis])) and np.all(np.diff(arrays[axis], axis=0) > 0)):

@@ -124,7 +124,8 @@ class Atlas:
         verdict = self.arrays[schema.CELL_VERDICT][..., delay_number]
         share = ((verdict == STABLE) | (verdict == UNSTABLE)).astype(np.float64)
         for nodes in self.nodes(delay_number).values():
-            share = np.tensordot(np.diff(nodes) / (nodes[-1] - nodes[0]), share, 1)
+            widths = np.diff(nodes) if nodes.size > 1 else np.ones(1)
+            share = np.tensordot(widths / widths.sum(), share, 1)
         return float(share)
 
     def query(
@@ -265,12 +266,13 @@ class _Place:
         """Find points along each axis, given as its nodes and the points' coordinates."""
         cells, node, at_node, part = [], [], np.ones(axes[0][1].shape, bool), []
         for nodes, points in axes:
-            cell = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, nodes.size - 2)
-            lower, upper = nodes[cell], nodes[cell + 1]
+            cells_along = max(nodes.size - 1, 1)
+            cell = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, cells_along - 1)
+            lower, upper = nodes[cell], nodes[np.minimum(cell + 1, nodes.size - 1)]
             cells.append(cell)
-            node.append(cell + (points == upper))
+            node.append(cell + ((points == upper) & (upper > lower)))
             at_node &= (points == lower) | (points == upper)
-            part.append((points - lower) / (upper - lower))
+            part.append((points - lower) / np.where(upper > lower, upper - lower, 1.0))
         return cls(tuple(cells), tuple(node), at_node, tuple(part))
 
     def interpolated(self, values: Floats) -> Floats:
@@ -279,6 +281,7 @@ class _Place:
         for corner in product((0, 1), repeat=len(self.cell)):
             sides = zip(corner, self.part, strict=True)
             weight = np.prod([part if side else 1.0 - part for side, part in sides], axis=0)
-            value = values[tuple(c + side for side, c in zip(corner, self.cell, strict=True))]
+            node = [c + side for side, c in zip(corner, self.cell, strict=True)]
+            value = values[tuple(map(np.minimum, node, np.array(values.shape) - 1))]
             total += np.where(weight > 0.0, weight * value, 0.0)
         return total

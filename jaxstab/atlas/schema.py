@@ -58,7 +58,7 @@ def _numbers(name: str, interpretation: str) -> Variable:
 
 
 def _cells(axis: str, nodes: str) -> Variable:
-    return _numbers(f"{axis}_cell", f"cell i lies between {nodes} i and i + 1")
+    return _numbers(f"{axis}_cell", f"cell i lies between {nodes} i and i + 1; of one node, at it")
 
 
 VARIABLES: Final = {

@@ -22,6 +22,7 @@ LARGEST_DELAY = 100.0
 FEWEST_FITTED = 8
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
 _RANGE = ("start", "stop", "count", "spacing")
+_TOLERANT = ("start", "stop", "tolerance")
 _LINE_LENGTH = 90
 
 
@@ -43,6 +44,33 @@ class FittedAxis:
         _check_count("fitted", self.count, FEWEST_FITTED)
 
 
+@dataclass(frozen=True)
+class ToleranceAxis:
+    """An axis of gamma or delta with as few nodes as a tolerance allows, the two ends at least.
+
+    Args:
+        start: the first node, >= 0.
+        stop: the last node, > start.
+        tolerance: how far the boundary of a stable region may move from one node to the next, as a
+            share of the region's extents in alpha and beta; in [0.001, 1].
+
+    Raises:
+        TypeError: a value is not a real number.
+        ValueError: a value is out of range.
+    """
+
+    start: float | int
+    stop: float | int
+    tolerance: float | int
+
+    def __post_init__(self) -> None:
+        for name, *limits in (("start", 0.0), ("stop", 0.0), ("tolerance", 1e-3, 1.0)):
+            number = _check_number(f"{name} of an axis", getattr(self, name), *limits)
+            object.__setattr__(self, name, number)
+        if not self.start < self.stop:
+            raise ValueError(f"an axis goes from {self.start} to {self.stop}; give stop > start.")
+
+
 @dataclass(frozen=True, kw_only=True)
 class AtlasSpec:
     """The axes and products of an atlas; without arguments, the paper's haptic range (15).
@@ -50,14 +78,15 @@ class AtlasSpec:
     Args:
         alpha: nodes of the wall's stiffness K T^2/m, or a FittedAxis for each delay.
         beta: nodes of the wall's damping B T/m, or a FittedAxis for each delay.
-        gamma: nodes of the physical stiffness k T^2/m, >= 0.
-        delta: nodes of the physical damping b T/m, >= 0.
-        delay: delays t_d/T in [0, 100], whole or fractional; one alone is allowed here.
+        gamma: nodes of the physical stiffness k T^2/m, >= 0, or a ToleranceAxis.
+        delta: nodes of the physical damping b T/m, >= 0, or a ToleranceAxis.
+        delay: delays t_d/T in [0, 100], whole or fractional; each has a grid of its own.
         products: what to compute, of "verdict" and "spectral_radius".
         radius_rounding: spectral radii are rounded to multiples of the largest power of two that is
             not above this (a smaller file; counted in the stored error); 0 keeps all digits.
 
-    Nodes are finite and ascending, at least two on an axis; they are kept as tuples of floats.
+    Nodes are finite and ascending, and kept as tuples of floats; along alpha and beta there are at
+    least two, and gamma, delta and delay are fixed by one.
 
     Raises:
         TypeError: a value is not of the kind above.
@@ -66,8 +95,8 @@ class AtlasSpec:
 
     alpha: ArrayLike | FittedAxis = field(default_factory=partial(FittedAxis, 128))
     beta: ArrayLike | FittedAxis = field(default_factory=partial(FittedAxis, 112))
-    gamma: ArrayLike = tuple(np.linspace(0.0, 1e-3, 3).tolist())
-    delta: ArrayLike = tuple(np.linspace(0.0, 0.015, 9).tolist())
+    gamma: ArrayLike | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
+    delta: ArrayLike | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
     delay: ArrayLike = (0.0, 1.0, 2.0, 3.0)
     products: Sequence[str] = tuple(PRODUCTS)
     radius_rounding: float | int = 1e-7
@@ -75,21 +104,11 @@ class AtlasSpec:
     def __post_init__(self) -> None:
         for name in AXES:
             value = getattr(self, name)
-            if not (isinstance(value, FittedAxis) and name in ("alpha", "beta")):
+            if not isinstance(value, _LAID_OUT.get(name, ())):
                 object.__setattr__(self, name, _checked_nodes(name, value))
         object.__setattr__(self, "products", _checked_products(self.products))
         _check_number("radius_rounding", self.radius_rounding, 0.0, 1.0)
-        size = math.prod(self.shape)
-        if size > LARGEST_ARRAY:
-            raise ValueError(
-                f"the axes make {size} nodes; at most {LARGEST_ARRAY} are allowed, so give fewer."
-            )
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The number of nodes along alpha, beta, gamma, delta and delay."""
-        axes = (getattr(self, name) for name in AXES)
-        return tuple(axis.count if isinstance(axis, FittedAxis) else len(axis) for axis in axes)
+        check_size([_least_count(getattr(self, name)) for name in AXES])
 
     @classmethod
     def from_file(cls, path: str | PathLike[str]) -> "AtlasSpec":
@@ -109,8 +128,8 @@ class AtlasSpec:
         """Read a specification in TOML; what is left out has its default.
 
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
-        ``count`` and perhaps ``spacing`` ("linear" or "geometric"); for alpha and beta also one
-        with ``fitted``, a count.
+        ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
+        ``fitted``, a count, and for gamma and delta ``start``, ``stop`` and ``tolerance``.
 
         Raises:
             ValueError: the text is no TOML, or has an unknown name or a bad value.
@@ -130,25 +149,52 @@ class AtlasSpec:
         return "\n".join(entries) + "\n"
 
 
+_LAID_OUT: Mapping[str, type] = {
+    "alpha": FittedAxis,
+    "beta": FittedAxis,
+    "gamma": ToleranceAxis,
+    "delta": ToleranceAxis,
+}
+_ENTRIES: Mapping[type, list[str]] = {FittedAxis: ["fitted"], ToleranceAxis: ["tolerance"]}
+
+
+def check_size(counts: Sequence[int]) -> None:
+    """Raise ValueError where so many nodes along each axis are more than an atlas may have."""
+    size = math.prod(counts)
+    if size > LARGEST_ARRAY:
+        raise ValueError(
+            f"the axes make {size} nodes; at most {LARGEST_ARRAY} are allowed, so give fewer."
+        )
+
+
+def _least_count(axis: Any) -> int:
+    if isinstance(axis, FittedAxis):
+        return axis.count
+    return 2 if isinstance(axis, ToleranceAxis) else len(axis)
+
+
 def _axis_of(name: str, entry: Any) -> Any:
     if not isinstance(entry, Mapping):
         return entry
-    allowed = ["values", *_RANGE] + (["fitted"] if name in ("alpha", "beta") else [])
+    allowed = ["values", *_RANGE, *_ENTRIES.get(_LAID_OUT.get(name, object), [])]
     _check_names(f"axis {name}", entry, allowed)
     if set(entry) == {"fitted"}:
         return FittedAxis(entry["fitted"])
     if set(entry) == {"values"}:
         return entry["values"]
+    if set(entry) == set(_TOLERANT):
+        return ToleranceAxis(*(_check_number(f"{key} of {name}", entry[key]) for key in _TOLERANT))
     if set(entry) | {"spacing"} != set(_RANGE):
+        others = {"fitted": ", or fitted", "tolerance": ", or start, stop and tolerance"}
         raise ValueError(
             f"axis {name} has {', '.join(entry) or 'nothing'}; give either values, or start, stop "
-            "and count" + (", or fitted." if "fitted" in allowed else ".")
+            f"and count{others.get(allowed[-1], '')}."
         )
     return _spaced(name, **entry)
 
 
 def _spaced(name: str, start: Any, stop: Any, count: Any, spacing: Any = "linear") -> list[float]:
-    _check_count(f"count of {name}", count, 1)
+    _check_count(f"count of {name}", count, 2)
     ends = [_check_number(f"{end} of {name}", v) for end, v in (("start", start), ("stop", stop))]
     if spacing not in _SPACINGS:
         raise ValueError(f"spacing of {name} is {spacing!r}; give one of {', '.join(_SPACINGS)}.")
@@ -159,15 +205,16 @@ def _spaced(name: str, start: Any, stop: Any, count: Any, spacing: Any = "linear
 
 
 def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
-    if isinstance(values, str | Mapping | FittedAxis) or not isinstance(
+    if isinstance(values, str | Mapping | FittedAxis | ToleranceAxis) or not isinstance(
         values, Sequence | np.ndarray
     ):
         raise TypeError(f"axis {name} is {values!r}; give a list of numbers.")
     limits = {"alpha": (-math.inf, math.inf), "beta": (-math.inf, math.inf)}
     lower, upper = limits.get(name, (0.0, LARGEST_DELAY if name == "delay" else math.inf))
     nodes = tuple(_check_number(f"axis {name}", value, lower, upper) for value in values)
-    if len(nodes) < (1 if name == "delay" else 2):
-        raise ValueError(f"axis {name} has {len(nodes)} node(s); give at least two.")
+    if len(nodes) < (2 if name in limits else 1):
+        fewest = "two" if name in limits else "one"
+        raise ValueError(f"axis {name} has {len(nodes)} node(s); give at least {fewest}.")
     for left, right in pairwise(nodes):
         if not left < right:
             raise ValueError(
@@ -216,6 +263,8 @@ def _check_count(name: str, count: Any, fewest: int) -> None:
 def _toml(value: Any) -> str:
     if isinstance(value, FittedAxis):
         return f"{{ fitted = {value.count} }}"
+    if isinstance(value, ToleranceAxis):
+        return "{ " + ", ".join(f"{key} = {getattr(value, key)!r}" for key in _TOLERANT) + " }"
     if not isinstance(value, tuple):
         return repr(float(value))
     items = ["'" + item + "'" if isinstance(item, str) else repr(item) for item in value]

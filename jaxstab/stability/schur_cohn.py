@@ -18,6 +18,7 @@ from jaxtyping import Float64, Int8
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import (
     DoubleDouble,
+    characteristic_polynomial,
     checked_delay,
     checked_delta,
     checked_gain,
@@ -25,6 +26,7 @@ from jaxstab.model import (
     require_x64,
 )
 from jaxstab.stability.certified_loop import float_plant, loop_codes, pair_plant
+from jaxstab.stability.outer_root import have_outer_root
 from jaxstab.stability.recursion import (
     FLOAT_UNIT,
     PAIR_UNIT,
@@ -38,6 +40,7 @@ from jaxstab.stability.recursion import (
 _UNROLLED = 12  # up to this degree the recursion is compiled without a loop
 _TILE = 4096  # points whose recursion stays in the cache
 _BATCH = 1 << 16  # points gathered from a grid for one call
+_EXACT_BATCHES = (1 << 8, 1 << 12)  # the same in double-double, which takes long to compile
 
 _RADIUS_STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds that are tried
 
@@ -77,7 +80,8 @@ def verdict(
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, whole or fractional, concrete.
         resolve: "exact" repeats the recursion in double-double where float64 leaves a point
-            UNDECIDED; all arguments must then be concrete, as for an array of delays.
+            UNDECIDED, and then looks for a root that is certainly outside; all arguments must be
+            concrete, as for an array of delays.
 
     Returns:
         int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED. Plants are
@@ -261,10 +265,10 @@ def _resolved(
     wholes: Values,
     fractions: Values,
 ) -> Array:
-    """Repeat UNDECIDED points in double-double."""
+    """Repeat UNDECIDED points in double-double; of what is left, look for a root outside."""
     settled = np.array(codes)
     for at, places in _groups(wholes, fractions, np.asarray(settled == UNDECIDED)):
-        for some in _batches(places):
+        for some in _exact_batches(places):
             values = _gathered((*point, fractions), settled.shape, some)
             exact = _pair_codes(
                 values,
@@ -273,6 +277,11 @@ def _resolved(
                 is_cubic=at.degree == 3,
             )
             settled.flat[some] = np.asarray(exact)
+    for _, places in _groups(wholes, fractions, np.asarray(settled == UNDECIDED)):
+        for some in _exact_batches(places):
+            values = _gathered((*point, wholes + fractions), settled.shape, some)
+            proved = have_outer_root(np.asarray(characteristic_polynomial(*values)))
+            settled.flat[some[proved]] = UNSTABLE
     return jnp.asarray(settled)
 
 
@@ -301,6 +310,13 @@ def _batches(places: Values) -> list[Values]:
     if parts:
         parts[-1] = np.resize(parts[-1], 1 << max(parts[-1].size - 1, 255).bit_length())
     return parts
+
+
+def _exact_batches(places: Values) -> list[Values]:
+    """Split indices into parts of two sizes, the last one filled up with repeated ones."""
+    few, many = _EXACT_BATCHES
+    parts = [places[start : start + many] for start in range(0, places.size, many)]
+    return [np.resize(part, few if part.size <= few else many) for part in parts]
 
 
 def _gathered(values: Any, shape: tuple[int, ...], places: Values) -> Any:
