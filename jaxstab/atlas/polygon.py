@@ -13,7 +13,7 @@ curve keeps from the chords of single steps.
 """
 
 from dataclasses import dataclass
-from math import pi
+from math import ceil, pi
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -32,8 +32,9 @@ from jaxstab.boundary.curve import (
 Floats = Float64[np.ndarray, "..."]
 Number = TypeVar("Number", float, np.ndarray)
 
-_SCANS = (512, 4096)  # even vertices of the first look; few sizes: each is compiled
-_VERTICES = (2048, 8192, 32768)
+_BATCH = 1024  # vertices of one call, so that one size is compiled
+_SCANS = (512, 4096)  # fewest and most even vertices of the first look
+_VERTICES = (512, 32768)  # fewest and most
 _PER_HALF_TURN = 32  # of the first look
 _TOWARDS_POLE = pi * 2.0 ** (-np.arange(1.0, 161.0) / 4.0)  # the curve flies off at zeros of N
 _GAP = 0.01  # wanted, in node distances, inside of the grid
@@ -123,17 +124,18 @@ def _first_angles(c: SliceCoefficients) -> Floats:
     """Return angles that see every turn of the curve, and its flight where N(z) vanishes."""
     sigma, nu, total, turns = (float(v) for v in (c.sigma, c.nu, c.num_plus, c.turns))
     zeros = np.roots([0.5 * (sigma + nu), total - sigma, 0.5 * (sigma - nu)])
-    centres = np.concatenate([[0.0, pi], np.resize(np.abs(np.angle(zeros)), 2)])
+    centres = np.concatenate([[0.0, pi], np.abs(np.angle(zeros))])
     close = centres[:, None] + np.concatenate([-_TOWARDS_POLE, [0.0], _TOWARDS_POLE])
-    count = next((count for count in _SCANS if count >= _PER_HALF_TURN * turns), _SCANS[-1])
-    angles = np.concatenate([np.linspace(0.0, pi, count), close.ravel()])
-    ordered: Floats = np.sort(np.clip(angles, 0.0, pi))
+    even = np.linspace(0.0, pi, ceil(np.clip(_PER_HALF_TURN * turns, *_SCANS)))
+    ordered: Floats = np.unique(np.clip(np.append(even, close), 0.0, pi))
     return ordered
 
 
 def _vertices(c: SliceCoefficients, angles: Floats, frame: Frame) -> tuple[Floats, Floats, Floats]:
     """Return points of the curve in units of the frame, and the angles of those that are finite."""
-    alpha, beta = (np.asarray(gain) for gain in curve_point(c, jnp.asarray(angles)))
+    batches = np.resize(angles, (ceil(angles.size / _BATCH), _BATCH))
+    points = [curve_point(c, jnp.asarray(batch)) for batch in batches]
+    alpha, beta = (np.concatenate(gain)[: angles.size] for gain in zip(*points, strict=True))
     x, y = frame.point(alpha, beta)
     known = (np.abs(x) < _FARTHEST) & (np.abs(y) < _FARTHEST)
     return (x, y, angles) if known.all() else (x[known], y[known], angles[known])
@@ -156,7 +158,7 @@ def _refined(angles: Floats, x: Floats, y: Floats, frame: Frame) -> Floats:
     parts = np.minimum(np.sqrt(_gaps(x, y) / wanted), chord / (_CHORD_SHARE * distance))
     passed = np.cumsum(np.maximum(parts[:-1], parts[1:]) + _FEWEST_PARTS)
     passed = np.concatenate([[0.0], passed])
-    count = next((count for count in _VERTICES if count >= passed[-1]), _VERTICES[-1])
+    count = ceil(np.clip(passed[-1], *_VERTICES))
     refined: Floats = np.interp(np.linspace(0.0, passed[-1], count), passed, angles)
     return refined
 
