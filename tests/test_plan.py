@@ -6,7 +6,7 @@ import flint
 import numpy as np
 import pytest
 import truth
-from atlases import SMALL
+from atlases import SMALL, small_contents
 
 from jaxstab import (
     STABLE,
@@ -21,8 +21,11 @@ from jaxstab import (
     plan_atlas,
     verdict,
 )
+from jaxstab.atlas import products, schema
 from jaxstab.atlas.blocks import CellSlice, prove_blocks
 from jaxstab.atlas.fill import Filling, Slice, plan_filling
+from jaxstab.atlas.products import compute_tile
+from jaxstab.atlas.schema import VARIABLES
 
 DELAYS = (0.0, 0.5, 1.0, 2.3, 5.0, 20.0, 41.7, 60.0)
 SLICES = 12  # of each delay
@@ -202,6 +205,18 @@ def test_a_plan_counts_every_point_and_says_why_it_is_not_evaluated() -> None:
     assert "1.5 (degree 5)" in str(plan)
 
 
+def test_a_tile_is_the_same_alone_and_in_an_atlas_of_any_tiles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plan, whole = plan_atlas(SMALL), small_contents().arrays
+    monkeypatch.setattr("jaxstab.atlas.plan.TILE_NODES", 1)
+    assert len(plan.tiles) == 2 * 3 * 2
+    for tile in plan.tiles[::-1]:
+        for name, values in compute_tile(plan, tile).items():
+            places = (plan.numbers(dimension, tile) for dimension in VARIABLES[name].dimensions)
+            np.testing.assert_array_equal(values, whole[name][np.ix_(*places)])
+
+
 @pytest.mark.parametrize("product", ["verdict", "spectral_radius"])
 def test_what_is_not_asked_for_is_not_computed(
     product: str, monkeypatch: pytest.MonkeyPatch
@@ -212,7 +227,8 @@ def test_what_is_not_asked_for_is_not_computed(
     )  # fmt: skip
     plan = plan_atlas(spec)
     other = {"verdict": "spectral_radius", "spectral_radius": "verdict"}[product]
-    assert {tile.variable for tile in plan.tiles}.isdisjoint({other})
+    monkeypatch.setattr(products, "spectral_radius" if product == "verdict" else "plan_filling", 0)
+    assert set(compute_tile(plan, plan.tiles[0])) == set(schema.PRODUCTS[product])
     assert f"{other}: not asked for" in str(plan)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.atlas.edge import Plane
+from jaxstab.atlas.schema import CELL, NODE
 from jaxstab.atlas.spec import AtlasSpec, FittedAxis, ToleranceAxis, check_size
 from jaxstab.atlas.tolerance import tolerant_nodes
 
@@ -35,6 +36,11 @@ class Grid:
         """The number of cells along alpha, beta, gamma and delta, and of delays."""
         *nodes, delays = self.shape
         return (*(max(count - 1, 1) for count in nodes), delays)
+
+    @property
+    def lengths(self) -> dict[str, int]:
+        """The lengths of the dimensions of nodes and cells, by the names of the schema."""
+        return dict(zip((*NODE, *CELL), (*self.shape, *self.cell_shape), strict=True))
 
     def sides(self, axis: str) -> Float64[np.ndarray, "cell 2"]:
         """Return the ends of the cells along gamma or delta; one node alone is both of them."""

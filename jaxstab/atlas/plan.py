@@ -1,24 +1,28 @@
 """What has to be computed for a specification, and why the rest has not."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
+from math import prod
 from typing import NamedTuple
 
-import numpy as np
-
-from jaxstab.atlas.blocks import Blocks, CellSlice, prove_blocks
-from jaxstab.atlas.fill import Filling, Slice, plan_filling
+from jaxstab.atlas.blocks import CellSlice, prove_blocks
+from jaxstab.atlas.fill import Slice, plan_filling
 from jaxstab.atlas.layout import Grid, lay_out
-from jaxstab.atlas.schema import CELL_VERDICT, PRODUCTS, RADIUS_ERROR, VERDICT
+from jaxstab.atlas.schema import CELL_VERDICT, PRODUCTS, RADIUS_ERROR, VARIABLES, VERDICT
 from jaxstab.atlas.spec import AtlasSpec, ToleranceAxis
 from jaxstab.model import require_x64
 
+TILE_NODES = 2**18  # at most, where a tile holds more than one slice
+
 
 class Tile(NamedTuple):
-    """A unit of work: one variable for all alpha, beta and delta at one gamma and one delay."""
+    """A unit of work: all alpha and beta at one gamma, some neighbouring delta and one delay.
 
-    variable: str
-    gamma: int  # number of the node, or of the cell
+    These are the numbers of nodes, and of the cells that begin at them.
+    """
+
+    gamma: int
+    delta: range
     delay: int
 
 
@@ -66,30 +70,43 @@ class Plan:
 
     @property
     def tiles(self) -> list[Tile]:
-        """The units of work in an order in which what one needs comes first."""
-        *_, delays = self.grid.shape
+        """The units of work; none needs another."""
+        alphas, betas, gammas, deltas, delays = self.grid.shape
+        step = max(1, TILE_NODES // (alphas * betas))
         return [
-            Tile(variable, gamma, delay)
-            for variable in self.variables
+            Tile(gamma, range(first, min(first + step, deltas)), delay)
             for delay in range(delays)
-            for gamma in range(self._counts(variable)[2])
+            for gamma in range(gammas)
+            for first in range(0, deltas, step)
         ]
 
-    def fillings(self, gamma: int, delay: int) -> Iterator[Filling]:
-        """Yield for each delta how verdicts at the nodes are filled in."""
-        grid = self.grid
-        for delta in grid.delta.tolist():
-            alpha, beta = grid.alpha[:, delay], grid.beta[:, delay]
-            at = float(grid.gamma[gamma]), delta, float(grid.delay[delay])
-            yield plan_filling(Slice(alpha, beta, *at))
+    def numbers(self, dimension: str, tile: Tile) -> range:
+        """Return which places along a dimension of the schema are in a tile."""
+        count = self.grid.lengths[dimension]
+        one = {"gamma": tile.gamma, "delay": tile.delay}
+        inside = {name: range(number, number + 1) for name, number in one.items()}
+        inside |= {"delta": tile.delta}
+        part = inside.get(dimension.removesuffix("_cell"), range(count))
+        return range(part.start, max(part.start, min(part.stop, count)))
 
-    def blocks(self, gamma: int, delay: int) -> Iterator[Blocks]:
-        """Yield for each cell along delta which blocks of cells are proved whole."""
+    def shape(self, variable: str, tile: Tile) -> tuple[int, ...]:
+        """Return the shape of the part of a variable that is in a tile."""
+        dimensions = VARIABLES[variable].dimensions
+        return tuple(len(self.numbers(dimension, tile)) for dimension in dimensions)
+
+    def slice_at(self, gamma: int, delta: int, delay: int) -> Slice:
+        """Return the nodes of alpha and beta at the numbers of the others."""
         grid = self.grid
-        for delta in grid.sides("delta"):
-            alpha, beta = grid.alpha[:, delay], grid.beta[:, delay]
-            sides = grid.sides("gamma")[gamma], delta
-            yield prove_blocks(CellSlice(alpha, beta, *sides, float(grid.delay[delay])))
+        at = float(grid.gamma[gamma]), float(grid.delta[delta]), float(grid.delay[delay])
+        return Slice(grid.alpha[:, delay], grid.beta[:, delay], *at)
+
+    def cells_at(self, gamma: int, delta: int, delay: int) -> CellSlice:
+        """Return the cells of alpha and beta in the numbered cells of gamma and delta."""
+        grid = self.grid
+        sides = grid.sides("gamma")[gamma], grid.sides("delta")[delta]
+        return CellSlice(
+            grid.alpha[:, delay], grid.beta[:, delay], *sides, float(grid.delay[delay])
+        )
 
     def shares(self) -> list[Share]:
         """Return for each variable how much of it is evaluated.
@@ -110,14 +127,12 @@ class Plan:
         lines += [f"{product}: not asked for, nothing evaluated" for product in left_out]
         return "\n".join(lines)
 
-    def _counts(self, variable: str) -> Sequence[int]:
-        return self.grid.cell_shape if variable == CELL_VERDICT else self.grid.shape
-
     def _share(self, variable: str) -> Share:
-        asked = int(np.prod(self._counts(variable)))
-        tiles = [tile[1:] for tile in self.tiles if tile.variable == variable]
+        counts = [self.grid.lengths[dimension] for dimension in VARIABLES[variable].dimensions]
+        asked = prod(counts)
+        places = product(*map(range, counts[2:]))
         if variable == VERDICT:
-            fillings = [filling for tile in tiles for filling in self.fillings(*tile)]
+            fillings = [plan_filling(self.slice_at(*place)) for place in places]
             evaluated = sum(filling.computed for filling in fillings)
             inside = sum(filling.filled_inside for filling in fillings)
             return Share(
@@ -137,7 +152,7 @@ class Plan:
                 ),
             )
         if variable == CELL_VERDICT:
-            tried = sum(blocks.tried for tile in tiles for blocks in self.blocks(*tile))
+            tried = sum(prove_blocks(self.cells_at(*place)).tried for place in places)
             why = "in blocks of cells that are proved whole"
             return Share(variable, asked, tried, ((asked - tried, why),))
         return Share(variable, asked, asked)
