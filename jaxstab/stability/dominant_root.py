@@ -30,7 +30,6 @@ from functools import partial, reduce
 from operator import add
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -44,6 +43,7 @@ from jaxstab.stability.power_iteration import (
     reciprocal,
 )
 from jaxstab.stability.recursion import FLOAT_UNIT
+from jaxstab.stability.wide_vectors import wide_jit
 
 _LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
@@ -106,7 +106,7 @@ class _Complex(NamedTuple):
         return self.re * self.re + self.im * self.im
 
 
-@partial(jax.jit, static_argnames=("degree", "doublings", "corrections"))
+@partial(wide_jit, static_argnames=("degree", "doublings", "corrections"))
 def dominant_root(loop: Loop, *, degree: int, doublings: int, corrections: int = 2) -> Array:
     """Return t = z - 1 of a root z >= 0 that is likely dominant, as a complex array.
 
@@ -120,7 +120,7 @@ def dominant_root(loop: Loop, *, degree: int, doublings: int, corrections: int =
     return lax.complex(t.re, t.im)
 
 
-@partial(jax.jit, static_argnames="degree")
+@partial(wide_jit, static_argnames=("degree",))
 def distance_of_dominant(root: Array, loop: Loop, *, degree: int) -> Array:
     """Return a proved bound of | |1 + root| - spectral radius |, inf where there is no proof.
 
@@ -135,7 +135,7 @@ def distance_of_dominant(root: Array, loop: Loop, *, degree: int) -> Array:
     return jnp.where(is_proved, distance + 4.0 * FLOAT_UNIT * radius, jnp.inf)
 
 
-@jax.jit
+@wide_jit
 def modulus(root: Array) -> Array:
     """Return |1 + root| to 3 ulp."""
     return jnp.sqrt(_Complex(root.real, root.imag).shifted(1.0).squared_modulus())

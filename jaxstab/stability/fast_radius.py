@@ -90,7 +90,7 @@ def _try_list(
 def _tried(parameters: list[Values], delay: float, effort: _Try) -> Answer:
     alpha, beta, gamma, delta = map(jnp.asarray, parameters)
     fraction = delay % 1.0
-    plant = float_plant(gamma, delta, np.asarray(fraction), is_fractional=fraction > 0.0)
+    plant = float_plant(gamma, delta, jnp.asarray(fraction), is_fractional=fraction > 0.0)
     loop = Loop(alpha, beta, gamma, plant)
     degree = polynomial_degree(delay)
     root = dominant_root(

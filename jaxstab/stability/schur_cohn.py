@@ -36,6 +36,7 @@ from jaxstab.stability.recursion import (
     decide,
     size_sum,
 )
+from jaxstab.stability.wide_vectors import wide_jit
 
 _UNROLLED = 12  # up to this degree the recursion is compiled without a loop
 _TILE = 4096  # points whose recursion stays in the cache
@@ -221,19 +222,17 @@ def _float_verdict(point: tuple[ArrayLike, ...], fractions: Values, at: _Delay) 
 def _float_codes(arguments: tuple[Any, ...], at: _Delay) -> Array:
     """Return the codes of points; one compilation for all long delays."""
     if at.degree <= _UNROLLED:
-        short: Array = _short_codes(arguments, degree=at.degree)
-        return short
-    long: Array = _long_codes(arguments, jnp.asarray(at.degree))
-    return long
+        return _short_codes(arguments, degree=at.degree)
+    return _long_codes(arguments, jnp.asarray(at.degree))
 
 
-@partial(jax.jit, static_argnames="degree")
+@partial(wide_jit, static_argnames=("degree",))
 def _short_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
     codes = partial(loop_codes, unit=FLOAT_UNIT, degree=degree)
     return codes(*arguments) if degree <= 4 else over_tiles(codes, arguments)
 
 
-@jax.jit
+@wide_jit
 def _long_codes(arguments: tuple[Any, ...], degree: Array) -> Array:
     codes = partial(loop_codes, unit=FLOAT_UNIT, degree=degree)
     return over_tiles(codes, arguments)
