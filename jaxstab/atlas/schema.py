@@ -93,7 +93,9 @@ VARIABLES: Final = {
             NODE,
             "stability at the node",
             "stable: all roots of the characteristic polynomial inside the unit circle; "
-            "unstable: not so; undecided: too close to the boundary for float64; each proved",
+            "unstable: not so; undecided: too close to the boundary. Proved for each node next to "
+            "the boundary and for samples; the others lie between crossings of its closed form and "
+            "have the verdict of the samples there",
         ),
         Variable(
             CELL_VERDICT,
