@@ -1,4 +1,4 @@
-"""Answers from an atlas in memory: at a node what was computed, elsewhere only what is proved.
+"""Answers from an atlas in memory: at a node what it holds, elsewhere only what is proved.
 
 NumPy and h5py alone: no JAX, and nothing else that takes time to import.
 """
@@ -40,7 +40,7 @@ class QueryStatus(IntEnum):
 
 
 _WORDS = {
-    QueryStatus.NODE: "a node: verdict and radius were computed for this very point",
+    QueryStatus.NODE: "a node: the atlas holds verdict and radius of this very point",
     QueryStatus.CELL: "between nodes: the verdict is proved for the whole cell, the radius is "
     "interpolated and has no error bound",
     QueryStatus.UNDECIDED_CELL: "between nodes: no verdict is proved for the whole cell, the "
@@ -55,7 +55,8 @@ class AtlasAnswer:
     """What an atlas says about points; four arrays of the broadcast shape of the query.
 
     Attributes:
-        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved for the point;
+        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved between nodes;
+            at a node they are what the atlas holds, whose interpretation says what is proved.
             UNDECIDED where the atlas cannot decide; NOT_COMPUTED when it holds no verdicts.
         spectral_radius: computed at a node, multilinearly interpolated elsewhere; NaN where the
             atlas holds none.
