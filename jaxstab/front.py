@@ -225,7 +225,7 @@ def _checked(scene: Scene, wall: Wall) -> dict[str, Any]:
     if hands:
         worst = worst_hand(loop, hands, *gains)
         loop = worst.loop
-        loops = [loop, *corner_loops(loop, hands)]
+        loops = list({loop, *corner_loops(loop, hands)})
         answer |= {"verdict": worst.verdict.name.lower(), "worst_hand": _hand(loop)}
     else:
         answer["verdict"] = _verdict(loop, *gains).name.lower()
@@ -349,13 +349,16 @@ def _largest(
         high, at_high, low = low, at_low, max(0.5 * low, lowest)
         low = lowest if low < _LEAST * start else low
         at_low = spare(low)
-    # False position; the weight of an end that stays is halved (Illinois).
+    # False position; the weight of an end that stays twice is halved (Illinois).
+    last = 0
     while high - low > _AGREEMENT * high:
         share = at_low / (at_low - at_high) if isfinite(at_high) else 0.5
         middle = low + min(max(share, _AGREEMENT / 4), 1.0 - _AGREEMENT / 4) * (high - low)
         at_middle = spare(middle)
         if at_middle >= 0.0:
-            low, at_low, at_high = middle, at_middle, 0.5 * at_high
+            low, at_low, at_high = middle, at_middle, at_high * (0.5 if last == 1 else 1.0)
+            last = 1
         else:
-            high, at_high, at_low = middle, at_middle, 0.5 * at_low
+            high, at_high, at_low = middle, at_middle, at_low * (0.5 if last == -1 else 1.0)
+            last = -1
     return low

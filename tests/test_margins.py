@@ -82,6 +82,10 @@ def test_a_loop_that_no_delay_upsets_has_all_of_it_to_spare() -> None:
     assert jaxstab.margins(PHANTOM, 0.0, 0.0).verdict == Verdict.UNDECIDED
     held = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, hand_stiffness=500.0)
     assert jaxstab.margins(held, 1.0, 0.1).extra_delay == np.inf
+    stiff = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, hand_stiffness=987e3)
+    assert jaxstab.margins(stiff, 2000.0, 0.2).extra_delay == np.inf
+    for delay in np.random.default_rng(3).uniform(0.0, 60.0, 12):
+        assert true_radius(stiff, 2000.0, 0.2, float(delay)) < 1.0
 
 
 def test_a_long_delay_may_grow_by_more_than_a_hundred_samples_to_its_crossing() -> None:

@@ -149,10 +149,27 @@ def exclude(center: Loops, radius: Loops) -> Exclusion:
     return Exclusion(np.any(clear > 0, axis=0), np.abs(linear) + slopes)
 
 
+def exclude_any_delay(center: Loops, radius: Loops) -> Exclusion:
+    """Prove the same as ``exclude`` for these delays and all that are whole samples longer.
+
+    A box is free when nowhere in it |D/z| = |(N/z) H|: then no phase z^-m brings the two to cancel.
+    """
+    expansion = _expand(center)
+    remainder, slopes = _remainders(expansion, center, radius)
+    forced = expansion.value - expansion.free
+    slope = np.abs(expansion.linear)
+    slope[5] = np.abs(expansion.free_theta) + np.abs(expansion.linear[5] - expansion.free_theta)
+    apart = np.abs(np.abs(expansion.free) - np.abs(forced))
+    clear = apart - np.sum(slope * np.stack(radius), axis=0) - remainder
+    return Exclusion(clear > 0, slope + slopes)
+
+
 class _Expansion(NamedTuple):
     """g and its derivatives at the center; those of D/z only, with respect to gamma and delta."""
 
     value: Complex128[np.ndarray, " boxes"]
+    free: Complex128[np.ndarray, " boxes"]  # D/z
+    free_theta: Complex128[np.ndarray, " boxes"]
     linear: Complex128[np.ndarray, "6 boxes"]
     wall: Complex128[np.ndarray, " boxes"]  # H
     slope: Complex128[np.ndarray, " boxes"]  # 1 - 1/z
@@ -175,6 +192,7 @@ def _expand(center: Loops) -> _Expansion:
     late = np.exp(delta * (fraction - 1.0)) * _impulse_response(gamma, delta, fraction)
     force_delay = back * (late * (1.0 / z - 1.0) - early * (z - 1.0))
     impulse = _impulse_response(gamma, delta, np.ones_like(delta))
+    free, free_theta = z + d1 + d0 / z, 1j * (z - d0 / z)
     linear = np.stack(
         [
             force,
@@ -182,18 +200,26 @@ def _expand(center: Loops) -> _Expansion:
             impulse + 0j,
             -0.5 * d1 - 0.5 * delta * impulse - d0 / z,
             force_delay * wall,
-            1j * (z - d0 / z) + force_theta * wall + force * beta * 1j / z,
+            free_theta + force_theta * wall + force * beta * 1j / z,
         ]
     )
-    value = z + d1 + d0 / z + force * wall
-    return _Expansion(value, linear, wall, slope, np.abs(n2) + np.abs(n1) + np.abs(n0), turns)
+    return _Expansion(
+        free + force * wall,
+        free,
+        free_theta,
+        linear,
+        wall,
+        slope,
+        np.abs(n2) + np.abs(n1) + np.abs(n0),
+        turns,
+    )
 
 
 def _remainders(
     expansion: _Expansion, center: Loops, radius: Loops
 ) -> tuple[Reals, Float64[np.ndarray, "6 boxes"]]:
     """Bound |g| minus its expansion over the box; also how steep the bound is in each variable."""
-    _, _, wall, slope, total, turns = expansion
+    wall, slope, total, turns = expansion[4:]
     steps = np.floor(center.delay + radius.delay) + 2.0  # the largest m + 1
     lag = np.minimum(np.abs(slope) + radius.theta, 2.0)  # the largest |1 - 1/z|
     most_beta = np.abs(center.beta) + radius.beta

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float64, Int8
@@ -226,6 +225,7 @@ def _solve(
     start: Array, coefficients: SliceCoefficients, delta: Array, delay: Array, level: Array
 ) -> tuple[Array, Array]:
     """Solve (24) = level for theta by Newton's method; also say whether it converged."""
+    import optimistix  # here: it takes as long as all other imports, and few calls solve
 
     def excess(theta: Array, _: None) -> Array:
         alpha, beta = curve_point(coefficients, theta)

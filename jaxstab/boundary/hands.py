@@ -222,7 +222,8 @@ def _grid(hands: HandRange, count: int) -> Hands:
     """Return hands spread over the range, their stiffness evenly in frequency."""
     ends = (hands.mass, tuple(sqrt(end) for end in hands.stiffness), hands.damping)
     axes = [np.linspace(low, high, count if low < high else 1) for low, high in ends]
-    axes[1] = np.clip(axes[1] ** 2, *hands.stiffness)
+    axes[1] = axes[1] ** 2
+    axes[1][[0, -1]] = hands.stiffness
     return np.array(list(product(*axes)))
 
 

@@ -21,10 +21,11 @@ from jaxstab.stability import verdict
 
 Values = Float64[np.ndarray, " values"]
 Limits = Float64[np.ndarray, "values 2"]
+Pairs = Float64[np.ndarray, "2 values"]
 
 _ANGLES = 4096  # of the curve, for each 64 samples of delay
 _BATCH = 512  # angles, and walls to judge, at once: one size, compiled once
-_BISECTIONS = 56
+_MOST_STEPS, _ULPS = 120, 4  # of the search for a root: when it ends
 _ROWS = 48
 _ZOOMS = 9
 _PIECE = 1e-9  # of the size of the region: shorter intervals are rounding
@@ -237,13 +238,10 @@ class Plane:
         across = self.points[:, 1 - axis]
         above = across[None, :] > values[:, None]
         row, place = np.nonzero(above[:, 1:] != above[:, :-1])
-        begin, end = self.angles[place], self.angles[place + 1]
-        rises = above[row, place + 1]
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (begin + end)
-            beyond = (self._curve(middle)[:, 1 - axis] > values[row]) == rises
-            begin, end = np.where(beyond, begin, middle), np.where(beyond, middle, end)
-        met = self._curve(0.5 * (begin + end))[:, axis]
+        ends = np.stack([self.angles[place], self.angles[place + 1]])
+        excess = np.stack([across[place], across[place + 1]]) - values[row]
+        angles = self._roots(ends, excess, values[row], axis)
+        met = self._curve(angles)[:, axis]
         order = np.arange(len(row)) - np.searchsorted(row, row)
         places = np.full((len(values), int(order.max(initial=-1)) + 3), np.nan)
         places[row, order] = met
@@ -253,6 +251,34 @@ class Plane:
             places[:, -2] = -self.plant[0]
         places.sort(axis=1)
         return places
+
+    def _roots(self, ends: Pairs, excess: Pairs, values: Values, axis: int) -> Values:
+        """Return the angles between ``ends`` at which the curve takes values of the other axis.
+
+        False position, where the weight of an end that stays is halved (Illinois); every third step
+        halves the interval.
+        """
+        columns = np.arange(len(values))
+        noise = _ULPS * np.spacing(np.abs(values) + np.abs(excess).max(axis=0))
+        shortest = _ULPS * np.spacing(ends[0])
+        last = np.full(len(values), -1)
+        for step in range(_MOST_STEPS):
+            begin, end = ends
+            if np.all(end - begin <= 2.0 * shortest):
+                break
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = excess[0] / (excess[0] - excess[1])
+            is_usable = (share > 0.0) & (share < 1.0) & (step % 3 != 2)
+            middle = begin + np.where(is_usable, share, 0.5) * (end - begin)
+            middle = np.clip(middle, begin + shortest, np.maximum(end - shortest, begin))
+            found = self._curve(middle)[:, 1 - axis] - values
+            side = np.where((found > 0.0) == (excess[0] > 0.0), 0, 1)  # the end that moves
+            excess[1 - side, columns] *= np.where(side == last, 0.5, 1.0)
+            ends[side, columns], excess[side, columns], last = middle, found, side
+            is_met = np.abs(found) <= noise
+            ends[:, is_met] = middle[is_met]
+        angles: Values = 0.5 * (ends[0] + ends[1])
+        return angles
 
     def _edge_points(self) -> Float64[np.ndarray, "points 2"]:
         """Return points of the curve with stable walls beside them."""

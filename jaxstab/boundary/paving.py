@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.boundary.circle import Loops, exclude
+from jaxstab.boundary.circle import Exclusion, Loops, exclude
 
 Corners = Float64[np.ndarray, "boxes axis"]
 
@@ -42,8 +42,9 @@ def pave(
     smallest: float | Float64[np.ndarray, " axis"],
     extent: Callable[[Boxes], Extent],
     most: int = 60_000,
+    prove: Callable[[Loops, Loops], Exclusion] = exclude,
 ) -> Paving:
-    """Halve boxes, along the axis that matters most, until proved free or ``smallest`` in half.
+    """Halve boxes, along the axis that matters most, until ``prove`` frees them or ``smallest``.
 
     Axes of half-width zero are not split. The work is given up, unfinished, when more than ``most``
     boxes are open at once.
@@ -53,7 +54,7 @@ def pave(
         if len(boxes.center) > most:
             return Paving(_joined([*kept, boxes]), finished=False)
         span = extent(boxes)
-        exclusion = exclude(span.center, span.radius)
+        exclusion = prove(span.center, span.radius)
         divisible = boxes.half > smallest
         kept.append(boxes.select(~exclusion.free & ~divisible.any(axis=1)))
         going = ~exclusion.free & divisible.any(axis=1)

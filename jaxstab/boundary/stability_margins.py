@@ -7,13 +7,14 @@ far; there lies the first crossing, bracketed to a billionth. The delay is chang
 through all fractions of a sample.
 """
 
+from functools import partial
 from math import inf, isfinite, nan, pi
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.boundary.circle import Loops
+from jaxstab.boundary.circle import Loops, exclude_any_delay
 from jaxstab.boundary.paving import Boxes, Extent, pave
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import HapticLoop, checked_gain, require_x64
@@ -21,6 +22,10 @@ from jaxstab.stability import verdict
 
 Point = Float64[np.ndarray, " axis"]
 
+_DELAY = AXES.index("delay")
+_ALL_ANGLES = Boxes(np.full((1, 1), 0.5), np.full((1, 1), 0.5))  # in units of pi
+_ANGLE_SIZE = 2.0**-16  # of pi, and of a sample: half the size of the smallest boxes of angles
+_MOST_ANGLES = 2000  # such boxes at once
 _FINEST = 2.0**-32  # of a stretch and of pi: half the size of the smallest boxes
 _DOUBLINGS = 48
 _LEAST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
@@ -32,8 +37,9 @@ class Margins(NamedTuple):
 
     ``stiffness`` and ``damping`` are the intervals (least, largest) of K in N/m, at this B, and of
     B in N s/m, at this K, in which the wall stays stable. ``extra_delay`` is the time in s by which
-    the delay may grow; infinite where nothing up to 1024 samples (MOST_DELAY) is too much. All of
-    them are proved, and fall short of the first root on the circle by about 1e-9 of the way there.
+    the delay may grow; infinite where no delay is too much, or none up to 1024 samples
+    (MOST_DELAY). All of them are proved, and fall short of the first root on the circle by about
+    1e-9 of the way there.
     """
 
     verdict: Verdict
@@ -115,44 +121,65 @@ def _reach(point: Point, axis: int, way: float) -> float:
 
 def _extra_delay(point: Point) -> float:
     """Return by how many samples the delay may grow."""
+    turns = _critical_angles(point)
     start, stretch = 0.0, 1.0
-    while start < MOST_DELAY:
-        away = _to_crossing(_moved(point, AXES.index("delay"), start), AXES.index("delay"), stretch)
+    while start < MOST_DELAY and len(turns.center):
+        away = _to_crossing(_moved(point, _DELAY, start), _DELAY, stretch, turns)
         if isfinite(away):
             return start + away
         start, stretch = start + stretch, 2.0 * stretch
     return inf
 
 
-def _to_crossing(point: Point, axis: int, stretch: float) -> float:
+def _critical_angles(point: Point) -> Boxes:
+    """Return the angles, in units of pi, at which some delay may put a root on the circle."""
+    whole = _moved(point, _DELAY, -float(point[_DELAY]))
+    left, _ = pave(
+        Boxes(np.full((1, 2), 0.5), np.full((1, 2), 0.5)),
+        _ANGLE_SIZE,
+        partial(_along, whole, _DELAY, 1.0),
+        _MOST_ANGLES,
+        exclude_any_delay,
+    )
+    begin, end = left.center[:, 1] - left.half[:, 1], left.center[:, 1] + left.half[:, 1]
+    order = np.argsort(begin)
+    begin, end = begin[order], np.maximum.accumulate(end[order])
+    gaps = begin[1:] > end[:-1]
+    begin = begin[np.append(True, gaps)[: len(begin)]]
+    end = end[np.append(gaps, True)[: len(end)]]
+    return Boxes(0.5 * (begin + end)[:, None], 0.5 * (end - begin)[:, None])
+
+
+def _to_crossing(point: Point, axis: int, stretch: float, turns: Boxes = _ALL_ANGLES) -> float:
     """Return how far along an axis no root reaches the circle; infinite if none does."""
     if not isfinite(stretch):
         return inf
-    smallest = _FINEST
-
-    def extent(boxes: Boxes) -> Extent:
-        middle = np.tile(point[:, None], len(boxes.center))
-        middle[axis] += stretch * boxes.center[:, 0]
-        still = np.zeros_like(middle)
-        along = still.copy()
-        along[axis] = abs(stretch) * boxes.half[:, 0]
-        flat, turn = np.zeros(len(boxes.half)), pi * boxes.half[:, 1]
-        return Extent(
-            _loops(middle, pi * boxes.center[:, 1]),
-            _loops(along, turn),
-            [_loops(along, flat), _loops(still, turn)],
-        )
-
-    whole = Boxes(np.full((1, 2), 0.5), np.full((1, 2), 0.5))
-    left, is_finished = pave(whole, smallest, extent)
+    middle = np.full_like(turns.center, 0.5)
+    whole = Boxes(np.hstack([middle, turns.center]), np.hstack([middle, turns.half]))
+    left, is_finished = pave(whole, _FINEST, partial(_along, point, axis, stretch))
     if not is_finished:  # too many boxes at once
         half = 0.5 * stretch
-        near = _to_crossing(point, axis, half)
+        near = _to_crossing(point, axis, half, turns)
         beyond = _moved(point, axis, half)
-        return near if isfinite(near) else abs(half) + _to_crossing(beyond, axis, half)
+        return near if isfinite(near) else abs(half) + _to_crossing(beyond, axis, half, turns)
     if not len(left.center):
         return inf
     return abs(stretch) * float(np.min(left.center[:, 0] - left.half[:, 0]))
+
+
+def _along(point: Point, axis: int, stretch: float, boxes: Boxes) -> Extent:
+    """Return the loops of boxes of (part of the stretch, theta / pi)."""
+    middle = np.tile(point[:, None], len(boxes.center))
+    middle[axis] += stretch * boxes.center[:, 0]
+    still = np.zeros_like(middle)
+    along = still.copy()
+    along[axis] = abs(stretch) * boxes.half[:, 0]
+    flat, turn = np.zeros(len(boxes.half)), pi * boxes.half[:, 1]
+    return Extent(
+        _loops(middle, pi * boxes.center[:, 1]),
+        _loops(along, turn),
+        [_loops(along, flat), _loops(still, turn)],
+    )
 
 
 def _loops(

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxstab.conventions import UNSTABLE
-from jaxstab.model import DoubleDouble, plant_pairs
+from jaxstab.model import DoubleDouble, PlantPairs, plant_pairs
 from jaxstab.stability.recursion import (
     UNDERFLOW,
     Chain,
@@ -46,17 +46,25 @@ class Plant(Generic[Number]):
     sum: Array  # N(1)
 
 
-@partial(jax.jit, static_argnames="is_fractional")
 def float_plant(
     gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool
 ) -> Plant[Array]:
     """Return the plant rounded to float64; without a fraction, ``fraction`` is not read."""
-    pairs = pair_plant(gamma, delta, fraction, is_fractional=is_fractional)
+    # Not in one jit: plant_pairs takes long to compile, and others share what was compiled.
+    pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
+    plant: Plant[Array] = _rounded_plant(gamma, delta, pairs, is_fractional=is_fractional)
+    return plant
 
+
+@partial(jax.jit, static_argnames="is_fractional")
+def _rounded_plant(
+    gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
+) -> Plant[Array]:
     def is_pair(value: object) -> bool:
         return isinstance(value, DoubleDouble)
 
-    rounded = jax.tree.map(lambda v: v.rounded() if is_pair(v) else v, pairs, is_leaf=is_pair)
+    plant = _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
+    rounded = jax.tree.map(lambda v: v.rounded() if is_pair(v) else v, plant, is_leaf=is_pair)
     return cast(Plant[Array], rounded)
 
 
@@ -65,6 +73,12 @@ def pair_plant(
 ) -> Plant[DoubleDouble]:
     """Return the plant in double-double; without a fraction, ``fraction`` is not read."""
     pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
+    return _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
+
+
+def _plant_of(
+    gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
+) -> Plant[DoubleDouble]:
     one = DoubleDouble.of(jnp.ones_like(pairs.d0.hi))
     zero = one - one
     stiff = (zero, pairs.n0, pairs.n1, pairs.n2)

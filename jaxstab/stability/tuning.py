@@ -16,7 +16,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
@@ -173,6 +172,8 @@ def _multiple_root(family: _Family, start: _Pair, is_triple: Array) -> _Pair:
 
     The derivative of optimistix would raise for a whole batch where one Jacobian is singular.
     """
+    import optimistix as optx  # here: it takes as long as all other imports
+
     best = optx.root_find(
         _equations,
         optx.Newton(rtol=1e-15, atol=1e-15),
