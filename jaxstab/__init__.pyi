@@ -8,6 +8,7 @@ from .atlas import ToleranceAxis as ToleranceAxis
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
 from .atlas import plan_atlas as plan_atlas
+from .atlas import write_atlas as write_atlas
 from .boundary import BoundaryTrace as BoundaryTrace
 from .boundary import Branch as Branch
 from .boundary import HandRange as HandRange

@@ -158,7 +158,7 @@ def plot(
     file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
 ) -> None:
     """Draw verdict and spectral radius in the (alpha, beta) plane."""
-    from jaxstab.atlas.file import publish
+    from jaxstab.atlas.durable import publish
     from jaxstab.figures import draw_atlas
 
     opened = jaxstab.open_atlas(file)
@@ -180,7 +180,7 @@ def figure(number: str, output: Path, form: str) -> None:
     """Draw a figure of Hulin, Preusche, Hirzinger (2008): NUMBER is 4 ... 10, or all."""
     import jax
 
-    from jaxstab.atlas.file import publish
+    from jaxstab.atlas.durable import publish
     from jaxstab.paper import FIGURES, paper_figure, picture
 
     jax.config.update("jax_enable_x64", True)
@@ -208,7 +208,7 @@ def region(
     jax.config.update("jax_enable_x64", True)
     facts = region_facts(gamma, delta, delay, radius)
     if output:
-        from jaxstab.atlas.file import publish
+        from jaxstab.atlas.durable import publish
         from jaxstab.paper import picture, region_figure
 
         publish(picture(region_figure(gamma, delta, delay, radius), output.suffix[1:]), output)

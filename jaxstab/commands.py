@@ -170,7 +170,7 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> dict[str, Any]:
     made, plot = _scene(given), given.get("plot")
     found = _computed(made, name)
     if plot:
-        from jaxstab.atlas.file import publish
+        from jaxstab.atlas.durable import publish
         from jaxstab.paper import picture
         from jaxstab.scene_figure import scene_figure
 

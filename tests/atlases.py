@@ -1,10 +1,10 @@
 """Small atlases for the tests, computed once."""
 
 import functools
+import tempfile
 from pathlib import Path
 
-from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, file
-from jaxstab.atlas.build import compute
+from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, file, footer, write_atlas
 
 SMALL = AtlasSpec(
     alpha=FittedAxis(24),
@@ -24,13 +24,23 @@ delay = [0, 1.5]
 
 
 @functools.cache
-def small_contents() -> file.Contents:
-    return file.Contents(compute(SMALL, lambda done, total: None), "jaxstab test")
+def small_file() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "small.h5"
+        write_atlas(SMALL, path)
+        return path.read_bytes()
 
 
 @functools.cache
+def small_contents() -> file.Contents:
+    with tempfile.TemporaryDirectory() as folder:
+        return file.read(write_small(Path(folder)))
+
+
 def small_image() -> bytes:
-    return file.encode(small_contents())
+    image = footer.image_of(small_file())
+    assert image is not None
+    return image
 
 
 def small_atlas() -> Atlas:
@@ -39,5 +49,5 @@ def small_atlas() -> Atlas:
 
 def write_small(folder: Path) -> Path:
     path = folder / "small.h5"
-    file.write(small_contents(), path)
+    path.write_bytes(small_file())
     return path

@@ -1,18 +1,17 @@
 """Files: what is written is read; what is damaged, foreign or hostile is refused in a sentence."""
 
-import errno
-import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from atlases import small_contents, small_image, write_small
+from atlases import SMALL, small_image, write_small
 
-from jaxstab import open_atlas
-from jaxstab.atlas import file, schema
+import jaxstab
+from jaxstab import open_atlas, plan_atlas
+from jaxstab.atlas import file, footer, schema
+from jaxstab.atlas.products import compute_tile
 
 FOREIGN = {
     "empty": b"",
@@ -36,7 +35,7 @@ def edited(edit: Callable[[h5py.File], None]) -> bytes:
     with h5py.File.in_memory(small_image()) as opened:
         edit(opened)
         opened.flush()
-        return file.sealed(bytes(opened.id.get_file_image()))
+        return footer.sealed(bytes(opened.id.get_file_image()))
 
 
 def replace(name: str, **options: object) -> Callable[[h5py.File], None]:
@@ -53,20 +52,15 @@ def replace(name: str, **options: object) -> Callable[[h5py.File], None]:
 # --------------------------------------------------------------------------------------- round trip
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
-    contents = small_contents()
-    read = file.read(write_small(tmp_path))
-    assert read.created_by == contents.created_by
-    assert list(read.arrays) == list(contents.arrays)
-    for name, values in contents.arrays.items():
-        assert read.arrays[name].dtype == values.dtype
-        np.testing.assert_array_equal(read.arrays[name], values)
-
-
-def test_equal_contents_make_equal_bytes_at_any_time(tmp_path: Path) -> None:
-    first = file.encode(small_contents())
-    time.sleep(1.1)  # HDF5 keeps times in whole seconds
-    assert file.encode(small_contents()) == first
+def test_what_is_computed_is_read(tmp_path: Path) -> None:
+    contents, plan = file.read(write_small(tmp_path)), plan_atlas(SMALL)
+    assert contents.created_by == f"jaxstab {jaxstab.__version__}"
+    assert list(contents.arrays) == list(schema.VARIABLES)
+    for tile in plan.tiles:
+        for name, values in compute_tile(plan, tile).items():
+            places = (plan.numbers(d, tile) for d in schema.VARIABLES[name].dimensions)
+            assert contents.arrays[name].dtype == values.dtype
+            np.testing.assert_array_equal(contents.arrays[name][np.ix_(*places)], values)
 
 
 def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_path: Path) -> None:
@@ -110,7 +104,7 @@ def test_another_hdf5_file_is_refused(tmp_path: Path) -> None:
     with h5py.File(path, "w") as other:
         other["verdict"] = np.ones((2, 2))
     refusal(path)
-    path.write_bytes(file.sealed(path.read_bytes()))
+    path.write_bytes(footer.sealed(path.read_bytes()))
     refusal(path)
 
 
@@ -121,17 +115,29 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
         open_atlas(tmp_path)
 
 
+@pytest.mark.parametrize("fill", [b"\x00", b"\xff"])
+def test_every_sector_that_was_wiped_is_noticed(fill: bytes, tmp_path: Path) -> None:
+    path = write_small(tmp_path)
+    whole = path.read_bytes()
+    for start in range(0, len(whole), 512):
+        damaged = whole[:start] + fill * len(whole[start : start + 512]) + whole[start + 512 :]
+        if damaged != whole:
+            path.write_bytes(damaged)
+            refusal(path)
+
+
 def test_every_flipped_bit_and_every_truncation_is_noticed(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
     path = write_small(tmp_path)
     whole = path.read_bytes()
-    for place in rng.integers(0, 8 * len(whole), 300):
+    for place in rng.integers(0, 8 * len(whole), 5000).tolist():
         damaged = bytearray(whole)
         damaged[place // 8] ^= 1 << (place % 8)
-        path.write_bytes(damaged)
-        refusal(path)
-    for length in rng.integers(0, len(whole), 100):
+        assert footer.image_of(bytes(damaged)) is None
+    path.write_bytes(damaged)
+    refusal(path)
+    for length in rng.integers(0, len(whole), 200):
         path.write_bytes(whole[:length])
         refusal(path)
     path.write_bytes(whole + b"\0")
@@ -240,64 +246,3 @@ def test_a_sealed_file_that_is_not_as_the_schema_says_is_refused(name: str, tmp_
     path = tmp_path / "hostile.h5"
     path.write_bytes(edited(HOSTILE[name]))
     refusal(path)
-
-
-# ----------------------------------------------------------------------------------------- failures
-
-
-def failing_write(error: int, after: int) -> Callable[[int, bytes], int]:
-    """An os.write that writes by small pieces and fails at last, as on a full disk."""
-    real_write, calls = os.write, iter(range(after))
-
-    def write(descriptor: int, data: bytes) -> int:
-        if next(calls, None) is None:
-            raise OSError(error, os.strerror(error))
-        return real_write(descriptor, bytes(data[:1000]))
-
-    return write
-
-
-@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EDQUOT])
-@pytest.mark.parametrize("after", [0, 1, 7])
-def test_a_full_disk_leaves_the_former_file_and_nothing_else(
-    error: int, after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write_small(tmp_path)
-    former = path.read_bytes()
-    monkeypatch.setattr(os, "write", failing_write(error, after))
-    with pytest.raises(OSError, match="cannot write") as caught:
-        file.write(small_contents(), path)
-    assert caught.value.errno == error
-    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
-    assert path.read_bytes() == former
-
-
-@pytest.mark.parametrize("step", ["fsync", "replace", "open"])
-def test_a_failure_of_any_step_leaves_nothing(
-    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-
-    contents = small_contents()
-    monkeypatch.setattr(os, step, fail)
-    with pytest.raises(OSError, match="cannot write"):
-        file.write(contents, tmp_path / "new.h5")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_short_writes_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "write", failing_write(errno.EIO, 10**6))
-    assert len(file.read(write_small(tmp_path)).arrays) == len(schema.VARIABLES)
-
-
-def test_a_place_that_cannot_be_written_is_known_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="cannot write"):
-        file.check_folder_of(tmp_path / "missing" / "new.h5")
-    with pytest.raises(IsADirectoryError, match="cannot write"):
-        file.check_folder_of(tmp_path)
-    (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(NotADirectoryError, match="cannot write"):
-        file.check_folder_of(tmp_path / "file" / "new.h5")
-    file.check_folder_of(tmp_path / "new.h5")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]

@@ -1,4 +1,5 @@
 from .build import build_atlas as build_atlas
+from .build import write_atlas as write_atlas
 from .plan import Plan as Plan
 from .plan import plan_atlas as plan_atlas
 from .query import Atlas as Atlas

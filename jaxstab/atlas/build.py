@@ -1,18 +1,17 @@
-"""Build an atlas: compute the tiles of the plan, put them together, publish one file."""
+"""Build an atlas: compute the tiles of the plan, keep each when it is done, publish one file."""
 
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor
+from contextlib import closing
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
-
 import jaxstab
-from jaxstab.atlas import file, schema
-from jaxstab.atlas.layout import Grid
-from jaxstab.atlas.plan import Plan, plan_atlas
-from jaxstab.atlas.products import Arrays, compute_tile
+from jaxstab.atlas.executors import tile_images
+from jaxstab.atlas.merge import merge
+from jaxstab.atlas.plan import plan_atlas
 from jaxstab.atlas.query import Atlas, open_atlas
-from jaxstab.atlas.schema import VARIABLES
+from jaxstab.atlas.shards import build_key, shards_of
 from jaxstab.atlas.spec import AtlasSpec
 from jaxstab.model import require_x64
 
@@ -20,71 +19,72 @@ Progress = Callable[[int, int], object]
 
 
 def build_atlas(
-    spec: AtlasSpec, path: str | PathLike[str], progress: Progress | None = None
+    spec: AtlasSpec,
+    path: str | PathLike[str],
+    progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Atlas:
-    """Compute an atlas, publish it as one file and open it.
+    """Build an atlas as ``write_atlas`` does, and open it.
 
-    The file appears whole and durably, or not at all; a former one of this name is replaced. One
-    machine makes equal bytes of equal specifications.
+    Raises:
+        ValueError: as ``write_atlas``; or the atlas is larger than can be opened in memory.
+        OSError, RuntimeError: as ``write_atlas``.
+
+    Source: the verdicts, the radii and the proofs for cells name theirs.
+    """
+    write_atlas(spec, path, progress, executor)
+    return open_atlas(path)
+
+
+def write_atlas(
+    spec: AtlasSpec,
+    path: str | PathLike[str],
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> None:
+    """Compute an atlas and publish it as one file, with a few tiles of it in memory at a time.
+
+    The file appears whole and durably, or not at all; a former one of this name is replaced. Until
+    then each tile that is done is kept in a hidden folder beside it, and when a build was ended,
+    in whatever way, the next one of an equal specification goes on from there. One machine makes
+    equal bytes of equal specifications, however the work was done.
 
     Args:
         spec: what the atlas shall hold.
         path: of the file.
-        progress: called with the number of tiles done and of all tiles, first with none done.
+        progress: called with the number of tiles done and of all tiles, first with those that are
+            there already.
+        executor: what computes the tiles, in float64 in each worker; without, this process does.
+            A tile may be computed twice. An executor of processes must not fork them.
 
     Raises:
-        OSError: the folder is missing, read-only or full; the former file is still there.
+        OSError: the folder is missing, read-only or full, or another process builds this atlas; a
+            former file is still there.
         ValueError: a parameter is too large for the model, or an axis cannot be fitted.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX's x64 mode is off, a worker did not compute in float64, or workers died.
 
     Source: the verdicts, the radii and the proofs for cells name theirs.
     """
     require_x64()
     path = Path(path)
-    file.check_folder_of(path)
-    arrays = compute(spec, progress or (lambda done, total: None))
-    file.write(file.Contents(arrays, f"jaxstab {jaxstab.__version__}"), path)
-    return open_atlas(path)
-
-
-def compute(spec: AtlasSpec, progress: Progress) -> Arrays:
-    """Return all arrays of an atlas, by the names of the schema.
-
-    Raises:
-        ValueError, RuntimeError: as ``build_atlas``.
-    """
-    plan = plan_atlas(spec)
-    tiles = plan.tiles
-    progress(0, len(tiles))
-    arrays = _axes(plan.grid, spec) | _empty_products(plan)
-    for done, tile in enumerate(tiles, start=1):
-        for name, values in compute_tile(plan, tile).items():
-            places = (plan.numbers(dimension, tile) for dimension in VARIABLES[name].dimensions)
-            arrays[name][*(slice(place.start, place.stop) for place in places)] = values
-        progress(done, len(tiles))
-    return {name: arrays[name] for name in VARIABLES if name in arrays}
-
-
-def _axes(grid: Grid, spec: AtlasSpec) -> Arrays:
-    lines = np.array([line.encode("utf-8") for line in spec.to_toml().splitlines()])
-    arrays: Arrays = {
-        "alpha": grid.alpha,
-        "beta": grid.beta,
-        "gamma": grid.gamma,
-        "delta": grid.delta,
-        "delay": grid.delay,
-        schema.SPEC: lines,
-        "spec_line": np.arange(lines.size, dtype=np.int32),
-    }
-    for name, count in grid.lengths.items():
-        arrays.setdefault(name, np.arange(count, dtype=np.int32))
-    return arrays
-
-
-def _empty_products(plan: Plan) -> Arrays:
-    names = [name for chosen in plan.spec.products for name in schema.PRODUCTS[chosen]]
-    lengths = plan.grid.lengths
-    return {
-        name: np.zeros([lengths[d] for d in VARIABLES[name].dimensions], VARIABLES[name].dtype)
-        for name in names
-    }
+    created_by = f"jaxstab {jaxstab.__version__}"
+    with shards_of(path, build_key(spec, created_by)) as shards:
+        plan = plan_atlas(spec)
+        tiles = plan.tiles
+        missing = [tile for tile in tiles if not shards.has(tile)]
+        done = len(tiles) - len(missing)
+        tell = progress or (lambda done, total: None)
+        tell(done, len(tiles))
+        try:
+            with closing(tile_images(plan, missing, shards.key, executor)) as images:
+                for tile, image in images:
+                    shards.put(tile, image)
+                    done += 1
+                    tell(done, len(tiles))
+        except BrokenExecutor as error:
+            raise RuntimeError(
+                f"a worker died; {done} of {len(tiles)} tiles are done and kept, so build the same "
+                "atlas again to go on."
+            ) from error
+        merge(plan, shards, path, created_by)
+        shards.remove()

@@ -69,10 +69,16 @@ class Plan:
         return tuple(name for name in chosen if name != RADIUS_ERROR)
 
     @property
+    def deltas_of_a_tile(self) -> int:
+        """The largest number of nodes along delta that are in one tile."""
+        alphas, betas, _, deltas, _ = self.grid.shape
+        return min(max(1, TILE_NODES // (alphas * betas)), deltas)
+
+    @property
     def tiles(self) -> list[Tile]:
         """The units of work; none needs another."""
-        alphas, betas, gammas, deltas, delays = self.grid.shape
-        step = max(1, TILE_NODES // (alphas * betas))
+        *_, gammas, deltas, delays = self.grid.shape
+        step = self.deltas_of_a_tile
         return [
             Tile(gamma, range(first, min(first + step, deltas)), delay)
             for delay in range(delays)
@@ -93,6 +99,19 @@ class Plan:
         """Return the shape of the part of a variable that is in a tile."""
         dimensions = VARIABLES[variable].dimensions
         return tuple(len(self.numbers(dimension, tile)) for dimension in dimensions)
+
+    def is_gridded(self, variable: str) -> bool:
+        """Whether each value of a variable has its place in the grid, and is not one of a list."""
+        return set(VARIABLES[variable].dimensions) <= set(self.grid.lengths)
+
+    def chunk(self, variable: str) -> tuple[int, ...]:
+        """Return the shape of the part of a gridded variable that is in a whole tile."""
+        lengths = {name: self.grid.lengths[name] for name in VARIABLES[variable].dimensions}
+        most = {"gamma": 1, "delta": self.deltas_of_a_tile, "delay": 1}
+        return tuple(
+            min(most.get(name.removesuffix("_cell"), length), length)
+            for name, length in lengths.items()
+        )
 
     def slice_at(self, gamma: int, delta: int, delay: int) -> Slice:
         """Return the nodes of alpha and beta at the numbers of the others."""

@@ -10,13 +10,14 @@ from typing import Final
 from jaxstab.conventions import Verdict
 
 FORMAT: Final = "jaxstab atlas"
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 
 FOOTER_MAGIC: Final = b"jaxstab\n"
 """After the image: these 8 bytes, its length (uint64, little endian), its SHA-256 (32 bytes)."""
 
-LARGEST_IMAGE: Final = 2**33  # bytes
-LARGEST_ARRAY: Final = 2**28  # elements
+LARGEST_ARRAY: Final = 2**28  # elements that are read into memory at once
+LARGEST_ATLAS: Final = 2**38  # nodes
+LARGEST_SLICE: Final = 2**22  # nodes along alpha and beta
 
 VERDICT: Final = "verdict"
 CELL_VERDICT: Final = "cell_verdict"

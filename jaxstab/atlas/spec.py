@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxstab.atlas.schema import LARGEST_ARRAY, PRODUCTS
+from jaxstab.atlas.schema import LARGEST_ATLAS, LARGEST_SLICE, PRODUCTS
 from jaxstab.conventions import AXES
 
 LARGEST_DELAY = 100.0
@@ -160,11 +160,14 @@ _ENTRIES: Mapping[type, list[str]] = {FittedAxis: ["fitted"], ToleranceAxis: ["t
 
 def check_size(counts: Sequence[int]) -> None:
     """Raise ValueError where so many nodes along each axis are more than an atlas may have."""
-    size = math.prod(counts)
-    if size > LARGEST_ARRAY:
-        raise ValueError(
-            f"the axes make {size} nodes; at most {LARGEST_ARRAY} are allowed, so give fewer."
-        )
+    for axes, size, most in (
+        ("axes", math.prod(counts), LARGEST_ATLAS),
+        ("axes alpha and beta", math.prod(counts[:2]), LARGEST_SLICE),
+    ):
+        if size > most:
+            raise ValueError(
+                f"the {axes} make {size} nodes; at most {most} are allowed, so give fewer."
+            )
 
 
 def _least_count(axis: Any) -> int:
@@ -256,8 +259,8 @@ def _check_number(
 def _check_count(name: str, count: Any, fewest: int) -> None:
     if isinstance(count, bool) or not isinstance(count, int):
         raise TypeError(f"{name} is {count!r}; give a whole number.")
-    if not fewest <= count <= LARGEST_ARRAY:
-        raise ValueError(f"{name} is {count}; give {fewest} to {LARGEST_ARRAY}.")
+    if not fewest <= count <= LARGEST_SLICE:
+        raise ValueError(f"{name} is {count}; give {fewest} to {LARGEST_SLICE}.")
 
 
 def _toml(value: Any) -> str:

@@ -1,0 +1,161 @@
+"""Files that are there whole, or not at all, whatever happens to the process or the disk. No JAX.
+
+A file is written under a temporary name, synchronised, renamed to its place, and the folder is
+synchronised. HDF5 cannot be trusted with a full disk (it goes on after an error until it reads what
+was never written), so it writes to a stream of ours, which keeps the error for us.
+"""
+
+import io
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+
+def publish(data: bytes, path: Path) -> None:
+    """Put a whole file in its place, durably and by one rename, or change nothing.
+
+    Raises:
+        OSError: the folder is missing, read-only or full.
+    """
+    with replacing(path, temporary_name(path)) as descriptor:
+        write_all(descriptor, data)
+
+
+@contextmanager
+def replacing(path: Path, temporary: Path) -> Iterator[int]:
+    """Yield the descriptor of a new file, which takes its place if no error comes up.
+
+    Args:
+        path: of the file; a former one is replaced.
+        temporary: where the new one is until then, on the same file system.
+
+    Raises:
+        OSError: the folder is missing, read-only or full.
+    """
+    with named_errors("write", path):
+        descriptor = create(temporary)
+        try:
+            try:
+                yield descriptor
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            os.replace(temporary, path)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+        sync_folder(path.parent)
+
+
+@contextmanager
+def named_errors(deed: str, path: Path) -> Iterator[None]:
+    """Give an error of the operating system one sentence with the name of the file."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise type(error)(error.errno, f"cannot {deed} {path}: {reason}.") from error
+
+
+def temporary_name(path: Path) -> Path:
+    """Return a name beside the file that no other process uses."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+
+
+def create(path: Path) -> int:
+    """Create a file that is not there yet, and return its descriptor."""
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+
+
+def write_all(descriptor: int, data: bytes) -> None:
+    """Write all of the data, however little the system takes at once."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[os.write(descriptor, rest) :]
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable."""
+    if os.name == "posix":  # elsewhere a folder cannot be opened, and the rename is journaled
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+class PatientStream(io.RawIOBase):
+    """A file for HDF5 to write to, which never tells it of an error.
+
+    After the first error nothing more goes to the disk: what is written is kept in memory, so that
+    what is read is what was written, and ``check`` raises the error. Whoever writes much calls it
+    often.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._place = 0
+        self._size = 0
+        self._error: OSError | None = None
+        self._kept: list[tuple[int, bytes]] = []
+
+    def check(self) -> None:
+        """Raise the error that came up, if any."""
+        if self._error is not None:
+            raise self._error
+
+    @property
+    def size(self) -> int:
+        """The length of the file in bytes."""
+        return self._size
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place."""
+        start = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._size}[whence]
+        self._place = start + offset
+        return self._place
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size; HDF5 makes the file as long as its last address."""
+        self._size = self._place if size is None else size
+        return self._size
+
+    def flush(self) -> None:
+        """Do nothing: the file is synchronised when it is whole."""
+
+    def write(self, data: Any) -> int:
+        """Write all of the data at this place, to the disk if that can be."""
+        written = bytes(data)
+        try:
+            self.check()
+            os.lseek(self._descriptor, self._place, os.SEEK_SET)
+            write_all(self._descriptor, written)
+        except OSError as error:
+            self._error = self._error or error
+            self._kept.append((self._place, written))
+        self._place += len(written)
+        self._size = max(self._size, self._place)
+        return len(written)
+
+    def readinto(self, buffer: Any) -> int:
+        """Read what was written at this place; zeros where nothing was."""
+        found = memoryview(buffer)
+        start, stop = self._place, self._place + len(found)
+        found[:] = bytes(len(found))
+        try:
+            os.lseek(self._descriptor, start, os.SEEK_SET)
+            on_disk = os.read(self._descriptor, len(found))
+        except OSError as error:
+            self._error = self._error or error
+            on_disk = b""
+        found[: len(on_disk)] = on_disk
+        for place, kept in self._kept:
+            first, last = max(place, start), min(place + len(kept), stop)
+            if first < last:
+                found[first - start : last - start] = kept[first - place : last - place]
+        self._place = stop
+        return len(found)

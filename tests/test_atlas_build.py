@@ -1,0 +1,348 @@
+"""A build ends in the old file, the new file or a refusal, and goes on where the last one ended."""
+
+import errno
+import hashlib
+import itertools
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import h5py
+import jax
+import numpy as np
+import pytest
+from atlases import SMALL, small_contents, small_file
+
+from jaxstab import AtlasSpec, plan_atlas, write_atlas
+from jaxstab.atlas import build, products
+from jaxstab.atlas.executors import tile_image
+from jaxstab.atlas.plan import Plan, Tile
+from jaxstab.atlas.schema import VARIABLES
+from jaxstab.atlas.shards import shards_of
+
+KEY = "0" * 64
+TINY = AtlasSpec(
+    alpha=[0.0, 0.1, 0.2], beta=[0.1, 0.2], gamma=[0.0, 0.001], delta=[0.015], delay=[0.0, 1.0],
+    products=["verdict"],
+)  # fmt: skip
+FORMER = b"the former file"
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return plan_atlas(TINY)
+
+
+@pytest.fixture(scope="module")
+def images(plan: Plan) -> dict[Tile, bytes]:
+    return {tile: tile_image(plan, tile, KEY) for tile in plan.tiles}
+
+
+@pytest.fixture
+def computed(images: dict[Tile, bytes], monkeypatch: pytest.MonkeyPatch) -> list[Tile]:
+    """The tiles that were computed; they come at once, from what was computed before."""
+    asked: list[Tile] = []
+
+    def tile_images(_: Plan, tiles: list[Tile], *__: Any) -> Iterator[tuple[Tile, bytes]]:
+        for tile in tiles:
+            asked.append(tile)
+            yield tile, images[tile]
+
+    monkeypatch.setattr(build, "build_key", lambda *_: KEY)
+    monkeypatch.setattr(build, "tile_images", tile_images)
+    return asked
+
+
+@pytest.fixture
+def whole(computed: list[Tile], tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The bytes of the atlas when nothing goes wrong."""
+    path = tmp_path_factory.mktemp("whole") / "a.h5"
+    write_atlas(TINY, path)
+    computed.clear()
+    return path.read_bytes()
+
+
+def entries(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def stop_after(count: int) -> Callable[[int, int], None]:
+    """A progress that is told of so many tiles, and then of Ctrl-C."""
+
+    def tell(done: int, total: int) -> None:
+        if done == count:
+            raise KeyboardInterrupt
+
+    return tell
+
+
+# ------------------------------------------------------------------------------------ one same file
+
+
+class LastFirst(Executor):
+    """Runs what was submitted last, first, and only when it must."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[Future[Any], Callable[[], Any]]] = []
+
+    def submit(self, call: Callable[..., Any], /, *given: Any, **options: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.waiting.append((future, lambda: call(*given, **options)))
+        threading.Timer(0.01, self.run).start()
+        return future
+
+    def run(self) -> None:
+        future, call = self.waiting.pop()
+        if future.set_running_or_notify_cancel():
+            try:
+                future.set_result(call())
+            except (ValueError, RuntimeError) as error:
+                future.set_exception(error)
+
+
+@pytest.mark.parametrize("executor", [LastFirst(), ThreadPoolExecutor(3)])
+def test_the_bytes_do_not_depend_on_who_computed_the_tiles_and_when(
+    executor: Executor, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.h5"
+    write_atlas(SMALL, path, executor=executor)
+    assert path.read_bytes() == small_file()
+    assert entries(tmp_path) == ["a.h5"]
+
+
+@pytest.mark.parametrize("done", [0, 1, 3, 4])
+def test_an_interrupted_build_goes_on_where_it_ended(
+    done: int, whole: bytes, computed: list[Tile], plan: Plan, tmp_path: Path
+) -> None:
+    path, told = tmp_path / "a.h5", []
+    path.write_bytes(FORMER)
+    with pytest.raises(KeyboardInterrupt):
+        write_atlas(TINY, path, stop_after(done))
+    assert path.read_bytes() == FORMER
+    assert len(entries(tmp_path)) == (2 if done else 1)
+    computed.clear()
+    write_atlas(TINY, path, lambda *progress: told.append(progress))
+    assert computed == plan.tiles[done:]
+    assert told == [(count, 4) for count in range(done, 5)]
+    assert path.read_bytes() == whole
+    assert entries(tmp_path) == ["a.h5"]
+
+
+def damaged(data: bytes) -> bytes:
+    return data[:100] + bytes([data[100] ^ 1]) + data[101:]
+
+
+@pytest.mark.parametrize(
+    "damage", [damaged, lambda data: data[:-1], lambda data: b"", lambda data: data * 2]
+)
+def test_a_damaged_tile_is_computed_again(
+    damage: Callable[[bytes], bytes],
+    whole: bytes,
+    computed: list[Tile],
+    plan: Plan,
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.h5"
+    with pytest.raises(KeyboardInterrupt):
+        write_atlas(TINY, path, stop_after(4))
+    (folder,) = tmp_path.iterdir()
+    shard = next(folder.glob("1-0-*.tile"))
+    shard.write_bytes(damage(shard.read_bytes()))
+    computed.clear()
+    write_atlas(TINY, path)
+    assert [tile[::2] for tile in computed] == [(0, 1)]
+    assert path.read_bytes() == whole
+
+
+def test_a_tile_of_another_place_or_build_is_not_taken(
+    whole: bytes, computed: list[Tile], plan: Plan, images: dict[Tile, bytes], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.h5"
+    first, second, third, _ = plan.tiles
+    with shards_of(path, KEY) as shards:
+        shards.put(first, images[second])
+        shards.put(second, images[second])
+        shards.put(third, tile_image(plan, third, "1" * 64))
+    write_atlas(TINY, path)
+    assert computed == [first, *plan.tiles[2:]]
+    assert path.read_bytes() == whole
+
+
+def test_two_processes_do_not_build_one_atlas_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    with (
+        shards_of(path, KEY),
+        pytest.raises(BlockingIOError, match="another process"),
+        shards_of(path, KEY),
+    ):
+        pass
+    assert entries(tmp_path) == []
+
+
+def test_the_digest_of_the_content_is_that_of_its_description(tmp_path: Path) -> None:
+    """As in data/README.md, written once more from its words."""
+    digest = hashlib.sha256()
+    path = tmp_path / "small.h5"
+    path.write_bytes(small_file())
+    with h5py.File(path) as opened:
+        for name in VARIABLES:
+            dataset = opened[name]
+            shapes = ("x".join(map(str, shape)) for shape in (dataset.shape, dataset.chunks))
+            chunks = [
+                hashlib.sha256(dataset[place].astype(dataset.dtype.newbyteorder("<")).tobytes())
+                for place in dataset.iter_chunks()
+            ]
+            words = [name, dataset.dtype.str, *shapes, *(chunk.hexdigest() for chunk in chunks)]
+            digest.update((" ".join(words) + "\n").encode())
+    assert digest.hexdigest() == small_contents().content_digest
+
+
+# ------------------------------------------------------------------------------------------ workers
+
+
+def test_what_is_not_in_float64_is_refused_in_the_worker(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(
+        products._COMPUTED_BY, "verdict", lambda *_: {"verdict": np.zeros((3, 2, 1, 1, 1))}
+    )
+    with pytest.raises(RuntimeError, match=r"verdict was computed as float64 .*, not as int8"):
+        tile_image(plan, plan.tiles[0], KEY)
+
+
+def test_a_worker_computes_in_float64_whatever_its_process_was_set_to(
+    plan: Plan, images: dict[Tile, bytes]
+) -> None:
+    with jax.enable_x64(False):
+        assert tile_image(plan, plan.tiles[0], KEY) == images[plan.tiles[0]]
+
+
+# ----------------------------------------------------------------------------------- failing writes
+
+
+def failing_write(error: int, after: int) -> Callable[[int, bytes], int]:
+    """An os.write that writes by small pieces and fails at last, as on a full disk."""
+    real_write, calls = os.write, iter(range(after))
+
+    def write(descriptor: int, data: bytes) -> int:
+        if next(calls, None) is None:
+            raise OSError(error, os.strerror(error))
+        return real_write(descriptor, bytes(data[:1000]))
+
+    return write
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EDQUOT])
+@pytest.mark.usefixtures("computed")
+def test_a_full_disk_leaves_the_former_file_and_the_tiles_that_are_done(
+    error: int, whole: bytes, tmp_path: Path
+) -> None:
+    """Each write in turn is the first that fails, up to those of the merge, until none does."""
+    path, told = tmp_path / "a.h5", []
+    for after in itertools.count():
+        path.write_bytes(FORMER)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(os, "write", failing_write(error, after))
+            try:
+                write_atlas(TINY, path)
+                break
+            except OSError as caught:
+                told.append((caught.errno, str(caught).count("cannot write")))
+        assert path.read_bytes() == FORMER
+        assert [name for name in entries(tmp_path) if name.endswith(".part")] == []
+        for folder in tmp_path.glob(".*.tiles"):
+            assert {entry.suffix for entry in folder.iterdir()} <= {".tile", ""}
+    assert told == [(error, 1)] * after
+    assert after > 20
+    assert path.read_bytes() == whole
+    assert entries(tmp_path) == ["a.h5"]
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace", "open", "ftruncate"])
+@pytest.mark.usefixtures("computed")
+def test_a_failure_of_any_step_is_a_sentence_and_leaves_no_file(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(os, step, fail)
+    with pytest.raises(OSError, match=r"cannot write .*\.$"):
+        write_atlas(TINY, tmp_path / "new.h5")
+    assert not (tmp_path / "new.h5").exists()
+
+
+def test_a_place_that_cannot_be_written_is_known_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build, "plan_atlas", None)
+    (tmp_path / "file").write_text("not a folder")
+    (tmp_path / "folder").mkdir()
+    for error, place in (
+        (FileNotFoundError, tmp_path / "missing" / "new.h5"),
+        (IsADirectoryError, tmp_path / "folder"),
+        (NotADirectoryError, tmp_path / "file" / "new.h5"),
+    ):
+        with pytest.raises(error, match=f"cannot write {place}: .*\\.$"):
+            write_atlas(TINY, place)
+    assert entries(tmp_path) == ["file", "folder"]
+
+
+# ------------------------------------------------------------------------------------ sudden deaths
+
+
+class DeadError(BaseException):
+    """Nothing reaches the disk any more."""
+
+
+class Death:
+    """The death of this process after so many calls of the system, as far as the disk can tell."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, after: int) -> None:
+        self.calls, self.after = 0, after
+        silent: dict[str, Callable[..., Any]] = {
+            "write": lambda _, data: len(data),
+            "fsync": lambda *_, **__: None,
+            "ftruncate": lambda *_, **__: None,
+            "unlink": lambda *_, **__: None,
+            "rmdir": lambda *_, **__: None,
+        }
+        for name in (*silent, "open", "mkdir", "replace"):
+            patch.setattr(os, name, self.mortal(getattr(os, name), silent.get(name)))
+
+    def mortal(self, call: Callable[..., Any], after: Callable[..., Any] | None) -> Any:
+        def mortal_call(*given: Any, **options: Any) -> Any:
+            self.calls += 1
+            if self.calls <= self.after:
+                return call(*given, **options)
+            if after is None:
+                raise DeadError
+            return after(*given, **options)
+
+        return mortal_call
+
+
+@pytest.mark.usefixtures("computed")
+def test_after_a_death_at_any_call_there_is_the_old_file_or_the_new_one_and_a_build_mends_all(
+    whole: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.h5"
+    found = set()
+    for after in itertools.count():
+        path.write_bytes(FORMER)
+        with pytest.MonkeyPatch.context() as patch:
+            death = Death(patch, after)
+            with suppress(DeadError, OSError):
+                write_atlas(TINY, path)
+        found.add(path.read_bytes())
+        write_atlas(TINY, path)
+        assert path.read_bytes() == whole
+        assert entries(tmp_path) == ["a.h5"]
+        if death.calls <= after:
+            break
+    assert after > 60
+    assert found == {FORMER, whole}
