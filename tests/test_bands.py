@@ -1,0 +1,147 @@
+"""Limits of alpha that hold in whole boxes of beta and hands, against exact root counts."""
+
+from itertools import product
+
+import mpmath
+import numpy as np
+import pytest
+import truth
+
+from jaxstab import STABLE, boundary_curve, verdict
+from jaxstab.boundary.bands import StableColumns, stable_columns
+from jaxstab.boundary.enclosure import Domain, HandBoxes, curve_patches, plant_models
+from jaxstab.boundary.linear_model import LinearModel
+
+HAPTIC = (1e-3, 0.015)
+SCENES = [  # delay, gamma, delta, widths of the boxes, domain in units of the delay's stable set
+    (0.0, (0.0, 0.0), (5e-4, 2e-3), Domain((-0.1, 0.75), (-0.1, 2.1))),
+    (1.0, HAPTIC, (5e-4, 2e-3), Domain((-0.02, 0.16), (-0.1, 0.9))),
+    (2.3, (0.02, 0.3), (1e-3, 2e-3), Domain((-0.1, 0.1), (-0.4, 0.7))),
+    (2.7, HAPTIC, (1e-5, 1e-4), Domain((-0.02, 0.04), (-0.1, 0.5))),
+    (0.0, (2.0, 0.1), (1e-2, 1e-2), Domain((-3.0, 1.0), (-1.0, 1.5))),
+    (1.0, (np.pi**2 - 0.02, 0.3), (0.02, 1e-2), Domain((-12.0, 5.0), (-5.0, 5.0))),
+]
+CELLS = 96
+
+
+def boxes(first: tuple[float, float], width: tuple[float, float]) -> HandBoxes:
+    """Four boxes of hands, two by two."""
+    sides = np.array([0.5, 1.5])
+    gamma, delta = np.meshgrid(first[0] + width[0] * sides, first[1] + width[1] * sides)
+    half = [np.full(4, 0.5 * w * (1 + 1e-9)) for w in width]
+    return HandBoxes(gamma.ravel(), delta.ravel(), *half)
+
+
+def answers(
+    columns: StableColumns, box: np.ndarray, cell: np.ndarray, point: tuple[np.ndarray, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is said of points (alpha, beta, gamma, delta), and a limit near each of them."""
+    alpha, *rest = point
+    terms = np.stack([np.ones_like(alpha), *rest], axis=-1)
+    (low, low_error), (high, high_error) = (
+        (np.sum(planes[box, cell, :4] * terms, axis=-1), planes[box, cell, 4])
+        for planes in (columns.lower, columns.upper)
+    )
+    is_unstable = (alpha < low - low_error) | (alpha > high + high_error)
+    is_stable = (alpha > low + low_error) & (alpha < high - high_error)
+    nearest = np.where(np.abs(alpha - low) < np.abs(alpha - high), low, high)
+    return is_stable, is_unstable, nearest
+
+
+@pytest.mark.parametrize(("delay", "first", "width", "domain"), SCENES)
+def test_what_is_said_of_a_column_is_true_of_every_point(
+    delay: float,
+    first: tuple[float, float],
+    width: tuple[float, float],
+    domain: Domain,
+    rng: np.random.Generator,
+) -> None:
+    hands = boxes(first, width)
+    edges = np.linspace(*domain.beta, CELLS + 1)
+    columns = stable_columns(edges, hands, delay, domain)
+    count = 2**12
+    box, cell = rng.integers(0, 4, count), rng.integers(0, CELLS, count)
+    beta = edges[cell] + rng.choice([0.0, 0.3, 0.7, 1.0], count) * (edges[1] - edges[0])
+    within = rng.choice([-1.0, 1.0, 0.2], (2, count)) / (1 + 1e-9)
+    gamma = np.maximum(hands.gamma[box] + within[0] * hands.half_gamma[box], 0.0)
+    delta = np.maximum(hands.delta[box] + within[1] * hands.half_delta[box], 0.0)
+    alpha = rng.uniform(*domain.alpha, count)
+    nearest = answers(columns, box, cell, (alpha, beta, gamma, delta))[2]
+    close = (rng.random(count) < 0.5) & (np.abs(nearest) < np.max(np.abs(domain.alpha)))
+    alpha = np.where(close, nearest * (1 + rng.choice([-1e-3, 1e-3, 1e-2], count)), alpha)
+    alpha = np.clip(alpha, *domain.alpha)
+
+    is_stable, is_unstable, _ = answers(columns, box, cell, (alpha, beta, gamma, delta))
+    codes = np.asarray(verdict(alpha, beta, gamma, delta, delay, resolve="exact"))
+    assert np.all(codes[is_stable] == STABLE)
+    assert not np.any(codes[is_unstable] == STABLE)
+    assert np.mean(is_stable | is_unstable) > 0.6
+    for k in rng.choice(np.flatnonzero(is_stable | is_unstable), 8):
+        unstable = truth.unstable_count(*(float(v[k]) for v in (alpha, beta, gamma, delta)), delay)
+        assert is_stable[k] == (unstable == 0)
+
+
+def test_the_haptic_range_leaves_less_than_a_thousandth_undecided(rng: np.random.Generator) -> None:
+    hands = boxes((0.0, 0.0), (5e-4, 1.875e-3))
+    domain = Domain((-0.02, 0.7), (-0.05, 2.05))
+    edges = np.linspace(*domain.beta, 513)
+    columns = stable_columns(edges, hands, 0.0, domain)
+    spread = np.minimum(columns.lower[..., 4] + columns.upper[..., 4], 0.72)
+    assert 2 * spread.mean() / 0.72 < 1e-3
+
+
+def test_where_no_hand_is_stable_all_alphas_are_unstable() -> None:
+    hands = boxes(HAPTIC, (1e-4, 1e-4))
+    columns = stable_columns(np.linspace(5, 6, 9), hands, 0.0, Domain((-1.0, 1.0), (5.0, 6.0)))
+    assert np.all(columns.lower[..., 0] == np.inf)
+
+
+def test_a_stable_set_that_leaves_the_domain_is_open_there() -> None:
+    hands = boxes(HAPTIC, (1e-4, 1e-4))
+    columns = stable_columns(np.linspace(0.5, 1, 9), hands, 0.0, Domain((0.1, 0.3), (0.5, 1.0)))
+    assert np.all(columns.upper[..., 0] == np.inf)
+    assert np.all(columns.lower[..., 2] == -1.0)  # the line alpha = -gamma, still below
+
+
+def test_patches_hold_the_curve_of_every_hand(rng: np.random.Generator) -> None:
+    hands = boxes(HAPTIC, (5e-4, 2e-3))
+    patches = curve_patches(hands, 2.5, Domain((-0.1, 0.1), (-0.1, 0.7)), (1e-2, 1e-2))
+    count = 2**12
+    k = rng.integers(0, patches.box.size, count)
+    place = rng.uniform(-1, 1, (3, count))
+    half = patches.alpha.half[:, k]
+    theta = 0.5 * (patches.first + patches.last)[k] + place[0] * half[0] * (1 - 1e-12)
+    box = patches.box[k]
+    gamma, delta = hands.gamma[box] + place[1] * half[1], hands.delta[box] + place[2] * half[2]
+    curve = boundary_curve(np.clip(theta, 0, np.pi), gamma, delta, 2.5)
+    for gain, model in zip(curve, (patches.alpha, patches.beta), strict=True):
+        linear = model.centre[k] + np.sum(model.slope[:, k] * half * place, axis=0)
+        assert np.all(np.abs(np.asarray(gain) - linear) <= model.rest[k])
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.3])
+def test_models_of_the_plant_hold_at_the_corners(fraction: float) -> None:
+    hands = boxes((0.3, 0.2), (0.2, 0.1))
+    models = plant_models(hands, fraction)
+    for box, signs in product(range(4), product((-1, 1), repeat=2)):
+        gamma = float(hands.gamma[box] + signs[0] * hands.half_gamma[box])
+        delta = float(hands.delta[box] + signs[1] * hands.half_delta[box])
+        exact = truth.plant(gamma, delta, fraction)
+        for name in ("d1", "d0", "n2", "n0"):
+            model: LinearModel = getattr(models, name)
+            linear = model.centre + model.slope[1] * model.half[1] * signs[0]
+            linear = (linear + model.slope[2] * model.half[2] * signs[1])[box]
+            assert abs(mpmath.mpf(linear) - getattr(exact, name)) <= model.rest[box]
+
+
+def test_arithmetic_with_models_bounds_what_it_leaves(rng: np.random.Generator) -> None:
+    half = np.full((2, 1), 0.1)
+    x = LinearModel(np.array([0.7]), np.array([[1.0], [0.0]]), np.zeros(1), half)
+    y = LinearModel(np.array([-0.4]), np.array([[0.0], [1.0]]), np.zeros(1), half)
+    model = (x * y - 2.0 * x + 0.5) * (1.0 - y).reciprocal()
+    for dx, dy in rng.uniform(-0.1, 0.1, (1000, 2)):
+        u, v = 0.7 + dx, -0.4 + dy
+        exact = (u * v - 2 * u + 0.5) / (1 - v)
+        linear = model.centre[0] + model.slope[0, 0] * dx + model.slope[1, 0] * dy
+        assert abs(exact - linear) <= model.rest[0]
+    assert np.all(np.isinf((x - 0.65).reciprocal().rest))
