@@ -84,7 +84,8 @@ def points_near_the_boundary(
     beta = w.imag / np.sin(theta)
     alpha = w.real - beta * (1 - np.cos(theta))
     free = rng.uniform(-0.2, 1, count) * 4 / (1 + delay)
-    at_minus_one = (-1) ** whole * float((1 - plant.d1 + plant.d0) / plant.difference or 0)
+    offset = (1 - plant.d1 + plant.d0) / plant.difference if plant.difference else 0
+    at_minus_one = (-1) ** whole * float(offset)
     kind = rng.integers(0, 10, count)
     beta = np.where(kind <= 1, free, beta)
     alpha = np.select([kind == 0, kind == 1], [-gamma, at_minus_one - 2 * free], alpha)
