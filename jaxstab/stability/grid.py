@@ -19,7 +19,8 @@ from jaxtyping import Float64, Int64
 from jaxstab.model import characteristic_polynomial, checked_delay, require_x64
 
 CHUNK = 2**15
-_GROWTH = 64  # sizes of chunks are CHUNK / 64^k: a single point does not pay for 32768
+_GROWTH = 64  # sizes of chunks are CHUNK / 64^k: each is compiled
+_MOST_PADDED = 4  # a list does not pay for more than so many times its points
 
 Result = TypeVar("Result")
 
@@ -97,7 +98,7 @@ def _chunks(
     for degree in np.unique(degrees):
         members = np.flatnonzero(np.broadcast_to(degrees == degree, shape))
         size = CHUNK
-        while size // _GROWTH >= members.size:
+        while size >= _GROWTH and size > _MOST_PADDED * members.size:
             size //= _GROWTH
         for start in range(0, members.size, size):
             yield members[start : start + size], size
