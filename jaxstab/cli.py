@@ -5,7 +5,9 @@ import json
 import math
 import shlex
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,29 +70,71 @@ def atlas() -> None:
 @atlas.command()
 @click.option("--spec", type=Path, help="TOML file; without, the haptic range of the paper.")
 @click.option("-o", "--output", type=Path, default=Path("atlas.h5"), show_default=True)
-def build(spec: Path | None, output: Path) -> None:
-    """Compute an atlas and write it as one HDF5 file."""
+@click.option(
+    "--workers", type=click.IntRange(1), help="Compute in so many processes of this machine."
+)
+@click.option("--scheduler", help="Compute on the dask cluster whose scheduler has this address.")
+def build(spec: Path | None, output: Path, workers: int | None, scheduler: str | None) -> None:
+    """Compute an atlas and write it as one HDF5 file.
+
+    What was interrupted goes on where it ended when the same command is given again.
+    """
     import jax
-    from rich.console import Console
-    from rich.progress import Progress
 
-    from jaxstab.atlas import AtlasSpec, build_atlas
+    from jaxstab.atlas import AtlasSpec, write_atlas
+    from jaxstab.atlas.executors import dask_cluster, processes
+    from jaxstab.atlas.file import TooLargeError
 
+    if workers and scheduler:
+        raise click.UsageError("--workers and --scheduler are given; give one of them.")
     jax.config.update("jax_enable_x64", True)
     chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
-    bar = Progress(console=Console(stderr=True))
-    task = bar.add_task(f"building {output}")
+    where: AbstractContextManager[Executor | None] = nullcontext()
+    if workers:
+        where = processes(workers)
+    elif scheduler:
+        where = dask_cluster(scheduler)
+    try:
+        with where as executor, _progress(output) as show:
+            write_atlas(chosen, output, show, executor)
+    except KeyboardInterrupt:
+        click.echo(
+            "jaxstab: interrupted; the tiles that are done are kept, so give the same command "
+            "again to go on.",
+            err=True,
+        )
+        sys.exit(130)
+    try:
+        click.echo(_described(jaxstab.open_atlas(output), output))
+    except TooLargeError as error:
+        click.echo(error)
+
+
+@contextmanager
+def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that draws a bar with rate and time left on stderr."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(
+        TextColumn(f"building {output}"),
+        BarColumn(),
+        TextColumn("{task.completed} of {task.total} tiles, {task.fields[rate]} a second"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
+    task = bar.add_task("", total=None, rate="?")
 
     def show(done: int, total: int) -> None:
         bar.start()  # only now: what is refused before the work is refused without a bar
-        bar.update(task, completed=done, total=total)
+        speed = bar.tasks[0].speed
+        bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
 
     try:
-        built = build_atlas(chosen, output, show)
+        yield show
     finally:
         if bar.live.is_started:
             bar.stop()
-    click.echo(_described(built, output))
 
 
 @atlas.command()
@@ -138,7 +182,8 @@ def query(file: Path, table: Path | None, form: str, outside: Any, **point: floa
     """
     given = {name: value for name, value in point.items() if value is not None}
     points = _read_points(table, given) if table else _one_point(given)
-    answer = jaxstab.open_atlas(file).query(**points, outside=outside)
+    alpha, beta, gamma, delta, delay = (points[name] for name in AXES)
+    answer = jaxstab.open_atlas(file).query(alpha, beta, gamma, delta, delay, outside)
     rows = _answered(points, answer)
     if form == "csv":
         writer = csv.writer(sys.stdout, lineterminator="\n")

@@ -4,6 +4,9 @@ import errno
 import hashlib
 import itertools
 import os
+import pickle
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -17,8 +20,8 @@ import numpy as np
 import pytest
 from atlases import SMALL, small_contents, small_file
 
-from jaxstab import AtlasSpec, plan_atlas, write_atlas
-from jaxstab.atlas import build, products
+from jaxstab import AtlasSpec, open_atlas, plan_atlas, write_atlas
+from jaxstab.atlas import build, durable, products
 from jaxstab.atlas.executors import tile_image
 from jaxstab.atlas.plan import Plan, Tile
 from jaxstab.atlas.schema import VARIABLES
@@ -35,6 +38,11 @@ FORMER = b"the former file"
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     return plan_atlas(TINY)
+
+
+@pytest.fixture(scope="module")
+def small() -> bytes:
+    return small_file()
 
 
 @pytest.fixture(scope="module")
@@ -106,11 +114,11 @@ class LastFirst(Executor):
 
 @pytest.mark.parametrize("executor", [LastFirst(), ThreadPoolExecutor(3)])
 def test_the_bytes_do_not_depend_on_who_computed_the_tiles_and_when(
-    executor: Executor, tmp_path: Path
+    executor: Executor, small: bytes, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.h5"
     write_atlas(SMALL, path, executor=executor)
-    assert path.read_bytes() == small_file()
+    assert path.read_bytes() == small
     assert entries(tmp_path) == ["a.h5"]
 
 
@@ -346,3 +354,125 @@ def test_after_a_death_at_any_call_there_is_the_old_file_or_the_new_one_and_a_bu
             break
     assert after > 60
     assert found == {FORMER, whole}
+
+
+CAMPAIGN = """
+import os, pickle, random, sys, time
+from pathlib import Path
+from jaxstab import AtlasSpec, write_atlas
+from jaxstab.atlas import build
+
+spec, key, images, whole = pickle.load(sys.stdin.buffer)
+path, kills = Path(sys.argv[1]), int(sys.argv[2])
+former = b"the former file"
+
+def tile_images(plan, tiles, *_):
+    for tile in tiles:
+        time.sleep(0.001)
+        yield tile, images[tile]
+
+build.build_key, build.tile_images = (lambda *_: key), tile_images
+start = time.perf_counter()
+write_atlas(spec, path)
+takes = time.perf_counter() - start
+chance = random.Random(20120412)
+found = {former: 0, whole: 0}
+path.write_bytes(former)
+for _ in range(kills):
+    child = os.fork()
+    if child == 0:
+        write_atlas(spec, path)
+        os._exit(0)
+    time.sleep(chance.uniform(0.0, 1.5 * takes))
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    found[path.read_bytes()] += 1
+    if path.read_bytes() == whole:
+        path.write_bytes(former)
+write_atlas(spec, path)
+assert path.read_bytes() == whole
+assert os.listdir(path.parent) == [path.name], os.listdir(path.parent)
+print(*found.values())
+"""
+
+
+@pytest.mark.usefixtures("computed")
+def test_kill_9_at_any_time_leaves_the_old_file_or_the_new_one(
+    whole: bytes, images: dict[Tile, bytes], tmp_path: Path
+) -> None:
+    kills = int(os.environ.get("JAXSTAB_KILLS", "60"))
+    campaign = subprocess.run(
+        [sys.executable, "-c", CAMPAIGN, str(tmp_path / "a.h5"), str(kills)],
+        input=pickle.dumps((TINY, KEY, images, whole)),
+        env=os.environ | {"JAX_ENABLE_X64": "1"},
+        capture_output=True,
+        check=False,
+    )
+    assert campaign.returncode == 0, campaign.stderr.decode()
+    former, new = map(int, campaign.stdout.split())
+    assert former + new == kills
+    assert min(former, new) > 0
+
+
+# ------------------------------------------------------------------------------------- file systems
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of our own, of 64 kB."""
+    command = ["mount", "-t", "tmpfs", "-o", "size=64k", "jaxstab", str(tmp_path)]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("mounting a file system needs root")
+    yield tmp_path
+    subprocess.run(["umount", str(tmp_path)], check=True)
+
+
+def remount(disk: Path, option: str) -> None:
+    subprocess.run(["mount", "-o", f"remount,{option}", str(disk)], check=True)
+
+
+@pytest.mark.usefixtures("computed")
+@pytest.mark.parametrize("free", [0, 4096, 8192, 16384, 24576])
+def test_on_a_full_disk_the_build_is_refused_and_goes_on_when_there_is_room(
+    free: int, whole: bytes, disk: Path
+) -> None:
+    path = disk / "a.h5"
+    path.write_bytes(FORMER)
+    (disk / "other").write_bytes(bytes(max(0, 64 * 1024 - 8192 - free)))
+    with pytest.raises(OSError, match=rf"cannot write .*: {os.strerror(errno.ENOSPC)}\.$"):
+        write_atlas(TINY, path)
+    assert path.read_bytes() == FORMER
+    remount(disk, "size=1m")
+    write_atlas(TINY, path)
+    assert path.read_bytes() == whole
+    assert entries(disk) == ["a.h5", "other"]
+
+
+@pytest.mark.usefixtures("computed")
+def test_in_a_read_only_folder_the_build_is_refused_before_the_work(disk: Path) -> None:
+    (disk / "a.h5").write_bytes(FORMER)
+    remount(disk, "ro")
+    with pytest.raises(OSError, match=rf"cannot write .*: {os.strerror(errno.EROFS)}\.$"):
+        write_atlas(TINY, disk / "a.h5")
+    assert entries(disk) == ["a.h5"]
+
+
+def test_readers_meet_the_old_atlas_or_the_new_one_while_it_is_published(
+    small: bytes, whole: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.h5"
+    versions = [whole, small]
+    path.write_bytes(whole)
+    done, met = threading.Event(), set()
+
+    def read() -> None:
+        while not done.is_set():
+            met.add(open_atlas(path).products)
+
+    with ThreadPoolExecutor(2) as readers:
+        reading = [readers.submit(read) for _ in range(2)]
+        for number in range(200):
+            durable.publish(versions[number % 2], path)
+        done.set()
+        assert [reader.result() for reader in reading] == [None, None]
+    assert met == {("verdict",), ("verdict", "spectral_radius")}

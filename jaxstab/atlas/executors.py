@@ -16,6 +16,7 @@ from jaxstab.atlas.products import compute_tile
 from jaxstab.atlas.shards import encode_tile
 
 _NODES_IN_FLIGHT = 2**26
+_SECONDS_TO_CONNECT = 10
 
 
 def tile_images(
@@ -62,12 +63,7 @@ def processes(count: int) -> Iterator[Executor]:
     """Open so many worker processes.
 
     They are spawned: a process that has used JAX must not be forked.
-
-    Raises:
-        ValueError: the number is not positive.
     """
-    if count < 1:
-        raise ValueError(f"workers is {count}; give 1 or more.")
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(count, context, _follow_parent) as executor:
         yield executor
@@ -94,14 +90,20 @@ def dask_cluster(address: str) -> Iterator[Executor]:
         address: of the scheduler, such as tcp://10.0.0.1:8786.
 
     Raises:
-        ImportError: dask is not installed.
+        RuntimeError: dask is not installed.
         OSError: no scheduler answers there.
     """
     try:
         from distributed import Client
     except ImportError as error:
-        raise ImportError(
+        raise RuntimeError(
             "a dask cluster needs dask: python -m pip install 'jaxstab[distributed]'."
         ) from error
-    with Client(address) as client:
+    try:
+        client = Client(address, timeout=_SECONDS_TO_CONNECT)
+    except OSError as error:
+        raise OSError(
+            f"no dask scheduler answers at {address}; start one, or correct the address."
+        ) from error
+    with client:
         yield client.get_executor(pure=False, retries=3)

@@ -46,8 +46,8 @@ def read(path: Path) -> Contents:
 
     Raises:
         OSError: the file is missing or unreadable.
-        ValueError: it is foreign, truncated, damaged, of another version of the schema, or larger
-            than can be read whole.
+        ValueError: it is foreign, truncated, damaged or of another version of the schema.
+        TooLargeError: it is larger than is read whole.
     """
     with opened(path) as file:
         arrays = {name: _values(dataset) for name, dataset in checked_datasets(file).items()}
@@ -70,6 +70,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
             with h5py.File(stream, "r") as file:
                 _check_version(file)
                 yield file
+        except TooLargeError as refusal:
+            raise TooLargeError(f"{path} {refusal}") from None
         except _Refusal as refusal:
             raise ValueError(f"{path} {refusal}") from None
         except (ValueError, KeyError, TypeError, RuntimeError, OSError, MemoryError) as error:
@@ -84,6 +86,10 @@ def checked_datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
 def text_of(file: h5py.File, name: str) -> str:
     """Return an attribute of the root group."""
     return bytes(_attribute(file, name)).decode("utf-8")
+
+
+class TooLargeError(ValueError):
+    """A file is sound but larger than is read into memory."""
 
 
 class _Refusal(Exception):
@@ -144,7 +150,7 @@ def _checked_dataset(file: h5py.File, variable: Variable) -> h5py.Dataset:
 
 def _values(dataset: h5py.Dataset) -> np.ndarray[Any, np.dtype[Any]]:
     if dataset.size > schema.LARGEST_ARRAY:
-        raise _Refusal(
+        raise TooLargeError(
             f"has {dataset.size} values of {dataset.name[1:]}, and at most {schema.LARGEST_ARRAY} "
             "are read into memory; read parts of it with h5py or xarray."
         )

@@ -1,0 +1,138 @@
+"""Processes and clusters build the atlas that one process builds, also when they are killed."""
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from jaxstab import AtlasSpec, write_atlas
+from jaxstab.atlas.executors import dask_cluster, processes
+
+SPEC = AtlasSpec(
+    alpha=[0.0, 0.1, 0.2], beta=[0.1, 0.2], gamma=[0.0, 0.0005, 0.001], delta=[0.0, 0.015],
+    delay=[0.0, 1.0], products=["verdict"],
+)  # fmt: skip
+COMMAND = [sys.executable, "-c", "from jaxstab.cli import main; main()", "atlas", "build"]
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("serial") / "a.h5"
+    write_atlas(SPEC, path)
+    return path.read_bytes()
+
+
+def when_done(count: int, deed: Callable[[], object]) -> Callable[[int, int], None]:
+    """A progress at which something happens once, after so many tiles."""
+    once = iter([deed])
+
+    def tell(done: int, total: int) -> None:
+        if done >= count:
+            next(once, lambda: None)()
+
+    return tell
+
+
+def kill(process: int | None) -> None:
+    assert process is not None
+    os.kill(process, signal.SIGKILL)
+
+
+def test_a_worker_process_that_dies_is_told_and_the_next_build_goes_on(
+    serial: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.h5"
+    kill_one = when_done(1, lambda: kill(multiprocessing.active_children()[0].pid))
+    with processes(2) as executor, pytest.raises(RuntimeError, match=r"a worker died; \d of 6"):
+        write_atlas(SPEC, path, kill_one, executor)
+    assert not path.exists()
+    told: list[tuple[int, int]] = []
+    with processes(2) as executor:
+        write_atlas(SPEC, path, lambda *progress: told.append(progress), executor)
+    assert told[0][0] >= 1
+    assert path.read_bytes() == serial
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.h5"]
+
+
+# ------------------------------------------------------------------------------------------- Ctrl-C
+
+
+def test_ctrl_c_ends_workers_and_command_in_one_sentence(serial: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(SPEC.to_toml(), encoding="utf-8")
+    output = tmp_path / "a.h5"
+    building = subprocess.Popen(
+        [*COMMAND, "--spec", tmp_path / "a.toml", "-o", output, "--workers", "1"],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while building.poll() is None and not any(tmp_path.glob(".a.h5.*.tiles/*.tile")):
+        time.sleep(0.01)
+    os.killpg(building.pid, signal.SIGINT)  # as a terminal does, to all of its processes
+    _, told = building.communicate()
+    assert building.returncode == 130
+    assert told.splitlines()[-1].startswith(
+        "jaxstab: interrupted; the tiles that are done are kept"
+    )
+    assert "Traceback" not in told
+    write_atlas(SPEC, output)
+    assert output.read_bytes() == serial
+
+
+# --------------------------------------------------------------------------------------------- dask
+
+
+class Cluster:
+    """A scheduler and two workers, each a process of its own, on the loopback."""
+
+    def __init__(self, folder: Path) -> None:
+        file = folder / "scheduler.json"
+        where = ["--scheduler-file", str(file), "--no-dashboard"]
+        self.running: list[subprocess.Popen[bytes]] = []
+        self.start("scheduler", "--host", "127.0.0.1", "--port", "0", *where)
+        while not file.exists():
+            time.sleep(0.05)
+        self.address = json.loads(file.read_text(encoding="utf-8"))["address"]
+        for _ in range(2):
+            self.start("worker", self.address, "--no-nanny", "--nthreads", "1", "--no-dashboard")
+
+    def start(self, *command: str) -> None:
+        run = [sys.executable, "-m", "dask", *command]
+        self.running.append(subprocess.Popen(run, stderr=subprocess.DEVNULL))
+
+    def stop(self) -> None:
+        for process in self.running[::-1]:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield cluster
+    cluster.stop()
+
+
+def test_a_dask_cluster_builds_the_serial_atlas_though_a_worker_is_killed(
+    serial: bytes, cluster: Cluster, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.h5"
+    with dask_cluster(cluster.address) as executor:
+        write_atlas(SPEC, path, when_done(1, cluster.running[-1].kill), executor)
+    assert path.read_bytes() == serial
+
+
+def test_without_a_scheduler_or_dask_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jaxstab.atlas.executors._SECONDS_TO_CONNECT", 1)
+    with pytest.raises(OSError, match=r"no dask scheduler answers at tcp://127\.0\.0\.1:9;"):
+        dask_cluster("tcp://127.0.0.1:9").__enter__()
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(RuntimeError, match=r"jaxstab\[distributed\]"):
+        dask_cluster("tcp://127.0.0.1:9").__enter__()
