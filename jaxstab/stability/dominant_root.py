@@ -215,7 +215,7 @@ def _distance_to_root(t: _Complex, radius: Array, loop: Loop, degree: int) -> Ar
     linear, constant = loop.denominator
     linear = linear + plant_error
     denominator = (t_size + linear) * t_size + constant
-    first, *inner, last = (jnp.abs(c) + plant_error * loop.plant.sum for c in loop.numerator)
+    first, *inner, last = (jnp.abs(c) + plant_error * loop.plant.size for c in loop.numerator)
     numerator, numerator_slope = first * t_size + last, first
     if inner:
         numerator = (first * t_size + inner[0]) * t_size + last

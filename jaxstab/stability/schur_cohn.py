@@ -25,7 +25,12 @@ from jaxstab.model import (
     checked_gamma,
     require_x64,
 )
-from jaxstab.stability.certified_loop import float_plant, loop_codes, pair_plant
+from jaxstab.stability.certified_loop import (
+    float_plant,
+    is_plant_lost,
+    loop_codes,
+    pair_plant,
+)
 from jaxstab.stability.outer_root import have_outer_root
 from jaxstab.stability.recursion import (
     FLOAT_UNIT,
@@ -280,6 +285,7 @@ def _resolved(
         for some in _exact_batches(places):
             values = _gathered((*point, wholes + fractions), settled.shape, some)
             proved = have_outer_root(np.asarray(characteristic_polynomial(*values)))
+            proved &= ~np.asarray(is_plant_lost(*values[2:4]))
             settled.flat[some[proved]] = UNSTABLE
     return jnp.asarray(settled)
 

@@ -18,6 +18,7 @@ from jaxstab.model import (
     companion_matrix,
     require_x64,
 )
+from jaxstab.stability.certified_loop import is_plant_lost
 from jaxstab.stability.fast_radius import TOLERANCE, fast_radius
 from jaxstab.stability.grid import looked_up, over_grid
 from jaxstab.stability.schur_cohn import radius_error, verdict
@@ -83,7 +84,8 @@ def spectral_radius(
 
     Returns:
         SpectralRadius of arrays of the broadcast shape: ``value``; ``error``, proved: all roots are
-        inside value + error, not all inside value - error; ``status``, a RadiusStatus. The
+        inside value + error, not all inside value - error; ``status``, a RadiusStatus: NO_BOUND
+        also next to gamma = (2 pi k)^2 with next to no damping, where N(z) nearly vanishes. The
         derivative of ``value`` is that of the dominant root by the implicit function theorem; it is
         infinite or NaN where that root is multiple.
 
@@ -101,9 +103,10 @@ def spectral_radius(
     arguments = alpha, beta, gamma, delta, delay
     is_traced = any(isinstance(value, jax.core.Tracer) for value in arguments)
     if method == "fast" and not is_traced:
-        return _fast_radius(*arguments)
-    radius: SpectralRadius = over_grid(_radius, *arguments)
-    return radius
+        radius = _fast_radius(*arguments)
+    else:
+        radius = over_grid(_radius, *arguments)
+    return _believed(radius, jnp.asarray(gamma), jnp.asarray(delta))
 
 
 def is_stable(
@@ -163,6 +166,18 @@ def _fast_radius(
         np.isfinite(error), np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
     )
     return SpectralRadius(*map(jnp.asarray, (value, error, status)))
+
+
+@jax.jit
+def _believed(radius: SpectralRadius, gamma: Array, delta: Array) -> SpectralRadius:
+    """Take back the bounds where the plant is not known to an ulp."""
+    is_lost = is_plant_lost(gamma, delta)
+    error = jnp.where(is_lost, jnp.inf, radius.error)
+    return SpectralRadius(
+        radius.value,
+        error,
+        jnp.where(is_lost, np.int8(RadiusStatus.NO_BOUND), radius.status),
+    )
 
 
 @jax.jit
