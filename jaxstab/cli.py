@@ -3,11 +3,8 @@
 import csv
 import json
 import math
-import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxstab
-from jaxstab import commands
-from jaxstab.conventions import AXES, STABLE, Verdict
+from jaxstab import atlas_commands, commands
+from jaxstab.conventions import AXES, Verdict
 
 if TYPE_CHECKING:
-    from jaxstab.atlas import Atlas, AtlasAnswer
+    from jaxstab.atlas import AtlasAnswer
 
 _ANSWER = ("verdict", "spectral_radius", "radius_error", "status")
 
@@ -64,96 +61,16 @@ for _command in (commands.limits, commands.check, commands.tune, commands.design
 
 @main.group()
 def atlas() -> None:
-    """Plan, build, inspect, ask and plot atlases: stability over a grid of loops, in one file."""
+    """Plan, build, inspect, verify, ask and plot atlases: stability over a grid, in one file."""
 
 
-@atlas.command()
-@click.option("--spec", type=Path, help="TOML file; without, the haptic range of the paper.")
-@click.option("-o", "--output", type=Path, default=Path("atlas.h5"), show_default=True)
-@click.option(
-    "--workers", type=click.IntRange(1), help="Compute in so many processes of this machine."
-)
-@click.option("--scheduler", help="Compute on the dask cluster whose scheduler has this address.")
-def build(spec: Path | None, output: Path, workers: int | None, scheduler: str | None) -> None:
-    """Compute an atlas and write it as one HDF5 file.
-
-    What was interrupted goes on where it ended when the same command is given again.
-    """
-    import jax
-
-    from jaxstab.atlas import AtlasSpec, write_atlas
-    from jaxstab.atlas.executors import dask_cluster, processes
-    from jaxstab.atlas.file import TooLargeError
-
-    if workers and scheduler:
-        raise click.UsageError("--workers and --scheduler are given; give one of them.")
-    jax.config.update("jax_enable_x64", True)
-    chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
-    where: AbstractContextManager[Executor | None] = nullcontext()
-    if workers:
-        where = processes(workers)
-    elif scheduler:
-        where = dask_cluster(scheduler)
-    try:
-        with where as executor, _progress(output) as show:
-            write_atlas(chosen, output, show, executor)
-    except KeyboardInterrupt:
-        click.echo(
-            "jaxstab: interrupted; the tiles that are done are kept, so give the same command "
-            "again to go on.",
-            err=True,
-        )
-        sys.exit(130)
-    try:
-        click.echo(_described(jaxstab.open_atlas(output), output))
-    except TooLargeError as error:
-        click.echo(error)
-
-
-@contextmanager
-def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that draws a bar with rate and time left on stderr."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    bar = Progress(
-        TextColumn(f"building {output}"),
-        BarColumn(),
-        TextColumn("{task.completed} of {task.total} tiles, {task.fields[rate]} a second"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )
-    task = bar.add_task("", total=None, rate="?")
-
-    def show(done: int, total: int) -> None:
-        bar.start()  # only now: what is refused before the work is refused without a bar
-        speed = bar.tasks[0].speed
-        bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
-
-    try:
-        yield show
-    finally:
-        if bar.live.is_started:
-            bar.stop()
-
-
-@atlas.command()
-@click.option("--spec", type=Path, help="TOML file; without, the haptic range of the paper.")
-def plan(spec: Path | None) -> None:
-    """Print what a build would compute, and why it need not compute the rest."""
-    import jax
-
-    from jaxstab.atlas import AtlasSpec, plan_atlas
-
-    jax.config.update("jax_enable_x64", True)
-    click.echo(plan_atlas(AtlasSpec.from_file(spec) if spec else AtlasSpec()))
-
-
-@atlas.command()
-@click.argument("file", type=Path)
-def info(file: Path) -> None:
-    """Print what an atlas holds, and a line to query it."""
-    click.echo(_described(jaxstab.open_atlas(file), file))
+for _command in (
+    atlas_commands.build,
+    atlas_commands.plan,
+    atlas_commands.info,
+    atlas_commands.verify,
+):
+    atlas.add_command(_command)
 
 
 def _axis_options(command: Any) -> Any:
@@ -345,43 +262,3 @@ def _finite(row: dict[str, float | str]) -> dict[str, float | str | None]:
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in row.items()
     }
-
-
-# ----------------------------------------------------------------------------------------- describe
-
-
-def _described(opened: "Atlas", file: Path) -> str:
-    """Return what an atlas holds, ending in a line to query it."""
-    shape = {name: nodes.size for name, nodes in opened.nodes(0).items()}
-    lines = [
-        f"{file}: {file.stat().st_size / 1e6:.2f} MB, made by {opened.created_by}",
-        f"products: {', '.join(opened.products)}",
-        *(
-            f"{name}: {shape[name]} nodes from {nodes[0]:g} to {nodes[-1]:g}"
-            for name, nodes in list(opened.nodes(0).items())[2:]
-        ),
-        "",
-        f"delay   alpha ({shape['alpha']} nodes)      beta ({shape['beta']} nodes)       "
-        "decided between nodes",
-    ]
-    for number, delay in enumerate(opened.delays):
-        spans = [f"{n[0]:9.3g} to {n[-1]:<8.3g}" for n in list(opened.nodes(number).values())[:2]]
-        decided = f"{100.0 * opened.decided_fraction(number):.1f} %"
-        lines.append(f"{delay:<5g} {spans[0]} {spans[1]}   {decided}")
-    options = " ".join(f"--{name} {value:g}" for name, value in _example(opened).items())
-    lines += ["", "Query it with", f"  jaxstab atlas query {shlex.quote(str(file))} {options}"]
-    return "\n".join(lines)
-
-
-def _example(opened: "Atlas") -> dict[str, float]:
-    """Return a point in the middle of the first delay's box, or rather of what is stable there."""
-    nodes = opened.nodes(0)
-    middle = {name: axis.size // 2 for name, axis in nodes.items()}
-    if "verdict" in opened.arrays:
-        plane = opened.arrays["verdict"][:, :, middle["gamma"], middle["delta"], 0]
-        stable = (plane == STABLE).nonzero()
-        if stable[0].size:
-            centre = stable[0].size // 2
-            middle |= {"alpha": int(stable[0][centre]), "beta": int(stable[1][centre])}
-    point = {name: float(axis[middle[name]]) for name, axis in nodes.items()}
-    return point | {"delay": float(opened.delays[0])}

@@ -2,7 +2,10 @@
 
 import functools
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+
+import h5py
 
 from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, file, footer, write_atlas
 
@@ -51,3 +54,11 @@ def write_small(folder: Path) -> Path:
     path = folder / "small.h5"
     path.write_bytes(small_file())
     return path
+
+
+def edited(edit: Callable[[h5py.File], None]) -> bytes:
+    """The small atlas after an edit, with the right footer."""
+    with h5py.File.in_memory(small_image()) as opened:
+        edit(opened)
+        opened.flush()
+        return footer.sealed(bytes(opened.id.get_file_image()))

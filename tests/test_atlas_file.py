@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from atlases import SMALL, small_image, write_small
+from atlases import SMALL, edited, write_small
 
 import jaxstab
 from jaxstab import open_atlas, plan_atlas
@@ -28,14 +28,6 @@ def refusal(path: Path) -> str:
     assert "\n" not in str(caught.value)
     assert path.name in str(caught.value)
     return str(caught.value)
-
-
-def edited(edit: Callable[[h5py.File], None]) -> bytes:
-    """The small atlas after an edit, with the right footer."""
-    with h5py.File.in_memory(small_image()) as opened:
-        edit(opened)
-        opened.flush()
-        return footer.sealed(bytes(opened.id.get_file_image()))
 
 
 def replace(name: str, **options: object) -> Callable[[h5py.File], None]:

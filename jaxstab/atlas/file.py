@@ -18,6 +18,7 @@ from jaxstab.atlas import schema
 from jaxstab.atlas.durable import named_errors
 from jaxstab.atlas.footer import is_sealed
 from jaxstab.atlas.schema import VARIABLES, Variable
+from jaxstab.conventions import AXES
 
 Arrays = Mapping[str, np.ndarray[Any, np.dtype[Any]]]
 
@@ -36,7 +37,8 @@ class Contents:
     content_digest: str
 
     def __post_init__(self) -> None:
-        problem = _inconsistency(self.arrays)
+        shapes = {name: values.shape for name, values in self.arrays.items()}
+        problem = inconsistency(shapes, self.arrays) or _wrong_code(self.arrays)
         if problem:
             raise ValueError(f"the arrays of an atlas do not fit together: {problem}.")
 
@@ -171,11 +173,11 @@ def _has_dtype(dtype: np.dtype[Any], variable: Variable) -> bool:
     return bool(dtype == np.dtype(variable.dtype))
 
 
-def _inconsistency(arrays: Arrays) -> str:
-    """Return in words what is wrong with the shapes, axes or codes; empty when nothing is."""
+def inconsistency(shapes: Mapping[str, tuple[int, ...]], axes: Arrays) -> str:
+    """Return in words what is wrong with shapes or axes; empty when nothing is."""
     lengths: dict[str, int] = {}
-    for name, values in arrays.items():
-        for dimension, length in zip(VARIABLES[name].dimensions, values.shape, strict=True):
+    for name, shape in shapes.items():
+        for dimension, length in zip(VARIABLES[name].dimensions, shape, strict=True):
             if lengths.setdefault(dimension, length) != length:
                 return f"{name} has {length} values along {dimension}, not {lengths[dimension]}"
     for axis, nodes in (
@@ -186,9 +188,13 @@ def _inconsistency(arrays: Arrays) -> str:
     ):
         if lengths[f"{axis}_cell"] != max(lengths[nodes] - 1, 1):
             return f"{axis} has {lengths[nodes]} nodes and {lengths[f'{axis}_cell']} cells"
-    for axis in ("alpha", "beta", "gamma", "delta", "delay"):
-        if not (np.all(np.isfinite(arrays[axis])) and np.all(np.diff(arrays[axis], axis=0) > 0)):
+    for axis in AXES:
+        if not (np.all(np.isfinite(axes[axis])) and np.all(np.diff(axes[axis], axis=0) > 0)):
             return f"{axis} is not ascending"
+    return ""
+
+
+def _wrong_code(arrays: Arrays) -> str:
     for name, values in arrays.items():
         if VARIABLES[name].holds_verdicts and not np.all(np.isin(values, schema.FLAG_VALUES)):
             return f"{name} has a code that is no verdict"

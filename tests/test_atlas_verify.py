@@ -1,0 +1,100 @@
+"""`atlas verify` finds what is wrong in a file: bytes, contents, verdicts, radii."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from atlases import edited, small_file
+from click.testing import CliRunner
+
+from jaxstab.atlas.digest import content_digest, digest_of
+from jaxstab.atlas.schema import VARIABLES
+from jaxstab.cli import main
+
+NAMES = ["file", "schema", "content", "verdict", "cell_verdict", "spectral_radius", "answers"]
+
+
+def verified(data: bytes, folder: Path) -> tuple[int, list[str]]:
+    """The exit code, and the checks that found something wrong."""
+    path = folder / "small.h5"
+    path.write_bytes(data)
+    result = CliRunner().invoke(main, ["atlas", "verify", str(path), "--sample", "300"])
+    assert result.stderr == ""
+    checks = [line.partition(": ") for line in result.stdout.splitlines()]
+    assert [name for name, _, _ in checks] == NAMES[: len(checks)]
+    assert all(words.startswith(("ok, ", "WRONG, ")) for _, _, words in checks)
+    return result.exit_code, [name for name, _, words in checks if words.startswith("WRONG")]
+
+
+def with_right_digest(edit: Callable[[h5py.File], None]) -> Callable[[h5py.File], None]:
+    """An edit that gives itself away by nothing but its values."""
+
+    def edit_all(opened: h5py.File) -> None:
+        edit(opened)
+        digest = content_digest(digest_of(name, opened[name]) for name in VARIABLES)
+        opened.attrs["content_sha256"] = np.bytes_(digest.encode())
+
+    return edit_all
+
+
+def test_nothing_is_wrong_in_an_atlas_as_it_was_built(tmp_path: Path) -> None:
+    assert verified(small_file(), tmp_path) == (0, [])
+
+
+def test_a_flipped_bit_and_another_version_are_found(tmp_path: Path) -> None:
+    data = small_file()
+    assert verified(data[:500] + bytes([data[500] ^ 4]) + data[501:], tmp_path) == (1, ["file"])
+    newer = edited(lambda opened: opened.attrs.modify("schema_version", np.int32(99)))
+    assert verified(newer, tmp_path) == (1, ["file"])
+
+
+def test_a_single_changed_value_under_a_right_footer_is_found(tmp_path: Path) -> None:
+    def change(opened: h5py.File) -> None:
+        opened["spectral_radius"][0, 0, 0, 0, 0] *= 1.0 + 2.0**-52
+
+    assert verified(edited(change), tmp_path) == (1, ["content"])
+
+
+def swap(name: str) -> Callable[[h5py.File], None]:
+    """Stable becomes unstable, and the other way round."""
+
+    def edit(opened: h5py.File) -> None:
+        opened[name][...] = np.array([0, 2, 1, 3], np.int8)[opened[name][...]]
+
+    return edit
+
+
+def wipe(opened: h5py.File) -> None:
+    opened["verdict"][...] = 0
+
+
+def boast(opened: h5py.File) -> None:
+    opened["spectral_radius"][...] += 1e-9
+    opened["spectral_radius_error"][...] = 2.0**-60
+
+
+@pytest.mark.parametrize(
+    ("edit", "wrong"),
+    [
+        (swap("verdict"), {"verdict"}),
+        (wipe, {"verdict"}),
+        (swap("cell_verdict"), {"cell_verdict", "answers"}),
+        (boast, {"spectral_radius"}),
+    ],
+)
+def test_wrong_values_under_right_digests_are_found_by_computing_them_again(
+    edit: Callable[[h5py.File], None], wrong: set[str], tmp_path: Path
+) -> None:
+    code, found = verified(edited(with_right_digest(edit)), tmp_path)
+    assert code == 1
+    assert set(found) <= wrong
+    assert min(wrong, key=NAMES.index) in found
+
+
+def test_a_missing_file_is_one_sentence(tmp_path: Path) -> None:
+    result = CliRunner().invoke(main, ["atlas", "verify", str(tmp_path / "none.h5")])
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr.startswith("jaxstab: cannot read ")
+    assert result.stderr.count("\n") == 1
