@@ -43,9 +43,12 @@ from jaxstab.stability.power_iteration import (
     reciprocal,
 )
 from jaxstab.stability.recursion import FLOAT_UNIT
+from jaxstab.stability.schur_cohn import over_tiles
 from jaxstab.stability.wide_vectors import wide_jit
 
 _LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
+_HIGHEST_UNROLLED = 24  # degree of such a proof
+_TILE = 512  # points whose polynomials of a higher degree stay in the cache
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _SAFETY = 1.0 + 1e-6  # the bounds themselves are rounded
 
@@ -114,10 +117,8 @@ def dominant_root(loop: Loop, *, degree: int, doublings: int, corrections: int =
     where two roots of nearly one modulus are confused; no doublings means the closed form for
     degree 3. ``distance_of_dominant`` tells how it went.
     """
-    t = _guess(loop.coefficients(degree), doublings, corrections)
-    for _ in range(corrections):
-        t = _newton(t, loop, degree)
-    return lax.complex(t.re, t.im)
+    root = partial(_root, degree=degree, doublings=doublings, corrections=corrections)
+    return root(loop) if degree <= _HIGHEST_UNROLLED else over_tiles(root, (loop,), _TILE)
 
 
 @partial(wide_jit, static_argnames=("degree",))
@@ -126,19 +127,23 @@ def distance_of_dominant(root: Array, loop: Loop, *, degree: int) -> Array:
 
     It covers |1 + root| being rounded as ``modulus`` does.
     """
-    t = _Complex(root.real, root.imag)
-    radius = jnp.sqrt(t.shifted(1.0).squared_modulus())
-    distance = _distance_to_root(t, radius, loop, degree)
-    is_real = t.im == 0.0
-    rest, error = _deflated(t, is_real, radius, distance, loop, degree)
-    is_proved = _all_inside(rest, error) & (is_real | (t.im > distance))
-    return jnp.where(is_proved, distance + 4.0 * FLOAT_UNIT * radius, jnp.inf)
+    distance = partial(_distance, degree=degree)
+    if degree <= _HIGHEST_UNROLLED:
+        return distance(root, loop)
+    return over_tiles(distance, (root, loop), _TILE)
 
 
 @wide_jit
 def modulus(root: Array) -> Array:
     """Return |1 + root| to 3 ulp."""
     return jnp.sqrt(_Complex(root.real, root.imag).shifted(1.0).squared_modulus())
+
+
+def _root(loop: Loop, *, degree: int, doublings: int, corrections: int) -> Array:
+    t = _guess(loop.coefficients(degree), doublings, corrections)
+    for _ in range(corrections):
+        t = _newton(t, loop, degree)
+    return lax.complex(t.re, t.im)
 
 
 def _guess(coefficients: list[Column], doublings: int, corrections: int) -> _Complex:
@@ -203,6 +208,17 @@ def _to_power(z: _Complex, exponent: int) -> _Complex | None:
 # --------------------------------------------------------------------------------------- the proof
 
 
+def _distance(root: Array, loop: Loop, *, degree: int) -> Array:
+    t = _Complex(root.real, root.imag)
+    radius = jnp.sqrt(t.shifted(1.0).squared_modulus())
+    distance = _distance_to_root(t, radius, loop, degree)
+    is_real = t.im == 0.0
+    rest, error = _deflated(t, is_real, radius, distance, loop, degree)
+    all_inside = _all_inside if degree <= _HIGHEST_UNROLLED else _rolled_all_inside
+    is_proved = all_inside(rest, error) & (is_real | (t.im > distance))
+    return jnp.where(is_proved, distance + 4.0 * FLOAT_UNIT * radius, jnp.inf)
+
+
 def _distance_to_root(t: _Complex, radius: Array, loop: Loop, degree: int) -> Array:
     """Return n |p/p'|, raised by what rounding may have changed.
 
@@ -260,12 +276,8 @@ def _deflated(
         powers.append(powers[-1] * inverse)
     twice = jnp.where(is_real, jnp.sign(t.re + 1.0), 2.0 * (t.re + 1.0) * inverse)
     product = jnp.where(is_real, 0.0, 1.0)
-    rest = [jnp.ones_like(radius)]
-    for coefficient, power in zip(coefficients[:-1], powers[:-1], strict=True):
-        follows = twice * rest[-1]
-        if len(rest) > 1:
-            follows = follows - product * rest[-2]
-        rest.append(follows if coefficient is None else follows + coefficient * power)
+    divided = _quotient if degree <= _HIGHEST_UNROLLED else _rolled_quotient
+    rest = divided(coefficients[:-1], powers[:-1], twice, product)
     rest[-1] = jnp.where(is_real, rest[-1], 0.0)
 
     terms = 1.0 + (1.0 + jnp.abs(plant.d1)) * powers[0] + (1.0 + plant.d0) * powers[1]
@@ -276,6 +288,36 @@ def _deflated(
     once = (2.0 * degree + 16.0) * FLOAT_UNIT * terms + 4.0 * moved * _size_sum(rest)
     grown = degree * (degree + 1.0) * once
     return rest, jnp.where(degree * moved < 0.5, grown, jnp.inf)
+
+
+def _quotient(
+    coefficients: list[Column], powers: list[Array], twice: Array, product: Array
+) -> list[Array]:
+    rest = [jnp.ones_like(twice)]
+    for coefficient, power in zip(coefficients, powers, strict=True):
+        follows = twice * rest[-1]
+        if len(rest) > 1:
+            follows = follows - product * rest[-2]
+        rest.append(follows if coefficient is None else follows + coefficient * power)
+    return rest
+
+
+def _rolled_quotient(
+    coefficients: list[Column], powers: list[Array], twice: Array, product: Array
+) -> list[Array]:
+    """Return the same by a loop: the code does not grow with the degree."""
+    zero, one = jnp.zeros_like(twice), jnp.ones_like(twice)
+    scaled = [
+        zero if coefficient is None else coefficient * power
+        for coefficient, power in zip(coefficients, powers, strict=True)
+    ]
+
+    def divided(last: tuple[Array, Array], added: Array) -> tuple[tuple[Array, Array], Array]:
+        follows = twice * last[0] - product * last[1] + added
+        return (follows, last[0]), follows
+
+    _, rest = lax.scan(divided, (one, zero), jnp.stack(scaled))
+    return [one, *rest]
 
 
 def _all_inside(polynomial: list[Array], error: Array) -> Array:
@@ -293,6 +335,35 @@ def _all_inside(polynomial: list[Array], error: Array) -> Array:
         lowered = [lowest * highest, *(first * a - last * b for a, b in pairs)]
         scale = power_of_two_below_inverse(lowered[0])
         polynomial = [value * scale for value in lowered]
+    lost = _SAFETY * (error * whole + 8.0 * FLOAT_UNIT * above * quotients)
+    return is_inside & (lost < below)
+
+
+def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
+    """Return the same by a loop: each step leaves one more zero at the end."""
+    size = len(polynomial)
+    one, zero = jnp.ones_like(error), jnp.zeros_like(error)
+
+    def lower(step: Array, state: tuple[Array, ...]) -> tuple[Array, ...]:
+        rows, is_inside, below, above, whole, quotients = state
+        first, last = rows[0], rows[size - 1 - step]
+        lowest, highest = first - jnp.abs(last), first + jnp.abs(last)
+        twice = jnp.concatenate([rows[::-1], jnp.zeros_like(rows)])
+        turned = lax.dynamic_slice_in_dim(twice, step, size)
+        lowered = (first * rows - last * turned).at[0].set(lowest * highest)
+        lowered = lowered.at[size - 1 - step].set(0.0)
+        return (
+            lowered * power_of_two_below_inverse(lowered[0]),
+            is_inside & (lowest > 0.0),
+            below * lowest,
+            above * highest,
+            whole * first,
+            quotients + highest / lowest,
+        )
+
+    start = jnp.stack(polynomial), jnp.isfinite(error), one, one, one, zero
+    state: tuple[Array, ...] = lax.fori_loop(0, size - 1, lower, start)
+    _, is_inside, below, above, whole, quotients = state
     lost = _SAFETY * (error * whole + 8.0 * FLOAT_UNIT * above * quotients)
     return is_inside & (lost < below)
 

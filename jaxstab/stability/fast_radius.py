@@ -17,7 +17,7 @@ from jaxstab.stability.certified_loop import float_plant
 from jaxstab.stability.dominant_root import Loop, distance_of_dominant, dominant_root, modulus
 from jaxstab.stability.grid import looked_up
 
-LONGEST_DELAY = 21.0  # beyond, an unrolled proof grows too long for the compiler
+LONGEST_DELAY = 64.0  # beyond, polynomials of many points do not stay in the cache
 TOLERANCE = 1e-12
 
 _LIST = 2**18  # up to this many points, lists are filled up to a length compiled once for all
@@ -106,7 +106,7 @@ def _first_try(delay: float) -> _Try:
         return _Try(doublings=8, corrections=2, longest_list=2**15)
     if delay <= 10.0:
         return _Try(doublings=6, corrections=2, longest_list=2**15)
-    return _Try(doublings=4, corrections=4, longest_list=2**15)
+    return _Try(doublings=4, corrections=4, longest_list=2**15 if delay <= 21.0 else 2**12)
 
 
 def _second_try(delay: float) -> _Try:

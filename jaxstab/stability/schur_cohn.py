@@ -330,7 +330,7 @@ def _gathered(values: Any, shape: tuple[int, ...], places: Values) -> Any:
     return jax.tree.map(lambda value: jnp.asarray(np.broadcast_to(value, shape)[index]), values)
 
 
-def over_tiles(codes: Callable[..., Array], arguments: tuple[Any, ...]) -> Array:
+def over_tiles(codes: Callable[..., Array], arguments: tuple[Any, ...], tile: int = _TILE) -> Array:
     """Evaluate an elementwise function tile by tile, so that what it keeps stays in the cache.
 
     Arrays of one element are not copied for every point. Only for the CPU: an accelerator gets all
@@ -339,17 +339,17 @@ def over_tiles(codes: Callable[..., Array], arguments: tuple[Any, ...]) -> Array
     leaves, structure = jax.tree.flatten(arguments)
     shape = jnp.broadcast_shapes(*(jnp.shape(leaf) for leaf in leaves))
     size = int(np.prod(shape))
-    if size <= _TILE or jax.default_backend() != "cpu":
+    if size <= tile or jax.default_backend() != "cpu":
         return codes(*arguments)
     shared = [jnp.reshape(leaf, ()) if leaf.size == 1 else None for leaf in leaves]
     tiles = [
-        jnp.resize(jnp.broadcast_to(leaf, shape).ravel(), (-(-size // _TILE), _TILE))
+        jnp.resize(jnp.broadcast_to(leaf, shape).ravel(), (-(-size // tile), tile))
         for leaf in leaves
         if leaf.size > 1
     ]
 
-    def tile_codes(tile: list[Array]) -> Array:
-        parts = iter(tile)
+    def tile_codes(columns: list[Array]) -> Array:
+        parts = iter(columns)
         mixed = [next(parts) if one is None else one for one in shared]
         return codes(*jax.tree.unflatten(structure, mixed))
 

@@ -79,7 +79,7 @@ def spectral_radius(
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, concrete.
         method: "fast" finds and proves the dominant root without eigenvalues and leaves only the
-            points where that fails, and delays above 21, to the companion matrix; "companion" takes
+            points where that fails, and delays above 64, to the companion matrix; "companion" takes
             it for all. Inside jit, vmap and grad it is always the companion matrix.
 
     Returns:
