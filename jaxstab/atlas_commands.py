@@ -16,6 +16,8 @@ from jaxstab.conventions import STABLE
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas
 
+_MOST_DESCRIBED = 2**24  # nodes that are loaded after a build
+
 
 @click.command()
 @click.option("--spec", type=Path, help="TOML file; without, the haptic range of the paper.")
@@ -33,7 +35,7 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
 
     from jaxstab.atlas import AtlasSpec, write_atlas
     from jaxstab.atlas.executors import dask_cluster, processes
-    from jaxstab.atlas.file import TooLargeError
+    from jaxstab.atlas.file import node_count
 
     if workers and scheduler:
         raise click.UsageError("--workers and --scheduler are given; give one of them.")
@@ -54,10 +56,13 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
             err=True,
         )
         sys.exit(130)
-    try:
+    if node_count(output) <= _MOST_DESCRIBED:
         click.echo(_described(jaxstab.open_atlas(output), output))
-    except TooLargeError as error:
-        click.echo(error)
+    else:
+        click.echo(
+            f"{output}: {output.stat().st_size / 1e6:.2f} MB; jaxstab atlas info loads it to say "
+            "what it holds."
+        )
 
 
 @contextmanager

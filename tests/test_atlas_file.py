@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from atlases import SMALL, edited, write_small
+from atlases import SMALL, edited, small_image, write_small
 
 import jaxstab
 from jaxstab import open_atlas, plan_atlas
@@ -75,10 +75,13 @@ def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_pat
         assert flags == {0: "not_computed", 1: "stable", 2: "unstable", 3: "undecided"}
 
 
-def test_a_file_of_another_version_of_the_schema_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    path = tmp_path / "newer.h5"
-    path.write_bytes(edited(lambda f: f.attrs.modify("schema_version", np.int32(99))))
-    assert "schema version 99" in refusal(path)
+@pytest.mark.parametrize("version", [1, 99, -1])
+def test_a_file_of_another_version_of_the_schema_is_refused_with_the_remedy(
+    version: int, tmp_path: Path
+) -> None:
+    path = tmp_path / "other.h5"
+    path.write_bytes(edited(lambda f: f.attrs.modify("schema_version", np.int32(version))))
+    assert f"schema version {version}, and this jaxstab reads version" in refusal(path)
 
 
 # ------------------------------------------------------------------------------------------- damage
@@ -208,6 +211,21 @@ def long_attribute(opened: h5py.File) -> None:
     opened.attrs["created_by"] = np.arange(3)
 
 
+def filters_twice(opened: h5py.File) -> None:
+    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    layout.set_chunk((24, 2))
+    for _ in range(2):
+        layout.set_shuffle()
+        layout.set_deflate(6)
+        layout.set_fletcher32()
+    values = opened["alpha"][()]
+    del opened["alpha"]
+    space = h5py.h5s.create_simple(values.shape)
+    dataset = h5py.h5d.create(opened.id, b"alpha", h5py.h5t.IEEE_F64LE, space, layout)
+    dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, values)
+
+
+AS_WRITTEN = {"chunks": True, "shuffle": True, "compression": "gzip", "fletcher32": True}
 HOSTILE = {
     edit.__name__: edit
     for edit in (
@@ -229,8 +247,41 @@ HOSTILE = {
     "unchecked": replace("alpha", chunks=True, compression="gzip", shuffle=True),
     "other filter": replace("alpha", compression="lzf", shuffle=True, fletcher32=True),
     "single precision": replace("alpha", dtype="float32", chunks=True),
+    "complex": replace("alpha", data=np.zeros((24, 2), complex), **AS_WRITTEN),
+    "big endian": replace("alpha", dtype=">f8", **AS_WRITTEN),
+    "half precision": replace("alpha", dtype="float16", **AS_WRITTEN),
+    "unsigned codes": replace("verdict", dtype="uint8", **AS_WRITTEN),
+    "an enumeration": replace("verdict", dtype=h5py.enum_dtype({"a": 0}, "i1"), **AS_WRITTEN),
+    "opaque": replace("alpha", data=np.zeros((24, 2), "V8"), **AS_WRITTEN),
+    "a compound": replace("alpha", data=np.zeros((24, 2), [("a", "f8")]), **AS_WRITTEN),
+    "arrays": replace("alpha", dtype=np.dtype("(3,)f8"), data=None, shape=(24, 2), **AS_WRITTEN),
+    "a scalar": replace("alpha", data=1.0),
+    "no values": replace("alpha", data=h5py.Empty("f8")),
+    "a long line": replace("spec", data=np.array([b"a" * 5000]), **AS_WRITTEN),
+    "one filter twice": filters_twice,
+    "a lossy filter": replace("spec_line", scaleoffset=0, chunks=True),
+    "references": replace("alpha", dtype=h5py.ref_dtype, data=None, shape=(24, 2), chunks=True),
     "strings of any length": replace("spec", dtype=h5py.string_dtype(), data=["a", "b"]),
 }
+
+
+def test_damage_under_a_right_footer_is_refused_or_changes_no_value(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """The checksums of HDF5 behind the footer: what they let through is words and padding."""
+    image, path = small_image(), tmp_path / "sealed.h5"
+    path.write_bytes(footer.sealed(image))
+    whole = file.read(path).arrays
+    for place in rng.integers(0, 8 * len(image), 200).tolist():
+        damaged = bytearray(image)
+        damaged[place // 8] ^= 1 << (place % 8)
+        path.write_bytes(footer.sealed(bytes(damaged)))
+        try:
+            arrays = file.read(path).arrays
+        except ValueError:
+            continue
+        for name, values in whole.items():
+            np.testing.assert_array_equal(arrays[name], values)
 
 
 @pytest.mark.parametrize("name", HOSTILE)

@@ -8,6 +8,7 @@ or a refusal in one sentence, whatever happened to writer and disk.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,16 @@ def read(path: Path) -> Contents:
     with opened(path) as file:
         arrays = {name: _values(dataset) for name, dataset in checked_datasets(file).items()}
         return Contents(arrays, text_of(file, "created_by"), text_of(file, "content_sha256"))
+
+
+def node_count(path: Path) -> int:
+    """Return how many nodes an atlas has, without a look at its values.
+
+    Raises:
+        OSError, ValueError: as ``read``.
+    """
+    with opened(path) as file:
+        return prod(file[dimension].size for dimension in schema.NODE)
 
 
 @contextmanager
@@ -170,7 +181,7 @@ def _is_stored(dataset: h5py.Dataset) -> bool:
 def _has_dtype(dtype: np.dtype[Any], variable: Variable) -> bool:
     if variable.dtype == "S":
         return bool(dtype.kind == "S" and 0 < dtype.itemsize <= schema.LONGEST_LINE)
-    return bool(dtype == np.dtype(variable.dtype))
+    return bool(dtype == np.dtype(variable.dtype) and dtype.metadata is None)  # no enumeration
 
 
 def inconsistency(shapes: Mapping[str, tuple[int, ...]], axes: Arrays) -> str:
