@@ -9,8 +9,9 @@ import truth
 
 from jaxstab import STABLE, boundary_curve, verdict
 from jaxstab.boundary.bands import StableColumns, stable_columns
-from jaxstab.boundary.enclosure import Domain, HandBoxes, curve_patches, plant_models
-from jaxstab.boundary.linear_model import LinearModel
+from jaxstab.boundary.enclosure import Domain, curve_patches
+from jaxstab.model.linear_model import LinearModel
+from jaxstab.model.plant_models import HandBoxes, plant_models
 
 HAPTIC = (1e-3, 0.015)
 SCENES = [  # delay, gamma, delta, widths of the boxes, domain in units of the delay's stable set
@@ -127,10 +128,10 @@ def test_models_of_the_plant_hold_at_the_corners(fraction: float) -> None:
         gamma = float(hands.gamma[box] + signs[0] * hands.half_gamma[box])
         delta = float(hands.delta[box] + signs[1] * hands.half_delta[box])
         exact = truth.plant(gamma, delta, fraction)
-        for name in ("d1", "d0", "n2", "n0"):
+        for name in ("d1", "d0", "n2", "n1", "n0"):
             model: LinearModel = getattr(models, name)
-            linear = model.centre + model.slope[1] * model.half[1] * signs[0]
-            linear = (linear + model.slope[2] * model.half[2] * signs[1])[box]
+            linear = model.centre + model.slope[0] * model.half[0] * signs[0]
+            linear = (linear + model.slope[1] * model.half[1] * signs[1])[box]
             assert abs(mpmath.mpf(linear) - getattr(exact, name)) <= model.rest[box]
 
 

@@ -1,13 +1,14 @@
+__all__: list[str]
+from .answer import AtlasAnswer as AtlasAnswer
+from .answer import QueryStatus as QueryStatus
 from .build import build_atlas as build_atlas
 from .build import write_atlas as write_atlas
+from .limits import AlphaLimits as AlphaLimits
+from .limits import MaxAlpha as MaxAlpha
 from .plan import Plan as Plan
 from .plan import plan_atlas as plan_atlas
 from .query import Atlas as Atlas
-from .query import AtlasAnswer as AtlasAnswer
-from .query import QueryStatus as QueryStatus
 from .query import open_atlas as open_atlas
 from .spec import AtlasSpec as AtlasSpec
 from .spec import FittedAxis as FittedAxis
 from .spec import ToleranceAxis as ToleranceAxis
-
-__all__: list[str]

@@ -9,6 +9,7 @@ from jaxstab.atlas.edge import Plane
 from jaxstab.atlas.schema import CELL, NODE
 from jaxstab.atlas.spec import AtlasSpec, FittedAxis, ToleranceAxis, check_size
 from jaxstab.atlas.tolerance import tolerant_nodes
+from jaxstab.boundary.bands import TERMS
 
 _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
@@ -24,6 +25,7 @@ class Grid:
     gamma: Float64[np.ndarray, " gamma"]
     delta: Float64[np.ndarray, " delta"]
     delay: Float64[np.ndarray, " delay"]
+    limit_cells: int
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -40,7 +42,8 @@ class Grid:
     @property
     def lengths(self) -> dict[str, int]:
         """The lengths of the dimensions of nodes and cells, by the names of the schema."""
-        return dict(zip((*NODE, *CELL), (*self.shape, *self.cell_shape), strict=True))
+        lengths = dict(zip((*NODE, *CELL), (*self.shape, *self.cell_shape), strict=True))
+        return lengths | {"limit_cell": self.limit_cells, "limit_term": 2 * len(TERMS)}
 
     def sides(self, axis: str) -> Float64[np.ndarray, "cell 2"]:
         """Return the ends of the cells along gamma or delta; one node alone is both of them."""
@@ -61,7 +64,7 @@ def lay_out(spec: AtlasSpec) -> Grid:
     delay = np.array(spec.delay)
     walls = [_wall_axes(spec, gamma, delta, samples) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
-    grid = Grid(alpha, beta, gamma, delta, delay)
+    grid = Grid(alpha, beta, gamma, delta, delay, spec.limit_cells)
     check_size(grid.shape)
     return grid
 

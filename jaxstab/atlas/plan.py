@@ -8,7 +8,14 @@ from typing import NamedTuple
 from jaxstab.atlas.blocks import CellSlice, prove_blocks
 from jaxstab.atlas.fill import Slice, plan_filling
 from jaxstab.atlas.layout import Grid, lay_out
-from jaxstab.atlas.schema import CELL_VERDICT, PRODUCTS, RADIUS_ERROR, VARIABLES, VERDICT
+from jaxstab.atlas.schema import (
+    ALPHA_LIMITS,
+    CELL_VERDICT,
+    PRODUCTS,
+    RADIUS_ERROR,
+    VARIABLES,
+    VERDICT,
+)
 from jaxstab.atlas.spec import AtlasSpec, ToleranceAxis
 from jaxstab.model import require_x64
 
@@ -66,7 +73,9 @@ class Plan:
     def variables(self) -> tuple[str, ...]:
         """The variables to compute; an error comes with its value."""
         chosen = (name for product in self.spec.products for name in PRODUCTS[product])
-        return tuple(name for name in chosen if name != RADIUS_ERROR)
+        return tuple(
+            name for name in chosen if name != RADIUS_ERROR and not VARIABLES[name].is_axis
+        )
 
     @property
     def deltas_of_a_tile(self) -> int:
@@ -148,7 +157,7 @@ class Plan:
 
     def _share(self, variable: str) -> Share:
         counts = [self.grid.lengths[dimension] for dimension in VARIABLES[variable].dimensions]
-        asked = prod(counts)
+        asked = prod(counts) if variable != ALPHA_LIMITS else prod(counts[:-1])
         places = product(*map(range, counts[2:]))
         if variable == VERDICT:
             fillings = [plan_filling(self.slice_at(*place)) for place in places]

@@ -5,17 +5,32 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8
+from jaxtyping import Bool, Float32, Float64, Int8
 from numpy.typing import NDArray
 
 from jaxstab.atlas.blocks import prove_blocks
 from jaxstab.atlas.fill import plan_filling
 from jaxstab.atlas.plan import Plan, Tile
-from jaxstab.atlas.schema import CELL_VERDICT, RADIUS_ERROR, SPECTRAL_RADIUS, VERDICT
+from jaxstab.atlas.schema import (
+    ALPHA_LIMITS,
+    CELL_RADIUS_ERROR,
+    CELL_VERDICT,
+    RADIUS_ERROR,
+    SPECTRAL_RADIUS,
+    VERDICT,
+)
+from jaxstab.boundary.bands import stable_columns
+from jaxstab.boundary.enclosure import Domain
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model.plant_models import HandBoxes
 from jaxstab.stability import spectral_radius
+from jaxstab.stability.root_discs import interpolation_errors
 
 Arrays = dict[str, NDArray[Any]]
+
+_FLOAT32_STEP = 2.0**-23  # of values below 2
+_LEAST_EXPONENT, _LARGEST_EXPONENT = -100, 30  # of errors
+_BEYOND = 1e-9  # of a cell: cells overlap, so that rounding finds no gap between them
 
 
 def compute_tile(plan: Plan, tile: Tile) -> Arrays:
@@ -81,44 +96,103 @@ def _at_some_corner(
     return beside
 
 
+def _alpha_limits(plan: Plan, tile: Tile) -> Arrays:
+    grid = plan.grid
+    sides = _sides(plan, tile)
+    shape = plan.shape(ALPHA_LIMITS, tile)
+    if not sides.size:
+        return {ALPHA_LIMITS: np.zeros(shape)}
+    alpha, beta = grid.alpha[:, tile.delay], grid.beta[:, tile.delay]
+    domain = Domain((alpha[0], alpha[-1]), (beta[0], beta[-1]))
+    edges = np.linspace(*domain.beta, grid.limit_cells + 1)
+    columns = stable_columns(edges, _boxes(sides), float(grid.delay[tile.delay]), domain)
+    planes = np.concatenate([columns.lower, columns.upper], axis=-1)
+    return {ALPHA_LIMITS: planes.swapaxes(0, 1).reshape(shape)}
+
+
 def _radii(plan: Plan, tile: Tile) -> Arrays:
     grid = plan.grid
-    deltas = plan.numbers("delta", tile)
+    gammas = np.array(_with_next(plan.numbers("gamma", tile), grid.gamma.size))
+    deltas = np.array(_with_next(plan.numbers("delta", tile), grid.delta.size))
     radius = spectral_radius(
-        grid.alpha[:, tile.delay, None, None],
-        grid.beta[:, tile.delay, None],
-        grid.gamma[tile.gamma],
-        grid.delta[deltas.start : deltas.stop],
+        grid.alpha[:, tile.delay, None, None, None],
+        grid.beta[:, tile.delay, None, None],
+        grid.gamma[gammas, None],
+        grid.delta[deltas],
         grid.delay[tile.delay],
     )
     value, error = np.asarray(radius.value), np.asarray(radius.error)
     value, error = _rounded(value, error, plan.spec.radius_rounding)
+    cells = np.zeros(plan.shape(CELL_RADIUS_ERROR, tile), np.float32)
+    for number, sides in enumerate(_sides(plan, tile)):
+        corners = np.moveaxis(value[:, :, :2, number : number + 2], (2, 3), (0, 1))
+        cells[:, :, 0, number, 0] = _cell_errors(plan, tile, sides, corners)
+    nodes = np.s_[:, :, :1, : len(tile.delta)]
     shape = plan.shape(SPECTRAL_RADIUS, tile)
-    return {SPECTRAL_RADIUS: value.reshape(shape), RADIUS_ERROR: error.reshape(shape)}
+    return {
+        SPECTRAL_RADIUS: value[nodes].reshape(shape),
+        RADIUS_ERROR: error[nodes].reshape(shape),
+        CELL_RADIUS_ERROR: cells,
+    }
+
+
+def _cell_errors(
+    plan: Plan,
+    tile: Tile,
+    sides: Float64[np.ndarray, "hand side"],
+    corners: Float32[np.ndarray, "gamma_side delta_side alpha_node beta_node"],
+) -> Float32[np.ndarray, "alpha_cell beta_cell"]:
+    grid = plan.grid
+    alpha, beta = grid.alpha[:, tile.delay], grid.beta[:, tile.delay]
+    both = np.broadcast_to(corners, (2, 2, alpha.size, beta.size))  # of one node, both sides
+    errors = interpolation_errors(
+        alpha, beta, _boxes(sides[None]), float(grid.delay[tile.delay]), both.astype(np.float64)
+    )
+    # In its own tile a node can be rounded to the other side.
+    step = max(_rounding_step(plan.spec.radius_rounding), _FLOAT32_STEP)
+    return _raised(errors + 2.0 * step)
+
+
+def _sides(plan: Plan, tile: Tile) -> Float64[np.ndarray, "cell hand side"]:
+    """Return the ends of the cells of hands in a tile, along gamma and delta."""
+    sides = [
+        (plan.grid.sides("gamma")[gamma], plan.grid.sides("delta")[delta])
+        for gamma in plan.numbers("gamma_cell", tile)
+        for delta in plan.numbers("delta_cell", tile)
+    ]
+    return np.array(sides).reshape(-1, 2, 2)
+
+
+def _boxes(sides: Float64[np.ndarray, "cell hand side"]) -> HandBoxes:
+    half = 0.5 * np.diff(sides, axis=-1)[..., 0] * (1.0 + _BEYOND)
+    return HandBoxes(*sides.mean(axis=-1).T, *half.T)
 
 
 def _rounded(
     value: Float64[np.ndarray, "*grid"], error: Float64[np.ndarray, "*grid"], rounding: float | int
-) -> tuple[Float64[np.ndarray, "*grid"], Float64[np.ndarray, "*grid"]]:
-    """Round radii as the specification says, and their errors up to powers of two."""
-    if rounding > 0.0:
-        step = 2.0 ** np.floor(np.log2(rounding))
-        rounded = np.round(value / step) * step
-        error = (error + np.abs(rounded - value)) * (1.0 + 2.0**-50)  # these are rounded, too
-        value = rounded
-    return value, _raised_to_power_of_two(error)
+) -> tuple[Float32[np.ndarray, "*grid"], Float32[np.ndarray, "*grid"]]:
+    """Round radii as the specification says, and their errors up."""
+    step = _rounding_step(rounding)
+    near = np.round(value / step) * step if step > 0.0 else value
+    rounded = near.astype(np.float32)
+    return rounded, _raised((error + np.abs(rounded - value)) * (1.0 + 2.0**-50))
 
 
-def _raised_to_power_of_two(
-    error: Float64[np.ndarray, "*grid"],
-) -> Float64[np.ndarray, "*grid"]:
+def _rounding_step(rounding: float | int) -> float:
+    return float(2.0 ** np.floor(np.log2(rounding))) if rounding > 0.0 else 0.0
+
+
+def _raised(error: Float64[np.ndarray, "*grid"]) -> Float32[np.ndarray, "*grid"]:
+    """Round errors up to powers of two, which float32 has and which take little room."""
     fraction, exponent = np.frexp(error)
-    raised = np.ldexp(1.0, exponent - (fraction == 0.5))
-    return np.where(np.isfinite(error) & (error > 0.0), raised, error)
+    raised = np.ldexp(1.0, np.maximum(exponent - (fraction == 0.5), _LEAST_EXPONENT))
+    bounded = np.isfinite(error) & (exponent <= _LARGEST_EXPONENT)
+    return np.where(bounded, raised, np.inf).astype(np.float32)
 
 
 _COMPUTED_BY: Mapping[str, Callable[[Plan, Tile], Arrays]] = {
     VERDICT: _verdicts,
+    ALPHA_LIMITS: _alpha_limits,
     SPECTRAL_RADIUS: _radii,
 }
 """For each product the function that computes all of its variables in a tile."""

@@ -21,12 +21,17 @@ LARGEST_SLICE: Final = 2**22  # nodes along alpha and beta
 
 VERDICT: Final = "verdict"
 CELL_VERDICT: Final = "cell_verdict"
+ALPHA_LIMITS: Final = "alpha_limits"
 SPECTRAL_RADIUS: Final = "spectral_radius"
 RADIUS_ERROR: Final = "spectral_radius_error"
+CELL_RADIUS_ERROR: Final = "cell_spectral_radius_error"
 SPEC: Final = "spec"
 
 NODE: Final = ("alpha_node", "beta_node", "gamma", "delta", "delay")
 CELL: Final = ("alpha_cell", "beta_cell", "gamma_cell", "delta_cell", "delay")
+
+
+LIMITS: Final = ("limit_cell", "gamma_cell", "delta_cell", "delay", "limit_term")
 
 
 @dataclass(frozen=True)
@@ -106,19 +111,45 @@ VARIABLES: Final = {
             "stable or unstable: proved for each point of the closed cell (no root crosses the "
             "unit circle, by zero exclusion, and the verdict of a corner); undecided: no proof",
         ),
+        _numbers("limit_cell", "cell i of n is the i-th of n equal parts of the range of beta"),
+        _numbers(
+            "limit_term",
+            "0 to 4: constant, slopes along beta, gamma and delta, and error of the lower limit; "
+            "5 to 9: of the upper limit",
+        ),
+        Variable(
+            ALPHA_LIMITS,
+            "float64",
+            LIMITS,
+            "limits of the stable alpha",
+            "limit = constant + slopes (beta, gamma, delta). Proved for each point of the closed "
+            "cell, and alpha in the range of the atlas: unstable below the lower limit - error and "
+            "above the upper limit + error, stable between lower + error and upper - error (the "
+            "boundary in closed form is enclosed, and a verdict computed in each gap). Constants "
+            "of infinity: lower, no alpha is stable; upper, the limit is beyond the atlas",
+        ),
         Variable(
             SPECTRAL_RADIUS,
-            "float64",
+            "float32",
             NODE,
             "largest modulus of a closed-loop pole at the node",
             "decay per sampling period; below 1 for a stable loop",
         ),
         Variable(
             RADIUS_ERROR,
-            "float64",
+            "float32",
             NODE,
             "error bound of spectral_radius",
             "proved: the true radius is within spectral_radius +- this; infinite: no bound",
+        ),
+        Variable(
+            CELL_RADIUS_ERROR,
+            "float32",
+            CELL,
+            "error bound of spectral_radius between its nodes",
+            "proved: at each point of the closed cell the true radius is within this of the "
+            "multilinear interpolation of spectral_radius at the corners (discs that hold all "
+            "roots); infinite: no bound",
         ),
         _numbers("spec_line", "line of the specification"),
         Variable(
@@ -134,7 +165,8 @@ VARIABLES: Final = {
 
 PRODUCTS: Final = {
     VERDICT: (VERDICT, CELL_VERDICT),
-    SPECTRAL_RADIUS: (SPECTRAL_RADIUS, RADIUS_ERROR),
+    ALPHA_LIMITS: ("limit_cell", "limit_term", ALPHA_LIMITS),
+    SPECTRAL_RADIUS: (SPECTRAL_RADIUS, RADIUS_ERROR, CELL_RADIUS_ERROR),
 }
 """What can be chosen in a specification, and the variables that hold it."""
 

@@ -81,9 +81,10 @@ class AtlasSpec:
         gamma: nodes of the physical stiffness k T^2/m, >= 0, or a ToleranceAxis.
         delta: nodes of the physical damping b T/m, >= 0, or a ToleranceAxis.
         delay: delays t_d/T in [0, 100], whole or fractional; each has a grid of its own.
-        products: what to compute, of "verdict" and "spectral_radius".
+        products: what to compute, of "verdict", "alpha_limits" and "spectral_radius".
+        limit_cells: number of even cells along beta in which the limits of alpha are given.
         radius_rounding: spectral radii are rounded to multiples of the largest power of two that is
-            not above this (a smaller file; counted in the stored error); 0 keeps all digits.
+            not above this (a smaller file; counted in the stored error), at least to float32.
 
     Nodes are finite and ascending, and kept as tuples of floats; along alpha and beta there are at
     least two, and gamma, delta and delay are fixed by one.
@@ -99,6 +100,7 @@ class AtlasSpec:
     delta: ArrayLike | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
     delay: ArrayLike = (0.0, 1.0, 2.0, 3.0)
     products: Sequence[str] = tuple(PRODUCTS)
+    limit_cells: int = 512
     radius_rounding: float | int = 1e-7
 
     def __post_init__(self) -> None:
@@ -107,6 +109,7 @@ class AtlasSpec:
             if not isinstance(value, _LAID_OUT.get(name, ())):
                 object.__setattr__(self, name, _checked_nodes(name, value))
         object.__setattr__(self, "products", _checked_products(self.products))
+        _check_count("limit_cells", self.limit_cells, 1)
         _check_number("radius_rounding", self.radius_rounding, 0.0, 1.0)
         check_size([_least_count(getattr(self, name)) for name in AXES])
 
@@ -269,7 +272,7 @@ def _toml(value: Any) -> str:
     if isinstance(value, ToleranceAxis):
         return "{ " + ", ".join(f"{key} = {getattr(value, key)!r}" for key in _TOLERANT) + " }"
     if not isinstance(value, tuple):
-        return repr(float(value))
+        return repr(value)
     items = ["'" + item + "'" if isinstance(item, str) else repr(item) for item in value]
     lines = [""]
     for item in items:

@@ -74,7 +74,7 @@ def create_variable(
         variable.name, tuple(shape), dtype.newbyteorder("<"), chunks=tuple(chunk), **FILTERS
     )
     words = {"long_name": variable.long_name, "interpretation": variable.interpretation}
-    if variable.dtype == "float64":
+    if variable.dtype.startswith("float"):
         words["units"] = "1"
     if len(variable.dimensions) == len(schema.NODE) and "alpha_node" in variable.dimensions:
         words["coordinates"] = "alpha beta"

@@ -12,15 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.boundary.enclosure import (
-    Domain,
-    HandBoxes,
-    Patches,
-    curve_patches,
-    minus_line_models,
-)
+from jaxstab.boundary.enclosure import Domain, Patches, curve_patches, minus_line_models
 from jaxstab.conventions import NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import require_x64
+from jaxstab.model.plant_models import HandBoxes
 from jaxstab.stability import verdict
 
 TERMS = ("constant", "per_beta", "per_gamma", "per_delta", "error")
@@ -136,7 +131,7 @@ def _line_bands(
     sum_of_gains = value * weight.reciprocal()
     centre, *slope = (
         np.repeat(np.where(off, np.nan, part), cells)
-        for part in (sum_of_gains.centre, *sum_of_gains.slope[1:])
+        for part in (sum_of_gains.centre, *sum_of_gains.slope)
     )
     error = np.repeat(np.where(off, np.nan, sum_of_gains.rest), cells)
     at_minus_one = np.stack([np.full_like(beta, -2.0), *slope], axis=-1)

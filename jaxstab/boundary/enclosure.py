@@ -7,12 +7,6 @@ short. With h = 1 - cos(theta) and the line of a root at 1 written out by hand,
     alpha = -gamma + h lift,
 
 so that curve and line stay apart wherever h does.
-
-How far second derivatives can go. Let h(t) be the impulse response of x'' + delta x' + gamma x = u.
-For gamma, delta >= 0 its energy h'^2 + gamma h^2 does not grow, so |h'| <= 1 and |h(t)| <= t.
-Derivatives are convolutions: d/dgamma is -h*, d/ddelta is -h'*, with a factor 2 for the second one.
-The plant's coefficients are integrals of h(s) and of e^(-delta (1 - s)) h(s) over parts of (0, 1),
-and d1 has the first derivatives h(1) and -h'(1); this gives the table below.
 """
 
 from math import pi
@@ -21,39 +15,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.boundary.linear_model import LinearModel, Moving
-from jaxstab.model import plant_coefficients
+from jaxstab.model.linear_model import LinearModel, Moving
+from jaxstab.model.plant_models import HandBoxes, PlantModels, plant_models
 
-# Bounds of the second derivatives: by gamma twice, by gamma and delta, by delta twice.
-_BENDS = {
-    "d1": (1 / 6, 1 / 2, 1.0),
-    "d0": (0.0, 0.0, 1.0),
-    "n2": (1 / 360, 1 / 60, 1 / 12),
-    "n0": (1 / 360, 1 / 40, 1 / 4),
-    "sum": (1 / 180, 1 / 24, 1 / 3),
-    "difference": (1 / 180, 1 / 24, 1 / 3),
-}
-_ROUNDING = 16 * np.finfo(np.float64).eps  # more than plant coefficients and cosines have
+_ROUNDING = 16 * np.finfo(np.float64).eps  # more than cosines have
 _FIRST_PATCHES = 64
 _PER_TURN = 8  # of z^(delay + 1)
 _MOST_HALVINGS = 10
 
 Patch = Float64[np.ndarray, " patch"]
 Box = Int64[np.ndarray, " patch"]
-
-
-class HandBoxes(NamedTuple):
-    """Boxes of gamma and delta, each array of shape (box,)."""
-
-    gamma: Float64[np.ndarray, " box"]
-    delta: Float64[np.ndarray, " box"]
-    half_gamma: Float64[np.ndarray, " box"]
-    half_delta: Float64[np.ndarray, " box"]
-
-    @property
-    def half(self) -> Float64[np.ndarray, "3 box"]:
-        """Half-widths along theta, gamma and delta."""
-        return np.stack([np.zeros_like(self.gamma), self.half_gamma, self.half_delta])
 
 
 class Domain(NamedTuple):
@@ -75,48 +46,6 @@ class Patches(NamedTuple):
     alpha: LinearModel
     beta: LinearModel
     may_turn: Bool[np.ndarray, " patch"]  # for one hand, beta is not proved monotonic in theta
-
-
-class PlantModels(NamedTuple):
-    """Linear models of the plant in (theta, gamma, delta), of which theta changes nothing."""
-
-    gamma: LinearModel
-    d1: LinearModel
-    d0: LinearModel
-    n2: LinearModel
-    n0: LinearModel
-    sum: LinearModel
-    difference: LinearModel
-
-    def over(self, box: Box, half_theta: Patch) -> "PlantModels":
-        """Return the models of chosen boxes, over intervals of theta."""
-        half = self.gamma.half[:, box]
-        half[0] = half_theta
-        return PlantModels(
-            *(LinearModel(m.centre[box], m.slope[:, box], m.rest[box], half) for m in self)
-        )
-
-
-def plant_models(hands: HandBoxes, delay: float) -> PlantModels:
-    """Enclose the plant's coefficients: secants for slopes, and the table for what they leave."""
-    h_gamma, h_delta = hands.half_gamma, hands.half_delta
-    still = np.zeros_like(h_gamma)
-    gamma = np.maximum(hands.gamma + np.stack([still, -h_gamma, h_gamma, still, still]), 0.0)
-    delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
-    values = plant_coefficients(gamma, delta, delay)
-
-    def model(name: str) -> LinearModel:
-        at = np.asarray(getattr(values, name))
-        slope = [_secant(at[1], at[2], h_gamma), _secant(at[3], at[4], h_delta)]
-        by_gamma, mixed, by_delta = _BENDS[name]
-        # A secant differs from the tangent by as much as the function from its tangent.
-        bend = by_gamma * h_gamma**2 + mixed * h_gamma * h_delta + by_delta * h_delta**2
-        rest = bend + 4.0 * _ROUNDING * np.max(np.abs(at), axis=0)
-        return LinearModel(at[0], np.stack([still, *slope]), rest, hands.half)
-
-    one = np.ones_like(still)
-    exact = LinearModel(hands.gamma, np.stack([still, one, still]), still, hands.half)
-    return PlantModels(exact, *map(model, PlantModels._fields[1:]))
 
 
 def curve_patches(
@@ -214,7 +143,7 @@ def _curve(plant: PlantModels, turns: int, intervals: _Intervals) -> _Curve:
     """Evaluate the closed form, as in ``jaxstab.boundary.curve`` for radius 1."""
     first, last = intervals.first, intervals.last
     theta, half_theta = 0.5 * (first + last), 0.5 * (last - first) * (1.0 + _ROUNDING)
-    plant = plant.over(intervals.box, half_theta)
+    plant = plant.some(intervals.box).beside(half_theta[None])
     half = plant.gamma.half
 
     def waves(order: Int64[np.ndarray, " term"], weight: Int64[np.ndarray, " term"]) -> Moving:
@@ -266,9 +195,3 @@ def _of_theta(
     still = np.zeros_like(value)
     rest = 0.5 * bend * half[0] ** 2 + _ROUNDING * size
     return LinearModel(value, np.stack([slope, still, still]), rest, half)
-
-
-def _secant(before: Patch, after: Patch, half: Patch) -> Patch:
-    wide = half > 0.0
-    slope: Patch = np.where(wide, (after - before) / np.where(wide, 2.0 * half, 1.0), 0.0)
-    return slope

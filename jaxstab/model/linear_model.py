@@ -5,16 +5,16 @@ A linear model stands for every function f with
     |f(x) - centre - sum_k slope_k dx_k| <= rest        for all |dx_k| <= half_k,
 
 and arithmetic with models gives models of the results (Taylor models of first order; Makino, Berz
-1996). Rounding is counted with the rest. NumPy, in batches: the first axis of slopes is k.
+1996). Rounding is counted with the rest. In batches, real or complex, of NumPy or of JAX.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
-Floats = Float64[np.ndarray, "..."]
-Number = float | Floats
+Floats = Any  # real or complex arrays of NumPy or of JAX
+Number = Any  # the same, or one number
 
 _ROUNDING = 32 * np.finfo(np.float64).eps  # of the largest term: no operation below has 32
 
@@ -38,26 +38,22 @@ class LinearModel:
     @property
     def swing(self) -> Floats:
         """How far the function can be from its centre."""
-        swing: Floats = self._sloped + self.rest
-        return swing
+        return self._sloped + self.rest
 
     @property
     def size(self) -> Floats:
         """A bound of its absolute value."""
-        size: Floats = np.abs(self.centre) + self.swing
-        return size
+        return abs(self.centre) + self.swing
 
     @property
     def low(self) -> Floats:
-        """A lower bound."""
-        low: Floats = self.centre - self.swing
-        return low
+        """A lower bound of a real function."""
+        return self.centre - self.swing
 
     @property
     def high(self) -> Floats:
-        """An upper bound."""
-        high: Floats = self.centre + self.swing
-        return high
+        """An upper bound of a real function."""
+        return self.centre + self.swing
 
     def __add__(self, other: "LinearModel | Number") -> "LinearModel":
         if not isinstance(other, LinearModel):
@@ -69,18 +65,19 @@ class LinearModel:
         return self._of(-self.centre, -self.slope, self.rest)
 
     def __sub__(self, other: "LinearModel | Number") -> "LinearModel":
-        return self + -other
+        return self.__add__(-other)
 
     def __rsub__(self, other: Number) -> "LinearModel":
-        return -self + other
+        return (-self).__add__(other)
 
     def __mul__(self, other: "LinearModel | Number") -> "LinearModel":
         if not isinstance(other, LinearModel):
-            return self._with(self.centre * other, self.slope * other, self.rest * np.abs(other))
+            return self._with(self.centre * other, self.slope * other, self.rest * abs(other))
         slope = self.centre * other.slope + other.centre * self.slope
         with np.errstate(invalid="ignore"):  # what has no bound has none when it is taken 0 times
-            rest = np.abs(self.centre) * other.rest + self.rest * other.size
-            rest = np.nan_to_num(rest + self._sloped * other.swing, nan=np.inf, posinf=np.inf)
+            rest = abs(self.centre) * other.rest + self.rest * other.size
+            rest = rest + self._sloped * other.swing
+        rest = _namespace(rest).where(rest >= 0.0, rest, np.inf)
         return self._with(self.centre * other.centre, slope, rest)
 
     __radd__ = __add__
@@ -88,23 +85,22 @@ class LinearModel:
 
     def reciprocal(self) -> "LinearModel":
         """Return 1/f; unbounded where f may vanish."""
-        clear = np.abs(self.centre) - self.swing
+        where = _namespace(self.rest).where
+        clear = abs(self.centre) - self.swing
         is_known = clear > 0.0
-        clear, centre = np.where(is_known, clear, 1.0), np.where(is_known, self.centre, 1.0)
-        square = centre**2
-        rest = self.rest / square + self.swing**2 / (square * clear)
+        clear, centre = where(is_known, clear, 1.0), where(is_known, self.centre, 1.0)
+        square, size = centre**2, abs(centre) ** 2
+        rest = self.rest / size + self.swing**2 / (size * clear)
         inverse = self._with(1.0 / centre, -self.slope / square, rest)
-        return self._of(inverse.centre, inverse.slope, np.where(is_known, inverse.rest, np.inf))
+        return self._of(inverse.centre, inverse.slope, where(is_known, inverse.rest, np.inf))
 
-    def is_off(self, low: Number, high: Number) -> Bool[np.ndarray, "..."]:
-        """Say where the function is proved to be outside of an interval."""
-        off: np.ndarray = (self.high < low) | (self.low > high)
-        return off
+    def is_off(self, low: Number, high: Number) -> Floats:
+        """Say where a real function is proved to be outside of an interval."""
+        return (self.high < low) | (self.low > high)
 
     @property
     def _sloped(self) -> Floats:
-        total: Floats = np.sum(np.abs(self.slope) * self.half, axis=0)
-        return total
+        return (abs(self.slope) * self.half).sum(axis=0)
 
     def _with(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
         """Return a result of arithmetic on the same boxes, with its rounding."""
@@ -113,6 +109,10 @@ class LinearModel:
 
     def _of(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
         return LinearModel(centre, slope, rest, self.half)
+
+
+def _namespace(array: Floats) -> Any:
+    return array.__array_namespace__()
 
 
 @dataclass(frozen=True)

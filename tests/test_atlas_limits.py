@@ -1,0 +1,144 @@
+"""Limits of alpha in an atlas: quick verdicts, and the inverse questions."""
+
+import numpy as np
+import pytest
+from atlases import small_atlas, small_contents
+
+from jaxstab import (
+    AXES,
+    STABLE,
+    UNDECIDED,
+    UNSTABLE,
+    Atlas,
+    QueryStatus,
+    stable_region,
+    verdict,
+)
+from jaxstab.atlas import file
+
+DELAYS = (0.0, 1.5)
+
+
+@pytest.fixture(scope="module")
+def atlas() -> Atlas:
+    return small_atlas()
+
+
+def random_points(atlas: Atlas, delay: float, count: int, rng: np.random.Generator) -> list:
+    nodes = atlas.nodes(atlas.delays.tolist().index(delay))
+    return [rng.uniform(axis[0], axis[-1], count) for axis in nodes.values()]
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+def test_verdicts_by_limits_are_those_of_the_certified_recursion(
+    atlas: Atlas, delay: float, rng: np.random.Generator
+) -> None:
+    points = random_points(atlas, delay, 20_000, rng)
+    answered = atlas.verdict(*points, delay)
+    computed = np.asarray(verdict(*points, delay, resolve="exact"))
+    decided = answered != UNDECIDED
+    assert decided.mean() > 0.997
+    np.testing.assert_array_equal(answered[decided], computed[decided])
+
+
+def test_one_point_and_many_are_answered_alike(atlas: Atlas, rng: np.random.Generator) -> None:
+    points = random_points(atlas, 1.5, 500, rng)
+    many = atlas.verdict(*points, 1.5)
+    np.testing.assert_array_equal(many, atlas.query(*points, 1.5).verdict)
+    for index in range(500):
+        one = atlas.verdict(*(float(values[index]) for values in points), 1.5)
+        assert one == many[index]
+        assert one.dtype == np.int8
+    assert atlas.verdict(np.zeros((0, 3)), 0.3, 0.0, 0.0, 0).shape == (0, 3)
+
+
+def test_every_edge_of_a_cell_belongs_to_it(atlas: Atlas) -> None:
+    nodes = atlas.nodes(0)
+    beta = np.linspace(nodes["beta"][0], nodes["beta"][-1], 513)
+    points = np.meshgrid(nodes["alpha"], beta, nodes["gamma"], nodes["delta"])
+    answered = atlas.verdict(*points, 0.0)
+    assert np.mean(answered == UNDECIDED) < 0.05  # alpha = -gamma is an edge of the region
+    computed = np.asarray(verdict(*points, 0.0, resolve="exact"))
+    decided = answered != UNDECIDED
+    np.testing.assert_array_equal(answered[decided], computed[decided])
+
+
+def test_what_is_left_open_can_be_settled(atlas: Atlas) -> None:
+    region = stable_region(0.0005, 0.004, 0.0)
+    alpha, beta = (float(gain) for gain in region.max_alpha)
+    for factor, code in ((1 - 1e-9, STABLE), (1 + 1e-9, UNSTABLE)):
+        point = (alpha * factor, beta, 0.0005, 0.004, 0.0)
+        assert atlas.verdict(*point) == UNDECIDED
+        assert atlas.verdict(*point, exact=True) == code
+        answer = atlas.query(*point, exact=True)
+        assert (answer.verdict, answer.status) == (code, QueryStatus.EXACT)
+    between = atlas.query(0.05, 0.3, 0.0005, 0.004, 0.75, exact=True)
+    assert (between.verdict, between.status) == (STABLE, QueryStatus.EXACT)
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+def test_limits_hold_the_exact_ones(atlas: Atlas, delay: float) -> None:
+    for gamma, delta in ((0.0, 0.0), (0.0004, 0.0123), (0.001, 0.005)):
+        region = stable_region(gamma, delta, delay)
+        beta = np.linspace(0.05, 0.25, 7)
+        found = atlas.alpha_limits(beta, gamma, delta, delay)
+        for index, row in enumerate(beta.tolist()):
+            low, high = (float(limit) for limit in region.alpha_limits(row))
+            assert abs(found.lower[index] - low) <= found.lower_error[index] + 1e-15
+            assert abs(found.upper[index] - high) <= found.upper_error[index] + 1e-15
+            assert found.upper_error[index] < 0.01 * high
+        largest = atlas.max_alpha(gamma, delta, delay)
+        exact = float(region.max_alpha[0])
+        assert largest.alpha <= exact * (1 + 1e-14) <= largest.bound * (1 + 2e-14)
+        assert largest.bound - largest.alpha < 0.01 * exact
+
+
+def test_a_row_without_a_stable_alpha_has_no_limits(atlas: Atlas) -> None:
+    beta = atlas.nodes(0)["beta"][-1]
+    found = atlas.alpha_limits(beta, 0.0, 0.0, 0.0)
+    assert np.isnan(found.lower)
+    assert np.isnan(found.upper)
+
+
+def test_the_worst_of_many_hands_decides(atlas: Atlas, rng: np.random.Generator) -> None:
+    gamma, delta = (0.0002, 0.0009), (0.001, 0.012)
+    low, high = atlas.common_alpha_limits(0.3, gamma, delta, 1.5)
+    hands = rng.uniform(*gamma, 2000), rng.uniform(*delta, 2000)
+    for alpha in (low + 1e-12, high - 1e-12):
+        codes = np.asarray(verdict(alpha, 0.3, *hands, 1.5))
+        assert np.all(codes == STABLE)
+        assert atlas.worst_verdict(alpha, 0.3, gamma, delta, 1.5) == STABLE
+    assert atlas.worst_verdict(high * 1.05, 0.3, gamma, delta, 1.5) == UNSTABLE
+    worst = min(float(stable_region(g, d, 1.5).alpha_limits(0.3)[1]) for g in gamma for d in delta)
+    assert 0.99 * worst < high <= worst
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda atlas: atlas.alpha_limits(np.nan, 0.0, 0.0, 0.0), "beta is NaN"),
+        (lambda atlas: atlas.alpha_limits(0.1, 1.0, 0.0, 0.0), "gamma is 1.0, and this atlas"),
+        (lambda atlas: atlas.alpha_limits(0.1, 0.0, 0.0, 0.5), "delay is 0.5; this atlas has"),
+        (lambda atlas: atlas.max_alpha(0.0, -1.0, 0.0), "delta is -1.0, and this atlas"),
+        (
+            lambda atlas: atlas.worst_verdict(0.1, 0.1, (0.001, 0.0), (0.0, 0.01), 0.0),
+            "gamma is .0.001, 0.0.; give its lowest and its highest",
+        ),
+        (lambda atlas: atlas.verdict(9.0, 0.1, 0.0, 0.0, 0.0), "alpha is 9.0, and this atlas"),
+        (lambda atlas: atlas.verdict(np.nan, 0.1, 0.0, 0.0, 0.0), "alpha is NaN"),
+    ],
+)
+def test_questions_that_cannot_be_answered_are_refused(atlas: Atlas, ask, words: str) -> None:
+    with pytest.raises(ValueError, match="^" + words):
+        ask(atlas)
+
+
+def test_without_the_product_there_are_verdicts_but_no_limits() -> None:
+    contents = small_contents()
+    names = {"alpha_limits", "limit_cell", "limit_term"}
+    arrays = {name: array for name, array in contents.arrays.items() if name not in names}
+    atlas = Atlas(file.Contents(arrays, contents.created_by, contents.content_digest))
+    point = dict(zip(AXES, (0.1, 0.3, 0.0005, 0.004, 0.0), strict=True))
+    assert atlas.verdict(**point) == STABLE
+    with pytest.raises(ValueError, match="holds no limits of alpha"):
+        atlas.max_alpha(0.0, 0.0, 0.0)
