@@ -108,6 +108,7 @@ def check(as_json: bool, **given: Any) -> int:
 
 @click.command()
 @scene_options
+@_plot_option
 @click.option("--at-stiffness", type=float, help="Give the best B at this K in N/m.")
 def tune(as_json: bool, **given: Any) -> None:
     """Find the walls that come to rest fastest, and the best damping for each wall."""
@@ -116,6 +117,7 @@ def tune(as_json: bool, **given: Any) -> None:
 
 @click.command()
 @scene_options
+@_plot_option
 @click.option("--stiffness", type=float, help="The stiffness to design for, in N/m.")
 def design(as_json: bool, **given: Any) -> None:
     """Find the largest sample time, and the largest delay, for a wanted stiffness."""
@@ -126,7 +128,8 @@ def design(as_json: bool, **given: Any) -> None:
 def scene() -> None:
     """Write an example of a scene (init), or answer what a scene FILE wants.
 
-    With FILE: --explain prints what is computed, what is skipped and why; --json prints JSON.
+    With FILE: --explain prints what is computed, what is skipped and why; --json prints JSON;
+    --plot draws a picture into a PNG or SVG file.
     """
 
 
@@ -149,8 +152,9 @@ def init(output: Path | None) -> None:
 @scene.command(hidden=True)
 @click.argument("file", type=Path)
 @click.option("--explain", is_flag=True, help="Print what is computed, what is skipped and why.")
+@_plot_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def answer(file: Path, explain: bool, as_json: bool) -> None:
+def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
     """Answer what a scene FILE wants."""
     from jaxstab.scene import plan
 
@@ -160,6 +164,8 @@ def answer(file: Path, explain: bool, as_json: bool) -> None:
             click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
         return
     answers = {name: _computed(given, name) for name in given.wanted.answers}
+    if plot:
+        _draw(given, answers.get("check"), plot)
     _print(answers, as_json)
 
 
@@ -170,14 +176,17 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> dict[str, Any]:
     made, plot = _scene(given), given.get("plot")
     found = _computed(made, name)
     if plot:
-        from jaxstab.atlas.durable import publish
-        from jaxstab.paper import picture
-        from jaxstab.scene_figure import scene_figure
-
-        figure = scene_figure(made, found if name == "check" else None)
-        publish(picture(figure, plot.suffix[1:]), plot)
+        _draw(made, found if name == "check" else None, plot)
     _print(found, as_json)
     return found
+
+
+def _draw(scene: Any, checked: dict[str, Any] | None, file: Path) -> None:
+    from jaxstab.atlas.durable import publish
+    from jaxstab.paper import picture
+    from jaxstab.scene_figure import scene_figure
+
+    publish(picture(scene_figure(scene, checked), file.suffix[1:]), file)
 
 
 def _computed(scene: Any, name: str) -> dict[str, Any]:
