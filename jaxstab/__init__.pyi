@@ -1,6 +1,7 @@
 from .atlas import Atlas as Atlas
 from .atlas import AlphaLimits as AlphaLimits
 from .atlas import AtlasAnswer as AtlasAnswer
+from .atlas import AtlasOutline as AtlasOutline
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FittedAxis as FittedAxis
 from .atlas import Plan as Plan

@@ -93,7 +93,7 @@ def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
 
 
 @click.command()
-@click.option("--spec", type=Path, help="TOML file; without, the haptic range of the paper.")
+@click.argument("spec", type=Path, required=False)
 def plan(spec: Path | None) -> None:
     """Print what a build would compute, and why it need not compute the rest."""
     import jax

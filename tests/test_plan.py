@@ -325,9 +325,9 @@ def test_the_plan_is_printed_by_a_command(tmp_path) -> None:
         "beta = {start = 0, stop = 1, count = 100}\n",
         encoding="utf-8",
     )
-    answer = CliRunner().invoke(main, ["atlas", "plan", "--spec", str(spec)])
+    answer = CliRunner().invoke(main, ["atlas", "plan", str(spec)])
     assert answer.exit_code == 0, answer.output
     assert "verdict: 10000 points asked for," in answer.stdout
     assert "between crossings of the exact boundary" in answer.stdout
     spec.write_text("gamma = [1, 0]", encoding="utf-8")
-    assert CliRunner().invoke(main, ["atlas", "plan", "--spec", str(spec)]).exit_code == 1
+    assert CliRunner().invoke(main, ["atlas", "plan", str(spec)]).exit_code == 1

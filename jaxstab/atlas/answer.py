@@ -1,8 +1,9 @@
 """What an atlas answers, and what it can be asked. No JAX."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -109,3 +110,15 @@ def check_inside(name: str, values: Floats, low: float, high: float, at: str = "
             f"{float(low)!r} to {float(high)!r}{at}; ask inside of it, or with "
             "outside='undecided'."
         )
+
+
+def settle(where: Mapping[str, Floats], answer: AtlasAnswer) -> None:
+    """Compute what the atlas left open inside of it."""
+    is_open = (answer.verdict == UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
+    left = np.flatnonzero(is_open)
+    if left.size:
+        # By name at run time, so that reading an atlas imports no JAX.
+        verdict: Callable[..., NDArray[np.int8]] = import_module("jaxstab.stability").verdict
+        points = (where[name][left] for name in AXES)
+        answer.verdict[left] = np.asarray(verdict(*points, resolve="exact"))
+        answer.status[left] = QueryStatus.EXACT

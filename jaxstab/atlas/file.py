@@ -39,7 +39,7 @@ class Contents:
 
     def __post_init__(self) -> None:
         shapes = {name: values.shape for name, values in self.arrays.items()}
-        problem = inconsistency(shapes, self.arrays) or _wrong_code(self.arrays)
+        problem = inconsistency(shapes, self.arrays) or _wrong_value(self.arrays)
         if problem:
             raise ValueError(f"the arrays of an atlas do not fit together: {problem}.")
 
@@ -205,8 +205,11 @@ def inconsistency(shapes: Mapping[str, tuple[int, ...]], axes: Arrays) -> str:
     return ""
 
 
-def _wrong_code(arrays: Arrays) -> str:
+def _wrong_value(arrays: Arrays) -> str:
     for name, values in arrays.items():
         if VARIABLES[name].holds_verdicts and not np.all(np.isin(values, schema.FLAG_VALUES)):
             return f"{name} has a code that is no verdict"
+    for name, dimension in schema.STRUNG.items():
+        if name in arrays and arrays[name].sum() != arrays[dimension].size:
+            return f"{name} counts {arrays[name].sum()} of {arrays[dimension].size}"
     return ""

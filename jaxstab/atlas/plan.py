@@ -10,9 +10,10 @@ from jaxstab.atlas.fill import Slice, plan_filling
 from jaxstab.atlas.layout import Grid, lay_out
 from jaxstab.atlas.schema import (
     ALPHA_LIMITS,
+    CELL_RADIUS_ERROR,
     CELL_VERDICT,
     PRODUCTS,
-    RADIUS_ERROR,
+    SPECTRAL_RADIUS,
     VARIABLES,
     VERDICT,
 )
@@ -20,6 +21,10 @@ from jaxstab.atlas.spec import AtlasSpec, ToleranceAxis
 from jaxstab.model import require_x64
 
 TILE_NODES = 2**18  # at most, where a tile holds more than one slice
+
+
+_IN_GRID = (VERDICT, CELL_VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS, CELL_RADIUS_ERROR)
+_BY_SLICES = ("outline", "summary")
 
 
 class Tile(NamedTuple):
@@ -71,11 +76,9 @@ class Plan:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """The variables to compute; an error comes with its value."""
+        """The variables of which each value is asked for in a grid; errors come with values."""
         chosen = (name for product in self.spec.products for name in PRODUCTS[product])
-        return tuple(
-            name for name in chosen if name != RADIUS_ERROR and not VARIABLES[name].is_axis
-        )
+        return tuple(name for name in chosen if name in _IN_GRID)
 
     @property
     def deltas_of_a_tile(self) -> int:
@@ -151,6 +154,12 @@ class Plan:
         degrees = (f"{d:g} (degree {int(d) + 3 + (d % 1 > 0)})" for d in self.grid.delay.tolist())
         lines.append(f"delay: {', '.join(degrees)}; each computed at its own degree")
         lines += map(str, self.shares())
+        slices = prod(self.grid.shape[2:])
+        lines += [
+            f"{name}: {slices} slices, each from the closed form, without a grid"
+            for name in self.spec.products
+            if name in _BY_SLICES
+        ]
         left_out = [product for product in PRODUCTS if product not in self.spec.products]
         lines += [f"{product}: not asked for, nothing evaluated" for product in left_out]
         return "\n".join(lines)

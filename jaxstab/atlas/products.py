@@ -19,6 +19,7 @@ from jaxstab.atlas.schema import (
     SPECTRAL_RADIUS,
     VERDICT,
 )
+from jaxstab.atlas.slices import outlines, summaries
 from jaxstab.boundary.bands import stable_columns
 from jaxstab.boundary.enclosure import Domain
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
@@ -194,5 +195,7 @@ _COMPUTED_BY: Mapping[str, Callable[[Plan, Tile], Arrays]] = {
     VERDICT: _verdicts,
     ALPHA_LIMITS: _alpha_limits,
     SPECTRAL_RADIUS: _radii,
+    "outline": outlines,
+    "summary": summaries,
 }
 """For each product the function that computes all of its variables in a tile."""

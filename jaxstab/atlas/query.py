@@ -3,9 +3,8 @@
 NumPy and h5py alone: no JAX, and nothing else that takes time to import.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -23,8 +22,10 @@ from jaxstab.atlas.answer import (
     check_inside,
     check_outside,
     no_answer,
+    settle,
 )
 from jaxstab.atlas.limits import AlphaLimits, LimitTable, MaxAlpha
+from jaxstab.atlas.outline import AtlasOutline, outline_at
 from jaxstab.atlas.place import Place
 from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
 
@@ -136,7 +137,7 @@ class Atlas:
             if here.size:
                 self._answer_at_delay(number, where, here, answer)
         if exact:
-            _settle(where, answer)
+            settle(where, answer)
         return answer.reshaped(shape)
 
     def verdict(
@@ -267,6 +268,21 @@ class Atlas:
         codes = table.verdicts(*(point.reshape(-1) for point in points))
         return codes.reshape(points[0].shape)
 
+    def outline(self, gamma: float, delta: float, delay: float) -> AtlasOutline:
+        """Return the boundary of the stable region at a node, with its corners.
+
+        Args:
+            gamma: physical stiffness k T^2/m, a node.
+            delta: physical damping b T/m, a node.
+            delay: time delay t_d/T, one of ``delays``.
+
+        Raises:
+            ValueError: a value is no node, or this holds no outlines.
+
+        Source: ``jaxstab.stable_region``.
+        """
+        return outline_at(self.arrays, gamma, delta, delay)
+
     @property
     def _has_verdicts(self) -> bool:
         return schema.VERDICT in self.arrays or schema.ALPHA_LIMITS in self.arrays
@@ -377,15 +393,3 @@ def open_atlas(path: str | PathLike[str]) -> Atlas:
         ValueError: it is foreign, truncated, damaged or of another version of the schema.
     """
     return Atlas(file.read(Path(path)))
-
-
-def _settle(where: Mapping[str, Floats], answer: AtlasAnswer) -> None:
-    """Compute what the atlas left open inside of it."""
-    is_open = (answer.verdict == UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
-    left = np.flatnonzero(is_open)
-    if left.size:
-        # By name at run time, so that reading an atlas imports no JAX.
-        verdict: Callable[..., NDArray[np.int8]] = import_module("jaxstab.stability").verdict
-        points = (where[name][left] for name in AXES)
-        answer.verdict[left] = np.asarray(verdict(*points, resolve="exact"))
-        answer.status[left] = QueryStatus.EXACT

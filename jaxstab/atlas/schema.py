@@ -25,12 +25,30 @@ ALPHA_LIMITS: Final = "alpha_limits"
 SPECTRAL_RADIUS: Final = "spectral_radius"
 RADIUS_ERROR: Final = "spectral_radius_error"
 CELL_RADIUS_ERROR: Final = "cell_spectral_radius_error"
+OUTLINE_ALPHA: Final = "outline_alpha"
+OUTLINE_BETA: Final = "outline_beta"
+OUTLINE_BRANCH: Final = "outline_branch"
+OUTLINE_SIZE: Final = "outline_size"
+OUTLINE_STATUS: Final = "outline_status"
+CORNER_ALPHA: Final = "corner_alpha"
+CORNER_BETA: Final = "corner_beta"
+CORNER_COUNT: Final = "corner_count"
+SUMMARY: Final = (
+    "largest_alpha",
+    "beta_of_largest_alpha",
+    "largest_beta",
+    "stable_area",
+    "least_radius",
+    "alpha_of_least_radius",
+    "beta_of_least_radius",
+)
 SPEC: Final = "spec"
 
 NODE: Final = ("alpha_node", "beta_node", "gamma", "delta", "delay")
 CELL: Final = ("alpha_cell", "beta_cell", "gamma_cell", "delta_cell", "delay")
 
 
+SLICE: Final = ("gamma", "delta", "delay")
 LIMITS: Final = ("limit_cell", "gamma_cell", "delta_cell", "delay", "limit_term")
 
 
@@ -65,6 +83,15 @@ def _numbers(name: str, interpretation: str) -> Variable:
 
 def _cells(axis: str, nodes: str) -> Variable:
     return _numbers(f"{axis}_cell", f"cell i lies between {nodes} i and i + 1; of one node, at it")
+
+
+def _point(name: str, dimension: str, what: str) -> Variable:
+    words = "the slices follow each other in the order of delay, gamma, delta; NaN ends each"
+    return Variable(name, "float64", (dimension,), what, words)
+
+
+def _of_slice(name: str, long_name: str, interpretation: str, dtype: str = "float64") -> Variable:
+    return Variable(name, dtype, SLICE, long_name, interpretation)
 
 
 VARIABLES: Final = {
@@ -151,6 +178,34 @@ VARIABLES: Final = {
             "multilinear interpolation of spectral_radius at the corners (discs that hold all "
             "roots); infinite: no bound",
         ),
+        _numbers("outline_point", "point of all outlines, one after the other"),
+        _numbers("corner", "corner of all outlines, one after the other"),
+        _point(OUTLINE_ALPHA, "outline_point", "alpha along the boundary of the stable region"),
+        _point(OUTLINE_BETA, "outline_point", "beta along the boundary of the stable region"),
+        Variable(
+            OUTLINE_BRANCH,
+            "int32",
+            ("outline_point",),
+            "what the boundary is from this point to the next",
+            "0 a pair of roots on the unit circle, 1 a root at z = 1, 2 one at z = -1, -1 no piece",
+        ),
+        _point(CORNER_ALPHA, "corner", "alpha of the corners, where two branches meet"),
+        _point(CORNER_BETA, "corner", "beta of the corners, where two branches meet"),
+        _of_slice(OUTLINE_SIZE, "number of outline points", "with the NaN that ends them", "int32"),
+        _of_slice(CORNER_COUNT, "number of corners", "with the NaN that ends them", "int32"),
+        _of_slice(
+            OUTLINE_STATUS,
+            "what is known of the outline",
+            "0 complete, 1 the stable region is empty, 2 unresolved: do not use it",
+            "int32",
+        ),
+        _of_slice(SUMMARY[0], "largest stable alpha", "closed form; NaN if none is stable"),
+        _of_slice(SUMMARY[1], "beta of the largest stable alpha", "from the closed form"),
+        _of_slice(SUMMARY[2], "largest stable beta", "closed form; NaN if none is stable"),
+        _of_slice(SUMMARY[3], "area of the stable region", "in the (alpha, beta) plane"),
+        _of_slice(SUMMARY[4], "smallest spectral radius", "over all (alpha, beta)"),
+        _of_slice(SUMMARY[5], "alpha of the smallest spectral radius", "solved for, not gridded"),
+        _of_slice(SUMMARY[6], "beta of the smallest spectral radius", "solved for, not gridded"),
         _numbers("spec_line", "line of the specification"),
         Variable(
             SPEC,
@@ -167,8 +222,24 @@ PRODUCTS: Final = {
     VERDICT: (VERDICT, CELL_VERDICT),
     ALPHA_LIMITS: ("limit_cell", "limit_term", ALPHA_LIMITS),
     SPECTRAL_RADIUS: (SPECTRAL_RADIUS, RADIUS_ERROR, CELL_RADIUS_ERROR),
+    "outline": (
+        "outline_point",
+        "corner",
+        OUTLINE_ALPHA,
+        OUTLINE_BETA,
+        OUTLINE_BRANCH,
+        CORNER_ALPHA,
+        CORNER_BETA,
+        OUTLINE_SIZE,
+        CORNER_COUNT,
+        OUTLINE_STATUS,
+    ),
+    "summary": SUMMARY,
 }
 """What can be chosen in a specification, and the variables that hold it."""
+
+STRUNG: Final = {OUTLINE_SIZE: "outline_point", CORNER_COUNT: "corner"}
+"""How many of the places along a dimension belong to each slice."""
 
 ALWAYS: Final = frozenset(VARIABLES) - {name for names in PRODUCTS.values() for name in names}
 

@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxstab.atlas.schema import LARGEST_ATLAS, LARGEST_SLICE, PRODUCTS
+from jaxstab.atlas.schema import (
+    ALPHA_LIMITS,
+    LARGEST_ATLAS,
+    LARGEST_SLICE,
+    PRODUCTS,
+    SPECTRAL_RADIUS,
+    VERDICT,
+)
 from jaxstab.conventions import AXES
 
 LARGEST_DELAY = 100.0
@@ -81,7 +88,8 @@ class AtlasSpec:
         gamma: nodes of the physical stiffness k T^2/m, >= 0, or a ToleranceAxis.
         delta: nodes of the physical damping b T/m, >= 0, or a ToleranceAxis.
         delay: delays t_d/T in [0, 100], whole or fractional; each has a grid of its own.
-        products: what to compute, of "verdict", "alpha_limits" and "spectral_radius".
+        products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "outline" and
+            "summary"; by default the first three.
         limit_cells: number of even cells along beta in which the limits of alpha are given.
         radius_rounding: spectral radii are rounded to multiples of the largest power of two that is
             not above this (a smaller file; counted in the stored error), at least to float32.
@@ -99,7 +107,7 @@ class AtlasSpec:
     gamma: ArrayLike | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
     delta: ArrayLike | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
     delay: ArrayLike = (0.0, 1.0, 2.0, 3.0)
-    products: Sequence[str] = tuple(PRODUCTS)
+    products: Sequence[str] = (VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS)
     limit_cells: int = 512
     radius_rounding: float | int = 1e-7
 

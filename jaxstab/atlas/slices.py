@@ -1,0 +1,78 @@
+"""Products of slices (gamma, delta, delay), from the closed form: without a grid."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import NDArray
+
+from jaxstab.atlas import schema
+from jaxstab.atlas.plan import Plan, Tile
+from jaxstab.boundary import StableRegion, stable_region
+from jaxstab.stability import least_radius
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def outlines(plan: Plan, tile: Tile) -> Arrays:
+    """Return the outlines of the stable regions of a tile, one after the other."""
+    regions = _regions(plan, tile)
+    points = [_ended(region.points) for region in regions]
+    corners = [_ended(region.corners) for region in regions]
+    # A piece begins at every point but the last one and the end mark.
+    branches = [
+        np.append(region.branch, np.full(len(part) - len(region.branch), -1))
+        for region, part in zip(regions, points, strict=True)
+    ]
+    counts = {
+        schema.OUTLINE_STATUS: [int(region.status) for region in regions],
+        schema.OUTLINE_SIZE: [len(part) for part in points],
+        schema.CORNER_COUNT: [len(part) for part in corners],
+    }
+    shape = plan.shape(schema.OUTLINE_SIZE, tile)
+    arrays: Arrays = {name: np.array(n, np.int32).reshape(shape) for name, n in counts.items()}
+    outline, corner = np.concatenate(points), np.concatenate(corners)
+    return arrays | {
+        schema.OUTLINE_ALPHA: outline[:, 0].copy(),
+        schema.OUTLINE_BETA: outline[:, 1].copy(),
+        schema.OUTLINE_BRANCH: np.concatenate(branches).astype(np.int32),
+        schema.CORNER_ALPHA: corner[:, 0].copy(),
+        schema.CORNER_BETA: corner[:, 1].copy(),
+    }
+
+
+def summaries(plan: Plan, tile: Tile) -> Arrays:
+    """Return the extremes of the stable regions of a tile, and the fastest loops."""
+    regions = _regions(plan, tile)
+    shape = plan.shape(schema.SUMMARY[0], tile)
+    gamma, delta = np.array(list(_hands(plan, tile))).T
+    best = least_radius(gamma, delta, float(plan.grid.delay[tile.delay]))
+    values = (
+        [float(region.max_alpha[0]) for region in regions],
+        [float(region.max_alpha[1]) for region in regions],
+        [float(region.max_beta[1]) for region in regions],
+        [float(region.area) for region in regions],
+        best.value,
+        best.alpha,
+        best.beta,
+    )
+    return {
+        name: np.array(value, np.float64).reshape(shape)
+        for name, value in zip(schema.SUMMARY, values, strict=True)
+    }
+
+
+def _hands(plan: Plan, tile: Tile) -> Iterator[tuple[float, float]]:
+    for delta in plan.numbers("delta", tile):
+        yield float(plan.grid.gamma[tile.gamma]), float(plan.grid.delta[delta])
+
+
+def _regions(plan: Plan, tile: Tile) -> list[StableRegion]:
+    delay = float(plan.grid.delay[tile.delay])
+    return [stable_region(*hand, delay) for hand in _hands(plan, tile)]
+
+
+def _ended(points: Float64[np.ndarray, "point 2"]) -> Float64[np.ndarray, "point_and_end 2"]:
+    """Return points and, so that a plot of many breaks off here, one that is not a number."""
+    return np.append(points, [[np.nan, np.nan]], axis=0)
