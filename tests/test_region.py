@@ -112,6 +112,51 @@ def test_beyond_the_nyquist_frequency_the_region_is_a_triangle() -> None:
     np.testing.assert_allclose(region.area, triangle, rtol=1e-12)
 
 
+def undamped_region(gamma: float) -> tuple[float, float]:
+    """Area and upper left corner at delta = delay = 0, by hand from Jury's criterion.
+
+    With k = (1 - c)/gamma and c = cos(sqrt(gamma)) the stable set is
+    -gamma < alpha < 2 beta (c - k beta)/(1 + k beta).
+    """
+    g = mpf(gamma)
+    c = mp.cos(mp.sqrt(g))
+    k = (1 - c) / g
+    low, high = ((1 + c + sign * mp.sqrt((1 + c) ** 2 + 8 * (1 - c))) / (4 * k) for sign in (-1, 1))
+
+    def integral(beta: mpf) -> mpf:
+        u = 1 + k * beta
+        return 2 / k**2 * ((c + 2) * u - u**2 / 2 - (c + 1) * mp.log(u)) + g * beta
+
+    return float(integral(high) - integral(low)), float(high)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 1 - 1e-3, 1 - 1e-5, 1 - 1e-6, 1 + 1e-5])
+def test_the_region_of_an_undamped_hand_next_to_the_nyquist_frequency(share: float) -> None:
+    gamma = NYQUIST * share**2
+    area, corner = undamped_region(gamma)
+    region = stable_region(gamma, 0.0, 0.0)
+    assert region.status == RegionStatus.COMPLETE
+    assert float(region.area) == pytest.approx(area, rel=1e-9)
+    assert np.max(region.corners[:, 1]) == pytest.approx(corner, rel=1e-9)
+
+
+# Corners with a second root next to the circle; arcs of the curve that are 2e-5 long.
+@pytest.mark.parametrize(
+    ("place", "corners"),
+    [((NYQUIST, 1e-3, 1.0), 3), ((39.799975315059754, 0.4533140420022334, 4.0), 9)],
+)
+def test_regions_of_small_margins_are_resolved(
+    place: tuple[float, float, float], corners: int, rng: np.random.Generator
+) -> None:
+    region = stable_region(*place)
+    assert region.status == RegionStatus.COMPLETE
+    assert len(region.corners) == corners
+    points = probes(region, rng, 12)
+    for point, inside in zip(points, region.contains(*points.T), strict=True):
+        expected = is_stable(*point, (*place, 1.0))
+        assert expected is None or expected == bool(inside)
+
+
 @pytest.mark.parametrize("delay", [0.0, 1.0])
 def test_an_undamped_hand_at_the_nyquist_frequency_leaves_nothing(delay: float) -> None:
     region = stable_region(NYQUIST, 0.0, delay)

@@ -29,12 +29,10 @@ from jaxstab.boundary.curve import (
     plus_slope,
 )
 
-# Reflection coefficients closer to 1 are taken for roots on the circle. Close to th = pi a root at
-# z = -r is known worse: the division of p by the pair beside it costs digits.
-_MARGIN = 1e-12
-_MARGIN_AT_MINUS_ONE = 4e-14  # over 1 + cos(th)
+_REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
+_MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
 _PROBE = 1e-7  # beyond the end of an arc, to see what it has crossed
-_SLACK = 1e-9
+_SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
 _NARROWINGS = 9
 _NEWTON_STEPS = 16
 _NEWTON_TOLERANCE = 1e-10  # of the last step: its square is below rounding
@@ -68,8 +66,10 @@ class Arcs(NamedTuple):
     resolved: Array
 
 
-def find_arcs(c: SliceCoefficients, angles: Array, *, whole_delay: int, slots: int) -> Arcs:
+def find_arcs(c: SliceCoefficients, angles: Array, *, length: int, slots: int) -> Arcs:
     """Return the arcs of one slice that a scan over these angles finds, ``slots`` at most.
+
+    ``length`` is that of the polynomials with the other roots: floor(delay) + 3, or more.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots. Differentiable in the slice by the theorem of the implicit function.
@@ -77,51 +77,56 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, whole_delay: int, slots: i
     known = lax.stop_gradient(c)
 
     def inside(theta: Array) -> Array:
-        return others_inside(known, theta, whole_delay)
+        return others_inside(known, theta, length)
 
     padded = jnp.concatenate([jnp.zeros(1), angles, jnp.full(1, jnp.pi)])
     scanned = lax.optimization_barrier(inside(angles))
     passes = jnp.concatenate([jnp.zeros(1, bool), scanned, jnp.zeros(1, bool)])
-    begins = _places(passes[1:-1] & ~passes[:-2], slots)
-    ends = _places(passes[1:-1] & ~passes[2:], slots)
-    exists = begins >= 0
+    begins = first_places(passes[1:-1] & ~passes[:-2], slots)
+    ends = first_places(passes[1:-1] & ~passes[2:], slots)
+    exists = begins < len(angles)
     # Both ends of all arcs are solved in one batch: first the begins, then the ends.
     outer, inner = _narrowed(
         inside,
         padded[jnp.concatenate([begins, ends + 2])],
         padded[jnp.concatenate([begins, ends]) + 1],
     )
+    both = jnp.tile(exists, 2)
+    pinned = jnp.concatenate([begins == 0, ends == len(angles) - 1])
+    rough = jnp.where(both, 0.5 * (outer + inner), 1.0)
     beyond = outer - inner
     beyond = jnp.sign(beyond) * jnp.maximum(jnp.abs(beyond), _PROBE)
-    met = branch_met(known, jnp.clip(outer + beyond, 0.0, jnp.pi))
-    at_start, at_stop = begins == 0, ends == len(angles) - 1
-    pinned = jnp.concatenate([at_start, at_stop])
-    begin_branch = jnp.where(at_start, Branch.Z_PLUS_ONE, met[:slots])
-    end_branch = jnp.where(at_stop, Branch.Z_MINUS_ONE, met[slots:])
-    begin_branch = jnp.where(exists, begin_branch, NO_BRANCH)
-    end_branch = jnp.where(exists, end_branch, NO_BRANCH)
+    looked_at = jnp.stack([rough, jnp.clip(outer + beyond, 0.0, jnp.pi)])
+    alpha, beta, lift = lax.optimization_barrier(curve_and_lift(known, looked_at))
+    met = branch_met(known, alpha[1], beta[1], lift[1])
+    lines = jnp.repeat(jnp.asarray([Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE]), slots)
+    branch = jnp.where(both, jnp.where(pinned, lines, met), NO_BRANCH)
+    begin_branch, end_branch = branch[:slots], branch[slots:]
 
-    rough = jnp.where(jnp.tile(exists, 2), 0.5 * (outer + inner), 1.0)
-    first, last = rough[:slots], rough[slots:]
     joins, joined = end_branch == Branch.CURVE, begin_branch == Branch.CURVE
-    gaps = jnp.where(
-        joins[:, None] & joined[None, :], _squared_distances(known, last, first), jnp.inf
-    )
+    near = jnp.stack([alpha[0], beta[0]], axis=-1)
+    gaps = jnp.sum((near[slots:, None] - near[None, :slots]) ** 2, axis=-1)
+    gaps = jnp.where(joins[:, None] & joined[None, :], gaps, jnp.inf)
     next_arc, previous_arc = jnp.argmin(gaps, axis=1), jnp.argmin(gaps, axis=0)
-    solved, found = jax.vmap(_corner, in_axes=(None, 0, 0, 0))(
+    solved, found = _corners(
         c,
-        jnp.where(pinned, NO_BRANCH, jnp.concatenate([begin_branch, end_branch])),
+        jnp.where(pinned, NO_BRANCH, branch),
         rough,
-        jnp.concatenate([last[previous_arc], first[next_arc]]),
+        rough[jnp.concatenate([slots + previous_arc, next_arc])],
+        _sizes(known, alpha[0], beta[0], rough),
     )
     found = pinned | (found & _between(solved, outer, inner))
-    begin = jnp.where(at_start, 0.0, solved[:slots])
-    end = jnp.where(at_stop, jnp.pi, solved[slots:])
+    solved = jnp.where(found, solved, rough)
+    begin = jnp.where(pinned[:slots], 0.0, solved[:slots])
+    end = jnp.where(pinned[slots:], jnp.pi, solved[slots:])
     begin, end = jnp.where(exists, begin, 1.0), jnp.where(exists, end, 2.0)
-    successor, via, linked = _links(known, exists, begin, end, begin_branch, end_branch, next_arc)
+    height = lax.optimization_barrier(curve_point(known, jnp.stack([begin, end]))[1])
+    successor, via, linked = _links(known, exists, height, begin_branch, end_branch, next_arc)
     mutual = ~joins | (joined[next_arc] & (previous_arc[next_arc] == jnp.arange(slots)))
     follows = exists[:, None] & (successor[:, None] == jnp.arange(slots))
-    closed = found[:slots] & found[slots:] & mutual & linked & (jnp.sum(follows, axis=0) == 1)
+    finite = jnp.all(jnp.isfinite(height), axis=0)
+    closed = finite & mutual & linked & (jnp.sum(follows, axis=0) == 1)
+    closed = closed & found[:slots] & found[slots:]
     fits = jnp.sum(passes[1:-1] & ~passes[:-2]) <= slots
     return Arcs(
         exists=exists,
@@ -135,14 +140,12 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, whole_delay: int, slots: i
     )
 
 
-def others_inside(c: SliceCoefficients, theta: Array, whole_delay: int) -> Array:
+def others_inside(c: SliceCoefficients, theta: Array, length: int) -> Array:
     """Return where all roots of p but those at r e^(+-i theta) lie inside of the circle.
 
     Source: the Schur-Cohn criterion, as a pair of recursions for the polynomial and its reverse.
     """
-    falling = other_roots(c, theta, whole_delay)
-    rising = falling[::-1]
-    limit = 1.0 - _MARGIN - _MARGIN_AT_MINUS_ONE / (1.0 + jnp.cos(theta))
+    falling = other_roots(c, theta, length)
 
     def step(_: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         falling, rising, inside = state
@@ -151,40 +154,53 @@ def others_inside(c: SliceCoefficients, theta: Array, whole_delay: int) -> Array
         return (
             falling - reflection * rising,
             jnp.concatenate([lower[1:], jnp.zeros_like(lower[:1])]),
-            inside & (jnp.abs(reflection) < limit),
+            inside & (jnp.abs(reflection) < 1.0 - _MARGIN),
         )
 
-    state = (falling, rising, jnp.full(theta.shape, True))
+    # Where all walls leave a root at z = r or -r, rounding must not decide.
+    flipped = falling.at[1::2].multiply(-1.0)
+    real = jnp.minimum(jnp.sum(falling, axis=0), jnp.sum(flipped, axis=0))
+    start = real > _REAL_MARGIN * jnp.sum(jnp.abs(falling), axis=0)
+    state = (falling, falling[::-1], start)
     inside: Array = lax.fori_loop(0, len(falling) - 1, step, state)[2]
     return inside
 
 
-def other_roots(c: SliceCoefficients, theta: Array, whole_delay: int) -> Array:
-    """Return the coefficients of p(r zeta) / (zeta^2 - 2 cos(theta) zeta + 1), highest first."""
+def other_roots(c: SliceCoefficients, theta: Array, length: int) -> Array:
+    """Return the coefficients of p(r zeta) / (zeta^2 - 2 cos(theta) zeta + 1), highest first.
+
+    There are ``length`` of them, the last ones zeros: roots at 0 are inside of any circle.
+    """
     alpha, beta = curve_point(c, theta)
     unit = c.gain * c.radius
     gain, lagged = (alpha + beta) / unit, beta / (c.radius * unit)
     leading, middle = 0.5 * (c.sigma + c.nu), c.num_plus - c.sigma
-    p = jnp.zeros((whole_delay + 3, *theta.shape))  # the rest of the division is not asked for
-    p = p.at[0].set(1.0)
-    p = p.at[1].set((c.den_plus - c.kappa) / c.radius)
-    p = p.at[2].set(0.5 * (c.kappa - c.eps) / c.radius)
-    p = p.at[whole_delay + 1].add(leading * gain)
-    p = p.at[whole_delay + 2].add(middle * gain - leading * lagged)
+    first, second = (c.den_plus - c.kappa) / c.radius, 0.5 * (c.kappa - c.eps) / c.radius
+    third, fourth = leading * gain, middle * gain - leading * lagged  # of powers m and m + 1
+    # 1 / (1 - 2 cos(theta) x + x^2) has Chebyshev's polynomials of the second kind as its series.
+    chebyshev = _chebyshev(theta, length)
+    once, twice = (jnp.pad(chebyshev[:-k], [(k, 0)] + [(0, 0)] * theta.ndim) for k in (1, 2))
+    power = jnp.arange(length).reshape(-1, *(1 for _ in theta.shape))
+    wall = jnp.where(power == c.turns, third, third * 2.0 * jnp.cos(theta) + fourth)
+    quotient = chebyshev + first * once + second * twice + jnp.where(power < c.turns, 0.0, wall)
+    return jnp.where(power <= c.turns + 1, quotient, 0.0)
+
+
+def _chebyshev(theta: Array, length: int) -> Array:
+    """Return sin((k + 1) theta) / sin(theta) for k = 0, 1, ..."""
     twice = 2.0 * jnp.cos(theta)
 
-    def divided(before: tuple[Array, Array], power: Array) -> tuple[tuple[Array, Array], Array]:
-        following = power + twice * before[0] - before[1]
-        return (following, before[0]), following
+    def step(before: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+        last, last_but_one = before
+        return (twice * last - last_but_one, last), last
 
-    zero = jnp.zeros_like(theta)
-    quotient: Array = lax.scan(divided, (zero, zero), p)[1]
-    return quotient
+    start = (jnp.ones_like(theta), jnp.zeros_like(theta))
+    polynomials: Array = lax.scan(step, start, None, length=length)[1]
+    return polynomials
 
 
-def branch_met(c: SliceCoefficients, theta: Array) -> Array:
+def branch_met(c: SliceCoefficients, alpha: Array, beta: Array, lift: Array) -> Array:
     """Return what the curve has just crossed: the line whose real root is outside, else itself."""
-    alpha, beta, lift = curve_and_lift(c, theta)
     met_minus = jnp.where(minus_margin(c, alpha, beta) <= 0.0, Branch.Z_MINUS_ONE, Branch.CURVE)
     return jnp.where(c.num_plus * lift <= 0.0, Branch.Z_PLUS_ONE, met_minus)
 
@@ -198,46 +214,74 @@ def _alternation(c: SliceCoefficients) -> Array:
     return 1.0 - 2.0 * (c.turns % 2.0)
 
 
-def _corner(c: SliceCoefficients, branch: Array, theta: Array, other: Array) -> tuple[Array, Array]:
-    """Return the angle near ``theta`` where the curve meets a branch, and whether it was found.
+def _corners(
+    c: SliceCoefficients, branch: Array, theta: Array, other: Array, sizes: tuple[Array, ...]
+) -> tuple[Array, Array]:
+    """Return the angles near ``theta`` where the curve meets a branch, and which were found.
 
-    The curve meets itself at an angle near ``other``. Differentiable in the slice.
+    The curve meets itself at angles near ``other``. Differentiable in the slice.
     """
+    of_points, of_lift, of_margin = sizes
+
+    def newton(slice_: SliceCoefficients, angles: Array) -> tuple[Array, Array]:
+        """Return the next pairs of angles, and how far the present ones are from a corner."""
+
+        def points(angles: Array) -> tuple[Array, Array, Array, Array]:
+            alpha, beta, lift = curve_and_lift(slice_, angles)
+            margin = minus_margin(slice_, alpha[0], beta[0]) / (1.0 + jnp.cos(angles[0]))
+            return alpha * of_points, beta * of_points, lift[0] * of_lift, margin * of_margin
+
+        values, slopes = jax.jvp(points, (angles,), (jnp.ones_like(angles),))
+        (alpha, beta, lift, margin), (alpha_slope, beta_slope, lift_slope, margin_slope) = (
+            values,
+            (lax.stop_gradient(slopes)),
+        )
+        across, along = alpha[0] - alpha[1], beta[0] - beta[1]
+        determinant = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
+        determinant = _nonzero(determinant)
+        first = (alpha_slope[1] * along - beta_slope[1] * across) / determinant
+        second = (alpha_slope[0] * along - beta_slope[0] * across) / determinant
+        step, mismatch = _by_branch(
+            branch,
+            (lift / _nonzero(lift_slope), jnp.abs(lift)),
+            (margin / _nonzero(margin_slope), jnp.abs(margin)),
+            (first, jnp.maximum(jnp.abs(across), jnp.abs(along))),
+        )
+        partner = jnp.where(branch == Branch.CURVE, second, 0.0)
+        return angles - jnp.stack([step, partner]), mismatch
+
     known = lax.stop_gradient(c)
-    sizes = _sizes(known, theta)
-
-    def mismatch(angles: Array, slice_: SliceCoefficients) -> Array:
-        alpha, beta, lift = curve_and_lift(slice_, angles)
-        margin = minus_margin(slice_, alpha[0], beta[0]) / (1.0 + jnp.cos(angles[0]))
-        on_line = jnp.where(branch == Branch.Z_PLUS_ONE, lift[0] * sizes[1], margin * sizes[2])
-        meets_itself = branch == Branch.CURVE
-        first = jnp.where(meets_itself, (alpha[0] - alpha[1]) * sizes[0], on_line)
-        second = jnp.where(meets_itself, (beta[0] - beta[1]) * sizes[0], angles[1] - other)
-        return jnp.stack([jnp.where(branch == NO_BRANCH, angles[0] - theta, first), second])
-
-    newton: optx.Newton[Array, Array, None] = optx.Newton(
+    solver: optx.FixedPointIteration[Array, Array] = optx.FixedPointIteration(
         rtol=_NEWTON_TOLERANCE, atol=_NEWTON_TOLERANCE
     )
-    start = jnp.stack([theta, other])
-    angles: Array = lax.stop_gradient(
-        optx.root_find(
-            mismatch, newton, start, args=known, max_steps=_NEWTON_STEPS, throw=False
-        ).value
+    angles = optx.fixed_point(
+        lambda angles, _: newton(known, angles)[0],
+        solver,
+        jnp.stack([theta, other]),
+        max_steps=_NEWTON_STEPS,
+        throw=False,
+    ).value
+    # One more step has the derivative of the angle by the theorem of the implicit function.
+    solved, mismatch = newton(c, lax.stop_gradient(angles))
+    # The solver's own verdict asks for more than rounding leaves where the curve hardly moves.
+    return solved[0], mismatch < _NEWTON_TOLERANCE
+
+
+def _by_branch(
+    branch: Array,
+    on_plus: tuple[Array, Array],
+    on_minus: tuple[Array, Array],
+    on_curve: tuple[Array, Array],
+) -> tuple[Array, ...]:
+    cases = [branch == Branch.Z_PLUS_ONE, branch == Branch.Z_MINUS_ONE, branch == Branch.CURVE]
+    return tuple(
+        jnp.select(cases, list(values), default=0.0)
+        for values in zip(on_plus, on_minus, on_curve, strict=True)
     )
-    value, jacobian = mismatch(angles, c), jax.jacfwd(mismatch)(angles, known)
-    # Zero, with the derivative of the angle by the theorem of the implicit function.
-    change = value - lax.stop_gradient(value)
-    determinant = jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0]
-    regular = jnp.isfinite(determinant) & (determinant != 0.0)
-    step = (jacobian[1, 1] * change[0] - jacobian[0, 1] * change[1]) / determinant
-    angle = jnp.where(regular, angles[0] - step, angles[0])
-    # Newton's own verdict asks for more than rounding leaves where the curve hardly moves with th.
-    return angle, jnp.all(jnp.abs(value) < _NEWTON_TOLERANCE)
 
 
-def _sizes(c: SliceCoefficients, theta: Array) -> tuple[Array, Array, Array]:
+def _sizes(c: SliceCoefficients, alpha: Array, beta: Array, theta: Array) -> tuple[Array, ...]:
     """Return factors that bring the three kinds of mismatch to the order of 1."""
-    alpha, beta = curve_point(c, theta)
     size = jnp.abs(alpha) + jnp.abs(beta) + jnp.abs(plus_offset(c))
     margin = jnp.abs(c.gain * c.den_minus) + jnp.abs(c.num_minus) * size
     return 1.0 / size, (1.0 - jnp.cos(theta)) / size, (1.0 + jnp.cos(theta)) / margin
@@ -260,17 +304,17 @@ def _narrowed(inside: Callable[[Array], Array], outer: Array, inner: Array) -> t
 def _links(
     c: SliceCoefficients,
     exists: Array,
-    begin: Array,
-    end: Array,
+    height: Array,
     begin_branch: Array,
     end_branch: Array,
     next_arc: Array,
 ) -> tuple[Array, Array, Array]:
     """Return for each arc the next one, whether the way is via both lines, and whether it exists.
 
-    With the stable set on the left, beta falls along z = r where N(r) > 0, and likewise z = -r.
+    ``height`` is the beta of the begins and of the ends. With the stable set on the left, beta
+    falls along z = r where N(r) > 0, and likewise z = -r.
     """
-    entries, exits = curve_point(c, end)[1], curve_point(c, begin)[1]
+    exits, entries = height
     plus_way = -jnp.sign(c.num_plus)
     minus_way = -jnp.sign(_alternation(c) * c.num_minus)
     crossing = lines_crossing(c)[1]
@@ -302,16 +346,15 @@ def lines_crossing(c: SliceCoefficients) -> tuple[Array, Array]:
     return plus_offset(c) - plus_slope(c) * beta, beta
 
 
-def _squared_distances(c: SliceCoefficients, theta: Array, other: Array) -> Array:
-    one, two = (jnp.stack(curve_point(c, angles), axis=-1) for angles in (theta, other))
-    return jnp.sum((one[:, None] - two[None, :]) ** 2, axis=-1)
-
-
 def _between(x: Array, one: Array, two: Array) -> Array:
     slack = 2.0 * jnp.abs(one - two) + _SLACK
     return (x >= jnp.minimum(one, two) - slack) & (x <= jnp.maximum(one, two) + slack)
 
 
-def _places(mask: Array, slots: int) -> Array:
-    """Return the indices of the first ``slots`` true entries, then -1."""
-    return jnp.nonzero(mask, size=slots, fill_value=-1)[0]
+def first_places(mask: Array, count: int) -> Array:
+    """Return the indices of the first ``count`` true entries, then the length of the mask."""
+    return jnp.sum(jnp.cumsum(mask) <= jnp.arange(count)[:, None], axis=1)
+
+
+def _nonzero(x: Array) -> Array:
+    return jnp.where(x == 0.0, jnp.inf, x)

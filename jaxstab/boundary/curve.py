@@ -29,7 +29,10 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.plant import PlantPairs, plant_pairs
 
 _PI_REST = 1.2246467991473532e-16  # pi minus the float64 next to it
-_SINC_TERMS = 8  # the next one is below 2^-60 for x < 1/2
+_TERMS = 10  # of sine and cosine up to pi/4: the next one is below 2^-60, of derivatives too
+# A quarter turn in parts of 27 bits: multiples of the first two are exact.
+_QUARTER_TURN = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18)
+_CLOSE, _FAR = 1e-9, 4.0  # of the distance of a pole from the circle: closer is as close
 _VANISHING = 1e-3  # N(r) this small beside its terms: the line z = r is no anchor any more
 
 
@@ -230,6 +233,25 @@ def minus_slope(c: SliceCoefficients) -> Array:
     return (c.radius + 1.0) / c.radius
 
 
+def poles(c: SliceCoefficients) -> tuple[Array, Array]:
+    """Return the angles of the two zeros of N, in [0, pi], and how far they are from the circle.
+
+    There the curve flies off: close to a zero it changes in steps as short as the distance, which
+    is the modulus of the logarithm of |z| / r.
+    """
+    first, last = 0.5 * (c.sigma + c.nu), 0.5 * (c.sigma - c.nu)
+    middle = c.num_plus - c.sigma
+    square = middle**2 - 4.0 * first * last
+    root = jnp.sqrt(jnp.abs(square))
+    larger = -0.5 * (middle + jnp.where(middle < 0.0, -root, root))
+    real = jnp.stack([larger / first, last / larger])
+    turned = jnp.arctan2(root, -middle * jnp.sign(first))
+    angles = jnp.where(square < 0.0, turned, jnp.where(real < 0.0, pi, 0.0))
+    modulus = jnp.where(square < 0.0, jnp.sqrt(jnp.abs(last / first)), jnp.abs(real))
+    apart = jnp.abs(jnp.log(modulus))
+    return angles, jnp.clip(jnp.nan_to_num(apart, nan=_FAR), _CLOSE, _FAR)
+
+
 def curve_point(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
     """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices."""
     alpha, beta, _ = curve_and_lift(c, theta)
@@ -245,12 +267,13 @@ def curve_and_lift(c: SliceCoefficients, theta: Array) -> tuple[Array, Array, Ar
     upper = theta > pi / 2
     # Without the barrier XLA would add the two parts of pi first.
     folded = jnp.where(upper, lax.optimization_barrier(pi - theta) + _PI_REST, theta)
-    half_sine, half_cosine = jnp.sin(0.5 * folded), jnp.cos(0.5 * folded)
+    half = 0.5 * folded
+    half_sine, half_cosine = half * _sinc(half**2), _cosine(half**2)
     near, far = 2.0 * half_sine**2, 2.0 * half_cosine**2
+    cos_turns, sine_ratio, lag_ratio = _turning(c.turns, upper, half, half_cosine)
+
     h, rest = jnp.where(upper, far, near), jnp.where(upper, near, far)  # 1 -+ cos(theta)
     sine_square = near * far
-    cos_turns, sine_ratio, lag_ratio = _turning(c.turns, upper, folded, half_cosine, h)
-
     d = jnp.where(upper, c.kappa * rest - c.den_minus, c.den_plus - c.kappa * h)
     q = jnp.where(upper, c.sigma * rest - c.num_minus, c.num_plus - c.sigma * h)
     # (d + i eps sin)(q - i nu sin) / |q + i nu sin|^2 = real + i slope sin
@@ -275,28 +298,54 @@ def curve_and_lift(c: SliceCoefficients, theta: Array) -> tuple[Array, Array, Ar
 
 
 def _turning(
-    turns: Array, upper: Array, folded: Array, half_cosine: Array, h: Array
+    turns: Array, upper: Array, half: Array, half_cosine: Array
 ) -> tuple[Array, Array, Array]:
     """Return cos(m th), sin(m th) / sin(th) and (1 - cos(m th)) / (1 - cos th)."""
-    half_phase = 0.5 * turns * folded
-    s, c = jnp.sin(half_phase), jnp.cos(half_phase)
-    half_ratio = turns * _sinc(half_phase) / _sinc(0.5 * folded)
+    phase = turns * half
+    s, c, sinc = _sine_cosine_sinc(phase)
+    half_ratio = turns * sinc / _sinc(half**2)
     lag = jnp.where(turns % 2.0 == 1.0, c, s)
-    lag_ratio = jnp.where(upper, 2.0 * lag**2 / jnp.where(upper, h, 1.0), half_ratio**2)
+    lag_ratio = jnp.where(upper, lag / half_cosine, half_ratio) ** 2
     sign = jnp.where(upper, _sign(turns), 1.0)
     sine_ratio = jnp.where(upper, -sign, 1.0) * half_ratio * c / half_cosine
     return sign * (c - s) * (c + s), sine_ratio, lag_ratio
 
 
-def _sinc(x: Array) -> Array:
-    """Return sin(x) / x, also at 0, with derivatives that do not cancel."""
-    small = jnp.abs(x) < 0.5
-    square = jnp.where(small, x, 0.0) ** 2
-    series = jnp.zeros_like(x)
-    for k in reversed(range(_SINC_TERMS)):
-        series = (-1.0) ** k / factorial(2 * k + 1) + square * series
-    away = jnp.where(small, 1.0, x)
-    return jnp.where(small, series, jnp.sin(away) / away)
+def _sine_cosine_sinc(x: Array) -> tuple[Array, Array, Array]:
+    """Return sin(x), cos(x) and sin(x) / x for x >= 0, also at 0.
+
+    The compiler makes vectors of this, and not of calls of sin and cos: most of the run time.
+    """
+    quarters = lax.stop_gradient(jnp.round(x * (2.0 / pi)))
+    rest = x
+    for part in _QUARTER_TURN:
+        rest = rest - quarters * part
+    square = rest**2
+    sinc = _sinc(square)
+    sine, cosine = rest * sinc, _cosine(square)
+    odd = quarters % 2.0 == 1.0
+    sine, cosine = jnp.where(odd, cosine, sine), jnp.where(odd, -sine, cosine)
+    sign = jnp.where(quarters % 4.0 >= 2.0, -1.0, 1.0)
+    sine, cosine = sign * sine, sign * cosine
+    first = quarters == 0.0
+    return sine, cosine, jnp.where(first, sinc, sine / jnp.where(first, 1.0, x))
+
+
+def _sinc(square: Array) -> Array:
+    """Return sin(x) / x for x^2 up to (pi/4)^2, with derivatives that do not cancel."""
+    return _alternating(square, 1)
+
+
+def _cosine(square: Array) -> Array:
+    """Return cos(x) for x^2 up to (pi/4)^2."""
+    return _alternating(square, 0)
+
+
+def _alternating(square: Array, shift: int) -> Array:
+    series = jnp.zeros_like(square)
+    for k in reversed(range(_TERMS)):
+        series = (-1.0) ** k / factorial(2 * k + shift) + square * series
+    return series
 
 
 def _sign(turns: Array) -> Array:

@@ -14,7 +14,7 @@ from jaxstab.boundary.roots import bracketed_root
 
 _CROSSINGS = 8  # of a row with the boundary; rows with more are answered by NaN
 _BATCH = 1024
-_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 @partial(jax.jit, static_argnames="axis")

@@ -6,16 +6,16 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxstab.boundary.arcs import NO_BRANCH, Arcs, Branch, lines_crossing
-from jaxstab.boundary.curve import SliceCoefficients, curve_point
+from jaxstab.boundary.arcs import NO_BRANCH, Arcs, Branch, first_places, lines_crossing
+from jaxstab.boundary.curve import SliceCoefficients, curve_point, poles
 from jaxstab.boundary.roots import bracketed_root
 
-_NODES = 33  # per arc, to see where it bends and turns
+_FEWEST_NODES, _MOST_NODES = 33, 129  # per arc, to see where it bends and turns
 _TURNS = 8  # vertical and horizontal tangents, for each eight slots of arcs
-_BESIDE = 1e-4
+_BESIDE = 1e-8
 _ROUNDING = 1e-10  # a coordinate that moves less than that is constant: a straight edge
 _HERE, _THERE = slice(None, -1), slice(1, None)
-_EVENNESS = 0.05  # the share of points that straight parts get
+_EVENNESS = 0.1  # the share of points that straight parts get
 
 
 class Outline(NamedTuple):
@@ -59,44 +59,64 @@ def polygon(c: SliceCoefficients, arcs: Arcs, points: int) -> Outline:
     order, loop = _sequence(arcs)
     arcs = jax.tree.map(lambda x: x[order] if x.ndim else x, arcs)
     # Barriers keep XLA from computing the curve again in every place that reads it.
-    nodes, tangents = lax.optimization_barrier(_survey(c, arcs))
+    nodes, tangents = lax.optimization_barrier(_survey(c, arcs, _nodes(points)))
     extremes, fits = _turning_points(c, arcs, nodes, tangents, turns)
-    spread = _spread(arcs, nodes, tangents, points - 4 * slots - turns)
+    place, theta = _spread(arcs, nodes, tangents, points - 4 * slots - turns)
+    spread = _marks(_ON_ARC, place, theta, jnp.broadcast_to(jnp.any(arcs.exists), place.shape))
     places = jnp.arange(slots)
-    first = jnp.searchsorted(loop, loop)
+    first = jnp.sum(loop[:, None] > loop, axis=1)
     closes = arcs.exists & (jnp.append(loop[1:], -1) != loop)
     begins, ends = arcs.begin, arcs.end
-    marks = [
-        _marks(_ON_ARC, *spread, jnp.broadcast_to(jnp.any(arcs.exists), spread[0].shape)),
-        _marks(_ON_ARC, *extremes),
+    others = [
         _marks(_ON_ARC, places, begins, arcs.exists),
         _marks(_ON_ARC, places, ends, arcs.exists),
         _marks(_VIA, places, ends, arcs.via),
         _marks(_CLOSING, places, begins[first], closes),
+        _marks(_ON_ARC, *extremes),
     ]
-    everything: _Marks = lax.optimization_barrier(
-        jax.tree.map(lambda *parts: jnp.concatenate(parts), *marks)
-    )
-    along = everything.theta - begins[everything.place]
-    along = along / (ends - begins)[everything.place]
-    along = jnp.where(everything.stage == _ON_ARC, along, 1.0 + everything.stage)
-    key = jnp.where(everything.exists, 4.0 * everything.place + along, jnp.inf)
-    count = jnp.sum(everything.exists)
-    chosen = jnp.argsort(key)[jnp.clip(jnp.arange(points), max=jnp.maximum(count - 1, 0))]
-    vertices, branches, angles = _edges(c, arcs, jax.tree.map(lambda x: x[chosen], everything))
+    extra = jax.tree.map(lambda *parts: jnp.concatenate(parts), *others)
+    chosen = _merged(_keys(arcs, spread), _keys(arcs, extra))
+    marks = jax.tree.map(lambda *parts: jnp.concatenate(parts), spread, extra)
+    count = jnp.sum(marks.exists)
+    chosen = chosen[jnp.clip(jnp.arange(points), max=jnp.maximum(count - 1, 0))]
+    at_marks = _points(c, marks)
+    marks = jax.tree.map(lambda x: x[chosen], marks)
+    branches, angles = _edges(arcs, marks)
+    corners = at_marks[len(place) : len(place) + 3 * slots]
     return Outline(
-        vertices=jnp.where(count > 0, vertices, jnp.nan),
+        vertices=jnp.where(count > 0, at_marks[chosen], jnp.nan),
         branches=jnp.where(jnp.arange(points - 1) < count - 1, branches, NO_BRANCH),
         angles=angles,
         size=count,
         loops=jnp.sum(closes),
-        corners=_corners(c, arcs),
+        corners=_corners(arcs, corners),
         fits=fits,
     )
 
 
 def _marks(stage: int, place: Array, theta: Array, exists: Array) -> _Marks:
     return _Marks(place, theta, exists, jnp.full(place.shape, stage))
+
+
+def _keys(arcs: Arcs, marks: _Marks) -> Array:
+    """Return numbers that grow along the boundary."""
+    along = (marks.theta - arcs.begin[marks.place]) / (arcs.end - arcs.begin)[marks.place]
+    along = jnp.where(marks.stage == _ON_ARC, along, 1.0 + marks.stage)
+    return lax.stop_gradient(jnp.where(marks.exists, 4.0 * marks.place + along, jnp.inf))
+
+
+def _merged(many: Array, few: Array) -> Array:
+    """Return the order of keys of which the many are in order already; by counting, not sorting."""
+    order = jnp.argsort(few, stable=True)
+    rank = jnp.arange(len(few)) + jnp.searchsorted(many, few[order])
+    places = jnp.arange(len(many) + len(few))
+    passed = jnp.sum(rank[:, None] <= places, axis=0)
+    latest = jnp.maximum(passed - 1, 0)
+    return jnp.where(rank[latest] == places, len(many) + order[latest], places - passed)
+
+
+def _nodes(points: int) -> int:
+    return min(max(points // 8 + 1, _FEWEST_NODES), _MOST_NODES)
 
 
 def extra_vertices(slots: int) -> int:
@@ -121,12 +141,20 @@ def _sequence(arcs: Arcs) -> tuple[Array, Array]:
     return order, jnp.cumsum(closed) - closed
 
 
-def _survey(c: SliceCoefficients, arcs: Arcs) -> tuple[Array, Array]:
+def _survey(c: SliceCoefficients, arcs: Arcs, count: int) -> tuple[Array, Array]:
     """Return angles (arc, node) and the tangents (alpha', beta') there (2, arc, node)."""
     # At th = 0 and pi the curve stands still: look beside.
-    shares = jnp.clip(jnp.linspace(0.0, 1.0, _NODES), _BESIDE, 1.0 - _BESIDE)
-    nodes = arcs.begin[:, None] + (arcs.end - arcs.begin)[:, None] * shares
-    return nodes, jnp.stack(_tangent(c, nodes))
+    begin = arcs.begin[:, None] + _BESIDE * (arcs.end - arcs.begin)[:, None]
+    end = arcs.end[:, None] - _BESIDE * (arcs.end - arcs.begin)[:, None]
+    shares = jnp.linspace(0.0, 1.0, count - 2 * (count // 4))
+    nodes = [begin + (end - begin) * shares]
+    # Half of them close in on the places where the curve flies off.
+    shares = (jnp.arange(count // 4) + 0.5) / (count // 4)
+    for pole, apart in zip(*poles(lax.stop_gradient(c)), strict=True):
+        first, last = jnp.arcsinh((begin - pole) / apart), jnp.arcsinh((end - pole) / apart)
+        nodes.append(jnp.clip(pole + apart * jnp.sinh(first + (last - first) * shares), begin, end))
+    ordered = jnp.sort(jnp.concatenate(nodes, axis=1), axis=1)
+    return ordered, jnp.stack(_tangent(c, ordered))
 
 
 def _tangent(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
@@ -143,16 +171,17 @@ def _turning_points(
     moves = jnp.abs(tangents) > _ROUNDING * jnp.hypot(*tangents)
     turns = (tangents[..., 1:] * tangents[..., :-1] < 0.0) & (moves[..., 1:] | moves[..., :-1])
     turns = turns & arcs.exists[:, None]
-    flat = jnp.nonzero(turns.ravel(), size=slots, fill_value=-1)[0]
-    is_beta, place, node = jnp.unravel_index(jnp.maximum(flat, 0), turns.shape)
+    flat = first_places(turns.ravel(), slots)
+    exist = flat < turns.size
+    is_beta, place, node = jnp.unravel_index(jnp.where(exist, flat, 0), turns.shape)
 
     def slope(slice_: SliceCoefficients, theta: Array) -> Array:
         along_alpha, along_beta = _tangent(slice_, theta)
         return jnp.where(is_beta == 1, along_beta, along_alpha)
 
-    last = jnp.where(flat >= 0, nodes[place, node + 1], nodes[place, node])
+    last = jnp.where(exist, nodes[place, node + 1], nodes[place, node])
     theta = bracketed_root(slope, c, nodes[place, node], last)
-    return (place, theta, flat >= 0), jnp.sum(turns) <= slots
+    return (place, theta, exist), jnp.sum(turns) <= slots
 
 
 def _spread(arcs: Arcs, nodes: Array, tangents: Array, count: int) -> tuple[Array, Array]:
@@ -163,7 +192,7 @@ def _spread(arcs: Arcs, nodes: Array, tangents: Array, count: int) -> tuple[Arra
     steps = jnp.diff(nodes, axis=1)
     bend = jnp.sqrt(turned * steps / (speed[:, 1:] + speed[:, :-1]))
     bend = jnp.where(arcs.exists[:, None], bend, 0.0)
-    pieces = jnp.maximum(jnp.sum(arcs.exists), 1) * (_NODES - 1)
+    pieces = jnp.maximum(jnp.sum(arcs.exists), 1) * steps.shape[1]
     bend = jnp.where(arcs.exists[:, None], bend + _EVENNESS * jnp.sum(bend) / pieces, 0.0)
     total = jnp.cumsum(lax.stop_gradient(bend).ravel())
     goal = total[-1] * (jnp.arange(count) + 0.5) / count
@@ -171,15 +200,17 @@ def _spread(arcs: Arcs, nodes: Array, tangents: Array, count: int) -> tuple[Arra
     width = lax.stop_gradient(bend).ravel()[piece]
     rest = jnp.where(width > 0.0, (goal - total[piece]) / jnp.where(width > 0.0, width, 1.0), 0.0)
     place, node = jnp.unravel_index(piece, bend.shape)
-    share = (node + 1.0 + rest) / (_NODES - 1)
-    return place, arcs.begin[place] + (arcs.end - arcs.begin)[place] * share
+    return place, nodes[place, node + 1] + steps[place, node] * rest
 
 
-def _edges(c: SliceCoefficients, arcs: Arcs, marks: _Marks) -> tuple[Array, Array, Array]:
-    """Return the vertices, and for the edge after each the branch and the angles at its ends."""
+def _points(c: SliceCoefficients, marks: _Marks) -> Array:
     on_curve = lax.optimization_barrier(jnp.stack(curve_point(c, marks.theta), axis=-1))
     crossing = jnp.stack(lines_crossing(c))
-    vertices = jnp.where((marks.stage == _VIA)[:, None], crossing, on_curve)
+    return jnp.where((marks.stage == _VIA)[:, None], crossing, on_curve)
+
+
+def _edges(arcs: Arcs, marks: _Marks) -> tuple[Array, Array]:
+    """Return for the edge after each vertex its branch and the angles at its ends."""
     here, there = (jax.tree.map(lambda x, part=part: x[part], marks) for part in (_HERE, _THERE))
     same_arc = (here.place == there.place) & (there.stage == _ON_ARC)
     left = arcs.end_branch[here.place]
@@ -191,16 +222,15 @@ def _edges(c: SliceCoefficients, arcs: Arcs, marks: _Marks) -> tuple[Array, Arra
             [here.stage == _CLOSING, here.stage == _VIA], [NO_BRANCH, other_line], default=left
         ),
     )
-    angles = jnp.stack([here.theta, jnp.where(same_arc, there.theta, here.theta)], axis=-1)
-    return vertices, branches, angles
+    return branches, jnp.stack([here.theta, jnp.where(same_arc, there.theta, here.theta)], axis=-1)
 
 
-def _corners(c: SliceCoefficients, arcs: Arcs) -> Array:
-    begin, end = (jnp.stack(curve_point(c, x), axis=-1) for x in (arcs.begin, arcs.end))
-    crossing = jnp.broadcast_to(jnp.stack(lines_crossing(c)), begin.shape)
-    corners = jnp.stack([begin, end, crossing], axis=1).reshape(-1, 2)
+def _corners(arcs: Arcs, points: Array) -> Array:
+    """Return the corners in the order of the boundary, of the points at begins, ends and vias."""
     # Where an arc ends on the curve, the next one begins: count that corner once.
     ends_on_line = arcs.exists & (arcs.end_branch != Branch.CURVE)
     exist = jnp.stack([arcs.exists, ends_on_line, arcs.via], axis=1).ravel()
-    order = jnp.argsort(~exist, stable=True)
-    return jnp.where(exist[order][:, None], corners[order], jnp.nan)
+    corners = points.reshape(3, -1, 2).swapaxes(0, 1).reshape(-1, 2)
+    place = first_places(exist, len(exist))
+    found = place < len(exist)
+    return jnp.where(found[:, None], corners[jnp.where(found, place, 0)], jnp.nan)

@@ -23,6 +23,7 @@ _FINENESS = {1: 4, 4: 32, 16: 128, 64: 256}  # of the scan: slots for arcs
 _EMPTY_FINENESS = 4
 _ROUNDS = 8
 _POINTS = (256, 1024, 4096, 16384, 65536)
+_BULGE = 0.2  # times points^-2 is about how far the boundary leaves the polygon
 _FINEST = 1e-10
 _ROUNDING = 1e-13
 
@@ -31,7 +32,8 @@ class RegionStatus(IntEnum):
     """What is known of a stable region.
 
     COMPLETE: the pieces that were found close to loops. EMPTY: the scan found none.
-    UNRESOLVED: the pieces do not close, or there are more than the arrays hold; do not use it.
+    UNRESOLVED: the pieces do not close, or there are more than the arrays hold; do not use it. So
+    it is where three or more roots stay within about 1e-6 of the circle all over the stable set.
     """
 
     COMPLETE = 0
@@ -214,15 +216,14 @@ def stable_region(
     if not (isfinite(tolerance) and tolerance > _FINEST):
         raise ValueError(f"tolerance is {tolerance}; give a number > {_FINEST:g}.")
     c = slice_coefficients(gamma, delta, delay, radius)
-    whole_delay = int(np.floor(checked_delay(delay)))
-    arcs = _refined_arcs(c, whole_delay, may_be_empty=delta == 0.0 or radius < 1.0)
+    arcs = _refined_arcs(c, _padded_length(delay), may_be_empty=delta == 0.0 or radius < 1.0)
     slots = len(arcs.exists)
-    region: StableRegion = _region(c, arcs, points=max(_POINTS[0], 2 * extra_vertices(slots)))
+    points = _enough_points(max(sqrt(_BULGE / tolerance), 2.0 * extra_vertices(slots)))
+    region: StableRegion = _region(c, arcs, points=points)
     deviation = float(measures.deviation(c, region.outline))
     if region.status == RegionStatus.COMPLETE and deviation > tolerance:
-        needed = 1.2 * len(region.outline.vertices) * sqrt(deviation / tolerance)
-        enough = (points for points in _POINTS if points >= needed)
-        region = _region(c, arcs, points=next(enough, _POINTS[-1]))
+        points = _enough_points(1.2 * points * sqrt(deviation / tolerance))
+        region = _region(c, arcs, points=points)
     return region
 
 
@@ -265,36 +266,50 @@ def region_outline(
         raise ValueError(
             f"points is {points}; give at least {2 * extra_vertices(slots)} for {slots} slots."
         )
-    whole_delay = int(np.floor(checked_delay(delay)))
+    length = _length(delay)
     c = slice_coefficients(gamma, delta, delay, radius)
-    angles = jnp.asarray(scan_angles(whole_delay, fineness))
-    arcs = _arcs(c, angles, whole_delay=whole_delay, slots=slots)
+    arcs = _arcs(c, jnp.asarray(scan_angles(length, fineness)), length=length, slots=slots)
     region: StableRegion = _region(c, arcs, points=points)
     return region
 
 
-def _refined_arcs(c: SliceCoefficients, whole_delay: int, *, may_be_empty: bool) -> Arcs:
+def _refined_arcs(c: SliceCoefficients, length: int, *, may_be_empty: bool) -> Arcs:
     """Return arcs that close to loops and that a closer look around them finds again.
 
     With damping the loop without a wall is stable: an empty answer is then a scan too coarse. Where
     even the finest scan is not enough, ``resolved`` of the arcs is False.
     """
     for fineness, slots in _FINENESS.items():
-        scan = scan_angles(whole_delay, fineness)
+        scan = scan_angles(length, fineness)
         angles, before = padded_angles(scan, slots), None
         for _ in range(_ROUNDS):
-            arcs: Arcs = _arcs(c, jnp.asarray(angles), whole_delay=whole_delay, slots=slots)
-            if not arcs.exists[0]:
-                break
-            if arcs.resolved and before is not None and same_arcs(arcs, before):
+            arcs: Arcs = _arcs(c, jnp.asarray(angles), length=length, slots=slots)
+            same = before is not None and same_arcs(arcs, before)
+            if same and arcs.resolved:
                 return arcs
-            angles, before = closer_angles(c, arcs, scan, whole_delay=whole_delay), arcs
+            if same or not arcs.exists[0]:
+                break
+            angles, before = closer_angles(c, arcs, scan, length=length), arcs
         if may_be_empty and fineness >= _EMPTY_FINENESS and not arcs.exists[0]:
             return arcs
     return arcs._replace(resolved=jnp.asarray(False))
 
 
-_arcs = jax.jit(find_arcs, static_argnames=("whole_delay", "slots"))
+def _enough_points(wanted: float) -> int:
+    return next((points for points in _POINTS if points >= wanted), _POINTS[-1])
+
+
+def _length(delay: float) -> int:
+    """Return how many coefficients the polynomials of the other roots have."""
+    return int(np.floor(checked_delay(delay))) + 3
+
+
+def _padded_length(delay: float) -> int:
+    """Return a power of two, at least 4: delays alike share what is compiled."""
+    return max(4, 1 << (_length(delay) - 1).bit_length())
+
+
+_arcs = jax.jit(find_arcs, static_argnames=("length", "slots"))
 
 
 @partial(jax.jit, static_argnames="points")

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64
 from jaxstab.boundary.arcs import Arcs, minus_margin, other_roots
 from jaxstab.boundary.curve import SliceCoefficients, curve_and_lift
 
-_FIRST, _PI_MINUS_LAST = 1e-7, 1e-5
+_FIRST, _PI_MINUS_LAST = 1e-7, 1e-7
 _CLOSEST = 1e-9
 _OFFSETS = 20  # to each side of an angle
 _CENTERS = 6  # for each slot
@@ -19,9 +19,12 @@ _SAME = 1e-7
 Angles = Float64[np.ndarray, " _"]  # of any length
 
 
-def scan_angles(whole_delay: int, fineness: int) -> Angles:
-    """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends."""
-    count = fineness * (48 + 8 * whole_delay)
+def scan_angles(length: int, fineness: int) -> Angles:
+    """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends.
+
+    ``length`` is that of the polynomials, as for ``find_arcs``.
+    """
+    count = fineness * (24 + 8 * length)
     even = (np.arange(count) + 0.5) * (np.pi / count)
     start, end = (
         np.geomspace(first, even[0], 12 * fineness, endpoint=False)
@@ -35,7 +38,7 @@ def padded_angles(angles: Angles, slots: int) -> Angles:
     return np.concatenate([np.full(_CENTERS * slots * 2 * _OFFSETS, angles[0]), angles])
 
 
-def closer_angles(c: SliceCoefficients, arcs: Arcs, angles: Angles, *, whole_delay: int) -> Angles:
+def closer_angles(c: SliceCoefficients, arcs: Arcs, angles: Angles, *, length: int) -> Angles:
     """Return the angles with more of them around those where something may hide between two.
 
     What was missed begins or ends where the curve crosses a line, next to a corner that was found,
@@ -43,7 +46,7 @@ def closer_angles(c: SliceCoefficients, arcs: Arcs, angles: Angles, *, whole_del
     """
     exists = np.tile(np.asarray(arcs.exists), 2)
     ends = np.concatenate([np.asarray(arcs.begin), np.asarray(arcs.end)])
-    others = np.asarray(_others(c, jnp.asarray(ends), whole_delay=whole_delay))
+    others = np.asarray(_others(c, jnp.asarray(ends), length=length))
     corners, partners = ends[exists], _angles_near_circle(others[:, exists & _is_open(ends)])
     known = np.concatenate([corners, partners, _line_crossings(c, angles)])
     centers = np.full(_CENTERS * len(arcs.exists), angles[0])
@@ -59,7 +62,7 @@ def same_arcs(one: Arcs, other: Arcs) -> bool:
     return bool(np.allclose(first, second, rtol=_SAME, atol=_SAME))
 
 
-_others = jax.jit(other_roots, static_argnames="whole_delay")
+_others = jax.jit(other_roots, static_argnames="length")
 
 
 def _is_open(angles: Angles) -> Bool[np.ndarray, " _"]:
