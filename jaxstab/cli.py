@@ -92,15 +92,27 @@ def _axis_options(command: Any) -> Any:
     default="error",
     help="Refuse points outside of the atlas, or answer that they are undecided.",
 )
-def query(file: Path, table: Path | None, form: str, outside: Any, **point: float | None) -> None:
+@click.option("--exact", is_flag=True, help="Compute the verdicts that the atlas leaves open.")
+def query(
+    file: Path,
+    table: Path | None,
+    form: str,
+    outside: Any,
+    exact: bool,
+    **point: float | None,
+) -> None:
     """Ask an atlas about a point, or about the points of a CSV file.
 
     An option such as --gamma gives the value of a column that the CSV file does not have.
     """
+    if exact:
+        import jax
+
+        jax.config.update("jax_enable_x64", True)
     given = {name: value for name, value in point.items() if value is not None}
     points = _read_points(table, given) if table else _one_point(given)
     alpha, beta, gamma, delta, delay = (points[name] for name in AXES)
-    answer = jaxstab.open_atlas(file).query(alpha, beta, gamma, delta, delay, outside)
+    answer = jaxstab.open_atlas(file).query(alpha, beta, gamma, delta, delay, outside, exact=exact)
     rows = _answered(points, answer)
     if form == "csv":
         writer = csv.writer(sys.stdout, lineterminator="\n")

@@ -121,6 +121,12 @@ def test_points_outside_are_refused_or_undecided(path: Path) -> None:
     assert "undecided,nan,inf,outside" in answer.stdout
 
 
+def test_what_is_left_open_is_computed_on_request(path: Path) -> None:
+    between_delays = [*POINT[:-1], "0.5"]
+    assert ",undecided,nan,inf,between_delays" in run("atlas", "query", path, *between_delays).output
+    assert ",stable,nan,inf,exact" in run("atlas", "query", path, *between_delays, "--exact").output
+
+
 def test_a_plot_is_a_picture(path: Path, tmp_path: Path) -> None:
     png = tmp_path / "plot.png"
     answer = run("atlas", "plot", path, "-o", png, "--delta", "0.01", "--delay", "1.5")

@@ -207,7 +207,9 @@ def inconsistency(shapes: Mapping[str, tuple[int, ...]], axes: Arrays) -> str:
 
 def _wrong_value(arrays: Arrays) -> str:
     for name, values in arrays.items():
-        if VARIABLES[name].holds_verdicts and not np.all(np.isin(values, schema.FLAG_VALUES)):
+        if VARIABLES[name].holds_verdicts and not (
+            values.min() >= min(schema.FLAG_VALUES) and values.max() <= max(schema.FLAG_VALUES)
+        ):
             return f"{name} has a code that is no verdict"
     for name, dimension in schema.STRUNG.items():
         if name in arrays and arrays[name].sum() != arrays[dimension].size:

@@ -60,7 +60,6 @@ def _part(arrays: Mapping[str, NDArray[Any]], counts: str, place: tuple[int, int
 def _number(name: str, nodes: NDArray[np.float64], value: float) -> int:
     (found,) = np.nonzero(nodes == value)
     if not found.size:
-        raise ValueError(
-            f"{name} is {value!r}; outlines are at its nodes {', '.join(map(repr, nodes.tolist()))}."
-        )
+        listed = ", ".join(map(repr, nodes.tolist()))
+        raise ValueError(f"{name} is {value!r}; outlines are at its nodes {listed}.")
     return int(found[0])

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float64, Int8, Int64
 from numpy.typing import NDArray
 
+from jaxstab.atlas.answer import AtlasAnswer
 from jaxstab.atlas.digest import content_digest, digest_of
 from jaxstab.atlas.file import TooLargeError, checked_datasets, inconsistency, opened, text_of
 from jaxstab.atlas.query import Atlas, open_atlas
@@ -175,10 +176,18 @@ def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
     for number, delay in enumerate(atlas.delays):
         ends = [(nodes[0], nodes[-1]) for nodes in atlas.nodes(number).values()]
         point = (*(chance.uniform(*side, each) for side in ends), delay)
-        codes = atlas.query(*point).verdict
-        wrong += _wrong_codes(np.where(codes == NOT_COMPUTED, np.int8(UNDECIDED), codes), point)
+        answer = atlas.query(*point)
+        codes = np.where(answer.verdict == NOT_COMPUTED, np.int8(UNDECIDED), answer.verdict)
+        wrong += _wrong_codes(codes, point) + _wrong_bounds(answer, point)
     points = each * atlas.delays.size
     return Check("answers", wrong == 0, f"{wrong} of {points} points are wrong")
+
+
+def _wrong_bounds(answer: AtlasAnswer, point: tuple[Any, ...]) -> int:
+    """Count spectral radii that are farther from the computed ones than is said."""
+    radius = spectral_radius(*point)
+    difference = np.abs(answer.spectral_radius - np.asarray(radius.value))
+    return int(np.sum(difference > answer.radius_error + np.asarray(radius.error)))
 
 
 _COMPARED = {VERDICT: _wrong_nodes, CELL_VERDICT: _wrong_cells, SPECTRAL_RADIUS: _wrong_radii}
