@@ -6,9 +6,9 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from benchmarks import record
+from benchmarks import record, table
 
-BENCHMARKS = ("boundary", "queries", "throughput", "scaling")
+BENCHMARKS = ("boundary", "queries", "throughput", "filling", "scaling", "verdicts")
 
 
 def main() -> int:
@@ -16,9 +16,9 @@ def main() -> int:
     parser.add_argument(
         "name",
         nargs="?",
-        choices=[*BENCHMARKS, "plot"],
-        help="what to measure, or plot: draw all records and print the README's table; "
-        "without a name all benchmarks",
+        choices=[*BENCHMARKS, "plot", "table"],
+        help="what to measure, or plot: draw all records and put the README's table into it, "
+        "or table: print that table; without a name all benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
     parser.add_argument("--billion", action="store_true", help="scaling goes on to 1e9 points")
@@ -26,10 +26,14 @@ def main() -> int:
         "--out", type=Path, default=record.RESULTS, help="folder of the records and plots"
     )
     choice = parser.parse_args()
+    folder = choice.out / "small" if choice.small else choice.out
+    if choice.name == "table":
+        print(table.markdown(record.read_all(folder)))
+        return 0
     if choice.name == "plot":
-        import_module("benchmarks.plots").draw_all(
-            choice.out / "small" if choice.small else choice.out
-        )
+        import_module("benchmarks.plots").draw_all(folder)
+        if folder == record.RESULTS:
+            table.put_into_readme(record.read_all(folder))
         return 0
     if choice.name is None and not choice.small:
         return _each_in_its_process(sys.argv[1:])

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from benchmarks import record
 from benchmarks.record import Record, Row
-from benchmarks.table import markdown
 
 # Okabe and Ito's colours, told apart by the colour-blind; a marker each for those who print grey.
 _STYLES = {
@@ -28,23 +27,28 @@ _STYLES = {
     "streamed verdict": ("#56B4E9", "^"),
     "traced": ("#009E73", "X"),
     "spectral_radius": ("#0072B2", "o"),
+    "spectral_radius, companion": ("#009E73", "X"),
     "closed form": ("#0072B2", "o"),
     "atlas": ("#0072B2", "o"),
+    "filled": ("#0072B2", "o"),
+    "dense": ("#56B4E9", "^"),
+    "write": ("#000000", "P"),
+    "write, new memory": ("#CC79A7", "v"),
+    "verdict, exact": ("#0072B2", "o"),
+    "python-flint roots": ("#E69F00", "s"),
 }
+
+_SHOWN = (0.0, 0.5, 1.0, 5.0, 20.0, 60.0)  # delays, where all would be too many
 _SMALLEST = 1e-17  # errors of zero are drawn here
 
 
 def draw_all(folder: Path) -> None:
-    """Draw the records of a folder, and print the table of the README."""
-    records = [record.read(path) for path in sorted(folder.glob("*.json"))]
-    if not records:
-        raise SystemExit(f"{folder} holds no records; run `python -m benchmarks` first.")
-    for one in records:
+    """Draw the records of a folder."""
+    for one in record.read_all(folder):
         figure = draw(one)
         path = record.path_of(one, folder.parent if one["small"] else folder).with_suffix(".png")
         figure.savefig(path, dpi=120)
         print(path)
-    print(markdown(records))
 
 
 def draw(one: Record) -> Figure:
@@ -116,6 +120,37 @@ def _queries(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
+def _filling(rows: list[Row]) -> Figure:
+    sections = list(dict.fromkeys(row["section"] for row in rows))
+    figure, axes = _panels(2, len(sections), "A slice of verdicts beside writing its array")
+    for column, section in zip(axes.T, sections, strict=True):
+        some = [row for row in rows if row["section"] == section]
+        _lines(column[0], some, "delay", "seconds")
+        _lines(column[1], some, "delay", "error")
+        column[0].set(yscale="log", title=f"around the {section}" if "set" in section else section)
+        column[1].set(ylim=(0.0, 1.0), xlabel="delay in samples")
+    axes[0, 0].set_ylabel(f"seconds for {rows[0]['points']:,} nodes")
+    axes[1, 0].set_ylabel("share wrong or undecided\nnext to the boundary")
+    return _with_legend(figure, axes)
+
+
+def _verdicts(rows: list[Row]) -> Figure:
+    figure, axes = _panels(1, 3, f"{_judged(rows):,} verdicts next to the boundary")
+    _lines(axes[0, 0], rows, "delay", "seconds_per_point")
+    _lines(axes[0, 1], rows, "delay", "wrong")
+    axes[0, 0].set(yscale="log", xlabel="delay in samples", ylabel="seconds per point")
+    axes[0, 1].set(ylim=(-0.05, 1.0), xlabel="delay in samples", ylabel="wrong verdicts")
+    panel = axes[0, 2]
+    prefix = "undecided_beyond_1e-"
+    some = [row for row in rows if row["method"] == "verdict" and row["delay"] in _SHOWN]
+    for row in some:
+        shares = {int(k.removeprefix(prefix)): v for k, v in row.items() if k.startswith(prefix)}
+        panel.plot([10.0**-k for k in shares], list(shares.values()), label=f"{row['delay']:g}")
+    panel.set(xscale="log", xlabel="at least this far from the boundary", ylabel="undecided")
+    panel.legend(title="delay", fontsize=8)
+    return _with_legend(figure, axes[:, :2])
+
+
 def _scaling(rows: list[Row]) -> Figure:
     figure, axes = _panels(3, 2, "Cost as work grows")
     for column, section, x in zip(axes.T, ("points", "delay"), ("points", "delay"), strict=True):
@@ -138,11 +173,17 @@ def _scaling(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
+def _judged(rows: list[Row]) -> int:
+    return sum(row["points"] for row in rows if row["method"] == "verdict")
+
+
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "boundary": _boundary,
     "queries": _queries,
     "throughput": _throughput,
+    "filling": _filling,
     "scaling": _scaling,
+    "verdicts": _verdicts,
 }
 
 

@@ -96,6 +96,14 @@ def read(path: Path) -> Record:
     return record
 
 
+def read_all(folder: Path) -> list[Record]:
+    """Return the records of a folder by the names of their files."""
+    records = [read(path) for path in sorted(folder.glob("*.json"))]
+    if not records:
+        raise SystemExit(f"{folder} holds no records; run `python -m benchmarks` first.")
+    return records
+
+
 def line(row: Row) -> str:
     """Return a row in words: time and error side by side."""
     own = (f"{k}={_short(v)}" for k, v in row.items() if k not in ROW_COLUMNS)

@@ -23,13 +23,14 @@ from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily
 from benchmarks.timing import Timing, interleaved
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.stability.wide_vectors import wide_jit
 
 GAMMA, DELTA = 1e-3, 0.015
 BAND = "largest distance from the boundary with a wrong or no verdict, relative to the region"
 RADIUS_ERROR = "largest error of the spectral radius by certified roots"
 
 _CHAINS = 8  # independent sums of the plain kernel, so that no operation waits for the one before
-_LAPACK_WORK = 3e6  # points times degree squared of one call
+_LAPACK_WORK = 2e4  # points times degree squared of one call: as short as those of jaxstab
 _PYTHON_POINTS = 200  # for rivals that take one polynomial at a time
 _EIGENVALUES_ON_ACCELERATOR = 100
 
@@ -114,6 +115,7 @@ def _methods(exact: ExactSlice, side: int) -> list[Method]:
 
     verdict = partial(_verdict, exact.delay)
     radius = partial(_radius, exact.delay)
+    companion = partial(_radius, exact.delay, method="companion")
     return [
         Method("verdict", True, side**2, partial(verdict, alpha, beta), verdict),
         Method(
@@ -122,6 +124,13 @@ def _methods(exact: ExactSlice, side: int) -> list[Method]:
             side**2,
             partial(radius, alpha, beta),
             lambda *points: np.asarray(radius(*points).value),
+        ),
+        Method(
+            "spectral_radius, companion",
+            False,
+            lapack[0].size,
+            partial(companion, *lapack),
+            lambda *points: np.asarray(companion(*points).value),
         ),
         Method(
             "numpy eigvals",
@@ -160,8 +169,10 @@ def _verdict(delay: float, alpha: np.ndarray, beta: np.ndarray) -> jax.Array:
     return jaxstab.verdict(alpha, beta, GAMMA, DELTA, delay)
 
 
-def _radius(delay: float, alpha: np.ndarray, beta: np.ndarray) -> jaxstab.SpectralRadius:
-    return jaxstab.spectral_radius(alpha, beta, GAMMA, DELTA, delay)
+def _radius(
+    delay: float, alpha: np.ndarray, beta: np.ndarray, method: str = "fast"
+) -> jaxstab.SpectralRadius:
+    return jaxstab.spectral_radius(alpha, beta, GAMMA, DELTA, delay, method=method)
 
 
 _jax_eigenvalues = jax.jit(jnp.linalg.eigvals)
@@ -237,10 +248,16 @@ def _ratios(
     def times(rival: str) -> float:
         return timings[rival].median / methods[rival].points / per_point
 
+    def cpu_times(rival: str) -> float:
+        cpu = [float(np.median(timings[name].cpu_seconds)) for name in (rival, method.name)]
+        return cpu[0] / methods[rival].points / (cpu[1] / method.points)
+
     memory = timings["write int8" if method.is_verdict else "write float64"].median / points
     ratios: dict[str, Any] = {
         "times_numpy_eigvals": times("numpy eigvals"),
         "times_jax_eigvals": times("jax eigvals"),
+        "cpu_times_numpy_eigvals": cpu_times("numpy eigvals"),
+        "cpu_times_jax_eigvals": cpu_times("jax eigvals"),
         "memory_writes": per_point / memory,
     }
     if method.is_verdict:
@@ -270,7 +287,7 @@ def _plain_kernel(operations: float) -> Callable[[jax.Array, jax.Array], jax.Arr
     """Return a kernel of so many multiplications and additions per point and nothing else."""
     steps = max(round(operations / 2.0 / _CHAINS), 1)
 
-    @jax.jit
+    @wide_jit
     def kernel(x: jax.Array, y: jax.Array) -> jax.Array:
         chains = [x + chain for chain in range(_CHAINS)]
         for _ in range(steps):

@@ -1,20 +1,34 @@
-"""Time rivals in turns, one call of each per round: all see the same state of the machine."""
+"""Time rivals in turns: all see the same state of the machine.
+
+A turn of a quick rival is as many calls as fill ``_TURN``, and counts with their median: one call
+alone would mostly time how the interpreter comes back into the cache. The first is kept apart.
+Where others use the machine, too, long calls wait for them and short ones do not: ``cpu_seconds``,
+the mean of a turn over all threads, does not count that.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import jax
 import numpy as np
 
+_TURN = 0.02  # seconds
+
 
 @dataclass
 class Timing:
-    """Run times of one rival in seconds, and the answer of its first call."""
+    """Run times of one rival in seconds, and the answer of its first call.
+
+    ``seconds`` has the median of each turn's calls, ``first_seconds`` the first call of each turn,
+    ``cpu_seconds`` the mean time of all threads.
+    """
 
     answer: Any
     seconds: list[float] = field(default_factory=list)
+    first_seconds: list[float] = field(default_factory=list)
+    cpu_seconds: list[float] = field(default_factory=list)
 
     @property
     def median(self) -> float:
@@ -26,6 +40,8 @@ class Timing:
         return {
             "seconds": self.median,
             "seconds_quartiles": [float(low), float(high)],
+            "seconds_after_others": float(np.median(self.first_seconds)),
+            "cpu_seconds": float(np.median(self.cpu_seconds)),
             "repeats": len(self.seconds),
         }
 
@@ -42,13 +58,26 @@ def interleaved(
         most: most turns of a rival.
     """
     timings = {name: Timing(jax.block_until_ready(call())) for name, call in calls.items()}
-    active = set(calls)
+    active, spent = set(calls), dict.fromkeys(calls, 0.0)
     while active:
         for name in [name for name in calls if name in active]:
-            start = perf_counter()
-            jax.block_until_ready(calls[name]())
-            taken = timings[name].seconds
-            taken.append(perf_counter() - start)
-            if len(taken) >= most or (len(taken) >= least and sum(taken) > budget):
+            timing, start = timings[name], process_time()
+            turn = _turn(calls[name])
+            timing.cpu_seconds.append((process_time() - start) / len(turn))
+            timing.first_seconds.append(turn[0])
+            timing.seconds.append(float(np.median(turn)))
+            spent[name] += sum(turn)
+            turns = len(timing.seconds)
+            if turns >= most or (turns >= least and spent[name] > budget):
                 active.remove(name)
     return timings
+
+
+def _turn(call: Callable[[], Any]) -> list[float]:
+    """Return the seconds of each call of one turn."""
+    taken: list[float] = []
+    while sum(taken) < _TURN:
+        start = perf_counter()
+        jax.block_until_ready(call())
+        taken.append(perf_counter() - start)
+    return taken

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMES = ("boundary", "queries", "throughput", "scaling")
+NAMES = ("boundary", "queries", "throughput", "filling", "scaling", "verdicts")
 
 # Compiled quickly rather than well: the compiler is most of what a small run costs.
 QUICK = {"XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"}
@@ -133,6 +133,13 @@ def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, An
     assert {row["wrong"] for row in rows("throughput", method="verdict")} == {0}
     assert {row["wrong"] for row in rows("queries", method="atlas")} == {0}
     assert {row["error"] for row in rows("scaling", method="streamed verdict")} == {0}
+    assert {row["wrong"] for row in rows("verdicts")} == {0}
+
+
+def test_a_filled_slice_is_that_of_its_nodes(rows: Callable[..., list[dict[str, Any]]]) -> None:
+    for row in rows("filling", method="filled"):
+        assert row["differing"] == row["error"] == 0
+        assert row["evaluated"] < row["points"] / 10
 
 
 def test_memory_is_measured_before_and_after_the_work(
@@ -143,12 +150,17 @@ def test_memory_is_measured_before_and_after_the_work(
 
 
 def test_plots_and_table_are_made_of_the_records(out: Path) -> None:
-    printed = run_benchmarks("plot", "--small", "--out", str(out.parent))
+    run_benchmarks("plot", "--small", "--out", str(out.parent))
     for path in out.glob("*.json"):
         assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    printed = run_benchmarks("table", "--small", "--out", str(out.parent))
     table = [line for line in printed.splitlines() if line.startswith("|")]
     assert len(table) > 10
     assert len({line.count("|") for line in table}) == 1
+
+
+def test_the_readme_has_the_table_of_the_records() -> None:
+    assert run_benchmarks("table") in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_a_plot_of_nothing_says_what_to_run_first(tmp_path: Path) -> None:
