@@ -56,9 +56,9 @@ def write_small(folder: Path) -> Path:
     return path
 
 
-def edited(edit: Callable[[h5py.File], None]) -> bytes:
-    """The small atlas after an edit, with the right footer."""
-    with h5py.File.in_memory(small_image()) as opened:
+def edited(edit: Callable[[h5py.File], None], image: bytes | None = None) -> bytes:
+    """The small atlas, or another one, after an edit, with the right footer."""
+    with h5py.File.in_memory(image or small_image()) as opened:
         edit(opened)
         opened.flush()
         return footer.sealed(bytes(opened.id.get_file_image()))
