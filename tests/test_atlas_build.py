@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ TINY = AtlasSpec(
     products=["verdict"],
 )  # fmt: skip
 FORMER = b"the former file"
+KILLS = Path(__file__).with_name("killed_builds.py")
 
 
 @pytest.fixture(scope="module")
@@ -83,37 +84,7 @@ def stop_after(count: int) -> Callable[[int, int], None]:
     return tell
 
 
-# ------------------------------------------------------------------------------------ one same file
-
-
-class LastFirst(Executor):
-    """Runs what was submitted last, first, and only when it must."""
-
-    def __init__(self) -> None:
-        self.waiting: list[tuple[Future[Any], Callable[[], Any]]] = []
-
-    def submit(self, call: Callable[..., Any], /, *given: Any, **options: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        self.waiting.append((future, lambda: call(*given, **options)))
-        threading.Timer(0.01, self.run).start()
-        return future
-
-    def run(self) -> None:
-        future, call = self.waiting.pop()
-        if future.set_running_or_notify_cancel():
-            try:
-                future.set_result(call())
-            except (ValueError, RuntimeError) as error:
-                future.set_exception(error)
-
-
-def test_the_bytes_do_not_depend_on_who_computed_the_tiles_and_when(tmp_path: Path) -> None:
-    path, found = tmp_path / "a.h5", set()
-    for executor in (None, LastFirst(), ThreadPoolExecutor(3)):
-        write_atlas(TINY, path, executor=executor)
-        found.add(path.read_bytes())
-    assert len(found) == 1
-    assert entries(tmp_path) == ["a.h5"]
+# ----------------------------------------------------------------------------------------- going on
 
 
 @pytest.mark.parametrize("done", [0, 1, 3, 4])
@@ -348,53 +319,13 @@ def test_after_a_death_at_any_call_there_is_the_old_file_or_the_new_one_and_a_bu
     assert found == {FORMER, whole}
 
 
-CAMPAIGN = """
-import os, pickle, random, sys, time
-from pathlib import Path
-from jaxstab import AtlasSpec, write_atlas
-from jaxstab.atlas import build
-
-spec, key, images, whole = pickle.load(sys.stdin.buffer)
-path, kills = Path(sys.argv[1]), int(sys.argv[2])
-former = b"the former file"
-
-def tile_images(plan, tiles, *_):
-    for tile in tiles:
-        time.sleep(0.001)
-        yield tile, images[tile]
-
-build.build_key, build.tile_images = (lambda *_: key), tile_images
-start = time.perf_counter()
-write_atlas(spec, path)
-takes = time.perf_counter() - start
-chance = random.Random(20120412)
-found = {former: 0, whole: 0}
-path.write_bytes(former)
-for _ in range(kills):
-    child = os.fork()
-    if child == 0:
-        write_atlas(spec, path)
-        os._exit(0)
-    time.sleep(chance.uniform(0.0, 1.5 * takes))
-    os.kill(child, 9)
-    os.waitpid(child, 0)
-    found[path.read_bytes()] += 1
-    if path.read_bytes() == whole:
-        path.write_bytes(former)
-write_atlas(spec, path)
-assert path.read_bytes() == whole
-assert os.listdir(path.parent) == [path.name], os.listdir(path.parent)
-print(*found.values())
-"""
-
-
 @pytest.mark.usefixtures("computed")
 def test_kill_9_at_any_time_leaves_the_old_file_or_the_new_one(
     whole: bytes, images: dict[Tile, bytes], tmp_path: Path
 ) -> None:
     kills = int(os.environ.get("JAXSTAB_KILLS", "60"))
     campaign = subprocess.run(
-        [sys.executable, "-c", CAMPAIGN, str(tmp_path / "a.h5"), str(kills)],
+        [sys.executable, str(KILLS), str(tmp_path / "a.h5"), str(kills)],
         input=pickle.dumps((TINY, KEY, images, whole)),
         env=os.environ | {"JAX_ENABLE_X64": "1"},
         capture_output=True,

@@ -6,9 +6,12 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,6 +46,37 @@ def when_done(count: int, deed: Callable[[], object]) -> Callable[[int, int], No
 def kill(process: int | None) -> None:
     assert process is not None
     os.kill(process, signal.SIGKILL)
+
+
+class LastFirst(Executor):
+    """Runs what was submitted last, first, and only when it must."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[Future[Any], Callable[[], Any]]] = []
+
+    def submit(self, call: Callable[..., Any], /, *given: Any, **options: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.waiting.append((future, lambda: call(*given, **options)))
+        threading.Timer(0.01, self.run).start()
+        return future
+
+    def run(self) -> None:
+        future, call = self.waiting.pop()
+        if future.set_running_or_notify_cancel():
+            try:
+                future.set_result(call())
+            except (ValueError, RuntimeError) as error:
+                future.set_exception(error)
+
+
+def test_the_bytes_do_not_depend_on_who_computed_the_tiles_and_when(
+    serial: bytes, tmp_path: Path
+) -> None:
+    path, found = tmp_path / "a.h5", set[bytes]()
+    for executor in (LastFirst(), ThreadPoolExecutor(3)):
+        write_atlas(SPEC, path, executor=executor)
+        found.add(path.read_bytes())
+    assert found == {serial}
 
 
 def test_a_worker_process_that_dies_is_told_and_the_next_build_goes_on(
