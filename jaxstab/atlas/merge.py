@@ -84,10 +84,7 @@ def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArra
 
 
 def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str, int]:
-    """Return how long all tiles together are along the dimensions that the grid does not have.
-
-    Where they hold nothing at all, one place is left, which has a zero: HDF5 has no empty chunks.
-    """
+    """Return how long all tiles together are along the dimensions that the grid does not have."""
     flat = [
         n for n in names if not (plan.is_gridded(n) or VARIABLES[n].is_axis or n == schema.SPEC)
     ]
@@ -98,7 +95,7 @@ def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str,
                 VARIABLES[name].dimensions[0]: image[name].size for name in flat if name in image
             }
         lengths |= {dimension: lengths[dimension] + size for dimension, size in sizes.items()}
-    return {dimension: max(length, 1) for dimension, length in lengths.items()}
+    return lengths
 
 
 _Digests = dict[str, dict[tuple[int, ...], str]]
@@ -109,8 +106,7 @@ def _copy_tiles(
 ) -> _Digests:
     """Copy the chunks of gridded variables, and string the others together in the tiles' order."""
     digests: _Digests = {}
-    filled = {n: 0 for n, d in datasets.items() if not (plan.is_gridded(n) or d.is_scale)}
-    filled.pop(schema.SPEC)
+    filled = dict.fromkeys(datasets, 0)
     for tile in plan.tiles:
         with shards.opened(tile) as image:
             for name, part in image.items():
@@ -124,8 +120,6 @@ def _copy_tiles(
                     datasets[name][filled[name] : filled[name] + part.size] = part[()]
                     filled[name] += part.size
         stream.check()
-    for name in (name for name, count in filled.items() if count == 0):
-        datasets[name][...] = 0
     return digests
 
 
