@@ -53,6 +53,9 @@ class Margins(NamedTuple):
 def margins(loop: HapticLoop, stiffness: float, damping: float) -> Margins:
     """Return how far stiffness, damping and delay of a loop at a wall may change, each alone.
 
+    The boxes of the proof depend on the wall, so this is for one wall at a time, without vmap or
+    derivatives. How the edge itself moves follows from ``boundary_curve``, which has both.
+
     Args:
         loop: device, hand, sample time and delay.
         stiffness: K of the wall in N/m.

@@ -69,6 +69,9 @@ def optimal_gains(
 ) -> OptimalWall:
     """Return the wall (K, B) that comes to rest fastest, or the best B for a given K.
 
+    A search for one loop, without vmap or derivatives; ``least_radius`` has both over gamma and
+    delta.
+
     Args:
         loop: device, hand, sample time and delay.
         goal: "radius", the smallest spectral radius, or "settling", the smallest settling time.

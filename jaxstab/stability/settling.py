@@ -128,6 +128,8 @@ def settling_time(
     """Return the time in s until the position stays within a band around its final value.
 
     It is ``settling_samples`` times the sample time; see there for the band and the excitations.
+    Goes through vmap. A count of samples jumps between constants, so its derivative means nothing:
+    that of ``spectral_radius`` tells how the decay changes.
 
     Args:
         loop: device, hand, sample time and delay.
