@@ -106,7 +106,8 @@ def spectral_radius(
         radius = _fast_radius(*arguments)
     else:
         radius = over_grid(_radius, *arguments)
-    return _believed(radius, jnp.asarray(gamma), jnp.asarray(delta))
+    believed: SpectralRadius = _believed(radius, jnp.asarray(gamma), jnp.asarray(delta))
+    return believed
 
 
 def is_stable(
