@@ -1,11 +1,11 @@
-from .atlas import Atlas as Atlas
 from .atlas import AlphaLimits as AlphaLimits
+from .atlas import Atlas as Atlas
 from .atlas import AtlasAnswer as AtlasAnswer
 from .atlas import AtlasOutline as AtlasOutline
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FittedAxis as FittedAxis
-from .atlas import Plan as Plan
 from .atlas import MaxAlpha as MaxAlpha
+from .atlas import Plan as Plan
 from .atlas import QueryStatus as QueryStatus
 from .atlas import ToleranceAxis as ToleranceAxis
 from .atlas import build_atlas as build_atlas
