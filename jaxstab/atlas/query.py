@@ -27,6 +27,7 @@ from jaxstab.atlas.answer import (
 from jaxstab.atlas.limits import AlphaLimits, LimitTable, MaxAlpha
 from jaxstab.atlas.outline import AtlasOutline, outline_at
 from jaxstab.atlas.place import Place
+from jaxstab.atlas.xarray_view import to_xarray
 from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
 
 Floats = NDArray[np.float64]
@@ -74,6 +75,10 @@ class Atlas:
             "gamma": self.arrays["gamma"],
             "delta": self.arrays["delta"],
         }
+
+    def to_xarray(self) -> Any:
+        """Return all of it as an xarray.Dataset; RuntimeError where xarray is not installed."""
+        return to_xarray(self.arrays, self.created_by)
 
     def decided_fraction(self, delay_number: int) -> float:
         """Return the share of the volume at one delay in which a query between nodes is decided."""

@@ -27,7 +27,12 @@ _LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
 
 def write_head(file: h5py.File, created_by: str) -> None:
     """Write what the file says of itself."""
-    words = {
+    _write_attributes(file, head_attributes(created_by))
+
+
+def head_attributes(created_by: str) -> dict[str, Any]:
+    """Return what a file says of itself, but for the digest of its values."""
+    return {
         "format": schema.FORMAT,
         "title": "Stability of a haptic rendering loop over its dimensionless parameters",
         "created_by": created_by,
@@ -35,14 +40,13 @@ def write_head(file: h5py.File, created_by: str) -> None:
         "symbols": "K, B stiffness and damping of the virtual wall; m, b, k mass, damping and "
         "stiffness of device and hand; T sampling period, t_d delay",
         "Conventions": "CF-1.8",
+        "schema_version": np.int32(schema.SCHEMA_VERSION),
     }
-    _write_words(file, words)
-    file.attrs["schema_version"] = np.int32(schema.SCHEMA_VERSION)
 
 
 def write_content_digest(file: h5py.File, digest: str) -> None:
     """Write the digest of all values, for those who compare files of two machines."""
-    _write_words(file, {"content_sha256": digest})
+    _write_attributes(file, {"content_sha256": digest})
 
 
 def write_variable(file: h5py.File, variable: Variable, values: NDArray[Any]) -> h5py.Dataset:
@@ -73,15 +77,7 @@ def create_variable(
     dataset = file.create_dataset(
         variable.name, tuple(shape), dtype.newbyteorder("<"), chunks=tuple(chunk), **FILTERS
     )
-    words = {"long_name": variable.long_name, "interpretation": variable.interpretation}
-    if variable.dtype.startswith("float"):
-        words["units"] = "1"
-    if len(variable.dimensions) == len(schema.NODE) and "alpha_node" in variable.dimensions:
-        words["coordinates"] = "alpha beta"
-    _write_words(dataset, words)
-    if variable.holds_verdicts:
-        dataset.attrs["flag_values"] = np.array(schema.FLAG_VALUES, np.int8)
-        _write_words(dataset, {"flag_meanings": schema.FLAG_MEANINGS})
+    _write_attributes(dataset, attributes_of(variable))
     if variable.is_axis:
         dataset.make_scale(variable.name)
     else:
@@ -90,6 +86,22 @@ def create_variable(
     return dataset
 
 
-def _write_words(to: h5py.File | h5py.Dataset, words: Mapping[str, str]) -> None:
-    for name, text in words.items():
-        to.attrs[name] = np.bytes_(text.encode("utf-8"))
+def attributes_of(variable: Variable) -> dict[str, Any]:
+    """Return what a dataset says of itself."""
+    attributes: dict[str, Any] = {
+        "long_name": variable.long_name,
+        "interpretation": variable.interpretation,
+    }
+    if variable.dtype.startswith("float"):
+        attributes["units"] = "1"
+    if len(variable.dimensions) == len(schema.NODE) and "alpha_node" in variable.dimensions:
+        attributes["coordinates"] = "alpha beta"
+    if variable.holds_verdicts:
+        attributes["flag_values"] = np.array(schema.FLAG_VALUES, np.int8)
+        attributes["flag_meanings"] = schema.FLAG_MEANINGS
+    return attributes
+
+
+def _write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]) -> None:
+    for name, value in attributes.items():
+        to.attrs[name] = np.bytes_(value.encode("utf-8")) if isinstance(value, str) else value

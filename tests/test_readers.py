@@ -1,0 +1,271 @@
+"""The readers in data/readers, and xarray, answer as Python does: on the atlas in data/golden."""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import h5py
+import numpy as np
+import pytest
+import truth
+
+from jaxstab import STABLE, UNDECIDED, UNSTABLE, Atlas, AtlasSpec, QueryStatus, open_atlas
+from jaxstab.atlas import footer
+from jaxstab.atlas.digest import content_digest, digest_of
+from jaxstab.atlas.file import checked_datasets, opened, text_of
+from jaxstab.atlas.schema import SLICE
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+GOLDEN = DATA / "golden" / "atlas-v2.h5"
+OUTSIDE = -1
+CASES = 500  # points of each kind at each delay
+NO_NUMBER = (np.nan, np.inf, -np.inf, 1e300, -1e300)
+
+
+class Answers(NamedTuple):
+    """What a reader says about points: a code, and the limits of alpha with their errors."""
+
+    codes: np.ndarray
+    limits: np.ndarray  # (point, 4)
+
+
+@pytest.fixture(scope="module")
+def atlas() -> Atlas:
+    return open_atlas(GOLDEN)
+
+
+@pytest.fixture(scope="module")
+def points(atlas: Atlas) -> np.ndarray:
+    """Points of all kinds, (point, 5): inside, on edges and limits, outside, and no points."""
+    rng = np.random.default_rng(20120412)
+    kinds = []
+    for number, delay in enumerate(atlas.delays):
+        nodes = list(atlas.nodes(number).values())
+        cells = atlas.arrays["limit_cell"].size
+        edges = [nodes[0], np.linspace(nodes[1][0], nodes[1][-1], cells + 1), *nodes[2:]]
+        inside = np.stack([rng.uniform(axis[0], axis[-1], CASES) for axis in nodes], axis=1)
+        on_edges = np.stack([rng.choice(axis, CASES) for axis in edges], axis=1)
+        on_limits = inside.copy()
+        at = atlas.alpha_limits(*inside.T[1:], delay)
+        on_limits[: CASES // 2, 0] = (at.lower + at.lower_error)[: CASES // 2]
+        on_limits[CASES // 2 :, 0] = (at.upper - at.upper_error)[CASES // 2 :]
+        on_limits = on_limits[np.isfinite(on_limits[:, 0])]
+        beyond = inside.copy()
+        row, column = np.arange(CASES), rng.integers(4, size=CASES)
+        beyond[row, column] = [
+            rng.choice([np.nextafter(axis[0], -np.inf), np.nextafter(axis[-1], np.inf), *NO_NUMBER])
+            for axis in (nodes[i] for i in column)
+        ]
+        kinds += [
+            np.insert(kind, 4, delay, axis=1) for kind in (inside, on_edges, on_limits, beyond)
+        ]
+    elsewhen = kinds[0].copy()
+    elsewhen[:, 4] = rng.choice([-1.0, -0.0, 0.5, np.nextafter(1.0, 2.0), 7.0, *NO_NUMBER], CASES)
+    return np.concatenate([*kinds, elsewhen])
+
+
+@pytest.fixture(scope="module")
+def expected(atlas: Atlas, points: np.ndarray) -> Answers:
+    """What Python says; it refuses to answer for what is outside."""
+    answers = Answers(
+        np.full(len(points), OUTSIDE), np.tile([np.nan, np.inf, np.nan, np.inf], (len(points), 1))
+    )
+    for place, (alpha, *hand) in enumerate(points.tolist()):
+        try:
+            at = atlas.alpha_limits(*hand)
+            answers.limits[place] = [at.lower, at.lower_error, at.upper, at.upper_error]
+            answers.codes[place] = atlas.verdict(alpha, *hand)
+        except ValueError:
+            continue
+    return answers
+
+
+def test_the_points_are_of_all_kinds(expected: Answers) -> None:
+    lower, _, upper, _ = expected.limits[expected.codes != OUTSIDE].T
+    assert np.isnan(lower).sum() > 50  # no alpha is stable
+    assert np.isinf(upper).sum() > 50  # the limit is beyond the atlas
+    for code in (OUTSIDE, STABLE, UNSTABLE, UNDECIDED):
+        assert np.mean(expected.codes == code) > 0.04
+
+
+def test_the_golden_atlas_is_read_today(atlas: Atlas, rng: np.random.Generator) -> None:
+    assert AtlasSpec.from_toml(atlas.spec) == AtlasSpec.from_file(GOLDEN.with_suffix(".toml"))
+    with opened(GOLDEN) as file:
+        values = [digest_of(name, data) for name, data in checked_datasets(file).items()]
+        assert content_digest(values) == text_of(file, "content_sha256")
+    for delay in atlas.delays.tolist():
+        nodes = atlas.nodes(atlas.delays.tolist().index(delay)).values()
+        for _ in range(8):
+            point = (*(float(rng.uniform(axis[0], axis[-1])) for axis in nodes), delay)
+            answer = atlas.query(*point)
+            radius, _ = truth.spectral_radius(*point)
+            assert abs(answer.spectral_radius - radius) <= answer.radius_error
+            if answer.verdict != UNDECIDED:
+                assert (answer.verdict == STABLE) == (radius < 1)
+
+
+def run(*words: str | Path, points: np.ndarray | None = None) -> subprocess.CompletedProcess[str]:
+    given = "" if points is None else "\n".join(" ".join(map(repr, p)) for p in points.tolist())
+    return subprocess.run([*map(str, words)], input=given, capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example program in C."""
+    compiler, config = shutil.which("cc") or shutil.which("gcc"), shutil.which("pkg-config")
+    flags = run(config, "--cflags", "--libs", "hdf5") if config else None
+    if compiler is None or flags is None or flags.returncode:
+        pytest.skip("there is no C compiler, or pkg-config does not know libhdf5")
+    program = tmp_path_factory.mktemp("c") / "jaxstab_query"
+    source = DATA / "readers" / "c" / "jaxstab_query.c"
+    options = ["-std=c99", "-pedantic-errors", "-O2", source, *flags.stdout.split(), "-o", program]
+    compiled = run(compiler, *options)
+    assert compiled.returncode == 0, compiled.stderr
+    return program
+
+
+def test_c_answers_as_python_does(program: Path, points: np.ndarray, expected: Answers) -> None:
+    codes = run(program, GOLDEN, points=points)
+    np.testing.assert_array_equal(np.fromstring(codes.stdout, int, sep=" "), expected.codes)
+    limits = run(program, GOLDEN, "--limits", points=points[:, 1:])
+    said = np.array(limits.stdout.split(), float).reshape(-1, 4)
+    np.testing.assert_array_equal(said, expected.limits)
+
+
+def test_c_tells_its_speed_and_what_is_wrong(program: Path, tmp_path: Path) -> None:
+    assert "ns a query" in run(program, GOLDEN, "--bench").stdout
+    assert run(program, GOLDEN, "--fast").returncode == 2
+    assert run(program, GOLDEN, points=np.array([[0.1, 0.2, 0.3]])).returncode == 2
+    for path, words in refused_files(tmp_path):
+        answer = run(program, path)
+        assert (answer.returncode, answer.stdout) == (1, "")
+        assert answer.stderr.startswith(f"{path} {words}")
+
+
+def test_c_refuses_every_change_of_the_file(
+    program: Path, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    whole = GOLDEN.read_bytes()
+    damaged = tmp_path / "damaged.h5"
+    for place in rng.integers(len(whole), size=30).tolist():
+        bit = 1 << int(rng.integers(8))
+        damaged.write_bytes(whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :])
+        assert run(program, damaged).returncode == 1
+
+
+def refused_files(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Yield files that no reader may take for an atlas, and the words of the refusal."""
+    whole = GOLDEN.read_bytes()
+    damage = "is damaged, or no jaxstab atlas"
+    yield folder / "missing.h5", "cannot be read"
+    for name, data, words in (
+        ("empty", b"", damage),
+        ("truncated", whole[:-1], damage),
+        ("without-footer", whole[:-48], damage),
+        ("no-hdf5", footer.sealed(bytes(1000)), damage),
+        ("newer", edited(set_version(3)), "has a schema version other than 2"),
+        ("older", edited(set_version(1)), "has a schema version other than 2"),
+        ("without-limits", edited(lambda f: f.pop("alpha_limits")), "holds no limits of alpha"),
+        ("without-gamma", edited(lambda f: f.pop("gamma")), damage),
+    ):
+        path = folder / f"{name}.h5"
+        path.write_bytes(data)
+        yield path, words
+
+
+def edited(edit: Callable[[h5py.File], object]) -> bytes:
+    """The golden atlas after an edit, with the right footer."""
+    image = footer.image_of(GOLDEN.read_bytes())
+    assert image is not None
+    with h5py.File.in_memory(image) as file:
+        edit(file)
+        file.flush()
+        return footer.sealed(bytes(file.id.get_file_image()))
+
+
+def set_version(number: int) -> Callable[[h5py.File], None]:
+    return lambda file: file.attrs.modify("schema_version", np.int32(number))
+
+
+def octave(script: str) -> str:
+    program = shutil.which("octave-cli")
+    if program is None:
+        pytest.skip("Octave is not installed")
+    path = f"addpath('{DATA / 'readers' / 'octave'}');"
+    words = [program, "--no-gui", "--norc", "--quiet", "--eval", path + script]
+    done = subprocess.run(words, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_octave_answers_as_python_does(
+    tmp_path: Path, points: np.ndarray, expected: Answers
+) -> None:
+    points.astype("<f8").tofile(tmp_path / "points")
+    octave(f"""
+        atlas = jaxstab_query('{GOLDEN}');
+        p = fread(fopen('{tmp_path}/points'), [5, Inf], 'double', 'ieee-le');
+        [code, low, low_error, high, high_error] = ...
+            jaxstab_query(atlas, p(1, :), p(2, :), p(3, :), p(4, :), p(5, :));
+        fwrite(fopen('{tmp_path}/answers', 'w'), [code; low; low_error; high; high_error], ...
+               'double', 'ieee-le');
+        """)
+    answers = np.fromfile(tmp_path / "answers", "<f8").reshape(-1, 5)
+    np.testing.assert_array_equal(answers[:, 0], expected.codes)
+    np.testing.assert_array_equal(answers[:, 1:], expected.limits)
+
+
+def test_octave_keeps_the_shape_of_points_and_says_what_is_wrong(tmp_path: Path) -> None:
+    files = dict(refused_files(tmp_path))
+    listed = ", ".join(f"'{path}'" for path in files)
+    said = octave(f"""
+        atlas = jaxstab_query('{GOLDEN}');
+        disp(size(jaxstab_query(atlas, zeros(2, 3), 0.3, 0.0, 0.0, 1)));
+        for file = {{{listed}}}
+          try
+            jaxstab_query(file{{1}});
+          catch problem
+            disp(problem.message);
+          end
+        end
+        """).splitlines()
+    assert said[0].split() == ["2", "3"]
+    for line, (path, words) in zip(said[1:], files.items(), strict=True):
+        assert words in line
+        assert str(path) in line
+
+
+def test_xarray_finds_named_coordinates(atlas: Atlas) -> None:
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    with xarray.open_dataset(GOLDEN, engine="h5netcdf") as dataset:
+        assert {"alpha", "beta", "gamma", "delta", "delay"} <= set(dataset.coords)
+        assert set(dataset.data_vars) == set(atlas.arrays) - set(dataset.coords)
+        for gamma, delta, delay in product(*(atlas.arrays[n].tolist() for n in SLICE)):
+            plane = dataset.sel(gamma=gamma, delta=delta, delay=delay)
+            gains = np.broadcast_arrays(*xarray.broadcast(plane.alpha, plane.beta))
+            answer = atlas.query(*gains, gamma, delta, delay)
+            assert np.all(answer.status == QueryStatus.NODE)
+            np.testing.assert_array_equal(answer.spectral_radius, plane.spectral_radius)
+            np.testing.assert_array_equal(answer.radius_error, plane.spectral_radius_error)
+            decided = np.asarray(plane.verdict != UNDECIDED)
+            np.testing.assert_array_equal(answer.verdict[decided], plane.verdict.data[decided])
+        assert dataset.verdict.attrs["flag_meanings"].split()[STABLE] == "stable"
+
+
+def test_an_atlas_in_memory_is_the_same_dataset(atlas: Atlas) -> None:
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    with xarray.open_dataset(GOLDEN, engine="h5netcdf") as dataset:
+        del dataset.attrs["content_sha256"]
+        xarray.testing.assert_identical(atlas.to_xarray(), dataset)
+
+
+def test_without_xarray_the_remedy_is_told(atlas: Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(RuntimeError, match=r"pip install 'jaxstab\[xarray\]'"):
+        atlas.to_xarray()
