@@ -297,8 +297,9 @@ def _outside(name: str, value: float, low: float, high: float, unit: str) -> str
 
 
 def _sentence(error: ValidationError) -> str:
-    """Return the first error with its key, its value and what is allowed."""
-    first = error.errors()[0]
+    """Return one error with its key, its value and what is allowed: a misspelt key before all."""
+    errors = error.errors()
+    first = next((one for one in errors if one["type"] == "extra_forbidden"), errors[0])
     path = [str(part) for part in first["loc"]]
     where = ".".join(path)
     if first["type"] == "extra_forbidden":

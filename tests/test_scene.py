@@ -72,7 +72,8 @@ def test_a_preset_gives_what_the_table_does_not() -> None:
     [
         ("device.mas", 1.0, "device.mas is unknown; did you mean 'mass'?"),
         ("contoller", {}, "contoller is unknown; did you mean 'controller'?"),
-        ("walls.a.stifness", 1.0, "walls.a.stiffness is missing; give it a value."),
+        ("walls.a.stiffness", 1.0, "walls.a.damping is missing; give it a value."),
+        ("walls.a.stifness", 1.0, "walls.a.stifness is unknown; did you mean 'stiffness'?"),
         (
             "walls.a",
             {"stiffness": 1.0, "damping": 1.0, "stifness": 2.0},
