@@ -17,7 +17,7 @@ from jaxstab import STABLE, UNDECIDED, UNSTABLE, Atlas, AtlasSpec, QueryStatus, 
 from jaxstab.atlas import footer
 from jaxstab.atlas.digest import content_digest, digest_of
 from jaxstab.atlas.file import checked_datasets, opened, text_of
-from jaxstab.atlas.schema import SLICE
+from jaxstab.atlas.schema import SCHEMA_VERSION, SLICE, VARIABLES
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 GOLDEN = DATA / "golden" / "atlas-v2.h5"
@@ -106,6 +106,14 @@ def test_the_golden_atlas_is_read_today(atlas: Atlas, rng: np.random.Generator) 
             assert abs(answer.spectral_radius - radius) <= answer.radius_error
             if answer.verdict != UNDECIDED:
                 assert (answer.verdict == STABLE) == (radius < 1)
+
+
+def test_the_page_of_the_format_names_everything() -> None:
+    page = (DATA / "README.md").read_text(encoding="utf-8")
+    assert f"This is schema version {SCHEMA_VERSION};" in page
+    assert [name for name in VARIABLES if f"`{name}`" not in page] == []
+    with opened(GOLDEN) as file:
+        assert [name for name in file.attrs if f"`{name}`" not in page] == []
 
 
 def run(*words: str | Path, points: np.ndarray | None = None) -> subprocess.CompletedProcess[str]:
