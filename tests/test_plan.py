@@ -1,5 +1,6 @@
 """What is not computed equals what dense computation gives, bit for bit; the plan says why."""
 
+from itertools import product
 from typing import NamedTuple
 
 import flint
@@ -95,6 +96,19 @@ def test_filled_slices_equal_dense_ones_bit_for_bit(
         np.testing.assert_array_equal(filled, dense(of), err_msg=str(of[2:]))
     # Only where a root stays at -1 for all gains are there no samples to go by.
     assert all(of.gamma == np.pi**2 and of.delta == 0.0 for of in given_up)
+
+
+@pytest.mark.parametrize("delay", [0.0, 2.0])
+def test_a_curve_that_runs_to_infinity_leaves_vertices_for_its_way_past_coarse_grids(
+    delay: float,
+) -> None:
+    """Without spring and damper N(-1) is 0, so the last step of the curve has no end."""
+    for alphas, betas, top in product((6, 9, 14), (7, 8, 9, 14), (0.2, 0.4, 0.6)):
+        nodes = np.linspace(-0.01, top, alphas), np.linspace(-0.0764743, 2.0779526, betas)
+        of = Slice(*nodes, 0.0, 0.0, delay)
+        filling = plan_filling(of)
+        np.testing.assert_array_equal(filling.codes(), dense(of))
+        assert filling.near.size < 3
 
 
 @pytest.mark.parametrize("delay", [0.0, 3.0, 20.0, 59.5])

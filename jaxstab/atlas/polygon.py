@@ -41,6 +41,7 @@ _GAP = 0.01  # wanted, in node distances, inside of the grid
 _GAP_SHARE = 0.02  # and as a share of the distance that a chord, made longer, keeps from it
 _CHORD_SHARE = 0.2  # of the distance from the grid: such a chord needs no more than that
 _FEWEST_PARTS = 0.02
+_MOST_PARTS = 256.0  # of one step, so that one to infinity leaves vertices for the others
 _ROUNDING_OF_LINES = 1e-15
 _FARTHEST = 1e100  # squares stay finite
 _ROUNDING = 1e-10  # of the gains: more than the closed form and the verdict leave open
@@ -156,7 +157,8 @@ def _refined(angles: Floats, x: Floats, y: Floats, frame: Frame) -> Floats:
     wanted = _GAP + _GAP_SHARE * np.maximum(aside / chord, 0.0)
     distance = np.maximum(np.maximum(np.abs(off_x) - half_x, np.abs(off_y) - half_y), 1e-300)
     parts = np.minimum(np.sqrt(_gaps(x, y) / wanted), chord / (_CHORD_SHARE * distance))
-    passed = np.cumsum(np.maximum(parts[:-1], parts[1:]) + _FEWEST_PARTS)
+    parts = np.minimum(np.maximum(parts[:-1], parts[1:]), _MOST_PARTS)
+    passed = np.cumsum(parts + _FEWEST_PARTS)
     passed = np.concatenate([[0.0], passed])
     count = ceil(np.clip(passed[-1], *_VERTICES))
     refined: Floats = np.interp(np.linspace(0.0, passed[-1], count), passed, angles)
