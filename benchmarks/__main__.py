@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmarks import record, table
 
-BENCHMARKS = ("boundary", "queries", "throughput", "filling", "scaling", "verdicts")
+BENCHMARKS = ("boundary", "queries", "throughput", "filling", "scaling", "verdicts", "stress")
 
 
 def main() -> int:
@@ -22,6 +22,7 @@ def main() -> int:
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
     parser.add_argument("--billion", action="store_true", help="scaling goes on to 1e9 points")
+    parser.add_argument("--points", type=int, help="how many loops stress judges; 100000")
     parser.add_argument(
         "--out", type=Path, default=record.RESULTS, help="folder of the records and plots"
     )
@@ -39,6 +40,8 @@ def main() -> int:
         return _each_in_its_process(sys.argv[1:])
     for name in [choice.name] if choice.name else BENCHMARKS:
         options = {"billion": True} if choice.billion and name == "scaling" else {}
+        if choice.points and name == "stress":
+            options = {"points": choice.points}
         rows = import_module(f"benchmarks.{name}").rows(choice.small, **options)
         print(record.write(record.new_record(name, choice.small, rows), choice.out))
     return 0

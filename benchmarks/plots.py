@@ -36,7 +36,9 @@ _STYLES = {
     "write, new memory": ("#CC79A7", "v"),
     "verdict, exact": ("#0072B2", "o"),
     "python-flint roots": ("#E69F00", "s"),
+    "eq. (9) as printed": ("#D55E00", "P"),
 }
+_LEAST_ULP = 0.1  # smaller errors are drawn here
 
 _SHOWN = (0.0, 0.5, 1.0, 5.0, 20.0, 60.0)  # delays, where all would be too many
 _SMALLEST = 1e-17  # errors of zero are drawn here
@@ -177,12 +179,28 @@ def _judged(rows: list[Row]) -> int:
     return sum(row["points"] for row in rows if row["method"] == "verdict")
 
 
+def _stress(rows: list[Row]) -> Figure:
+    figure, axes = _panels(
+        1, 3, "Largest errors of a spectral radius, random and adversarial loops"
+    )
+    rows = [row for row in rows if "verdict" not in row["method"]]
+    for panel, axis in zip(axes[0], ("delay", "gamma", "delta"), strict=True):
+        some = [row for row in rows if row["section"] == axis]
+        _lines(panel, some, "place", "error", floor=_LEAST_ULP)
+        panel.set(yscale="log", ylim=(_LEAST_ULP, 1e20))
+        panel.set_xlabel("delay in samples" if axis == "delay" else f"decade of {axis}")
+    axes[0, 0].set_xscale("symlog", linthresh=1.0)
+    axes[0, 0].set_ylabel("units of the last place")
+    return _with_legend(figure, axes)
+
+
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "boundary": _boundary,
     "queries": _queries,
     "throughput": _throughput,
     "filling": _filling,
     "scaling": _scaling,
+    "stress": _stress,
     "verdicts": _verdicts,
 }
 

@@ -105,6 +105,21 @@ def _verdicts(rows: list[Row]) -> Iterator[Line]:
         yield task, method, "", f"{wrong} wrong, {undecided:.2%} undecided", ""
 
 
+def _stress(rows: list[Row]) -> Iterator[Line]:
+    rows = [row for row in rows if row["section"] == "delay"]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        some = [row for row in rows if row["method"] == method]
+        total, wrong, undecided = (
+            sum(row[column] for row in some) for column in ("points", "wrong", "undecided")
+        )
+        error = f"{wrong} wrong, {undecided / total:.1%} undecided"
+        if "verdict" not in method:
+            error += f", {max(row['error'] for row in some):.1e} ulp"
+        if share := max(row["share_of_bound"] for row in some):
+            error += f", at most {share:.2f} of its bound"
+        yield f"{total:,} random and adversarial loops", method, "", error, ""
+
+
 def _scaling(rows: list[Row]) -> Iterator[Line]:
     streamed = [row for row in rows if row["section"] == "points"]
     row = max(streamed, key=lambda row: row["points"])
@@ -120,6 +135,7 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "filling": _filling,
     "verdicts": _verdicts,
     "scaling": _scaling,
+    "stress": _stress,
 }
 
 

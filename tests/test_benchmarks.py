@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMES = ("boundary", "queries", "throughput", "filling", "scaling", "verdicts")
+NAMES = ("boundary", "queries", "throughput", "filling", "scaling", "verdicts", "stress")
 
 # Compiled quickly rather than well: the compiler is most of what a small run costs.
 QUICK = {"XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"}
@@ -174,3 +174,13 @@ def test_a_plot_of_nothing_says_what_to_run_first(tmp_path: Path) -> None:
     assert completed.returncode != 0
     assert "python -m benchmarks" in completed.stderr
     assert "Traceback" not in completed.stderr
+
+
+def test_stress_finds_no_wrong_certified_answer_and_names_its_worst_loops(
+    rows: Callable[..., list[dict[str, Any]]],
+) -> None:
+    for method in ("verdict", "verdict, exact", "spectral_radius", "spectral_radius, companion"):
+        for row in rows("stress", method=method):
+            assert row["wrong"] == 0, row["worst_wrong"]
+            assert row["share_of_bound"] <= 1.0, row["worst_share_of_bound"]
+    assert any(row["wrong"] for row in rows("stress", method="eq. (9) as printed"))
