@@ -8,7 +8,16 @@ from pathlib import Path
 
 from benchmarks import record, table
 
-BENCHMARKS = ("boundary", "queries", "throughput", "filling", "scaling", "verdicts", "stress")
+BENCHMARKS = (
+    "boundary",
+    "queries",
+    "answers",
+    "throughput",
+    "filling",
+    "scaling",
+    "verdicts",
+    "stress",
+)
 
 
 def main() -> int:

@@ -30,6 +30,8 @@ _STYLES = {
     "spectral_radius, companion": ("#009E73", "X"),
     "closed form": ("#0072B2", "o"),
     "atlas": ("#0072B2", "o"),
+    "atlas, many points": ("#0072B2", "o"),
+    "atlas, one by one": ("#009E73", "X"),
     "filled": ("#0072B2", "o"),
     "dense": ("#56B4E9", "^"),
     "write": ("#000000", "P"),
@@ -122,6 +124,17 @@ def _queries(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
+def _answers(rows: list[Row]) -> Figure:
+    figure, axes = _panels(1, 2, "What the default atlas answers")
+    _lines(axes[0, 0], rows, "delay", "seconds_per_point")
+    _lines(axes[0, 1], rows, "delay", "error")
+    axes[0, 0].set(yscale="log", ylabel="seconds per point")
+    axes[0, 1].set(ylim=(0.0, 2e-3), ylabel="share without a right verdict")
+    for panel in axes[0]:
+        panel.set_xlabel("delay in samples")
+    return _with_legend(figure, axes)
+
+
 def _filling(rows: list[Row]) -> Figure:
     sections = list(dict.fromkeys(row["section"] for row in rows))
     figure, axes = _panels(2, len(sections), "A slice of verdicts beside writing its array")
@@ -197,6 +210,7 @@ def _stress(rows: list[Row]) -> Figure:
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "boundary": _boundary,
     "queries": _queries,
+    "answers": _answers,
     "throughput": _throughput,
     "filling": _filling,
     "scaling": _scaling,

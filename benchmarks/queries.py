@@ -76,6 +76,7 @@ def _built(delay: float, wall: int, plant: int) -> Built:
         gamma=np.linspace(0.0, GAMMA_END, plant).tolist(),
         delta=np.linspace(0.0, DELTA_END, plant).tolist(),
         delay=(delay,),
+        limit_cells=2 * wall,
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "atlas.h5"

@@ -86,6 +86,17 @@ def _queries(rows: list[Row]) -> Iterator[Line]:
             yield task, row["method"], f"{_time(row['seconds_per_point'])} per point", error, ""
 
 
+def _answers(rows: list[Row]) -> Iterator[Line]:
+    for method in ("atlas, many points", "atlas, one by one"):
+        some = [row for row in rows if row["method"] == method]
+        total = sum(row["asked"] for row in some)
+        undecided = sum(row["undecided"] * row["asked"] for row in some) / total
+        task = f"{total:,} random points of the default atlas, {_bytes(some[0]['file_bytes'])}"
+        time = f"{_time(max(row['seconds_per_point'] for row in some))} per point"
+        error = f"{undecided:.3%} undecided, {sum(row['wrong'] for row in some)} wrong"
+        yield task, method, time, error, ""
+
+
 def _filling(rows: list[Row]) -> Iterator[Line]:
     for row in rows:
         if row["section"] == "stable set" and row["delay"] == 1.0:
@@ -131,6 +142,7 @@ def _scaling(rows: list[Row]) -> Iterator[Line]:
 _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "boundary": _boundary,
     "queries": _queries,
+    "answers": _answers,
     "throughput": _throughput,
     "filling": _filling,
     "verdicts": _verdicts,

@@ -64,7 +64,7 @@ def test_summaries_are_the_closed_forms(atlas: Atlas) -> None:
 
 
 def test_what_is_not_there_is_refused_in_a_sentence(atlas: Atlas, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="delta is 0.004; outlines are at its nodes 0.0, 0.005"):
+    with pytest.raises(ValueError, match=r"delta is 0.004; outlines are at its nodes 0.0, 0.005"):
         atlas.outline(0.0, 0.004, 0.0)
     verdicts = build_atlas(
         AtlasSpec(

@@ -14,7 +14,16 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMES = ("boundary", "queries", "throughput", "filling", "scaling", "verdicts", "stress")
+NAMES = (
+    "boundary",
+    "queries",
+    "answers",
+    "throughput",
+    "filling",
+    "scaling",
+    "verdicts",
+    "stress",
+)
 
 # Compiled quickly rather than well: the compiler is most of what a small run costs.
 QUICK = {"XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"}
@@ -134,6 +143,7 @@ def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, An
     assert {row["wrong"] for row in rows("queries", method="atlas")} == {0}
     assert {row["error"] for row in rows("scaling", method="streamed verdict")} == {0}
     assert {row["wrong"] for row in rows("verdicts")} == {0}
+    assert {row["wrong"] for row in rows("answers")} == {0}
 
 
 def test_a_filled_slice_is_that_of_its_nodes(rows: Callable[..., list[dict[str, Any]]]) -> None:
