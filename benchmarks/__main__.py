@@ -10,6 +10,7 @@ from benchmarks import record, table
 
 BENCHMARKS = (
     "boundary",
+    "regions",
     "queries",
     "answers",
     "throughput",

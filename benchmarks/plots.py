@@ -30,6 +30,8 @@ _STYLES = {
     "spectral_radius, companion": ("#009E73", "X"),
     "closed form": ("#0072B2", "o"),
     "atlas": ("#0072B2", "o"),
+    "stable_region": ("#0072B2", "o"),
+    "its polygon": ("#E69F00", "s"),
     "atlas, many points": ("#0072B2", "o"),
     "atlas, one by one": ("#009E73", "X"),
     "filled": ("#0072B2", "o"),
@@ -92,6 +94,17 @@ def _throughput(rows: list[Row]) -> Figure:
         column[1].set_xlabel("points of the slice, delay 1" if x == "batch" else "delay in samples")
     axes[0, 0].set_ylabel("seconds per point")
     axes[1, 0].set_ylabel("verdict: distance at which undecided\nothers: error of the radius")
+    return _with_legend(figure, axes)
+
+
+def _regions(rows: list[Row]) -> Figure:
+    figure, axes = _panels(1, 2, "Stable regions of random slices against certified root counts")
+    _lines(axes[0, 0], rows[::2], "delay", "seconds")
+    _lines(axes[0, 1], rows, "delay", "error")
+    axes[0, 0].set(yscale="log", ylabel="seconds for a region")
+    axes[0, 1].set(ylim=(-0.01, 0.2), ylabel="share of points misclassified")
+    for panel in axes[0]:
+        panel.set_xlabel("delays up to, in samples")
     return _with_legend(figure, axes)
 
 
@@ -209,6 +222,7 @@ def _stress(rows: list[Row]) -> Figure:
 
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "boundary": _boundary,
+    "regions": _regions,
     "queries": _queries,
     "answers": _answers,
     "throughput": _throughput,

@@ -1,6 +1,6 @@
-"""`python -m benchmarks.regions [--small]`: stable regions against certified root counts.
+"""Stable regions of random slices against certified root counts.
 
-`error` is the share of points misclassified.
+``error`` is the share of points misclassified.
 
 Slices are random: weak and strong hands, beyond the Nyquist frequency and next to its multiples,
 without damping, whole and fractional delays to 50 samples, stability and decay rates. Points are
@@ -9,7 +9,6 @@ find at random angles, whether the region has them or not. A rival is the polygo
 is the criterion of Schur and Cohn in balls of python-flint, on coefficients of 50 digits.
 """
 
-import sys
 from collections.abc import Iterator
 from time import perf_counter
 from typing import NamedTuple
@@ -21,7 +20,7 @@ import truth
 from matplotlib.path import Path as Polygon
 from mpmath import mp, mpf
 
-from benchmarks.record import Row, line
+from benchmarks.record import Row
 from jaxstab.boundary import RegionStatus, StableRegion, stable_region
 
 MEASURE = "share of points misclassified, by certified root counts"
@@ -209,8 +208,3 @@ def roots_inside(p: list[flint.arb]) -> bool | None:
             return None
         p = [a - reflection * b for a, b in zip(p[:-1], p[:0:-1], strict=True)]
     return True
-
-
-if __name__ == "__main__":
-    for row in rows("--small" in sys.argv[1:]):
-        print(line(row), flush=True)

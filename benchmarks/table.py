@@ -64,6 +64,19 @@ def _boundary(rows: list[Row]) -> Iterator[Line]:
             yield f"{number}, delay {delay:g}", row["method"], time, _error(row["error"]), ""
 
 
+def _regions(rows: list[Row]) -> Iterator[Line]:
+    for method in dict.fromkeys(row["method"] for row in rows):
+        some = [row for row in rows if row["method"] == method]
+        slices, judged, wrong, unresolved = (
+            sum(row[column] for row in some)
+            for column in ("slices", "judged", "wrong", "unresolved")
+        )
+        longest = max(row["delay"] for row in some)
+        task = f"{slices:,} random slices, delays 0 to {longest:g}, {judged:,} points"
+        error = f"{wrong:,} points wrong, {unresolved} slices unresolved"
+        yield task, method, "", error, ""
+
+
 def _throughput(rows: list[Row]) -> Iterator[Line]:
     for row in rows:
         shown = row["delay"] in _DELAYS and row["method"] in _METHODS
@@ -141,6 +154,7 @@ def _scaling(rows: list[Row]) -> Iterator[Line]:
 
 _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "boundary": _boundary,
+    "regions": _regions,
     "queries": _queries,
     "answers": _answers,
     "throughput": _throughput,

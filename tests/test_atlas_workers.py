@@ -13,6 +13,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from jaxstab import AtlasSpec, write_atlas
@@ -98,8 +99,12 @@ def test_a_worker_process_that_dies_is_told_and_the_next_build_goes_on(
 # ------------------------------------------------------------------------------------------- Ctrl-C
 
 
-def test_ctrl_c_ends_workers_and_command_in_one_sentence(serial: bytes, tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_text(SPEC.to_toml(), encoding="utf-8")
+def test_ctrl_c_ends_workers_and_command_in_one_sentence(tmp_path: Path) -> None:
+    long = AtlasSpec(
+        alpha=[0.0, 0.1, 0.2], beta=[0.1, 0.2], gamma=np.linspace(0.0, 0.001, 100).tolist(),
+        delta=[0.0, 0.015], delay=[0.0], products=["verdict"],
+    )  # fmt: skip
+    (tmp_path / "a.toml").write_text(long.to_toml(), encoding="utf-8")
     output = tmp_path / "a.h5"
     building = subprocess.Popen(
         [*COMMAND, "--spec", tmp_path / "a.toml", "-o", output, "--workers", "1"],
@@ -116,8 +121,11 @@ def test_ctrl_c_ends_workers_and_command_in_one_sentence(serial: bytes, tmp_path
         "jaxstab: interrupted; the tiles that are done are kept"
     )
     assert "Traceback" not in told
-    write_atlas(SPEC, output)
-    assert output.read_bytes() == serial
+    assert not output.exists()
+    told_progress: list[tuple[int, int]] = []
+    write_atlas(long, output, lambda *progress: told_progress.append(progress))
+    assert told_progress[0][0] >= 1
+    assert [entry.name for entry in tmp_path.iterdir() if entry.name != "a.toml"] == ["a.h5"]
 
 
 # --------------------------------------------------------------------------------------------- dask

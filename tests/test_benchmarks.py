@@ -13,18 +13,9 @@ from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-NAMES = (
-    "boundary",
-    "queries",
-    "answers",
-    "throughput",
-    "filling",
-    "scaling",
-    "verdicts",
-    "stress",
-)
+from benchmarks.__main__ import BENCHMARKS
 
+ROOT = Path(__file__).resolve().parents[1]
 # Compiled quickly rather than well: the compiler is most of what a small run costs.
 QUICK = {"XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"}
 
@@ -85,10 +76,10 @@ def rows(records: dict[str, dict[str, Any]]) -> Callable[..., list[dict[str, Any
 
 
 def test_there_is_a_record_of_each_benchmark(records: dict[str, dict[str, Any]]) -> None:
-    assert set(records) == set(NAMES)
+    assert set(records) == set(BENCHMARKS)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", BENCHMARKS)
 def test_a_record_says_on_what_it_was_made(name: str, records: dict[str, dict[str, Any]]) -> None:
     record = records[name]
     assert set(record) == {"benchmark", "small", "date", "machine", "versions", "rows"}
@@ -101,7 +92,7 @@ def test_a_record_says_on_what_it_was_made(name: str, records: dict[str, dict[st
     assert {"python", "jaxstab", "jax", "numpy"} <= set(record["versions"])
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", BENCHMARKS)
 def test_every_row_holds_a_time_and_an_error(name: str, records: dict[str, dict[str, Any]]) -> None:
     for row in records[name]["rows"]:
         for column, kind in ROW.items():
@@ -112,7 +103,7 @@ def test_every_row_holds_a_time_and_an_error(name: str, records: dict[str, dict[
         assert row["error"] >= 0.0
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", BENCHMARKS)
 def test_rows_hold_plain_values_only(name: str, records: dict[str, dict[str, Any]]) -> None:
     for row in records[name]["rows"]:
         for column, value in row.items():
@@ -144,6 +135,7 @@ def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, An
     assert {row["error"] for row in rows("scaling", method="streamed verdict")} == {0}
     assert {row["wrong"] for row in rows("verdicts")} == {0}
     assert {row["wrong"] for row in rows("answers")} == {0}
+    assert {row["wrong"] for row in rows("regions", method="stable_region")} == {0}
 
 
 def test_a_filled_slice_is_that_of_its_nodes(rows: Callable[..., list[dict[str, Any]]]) -> None:

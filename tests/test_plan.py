@@ -209,7 +209,13 @@ def test_cells_proved_in_blocks_are_those_proved_alone(
 def test_a_plan_counts_every_point_and_says_why_it_is_not_evaluated() -> None:
     plan = plan_atlas(SMALL)
     shares = {share.variable: share for share in plan.shares()}
-    assert set(shares) == {"verdict", "cell_verdict", "spectral_radius"}
+    assert set(shares) == {
+        "verdict",
+        "cell_verdict",
+        "alpha_limits",
+        "spectral_radius",
+        "cell_spectral_radius_error",
+    }
     assert shares["verdict"].asked == 24 * 20 * 2 * 3 * 2
     assert shares["cell_verdict"].asked == 23 * 19 * 1 * 2 * 2
     for share in shares.values():

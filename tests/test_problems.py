@@ -23,7 +23,6 @@ from jaxstab import STABLE, UNDECIDED, UNSTABLE, SettlingStatus
 _AT_POLE = "a pole stays within a rounding of 1 or -1 whatever the gains, and nothing else is tried"
 _LOST = "N(z) nearly vanishes: 40 and more of its bits are lost, so no bound of a radius is given"
 _MULTIPLE = "half or a third of the digits of a multiple root are there in float64"
-_HUGE = "powers of the radius overflow"
 _CREEPS = "a pole that rounds to 1 neither decays nor oscillates: 0/0"
 LIMITS: dict[str, dict[str, str]] = {
     "verdict": {
@@ -37,10 +36,6 @@ LIMITS: dict[str, dict[str, str]] = {
         **{f"nearly triple root, delay {delay}": _MULTIPLE for delay in (1, 2, 5)},
         **{f"double root at {r}, delay {d}": _MULTIPLE for r in ("0.9", "1") for d in (0, 0.5, 1)},
         "free device without wall: a double root at 1": _MULTIPLE,
-        **{
-            f"gains {gains}": _HUGE
-            for gains in ("1e+150, 0.1", "-1e+150, 0.1", "0.1, 1e+150", "1e+150, -1e+150")
-        },
     },
     "dominant_mode": dict.fromkeys(
         (
@@ -163,7 +158,8 @@ def spectral_radius_is_honest(number: int, problem: Problem) -> bool:
     for method in ("fast", "companion"):
         found = answers("spectral_radius", method=method)
         value, error = mpf(float(found.value[number])), mpf(float(found.error[number]))
-        if not (low - error <= value <= high + error):
+        no_claim = np.isnan(float(value)) and np.isinf(float(error))
+        if not (no_claim or low - error <= value <= high + error):
             return False
     return True
 

@@ -90,7 +90,7 @@ def stable_columns(
         RuntimeError: JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle, and the certified
-    verdict; the bounds are derived in the heading of ``enclosure``.
+    verdict; the bounds are derived in the heading of ``jaxstab.model.plant_models``.
     """
     require_x64()
     columns = _columns(beta, hands)

@@ -23,6 +23,8 @@ from jaxstab.stability.fast_radius import TOLERANCE, fast_radius
 from jaxstab.stability.grid import looked_up, over_grid
 from jaxstab.stability.schur_cohn import radius_error, verdict
 
+_HUGE = 2.0**400
+
 
 class SpectralRadius(NamedTuple):
     """The largest modulus of a root of p(z), how wrong it may be, and how that is known."""
@@ -138,9 +140,23 @@ def is_stable(
 
 @jax.jit
 def _poles(coefficients: Float64[Array, "*grid coefficient"]) -> Complex128[Array, "*grid degree"]:
-    poles = jnp.linalg.eigvals(companion_matrix(coefficients))
+    order_of = jnp.arange(coefficients.shape[-1])
+    unit = _unit(coefficients)[..., None]
+    scaled = companion_matrix(coefficients / unit**order_of)
+    poles = unit * jnp.linalg.eigvals(scaled)
     order = jnp.argsort(-jnp.abs(poles), axis=-1)
     return jnp.take_along_axis(poles, order, axis=-1)
+
+
+def _unit(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "*grid"]:
+    """Return what to measure roots in: 1, but of huge coefficients about the largest root.
+
+    Some builds of LAPACK lose the scale of matrices above 1e138.
+    """
+    sizes = jnp.abs(coefficients[..., 1:])
+    exponents = jnp.log2(sizes) / jnp.arange(1, coefficients.shape[-1])
+    largest = jnp.exp2(jnp.floor(jnp.max(exponents, axis=-1)))
+    return jnp.where(jnp.max(sizes, axis=-1) > _HUGE, largest, 1.0)
 
 
 def _fast_radius(
