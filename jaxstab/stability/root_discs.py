@@ -23,6 +23,7 @@ from jaxstab.model import characteristic_polynomial, companion_matrix, require_x
 from jaxstab.model.linear_model import LinearModel
 from jaxstab.model.plant_models import HandBoxes, plant_models
 
+_LARGEST_STRIP = 2**14  # cells at once: memory stays bounded
 _ROUNDING = 1e-13  # of roots near the unit circle, and as a share of their discs
 
 Cells = Float64[np.ndarray, "alpha_cell beta_cell"]
@@ -55,6 +56,27 @@ def interpolation_errors(
     for the characteristic polynomial of eq. (9) of Hulin, Preusche, Hirzinger (2008).
     """
     require_x64()
+    plant = _Plant.over(hands, delay)
+    rows, columns = alpha.size - 1, beta.size - 1
+    strip = min(rows, max(1, _LARGEST_STRIP // columns))
+    errors: Cells = np.empty((rows, columns))
+    for start in range(0, rows, strip):
+        first = min(start, rows - strip)  # strips of one shape, compiled once
+        end = first + strip
+        errors[first:end] = _strip_errors(
+            alpha[first : end + 1], beta, hands, delay, plant, corners[:, :, first : end + 1]
+        )
+    return errors
+
+
+def _strip_errors(
+    alpha: Float64[np.ndarray, " alpha_node"],
+    beta: Float64[np.ndarray, " beta_node"],
+    hands: HandBoxes,
+    delay: float,
+    plant: "_Plant",
+    corners: Float64[np.ndarray, "2 2 alpha_node beta_node"],
+) -> Cells:
     middles, halves = zip(*(_middle_and_half(nodes) for nodes in (alpha, beta)), strict=True)
     polynomials = characteristic_polynomial(
         middles[0][:, None], middles[1], hands.gamma[0], hands.delta[0], delay
@@ -63,7 +85,7 @@ def interpolation_errors(
     errors: Cells = np.asarray(
         _errors(
             _Walls(*map(jnp.asarray, (*middles, *halves))),
-            _Plant.over(hands, delay),
+            plant,
             polynomials,
             jnp.asarray(corners),
             power=int(delay) + (1 if is_whole else 2),
