@@ -8,6 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from benchmarks import record
 from benchmarks.record import Record, Row
@@ -128,6 +129,7 @@ def _queries(rows: list[Row]) -> Figure:
         column[1].set_yscale("log")
         for panel in column:
             panel.set_xscale("log")
+            panel.xaxis.set_minor_formatter(NullFormatter())
         column[1].set_xlabel(label)
     axes[0, 0].set_ylabel("share without a right verdict")
     axes[1, 0].set_ylabel("median error of the radius")
