@@ -23,7 +23,14 @@ SPEC = AtlasSpec(
     alpha=[0.0, 0.1, 0.2], beta=[0.1, 0.2], gamma=[0.0, 0.0005, 0.001], delta=[0.0, 0.015],
     delay=[0.0, 1.0], products=["verdict"],
 )  # fmt: skip
-COMMAND = [sys.executable, "-c", "from jaxstab.cli import main; main()", "atlas", "build"]
+# A job in the background of a shell ignores Ctrl-C, and so would what it starts.
+SCRIPT = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from jaxstab.cli import main
+main()
+"""
+COMMAND = [sys.executable, "-c", SCRIPT, "atlas", "build"]
 
 
 @pytest.fixture(scope="module")
