@@ -41,7 +41,8 @@ class OneSentence(click.Group):
             sys.stderr.close()
             sys.exit(1)
         except OSError as error:
-            click.echo(f"jaxstab: {error.strerror or error}", err=True)
+            named = f"{error.filename}: {error.strerror}." if error.filename else error.strerror
+            click.echo(f"jaxstab: {named or error}", err=True)
             sys.exit(1)
         except (ValueError, TypeError, RuntimeError, MemoryError) as error:
             click.echo(f"jaxstab: {str(error) or 'there is not enough memory.'}", err=True)

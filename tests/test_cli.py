@@ -190,6 +190,14 @@ def test_a_bad_specification_is_one_sentence_and_no_file(spec: str, tmp_path: Pa
     assert not (tmp_path / "a.h5").exists()
 
 
+def test_a_missing_specification_is_named() -> None:
+    for command in (["build", "--spec"], ["plan"]):
+        answer = run("atlas", *command, "nowhere.toml")
+        assert answer.exit_code == 1
+        assert_one_sentence(answer.stderr)
+        assert "nowhere.toml: No such file or directory." in answer.stderr
+
+
 def test_an_output_folder_that_cannot_be_written_is_one_sentence_before_the_work() -> None:
     answer = run_process("atlas", "build", "-o", "/proc/atlas.h5")
     assert (answer.returncode, answer.stdout) == (1, "")

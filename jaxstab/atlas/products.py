@@ -29,7 +29,7 @@ from jaxstab.stability.root_discs import interpolation_errors
 
 Arrays = dict[str, NDArray[Any]]
 
-_FLOAT32_STEP = 2.0**-23  # of values below 2
+_FLOAT32_STEP = 2.0**-23  # of values from 1 to 2
 _LEAST_EXPONENT, _LARGEST_EXPONENT = -100, 30  # of errors
 _BEYOND = 1e-9  # of a cell: cells overlap, so that rounding finds no gap between them
 
@@ -150,7 +150,8 @@ def _cell_errors(
         alpha, beta, _boxes(sides[None]), float(grid.delay[tile.delay]), both.astype(np.float64)
     )
     # In its own tile a node can be rounded to the other side.
-    step = max(_rounding_step(plan.spec.radius_rounding), _FLOAT32_STEP)
+    digit = max(_FLOAT32_STEP, float(np.spacing(corners.max())))
+    step = max(_rounding_step(plan.spec.radius_rounding), digit)
     return _raised(errors + 2.0 * step)
 
 
