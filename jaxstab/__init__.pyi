@@ -30,6 +30,7 @@ from .boundary import WorstHand as WorstHand
 from .boundary import boundary_curve as boundary_curve
 from .boundary import boundary_distance as boundary_distance
 from .boundary import damping_limits as damping_limits
+from .boundary import dimensionless_margins as dimensionless_margins
 from .boundary import linear_alpha_limit as linear_alpha_limit
 from .boundary import linear_condition as linear_condition
 from .boundary import linear_error as linear_error

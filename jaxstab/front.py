@@ -231,7 +231,7 @@ def _checked(scene: Scene, wall: Wall) -> dict[str, Any]:
         answer["verdict"] = _verdict(loop, *gains).name.lower()
     measures: dict[str, Callable[..., dict[str, Any]]] = {
         "margins": lambda _, *gains: _margins(loops, *gains),
-        "distance": lambda *at: {"distance_to_boundary": boundary_distance(*at)},
+        "distance": lambda *at: {"distance_to_boundary": float(boundary_distance(*at))},
         "radius": _radius,
         "settling": _settling,
         "oscillation": _oscillation,
@@ -266,7 +266,7 @@ def _point(loop: HapticLoop, stiffness: float, damping: float) -> tuple[float, .
 def _margins(loops: list[HapticLoop], stiffness: float, damping: float) -> dict[str, Any]:
     """Return the least margins over some loops."""
     found = [margins(loop, stiffness, damping) for loop in loops]
-    ranges = np.array([[*one.stiffness, *one.damping] for one in found])  # NaN where unstable
+    ranges = np.array([np.append(one.stiffness, one.damping) for one in found])  # NaN: unstable
     lowest, highest = ranges.max(axis=0).tolist(), ranges.min(axis=0).tolist()
     rest = np.array([[one.stiffness_gain, one.damping_gain, one.extra_delay] for one in found])
     stiffness_gain, damping_gain, extra_delay = rest.min(axis=0).tolist()

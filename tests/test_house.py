@@ -45,6 +45,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "damping_limits": ["loop", 1000.0],
     "boundary_distance": ["loop", 1000.0, 10.0],
     "margins": ["loop", 1000.0, 10.0],
+    "dimensionless_margins": [0.1, 0.2, 0.001, 0.015, 1.0],
     "worst_hand": ["loop", "hands", 1000.0, 10.0],
     "robust_limit": ["loop", "hands"],
     "linear_alpha_limit": [0.2, 0.015, 1.0],

@@ -2,9 +2,11 @@
 
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 import truth
+from mpmath import mp, mpf
 
 import jaxstab
 from jaxstab import HandRange, HapticLoop, Verdict
@@ -71,7 +73,7 @@ def test_the_delay_may_grow_to_the_first_crossing_of_a_root_fractions_included(
     wall: tuple[float, float],
 ) -> None:
     found = jaxstab.margins(PHANTOM, *wall)
-    least = PHANTOM.delay_samples + found.extra_delay / PHANTOM.sample_time
+    least = PHANTOM.delay_samples + float(found.extra_delay) / PHANTOM.sample_time
     assert true_radius(PHANTOM, *wall, least * (1.0 - 1e-7)) < 1.0
     assert true_radius(PHANTOM, *wall, least * (1.0 + 1e-7)) > 1.0
     for delay in np.linspace(PHANTOM.delay_samples, least, 24, endpoint=False):
@@ -90,7 +92,8 @@ def test_a_loop_that_no_delay_upsets_has_all_of_it_to_spare() -> None:
 
 def test_a_long_delay_may_grow_by_more_than_a_hundred_samples_to_its_crossing() -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=0.1005)
-    least = (loop.delay + jaxstab.margins(loop, 10.0, 0.5).extra_delay) / loop.sample_time
+    extra = float(jaxstab.margins(loop, 10.0, 0.5).extra_delay)
+    least = (loop.delay + extra) / loop.sample_time
     assert least > 200.0
     for delay, side in ((least - 1e-5, 1), (least + 1e-5, -1)):
         coefficients = truth.polynomial(loop.alpha(10.0), loop.beta(0.5), 0.0, loop.delta, delay)
@@ -104,13 +107,108 @@ def test_an_unstable_wall_has_no_margins() -> None:
     assert np.isnan([*found.stiffness, *found.damping, found.extra_delay]).all()
 
 
+LOOPS = {  # alpha, beta, gamma, delta, delay
+    "haptic": (0.003, 0.02, 0.0, 0.015, 1.5),
+    "held": (0.02, 0.2, 1e-3, 0.015, 1.5),
+    "a stiff hand, a whole delay": (0.1, 0.3, 0.2, 0.1, 1.0),
+    "a pole at -1 comes first": (0.05, 1.0, 0.5, 0.3, 0.25),
+}
+AXES_OF_STEPS = (0, 0, 1, 1, 4)
+
+
+def steps(*point: Any) -> list[Any]:
+    """The five ways from a wall to instability: in alpha and beta down and up, in delay."""
+    found = jaxstab.dimensionless_margins(*point)
+    alphas, betas = found.stiffness - point[0], found.damping - point[1]
+    return [alphas[0], alphas[1], betas[0], betas[1], found.extra_delay]
+
+
+def true_step(point: list[mpf], axis: int, near: float) -> mpf:
+    """The step to the crossing that is near, from the 50-digit polynomial: p(e^(i angle)) = 0."""
+
+    def moved(step: mpf) -> list[mpf]:
+        return [value + step * (place == axis) for place, value in enumerate(point)]
+
+    root = truth.roots(*moved(mpf(near)))[0]
+    assert abs(abs(root) - 1) < 1e-7
+
+    def at(step: mpf, angle: mpf) -> Any:
+        return truth.evaluate(truth.polynomial(*moved(step)), mp.exp(mp.mpc(0, angle)))
+
+    if root.imag == 0:
+        end = mp.pi * (root.real < 0)
+        return mp.findroot(lambda step: at(step, end).real, mpf(near), tol=1e-80)
+
+    def both(step: mpf, angle: mpf) -> list[mpf]:
+        value = at(step, angle)
+        return [value.real, value.imag]
+
+    return mp.findroot(both, (near, mp.arg(root)), tol=1e-80)[0]
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_margins_move_with_the_loop_as_50_digit_differences_say(
+    name: str, rng: np.random.Generator
+) -> None:
+    way = rng.uniform(-1.0, 1.0, 5)
+    found, slopes = jax.jvp(lambda *loop: steps(*loop), LOOPS[name], tuple(way))
+    size = mpf(10) ** -12
+    for axis, step, slope in zip(AXES_OF_STEPS, map(float, found), slopes, strict=True):
+        ahead, here, behind = (
+            true_step([mpf(x) for x in LOOPS[name] + sign * size * way], axis, step)
+            for sign in (1, 0, -1)
+        )
+        assert abs(step) <= abs(here) * (1 + 1e-15)
+        assert abs(step - here) <= 1e-8 * max(1, abs(here))
+        assert float(slope) == pytest.approx(float((ahead - behind) / (2 * size)), rel=1e-8)
+
+
+def test_margins_map_and_differentiate_backwards_as_they_do_one_by_one() -> None:
+    walls = np.array([300.0, 500.0])
+    alone = [jaxstab.margins(PHANTOM, wall, 2.0) for wall in walls]
+    extra = jaxstab.margins(PHANTOM, walls, 2.0).extra_delay
+    assert extra.tolist() == [float(one.extra_delay) for one in alone]
+
+    def delay_and_gains(wall: Any) -> list[Any]:
+        found = jaxstab.margins(PHANTOM, wall, 2.0)
+        return [found.extra_delay, found.damping[1], found.stiffness_gain]
+
+    forwards = np.asarray(jax.vmap(jax.jacfwd(delay_and_gains))(walls))
+    backwards = jax.jacrev(delay_and_gains)(walls[1])
+    np.testing.assert_allclose(forwards[:, 1], backwards, rtol=1e-12)
+    gain = float(alone[0].stiffness_gain)
+    np.testing.assert_allclose(forwards[2, 0], -gain / walls[0], rtol=1e-12)
+
+
+def test_the_derivative_of_no_margin_is_no_number() -> None:
+    held = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, hand_stiffness=500.0)
+    for loop, wall in ((held, 1.0), (FREE, 0.9)):
+        extra = jax.grad(lambda wall, loop=loop: jaxstab.margins(loop, wall, 0.1).extra_delay)
+        assert np.isnan(extra(wall))
+
+
+def test_a_search_within_jit_is_refused() -> None:
+    with pytest.raises(TypeError, match="call them without jit"):
+        jax.jit(lambda wall: jaxstab.margins(PHANTOM, wall, 2.0).extra_delay)(300.0)
+
+
 def test_the_distance_is_the_way_to_the_nearest_point_of_the_closed_form() -> None:
     beta = np.linspace(1e-6, 2.0, 200_001)
     for alpha, own in ((0.3, 0.8), (0.2, 0.3), (0.001, 0.8)):
         edge = np.hypot(most_stiffness(beta) - alpha, beta - own).min()
-        distance = jaxstab.boundary_distance(FREE, alpha, own)
+        distance = float(jaxstab.boundary_distance(FREE, alpha, own))
         assert distance == pytest.approx(min(edge, alpha), rel=1e-7)
     assert jaxstab.boundary_distance(FREE, 0.9, 0.8) < 0.0
+
+
+def test_the_distance_shrinks_towards_the_nearest_point() -> None:
+    walls = np.array([[0.6, 0.8], [0.2, 0.3], [0.001, 0.8]])
+    slopes = jax.vmap(jax.grad(lambda wall: jaxstab.boundary_distance(FREE, *wall)))(walls)
+    np.testing.assert_allclose(np.hypot(*slopes.T), 1.0, rtol=1e-14)
+    distance = jaxstab.boundary_distance(FREE, *walls.T)
+    alpha, beta = (walls - np.asarray(distance)[:, None] * slopes).T
+    np.testing.assert_allclose((alpha - most_stiffness(beta))[:2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(alpha[2], 0.0, atol=1e-15)
 
 
 def test_a_wall_is_proved_for_every_hand_of_a_range() -> None:

@@ -31,6 +31,7 @@ from .robust import RobustRegion as RobustRegion
 from .robust import RobustStatus as RobustStatus
 from .robust import robust_region as robust_region
 from .stability_margins import Margins as Margins
+from .stability_margins import dimensionless_margins as dimensionless_margins
 from .stability_margins import margins as margins
 from .trace import BoundaryTrace as BoundaryTrace
 from .trace import TraceStatus as TraceStatus

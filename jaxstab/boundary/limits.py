@@ -11,10 +11,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float64
 
 from jaxstab.boundary.curve import curve_point, minus_offset, slice_coefficients
+from jaxstab.boundary.host_search import found_on_host
 from jaxstab.conventions import Verdict
 from jaxstab.model import HapticLoop, checked_gain, require_x64
 from jaxstab.stability import verdict
@@ -124,30 +126,40 @@ def damping_limits(loop: HapticLoop, stiffness: ArrayLike) -> Float64[np.ndarray
     return loop.damping(limits).reshape(*values.shape, 2)
 
 
-def boundary_distance(loop: HapticLoop, stiffness: float, damping: float) -> float:
-    """Return how far a stable wall is from the edge of stability, in the (alpha, beta) plane.
+def boundary_distance(
+    loop: HapticLoop, stiffness: ArrayLike, damping: ArrayLike
+) -> Float64[Array, "*grid"]:
+    """Return how far stable walls are from the edge of stability, in the (alpha, beta) plane.
 
     The way to a root on the unit circle, whichever, is meant: from a stable wall the nearest one
     lies on the edge. From an unstable wall it is the nearest point where some root crosses.
 
     Args:
         loop: device, hand, sample time and delay.
-        stiffness: K of the wall in N/m.
+        stiffness: K of the wall in N/m, any shape; broadcasts with the damping.
         damping: B of the wall in N s/m.
 
     Returns:
         The distance in units of alpha and beta, positive for a stable wall, negative otherwise.
+        Each wall is searched by itself, outside of JAX: vmap goes through, jit does not.
+        Differentiable once in K and B.
 
     Raises:
         ValueError: a gain is infinite or NaN.
+        TypeError: a gain is traced by jit.
         RuntimeError: JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
     """
     require_x64()
-    checked_gain("stiffness", stiffness)
-    checked_gain("damping", damping)
-    return Plane(loop).distance(loop.alpha(float(stiffness)), loop.beta(float(damping)))
+    alpha = loop.alpha(jnp.asarray(checked_gain("stiffness", stiffness), jnp.float64))
+    beta = loop.beta(jnp.asarray(checked_gain("damping", damping), jnp.float64))
+    side, near_alpha, near_beta = jnp.moveaxis(
+        found_on_host(Plane(loop).nearest, 3, alpha, beta), -1, 0
+    )
+    # To first order the nearest point may stay where it is when the wall moves.
+    distance: Array = side * jnp.hypot(alpha - near_alpha, beta - near_beta)
+    return distance
 
 
 def highest(tops: Callable[[Values], Values], low: float, high: float) -> tuple[float, float]:
@@ -218,20 +230,23 @@ class Plane:
         across = self._edge_points()[:, 1 - axis]
         return (float(across.min()), float(across.max())) if across.size else (np.nan, np.nan)
 
-    def distance(self, alpha: float, beta: float) -> float:
-        """Return the distance to the nearest point with a root on the circle."""
-        point = np.array([alpha, beta])
-        on_lines = [abs(alpha + self.plant[0])]
-        if np.isfinite(self.line):
-            on_lines.append(abs(alpha + 2.0 * beta - self.line) / np.sqrt(5.0))
+    def nearest(self, wall: Float64[np.ndarray, " 2"]) -> Float64[np.ndarray, " 3"]:
+        """Return 1 or -1 for a stable wall or not, and the nearest point with a root on the circle.
+
+        Of a wall (alpha, beta), and as (alpha, beta).
+        """
+        alpha, beta = wall
         angles = self.angles
         for _ in range(4):
-            away = np.hypot(*(self._curve(angles) - point).T)
-            nearest = int(np.argmin(away))
-            ends = angles[max(nearest - 2, 0)], angles[min(nearest + 2, angles.size - 1)]
+            curve = self._curve(angles)
+            place = int(np.argmin(np.hypot(*(curve - wall).T)))
+            ends = angles[max(place - 2, 0)], angles[min(place + 2, angles.size - 1)]
             angles = np.linspace(*ends, _BATCH)
-        size = min(float(away[nearest]), *on_lines)
-        return size if self._is_stable(point[:1], point[1:])[0] else -size
+        candidates = [curve[place], np.array([-self.plant[0], beta])]
+        if np.isfinite(self.line):
+            candidates.append(wall - 0.2 * (alpha + 2.0 * beta - self.line) * np.array([1.0, 2.0]))
+        side = 1.0 if self._is_stable(wall[:1], wall[1:])[0] else -1.0
+        return np.array([side, *min(candidates, key=lambda point: np.hypot(*(point - wall)))])
 
     def _places(self, values: Values, axis: int) -> Float64[np.ndarray, "values places"]:
         """Return where a root is on the circle, in ascending order, padded with NaN."""
