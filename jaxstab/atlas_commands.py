@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jaxstab.atlas import Atlas
 
 _MOST_DESCRIBED = 2**24  # nodes that are loaded after a build
+_MOST_ASKED = 128  # nodes along alpha and beta
 
 
 @click.command()
@@ -159,13 +160,14 @@ def _described(opened: "Atlas", file: Path) -> str:
 
 def _example(opened: "Atlas") -> dict[str, float]:
     """Return a point in the middle of the first delay's box, or rather of what is stable there."""
-    nodes = opened.nodes(0)
-    middle = {name: axis.size // 2 for name, axis in nodes.items()}
-    if "verdict" in opened.arrays:
-        plane = opened.arrays["verdict"][:, :, middle["gamma"], middle["delta"], 0]
-        stable = (plane == STABLE).nonzero()
-        if stable[0].size:
-            centre = stable[0].size // 2
-            middle |= {"alpha": int(stable[0][centre]), "beta": int(stable[1][centre])}
-    point = {name: float(axis[middle[name]]) for name, axis in nodes.items()}
-    return point | {"delay": float(opened.delays[0])}
+    nodes, delay = opened.nodes(0), float(opened.delays[0])
+    point = {name: float(axis[axis.size // 2]) for name, axis in nodes.items()}
+    alpha, beta = (
+        nodes[name][:: -(-nodes[name].size // _MOST_ASKED)] for name in ("alpha", "beta")
+    )
+    hand = point["gamma"], point["delta"], delay
+    i, j = (opened.verdict(alpha[:, None], beta, *hand) == STABLE).nonzero()
+    if i.size:
+        centre = i.size // 2
+        point |= {"alpha": float(alpha[i[centre]]), "beta": float(beta[j[centre]])}
+    return point | {"delay": delay}

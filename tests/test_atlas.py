@@ -23,7 +23,6 @@ from jaxstab import (
     build_atlas,
     open_atlas,
 )
-from jaxstab.atlas import file
 from jaxstab.atlas.layout import lay_out
 
 TRIANGLE = AtlasSpec(
@@ -280,13 +279,6 @@ def test_an_answer_needs_no_jax(tmp_path: Path) -> None:
         [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=False
     )
     assert (completed.stdout, completed.stderr) == (f"{int(STABLE)}\n", "")
-
-
-def test_arrays_that_do_not_fit_together_are_no_atlas() -> None:
-    arrays = dict(small_contents().arrays)
-    arrays["alpha"] = arrays["alpha"][:-1]
-    with pytest.raises(ValueError, match="alpha_node"):
-        file.Contents(arrays, "test", "digest")
 
 
 def test_an_opened_atlas_cannot_be_changed(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Files: what is written is read; what is damaged, foreign or hostile is refused in a sentence."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import h5py
@@ -21,10 +22,14 @@ FOREIGN = {
 }
 
 
-def refusal(path: Path) -> str:
+def ask_for_all(path: Path) -> dict[str, np.ndarray]:
+    return dict(open_atlas(path).arrays)
+
+
+def refusal(path: Path, ask: Callable[[Path], object] = open_atlas) -> str:
     """What a reader is told, in one sentence."""
     with pytest.raises(ValueError, match=r"\.$") as caught:
-        open_atlas(path)
+        ask(path)
     assert "\n" not in str(caught.value)
     assert path.name in str(caught.value)
     return str(caught.value)
@@ -204,12 +209,12 @@ def promise_without_data(opened: h5py.File) -> None:
     )
 
 
-def wrong_code(opened: h5py.File) -> None:
-    opened["verdict"][0, 0, 0, 0, 0] = 77
-
-
 def descending_axis(opened: h5py.File) -> None:
     opened["gamma"][:] = opened["gamma"][()][::-1]
+
+
+def short_axis(opened: h5py.File) -> None:
+    replace("alpha", data=opened["alpha"][:-1], **AS_WRITTEN)(opened)
 
 
 def long_attribute(opened: h5py.File) -> None:
@@ -243,8 +248,8 @@ HOSTILE = {
         virtual,
         external_storage,
         promise_without_data,
-        wrong_code,
         descending_axis,
+        short_axis,
         long_attribute,
     )
 } | {
@@ -276,13 +281,13 @@ def test_damage_under_a_right_footer_is_refused_or_changes_no_value(
     """The checksums of HDF5 behind the footer: what they let through is words and padding."""
     image, path = small_image(), tmp_path / "sealed.h5"
     path.write_bytes(footer.sealed(image))
-    whole = file.read(path).arrays
+    whole = ask_for_all(path)
     for place in rng.integers(0, 8 * len(image), 200).tolist():
         damaged = bytearray(image)
         damaged[place // 8] ^= 1 << (place % 8)
         path.write_bytes(footer.sealed(bytes(damaged)))
         try:
-            arrays = file.read(path).arrays
+            arrays = ask_for_all(path)
         except ValueError:
             continue
         for name, values in whole.items():
@@ -294,3 +299,55 @@ def test_a_sealed_file_that_is_not_as_the_schema_says_is_refused(name: str, tmp_
     path = tmp_path / "hostile.h5"
     path.write_bytes(edited(HOSTILE[name]))
     refusal(path)
+
+
+@pytest.mark.parametrize("name", ["verdict", "cell_verdict"])
+def test_a_code_that_is_none_is_refused_when_it_is_asked_for(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "hostile.h5"
+    path.write_bytes(edited(lambda f: f[name].__setitem__((0, 0, 0, 0, 0), 77)))
+    assert "is damaged" in refusal(path, ask_for_all)
+    atlas = open_atlas(path)
+    assert refusal(path, lambda _: atlas.arrays[name]) == refusal(path, ask_for_all)
+
+
+# ----------------------------------------------------------------------------- what is read when
+
+
+def test_whatever_becomes_of_the_file_an_opened_atlas_answers_as_before(tmp_path: Path) -> None:
+    path = write_small(tmp_path)
+    whole, point = ask_for_all(path), (0.1, 0.5, 0.0005, 0.01, 0.0)
+    known = open_atlas(path).query(*point)
+    atlas = open_atlas(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2] + bytes(len(data)))
+    answer = atlas.query(*point)
+    assert answer.verdict == known.verdict
+    assert answer.spectral_radius == known.spectral_radius
+    path.unlink()
+    for name, values in whole.items():
+        np.testing.assert_array_equal(atlas.arrays[name], values)
+
+
+def test_threads_that_ask_for_an_array_first_share_it(tmp_path: Path) -> None:
+    atlas = open_atlas(write_small(tmp_path))
+    names = [name for name in atlas.arrays for _ in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(atlas.arrays.__getitem__, names))
+    assert all(values is atlas.arrays[name] for name, values in zip(names, found, strict=True))
+
+
+def test_what_is_too_large_is_refused_and_the_rest_answers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_small(tmp_path)
+    largest = max(values.nbytes for values in ask_for_all(path).values())
+    monkeypatch.setattr(schema, "LARGEST_ARRAY", path.stat().st_size - 1)
+    assert "read into memory" in refusal(path)
+    monkeypatch.setattr(schema, "LARGEST_ARRAY", largest - 1)
+    atlas = open_atlas(path)
+    assert f"has {largest} bytes of alpha_limits" in refusal(
+        path, lambda _: atlas.max_alpha(0.0, 0.0, 0.0)
+    )
+    assert atlas.arrays["verdict"].shape == atlas.arrays["spectral_radius"].shape
+    with pytest.raises(KeyError):
+        atlas.arrays["passengers"]

@@ -9,7 +9,7 @@ import pytest
 from atlases import edited
 from click.testing import CliRunner
 
-from jaxstab import AtlasSpec, FittedAxis, write_atlas
+from jaxstab import AtlasSpec, FittedAxis, open_atlas, write_atlas
 from jaxstab.atlas import footer
 from jaxstab.atlas.digest import content_digest, digest_of
 from jaxstab.atlas.schema import VARIABLES
@@ -17,9 +17,12 @@ from jaxstab.cli import main
 
 SPEC = AtlasSpec(
     alpha=FittedAxis(16), beta=FittedAxis(16), gamma=[0.0, 0.001], delta=[0.0, 0.015], delay=[1.0],
-    products=["verdict", "spectral_radius"],
+    products=["verdict", "spectral_radius", "outline", "summary"],
 )  # fmt: skip
-NAMES = ["file", "schema", "content", "verdict", "cell_verdict", "spectral_radius", "answers"]
+NAMES = [
+    "file", "schema", "content", "verdict", "cell_verdict", "spectral_radius", "outline", "summary",
+    "answers",
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -93,9 +96,31 @@ def boast(opened: h5py.File) -> None:
     opened["spectral_radius_error"][...] = 2.0**-60
 
 
+def scale(name: str, factor: float) -> Callable[[h5py.File], None]:
+    def edit(opened: h5py.File) -> None:
+        opened[name][...] *= factor
+
+    return edit
+
+
+def cut_off(opened: h5py.File) -> None:
+    """A loop as before, of points of the boundary, with a fifth of them replaced by one of them."""
+    ends = np.cumsum(opened["outline_size"][...].transpose(2, 0, 1))
+    for name in ("outline_alpha", "outline_beta"):
+        values = opened[name][...]
+        for part in np.split(values, ends[:-1]):
+            part[200:400] = part[200]
+        opened[name][...] = values
+
+
 @pytest.mark.parametrize(
     ("edit", "wrong"),
     [
+        (scale("outline_alpha", 1.0 + 1e-7), {"outline"}),
+        (cut_off, {"outline"}),
+        (scale("corner_beta", 1.0 + 1e-7), {"outline"}),
+        (scale("stable_area", 1.0 + 1e-7), {"summary"}),
+        (scale("beta_of_least_radius", 1.0 + 1e-5), {"summary"}),
         (swap("verdict"), {"verdict"}),
         (wipe, {"verdict"}),
         (swap("cell_verdict"), {"cell_verdict", "answers"}),
@@ -109,6 +134,14 @@ def test_wrong_values_under_right_digests_are_found_by_computing_them_again(
     assert code == 1
     assert set(found) <= wrong
     assert min(wrong, key=NAMES.index) in found
+
+
+def test_outlines_that_are_counted_wrong_are_refused(image: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "miscounted.h5"
+    path.write_bytes(edited(lambda opened: opened["outline_size"].__setitem__((0, 0, 0), 5), image))
+    atlas = open_atlas(path)
+    with pytest.raises(ValueError, match=r"miscounted.h5 is damaged"):
+        atlas.outline(0.0, 0.0, 1.0)
 
 
 def test_a_missing_file_is_one_sentence(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def test_ten_thousand_queries_leak_nothing(tmp_path: Path) -> None:
         check=False,
     )
     assert completed.returncode == 0, completed.stderr
-    assert int(completed.stdout) < 100  # blocks of memory
+    assert int(completed.stdout) < 1000  # blocks of memory
 
 
 def test_threads_that_ask_one_atlas_agree(rng: np.random.Generator) -> None:

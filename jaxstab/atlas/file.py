@@ -2,9 +2,11 @@
 
 A file is checked against its footer before the HDF5 parser sees it, and against the schema before a
 dataset is read. It was published by an atomic rename. So a reader meets the old file, the new file
-or a refusal in one sentence, whatever happened to writer and disk.
+or a refusal in one sentence, whatever happened to writer and disk. The bytes that were checked stay
+in memory, and the arrays are unpacked from them: what becomes of the file later changes no answer.
 """
 
+import io
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,7 +23,8 @@ from jaxstab.atlas.footer import is_sealed
 from jaxstab.atlas.schema import VARIABLES, Variable
 from jaxstab.conventions import AXES
 
-Arrays = Mapping[str, np.ndarray[Any, np.dtype[Any]]]
+Array = np.ndarray[Any, np.dtype[Any]]
+Arrays = Mapping[str, Array]
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 _LONGEST_ATTRIBUTE = 2**16  # bytes
@@ -37,23 +40,68 @@ class Contents:
     created_by: str
     content_digest: str
 
-    def __post_init__(self) -> None:
-        shapes = {name: values.shape for name, values in self.arrays.items()}
-        problem = inconsistency(shapes, self.arrays) or _wrong_value(self.arrays)
-        if problem:
-            raise ValueError(f"the arrays of an atlas do not fit together: {problem}.")
+
+class PackedArrays(Mapping[str, Array]):
+    """The arrays of a file, each unpacked and checked when it is first asked for.
+
+    Args:
+        path: of the file, for what is said of it.
+        data: all of its bytes, found right.
+        shapes: of its arrays.
+        unpacked: some of them.
+
+    Raises:
+        ValueError: an array that is asked for has a wrong checksum or values that make no sense.
+        TooLargeError: it is larger than is read whole.
+    """
+
+    def __init__(
+        self, path: Path, data: bytes, shapes: Mapping[str, tuple[int, ...]], unpacked: Arrays
+    ) -> None:
+        self._path, self._data, self._shapes = path, data, shapes
+        self._unpacked = {name: _read_only(values) for name, values in unpacked.items()}
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._unpacked:
+            # Threads that meet here unpack the same values, and go on with one of them.
+            self._unpacked.setdefault(name, self._unpack(name))
+        return self._unpacked[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._shapes
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._shapes)
+
+    def __len__(self) -> int:
+        return len(self._shapes)
+
+    def _unpack(self, name: str) -> Array:
+        if name not in self:
+            raise KeyError(name)
+        with _parsed(io.BytesIO(self._data), self._path) as file:
+            values = _values(file[name])
+            if not _makes_sense(name, values, self._shapes):
+                raise _Refusal(_DAMAGED)
+            return _read_only(values)
 
 
 def read(path: Path) -> Contents:
-    """Return what the file holds, all of it checked and in memory.
+    """Return what the file holds; all of its bytes are checked, and in memory.
 
     Raises:
         OSError: the file is missing or unreadable.
         ValueError: it is foreign, truncated, damaged or of another version of the schema.
         TooLargeError: it is larger than is read whole.
     """
-    with opened(path) as file:
-        arrays = {name: _values(dataset) for name, dataset in checked_datasets(file).items()}
+    data = _bytes_of(path)
+    with _checked(io.BytesIO(data), path) as file:
+        datasets = checked_datasets(file)
+        shapes = {name: dataset.shape for name, dataset in datasets.items()}
+        unpacked = {name: _values(datasets[name]) for name in (*AXES, schema.SPEC)}
+        if inconsistency(shapes, unpacked):
+            raise _Refusal(_DAMAGED)
+        arrays = PackedArrays(path, data, shapes, unpacked)
         return Contents(arrays, text_of(file, "created_by"), text_of(file, "content_sha256"))
 
 
@@ -76,19 +124,12 @@ def opened(path: Path) -> Iterator[h5py.File]:
     Raises:
         OSError, ValueError: as ``read``.
     """
-    with named_errors("read", path), path.open("rb", buffering=0) as stream:
-        if not is_sealed(stream):
-            raise ValueError(f"{path} {_DAMAGED}")
-        try:
-            with h5py.File(stream, "r") as file:
-                _check_version(file)
-                yield file
-        except TooLargeError as refusal:
-            raise TooLargeError(f"{path} {refusal}") from None
-        except _Refusal as refusal:
-            raise ValueError(f"{path} {refusal}") from None
-        except (ValueError, KeyError, TypeError, RuntimeError, OSError, MemoryError) as error:
-            raise ValueError(f"{path} {_DAMAGED}") from error
+    with (
+        named_errors("read", path),
+        path.open("rb", buffering=0) as stream,
+        _checked(stream, path) as file,
+    ):
+        yield file
 
 
 def checked_datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
@@ -107,6 +148,38 @@ class TooLargeError(ValueError):
 
 class _Refusal(Exception):
     """Why a file is not read, without its name."""
+
+
+def _bytes_of(path: Path) -> bytes:
+    with named_errors("read", path), path.open("rb") as stream:
+        size = stream.seek(0, io.SEEK_END)
+        if size > schema.LARGEST_ARRAY:
+            raise TooLargeError(f"{path} {_too_large(size, 'file')}")
+        stream.seek(0)
+        return stream.read(size)
+
+
+@contextmanager
+def _checked(stream: io.FileIO | io.BytesIO, path: Path) -> Iterator[h5py.File]:
+    if not is_sealed(stream):
+        raise ValueError(f"{path} {_DAMAGED}")
+    with _parsed(stream, path) as file:
+        _check_version(file)
+        yield file
+
+
+@contextmanager
+def _parsed(stream: io.FileIO | io.BytesIO, path: Path) -> Iterator[h5py.File]:
+    """Open a file that has the right footer, and tell of its troubles as of this path."""
+    try:
+        with h5py.File(stream, "r") as file:
+            yield file
+    except TooLargeError as refusal:
+        raise TooLargeError(f"{path} {refusal}") from None
+    except _Refusal as refusal:
+        raise ValueError(f"{path} {refusal}") from None
+    except (ValueError, KeyError, TypeError, RuntimeError, OSError, MemoryError) as error:
+        raise ValueError(f"{path} {_DAMAGED}") from error
 
 
 def _check_version(file: h5py.File) -> None:
@@ -161,13 +234,22 @@ def _checked_dataset(file: h5py.File, variable: Variable) -> h5py.Dataset:
     return dataset
 
 
-def _values(dataset: h5py.Dataset) -> np.ndarray[Any, np.dtype[Any]]:
-    if dataset.size > schema.LARGEST_ARRAY:
-        raise TooLargeError(
-            f"has {dataset.size} values of {dataset.name[1:]}, and at most {schema.LARGEST_ARRAY} "
-            "are read into memory; read parts of it with h5py or xarray."
-        )
-    values: np.ndarray[Any, np.dtype[Any]] = dataset[()]
+def _values(dataset: h5py.Dataset) -> Array:
+    if dataset.nbytes > schema.LARGEST_ARRAY:
+        raise TooLargeError(_too_large(dataset.nbytes, dataset.name[1:]))
+    values: Array = dataset[()]
+    return values
+
+
+def _too_large(size: int, what: str) -> str:
+    return (
+        f"has {size} bytes of {what}, and at most {schema.LARGEST_ARRAY} are read into memory; "
+        "read parts of it with h5py or xarray."
+    )
+
+
+def _read_only(values: Array) -> Array:
+    values.flags.writeable = False
     return values
 
 
@@ -205,13 +287,9 @@ def inconsistency(shapes: Mapping[str, tuple[int, ...]], axes: Arrays) -> str:
     return ""
 
 
-def _wrong_value(arrays: Arrays) -> str:
-    for name, values in arrays.items():
-        if VARIABLES[name].holds_verdicts and not (
-            values.min() >= min(schema.FLAG_VALUES) and values.max() <= max(schema.FLAG_VALUES)
-        ):
-            return f"{name} has a code that is no verdict"
-    for name, dimension in schema.STRUNG.items():
-        if name in arrays and arrays[name].sum() != arrays[dimension].size:
-            return f"{name} counts {arrays[name].sum()} of {arrays[dimension].size}"
-    return ""
+def _makes_sense(name: str, values: Array, shapes: Mapping[str, tuple[int, ...]]) -> bool:
+    """Whether verdicts have codes of verdicts, and lists are as long as their parts together."""
+    if VARIABLES[name].holds_verdicts:
+        codes = schema.FLAG_VALUES
+        return bool(min(codes) <= values.min() and values.max() <= max(codes))
+    return name not in schema.STRUNG or (int(values.sum()),) == shapes[schema.STRUNG[name]]

@@ -51,7 +51,7 @@ def outline_at(
 def _part(arrays: Mapping[str, NDArray[Any]], counts: str, place: tuple[int, int, int]) -> slice:
     """Return where the values of a slice are, without the NaN that ends them."""
     gamma, delta, delay = place
-    in_order = arrays[counts].transpose(2, 0, 1)
+    in_order = np.transpose(arrays[counts], (2, 0, 1))
     ends = np.cumsum(in_order).reshape(in_order.shape)
     end = int(ends[delay, gamma, delta])
     return slice(end - int(arrays[counts][place]), end - 1)

@@ -3,9 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from jaxstab.conventions import STABLE, UNSTABLE
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.intp]
@@ -45,3 +48,23 @@ class Place:
             value = values[tuple(map(np.minimum, node, np.array(values.shape) - 1))]
             total += np.where(weight > 0.0, weight * value, 0.0)
         return total
+
+
+def picked(values: NDArray[Any], numbers: Sequence[Integers], members: Mask) -> NDArray[Any]:
+    """Return the values of some of the points, given as numbers along the axes."""
+    some: NDArray[Any] = values[tuple(along[members] for along in numbers)]
+    return some
+
+
+def decided_share(codes: NDArray[np.int8], axes: Sequence[Floats]) -> float:
+    """Return the share of the volume of a grid in which the verdicts of cells are decided."""
+    first, *others = (
+        np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1) for nodes in axes
+    )
+    total = 0.0
+    for width, row in zip(first, codes, strict=True):  # the whole would fill the memory
+        share = ((row == STABLE) | (row == UNSTABLE)).astype(np.float64)
+        for widths in others:
+            share = np.tensordot(widths, share, 1)
+        total += width * float(share)
+    return float(total)

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -26,7 +25,7 @@ from jaxstab.atlas.answer import (
 )
 from jaxstab.atlas.limits import AlphaLimits, LimitTable, MaxAlpha
 from jaxstab.atlas.outline import AtlasOutline, outline_at
-from jaxstab.atlas.place import Place
+from jaxstab.atlas.place import Place, decided_share, picked
 from jaxstab.atlas.xarray_view import to_xarray
 from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
 
@@ -41,7 +40,8 @@ class Atlas:
     """An atlas in memory; ``open_atlas`` makes it.
 
     Attributes:
-        arrays: the variables of the file by name (``jaxstab.atlas.schema`` describes them).
+        arrays: the variables of the file by name (``jaxstab.atlas.schema`` describes them), each
+            unpacked when it is first asked for; one of more than 2 GiB is refused then.
         spec: the TOML text from which the atlas was built.
         created_by: the program and version that built it.
     """
@@ -51,9 +51,7 @@ class Atlas:
     created_by: str
 
     def __init__(self, contents: file.Contents) -> None:
-        self.arrays = MappingProxyType(dict(contents.arrays))
-        for array in self.arrays.values():
-            array.flags.writeable = False
+        self.arrays = contents.arrays
         self.spec = b"\n".join(self.arrays[schema.SPEC].tolist()).decode("utf-8") + "\n"
         self.created_by = contents.created_by
 
@@ -88,12 +86,8 @@ class Atlas:
             return table.decided_share(nodes["gamma"], nodes["delta"])
         if schema.CELL_VERDICT not in self.arrays:
             return 0.0
-        verdict = self.arrays[schema.CELL_VERDICT][..., delay_number]
-        share = ((verdict == STABLE) | (verdict == UNSTABLE)).astype(np.float64)
-        for along in nodes.values():
-            widths = np.diff(along) if along.size > 1 else np.ones(1)
-            share = np.tensordot(widths / widths.sum(), share, 1)
-        return float(share)
+        codes = self.arrays[schema.CELL_VERDICT][..., delay_number]
+        return decided_share(codes, [*nodes.values()])
 
     def query(
         self,
@@ -367,17 +361,21 @@ class Atlas:
             codes = self._between_nodes(number, where, here, place)
             proved = ~place.at_node & ((codes == STABLE) | (codes == UNSTABLE))
             status[proved] = QueryStatus.CELL
-            if schema.VERDICT in self.arrays:
-                at_node = self.arrays[schema.VERDICT][..., number][place.node]
-                codes = np.where(place.at_node & (codes == UNDECIDED), at_node, codes)
+            left = place.at_node & (codes == UNDECIDED)
+            if schema.VERDICT in self.arrays and left.any():
+                nodes = self.arrays[schema.VERDICT][..., number]
+                codes[left] = picked(nodes, place.node, left)
             answer.verdict[here] = codes
         if schema.SPECTRAL_RADIUS in self.arrays:
             radius = self.arrays[schema.SPECTRAL_RADIUS][..., number]
-            error = self.arrays[schema.RADIUS_ERROR][..., number]
-            between = place.interpolated(radius)
-            answer.spectral_radius[here] = np.where(place.at_node, radius[place.node], between)
-            in_cell = self.arrays[schema.CELL_RADIUS_ERROR][..., number][place.cell]
-            answer.radius_error[here] = np.where(place.at_node, error[place.node], in_cell)
+            answer.spectral_radius[here] = place.interpolated(radius)
+            for name, numbers, members in (
+                (schema.RADIUS_ERROR, place.node, place.at_node),
+                (schema.CELL_RADIUS_ERROR, place.cell, ~place.at_node),
+            ):
+                if members.any():
+                    error = self.arrays[name][..., number]
+                    answer.radius_error[here[members]] = picked(error, numbers, members)
         answer.status[here] = status
 
     def _between_nodes(
@@ -391,10 +389,12 @@ class Atlas:
 
 
 def open_atlas(path: str | PathLike[str]) -> Atlas:
-    """Load an atlas into memory, all of it checked.
+    """Load an atlas into memory; all of its bytes are checked.
+
+    An array is unpacked by the first question that needs it.
 
     Raises:
         OSError: the file is missing or unreadable.
-        ValueError: it is foreign, truncated, damaged or of another version of the schema.
+        ValueError: it is foreign, damaged, of another version of the schema, or beyond 2 GiB.
     """
     return Atlas(file.read(Path(path)))

@@ -15,7 +15,7 @@ SCHEMA_VERSION: Final = 2
 FOOTER_MAGIC: Final = b"jaxstab\n"
 """After the image: these 8 bytes, its length (uint64, little endian), its SHA-256 (32 bytes)."""
 
-LARGEST_ARRAY: Final = 2**28  # elements that are read into memory at once
+LARGEST_ARRAY: Final = 2**31  # bytes that are read into memory at once
 LARGEST_ATLAS: Final = 2**38  # nodes
 LARGEST_SLICE: Final = 2**22  # nodes along alpha and beta
 

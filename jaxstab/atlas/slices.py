@@ -1,6 +1,5 @@
 """Products of slices (gamma, delta, delay), from the closed form: without a grid."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas import schema
 from jaxstab.atlas.plan import Plan, Tile
-from jaxstab.boundary import StableRegion, stable_region
+from jaxstab.boundary import stable_region
 from jaxstab.stability import least_radius
 
 Arrays = dict[str, NDArray[Any]]
@@ -17,7 +16,8 @@ Arrays = dict[str, NDArray[Any]]
 
 def outlines(plan: Plan, tile: Tile) -> Arrays:
     """Return the outlines of the stable regions of a tile, one after the other."""
-    regions = _regions(plan, tile)
+    delay = float(plan.grid.delay[tile.delay])
+    regions = [stable_region(gamma, delta, delay) for gamma, delta in _hands(plan, tile).tolist()]
     points = [_ended(region.points) for region in regions]
     corners = [_ended(region.corners) for region in regions]
     # A piece begins at every point but the last one and the end mark.
@@ -44,10 +44,21 @@ def outlines(plan: Plan, tile: Tile) -> Arrays:
 
 def summaries(plan: Plan, tile: Tile) -> Arrays:
     """Return the extremes of the stable regions of a tile, and the fastest loops."""
-    regions = _regions(plan, tile)
-    shape = plan.shape(schema.SUMMARY[0], tile)
-    gamma, delta = np.array(list(_hands(plan, tile))).T
-    best = least_radius(gamma, delta, float(plan.grid.delay[tile.delay]))
+    values = slice_summaries(_hands(plan, tile), float(plan.grid.delay[tile.delay]))
+    return {name: value.reshape(plan.shape(name, tile)) for name, value in values.items()}
+
+
+def slice_summaries(
+    hands: Float64[np.ndarray, "slice 2"], delay: float
+) -> dict[str, Float64[np.ndarray, " slice"]]:
+    """Return the variables of the product ``summary``.
+
+    Args:
+        hands: gamma and delta of each slice.
+        delay: time delay t_d/T of all of them.
+    """
+    regions = [stable_region(gamma, delta, delay) for gamma, delta in hands.tolist()]
+    best = least_radius(hands[:, 0], hands[:, 1], delay)
     values = (
         [float(region.max_alpha[0]) for region in regions],
         [float(region.max_alpha[1]) for region in regions],
@@ -58,19 +69,14 @@ def summaries(plan: Plan, tile: Tile) -> Arrays:
         best.beta,
     )
     return {
-        name: np.array(value, np.float64).reshape(shape)
+        name: np.array(value, np.float64)
         for name, value in zip(schema.SUMMARY, values, strict=True)
     }
 
 
-def _hands(plan: Plan, tile: Tile) -> Iterator[tuple[float, float]]:
-    for delta in plan.numbers("delta", tile):
-        yield float(plan.grid.gamma[tile.gamma]), float(plan.grid.delta[delta])
-
-
-def _regions(plan: Plan, tile: Tile) -> list[StableRegion]:
-    delay = float(plan.grid.delay[tile.delay])
-    return [stable_region(*hand, delay) for hand in _hands(plan, tile)]
+def _hands(plan: Plan, tile: Tile) -> Float64[np.ndarray, "slice 2"]:
+    deltas = plan.grid.delta[list(plan.numbers("delta", tile))]
+    return np.stack([np.full_like(deltas, plan.grid.gamma[tile.gamma]), deltas], axis=-1)
 
 
 def _ended(points: Float64[np.ndarray, "point 2"]) -> Float64[np.ndarray, "point_and_end 2"]:

@@ -1,29 +1,43 @@
 """Check an atlas file: that it is whole, as the schema says, and right at a sample of points.
 
 One slice is in memory at a time, however large the atlas is. Half of the sample is next to where
-the verdict changes, where a wrong one would be.
+the verdict changes, where a wrong one would be. Outlines and summaries are computed again for whole
+slices: an outline must lie on the exact boundary, enclose its area and have its corners.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import prod
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-from jaxtyping import Float64, Int8, Int64
+from jaxtyping import Float, Float64, Int8, Int64
 from numpy.typing import NDArray
 
-from jaxstab.atlas.answer import AtlasAnswer
 from jaxstab.atlas.digest import content_digest, digest_of
 from jaxstab.atlas.file import TooLargeError, checked_datasets, inconsistency, opened, text_of
+from jaxstab.atlas.outline import AtlasOutline, outline_at
 from jaxstab.atlas.query import Atlas, open_atlas
-from jaxstab.atlas.schema import CELL_VERDICT, RADIUS_ERROR, SPECTRAL_RADIUS, VERDICT
+from jaxstab.atlas.schema import (
+    CELL_VERDICT,
+    PRODUCTS,
+    RADIUS_ERROR,
+    SLICE,
+    SPECTRAL_RADIUS,
+    VERDICT,
+)
+from jaxstab.atlas.slices import slice_summaries
+from jaxstab.boundary import RegionStatus, stable_region
 from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import require_x64
 from jaxstab.stability import spectral_radius, verdict
 
 _SLICES = 16  # that are looked at
+_NEAR = 1e-9  # of the size of a slice's stable region, or of a number in its summary
+_FAR = 1e-6  # of a coordinate of an extreme, where what is extreme hardly changes
+_POLYGON = 1e-5  # of that size squared: a polygon leaves the boundary by 1e-6 of it
 
 Datasets = Mapping[str, h5py.Dataset]
 Axes = Mapping[str, NDArray[Any]]
@@ -46,14 +60,16 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
 
     Args:
         path: of the file.
-        sample: about how many nodes, and as many points in cells, are computed again.
+        sample: about how many nodes, and as many points in cells, are computed again; of outlines
+            and summaries those of at most 16 slices are.
         seed: of the sample.
 
     Raises:
         OSError: the file is missing or unreadable.
         RuntimeError: JAX's x64 mode is off.
 
-    Source: ``jaxstab.verdict`` with resolve="exact", and ``jaxstab.spectral_radius``.
+    Source: ``jaxstab.verdict`` with resolve="exact", ``jaxstab.spectral_radius``,
+        ``jaxstab.stable_region`` and ``jaxstab.least_radius``.
     """
     require_x64()
     chance = np.random.default_rng(seed)
@@ -69,6 +85,8 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
                 yield _content(file, datasets)
                 for name in (name for name in _COMPARED if name in datasets):
                     yield _sampled(name, datasets, axes, sample, chance)
+                for product in (p for p in _OF_SLICES if PRODUCTS[p][0] in datasets):
+                    yield _sampled_slices(product, datasets, axes, sample, chance)
         yield _answers(open_atlas(path), sample, chance)
     except TooLargeError:
         return
@@ -85,11 +103,29 @@ def _sampled(
     name: str, datasets: Datasets, axes: Axes, sample: int, chance: np.random.Generator
 ) -> Check:
     """Compare a variable with what is computed at points of some slices."""
-    counts = datasets[name].shape[2:]
-    places = chance.integers(0, counts, (min(_SLICES, sample), 3)).tolist()
+    places = _places(datasets[name].shape[2:], sample, chance)
     each = -(-sample // len(places))
     wrong = sum(_COMPARED[name](datasets, axes, place, each, chance) for place in places)
     return Check(name, wrong == 0, f"{wrong} of {each * len(places)} points are wrong")
+
+
+def _sampled_slices(
+    product: str, datasets: Datasets, axes: Axes, sample: int, chance: np.random.Generator
+) -> Check:
+    """Compare a product with what is computed for some slices."""
+    places = _places([axes[name].size for name in SLICE], sample, chance)
+    wrong = sum(_OF_SLICES[product](datasets, axes, place) for place in places)
+    return Check(
+        product, wrong == 0, f"{wrong} of {len(places)} slices are off by {_MOST[product]}"
+    )
+
+
+def _places(counts: Sequence[int], sample: int, chance: np.random.Generator) -> list[Place]:
+    """Return some of the slices, each once."""
+    slices = prod(counts)
+    some = chance.choice(slices, min(_SLICES, sample, slices), replace=False)
+    places: list[Place] = np.stack(np.unravel_index(some, counts), axis=-1).tolist()
+    return places
 
 
 def _wrong_nodes(
@@ -127,9 +163,52 @@ def _wrong_radii(
         datasets[name][:, :, gamma, delta, delay] for name in (SPECTRAL_RADIUS, RADIUS_ERROR)
     )
     i, j = _some(value < 1.0, count, chance)
-    radius = spectral_radius(*_nodes(axes, i, j, place))
-    difference = np.abs(value[i, j] - np.asarray(radius.value))
-    return int(np.sum(~(difference <= error[i, j] + np.asarray(radius.error))))
+    return _wrong_bounds(value[i, j], error[i, j], _nodes(axes, i, j, place))
+
+
+def _wrong_bounds(
+    value: Float[np.ndarray, " point"], error: Float[np.ndarray, " point"], point: tuple[Any, ...]
+) -> int:
+    """Count spectral radii that are farther from the computed ones than their errors say."""
+    radius = spectral_radius(*point)
+    difference = np.abs(value - np.asarray(radius.value))
+    return int(np.sum(~(difference <= error + np.asarray(radius.error))))
+
+
+def _is_wrong_outline(datasets: Datasets, axes: Axes, place: Place) -> bool:
+    """Whether points or corners are not on the boundary, or parts of it are missing."""
+    loop = _loop(axes, place)
+    stored, region = outline_at({**datasets, **axes}, *loop), stable_region(*loop)
+    if stored.status != int(region.status) or not np.all(np.isfinite(stored.points)):
+        return True
+    if stored.status != RegionStatus.COMPLETE:
+        return False
+    size = float(np.hypot(*np.ptp(region.points, axis=0)))
+    points = np.resize(stored.points, region.outline.vertices.shape)  # one shape is compiled once
+    aside = np.asarray(region.distance(*points.T))
+    missing = float(region.area) - _enclosed(stored)
+    return not (
+        np.all(np.abs(aside) <= _NEAR * size)
+        and abs(missing) <= _POLYGON * size**2
+        and stored.corners.shape == region.corners.shape
+        and np.allclose(stored.corners, region.corners, 0.0, _NEAR * size)
+    )
+
+
+def _enclosed(outline: AtlasOutline) -> float:
+    """Return the area of the polygon, or of several without the ways between them."""
+    (x0, y0), (x1, y1) = outline.points[:-1].T, outline.points[1:].T
+    return 0.5 * float(np.sum(x0 * y1 - x1 * y0, where=outline.branch >= 0))
+
+
+def _is_wrong_summary(datasets: Datasets, axes: Axes, place: Place) -> bool:
+    gamma, delta, delay = _loop(axes, place)
+    exact = slice_summaries(np.array([[gamma, delta]]), delay)
+    tolerances = {name: _FAR if "_of_" in name else _NEAR for name in exact}
+    return not all(
+        np.isclose(datasets[name][tuple(place)], exact[name], tolerance, _NEAR**2, equal_nan=True)
+        for name, tolerance in tolerances.items()
+    )
 
 
 def _some(
@@ -147,9 +226,14 @@ def _some(
 def _nodes(
     axes: Axes, i: Int64[np.ndarray, " point"], j: Int64[np.ndarray, " point"], place: Place
 ) -> tuple[Any, ...]:
+    delay = place[-1]
+    return (axes["alpha"][i, delay], axes["beta"][j, delay], *_loop(axes, place))
+
+
+def _loop(axes: Axes, place: Place) -> tuple[float, float, float]:
+    """Return gamma, delta and delay of a slice."""
     gamma, delta, delay = place
-    gains = axes["alpha"][i, delay], axes["beta"][j, delay]
-    return (*gains, axes["gamma"][gamma], axes["delta"][delta], axes["delay"][delay])
+    return float(axes["gamma"][gamma]), float(axes["delta"][delta]), float(axes["delay"][delay])
 
 
 def _within(
@@ -178,16 +262,16 @@ def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
         point = (*(chance.uniform(*side, each) for side in ends), delay)
         answer = atlas.query(*point)
         codes = np.where(answer.verdict == NOT_COMPUTED, np.int8(UNDECIDED), answer.verdict)
-        wrong += _wrong_codes(codes, point) + _wrong_bounds(answer, point)
+        wrong += _wrong_codes(codes, point)
+        if SPECTRAL_RADIUS in atlas.products:
+            wrong += _wrong_bounds(answer.spectral_radius, answer.radius_error, point)
     points = each * atlas.delays.size
     return Check("answers", wrong == 0, f"{wrong} of {points} points are wrong")
 
 
-def _wrong_bounds(answer: AtlasAnswer, point: tuple[Any, ...]) -> int:
-    """Count spectral radii that are farther from the computed ones than is said."""
-    radius = spectral_radius(*point)
-    difference = np.abs(answer.spectral_radius - np.asarray(radius.value))
-    return int(np.sum(difference > answer.radius_error + np.asarray(radius.error)))
-
-
 _COMPARED = {VERDICT: _wrong_nodes, CELL_VERDICT: _wrong_cells, SPECTRAL_RADIUS: _wrong_radii}
+_OF_SLICES = {"outline": _is_wrong_outline, "summary": _is_wrong_summary}
+_MOST = {
+    "outline": f"more than {_NEAR:g} of their size",
+    "summary": f"more than {_NEAR:g}, or {_FAR:g} in where an extreme lies",
+}
