@@ -11,7 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
-from jaxstab.boundary import damping_limits, passive_region, stiffness_limits, wall_limits
+from jaxstab.boundary import (
+    WallLimits,
+    damping_limits,
+    passive_region,
+    stiffness_limits,
+    wall_limits,
+)
 from jaxstab.front import corner_loops, hands_of, loop_of
 from jaxstab.model import HapticLoop
 from jaxstab.paper import BLACK, BLUE, GREEN, ORANGE, RED, SKY
@@ -24,6 +30,9 @@ _FEWEST, _MOST = 100, 2000  # samples of a response
 _BAND = 0.02
 _GONE = 5.0  # final positions: an unstable response is drawn no further
 _HEIGHT = 4.6  # inches
+_WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
+_SEEN = 0.05  # of the region, in K or in B: what is smaller is enlarged
+_ZOOMS = 3  # towards the rows of B in which walls are stable for all hands
 _COLUMNS = 64  # of the map of settling times, and rows
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
 _LONGEST = 50.0  # of the shortest settling time: the slowest line that is drawn
@@ -32,6 +41,7 @@ _MARK = 14.0  # pixels: a wall's mark
 _LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
 
 Floats = NDArray[np.float64]
+Ends = tuple[float, float]
 
 
 class _Look(NamedTuple):
@@ -52,10 +62,13 @@ _LOOKS = {
 def scene_figure(scene: Scene, checked: dict[str, Any] | None = None) -> Figure:
     """Draw the stable region in the plane of K and B, in SI units, and the walls in it.
 
+    What is too small to be seen beside it, of the walls that are passive or stable for all hands,
+    is enlarged in a panel of its own.
+
     Args:
         scene: the scene.
         checked: what ``check`` found for its walls. Then the walls are drawn, with their responses
-            to a step of force in a second panel.
+            to a step of force in a panel of its own.
 
     Raises:
         ValueError: no wall is stable, there is nothing to draw.
@@ -64,14 +77,37 @@ def scene_figure(scene: Scene, checked: dict[str, Any] | None = None) -> Figure:
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
     """
     loop = loop_of(scene)
-    figure = Figure(figsize=(6.4 if checked is None else 11.2, _HEIGHT))
+    best = wall_limits(loop)
+    if not isfinite(best.stiffness):
+        raise ValueError("no wall is stable for this scene; there is nothing to draw.")
+    dampings = (_least_damping(loop, best), best.damping)
+    parts = [part for part in (_common(scene, loop), _passive(loop)) if len(part.outline)]
+    span = np.array([best.stiffness + loop.hand_stiffness, dampings[1] - dampings[0]])
+    small = [part.outline for part in parts if (np.ptp(part.outline, axis=0) < _SEEN * span).any()]
+
+    widths = [_WIDTH] + [_ZOOM_WIDTH] * bool(small) + [_RESPONSE_WIDTH] * (checked is not None)
+    figure = Figure(figsize=(sum(widths), _HEIGHT))
     figure.set_layout_engine("constrained")
-    panels = figure.subplots(1, 1 if checked is None else 2, squeeze=False)[0]
-    _draw_region(panels[0], scene, loop)
+    panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
+    walls = list((checked or {}).values())
+    stiffest = max([best.stiffness, *(wall["stiffness"] for wall in walls)])
+    highest = max([best.damping, *(wall["damping"] for wall in walls)])
+    _set_window(panels[0], (min(0.0, -loop.hand_stiffness), stiffest), (dampings[0], highest))
+    _draw_stable(panels[0], loop, dampings)
+    _draw_settling(panels[0], loop, dampings, best.stiffness)
+    _draw_best(panels[0], loop, best)
+    panels[0].set_title("stable walls, and how long they take to settle")
+    planes = [panels[0]]
+    if small:
+        _draw_enlarged(panels[1], loop, np.concatenate(small), dampings)
+        planes.append(panels[1])
+    for panel in planes:
+        _draw_parts(panel, loop, parts)
+        if checked is not None:
+            _draw_walls(panel, checked)
     if checked is not None:
-        _draw_walls(panels[0], checked)
-        _draw_responses(panels[1], loop, checked)
-        panels[1].set_title("a constant push, and the band of 2 %")
+        _draw_responses(panels[-1], loop, checked)
+        panels[-1].set_title("a constant push, and the band of 2 %")
     if hands_of(scene):
         figure.suptitle(
             "region, settling and fastest wall: hand at its lowest values"
@@ -79,41 +115,107 @@ def scene_figure(scene: Scene, checked: dict[str, Any] | None = None) -> Figure:
             fontsize=9,
         )
     handles, labels = panels[0].get_legend_handles_labels()
-    columns = 2 if checked is None else 4
+    columns = 2 if len(widths) == 1 else 4
     figure.legend(
         handles, labels, fontsize=8, frameon=False, ncols=columns, loc="outside lower center"
     )
     if checked is not None:
-        _name_walls(figure, panels[0], checked)
+        figure.draw_without_rendering()  # places are known only now
+        for panel in planes:
+            _name_walls(panel, checked)
     return figure
 
 
-def _draw_region(panel: Axes, scene: Scene, loop: HapticLoop) -> None:
-    best = wall_limits(loop)
-    if not isfinite(best.stiffness):
-        raise ValueError("no wall is stable for this scene; there is nothing to draw.")
+class _Part(NamedTuple):
+    """A part of the stable walls, and how it is drawn."""
+
+    outline: Floats  # (K, B) by rows
+    look: dict[str, Any]
+
+
+def _common(scene: Scene, loop: HapticLoop) -> _Part:
+    """Return the walls that are stable for the hands at all corners of the range, if it is one."""
+    hands = hands_of(scene)
+    outline = _common_outline(corner_loops(loop, hands)) if hands else np.zeros((0, 2))
+    most = np.max(outline[:, 0], initial=0.0)
+    label = f"for all corners of the hands' range: up to {most:,.0f} N/m"
+    look = {"facecolor": "none", "edgecolor": BLUE, "hatch": "///", "lw": 0.6, "label": label}
+    return _Part(outline, look)
+
+
+def _common_outline(loops: list[HapticLoop]) -> Floats:
+    """Return the walls that are stable for each of some loops, row by row of B."""
+    limits = [wall_limits(loop) for loop in loops]
+    low = max(map(_least_damping, loops, limits))
+    high = min(limit.damping for limit in limits)
+    for _ in range(_ZOOMS):  # the rows that meet may be few of those tried
+        if not low < high:
+            return np.zeros((0, 2))
+        rows = np.linspace(low, high, _ROWS + 2)[1:-1]
+        ends = np.stack([stiffness_limits(loop, rows) for loop in loops])
+        left, right = ends[..., 0].max(axis=0), ends[..., 1].min(axis=0)
+        met = np.flatnonzero(left < right)
+        if not len(met):
+            return np.zeros((0, 2))
+        step = rows[1] - rows[0]
+        low, high = rows[met[0]] - step, rows[met[-1]] + step
+    left, right, rows = left[met], right[met], rows[met]
+    return np.column_stack([np.append(left, right[::-1]), np.append(rows, rows[::-1])])
+
+
+def _passive(loop: HapticLoop) -> _Part:
+    own = loop.device_damping * loop.sample_time / loop.mass
+    corners = passive_region(own, loop.delay_samples).outline
+    outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
+    label = f"passive: up to {np.max(outline[:, 0], initial=0.0):,.0f} N/m"
+    return _Part(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
+
+
+def _least_damping(loop: HapticLoop, best: WallLimits) -> float:
     edge = -loop.hand_stiffness + _EDGE * (best.stiffness + loop.hand_stiffness)
-    least = float(damping_limits(loop, edge)[0])
-    rows = np.linspace(least, best.damping, _ROWS + 2)[1:-1]
+    return float(damping_limits(loop, edge)[0])
+
+
+def _set_window(panel: Axes, stiffnesses: Ends, dampings: Ends) -> None:
+    """Show these values of K and B, and a little more, whatever is drawn."""
+    for ends, margins, set_limits in (
+        (stiffnesses, (0.04, 0.12), panel.set_xlim),
+        (dampings, (0.06, 0.06), panel.set_ylim),
+    ):
+        span = ends[1] - ends[0]
+        set_limits(ends[0] - margins[0] * span, ends[1] + margins[1] * span)
+    panel.set(xlabel="stiffness K (N/m)", ylabel="damping B (N s/m)")
+
+
+def _draw_stable(panel: Axes, loop: HapticLoop, dampings: Ends) -> None:
+    """Draw what is stable between two values of B."""
+    rows = np.linspace(*dampings, _ROWS + 2)[1:-1]
     low, high = stiffness_limits(loop, rows).T
     panel.fill_betweenx(rows, low, high, color=SKY, alpha=0.35, lw=0, label="stable")
     panel.plot(np.append(low, high[::-1]), np.append(rows, rows[::-1]), color=BLUE, lw=1.2)
-    hands = hands_of(scene)
-    if hands:
-        _draw_common_region(panel, corner_loops(loop, hands))
-    _draw_settling(panel, loop, (least, best.damping), best.stiffness)
-    own = loop.device_damping * loop.sample_time / loop.mass
-    passive = passive_region(own, loop.delay_samples).outline
-    if len(passive):
-        corners = loop.stiffness(passive[:, 0]), loop.damping(passive[:, 1])
-        panel.fill(*corners, facecolor=GREEN, edgecolor=GREEN, alpha=0.6, label="passive")
-    window = (min(0.0, -loop.hand_stiffness) - 0.04 * best.stiffness, 1.12 * best.stiffness)
-    span = best.damping - least
-    panel.set(xlim=window, ylim=(least - 0.06 * span, best.damping + 0.06 * span))
+
+
+def _draw_enlarged(panel: Axes, loop: HapticLoop, corners: Floats, dampings: Ends) -> None:
+    """Draw what is stable around some points, for dampings of the whole region."""
+    _set_window(panel, *zip(corners.min(axis=0), corners.max(axis=0), strict=True))
+    low, high = panel.get_ylim()
+    beyond = high + 0.1 * (high - low)  # no line where only the panel ends
+    _draw_stable(panel, loop, (max(low, dampings[0]), min(beyond, dampings[1])))
+    panel.locator_params(axis="x", nbins=5)
+    panel.set_title("enlarged")
+
+
+def _draw_parts(panel: Axes, loop: HapticLoop, parts: list[_Part]) -> None:
+    """Draw parts of the stable walls, and the linear rule."""
+    for part in parts:
+        panel.fill(*part.outline.T, **part.look)
     damping = np.array(panel.get_ylim())
     lag = loop.delay + 0.5 * loop.sample_time
     linear = (damping + loop.device_damping + loop.hand_damping) / lag
     panel.plot(linear, damping, "--", color=RED, lw=1.4, label="linear rule")
+
+
+def _draw_best(panel: Axes, loop: HapticLoop, best: WallLimits) -> None:
     panel.plot(
         best.stiffness,
         best.at_damping,
@@ -133,30 +235,6 @@ def _draw_region(panel: Axes, scene: Scene, loop: HapticLoop) -> None:
         mec=BLACK,
         label=f"fastest: {fastest.stiffness:,.0f} N/m, {fastest.damping:.1f} N s/m, "
         f"settles in {1e3 * fastest.settling_time:.3g} ms",
-    )
-    panel.set(xlabel="stiffness K (N/m)", ylabel="damping B (N s/m)")
-    panel.set_title("stable walls, and how long they take to settle")
-
-
-def _draw_common_region(panel: Axes, loops: list[HapticLoop]) -> None:
-    """Draw the walls that are stable for each of some loops."""
-    spans = []
-    for loop in loops:
-        best = wall_limits(loop)
-        edge = -loop.hand_stiffness + _EDGE * (best.stiffness + loop.hand_stiffness)
-        spans.append((float(damping_limits(loop, edge)[0]), best.damping))
-    lowest, highest = np.max(spans, axis=0)[0], np.min(spans, axis=0)[1]
-    if not lowest < highest:
-        return
-    rows = np.linspace(lowest, highest, _ROWS + 2)[1:-1]
-    limits = np.stack([stiffness_limits(loop, rows) for loop in loops])
-    low, high = limits[..., 0].max(axis=0), limits[..., 1].min(axis=0)
-    low, high = np.where(low < high, [low, high], np.nan)
-    if np.isnan(high).all():
-        return
-    label = f"for all corners of the hands' range: up to {np.nanmax(high):,.0f} N/m"
-    panel.fill_betweenx(
-        rows, low, high, facecolor="none", edgecolor=BLUE, hatch="///", lw=0.6, label=label
     )
 
 
@@ -179,34 +257,34 @@ def _draw_settling(
 
 
 def _draw_walls(panel: Axes, checked: dict[str, Any]) -> None:
-    stiffest = max(wall["stiffness"] for wall in checked.values())
-    widest = max(wall["damping"] for wall in checked.values())
-    panel.set_xlim(right=max(panel.get_xlim()[1], 1.1 * stiffest))
-    panel.set_ylim(top=max(panel.get_ylim()[1], 1.1 * widest))
-    named: set[str] = set()
-    for wall in checked.values():
-        verdict, place = wall["verdict"], (wall["stiffness"], wall["damping"])
-        look = _LOOKS[verdict]
-        label = "" if verdict in named else f"wall, {verdict}"
-        named.add(verdict)
-        panel.plot(
-            *place, look.marker, color=look.colour, ms=9, mec=BLACK, ls="", zorder=5, label=label
-        )
+    for verdict, look in _LOOKS.items():
+        walls = [wall for wall in checked.values() if wall["verdict"] == verdict]
+        if walls:
+            panel.plot(
+                [wall["stiffness"] for wall in walls],
+                [wall["damping"] for wall in walls],
+                look.marker,
+                color=look.colour,
+                ms=9,
+                mec=BLACK,
+                ls="",
+                zorder=5,
+                label=f"wall, {verdict}",
+            )
 
 
-def _name_walls(figure: Figure, panel: Axes, checked: dict[str, Any]) -> None:
-    """Write the name of each wall beside it, where no other name or wall is."""
-    figure.draw_without_rendering()  # places are known only now
-    lines = [np.asarray(line.get_xydata(), np.float64) for line in panel.get_lines()]
-    marks = np.concatenate([points for points in lines if len(points) == 1])
-    taken = [
-        Bbox.from_bounds(x - _MARK / 2, y - _MARK / 2, _MARK, _MARK)
-        for x, y in panel.transData.transform(marks)
-    ]
+def _name_walls(panel: Axes, checked: dict[str, Any]) -> None:
+    """Write the name of each wall beside it, where no other name or mark is."""
+    lines = [line for line in panel.get_lines() if line.get_marker() != "None"]
+    marks = np.concatenate([panel.transData.transform(line.get_xydata()) for line in lines])
+    taken = [Bbox.from_bounds(x - _MARK / 2, y - _MARK / 2, _MARK, _MARK) for x, y in marks]
     for name, wall in checked.items():
+        place = (wall["stiffness"], wall["damping"])
+        if not panel.bbox.contains(*panel.transData.transform(place)):
+            continue
         text = panel.annotate(
             name,
-            (wall["stiffness"], wall["damping"]),
+            place,
             xytext=(8, 0),
             textcoords="offset points",
             va="center",

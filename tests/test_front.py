@@ -10,9 +10,8 @@ import pytest
 import truth
 from click.testing import CliRunner, Result
 
-from jaxstab import commands
+from jaxstab import commands, front
 from jaxstab.cli import main
-from jaxstab.front import check
 from jaxstab.scene import EXAMPLE, Scene
 from jaxstab.scene_figure import scene_figure
 
@@ -175,7 +174,7 @@ def test_the_picture_shows_the_exact_edge_and_tells_the_walls_apart_without_colo
             "wanted": {"measures": ["settling"]},
         }
     )
-    plane, response = scene_figure(scene, check(scene)).axes
+    plane, response = scene_figure(scene, front.check(scene)).axes
     edge, *_ = plane.get_lines()
     stiffness, damping = np.asarray(edge.get_data())
     closed = 2 * damping * (2 - damping) / (damping + 2)
@@ -187,6 +186,20 @@ def test_the_picture_shows_the_exact_edge_and_tells_the_walls_apart_without_colo
     assert any(text.endswith(" ms") for text in texts)  # lines of equal settling time
     styles = [line.get_linestyle() for line in response.get_lines()]
     assert len(styles) == len(set(styles)) == 2
+
+
+def test_what_is_too_small_to_be_seen_beside_the_region_is_enlarged() -> None:
+    scene = Scene.from_file(Path(__file__).parents[1] / "data" / "scenes" / "collision.toml")
+    whole, enlarged = scene_figure(scene).axes
+    parts = {str(patch.get_label()): patch.get_path().vertices for patch in enlarged.patches}
+    assert "passive: up to 3,000 N/m" in parts  # 2 b/T, Colgate
+    common = next(name for name in parts if name.startswith("for all corners"))
+    most = front.limits(scene)["all_hands"]["sampled_hands_allow_stiffness"]
+    assert parts[common][:, 0].max() == pytest.approx(most, rel=1e-3)
+    for panel, is_seen in ((whole, False), (enlarged, True)):
+        window = np.ptp([panel.get_xlim(), panel.get_ylim()], axis=1)
+        shares = np.ptp(parts[common], axis=0) / window
+        assert (shares > 0.5).all() == is_seen
 
 
 def test_a_picture_comes_with_the_answer(tmp_path: Path) -> None:
