@@ -48,7 +48,7 @@ from jaxstab.stability.wide_vectors import wide_jit
 
 _LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
 _HIGHEST_UNROLLED = 24  # degree of such a proof
-_TILE = 512  # points whose polynomials of a higher degree stay in the cache
+_TILE = 256  # points whose polynomials of a higher degree stay in the cache
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _SAFETY = 1.0 + 1e-6  # the bounds themselves are rounded
 
@@ -340,20 +340,19 @@ def _all_inside(polynomial: list[Array], error: Array) -> Array:
 
 
 def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
-    """Return the same by a loop: each step leaves one more zero at the end."""
-    size = len(polynomial)
+    """Return the same by a loop over a -> (a - k a*) / z and its reverse, zeros filling both."""
     one, zero = jnp.ones_like(error), jnp.zeros_like(error)
 
-    def lower(step: Array, state: tuple[Array, ...]) -> tuple[Array, ...]:
-        rows, is_inside, below, above, whole, quotients = state
-        first, last = rows[0], rows[size - 1 - step]
+    def lower(_: Array, state: tuple[Array, ...]) -> tuple[Array, ...]:
+        rows, turned, is_inside, below, above, whole, quotients = state
+        first, last = rows[0], turned[0]
         lowest, highest = first - jnp.abs(last), first + jnp.abs(last)
-        twice = jnp.concatenate([rows[::-1], jnp.zeros_like(rows)])
-        turned = lax.dynamic_slice_in_dim(twice, step, size)
-        lowered = (first * rows - last * turned).at[0].set(lowest * highest)
-        lowered = lowered.at[size - 1 - step].set(0.0)
+        scale = power_of_two_below_inverse(lowest * highest)
+        kept, taken = first * scale, last * scale
+        lowered = (kept * rows - taken * turned).at[0].set(lowest * highest * scale)
         return (
-            lowered * power_of_two_below_inverse(lowered[0]),
+            lowered,
+            jnp.concatenate([(kept * turned - taken * rows)[1:], zero[None]]),
             is_inside & (lowest > 0.0),
             below * lowest,
             above * highest,
@@ -361,9 +360,10 @@ def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
             quotients + highest / lowest,
         )
 
-    start = jnp.stack(polynomial), jnp.isfinite(error), one, one, one, zero
-    state: tuple[Array, ...] = lax.fori_loop(0, size - 1, lower, start)
-    _, is_inside, below, above, whole, quotients = state
+    rows = jnp.stack(polynomial)
+    start = rows, rows[::-1], jnp.isfinite(error), one, one, one, zero
+    state: tuple[Array, ...] = lax.fori_loop(0, len(polynomial) - 1, lower, start)
+    _, _, is_inside, below, above, whole, quotients = state
     lost = _SAFETY * (error * whole + 8.0 * FLOAT_UNIT * above * quotients)
     return is_inside & (lost < below)
 

@@ -1,7 +1,7 @@
 """Spectral radius and its error over any points by dominant roots, wherever these can be proved.
 
 Each point is computed on its own, whatever the others are. Where the first try is not proved to
-``TOLERANCE``, mostly because two roots have nearly one modulus, the second one squares the power
+``TOLERANCE``, mostly because two roots have nearly one modulus, the next one squares the power
 of z more often. The few points that are still open have multiple dominant roots or several alike.
 """
 
@@ -57,14 +57,16 @@ def fast_radius(parameters: list[Values], delay: Values) -> Answer:
 def _of_delay(parameters: list[Values], shape: tuple[int, ...], delay: float) -> Answer:
     if delay > LONGEST_DELAY:
         return np.zeros(shape), np.full(shape, np.inf)
-    value, error = np.empty(shape), np.empty(shape)
+    value, error = np.empty(shape), np.full(shape, np.inf)
+    first, *others = _tries(delay)
     if value.size > _LIST:
         for place, block in _blocks(parameters, shape):
-            value[place], error[place] = _tried(block, delay, _first_try(delay))
+            value[place], error[place] = _tried(block, delay, first)
     else:
-        _try_list(value, error, parameters, np.arange(value.size), delay, _first_try(delay))
-    still_open = np.flatnonzero(~(error <= TOLERANCE))
-    _try_list(value, error, parameters, still_open, delay, _second_try(delay))
+        _try_list(value, error, parameters, np.arange(value.size), delay, first)
+    for effort in others:
+        still_open = np.flatnonzero(~(error <= TOLERANCE))
+        _try_list(value, error, parameters, still_open, delay, effort)
     return value, error
 
 
@@ -99,20 +101,18 @@ def _tried(parameters: list[Values], delay: float, effort: _Try) -> Answer:
     return np.asarray(modulus(root)), np.asarray(distance_of_dominant(root, loop, degree=degree))
 
 
-def _first_try(delay: float) -> _Try:
+def _tries(delay: float) -> tuple[_Try, ...]:
     if delay == 0.0:
-        return _Try(doublings=0, corrections=1, longest_list=2**15)
+        return _Try(0, 1, 2**15), _Try(16, 8, 2**15)
     if delay <= 1.0:
-        return _Try(doublings=8, corrections=2, longest_list=2**15)
-    if delay <= 10.0:
-        return _Try(doublings=6, corrections=2, longest_list=2**15)
-    return _Try(doublings=4, corrections=4, longest_list=2**15 if delay <= 21.0 else 2**12)
-
-
-def _second_try(delay: float) -> _Try:
+        return _Try(8, 2, 2**15), _Try(16, 8, 2**15)
     if delay <= 5.0:
-        return _Try(doublings=16, corrections=8, longest_list=2**15)
-    return _Try(doublings=14, corrections=8, longest_list=2**10)
+        return _Try(6, 2, 2**15), _Try(16, 8, 2**15)
+    if delay <= 10.0:
+        return _Try(6, 2, 2**15), _Try(10, 4, 2**12), _Try(14, 8, 2**10)
+    if delay <= 21.0:
+        return _Try(4, 4, 2**15), _Try(14, 8, 2**10)
+    return _Try(4 if delay <= 40.0 else 6, 4, 2**12), _Try(14, 8, 2**10)
 
 
 def _blocks(

@@ -50,9 +50,10 @@ def _rolled_power(coefficients: list[Column], doublings: int) -> list[Column]:
     degree = len(coefficients)
     shape = jnp.broadcast_shapes(*(jnp.shape(c) for c in coefficients if c is not None))
     dense = jnp.stack([jnp.broadcast_to(0.0 if c is None else c, shape) for c in coefficients])
+    low = sum(c is not None for c in coefficients[:-2])  # of p; between them and two are zeros
 
     def added(square: Array, place: Array, columns: Array) -> Array:
-        before = lax.dynamic_slice_in_dim(square, place, degree)
+        before = lax.dynamic_slice_in_dim(square, place, len(columns))
         return lax.dynamic_update_slice_in_dim(square, before + columns, place, 0)
 
     def doubled(_: Array, remainder: Array) -> Array:
@@ -61,7 +62,9 @@ def _rolled_power(coefficients: list[Column], doublings: int) -> list[Column]:
 
         def reduced(step: Array, square: Array) -> Array:
             top = 2 * degree - 1 - step
-            return added(square, top - degree, -square[top] * dense)
+            square = added(square, top - 2, -square[top] * dense[-2:])
+            square = lax.optimization_barrier(square)  # or the next line works on a copy
+            return added(square, top - degree, -square[top] * dense[:low])
 
         square = jnp.zeros((2 * degree - 1, *shape))
         square = lax.fori_loop(0, degree, multiplied, square)
