@@ -3,10 +3,14 @@
 import argparse
 import subprocess
 import sys
+from collections.abc import Iterable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from benchmarks import record, table
+from benchmarks.record import Row
 
 BENCHMARKS = (
     "boundary",
@@ -49,12 +53,19 @@ def main() -> int:
     if choice.name is None and not choice.small:
         return _each_in_its_process(sys.argv[1:])
     for name in [choice.name] if choice.name else BENCHMARKS:
-        options = {"billion": True} if choice.billion and name == "scaling" else {}
-        if choice.points and name == "stress":
-            options = {"points": choice.points}
+        keep = partial(_keep, name, choice.small, choice.out)
+        options: dict[str, Any] = {}
+        if name == "scaling" and choice.billion:
+            options = {"billion": True}
+        if name == "stress":
+            options = {"keep": keep} | ({"points": choice.points} if choice.points else {})
         rows = import_module(f"benchmarks.{name}").rows(choice.small, **options)
-        print(record.write(record.new_record(name, choice.small, rows), choice.out))
+        print(keep(record.shown(rows)))
     return 0
+
+
+def _keep(name: str, small: bool, folder: Path, rows: Iterable[Row]) -> Path:
+    return record.write(record.new_record(name, small, rows), folder)
 
 
 def _each_in_its_process(options: list[str]) -> int:

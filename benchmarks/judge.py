@@ -18,7 +18,8 @@ CERTIFIED = ("verdict", "verdict, exact", "spectral_radius", "spectral_radius, c
 RIVALS = ("numpy.roots", "eq. (9) as printed")
 METHODS = (*CERTIFIED, *RIVALS)
 
-_BITS = (160, 480, 1390)  # the plants have 1400
+_BITS = {160: 400, 480: 800, 1390: 1700, 5300: 5600}  # of roots, and of the plants for them
+_DIGITS = 80  # binary digits of a true radius, at least
 
 
 class Loops(NamedTuple):
@@ -41,7 +42,8 @@ class Loops(NamedTuple):
 
 class Truth(NamedTuple):
     """The true code of each loop, its spectral radius as a sum of two floats, and the distance of
-    the root closest to the circle; NaN where the roots could not be told apart."""
+    the root closest to the circle; NaN where the roots could not be told apart, or not to digits of
+    a radius."""
 
     code: np.ndarray
     radius: np.ndarray
@@ -72,10 +74,9 @@ class Judgement(NamedTuple):
 def truth_of(loops: Loops) -> Truth:
     rows = []
     for gamma, delta, alphas, betas in zip(*loops[:4], strict=True):
-        plant = ExactPlant.of(float(gamma), float(delta), loops.delay)
+        plants = _Plants(float(gamma), float(delta), loops.delay)
         rows += [
-            _true(plant.polynomial(a, b, loops.delay))
-            for a, b in zip(alphas.tolist(), betas.tolist(), strict=True)
+            _true(plants, *gains) for gains in zip(alphas.tolist(), betas.tolist(), strict=True)
         ]
     codes, *floats = zip(*rows, strict=True)
     return Truth(np.array(codes), *(np.array(column) for column in floats))
@@ -105,21 +106,37 @@ def judged(answer: Answer, truth: Truth) -> Judgement:
     # UNSTABLE also holds with a root on the circle, which leaves the truth undecided.
     fits = (answer.code == truth.code) | ((answer.code == UNSTABLE) & (truth.code == UNDECIDED))
     wrong = ~undecided & ~fits & np.isfinite(truth.distance)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    claims = np.isfinite(answer.bound) & np.isfinite(truth.radius)
+    with np.errstate(all="ignore"):
         error = np.abs((answer.radius - truth.radius) - truth.rest)
         share = np.where(error == 0.0, 0.0, error / answer.bound)
+        share = np.where(claims & np.isnan(error), np.inf, share)  # a bound of what is no number
         ulps = np.where(np.isposinf(answer.bound), np.nan, error / np.spacing(truth.radius))
     return Judgement(wrong, undecided, ulps, share)
 
 
-def _true(coefficients: list[flint.arb]) -> tuple[int, float, float, float]:
-    moduli = _moduli(coefficients)
+class _Plants(dict[int, ExactPlant]):
+    """One plant in balls of several precisions, each computed when it is asked for."""
+
+    def __init__(self, *plant: float) -> None:
+        super().__init__()
+        self.plant = plant
+
+    def __missing__(self, bits: int) -> ExactPlant:
+        self[bits] = ExactPlant.of(*self.plant, bits)
+        return self[bits]
+
+
+def _true(plants: _Plants, alpha: float, beta: float) -> tuple[int, float, float, float]:
+    moduli = _moduli(plants, alpha, beta)
     if not moduli:
         return UNDECIDED, np.nan, np.nan, np.nan
-    with flint.ctx.workprec(_BITS[-1]):
-        largest = max(moduli, key=lambda modulus: modulus.mid())
-        radius = float(largest.mid())
-        rest = float((largest - radius).mid())
+    largest = _largest(moduli)
+    with flint.ctx.workprec(max(_BITS)):
+        radius, rest = np.nan, np.nan
+        if largest.rel_accuracy_bits() >= _DIGITS:
+            radius = float(largest.mid())
+            rest = float((largest - radius).mid())
         distance = min(abs(float((modulus - 1).mid())) for modulus in moduli)
     if any(modulus > 1 for modulus in moduli):
         code = UNSTABLE
@@ -128,21 +145,30 @@ def _true(coefficients: list[flint.arb]) -> tuple[int, float, float, float]:
     return code, radius, rest, distance
 
 
-def _moduli(coefficients: list[flint.arb]) -> list[flint.arb]:
-    """The moduli of all roots in balls, each on one side of the circle if 400 digits can tell."""
-    while coefficients[-1] == 0:
-        coefficients.pop()
+def _moduli(plants: _Plants, alpha: float, beta: float) -> list[flint.arb]:
+    """The moduli of all roots in balls, each on one side of the circle if 1600 digits can tell."""
     moduli: list[flint.arb] = []
-    for bits in _BITS:
+    for bits, plant_bits in _BITS.items():
+        coefficients = plants[plant_bits].polynomial(alpha, beta, plants.plant[2])
+        while coefficients[-1] == 0:
+            coefficients.pop()
+        size = 1 + max(abs(float(coefficient)) for coefficient in coefficients)  # of all roots
         with flint.ctx.workprec(bits):
+            tolerance = size * flint.arb(2) ** -(5 * bits // 8)
             try:
-                balls = flint.acb_poly(coefficients[::-1]).roots(tol=flint.arb(2) ** (60 - bits))
+                balls = flint.acb_poly(coefficients[::-1]).roots(tol=tolerance)
             except ValueError:
                 continue
             moduli = [abs(ball) for ball in balls] or [flint.arb(0)]
-            if not any(modulus.overlaps(flint.arb(1)) for modulus in moduli):
+            on_circle = sum(modulus.overlaps(flint.arb(1)) for modulus in moduli)
+            are_told_apart = on_circle <= (alpha == -plants.plant[0])  # p(1) = (alpha + gamma) N(1)
+            if are_told_apart and _largest(moduli).rel_accuracy_bits() >= _DIGITS:
                 break
     return moduli
+
+
+def _largest(moduli: list[flint.arb]) -> flint.arb:
+    return max(moduli, key=lambda modulus: modulus.mid())
 
 
 def _by_roots(coefficients: np.ndarray) -> Answer:

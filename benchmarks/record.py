@@ -4,7 +4,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -44,19 +44,22 @@ ROW_COLUMNS = {
 """Columns of every row; a benchmark adds columns of its own, which are numbers, texts or null."""
 
 
-def new_record(benchmark: str, small: bool, rows: Iterable[Row]) -> Record:
-    """Collect rows, each shown on a line as it comes."""
-    collected = []
+def shown(rows: Iterable[Row]) -> Iterator[Row]:
+    """Show each row on a line as it comes."""
     for row in rows:
         print(line(row), flush=True)
-        collected.append(row)
+        yield row
+
+
+def new_record(benchmark: str, small: bool, rows: Iterable[Row]) -> Record:
+    """Return a record of rows, of this machine and this day."""
     record = {
         "benchmark": benchmark,
         "small": small,
         "date": datetime.now(UTC).date().isoformat(),
         "machine": machine(),
         "versions": versions(),
-        "rows": collected,
+        "rows": list(rows),
     }
     check(record)
     return record
@@ -86,7 +89,10 @@ def path_of(record: Record, folder: Path) -> Path:
 def write(record: Record, folder: Path) -> Path:
     path = path_of(record, folder)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
+    part = path.with_suffix(".part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)  # a record that is written again is whole at any time
     return path
 
 

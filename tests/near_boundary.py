@@ -5,7 +5,6 @@ from typing import NamedTuple
 import flint
 import numpy as np
 import truth
-from mpmath import mp, mpf
 
 from jaxstab import STABLE, UNDECIDED, UNSTABLE
 
@@ -17,24 +16,35 @@ class Points(NamedTuple):
 
 
 class ExactPlant(NamedTuple):
-    """The truth's plant in balls of 400 digits, which serve many points."""
+    """The truth's plant in balls of so many bits, which serve many points."""
 
     d1: flint.arb
     d0: flint.arb
     n2: flint.arb
     n1: flint.arb
     n0: flint.arb
+    bits: int
 
     @classmethod
-    def of(cls, gamma: float, delta: float, delay: float) -> "ExactPlant":
-        with mp.workdps(420), flint.ctx.workprec(1400):
-            _, fraction = truth.split_delay(delay)
-            plant = truth.sampled_plant(gamma, delta, fraction if fraction else 0)
-            return cls(*(truth.as_arb(mpf(value)) for value in plant[:5]))
+    def of(cls, gamma: float, delta: float, delay: float, bits: int = 1400) -> "ExactPlant":
+        _, fraction = truth.split_delay(delay)
+        with flint.ctx.workprec(bits):
+            stiffness, damping = flint.arb(gamma), flint.arb(delta)
+            position, velocity = _motion(stiffness, damping, flint.arb(1))
+            state_12, state_22 = velocity, 1 - damping * velocity - stiffness * position
+            d1, d0 = stiffness * position - 1 - state_22, (-damping).exp()
+            if fraction == 0:
+                n1 = velocity**2 - state_22 * position
+                return cls(d1, d0, position, n1, flint.arb(0), bits)
+            n2, early = _motion(stiffness, damping, 1 - flint.arb(fraction))
+            late_position, late_velocity = position - n2, velocity - early
+            n1 = late_position + state_12 * early - state_22 * n2
+            n0 = state_12 * late_velocity - state_22 * late_position
+            return cls(d1, d0, n2, n1, n0, bits)
 
     def polynomial(self, alpha: float, beta: float, delay: float) -> list[flint.arb]:
         whole, fraction = truth.split_delay(delay)
-        with flint.ctx.workprec(1400):
+        with flint.ctx.workprec(self.bits):
             a, b = flint.arb(alpha), flint.arb(beta)
             wall = [
                 self.n2 * (a + b),
@@ -48,6 +58,16 @@ class ExactPlant(NamedTuple):
             for place, value in enumerate(reversed(wall), start=1):
                 coefficients[-place] += value
             return coefficients
+
+
+def _motion(
+    stiffness: flint.arb, damping: flint.arb, time: flint.arb
+) -> tuple[flint.arb, flint.arb]:
+    """Position and velocity of the plant at rest after a unit of force for a time."""
+    still = flint.arb(0)
+    generator = [[still, time, still], [-stiffness * time, -damping * time, time], [still] * 3]
+    transition = flint.arb_mat(generator).exp()
+    return transition[0, 2], transition[1, 2]
 
 
 def moduli(coefficients: list[flint.arb], bits: int) -> list[flint.arb]:
@@ -74,9 +94,9 @@ def points_near_the_boundary(
     rng: np.random.Generator, gamma: float, delta: float, delay: float, count: int
 ) -> Points:
     """Curve and both lines of the boundary, most points within 1e-6 ... 1e-16 of them."""
-    whole, fraction = truth.split_delay(delay)
-    plant = truth.sampled_plant(gamma, delta, fraction if fraction else 0)
-    d1, d0, n2, n1, n0 = (float(value) for value in plant[:5])
+    whole, _ = truth.split_delay(delay)
+    plant = ExactPlant.of(gamma, delta, delay)
+    d1, d0, n2, n1, n0 = (float(value.mid()) for value in plant[:5])
     low = np.pi * 10 ** rng.uniform(-3, 0, count) / (1 + whole)
     theta = np.where(rng.random(count) < 0.5, rng.uniform(0, np.pi, count), low)
     z = np.exp(1j * theta)
@@ -84,8 +104,11 @@ def points_near_the_boundary(
     beta = w.imag / np.sin(theta)
     alpha = w.real - beta * (1 - np.cos(theta))
     free = rng.uniform(-0.2, 1, count) * 4 / (1 + delay)
-    offset = (1 - plant.d1 + plant.d0) / plant.difference if plant.difference else 0
-    at_minus_one = (-1) ** whole * float(offset)
+    with flint.ctx.workprec(plant.bits):
+        difference = plant.n2 - plant.n1 + plant.n0
+        lost = difference.contains(0)
+        offset = 0.0 if lost else float(((1 - plant.d1 + plant.d0) / difference).mid())
+    at_minus_one = (-1) ** whole * offset
     kind = rng.integers(0, 10, count)
     beta = np.where(kind <= 1, free, beta)
     alpha = np.select([kind == 0, kind == 1], [-gamma, at_minus_one - 2 * free], alpha)

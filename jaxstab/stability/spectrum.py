@@ -176,9 +176,11 @@ def _fast_radius(
     left = np.flatnonzero(~(error <= TOLERANCE))
     if left.size:
         exact = over_grid(_radius, *looked_up(arguments, value.shape, left))
-        closer = np.asarray(~(exact.error >= error.flat[left]))
-        value.flat[left[closer]] = np.asarray(exact.value)[closer]
-        error.flat[left[closer]] = np.asarray(exact.error)[closer]
+        # In NumPy: as many points as are left would have JAX compile for each such number.
+        exact_value, exact_error = np.asarray(exact.value), np.asarray(exact.error)
+        closer = ~(exact_error >= error.flat[left])
+        value.flat[left[closer]] = exact_value[closer]
+        error.flat[left[closer]] = exact_error[closer]
     status = np.where(
         np.isfinite(error), np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
     )
