@@ -34,7 +34,7 @@ def test_the_plant_moves_less_than_its_bound_within_a_cell(
 ) -> None:
     stiffness, damping = Intervals.between(np.array(gamma)), Intervals.between(np.array(delta))
     motion = plant_motion(stiffness, damping)
-    centre = truth.sampled_plant(float(stiffness.centre[0]), float(damping.centre[0]), fraction)
+    centre = truth.sampled_plant(float(stiffness.centre), float(damping.centre), fraction)
     for _ in range(12):
         other = truth.sampled_plant(
             random_between(rng, gamma), random_between(rng, delta), fraction
@@ -70,9 +70,9 @@ def test_a_proved_cell_has_one_number_of_unstable_roots(
         start = np.array([alpha, beta]) - width * rng.uniform(-2.0, 3.0, 2)
         ends = np.stack([start, start + width])
         cells = cells_without_crossing(
-            ends[:, 0], ends[:, 1], np.array(gamma), np.array(delta), delay
+            ends[None, :, 0], ends[None, :, 1], np.array(gamma), np.array(delta), delay
         )
-        if cells[0, 0]:
+        if cells[0]:
             proved += 1
             assert len(set(numbers_of_unstable_roots(ends, gamma, delta, delay, rng))) == 1
     assert proved >= 3
@@ -107,7 +107,8 @@ def test_a_cell_that_holds_a_point_of_the_boundary_is_never_proved(
             )
         ]
         sides[2:] = [np.maximum(side, 0.0) for side in sides[2:]]
-        assert not cells_without_crossing(*sides, delay)[0, 0]
+        alpha, beta, *hands = sides
+        assert not cells_without_crossing(alpha[None], beta[None], *hands, delay)[0]
 
 
 def test_cells_on_both_sides_of_the_line_of_a_real_root_at_one_are_proved_and_those_on_it_not() -> (
@@ -115,5 +116,7 @@ def test_cells_on_both_sides_of_the_line_of_a_real_root_at_one_are_proved_and_th
 ):
     alpha = np.array([-0.002, -0.00101, -0.00099, 0.00001, 0.002])
     gamma, delta = np.array([0.0, 0.001]), np.array([0.005, 0.0051])
-    proved = cells_without_crossing(alpha, np.array([0.4, 0.41]), gamma, delta, 0.0)[:, 0]
+    cells = np.stack([alpha[:-1], alpha[1:]], axis=-1)
+    beta = np.broadcast_to([0.4, 0.41], cells.shape)
+    proved = cells_without_crossing(cells, beta, gamma, delta, 0.0)
     assert proved.tolist() == [True, False, False, True]

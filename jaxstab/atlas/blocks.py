@@ -3,11 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64
 
 from jaxstab.atlas.certificate import cells_without_crossing
 
-_SIDE = 32  # cells along each side of a block
+_COARSE = 32  # cells along each side of a block
+_FINER = (8, 2, 1)  # those of its parts, one after the other
 
 
 class CellSlice(NamedTuple):
@@ -19,12 +20,27 @@ class CellSlice(NamedTuple):
     delta: Float64[np.ndarray, "2"]
     delay: float
 
-    def without_crossing(
-        self, alpha: Int64[np.ndarray, " alpha_edge"], beta: Int64[np.ndarray, " beta_edge"]
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The number of cells along alpha and beta."""
+        return self.alpha.size - 1, self.beta.size - 1
+
+    def proved_in_blocks(
+        self, proved: Bool[np.ndarray, "alpha_cell beta_cell"], side: int
     ) -> Bool[np.ndarray, "alpha_cell beta_cell"]:
-        """Say for which cells between chosen nodes it is proved that no root is on the circle."""
-        nodes = self.alpha[alpha], self.beta[beta]
-        return cells_without_crossing(*nodes, self.gamma, self.delta, self.delay)
+        """Try blocks of so many cells along each side, where not all of them are proved, as one."""
+        first = [np.arange(0, count, side) for count in self.shape]
+        last = [np.append(f[1:], count) for f, count in zip(first, self.shape, strict=True)]
+        whole = np.logical_and.reduceat(np.logical_and.reduceat(proved, first[0], 0), first[1], 1)
+        left = np.nonzero(~whole)
+        alpha, beta = (
+            np.stack([nodes[f[number]], nodes[s[number]]], axis=-1)
+            for nodes, f, s, number in zip((self.alpha, self.beta), first, last, left, strict=True)
+        )
+        whole[left] = cells_without_crossing(alpha, beta, self.gamma, self.delta, self.delay)
+        for axis in (0, 1):
+            whole = np.repeat(whole, last[axis] - first[axis], axis)
+        return whole
 
 
 class Blocks(NamedTuple):
@@ -39,18 +55,10 @@ class Blocks(NamedTuple):
         return int(np.sum(~self.proved))
 
     def cells(self) -> Bool[np.ndarray, "alpha_cell beta_cell"]:
-        """Prove the rest cell by cell."""
-        proved = self.proved.copy()
-        # Windows of one shape, compiled once: those at the upper ends overlap others.
-        starts = [np.minimum(_edges(count)[:-1], max(count - _SIDE, 0)) for count in proved.shape]
-        sides = [min(_SIDE, count) for count in proved.shape]
-        for i in starts[0]:
-            for j in starts[1]:
-                window = proved[i : i + sides[0], j : j + sides[1]]
-                if not window.all():
-                    window |= self.of.without_crossing(
-                        i + np.arange(sides[0] + 1), j + np.arange(sides[1] + 1)
-                    )
+        """Prove the rest in ever smaller blocks, and at last cell by cell."""
+        proved = self.proved
+        for side in _FINER:
+            proved = self.of.proved_in_blocks(proved, side)
         return proved
 
 
@@ -61,12 +69,4 @@ def prove_blocks(of: CellSlice) -> Blocks:
         ValueError: gamma, delta or delay is outside the range of the model.
         RuntimeError: JAX's x64 mode is off.
     """
-    alpha, beta = (_edges(nodes.size - 1) for nodes in (of.alpha, of.beta))
-    proved = of.without_crossing(alpha, beta)
-    for axis, edges in enumerate((alpha, beta)):
-        proved = np.repeat(proved, np.diff(edges), axis)
-    return Blocks(of, proved)
-
-
-def _edges(count: int) -> Int64[np.ndarray, " edge"]:
-    return np.append(np.arange(0, count, _SIDE), count)
+    return Blocks(of, of.proved_in_blocks(np.zeros(of.shape, bool), _COARSE))

@@ -36,41 +36,43 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jaxtyping import Bool, Float64
 
 from jaxstab.model import PlantCoefficients, plant_coefficients, require_x64
 
 _INTERVALS = 256
+_BATCH = 256  # cells of one call
 _ROUNDING = 1e-12  # of the largest term; the sums below lose about a hundred roundings of 1.1e-16
 
 
 class Intervals(NamedTuple):
-    """What lies between neighbouring nodes of an axis."""
+    """Intervals along an axis."""
 
     centre: Array
     half_width: Array
 
     @classmethod
-    def between(cls, nodes: Float64[np.ndarray, " node"]) -> "Intervals":
-        """Return the intervals between ascending nodes."""
-        centre = (nodes[:-1] + nodes[1:]) / 2
-        half_width = np.maximum(nodes[1:] - centre, centre - nodes[:-1])
+    def between(cls, ends: Float64[np.ndarray, "*interval 2"]) -> "Intervals":
+        """Return the intervals between lower and upper ends."""
+        lower, upper = np.moveaxis(ends, -1, 0)
+        centre = (lower + upper) / 2
+        half_width = np.maximum(upper - centre, centre - lower)
         return cls(jnp.asarray(centre), jnp.asarray(half_width))
 
 
 def cells_without_crossing(
-    alpha: Float64[np.ndarray, " alpha"],
-    beta: Float64[np.ndarray, " beta"],
+    alpha: Float64[np.ndarray, "cell 2"],
+    beta: Float64[np.ndarray, "cell 2"],
     gamma: Float64[np.ndarray, "2"],
     delta: Float64[np.ndarray, "2"],
     delay: float,
-) -> Bool[np.ndarray, "alpha_cell beta_cell"]:
+) -> Bool[np.ndarray, " cell"]:
     """Say for which cells it is proved that no root lies on the unit circle.
 
     Args:
-        alpha: nodes, ascending; a cell lies between two neighbours.
-        beta: nodes, ascending.
+        alpha: lower and upper end of each cell.
+        beta: lower and upper end of each cell.
         gamma: lower and upper end of all cells in gamma, >= 0.
         delta: lower and upper end of all cells in delta, >= 0.
         delay: time delay in samples, >= 0, whole or fractional.
@@ -86,13 +88,17 @@ def cells_without_crossing(
     """
     require_x64()
     stiffness, damping = Intervals.between(gamma), Intervals.between(delta)
-    plant = plant_coefficients(stiffness.centre[0], damping.centre[0], delay)
+    plant = plant_coefficients(stiffness.centre, damping.centre, delay)
     motion = plant_motion(stiffness, damping)
     whole_delay = jnp.floor(jnp.asarray(delay))
-    proved = _without_crossing(
-        Intervals.between(alpha), Intervals.between(beta), plant, motion, whole_delay
-    )
-    return np.asarray(proved)
+    count = len(alpha)
+    proved = np.zeros(count, bool)
+    for start in range(0, count, _BATCH):  # all of one shape, compiled once
+        some = np.arange(start, start + _BATCH) % count
+        cells = Intervals.between(alpha[some, None]), Intervals.between(beta[some, None])
+        part = np.asarray(_without_crossing(*cells, plant, motion, whole_delay))
+        proved[start : start + _BATCH] = part[: count - start]
+    return proved
 
 
 class PlantMotion(NamedTuple):
@@ -105,8 +111,8 @@ class PlantMotion(NamedTuple):
 
 def plant_motion(gamma: Intervals, delta: Intervals) -> PlantMotion:
     """Return the bounds that are derived in the heading of this file, for one cell."""
-    h_gamma, h_delta = gamma.half_width[0], delta.half_width[0]
-    largest_gamma = gamma.centre[0] + h_gamma
+    h_gamma, h_delta = gamma.half_width, delta.half_width
+    largest_gamma = gamma.centre + h_gamma
     return PlantMotion(
         d1=h_gamma + h_delta,
         den_at_one=h_gamma + 0.5 * largest_gamma * h_delta,
@@ -135,24 +141,17 @@ def _without_crossing(
 ) -> Array:
     circle = _circle(plant, motion, whole_delay)
     steepness = _largest_at_ends(jnp.abs(circle.wall)) + circle.bend * circle.curvature[1]
-    across = _directions(circle)
-
-    def row(beta: Intervals) -> Array:
-        centre, half_width = alpha.centre[:, None], alpha.half_width[:, None]
-        gain = centre + beta.centre * circle.slope
-        gain_moves = _size(half_width + beta.half_width * circle.slope[1:])
-        value = circle.plant + circle.wall * gain
-        clear = _distance_to_chord(value[:, :-1], value[:, 1:]) - steepness * gain_moves
-        for along in across:
-            clear = jnp.maximum(clear, along.clearance(centre, half_width, beta))
-        bent = jnp.stack(jnp.broadcast_arrays(1.0, jnp.abs(centre), jnp.abs(beta.centre)))
-        curvature = jnp.tensordot(circle.curvature, bent, 1)
-        moves = circle.plant_moves + motion.numerator * (_largest_at_ends(_size(gain)) + gain_moves)
-        scale = 4.0 + plant.sum * (jnp.abs(centre) + 2.0 * jnp.abs(beta.centre))
-        return jnp.all(clear - circle.bend * curvature - moves > _ROUNDING * scale, axis=1)
-
-    proved: Array = lax.map(row, beta).T
-    return proved
+    gain = alpha.centre + beta.centre * circle.slope
+    gain_moves = _size(alpha.half_width + beta.half_width * circle.slope[1:])
+    value = circle.plant + circle.wall * gain
+    clear = _distance_to_chord(value[:, :-1], value[:, 1:]) - steepness * gain_moves
+    for along in _directions(circle):
+        clear = jnp.maximum(clear, along.clearance(alpha, beta))
+    bent = jnp.stack(jnp.broadcast_arrays(1.0, jnp.abs(alpha.centre), jnp.abs(beta.centre)))
+    curvature = jnp.tensordot(circle.curvature, bent, 1)
+    moves = circle.plant_moves + motion.numerator * (_largest_at_ends(_size(gain)) + gain_moves)
+    scale = 4.0 + plant.sum * (jnp.abs(alpha.centre) + 2.0 * jnp.abs(beta.centre))
+    return jnp.all(clear - circle.bend * curvature - moves > _ROUNDING * scale, axis=1)
 
 
 def _circle(plant: PlantCoefficients, motion: PlantMotion, whole_delay: Array) -> _Circle:
@@ -181,14 +180,14 @@ class _Direction(NamedTuple):
     alpha_moves: Array  # the largest in each interval
     beta_moves: Array
 
-    def clearance(self, centre: Array, half_width: Array, beta: Intervals) -> Array:
+    def clearance(self, alpha: Intervals, beta: Intervals) -> Array:
         """Return how far F_c is from zero along this direction, less what the gains move it."""
         start, end = (
-            self.plant[side] + self.alpha[side] * centre + self.beta[side] * beta.centre
+            self.plant[side] + self.alpha[side] * alpha.centre + self.beta[side] * beta.centre
             for side in (0, 1)
         )
         clear = jnp.maximum(jnp.minimum(start, end), -jnp.maximum(start, end))
-        return clear - (half_width * self.alpha_moves + beta.half_width * self.beta_moves)
+        return clear - (alpha.half_width * self.alpha_moves + beta.half_width * self.beta_moves)
 
 
 def _directions(circle: _Circle) -> tuple[_Direction, ...]:
