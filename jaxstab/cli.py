@@ -32,7 +32,8 @@ class OneSentence(click.Group):
         try:
             code: object = run()
         except click.ClickException as error:
-            click.echo(f"jaxstab: {error.format_message()}", err=True)
+            words = error.format_message()
+            click.echo(words if words.startswith("Usage:") else f"jaxstab: {words}", err=True)
             sys.exit(error.exit_code)
         except click.Abort:
             click.echo("jaxstab: interrupted; nothing was written.", err=True)

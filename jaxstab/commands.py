@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import isfinite, isinf, isnan
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,8 @@ def _picture_file(_: click.Context, option: click.Parameter, path: Path | None) 
     """Return the name of a picture, or refuse it before anything is computed."""
     if path and path.suffix not in (".png", ".svg"):
         raise click.BadParameter(f"{path} ends in neither .png nor .svg.", param=option)
+    if path and (path.is_dir() or not path.parent.is_dir()):
+        raise click.BadParameter(f"{path} is no file in a folder that exists.", param=option)
     return path
 
 
@@ -101,9 +104,10 @@ def check(as_json: bool, **given: Any) -> int:
 
     The exit code is 0 if every wall is proved stable, 1 if not.
     """
+    checked = _answer(given, "check", as_json)
     from jaxstab.front import all_stable
 
-    return 0 if all_stable(_answer(given, "check", as_json)) else 1
+    return 0 if all_stable(checked) else 1
 
 
 @click.command()
@@ -146,7 +150,7 @@ def init(output: Path | None) -> None:
         with output.open("x", encoding="utf-8") as stream:
             stream.write(EXAMPLE)
     except OSError as error:
-        raise OSError(error.errno, f"cannot write {output}: {error.strerror}.") from error
+        raise click.UsageError(f"cannot write {output}: {error.strerror}.") from error
 
 
 @scene.command(hidden=True)
@@ -160,13 +164,14 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
 
     given = _scene({"file": file})
     if explain:
+        _warn(given)
         for step in plan(given):
             click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
         return
     answers = {name: _computed(given, name) for name in given.wanted.answers}
     if plot:
         _draw(given, answers.get("check"), plot)
-    _print(answers, as_json)
+    _print(given, answers, as_json)
 
 
 # --------------------------------------------------------------------------- from options to scene
@@ -177,7 +182,7 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> dict[str, Any]:
     found = _computed(made, name)
     if plot:
         _draw(made, found if name == "check" else None, plot)
-    _print(found, as_json)
+    _print(made, found, as_json)
     return found
 
 
@@ -186,35 +191,37 @@ def _draw(scene: Any, checked: dict[str, Any] | None, file: Path) -> None:
     from jaxstab.paper import picture
     from jaxstab.scene_figure import scene_figure
 
-    publish(picture(scene_figure(scene, checked), file.suffix[1:]), file)
+    with _refused():
+        publish(picture(scene_figure(scene, checked), file.suffix[1:]), file)
 
 
 def _computed(scene: Any, name: str) -> dict[str, Any]:
     start_jax()
     from jaxstab import front
 
-    try:
+    with _refused():
         found: dict[str, Any] = getattr(front, name)(scene)
-    except (ValueError, TypeError) as error:
-        raise click.UsageError(str(error)) from error
-    return found
+        return found
 
 
 def _scene(given: dict[str, Any]) -> Any:
-    """Return the checked scene of a file and options, and warn of what is unusual."""
+    """Return the checked scene of a file and options."""
     from jaxstab.scene import Scene, read_table
 
     file = given.get("file")
-    try:
+    with _refused():
         table = read_table(file) if file else {}
-        made = Scene.from_table(_merged(table, given), str(file) if file else "")
-    except (OSError, ValueError) as error:
-        words = error.strerror if isinstance(error, OSError) else str(error)
-        raise click.UsageError(words or str(error)) from error
-    unusual = made.unusual()
-    if unusual:
-        click.echo(f"jaxstab: warning: {'; '.join(unusual)}.", err=True)
-    return made
+        return Scene.from_table(_merged(table, given), str(file) if file else "")
+
+
+@contextmanager
+def _refused() -> Iterator[None]:
+    """End a command that cannot answer with exit code 2: 1 is for walls that are not stable."""
+    try:
+        yield
+    except (OSError, ValueError, TypeError, MemoryError) as error:
+        words = error.strerror if isinstance(error, OSError) else None
+        raise click.UsageError(words or str(error) or "there is not enough memory.") from error
 
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
@@ -234,17 +241,24 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         "stiffness": ("wanted", "stiffness"),
     }
     merged = {"device": {}, "controller": {}} | table
+    options = {option: value for option, value in given.items() if value is not None}
+    sections = {section for option, (section, _) in places.items() if option in options}
+    if options.get("wall"):
+        sections.add("walls")
+    if any(not isinstance(merged.get(section, {}), dict) for section in sections):
+        return merged  # which is refused
+    if "delay" in options or "delay_samples" in options:  # in place of one in either unit
+        kept = merged["controller"].items()
+        merged["controller"] = {key: value for key, value in kept if "delay" not in key}
     for option, (section, key) in places.items():
-        if given.get(option) is None:
-            continue
-        others = merged.get(section, {})
-        if "delay" in option:  # in place of a delay in the other unit, too
-            others = {name: value for name, value in others.items() if "delay" not in name}
-        merged[section] = others | {key: given[option]}
-    for name, stiffness, damping in given.get("wall", ()):
-        wall = {"stiffness": stiffness, "damping": damping}
-        merged["walls"] = merged.get("walls", {}) | {name: wall}
-    return merged
+        if option in options:
+            merged[section] = merged.get(section, {}) | {key: options[option]}
+    walls = {}
+    for name, stiffness, damping in options.get("wall", ()):
+        if name in walls:
+            raise ValueError(f"wall {name} is given twice; give each wall a name of its own.")
+        walls[name] = {"stiffness": stiffness, "damping": damping}
+    return merged | ({"walls": merged.get("walls", {}) | walls} if walls else {})
 
 
 def start_jax() -> None:
@@ -268,7 +282,15 @@ def start_jax() -> None:
 # ------------------------------------------------------------------------------------------- print
 
 
-def _print(answers: dict[str, Any], as_json: bool) -> None:
+def _warn(scene: Any) -> None:
+    """Say what is unusual about a scene."""
+    unusual = scene.unusual()
+    if unusual:
+        click.echo(f"jaxstab: warning: {'; '.join(unusual)}.", err=True)
+
+
+def _print(scene: Any, answers: dict[str, Any], as_json: bool) -> None:
+    _warn(scene)
     if as_json:
         click.echo(json.dumps(_for_json(answers), indent=1))
     else:
@@ -294,6 +316,8 @@ def _in_words(name: str, value: Any) -> str:
     values = value if isinstance(value, list) else [value]
     if all(part is None or isnan(part) for part in values):
         return "none"
+    if unit == "s":
+        unit, values = "ms", [1e3 * part for part in values]
     numbers = " to ".join(_number(part) for part in values)
     return f"{numbers} {unit}" if unit and numbers[-1].isdigit() else numbers
 

@@ -28,6 +28,7 @@ from jaxstab.boundary.limits import stiffest_wall
 from jaxstab.boundary.stability_margins import MOST_DELAY
 from jaxstab.conventions import Verdict
 from jaxstab.model import HapticLoop
+from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.scene import Hand, Scene, Wall
 from jaxstab.stability import (
     SettlingStatus,
@@ -53,6 +54,7 @@ def loop_of(scene: Scene) -> HapticLoop:
         ValueError: a quantity is out of range.
     """
     hand = scene.hand or Hand()
+    _check_scale(scene)
     return HapticLoop(
         device_mass=scene.device.mass,
         device_damping=scene.device.damping,
@@ -62,6 +64,22 @@ def loop_of(scene: Scene) -> HapticLoop:
         hand_stiffness=hand.stiffness[0],
         delay=scene.controller.time_delay,
     )
+
+
+def _check_scale(scene: Scene) -> None:
+    """Refuse hands and dampers that the model cannot compute, in the words of a scene."""
+    hand, period = scene.hand or Hand(), scene.controller.sample_time
+    per_speed = period / (scene.device.mass + hand.mass[0])
+    damping = scene.device.damping + hand.damping[1]
+    for words, value, most in (
+        ("hand.stiffness T^2/mass", hand.stiffness[1] * period * per_speed, GAMMA_LIMIT),
+        ("damping T/mass of device and hand", damping * per_speed, DELTA_LIMIT),
+    ):
+        if not value <= most:
+            raise ValueError(
+                f"{words} is {value:g}, where T is the sample_time, and at most {most:g} can be "
+                "computed; check the units."
+            )
 
 
 def hands_of(scene: Scene) -> HandRange | None:

@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from functools import partial
 from os import PathLike
 from pathlib import Path
+from reprlib import repr as shortened
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
@@ -15,6 +16,7 @@ Answer = Literal["limits", "check", "tune", "design"]
 Measure = Literal["margins", "distance", "radius", "settling", "oscillation"]
 Range = tuple[float, float]
 
+MOST_SAMPLES = 1024  # of delay: the degree of what is solved
 ANSWERS: tuple[str, ...] = get_args(Answer)
 MEASURES: tuple[str, ...] = get_args(Measure)
 
@@ -75,9 +77,13 @@ def _number(value: Any, allowed: str, *, positive: bool) -> float:
     """Return a number, or raise a ValueError that says what is allowed."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"give {allowed}")
-    if not math.isfinite(value) or value < 0 or (positive and value == 0):
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number) or number < 0 or (positive and number == 0):
         raise ValueError(f"give {allowed}")
-    return float(value)
+    return number
 
 
 def _quantity(unit: str, *, positive: bool = False) -> BeforeValidator:
@@ -157,6 +163,12 @@ class Controller(_Table):
             raise ValueError(
                 f"controller.delay is {self.delay:g} beside controller.delay_samples; give one"
             )
+        samples = self.time_delay / self.sample_time
+        if samples > MOST_SAMPLES:
+            raise ValueError(
+                f"controller.delay is {samples:g} samples of {self.sample_time:g} s; give at most "
+                f"{MOST_SAMPLES} samples, or a longer sample_time"
+            )
         return self
 
     @property
@@ -180,6 +192,12 @@ class Wanted(_Table):
     at_damping: Annotated[float, _quantity("N s/m")] | None = None
     at_stiffness: Annotated[float, _quantity("N/m")] | None = None
     stiffness: Annotated[float, _quantity("N/m", positive=True)] | None = None
+
+    @model_validator(mode="after")
+    def _some_answer(self) -> "Wanted":
+        if not self.answers:
+            raise ValueError(f"wanted.answers is empty; give at least one of {', '.join(ANSWERS)}")
+        return self
 
 
 class Scene(_Table):
@@ -231,6 +249,7 @@ class Scene(_Table):
             _outside("device.mass", device.mass, 1e-3, 50.0, "kg"),
             _outside("device.damping", device.damping, 0.0, 100.0, "N s/m"),
             _outside("hand.mass", hand.mass[1], 0.0, 20.0, "kg"),
+            _outside("hand.stiffness", hand.stiffness[1], 0.0, 1e6, "N/m"),
             _outside("hand.damping", hand.damping[1], 0.0, 1e3, "N s/m"),
             _outside("controller.sample_time", controller.sample_time, 1e-5, 0.05, "s"),
             _outside("the delay", controller.time_delay, 0.0, 2.0, "s"),
@@ -280,10 +299,14 @@ def read_table(path: str | PathLike[str]) -> dict[str, Any]:
         ValueError: it is not TOML.
     """
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise OSError(error.errno, f"cannot read {path}: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"{path}: byte {error.start} is no UTF-8; save the file as UTF-8 text."
+        ) from error
+    except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{path}: this is not TOML: {error}.") from error
 
 
@@ -311,12 +334,14 @@ def _sentence(error: ValidationError) -> str:
         return f"{where} is missing; give it a value."
     if first["type"] != "value_error":
         kind = "a list" if first["type"] == "tuple_type" else "a table"
-        return f"{where} is {first['input']!r}; give {kind}."
+        if path[0] == "walls":
+            kind = "a table [walls.NAME] for each wall"
+        return f"{where} is {shortened(first['input'])}; give {kind}."
     words = str(first["ctx"]["error"])
     end = "" if words.endswith("?") else "."
     if isinstance(first["input"], Mapping):  # of a table as a whole: it has its key in it
         return f"{words}{end}"
-    return f"{where} is {first['input']!r}; {words}{end}"
+    return f"{where} is {shortened(first['input'])}; {words}{end}"
 
 
 def _model_at(path: list[str]) -> type[_Table]:

@@ -150,6 +150,14 @@ def test_options_go_before_the_values_of_a_file(tmp_path: Path) -> None:
         (["design", *PHANTOM], "wanted.stiffness is missing"),
         (["scene", "nowhere.toml"], "cannot read nowhere.toml"),
         (["limits", *PHANTOM, "--plot", "picture.pdf"], "ends in neither .png nor .svg"),
+        (["check", *PHANTOM, "--plot", "no/folder.png"], "is no file in a folder that exists"),
+        (["limits", *PHANTOM, "--hand-stiffness", "1e12"], "hand.stiffness T^2/mass is 1e+07"),
+        (["limits", *PHANTOM, "--sample-time", "1e300"], "damping T/mass of device and hand is"),
+        (["limits", *PHANTOM, "--delay", "1", "--delay-samples", "1"], "give one"),
+        (["limits", *PHANTOM, "--delay-samples", "1e6"], "give at most 1024 samples"),
+        (["check", *PHANTOM, *["--wall", "a", "1", "1"] * 2], "wall a is given twice"),
+        (["limits", *PHANTOM, "--hand-damping", "1e9"], "damping T/mass"),  # without a warning
+        (["scene", "init", "-o", "no/folder.toml"], "cannot write no/folder.toml"),
     ],
 )
 def test_bad_input_is_one_sentence_and_exit_code_two(arguments: list[str], words: str) -> None:
@@ -242,3 +250,17 @@ def test_design_says_when_no_sample_time_makes_up_for_a_delay() -> None:
     answer = answered("design", *PHANTOM, "--delay", "0.02", "--stiffness", 6e4)
     assert answer["sample_time"]["largest_sample_time"] is None
     assert 0.0 < answer["delay"]["largest_delay"] < 1e-3  # the most is 70.6 kN/m, without any
+
+
+def test_options_for_a_table_that_is_none_are_refused_with_the_table(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text('hand = "none"\n' + EXAMPLE.replace("[hand]", "[other]"), encoding="utf-8")
+    result = run("limits", file, "--hand-mass", 1)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.count("\n") == 1
+
+
+def test_without_anything_to_do_the_help_is_shown() -> None:
+    result = run("scene")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("Usage:")

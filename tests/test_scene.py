@@ -86,6 +86,17 @@ def test_a_preset_gives_what_the_table_does_not() -> None:
         ("device.mass", True, "device.mass is True; give a finite number > 0 in kg."),
         ("device.preset", "phantm", "device.preset is 'phantm'; did you mean 'phantom'?"),
         ("device", 3, "device is 3; give a table."),
+        ("walls", 3, "walls is 3; give a table [walls.NAME] for each wall."),
+        (
+            "walls.stiffness",
+            3.0,
+            "walls.stiffness is 3.0; give a table [walls.NAME] for each wall.",
+        ),
+        (
+            "device.mass",
+            2**2000,
+            "device.mass is 114813...05029376; give a finite number > 0 in kg.",
+        ),
         (
             "hand.stiffness",
             [200.0, 100.0],
@@ -106,9 +117,20 @@ def test_a_preset_gives_what_the_table_does_not() -> None:
             {"sample_time": 1e-3, "delay": 1e-3, "delay_samples": 1.0},
             "controller.delay is 0.001 beside controller.delay_samples; give one.",
         ),
+        (
+            "controller",
+            {"sample_time": 1e-3, "delay": 60.0},
+            "controller.delay is 60000 samples of 0.001 s; give at most 1024 samples, "
+            "or a longer sample_time.",
+        ),
         ("controller", {}, "controller.sample_time is missing; give it a value."),
         ("wanted.answers", ["limit"], "wanted.answers.0 is 'limit'; did you mean 'limits'?"),
         ("wanted.answers", "limits", "wanted.answers is 'limits'; give a list."),
+        (
+            "wanted.answers",
+            [],
+            "wanted.answers is empty; give at least one of limits, check, tune, design.",
+        ),
     ],
 )
 def test_bad_input_is_named_with_its_value_and_what_is_allowed(
@@ -122,6 +144,15 @@ def test_a_file_that_is_no_toml_is_refused_by_name(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text("[device", encoding="utf-8")
     with pytest.raises(ValueError, match=r"scene.toml: this is not TOML"):
+        Scene.from_file(file)
+
+
+def test_a_file_may_begin_with_a_mark_of_utf_8_but_not_be_in_another_code(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(EXAMPLE, encoding="utf-8-sig")
+    assert Scene.from_file(file).device.mass == 0.1
+    file.write_text("# Prüfstand", encoding="latin-1")
+    with pytest.raises(ValueError, match=r"scene.toml: byte 4 is no UTF-8"):
         Scene.from_file(file)
 
 
