@@ -19,6 +19,12 @@ _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
 _DOTS_PER_INCH = 150
 _MOST_PLANES = 6
 
+# The rows of a picture, and the products of which an atlas needs one for each.
+_ANSWERED_BY = {
+    "verdict": {"verdict", "alpha_limits"},
+    "spectral_radius": {"spectral_radius"},
+}
+
 # Told apart with any colour vision, and in grey.
 _COLOURS = {
     Verdict.NOT_COMPUTED: "#ffffff",
@@ -43,10 +49,16 @@ def draw_atlas(
         delays: delays t_d/T of the atlas, at most 6; by default its first ones.
 
     Raises:
-        ValueError: gamma or delta is outside of the atlas, or a delay is none of its own.
+        ValueError: gamma or delta is outside of the atlas, a delay is none of its own, or it
+            answers neither with verdicts nor with spectral radii.
     """
     numbers = _numbers_of(atlas, delays)
-    rows = atlas.products
+    rows = [answer for answer, of in _ANSWERED_BY.items() if not of.isdisjoint(atlas.products)]
+    if not rows:
+        raise ValueError(
+            f"this atlas holds {', '.join(atlas.products)}; a picture needs one of "
+            f"{', '.join(sorted(set().union(*_ANSWERED_BY.values())))}."
+        )
     figure = Figure(figsize=(_WIDTH * len(numbers) + 0.9, _HEIGHT * len(rows) + 1.0))
     figure.set_layout_engine("constrained")
     panels = figure.subplots(len(rows), len(numbers), squeeze=False)
@@ -56,8 +68,8 @@ def draw_atlas(
             np.linspace(nodes[name][0], nodes[name][-1], _RASTER) for name in ("alpha", "beta")
         )
         answer = atlas.query(alpha, beta[:, None], gamma, delta, atlas.delays[number])
-        for panel, product in zip(column, rows, strict=True):
-            if product == "verdict":
+        for panel, row in zip(column, rows, strict=True):
+            if row == "verdict":
                 _draw_verdicts(panel, alpha, beta, answer.verdict)
             else:
                 filled = _draw_radii(panel, alpha, beta, answer.spectral_radius)

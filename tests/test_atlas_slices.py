@@ -16,6 +16,7 @@ from jaxstab import (
     plan_atlas,
     stable_region,
 )
+from jaxstab.figures import draw_atlas
 
 SLICES = AtlasSpec(
     alpha=FittedAxis(8),
@@ -80,6 +81,12 @@ def test_what_is_not_there_is_refused_in_a_sentence(atlas: Atlas, tmp_path: Path
     with pytest.raises(ValueError, match="holds no outlines"):
         verdicts.outline(0.0, 0.0, 0.0)
     assert open_atlas(tmp_path / "verdicts.h5").products == ("verdict",)
+
+
+def test_a_picture_needs_verdicts_or_radii(atlas: Atlas) -> None:
+    assert atlas.products == ("outline", "summary")
+    with pytest.raises(ValueError, match=r"holds outline, summary; a picture needs one of"):
+        draw_atlas(atlas, 0.0, 0.0)
 
 
 def test_the_plan_says_that_no_grid_is_needed() -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -133,7 +134,10 @@ def test_a_plot_is_a_picture(path: Path, tmp_path: Path) -> None:
     png = tmp_path / "plot.png"
     answer = run("atlas", "plot", path, "-o", png, "--delta", "0.01", "--delay", "1.5")
     assert answer.exit_code == 0, answer.stderr
-    assert png.read_bytes().startswith(b"\x89PNG")
+    data = png.read_bytes()
+    assert data.startswith(b"\x89PNG")
+    wide, high = struct.unpack(">II", data[16:24])
+    assert wide < high < 2 * wide  # one delay, and a row each of verdicts and of radii
     answer = run("atlas", "plot", path, "-o", png, "--delay", "9")
     assert "delay 9 is none of this atlas" in answer.stderr
 

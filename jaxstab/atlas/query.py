@@ -57,8 +57,8 @@ class Atlas:
 
     @property
     def products(self) -> tuple[str, ...]:
-        """What was chosen to be computed, of "verdict" and "spectral_radius"."""
-        return tuple(name for name in schema.PRODUCTS if name in self.arrays)
+        """What was chosen to be computed, of ``jaxstab.atlas.schema.PRODUCTS``."""
+        return tuple(name for name, held in schema.PRODUCTS.items() if held[0] in self.arrays)
 
     @property
     def delays(self) -> Floats:
