@@ -21,7 +21,8 @@ LONGEST_DELAY = 64.0  # beyond, polynomials of many points do not stay in the ca
 TOLERANCE = 1e-12
 
 _LIST = 2**18  # up to this many points, lists are filled up to a length compiled once for all
-_GROWTH = 8  # a list's length is a try's longest / 8^k: a single point does not pay for all
+_GROWTH = 8  # a list's length is a try's longest / 8^k: a few points do not pay for all
+_SHORTEST_LIST = 8  # one number, or one for all points, is rounded otherwise than numbers in a list
 _BLOCK = 2**21  # points of a larger grid that are computed at once
 
 Values = np.ndarray[Any, np.dtype[Any]]
@@ -57,6 +58,9 @@ def fast_radius(parameters: list[Values], delay: Values) -> Answer:
 def _of_delay(parameters: list[Values], shape: tuple[int, ...], delay: float) -> Answer:
     if delay > LONGEST_DELAY:
         return np.zeros(shape), np.full(shape, np.inf)
+    if prod(shape) == 1:  # as in a list of points, to the last bit
+        value, error = _of_delay([np.repeat(values, 2) for values in parameters], (2,), delay)
+        return value[:1].reshape(shape), error[:1].reshape(shape)
     value, error = np.empty(shape), np.full(shape, np.inf)
     first, *others = _tries(delay)
     if value.size > _LIST:
@@ -82,7 +86,7 @@ def _try_list(
     for start in range(0, places.size, effort.longest_list):
         length = effort.longest_list
         some = places[start : start + length]
-        while length // _GROWTH >= some.size:
+        while length // _GROWTH >= max(some.size, _SHORTEST_LIST):
             length //= _GROWTH
         listed = looked_up(parameters, value.shape, np.resize(some, length))
         for result, column in zip((value, error), _tried(listed, delay, effort), strict=True):

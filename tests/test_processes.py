@@ -1,0 +1,102 @@
+"""The same bits from every process: whatever its threads and devices are; and never in float32."""
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from problems import PROBLEMS
+
+import jaxstab
+from jaxstab.atlas.executors import processes
+
+DELAY = 0.0  # one, for each is compiled in each process
+COUNT = 2**16 + 3  # enough for threads to share it, and no multiple of what they share it by
+SOME = 257
+OTHER_MACHINE = "--xla_force_host_platform_device_count=2 --xla_cpu_multi_thread_eigen=false"
+
+Answers = dict[str, np.ndarray]
+
+
+def loops() -> np.ndarray:
+    """Hard loops of the registry, and loops around them; shape (4, loop)."""
+    rng = np.random.default_rng(7)
+    hard = np.array([problem.point[:4] for problem in PROBLEMS]).T
+    around = hard[:, rng.integers(0, hard.shape[1], COUNT)]
+    around = around * (1.0 + rng.choice([0.0, 1e-15, 1e-6, 0.3], around.shape))
+    most = np.array([1e150, 1e150, 1e4, 1e3])[:, None]
+    return np.clip(around, -most, most)
+
+
+def answers(device: int) -> Answers:
+    """What is said of the loops, on one of the devices of a process."""
+    points = loops()
+    with jax.default_device(jax.devices()[device]):
+        radius = jaxstab.spectral_radius(*points, DELAY)
+        by_matrices = jaxstab.spectral_radius(*points[:, :SOME], DELAY, method="companion")
+        curve = jaxstab.boundary_curve(np.linspace(0.1, 3.0, COUNT), 0.001, 0.015, DELAY)
+        found = {
+            "verdict": jaxstab.verdict(*points, DELAY),
+            "radius": radius.value,
+            "radius_error": radius.error,
+            "radius by matrices": by_matrices.value,
+            "its error": by_matrices.error,
+            "alpha": curve[0],
+            "beta": curve[1],
+        }
+        return {name: np.asarray(values) for name, values in found.items()}
+
+
+@pytest.fixture(scope="module")
+def here() -> Answers:
+    return answers(0)
+
+
+def _start_on_one_core() -> None:
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    jax.config.update("jax_enable_x64", True)
+
+
+@pytest.fixture
+def other_machine() -> Iterator[Executor]:
+    """A process with one core, no threads within a computation, and two devices."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XLA_FLAGS", f"{os.environ.get('XLA_FLAGS', '')} {OTHER_MACHINE}")
+        with ProcessPoolExecutor(1, get_context("spawn"), _start_on_one_core) as executor:
+            yield executor
+
+
+def test_threads_and_devices_change_no_bit(here: Answers, other_machine: Executor) -> None:
+    there = other_machine.submit(answers, 1).result()
+    for name, values in here.items():
+        np.testing.assert_array_equal(there[name], values, name, strict=True)
+
+
+def test_a_single_loop_and_a_grid_of_loops_get_the_bits_of_a_list(here: Answers) -> None:
+    points = loops()
+    for form in (*range(40), np.arange(60).reshape(4, 3, 5)):
+        codes = jaxstab.verdict(*points[:, form], DELAY)
+        radius = jaxstab.spectral_radius(*points[:, form], DELAY)
+        np.testing.assert_array_equal(codes, here["verdict"][form])
+        np.testing.assert_array_equal(radius.value, here["radius"][form])
+        np.testing.assert_array_equal(radius.error, here["radius_error"][form])
+
+
+def test_a_worker_process_that_sets_nothing_is_refused_by_name(tmp_path: Path) -> None:
+    spec = jaxstab.AtlasSpec(
+        alpha=[0.0, 0.1], beta=[0.1, 0.2], gamma=[0.0, 0.001], delta=[0.0, 0.015], delay=[0.0]
+    )
+    with processes(1) as executor:
+        for asked in (
+            executor.submit(jaxstab.verdict, 0.1, 0.2, 0.001, 0.015, 1.0),
+            executor.submit(jaxstab.spectral_radius, 0.1, 0.2, 0.001, 0.015, 1.0),
+            executor.submit(jaxstab.write_atlas, spec, tmp_path / "a.h5"),
+        ):
+            with pytest.raises(RuntimeError, match=r"x64 mode is off: call .*jax_enable_x64"):
+                asked.result()
+    assert not any(tmp_path.iterdir())
