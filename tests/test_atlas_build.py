@@ -393,7 +393,9 @@ def test_readers_meet_the_old_atlas_or_the_new_one_while_it_is_published(
 
     def read() -> None:
         while not done.is_set():
-            met.add(open_atlas(path).created_by)
+            atlas = open_atlas(path)
+            met.add(atlas.created_by)
+            assert len(dict(atlas.arrays)) == len(atlas.arrays)  # each of them unpacked
 
     with ThreadPoolExecutor(2) as readers:
         reading = [readers.submit(read) for _ in range(2)]
