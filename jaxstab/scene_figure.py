@@ -25,6 +25,7 @@ from jaxstab.scene import Scene
 from jaxstab.stability import optimal_gains, settling_time, simulate
 
 _ROWS = 400
+_CORNER = 1e-5  # of all rows: how far the outer ones are inside
 _EDGE = 1e-6  # of the largest stiffness: how near to the corner the least damping is taken
 _FEWEST, _MOST = 100, 2000  # samples of a response
 _BAND = 0.02
@@ -151,16 +152,22 @@ def _common_outline(loops: list[HapticLoop]) -> Floats:
     for _ in range(_ZOOMS):  # the rows that meet may be few of those tried
         if not low < high:
             return np.zeros((0, 2))
-        rows = np.linspace(low, high, _ROWS + 2)[1:-1]
+        rows = _rows(low, high)
         ends = np.stack([stiffness_limits(loop, rows) for loop in loops])
         left, right = ends[..., 0].max(axis=0), ends[..., 1].min(axis=0)
         met = np.flatnonzero(left < right)
         if not len(met):
             return np.zeros((0, 2))
-        step = rows[1] - rows[0]
-        low, high = rows[met[0]] - step, rows[met[-1]] + step
+        low, high = rows[max(met[0] - 1, 0)], rows[min(met[-1] + 1, _ROWS - 1)]
     left, right, rows = left[met], right[met], rows[met]
     return np.column_stack([np.append(left, right[::-1]), np.append(rows, rows[::-1])])
+
+
+def _rows(low: float, high: float) -> Floats:
+    """Return values of B, the outer ones close to the ends, where corners are."""
+    rows: Floats = np.linspace(low, high, _ROWS)
+    rows[[0, -1]] = low + _CORNER * (high - low), high - _CORNER * (high - low)
+    return rows
 
 
 def _passive(loop: HapticLoop) -> _Part:
@@ -189,7 +196,7 @@ def _set_window(panel: Axes, stiffnesses: Ends, dampings: Ends) -> None:
 
 def _draw_stable(panel: Axes, loop: HapticLoop, dampings: Ends) -> None:
     """Draw what is stable between two values of B."""
-    rows = np.linspace(*dampings, _ROWS + 2)[1:-1]
+    rows = _rows(*dampings)
     low, high = stiffness_limits(loop, rows).T
     panel.fill_betweenx(rows, low, high, color=SKY, alpha=0.35, lw=0, label="stable")
     panel.plot(np.append(low, high[::-1]), np.append(rows, rows[::-1]), color=BLUE, lw=1.2)

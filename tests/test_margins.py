@@ -102,9 +102,15 @@ def test_a_long_delay_may_grow_by_more_than_a_hundred_samples_to_its_crossing() 
 
 
 def test_an_unstable_wall_has_no_margins() -> None:
-    found = jaxstab.margins(FREE, 0.9, 0.8)
-    assert found.verdict == Verdict.UNSTABLE
-    assert np.isnan([*found.stiffness, *found.damping, found.extra_delay]).all()
+    found = jaxstab.margins(FREE, np.array([0.9, -0.1]), 0.8)
+    assert (found.verdict == Verdict.UNSTABLE).all()
+    assert all(np.isnan(field).all() for field in found[1:])
+
+
+def test_a_gain_of_zero_may_be_multiplied_by_anything() -> None:
+    found = jaxstab.margins(PHANTOM, 300.0, 0.0)
+    assert found.verdict == Verdict.STABLE
+    assert found.damping_gain == np.inf
 
 
 LOOPS = {  # alpha, beta, gamma, delta, delay

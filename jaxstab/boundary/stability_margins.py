@@ -155,7 +155,8 @@ def dimensionless_margins(
 
 
 def _factor(most: Array, gain: Array) -> Array:
-    return jnp.where(gain > 0.0, most / jnp.where(gain > 0.0, gain, 1.0), inf)
+    without = jnp.where(jnp.isnan(most), most, inf)
+    return jnp.where(gain > 0.0, most / jnp.where(gain > 0.0, gain, 1.0), without)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
