@@ -114,6 +114,10 @@ class TestSettling:
         direct = jaxstab.settling_samples(alphas, 0.3, 0.0, 0.0, 0).value
         mapped = jax.vmap(lambda a: jaxstab.settling_samples(a, 0.3, 0.0, 0.0, 0).value)(alphas)
         np.testing.assert_array_equal(direct, mapped)
+        walls = np.array([2_000.0, 20_000.0])
+        direct = jaxstab.settling_time(PHANTOM, walls, 20.0).value
+        mapped = jax.vmap(lambda wall: jaxstab.settling_time(PHANTOM, wall, 20.0).value)(walls)
+        np.testing.assert_array_equal(direct, mapped)
 
     @pytest.mark.parametrize(
         ("options", "message"),
