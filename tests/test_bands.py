@@ -135,6 +135,28 @@ def test_models_of_the_plant_hold_at_the_corners(fraction: float) -> None:
             assert abs(mpmath.mpf(linear) - getattr(exact, name)) <= model.rest[box]
 
 
+@pytest.mark.parametrize(
+    ("gamma", "delta", "fraction"),
+    [
+        ((24 * np.pi) ** 2, 5e-324, 0.0),  # N nearly vanishes: most of its digits are lost
+        ((4 * np.pi) ** 2, 0.0, 0.0),
+        ((29 * np.pi) ** 2, 1e-200, 0.3),
+        (246.7, 847.2, 1e-12),  # e^-delta is flushed to zero
+        (1.3e-6, 5e-324, 0.0),
+        (0.0, 0.0, 0.0),
+    ],
+)
+def test_models_of_a_plant_that_is_hard_to_compute_hold(
+    gamma: float, delta: float, fraction: float
+) -> None:
+    models = plant_models(HandBoxes(*(np.array([v]) for v in (gamma, delta, 0.0, 0.0))), fraction)
+    with mpmath.workdps(700):
+        exact = truth.sampled_plant(gamma, delta, fraction if fraction else 0)
+        for name in ("d1", "d0", "n2", "n1", "n0", "sum", "difference"):
+            model: LinearModel = getattr(models, name)
+            assert abs(mpmath.mpf(float(model.centre[0])) - getattr(exact, name)) <= model.rest[0]
+
+
 def test_arithmetic_with_models_bounds_what_it_leaves(rng: np.random.Generator) -> None:
     half = np.full((2, 1), 0.1)
     x = LinearModel(np.array([0.7]), np.array([[1.0], [0.0]]), np.zeros(1), half)

@@ -35,6 +35,14 @@ from jaxtyping import Float64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma, require_x64
 
+# Measured against 300 digits: errors of D, and of N relative to its size, stay below 1e-30 for
+# gamma <= 40, delta <= 10, below 1e-21 for delta <= 10 and below 1e-18 up to delta = 1e3. From the
+# zeros of N at gamma = (2 pi k)^2 on, the size of N is the root of its coefficients' sum: what
+# cancels there is larger than what is left.
+_ACCURATE_GAMMA, _ACCURATE_DELTA = 40.0, 10.0
+_CANCELLING_GAMMA = 36.0  # up to _ACCURATE_DELTA
+_ERROR, _STIFF_ERROR, _DAMPED_ERROR = 2.0**-97, 2.0**-66, 2.0**-56
+
 _DUPLICATIONS = 10
 _TERMS = 10
 _PAIR_TERMS = 3  # the terms beyond are below 2^-53 of the sum: float64 is enough for them
@@ -151,6 +159,17 @@ def plant_pairs(gamma: ArrayLike, delta: ArrayLike, fraction: ArrayLike) -> Plan
     pairs: PlantPairs
     pairs = _plant_pairs(*jnp.broadcast_arrays(*arrays), whole=whole)
     return pairs
+
+
+def pairs_error(gamma: ArrayLike, delta: ArrayLike) -> Array:
+    """Return a bound of the error of plant_pairs, in D and relative to the size of N."""
+    soft_error = jnp.where(jnp.asarray(gamma) <= _ACCURATE_GAMMA, _ERROR, _STIFF_ERROR)
+    return jnp.where(jnp.asarray(delta) <= _ACCURATE_DELTA, soft_error, _DAMPED_ERROR)
+
+
+def may_cancel(gamma: ArrayLike, delta: ArrayLike) -> Array:
+    """Return True where N may nearly vanish: its size is the root of its coefficients' sum then."""
+    return (jnp.asarray(gamma) > _CANCELLING_GAMMA) & (jnp.asarray(delta) <= _ACCURATE_DELTA)
 
 
 @partial(jax.jit, static_argnames="whole")

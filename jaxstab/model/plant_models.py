@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.model.linear_model import Floats, LinearModel
-from jaxstab.model.plant import plant_coefficients
+from jaxstab.model.plant import pairs_error, plant_coefficients
 
 # Bounds of the second derivatives: by gamma twice, by gamma and delta, by delta twice.
 _BENDS = {
@@ -26,6 +26,7 @@ _BENDS = {
     "difference": (1 / 180, 1 / 24, 1 / 3),
 }
 _ROUNDING = 64 * np.finfo(np.float64).eps  # more than the coefficients have
+_UNDERFLOW = 1e-290  # more than all that is lost by numbers flushed to zero
 
 Boxes = Float64[np.ndarray, " box"]
 
@@ -89,21 +90,26 @@ def plant_models(hands: HandBoxes, delay: float) -> PlantModels:
     delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
     values = plant_coefficients(gamma, delta, delay)
     half = np.stack([h_gamma, h_delta])
+    widths = gamma[2] - gamma[1], delta[4] - delta[3]
+    # More than a rounding is lost of N where it nearly vanishes, and of D where it decays.
+    lost = 8.0 * np.asarray(pairs_error(np.max(gamma, axis=0), np.max(delta, axis=0)))
+    size_n = np.sqrt(np.max(np.asarray(values.sum), axis=0))
 
     def model(name: str) -> LinearModel:
         at = np.asarray(getattr(values, name))
-        slope = [_secant(at[1], at[2], h_gamma), _secant(at[3], at[4], h_delta)]
+        slope = [_secant(at[1], at[2], widths[0]), _secant(at[3], at[4], widths[1])]
         by_gamma, mixed, by_delta = _BENDS[name]
         # A secant differs from the tangent by as much as the function from its tangent.
         bend = by_gamma * h_gamma**2 + mixed * h_gamma * h_delta + by_delta * h_delta**2
         rest = bend + _ROUNDING * np.max(np.abs(at), axis=0)
+        rest += lost * (1.0 if name in ("d1", "d0") else size_n) + _UNDERFLOW
         return LinearModel(at[0], np.stack(slope), rest, half)
 
     exact = LinearModel(hands.gamma, np.stack([np.ones_like(still), still]), still, half)
     return PlantModels(exact, *map(model, PlantModels._fields[1:]))
 
 
-def _secant(before: Floats, after: Floats, half: Floats) -> Floats:
-    wide = half > 0.0
-    slope: Floats = np.where(wide, (after - before) / np.where(wide, 2.0 * half, 1.0), 0.0)
+def _secant(before: Floats, after: Floats, width: Floats) -> Floats:
+    wide = width > 0.0
+    slope: Floats = np.where(wide, (after - before) / np.where(wide, width, 1.0), 0.0)
     return slope

@@ -13,6 +13,7 @@ from jax import Array
 
 from jaxstab.conventions import UNSTABLE
 from jaxstab.model import DoubleDouble, PlantPairs, plant_pairs
+from jaxstab.model.plant import may_cancel, pairs_error
 from jaxstab.stability.recursion import (
     UNDERFLOW,
     Chain,
@@ -24,14 +25,7 @@ from jaxstab.stability.recursion import (
     size_sum,
 )
 
-# Measured against 300 digits: errors of D, and of N relative to its size, stay below 1e-30 for
-# gamma <= 40, delta <= 10, below 1e-21 for delta <= 10 and below 1e-18 up to delta = 1e3. From the
-# zeros of N at gamma = (2 pi k)^2 on, the size of N is the root of its coefficients' sum: what
-# cancels there is larger than what is left.
-_ACCURATE_GAMMA, _ACCURATE_DELTA = 40.0, 10.0
-_CANCELLING_GAMMA = 36.0  # up to _ACCURATE_DELTA
-_LOST = 2.0**-25  # of N(1): _STIFF_PLANT_ERROR times its root is an ulp there
-_PLANT_ERROR, _STIFF_PLANT_ERROR, _DAMPED_PLANT_ERROR = 2.0**-97, 2.0**-66, 2.0**-56
+_LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
 
 
 @jax.tree_util.register_dataclass
@@ -90,7 +84,6 @@ def _plant_of(
     # n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
     damp = (pairs.n0, pairs.n1 - pairs.n0, pairs.difference - pairs.n0, -pairs.n2)
     sum_n = sum(jnp.abs(n.hi) for n in stiff[1:])
-    soft_error = jnp.where(gamma <= _ACCURATE_GAMMA, _PLANT_ERROR, _STIFF_PLANT_ERROR)
     return Plant(
         gap=one - pairs.d0,
         d1=pairs.d1,
@@ -99,8 +92,8 @@ def _plant_of(
         damp=damp if is_fractional else damp[1:],
         difference=pairs.difference,
         at_minus_one=one - pairs.d1 + pairs.d0,
-        error=jnp.where(delta <= _ACCURATE_DELTA, soft_error, _DAMPED_PLANT_ERROR),
-        size=jnp.where(_may_cancel(gamma, delta), jnp.sqrt(sum_n), sum_n),
+        error=pairs_error(gamma, delta),
+        size=jnp.where(may_cancel(gamma, delta), jnp.sqrt(sum_n), sum_n),
         sum=pairs.sum.hi,
     )
 
@@ -110,11 +103,7 @@ def is_plant_lost(gamma: Array, delta: Array) -> Array:
     rate = jnp.sqrt(jnp.maximum(gamma - 0.25 * delta**2, 0.0))
     half = jnp.expm1(-0.5 * delta)
     gamma_sum = half**2 + 4.0 * (1.0 + half) * jnp.sin(0.5 * rate) ** 2  # gamma N(1)
-    return _may_cancel(gamma, delta) & (gamma_sum < _LOST * gamma)
-
-
-def _may_cancel(gamma: Array, delta: Array) -> Array:
-    return (gamma > _CANCELLING_GAMMA) & (delta <= _ACCURATE_DELTA)
+    return may_cancel(gamma, delta) & (gamma_sum < _LOST * gamma)
 
 
 def loop_codes(

@@ -24,7 +24,7 @@ from jaxstab.model.linear_model import LinearModel
 from jaxstab.model.plant_models import HandBoxes, plant_models
 
 _LARGEST_STRIP = 2**14  # cells at once: memory stays bounded
-_ROUNDING = 1e-13  # of roots near the unit circle, and as a share of their discs
+_ROUNDING = 1e-13  # of 1 and the largest root, and as a share of the discs
 
 Cells = Float64[np.ndarray, "alpha_cell beta_cell"]
 
@@ -190,7 +190,8 @@ def _errors(
         given = corners[*hand, i : i + cells_along_alpha, j : j + cells_along_beta]
         above = jnp.maximum(above, jnp.max(jnp.abs(at_corner) + radii, axis=0) - given)
         below = jnp.maximum(below, given - (inwards * at_corner).real)
-    return jnp.maximum(above, jnp.min(below + lost, axis=0)) + _ROUNDING
+    rounding = _ROUNDING * (1.0 + jnp.max(jnp.abs(z), axis=0))
+    return jnp.maximum(above, jnp.min(below + lost, axis=0)) + rounding
 
 
 def _following(
