@@ -113,17 +113,20 @@ def _alpha_limits(plan: Plan, tile: Tile) -> Arrays:
 
 def _radii(plan: Plan, tile: Tile) -> Arrays:
     grid = plan.grid
-    gammas = np.array(_with_next(plan.numbers("gamma", tile), grid.gamma.size))
+    gammas = _with_next(plan.numbers("gamma", tile), grid.gamma.size)
     deltas = np.array(_with_next(plan.numbers("delta", tile), grid.delta.size))
-    radius = spectral_radius(
-        grid.alpha[:, tile.delay, None, None, None],
-        grid.beta[:, tile.delay, None, None],
-        grid.gamma[gammas, None],
-        grid.delta[deltas],
-        grid.delay[tile.delay],
-    )
-    value, error = np.asarray(radius.value), np.asarray(radius.error)
-    value, error = _rounded(value, error, plan.spec.radius_rounding)
+    columns = []
+    for gamma in gammas:  # one after the other: all corners of a large slice fill the memory
+        radius = spectral_radius(
+            grid.alpha[:, tile.delay, None, None, None],
+            grid.beta[:, tile.delay, None, None],
+            grid.gamma[[gamma], None],
+            grid.delta[deltas],
+            grid.delay[tile.delay],
+        )
+        found = np.asarray(radius.value), np.asarray(radius.error)
+        columns.append(_rounded(*found, plan.spec.radius_rounding))
+    value, error = (np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True))
     cells = np.zeros(plan.shape(CELL_RADIUS_ERROR, tile), np.float32)
     for number, sides in enumerate(_sides(plan, tile)):
         corners = np.moveaxis(value[:, :, :2, number : number + 2], (2, 3), (0, 1))
