@@ -140,10 +140,16 @@ def test_the_region_of_an_undamped_hand_next_to_the_nyquist_frequency(share: flo
     assert np.max(region.corners[:, 1]) == pytest.approx(corner, rel=1e-9)
 
 
-# Corners with a second root next to the circle; arcs of the curve that are 2e-5 long.
+# Corners with a second root next to the circle; arcs of the curve that are 2e-5 long; two corners
+# that are 5e-8 or 4e-9 apart.
 @pytest.mark.parametrize(
     ("place", "corners"),
-    [((NYQUIST, 1e-3, 1.0), 3), ((39.799975315059754, 0.4533140420022334, 4.0), 9)],
+    [
+        ((NYQUIST, 1e-3, 1.0), 3),
+        ((39.799975315059754, 0.4533140420022334, 4.0), 9),
+        ((39.52046, 0.13948, 4.0), 9),
+        ((9.882655, 0.0, 4.0), 1),
+    ],
 )
 def test_regions_of_small_margins_are_resolved(
     place: tuple[float, float, float], corners: int, rng: np.random.Generator
@@ -155,6 +161,18 @@ def test_regions_of_small_margins_are_resolved(
     for point, inside in zip(points, region.contains(*points.T), strict=True):
         expected = is_stable(*point, (*place, 1.0))
         assert expected is None or expected == bool(inside)
+
+
+def test_an_unresolved_region_claims_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jaxstab.boundary.region._SCANS", ((1, 4, 1e-4),))  # no finer ones
+    region = stable_region(39.52046, 0.13948, 4.0)
+    assert region.status == RegionStatus.UNRESOLVED
+    assert not region.is_empty
+    assert not region.rows_are_intervals
+    assert region.points.shape == region.corners.shape == (0, 2)
+    assert not bool(region.contains(0.0, 0.0))
+    numbers = (region.area, region.max_alpha, region.alpha_limits(0.1), region.distance(0.0, 0.0))
+    assert all(np.all(np.isnan(number)) for number in numbers)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jax import Array, lax
+from jax.typing import ArrayLike
 
 from jaxstab.boundary.curve import (
     SliceCoefficients,
@@ -31,7 +32,6 @@ from jaxstab.boundary.curve import (
 
 _REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
 _MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
-_PROBE = 1e-7  # beyond the end of an arc, to see what it has crossed
 _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
 _NARROWINGS = 9
 _NEWTON_STEPS = 16
@@ -94,27 +94,26 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, length: int, slots: int) -
     both = jnp.tile(exists, 2)
     pinned = jnp.concatenate([begins == 0, ends == len(angles) - 1])
     rough = jnp.where(both, 0.5 * (outer + inner), 1.0)
-    beyond = outer - inner
-    beyond = jnp.sign(beyond) * jnp.maximum(jnp.abs(beyond), _PROBE)
-    looked_at = jnp.stack([rough, jnp.clip(outer + beyond, 0.0, jnp.pi)])
-    alpha, beta, lift = lax.optimization_barrier(curve_and_lift(known, looked_at))
-    met = branch_met(known, alpha[1], beta[1], lift[1])
+    near = lax.optimization_barrier(jnp.stack(curve_point(known, rough), axis=-1))
+    sizes = _sizes(known, near[:, 0], near[:, 1], rough)
+    gaps = jnp.sum((near[slots:, None] - near[None, :slots]) ** 2, axis=-1)
+
+    def angles_to_join(open_ends: Array) -> tuple[Array, Array, Array]:
+        """Return for these ends their angles and those next to them, and who is next to whom."""
+        among = jnp.where(open_ends[slots:, None] & open_ends[None, :slots], gaps, jnp.inf)
+        next_arc, previous_arc = jnp.argmin(among, axis=1), jnp.argmin(among, axis=0)
+        others = rough[jnp.concatenate([slots + previous_arc, next_arc])]
+        return jnp.stack([rough, others]), next_arc, previous_arc
+
+    # An end is where it is nearest to by Newton's method, were it a corner of this kind.
+    steps = _newton_steps(known, angles_to_join(both & ~pinned)[0], sizes).steps
+    met = jnp.argmin(jnp.nan_to_num(jnp.abs(steps), nan=jnp.inf), axis=0)
     lines = jnp.repeat(jnp.asarray([Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE]), slots)
     branch = jnp.where(both, jnp.where(pinned, lines, met), NO_BRANCH)
     begin_branch, end_branch = branch[:slots], branch[slots:]
-
     joins, joined = end_branch == Branch.CURVE, begin_branch == Branch.CURVE
-    near = jnp.stack([alpha[0], beta[0]], axis=-1)
-    gaps = jnp.sum((near[slots:, None] - near[None, :slots]) ** 2, axis=-1)
-    gaps = jnp.where(joins[:, None] & joined[None, :], gaps, jnp.inf)
-    next_arc, previous_arc = jnp.argmin(gaps, axis=1), jnp.argmin(gaps, axis=0)
-    solved, found = _corners(
-        c,
-        jnp.where(pinned, NO_BRANCH, branch),
-        rough,
-        rough[jnp.concatenate([slots + previous_arc, next_arc])],
-        _sizes(known, alpha[0], beta[0], rough),
-    )
+    angles, next_arc, previous_arc = angles_to_join(branch == Branch.CURVE)
+    solved, found = _corners(c, jnp.where(pinned, NO_BRANCH, branch), angles, sizes)
     found = pinned | (found & _between(solved, outer, inner))
     solved = jnp.where(found, solved, rough)
     begin = jnp.where(pinned[:slots], 0.0, solved[:slots])
@@ -127,6 +126,9 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, length: int, slots: int) -
     finite = jnp.all(jnp.isfinite(height), axis=0)
     closed = finite & mutual & linked & (jnp.sum(follows, axis=0) == 1)
     closed = closed & found[:slots] & found[slots:]
+    via = via & exists
+    both_lines = _quotient(known, lines_crossing(known), jnp.zeros(()), -1.0, length)
+    closed = closed & (~via | _all_inside(both_lines))
     fits = jnp.sum(passes[1:-1] & ~passes[:-2]) <= slots
     return Arcs(
         exists=exists,
@@ -135,17 +137,27 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, length: int, slots: int) -
         begin_branch=begin_branch,
         end_branch=end_branch,
         successor=successor,
-        via=via & exists,
+        via=via,
         resolved=fits & jnp.all(~exists | (closed & (begin < end))),
     )
 
 
-def others_inside(c: SliceCoefficients, theta: Array, length: int) -> Array:
+def others_inside(
+    c: SliceCoefficients, theta: Array, length: int, within: ArrayLike = 1.0
+) -> Array:
     """Return where all roots of p but those at r e^(+-i theta) lie inside of the circle.
 
-    Source: the Schur-Cohn criterion, as a pair of recursions for the polynomial and its reverse.
+    ``within`` is the size of another circle, as a multiple of that.
+
+    Source: the criterion of Schur and Cohn, as a pair of recursions for the polynomial and its
+    reverse.
     """
-    falling = other_roots(c, theta, length)
+    shrunk = jnp.asarray(within) ** -jnp.arange(length).reshape(-1, *(1 for _ in theta.shape))
+    return _all_inside(other_roots(c, theta, length) * shrunk)
+
+
+def _all_inside(falling: Array) -> Array:
+    """Return where all roots of polynomials (coefficient, ...) lie inside of the unit circle."""
 
     def step(_: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         falling, rising, inside = state
@@ -171,38 +183,37 @@ def other_roots(c: SliceCoefficients, theta: Array, length: int) -> Array:
 
     There are ``length`` of them, the last ones zeros: roots at 0 are inside of any circle.
     """
-    alpha, beta = curve_point(c, theta)
+    return _quotient(c, curve_point(c, theta), 2.0 * jnp.cos(theta), 1.0, length)
+
+
+def _quotient(
+    c: SliceCoefficients, wall: tuple[Array, Array], total: Array, product: float, length: int
+) -> Array:
+    """Divide p(r zeta) by zeta^2 - total zeta + product, of two roots that the wall has."""
+    alpha, beta = wall
     unit = c.gain * c.radius
     gain, lagged = (alpha + beta) / unit, beta / (c.radius * unit)
     leading, middle = 0.5 * (c.sigma + c.nu), c.num_plus - c.sigma
     first, second = (c.den_plus - c.kappa) / c.radius, 0.5 * (c.kappa - c.eps) / c.radius
     third, fourth = leading * gain, middle * gain - leading * lagged  # of powers m and m + 1
-    # 1 / (1 - 2 cos(theta) x + x^2) has Chebyshev's polynomials of the second kind as its series.
-    chebyshev = _chebyshev(theta, length)
-    once, twice = (jnp.pad(chebyshev[:-k], [(k, 0)] + [(0, 0)] * theta.ndim) for k in (1, 2))
-    power = jnp.arange(length).reshape(-1, *(1 for _ in theta.shape))
-    wall = jnp.where(power == c.turns, third, third * 2.0 * jnp.cos(theta) + fourth)
-    quotient = chebyshev + first * once + second * twice + jnp.where(power < c.turns, 0.0, wall)
+    series = _series_of_inverse(total, product, length)
+    once, twice = (jnp.pad(series[:-k], [(k, 0)] + [(0, 0)] * total.ndim) for k in (1, 2))
+    power = jnp.arange(length).reshape(-1, *(1 for _ in total.shape))
+    of_wall = jnp.where(power == c.turns, third, third * total + fourth)
+    quotient = series + first * once + second * twice + jnp.where(power < c.turns, 0.0, of_wall)
     return jnp.where(power <= c.turns + 1, quotient, 0.0)
 
 
-def _chebyshev(theta: Array, length: int) -> Array:
-    """Return sin((k + 1) theta) / sin(theta) for k = 0, 1, ..."""
-    twice = 2.0 * jnp.cos(theta)
+def _series_of_inverse(total: Array, product: float, length: int) -> Array:
+    """Return the series of 1 / (1 - total x + product x^2): Chebyshev's polynomials for 1."""
 
     def step(before: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
         last, last_but_one = before
-        return (twice * last - last_but_one, last), last
+        return (total * last - product * last_but_one, last), last
 
-    start = (jnp.ones_like(theta), jnp.zeros_like(theta))
-    polynomials: Array = lax.scan(step, start, None, length=length)[1]
-    return polynomials
-
-
-def branch_met(c: SliceCoefficients, alpha: Array, beta: Array, lift: Array) -> Array:
-    """Return what the curve has just crossed: the line whose real root is outside, else itself."""
-    met_minus = jnp.where(minus_margin(c, alpha, beta) <= 0.0, Branch.Z_MINUS_ONE, Branch.CURVE)
-    return jnp.where(c.num_plus * lift <= 0.0, Branch.Z_PLUS_ONE, met_minus)
+    start = (jnp.ones_like(total), jnp.zeros_like(total))
+    series: Array = lax.scan(step, start, None, length=length)[1]
+    return series
 
 
 def minus_margin(c: SliceCoefficients, alpha: Array, beta: Array) -> Array:
@@ -214,41 +225,56 @@ def _alternation(c: SliceCoefficients) -> Array:
     return 1.0 - 2.0 * (c.turns % 2.0)
 
 
-def _corners(
-    c: SliceCoefficients, branch: Array, theta: Array, other: Array, sizes: tuple[Array, ...]
-) -> tuple[Array, Array]:
-    """Return the angles near ``theta`` where the curve meets a branch, and which were found.
+class _Steps(NamedTuple):
+    """Newton's steps of angles to corners of each Branch, and the mismatch there; (branch, end).
 
-    The curve meets itself at angles near ``other``. Differentiable in the slice.
+    ``partner`` is the step of the second angle, at which the curve meets itself.
     """
+
+    steps: Array
+    partner: Array
+    mismatch: Array
+
+
+def _newton_steps(c: SliceCoefficients, angles: Array, sizes: tuple[Array, ...]) -> _Steps:
+    """Return the steps from angles (2, end) to corners: the second row is for curve with curve."""
     of_points, of_lift, of_margin = sizes
+
+    def points(angles: Array) -> tuple[Array, Array, Array, Array]:
+        alpha, beta, lift = curve_and_lift(c, angles)
+        margin = minus_margin(c, alpha[0], beta[0]) / (1.0 + jnp.cos(angles[0]))
+        return alpha * of_points, beta * of_points, lift[0] * of_lift, margin * of_margin
+
+    values, slopes = jax.jvp(points, (angles,), (jnp.ones_like(angles),))
+    alpha, beta, lift, margin = values
+    alpha_slope, beta_slope, lift_slope, margin_slope = lax.stop_gradient(slopes)
+    across, along = alpha[0] - alpha[1], beta[0] - beta[1]
+    determinant = _nonzero(beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1])
+    first = (alpha_slope[1] * along - beta_slope[1] * across) / determinant
+    second = (alpha_slope[0] * along - beta_slope[0] * across) / determinant
+    gap = jnp.maximum(jnp.abs(across), jnp.abs(along))
+    return _Steps(  # in the order of Branch
+        steps=jnp.stack([first, lift / _nonzero(lift_slope), margin / _nonzero(margin_slope)]),
+        partner=second,
+        mismatch=jnp.stack([gap, jnp.abs(lift), jnp.abs(margin)]),
+    )
+
+
+def _corners(
+    c: SliceCoefficients, branch: Array, angles: Array, sizes: tuple[Array, ...]
+) -> tuple[Array, Array]:
+    """Return the angles near ``angles[0]`` where the curve meets a branch, and which were found.
+
+    The curve meets itself at angles near ``angles[1]``. Differentiable in the slice.
+    """
 
     def newton(slice_: SliceCoefficients, angles: Array) -> tuple[Array, Array]:
         """Return the next pairs of angles, and how far the present ones are from a corner."""
-
-        def points(angles: Array) -> tuple[Array, Array, Array, Array]:
-            alpha, beta, lift = curve_and_lift(slice_, angles)
-            margin = minus_margin(slice_, alpha[0], beta[0]) / (1.0 + jnp.cos(angles[0]))
-            return alpha * of_points, beta * of_points, lift[0] * of_lift, margin * of_margin
-
-        values, slopes = jax.jvp(points, (angles,), (jnp.ones_like(angles),))
-        (alpha, beta, lift, margin), (alpha_slope, beta_slope, lift_slope, margin_slope) = (
-            values,
-            (lax.stop_gradient(slopes)),
-        )
-        across, along = alpha[0] - alpha[1], beta[0] - beta[1]
-        determinant = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
-        determinant = _nonzero(determinant)
-        first = (alpha_slope[1] * along - beta_slope[1] * across) / determinant
-        second = (alpha_slope[0] * along - beta_slope[0] * across) / determinant
-        step, mismatch = _by_branch(
-            branch,
-            (lift / _nonzero(lift_slope), jnp.abs(lift)),
-            (margin / _nonzero(margin_slope), jnp.abs(margin)),
-            (first, jnp.maximum(jnp.abs(across), jnp.abs(along))),
-        )
-        partner = jnp.where(branch == Branch.CURVE, second, 0.0)
-        return angles - jnp.stack([step, partner]), mismatch
+        steps, partner, mismatch = _newton_steps(slice_, angles, sizes)
+        of_branch = branch == jnp.arange(len(Branch))[:, None]
+        step, gap = (jnp.sum(jnp.where(of_branch, x, 0.0), axis=0) for x in (steps, mismatch))
+        partner = jnp.where(branch == Branch.CURVE, partner, 0.0)
+        return angles - jnp.stack([step, partner]), gap
 
     known = lax.stop_gradient(c)
     solver: optx.FixedPointIteration[Array, Array] = optx.FixedPointIteration(
@@ -257,7 +283,7 @@ def _corners(
     angles = optx.fixed_point(
         lambda angles, _: newton(known, angles)[0],
         solver,
-        jnp.stack([theta, other]),
+        angles,
         max_steps=_NEWTON_STEPS,
         throw=False,
     ).value
@@ -265,19 +291,6 @@ def _corners(
     solved, mismatch = newton(c, lax.stop_gradient(angles))
     # The solver's own verdict asks for more than rounding leaves where the curve hardly moves.
     return solved[0], mismatch < _NEWTON_TOLERANCE
-
-
-def _by_branch(
-    branch: Array,
-    on_plus: tuple[Array, Array],
-    on_minus: tuple[Array, Array],
-    on_curve: tuple[Array, Array],
-) -> tuple[Array, ...]:
-    cases = [branch == Branch.Z_PLUS_ONE, branch == Branch.Z_MINUS_ONE, branch == Branch.CURVE]
-    return tuple(
-        jnp.select(cases, list(values), default=0.0)
-        for values in zip(on_plus, on_minus, on_curve, strict=True)
-    )
 
 
 def _sizes(c: SliceCoefficients, alpha: Array, beta: Array, theta: Array) -> tuple[Array, ...]:

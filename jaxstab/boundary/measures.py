@@ -52,7 +52,8 @@ def distance(c: SliceCoefficients, outline: Outline, alpha: Array, beta: Array) 
         return _nearest(c, outline, jnp.stack(point))
 
     flat = lax.map(to_boundary, (alpha.ravel(), beta.ravel()), batch_size=_BATCH)
-    away = jnp.where(outline.size > 0, flat.reshape(alpha.shape), jnp.inf)
+    nothing = jnp.where(outline.resolved, jnp.inf, jnp.nan)
+    away = jnp.where(outline.size > 0, flat.reshape(alpha.shape), nothing)
     return jnp.where(contains(c, outline, alpha, beta), away, -away)
 
 
@@ -67,7 +68,8 @@ def area(c: SliceCoefficients, outline: Outline) -> Array:
     here, there = outline.vertices[:-1], outline.vertices[1:]
     on_line = 0.5 * (here[:, 0] + there[:, 0]) * (there[:, 1] - here[:, 1])
     pieces = jnp.where(outline.branches == Branch.CURVE, on_curve, on_line)
-    return jnp.sum(jnp.where(outline.branches < 0, 0.0, pieces))
+    enclosed = jnp.sum(jnp.where(outline.branches < 0, 0.0, pieces))
+    return jnp.where(outline.resolved, enclosed, jnp.nan)
 
 
 @jax.jit

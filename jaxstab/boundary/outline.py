@@ -25,7 +25,7 @@ class Outline(NamedTuple):
     point is repeated to the end. ``branches`` (n - 1,) are Branch codes of the edges, and
     ``angles`` (n - 1, 2) the angles of the curve at their ends. Between two vertices alpha and beta
     are monotone. ``size`` vertices are not such repetitions, and they form ``loops`` loops.
-    ``corners`` (m, 2) are followed by NaN.
+    ``corners`` (m, 2) are followed by NaN. Where the arcs are not ``resolved`` there is nothing.
     """
 
     vertices: Array
@@ -34,7 +34,7 @@ class Outline(NamedTuple):
     size: Array
     loops: Array
     corners: Array
-    fits: Array
+    resolved: Array
 
 
 class _Marks(NamedTuple):
@@ -77,7 +77,8 @@ def polygon(c: SliceCoefficients, arcs: Arcs, points: int) -> Outline:
     extra = jax.tree.map(lambda *parts: jnp.concatenate(parts), *others)
     chosen = _merged(_keys(arcs, spread), _keys(arcs, extra))
     marks = jax.tree.map(lambda *parts: jnp.concatenate(parts), spread, extra)
-    count = jnp.sum(marks.exists)
+    resolved = arcs.resolved & fits
+    count = jnp.where(resolved, jnp.sum(marks.exists), 0)
     chosen = chosen[jnp.clip(jnp.arange(points), max=jnp.maximum(count - 1, 0))]
     at_marks = _points(c, marks)
     marks = jax.tree.map(lambda x: x[chosen], marks)
@@ -88,9 +89,9 @@ def polygon(c: SliceCoefficients, arcs: Arcs, points: int) -> Outline:
         branches=jnp.where(jnp.arange(points - 1) < count - 1, branches, NO_BRANCH),
         angles=angles,
         size=count,
-        loops=jnp.sum(closes),
-        corners=_corners(arcs, corners),
-        fits=fits,
+        loops=jnp.where(resolved, jnp.sum(closes), 0),
+        corners=jnp.where(resolved, _corners(arcs, corners), jnp.nan),
+        resolved=resolved,
     )
 
 

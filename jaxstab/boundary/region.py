@@ -16,10 +16,18 @@ from jaxstab.boundary import measures
 from jaxstab.boundary.arcs import Arcs, find_arcs
 from jaxstab.boundary.curve import SliceCoefficients, slice_coefficients
 from jaxstab.boundary.outline import Outline, extra_vertices, polygon
-from jaxstab.boundary.scan import closer_angles, padded_angles, same_arcs, scan_angles
+from jaxstab.boundary.scan import (
+    closer_angles,
+    hiding_places,
+    most_places,
+    same_arcs,
+    scan_angles,
+)
 from jaxstab.model import checked_delay, checked_gain, require_x64
 
-_FINENESS = {1: 4, 4: 32, 16: 128, 64: 256}  # of the scan: slots for arcs
+# Fineness of the scan, slots for arcs, and the places to look closer at: how far other roots may
+# be outside of the circle there. The last ones take the places of the best chances only.
+_SCANS = ((1, 4, 1e-4), (4, 32, 1e-4), (16, 128, 1e-4), (64, 256, 1e-7))
 _EMPTY_FINENESS = 4
 _ROUNDS = 8
 _POINTS = (256, 1024, 4096, 16384, 65536)
@@ -32,8 +40,9 @@ class RegionStatus(IntEnum):
     """What is known of a stable region.
 
     COMPLETE: the pieces that were found close to loops. EMPTY: the scan found none.
-    UNRESOLVED: the pieces do not close, or there are more than the arrays hold; do not use it. So
-    it is where three or more roots stay within about 1e-6 of the circle all over the stable set.
+    UNRESOLVED: the pieces do not close, or there are more than the arrays hold. Such a region
+    claims nothing: it has no points and its numbers are NaN. ``contains`` is False everywhere, as
+    for no point it is known that it is stable; it does not mean that points are unstable.
     """
 
     COMPLETE = 0
@@ -54,8 +63,8 @@ class StableRegion:
         coefficients: what the exact boundary is made of.
         outline: the polygon in arrays of one length.
         status: a RegionStatus.
-        max_alpha: the point (alpha, beta) of the largest alpha; NaN for an empty region.
-        max_beta: the point (alpha, beta) of the largest beta; NaN for an empty region.
+        max_alpha: the point (alpha, beta) of the largest alpha; NaN where there is none.
+        max_beta: the point (alpha, beta) of the largest beta; NaN where there is none.
 
     Source: design of eq. (9): the D-decomposition, of which the pieces around the stable set are
     kept.
@@ -100,16 +109,20 @@ class StableRegion:
     @property
     def rows_are_intervals(self) -> bool:
         """Whether each line of constant beta meets the region in one interval of alpha, or not."""
-        return self.loops <= 1 and _turns(self.points[:, 1]) <= 2
+        return self._are_intervals(axis=1)
 
     @property
     def columns_are_intervals(self) -> bool:
         """Whether each line of constant alpha meets the region in one interval of beta, or not."""
-        return self.loops <= 1 and _turns(self.points[:, 0]) <= 2
+        return self._are_intervals(axis=0)
+
+    def _are_intervals(self, axis: int) -> bool:
+        known = int(self.status) != RegionStatus.UNRESOLVED
+        return known and self.loops <= 1 and _turns(self.points[:, axis]) <= 2
 
     @property
     def area(self) -> Float64[Array, ""]:
-        """The area in the (alpha, beta) plane; holes are taken off."""
+        """The area in the (alpha, beta) plane; holes are taken off. NaN for UNRESOLVED."""
         enclosed: Array = measures.area(self.coefficients, self.outline)
         return enclosed
 
@@ -155,7 +168,7 @@ class StableRegion:
             beta: wall damping B T/m.
 
         Returns:
-            A boolean array of the broadcast shape.
+            A boolean array of the broadcast shape; all False for UNRESOLVED, which claims nothing.
 
         Raises:
             ValueError: alpha or beta is NaN or infinite.
@@ -172,7 +185,7 @@ class StableRegion:
             beta: wall damping B T/m.
 
         Returns:
-            Array of the broadcast shape; -inf for an empty region.
+            Array of the broadcast shape; -inf for an empty region, NaN for UNRESOLVED.
 
         Raises:
             ValueError: alpha or beta is NaN or infinite.
@@ -279,17 +292,21 @@ def _refined_arcs(c: SliceCoefficients, length: int, *, may_be_empty: bool) -> A
     With damping the loop without a wall is stable: an empty answer is then a scan too coarse. Where
     even the finest scan is not enough, ``resolved`` of the arcs is False.
     """
-    for fineness, slots in _FINENESS.items():
-        scan = scan_angles(length, fineness)
-        angles, before = padded_angles(scan, slots), None
+    places = np.empty(0)
+    for fineness, slots, outside in _SCANS:
+        scan, before = scan_angles(length, fineness), None
         for _ in range(_ROUNDS):
+            angles = closer_angles(scan, places, slots)
             arcs: Arcs = _arcs(c, jnp.asarray(angles), length=length, slots=slots)
             same = before is not None and same_arcs(arcs, before)
             if same and arcs.resolved:
                 return arcs
             if same or not arcs.exists[0]:
                 break
-            angles, before = closer_angles(c, arcs, scan, length=length), arcs
+            places = hiding_places(c, arcs, scan, places, outside, length=length)
+            if len(places) > most_places(slots):
+                break
+            before = arcs
         if may_be_empty and fineness >= _EMPTY_FINENESS and not arcs.exists[0]:
             return arcs
     return arcs._replace(resolved=jnp.asarray(False))
@@ -317,7 +334,7 @@ def _region(c: SliceCoefficients, arcs: Arcs, *, points: int) -> StableRegion:
     outline = polygon(c, arcs, points)
     largest = jnp.argmax(jnp.nan_to_num(outline.vertices, nan=-jnp.inf), axis=0)
     found = jnp.where(jnp.any(arcs.exists), RegionStatus.COMPLETE, RegionStatus.EMPTY)
-    status = jnp.where(arcs.resolved & outline.fits, found, RegionStatus.UNRESOLVED)
+    status = jnp.where(outline.resolved, found, RegionStatus.UNRESOLVED)
     return StableRegion(
         coefficients=c,
         outline=outline,
