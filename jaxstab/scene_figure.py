@@ -25,7 +25,7 @@ from jaxstab.scene import Scene
 from jaxstab.stability import optimal_gains, settling_time, simulate
 
 _ROWS = 400
-_CORNER = 1e-5  # of all rows: how far the outer ones are inside
+_CORNER = 1e-6  # of all rows: how far the outer ones are inside
 _EDGE = 1e-6  # of the largest stiffness: how near to the corner the least damping is taken
 _FEWEST, _MOST = 100, 2000  # samples of a response
 _BAND = 0.02
@@ -158,6 +158,8 @@ def _common_outline(loops: list[HapticLoop]) -> Floats:
         met = np.flatnonzero(left < right)
         if not len(met):
             return np.zeros((0, 2))
+        if len(met) == _ROWS:
+            break
         low, high = rows[max(met[0] - 1, 0)], rows[min(met[-1] + 1, _ROWS - 1)]
     left, right, rows = left[met], right[met], rows[met]
     return np.column_stack([np.append(left, right[::-1]), np.append(rows, rows[::-1])])
