@@ -42,8 +42,8 @@ class Loops(NamedTuple):
 
 class Truth(NamedTuple):
     """The true code of each loop, its spectral radius as a sum of two floats, and the distance of
-    the root closest to the circle; NaN where the roots could not be told apart, or not to digits of
-    a radius."""
+    the root closest to the circle; NaN where the roots could not be told apart, from each other or
+    from the circle, or not to digits of a radius."""
 
     code: np.ndarray
     radius: np.ndarray
@@ -142,6 +142,8 @@ def _true(plants: _Plants, alpha: float, beta: float) -> tuple[int, float, float
         code = UNSTABLE
     else:
         code = STABLE if all(modulus < 1 for modulus in moduli) else UNDECIDED
+    if code == UNDECIDED and alpha != -plants.plant[0]:
+        distance = np.nan  # by too few digits: whether a root is on the circle is not known
     return code, radius, rest, distance
 
 

@@ -138,7 +138,8 @@ def _stress(rows: list[Row]) -> Iterator[Line]:
         )
         error = f"{wrong} wrong, {undecided / total:.1%} undecided"
         if "verdict" not in method:
-            error += f", {max(row['error'] for row in some):.1e} ulp"
+            ulps = max(row["error"] for row in some)
+            error += f", {ulps:.1e} ulp" if ulps < 2.0**53 else ", no digit right"
         if share := max(row["share_of_bound"] for row in some):
             error += f", at most {share:.2f} of its bound"
         yield f"{total:,} random and adversarial loops", method, "", error, ""

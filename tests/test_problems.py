@@ -23,6 +23,7 @@ from jaxstab import STABLE, UNDECIDED, UNSTABLE, SettlingStatus
 _AT_POLE = "a pole stays within a rounding of 1 or -1 whatever the gains, and nothing else is tried"
 _LOST = "N(z) nearly vanishes: 40 and more of its bits are lost, so no bound of a radius is given"
 _MULTIPLE = "half or a third of the digits of a multiple root are there in float64"
+_DAMPED = "a strongly damped plant with small poles: not all digits of N(z) are known"
 _CREEPS = "a pole that rounds to 1 neither decays nor oscillates: 0/0"
 LIMITS: dict[str, dict[str, str]] = {
     "verdict": {
@@ -36,6 +37,7 @@ LIMITS: dict[str, dict[str, str]] = {
         **{f"nearly triple root, delay {delay}": _MULTIPLE for delay in (1, 2, 5)},
         **{f"double root at {r}, delay {d}": _MULTIPLE for r in ("0.9", "1") for d in (0, 0.5, 1)},
         "free device without wall: a double root at 1": _MULTIPLE,
+        "gamma 10000, delta 1000": _DAMPED,
     },
     "dominant_mode": dict.fromkeys(
         (

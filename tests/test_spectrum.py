@@ -175,3 +175,11 @@ class TestSweep:
     def test_refuses_an_empty_chunk(self, chunk: int) -> None:
         with pytest.raises(ValueError, match="chunk is"):
             jaxstab.sweep(jaxstab.is_stable, 0.1, 0.1, 0.0, 0.0, 0, chunk=chunk)
+
+
+@pytest.mark.parametrize("method", ["fast", "companion"])
+def test_a_bound_holds_for_tiny_poles_of_a_strongly_damped_plant(method: str) -> None:
+    point = (-1.904433602537459e-19, 0.0, 2731.67816822823, 104.53091730637838, 0.0)
+    radius = jaxstab.spectral_radius(*point, method=method)
+    low, high = truth.spectral_radius(*point)
+    assert low - float(radius.error) <= float(radius.value) <= high + float(radius.error)

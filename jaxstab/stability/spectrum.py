@@ -24,6 +24,9 @@ from jaxstab.stability.grid import looked_up, over_grid
 from jaxstab.stability.schur_cohn import radius_error, verdict
 
 _HUGE = 2.0**400
+# Strongly damped plants have coefficients of N far below its size, which do not have all their
+# digits; what is lost beside 1, divided by powers of a small radius, is more than a rounding.
+_DAMPED, _SMALL_RADIUS = 10.0, 0.5
 
 
 class SpectralRadius(NamedTuple):
@@ -190,7 +193,7 @@ def _fast_radius(
 @jax.jit
 def _believed(radius: SpectralRadius, gamma: Array, delta: Array) -> SpectralRadius:
     """Take back the bounds where the plant is not known to an ulp."""
-    is_lost = is_plant_lost(gamma, delta)
+    is_lost = is_plant_lost(gamma, delta) | ((delta > _DAMPED) & (radius.value < _SMALL_RADIUS))
     error = jnp.where(is_lost, jnp.inf, radius.error)
     return SpectralRadius(
         radius.value,
