@@ -17,7 +17,7 @@ _CLOSEST = 1e-11
 _OFFSETS = 24  # to each side of a place
 _PLACES = 6  # for each slot
 _NEAR_CIRCLE = 1e-2
-_BATCH = 128
+_BATCH = 16
 _SAME = 1e-7
 _HALVINGS = 40
 
