@@ -103,9 +103,9 @@ def test_the_region_command_prints_the_numbers():
     assert facts["largest_beta"] == pytest.approx([0.0, 2.0], abs=1e-9)
     # The integral of 2 b (2 - b) / (b + 2) over 0 ... 2.
     assert facts["area"] == pytest.approx(12 - 16 * np.log(2), rel=1e-9)
-    assert facts["linear_condition_within_2_percent_up_to_alpha"] == pytest.approx(
-        0.038827412153, rel=1e-10
-    )
+    alpha, beta = facts["linear_condition_within_2_percent_up_to"]
+    assert alpha == pytest.approx(0.038827412153, rel=1e-10)
+    assert (2 * beta - alpha) / alpha == pytest.approx(0.02, rel=1e-10)
     assert facts["largest_passive_alpha"] == [0.0, 0.0]
     words = CliRunner().invoke(main, arguments).stdout
     assert "largest alpha" in words

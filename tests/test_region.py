@@ -112,8 +112,8 @@ def test_beyond_the_nyquist_frequency_the_region_is_a_triangle() -> None:
     np.testing.assert_allclose(region.area, triangle, rtol=1e-12)
 
 
-def undamped_region(gamma: float) -> tuple[float, float]:
-    """Area and upper left corner at delta = delay = 0, by hand from Jury's criterion.
+def undamped_region(gamma: float) -> tuple[float, float, float]:
+    """Area, lower and upper corner at delta = delay = 0, by hand from Jury's criterion.
 
     With k = (1 - c)/gamma and c = cos(sqrt(gamma)) the stable set is
     -gamma < alpha < 2 beta (c - k beta)/(1 + k beta).
@@ -127,17 +127,31 @@ def undamped_region(gamma: float) -> tuple[float, float]:
         u = 1 + k * beta
         return 2 / k**2 * ((c + 2) * u - u**2 / 2 - (c + 1) * mp.log(u)) + g * beta
 
-    return float(integral(high) - integral(low)), float(high)
+    return float(integral(high) - integral(low)), float(low), float(high)
+
+
+def undamped_limit(gamma: float, beta: float) -> float:
+    """The largest alpha of a row of the same region."""
+    g, b = mpf(gamma), mpf(beta)
+    c = mp.cos(mp.sqrt(g))
+    k = (1 - c) / g
+    return float(2 * b * (c - k * b) / (1 + k * b))
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 1 - 1e-3, 1 - 1e-5, 1 - 1e-6, 1 + 1e-5])
 def test_the_region_of_an_undamped_hand_next_to_the_nyquist_frequency(share: float) -> None:
     gamma = NYQUIST * share**2
-    area, corner = undamped_region(gamma)
+    area, *heights = undamped_region(gamma)
     region = stable_region(gamma, 0.0, 0.0)
     assert region.status == RegionStatus.COMPLETE
     assert float(region.area) == pytest.approx(area, rel=1e-9)
-    assert np.max(region.corners[:, 1]) == pytest.approx(corner, rel=1e-9)
+    # All digits, though a float64 of the angle holds few digits of its distance to pi.
+    corners = [(-gamma, height) for height in heights]
+    found = region.corners[np.argsort(region.corners[:, 1])]
+    np.testing.assert_allclose(found, corners, rtol=5e-15)
+    row = 0.999 * heights[1]
+    limits = region.alpha_limits(row)
+    np.testing.assert_allclose(limits, [-gamma, undamped_limit(gamma, row)], rtol=0, atol=2e-14)
 
 
 # Corners with a second root next to the circle; arcs of the curve that are 2e-5 long; two corners

@@ -107,8 +107,8 @@ def check_inside(name: str, values: Floats, low: float, high: float, at: str = "
     if np.any(beyond):
         raise ValueError(
             f"{name} is {float(values[beyond].flat[0])!r}, and this atlas reaches from "
-            f"{float(low)!r} to {float(high)!r}{at}; ask inside of it, or with "
-            "outside='undecided'."
+            f"{float(low)!r} to {float(high)!r}{at}; ask inside of it, or set "
+            "outside to 'undecided'."
         )
 
 

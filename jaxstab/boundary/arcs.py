@@ -50,15 +50,17 @@ class Branch(IntEnum):
 class Arcs(NamedTuple):
     """Intervals of th that bound the stable set; arrays of one fixed length, padded.
 
-    ``begin`` and ``end`` are angles and ``begin_branch``, ``end_branch`` say what the arc meets
-    there (a Branch). After its end the boundary goes on to the arc ``successor``: at once, or along
-    a line, or ``via`` the crossing of both lines. ``resolved`` is False where the pieces do not
-    close to loops.
+    ``begin`` and ``end`` are angles, ``begin_low`` and ``end_low`` what rounding took from them,
+    and ``begin_branch``, ``end_branch`` say what the arc meets there (a Branch). After its end the
+    boundary goes on to the arc ``successor``: at once, or along a line, or ``via`` the crossing of
+    both lines. ``resolved`` is False where the pieces do not close to loops.
     """
 
     exists: Array
     begin: Array
     end: Array
+    begin_low: Array
+    end_low: Array
     begin_branch: Array
     end_branch: Array
     successor: Array
@@ -113,9 +115,9 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, length: int, slots: int) -
     begin_branch, end_branch = branch[:slots], branch[slots:]
     joins, joined = end_branch == Branch.CURVE, begin_branch == Branch.CURVE
     angles, next_arc, previous_arc = angles_to_join(branch == Branch.CURVE)
-    solved, found = _corners(c, jnp.where(pinned, NO_BRANCH, branch), angles, sizes)
+    solved, low, found = _corners(c, jnp.where(pinned, NO_BRANCH, branch), angles, sizes)
     found = pinned | (found & _between(solved, outer, inner))
-    solved = jnp.where(found, solved, rough)
+    solved, low = jnp.where(found, solved, rough), jnp.where(found & ~pinned, low, 0.0)
     begin = jnp.where(pinned[:slots], 0.0, solved[:slots])
     end = jnp.where(pinned[slots:], jnp.pi, solved[slots:])
     begin, end = jnp.where(exists, begin, 1.0), jnp.where(exists, end, 2.0)
@@ -134,6 +136,8 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, length: int, slots: int) -
         exists=exists,
         begin=begin,
         end=end,
+        begin_low=low[:slots],
+        end_low=low[slots:],
         begin_branch=begin_branch,
         end_branch=end_branch,
         successor=successor,
@@ -262,35 +266,39 @@ def _newton_steps(c: SliceCoefficients, angles: Array, sizes: tuple[Array, ...])
 
 def _corners(
     c: SliceCoefficients, branch: Array, angles: Array, sizes: tuple[Array, ...]
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Return the angles near ``angles[0]`` where the curve meets a branch, and which were found.
 
-    The curve meets itself at angles near ``angles[1]``. Differentiable in the slice.
+    Between the two, what rounding took from the angles. The curve meets itself at angles near
+    ``angles[1]``. Differentiable in the slice.
     """
 
     def newton(slice_: SliceCoefficients, angles: Array) -> tuple[Array, Array]:
-        """Return the next pairs of angles, and how far the present ones are from a corner."""
+        """Return the steps of pairs of angles to a corner, and how far they are from it."""
         steps, partner, mismatch = _newton_steps(slice_, angles, sizes)
         of_branch = branch == jnp.arange(len(Branch))[:, None]
         step, gap = (jnp.sum(jnp.where(of_branch, x, 0.0), axis=0) for x in (steps, mismatch))
         partner = jnp.where(branch == Branch.CURVE, partner, 0.0)
-        return angles - jnp.stack([step, partner]), gap
+        return jnp.stack([step, partner]), gap
 
     known = lax.stop_gradient(c)
     solver: optx.FixedPointIteration[Array, Array] = optx.FixedPointIteration(
         rtol=_NEWTON_TOLERANCE, atol=_NEWTON_TOLERANCE
     )
     angles = optx.fixed_point(
-        lambda angles, _: newton(known, angles)[0],
+        lambda angles, _: angles - newton(known, angles)[0],
         solver,
         angles,
         max_steps=_NEWTON_STEPS,
         throw=False,
     ).value
     # One more step has the derivative of the angle by the theorem of the implicit function.
-    solved, mismatch = newton(c, lax.stop_gradient(angles))
+    angles = lax.stop_gradient(angles)
+    steps, mismatch = newton(c, angles)
+    solved = angles - steps
+    low = lax.stop_gradient((angles - lax.optimization_barrier(solved)) - steps)
     # The solver's own verdict asks for more than rounding leaves where the curve hardly moves.
-    return solved[0], mismatch < _NEWTON_TOLERANCE
+    return solved[0], low[0], mismatch < _NEWTON_TOLERANCE
 
 
 def _sizes(c: SliceCoefficients, alpha: Array, beta: Array, theta: Array) -> tuple[Array, ...]:

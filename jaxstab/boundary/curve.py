@@ -252,21 +252,27 @@ def poles(c: SliceCoefficients) -> tuple[Array, Array]:
     return angles, jnp.clip(jnp.nan_to_num(apart, nan=_FAR), _CLOSE, _FAR)
 
 
-def curve_point(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
-    """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices."""
-    alpha, beta, _ = curve_and_lift(c, theta)
+def curve_point(c: SliceCoefficients, theta: Array, low: ArrayLike = 0.0) -> tuple[Array, Array]:
+    """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices.
+
+    ``low`` is what rounding took from theta: close to pi it holds digits of pi - theta.
+    """
+    alpha, beta, _ = curve_and_lift(c, theta, low)
     return alpha, beta
 
 
 @jax.jit
-def curve_and_lift(c: SliceCoefficients, theta: Array) -> tuple[Array, Array, Array]:
+def curve_and_lift(
+    c: SliceCoefficients, theta: Array, low: ArrayLike = 0.0
+) -> tuple[Array, Array, Array]:
     """Return alpha, beta and (alpha + plus_slope beta - w(r)) / (1 - cos th).
 
     The third value vanishes where the curve crosses the line z = r, but not where it starts on it.
     """
     upper = theta > pi / 2
     # Without the barrier XLA would add the two parts of pi first.
-    folded = jnp.where(upper, lax.optimization_barrier(pi - theta) + _PI_REST, theta)
+    from_pi = lax.optimization_barrier(pi - theta) + (_PI_REST - low)
+    folded = jnp.where(upper, from_pi, theta + low)
     half = 0.5 * folded
     half_sine, half_cosine = half * _sinc(half**2), _cosine(half**2)
     near, far = 2.0 * half_sine**2, 2.0 * half_cosine**2

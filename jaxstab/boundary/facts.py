@@ -1,9 +1,8 @@
 """What there is to say about one stable region, in numbers and words."""
 
-import math
 from typing import Any
 
-from jaxstab.boundary.criteria import linear_validity
+from jaxstab.boundary.criteria import ValidityStatus, linear_validity
 from jaxstab.boundary.passive import passive_region
 from jaxstab.boundary.region import RegionStatus, StableRegion, stable_region
 
@@ -32,8 +31,9 @@ def resolved_region(gamma: float, delta: float, delay: float, radius: float = 1.
 def region_facts(gamma: float, delta: float, delay: float, radius: float = 1.0) -> dict[str, Any]:
     """Return the numbers of a stable region by name: floats, lists of floats, words or None.
 
-    Points are [alpha, beta]. For radius 1 the facts include the largest passive alpha and how far
-    the linear condition holds; None where it has no such point.
+    Points are [alpha, beta]. For radius 1 the facts include the largest passive alpha and the
+    points of the region's boundary up to which the linear condition errs by at most 2 % and 5 %,
+    along the boundary from alpha = -gamma; None where the region has no such point.
 
     Args:
         gamma: physical stiffness k T^2/m in [0, 1e4].
@@ -61,9 +61,10 @@ def region_facts(gamma: float, delta: float, delay: float, radius: float = 1.0) 
     if radius == 1.0:
         facts["largest_passive_alpha"] = _point(passive_region(delta, delay, _FINE).max_alpha)
         for percent, level in _VALIDITY_LEVELS.items():
-            limit = float(linear_validity(level, gamma, delta, delay).alpha)
-            name = f"linear_condition_within_{percent}_percent_up_to_alpha"
-            facts[name] = limit if math.isfinite(limit) else None
+            limit = linear_validity(level, gamma, delta, delay)
+            met = int(limit.status) == ValidityStatus.FOUND
+            name = f"linear_condition_within_{percent}_percent_up_to"
+            facts[name] = _point((limit.alpha, limit.beta)) if met else None
     return facts
 
 

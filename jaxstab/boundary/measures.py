@@ -14,6 +14,7 @@ from jaxstab.boundary.roots import bracketed_root
 
 _CROSSINGS = 8  # of a row with the boundary; rows with more are answered by NaN
 _BATCH = 1024
+_LAST_STEP = 1e-10  # radians
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
@@ -100,9 +101,16 @@ def _crossings(
     here, there = outline.vertices[edges], outline.vertices[edges + 1]
     share = (value - here[:, axis]) / _nonzero(there[:, axis] - here[:, axis])
     on_line = here[:, 1 - axis] + share * (there[:, 1 - axis] - here[:, 1 - axis])
-    on_curve = curve_point(c, theta)[1 - axis]
+    on_curve = curve_point(c, theta, _last_step(c, theta, value, axis))[1 - axis]
     places = jnp.where(known.branches[edges] == Branch.CURVE, on_curve, on_line)
     return jnp.where(jnp.sum(met) <= _CROSSINGS, places, jnp.nan), edges >= 0
+
+
+def _last_step(c: SliceCoefficients, theta: Array, value: Array, axis: int) -> Array:
+    """Return Newton's step from a crossing's angle: close to pi, what rounding took from it."""
+    c, theta, value = lax.stop_gradient((c, theta, value))
+    here, tangent = jax.jvp(lambda x: curve_point(c, x), (theta,), (jnp.ones_like(theta),))
+    return jnp.clip((value - here[axis]) / _nonzero(tangent[axis]), -_LAST_STEP, _LAST_STEP)
 
 
 def _nearest(c: SliceCoefficients, outline: Outline, point: Array) -> Array:

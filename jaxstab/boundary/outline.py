@@ -38,10 +38,14 @@ class Outline(NamedTuple):
 
 
 class _Marks(NamedTuple):
-    """Points of the boundary: on which arc of the sequence, at which angle, and what they are."""
+    """Points of the boundary: on which arc of the sequence, at which angle, and what they are.
+
+    ``low`` is what rounding took from the angle ``theta``.
+    """
 
     place: Array
     theta: Array
+    low: Array
     exists: Array
     stage: Array
 
@@ -62,17 +66,18 @@ def polygon(c: SliceCoefficients, arcs: Arcs, points: int) -> Outline:
     nodes, tangents = lax.optimization_barrier(_survey(c, arcs, _nodes(points)))
     extremes, fits = _turning_points(c, arcs, nodes, tangents, turns)
     place, theta = _spread(arcs, nodes, tangents, points - 4 * slots - turns)
-    spread = _marks(_ON_ARC, place, theta, jnp.broadcast_to(jnp.any(arcs.exists), place.shape))
+    exist = jnp.broadcast_to(jnp.any(arcs.exists), place.shape)
+    spread = _marks(_ON_ARC, place, theta, jnp.zeros_like(theta), exist)
     places = jnp.arange(slots)
     first = jnp.sum(loop[:, None] > loop, axis=1)
     closes = arcs.exists & (jnp.append(loop[1:], -1) != loop)
-    begins, ends = arcs.begin, arcs.end
+    begins, ends = (arcs.begin, arcs.begin_low), (arcs.end, arcs.end_low)
     others = [
-        _marks(_ON_ARC, places, begins, arcs.exists),
-        _marks(_ON_ARC, places, ends, arcs.exists),
-        _marks(_VIA, places, ends, arcs.via),
-        _marks(_CLOSING, places, begins[first], closes),
-        _marks(_ON_ARC, *extremes),
+        _marks(_ON_ARC, places, *begins, arcs.exists),
+        _marks(_ON_ARC, places, *ends, arcs.exists),
+        _marks(_VIA, places, *ends, arcs.via),
+        _marks(_CLOSING, places, arcs.begin[first], arcs.begin_low[first], closes),
+        extremes,
     ]
     extra = jax.tree.map(lambda *parts: jnp.concatenate(parts), *others)
     chosen = _merged(_keys(arcs, spread), _keys(arcs, extra))
@@ -95,8 +100,8 @@ def polygon(c: SliceCoefficients, arcs: Arcs, points: int) -> Outline:
     )
 
 
-def _marks(stage: int, place: Array, theta: Array, exists: Array) -> _Marks:
-    return _Marks(place, theta, exists, jnp.full(place.shape, stage))
+def _marks(stage: int, place: Array, theta: Array, low: Array, exists: Array) -> _Marks:
+    return _Marks(place, theta, low, exists, jnp.full(place.shape, stage))
 
 
 def _keys(arcs: Arcs, marks: _Marks) -> Array:
@@ -167,8 +172,8 @@ def _tangent(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
 
 def _turning_points(
     c: SliceCoefficients, arcs: Arcs, nodes: Array, tangents: Array, slots: int
-) -> tuple[tuple[Array, Array, Array], Array]:
-    """Return places and angles where alpha or beta turns, which of them exist, if all were kept."""
+) -> tuple[_Marks, Array]:
+    """Return where alpha or beta turns, and whether there is room for all of these places."""
     moves = jnp.abs(tangents) > _ROUNDING * jnp.hypot(*tangents)
     turns = (tangents[..., 1:] * tangents[..., :-1] < 0.0) & (moves[..., 1:] | moves[..., :-1])
     turns = turns & arcs.exists[:, None]
@@ -182,7 +187,8 @@ def _turning_points(
 
     last = jnp.where(exist, nodes[place, node + 1], nodes[place, node])
     theta = bracketed_root(slope, c, nodes[place, node], last)
-    return (place, theta, exist), jnp.sum(turns) <= slots
+    marks = _marks(_ON_ARC, place, theta, jnp.zeros_like(theta), exist)
+    return marks, jnp.sum(turns) <= slots
 
 
 def _spread(arcs: Arcs, nodes: Array, tangents: Array, count: int) -> tuple[Array, Array]:
@@ -205,7 +211,8 @@ def _spread(arcs: Arcs, nodes: Array, tangents: Array, count: int) -> tuple[Arra
 
 
 def _points(c: SliceCoefficients, marks: _Marks) -> Array:
-    on_curve = lax.optimization_barrier(jnp.stack(curve_point(c, marks.theta), axis=-1))
+    on_curve = jnp.stack(curve_point(c, marks.theta, marks.low), axis=-1)
+    on_curve = lax.optimization_barrier(on_curve)
     crossing = jnp.stack(lines_crossing(c))
     return jnp.where((marks.stage == _VIA)[:, None], crossing, on_curve)
 
