@@ -47,7 +47,7 @@ from jaxstab.stability.schur_cohn import over_tiles
 from jaxstab.stability.wide_vectors import wide_jit
 
 _LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
-_HIGHEST_UNROLLED = 24  # degree of such a proof
+_HIGHEST_UNROLLED = 28  # degree of such a proof; the same happens from 33 on
 _TILE = 256  # points whose polynomials of a higher degree stay in the cache
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _SAFETY = 1.0 + 1e-6  # the bounds themselves are rounded
@@ -117,8 +117,16 @@ def dominant_root(loop: Loop, *, degree: int, doublings: int, corrections: int =
     where two roots of nearly one modulus are confused; no doublings means the closed form for
     degree 3. ``distance_of_dominant`` tells how it went.
     """
-    root = partial(_root, degree=degree, doublings=doublings, corrections=corrections)
-    return root(loop) if degree <= _HIGHEST_UNROLLED else over_tiles(root, (loop,), _TILE)
+    products = doublings * degree * (degree + 10) + 160 * corrections
+    is_unrolled = products <= _LONGEST_UNROLLED
+    root = partial(
+        _root,
+        degree=degree,
+        doublings=doublings,
+        corrections=corrections,
+        is_unrolled=is_unrolled,
+    )
+    return root(loop) if is_unrolled else over_tiles(root, (loop,), _TILE)
 
 
 @partial(wide_jit, static_argnames=("degree",))
@@ -139,20 +147,17 @@ def modulus(root: Array) -> Array:
     return jnp.sqrt(_Complex(root.real, root.imag).shifted(1.0).squared_modulus())
 
 
-def _root(loop: Loop, *, degree: int, doublings: int, corrections: int) -> Array:
-    t = _guess(loop.coefficients(degree), doublings, corrections)
+def _root(loop: Loop, *, degree: int, doublings: int, corrections: int, is_unrolled: bool) -> Array:
+    t = _guess(loop.coefficients(degree), doublings, is_unrolled)
     for _ in range(corrections):
         t = _newton(t, loop, degree)
     return lax.complex(t.re, t.im)
 
 
-def _guess(coefficients: list[Column], doublings: int, corrections: int) -> _Complex:
-    degree = len(coefficients)
+def _guess(coefficients: list[Column], doublings: int, is_unrolled: bool) -> _Complex:
     if doublings == 0:
         c, b, a = (jnp.asarray(coefficient) for coefficient in coefficients)
         return _Complex(*largest_root(a, b, c)).shifted(-1.0)
-    products = doublings * degree * (degree + 10) + 160 * corrections
-    is_unrolled = products <= _LONGEST_UNROLLED
     return _Complex(*guessed_root(coefficients, doublings, is_unrolled=is_unrolled))
 
 
@@ -340,7 +345,7 @@ def _all_inside(polynomial: list[Array], error: Array) -> Array:
 
 
 def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
-    """Return the same by a loop over a -> (a - k a*) / z and its reverse, zeros filling both."""
+    """Return the same by loops over a -> (a - k a*) / z and its reverse, zeros filling both."""
     one, zero = jnp.ones_like(error), jnp.zeros_like(error)
 
     def lower(_: Array, state: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -361,8 +366,12 @@ def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
         )
 
     rows = jnp.stack(polynomial)
+    half = len(polynomial) // 2
     start = rows, rows[::-1], jnp.isfinite(error), one, one, one, zero
-    state: tuple[Array, ...] = lax.fori_loop(0, len(polynomial) - 1, lower, start)
+    rows, turned, *rest = lax.fori_loop(0, half, lower, start)
+    # Half of the coefficients are left.
+    halves = rows[:-half], turned[:-half], *rest
+    state: tuple[Array, ...] = lax.fori_loop(half, len(polynomial) - 1, lower, halves)
     _, _, is_inside, below, above, whole, quotients = state
     lost = _SAFETY * (error * whole + 8.0 * FLOAT_UNIT * above * quotients)
     return is_inside & (lost < below)

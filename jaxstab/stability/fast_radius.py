@@ -116,7 +116,7 @@ def _tries(delay: float) -> tuple[_Try, ...]:
         return _Try(6, 2, 2**15), _Try(10, 4, 2**12), _Try(14, 8, 2**10)
     if delay <= 21.0:
         return _Try(4, 4, 2**15), _Try(14, 8, 2**10)
-    return _Try(4 if delay <= 40.0 else 6, 4, 2**12), _Try(14, 8, 2**10)
+    return _Try(5 if delay <= 50.0 else 7, 4, 2**12), _Try(14, 8, 2**10)
 
 
 def _blocks(
