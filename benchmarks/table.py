@@ -11,7 +11,7 @@ README = Path(__file__).parents[1] / "README.md"
 _BEGIN, _END = "<!-- table of benchmarks: begin -->", "<!-- table of benchmarks: end -->"
 
 _HEADING = ("task", "method", "run time", "error", "LAPACK's CPU time is so many times")
-_DELAYS = (0.0, 1.0, 5.0, 20.0)  # of the throughput: the plot has the others, and more rivals
+_DELAYS = (0.0, 1.0, 5.0, 20.0, 60.0)  # of the throughput: the plot has others, and more rivals
 _METHODS = ("verdict", "spectral_radius")
 _OWN_REGIONS = ("stable_region", "vmapped outlines")
 

@@ -61,7 +61,7 @@ class Judged:
 
 def rows(small: bool) -> Iterator[Row]:
     side = 8 if small else 1000
-    for delay in (1.0,) if small else (0.0, 1.0, 2.0, 5.0, 10.0, 20.0):
+    for delay in (1.0,) if small else (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0):
         yield from _slice_rows("delay", delay, side, small)
     for side in (6,) if small else (10, 32, 100, 316, 1000, 3162):
         yield from _slice_rows("batch", 1.0, side, small)

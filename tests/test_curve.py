@@ -159,6 +159,7 @@ def test_the_limits_have_finite_derivatives() -> None:
         ((0.5, 0.0, 0.0, -1.0), "delay"),
         ((0.5, 0.0, 0.0, 0.0, 0.0), "radius"),
         ((0.5, 0.0, 0.0, 0.0, 1.5), "radius"),
+        ((0.5, 0.0, 0.0, 0.0, -0.5), "radius"),
         ((0.5, 0.0, 0.0, 0.0, np.nan), "radius"),
     ],
 )

@@ -364,6 +364,7 @@ def test_reverse_mode_gives_the_derivative_too() -> None:
         ((0.0, float("nan"), 0.0), "delta"),
         ((0.0, 0.0, -1.0), "delay"),
         ((0.0, 0.0, 0.0, 1.2), "radius"),
+        ((0.0, 0.0, 0.0, -0.5), "radius"),
         ((0.0, 0.0, 0.0, 1.0, 0.0), "tolerance"),
     ],
 )
