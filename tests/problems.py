@@ -274,11 +274,33 @@ def _gains() -> Iterator[Problem]:
         yield Problem(name, why, frozenset({"denormal"}), (alpha, beta, *plant, 0.0))
 
 
+def _found() -> Iterator[Problem]:
+    """What `python -m benchmarks stress` came upon, in ten million loops."""
+    tags = frozenset({"found"})
+    why = "of all loops, the error of the radius came closest to its bound"
+    for point in (
+        (0.0, -0.00010504751337496828, 4.682197010121848e-08, 3.0881567389404805e-243, 0.0),
+        (4.457196952402061e-06, -3.488428983188316e-05, 1.891679930688e-64, 2.073856808e-169, 0.5),
+        (3.91174463507816e-07, -0.0001691572460956, 1e-323, 0.0, 1.0),
+        (-4195.473068869074, 9130.514844823405, 10000.0, 390.72468524164725, 2.0),
+        (-4.37613424807816e37, -5.1639047742893263e-51, 0.0009999996237, 3.746742505862e-15, 5.0),
+    ):
+        yield Problem(f"radius next to its bound, delay {point[4]:g}", why, tags, point)
+    why = "eigenvalues of the companion matrix are on the wrong side of the circle"
+    for point in (
+        (0.0013831540092740524, 0.0006920557676006523, 0.0, 1.2559399935892389e-11, 0.0),
+        (-0.20606655967413212, -1.1438006180743916, 0.21718220198237284, 0.9320562257339904, 0.5),
+        (0.14272789862009577, 0.37898628065579604, 1.5e-323, 5e-324, 1.0),
+        (0.23047799971431326, 0.1068183237077505, 0.12967152755119973, 0.720198660235354, 5.0),
+    ):
+        yield Problem(f"eigenvalues are wrong, delay {point[4]:g}", why, tags, point)
+
+
 PROBLEMS: tuple[Problem, ...] = tuple(
     problem
     for family in (
         _critical_damping, _sizes, _free_device, _nyquist, _multiple_roots, _without_wall,
-        _on_circle, _near_circle, _delays, _gains,
+        _on_circle, _near_circle, _delays, _gains, _found,
     )
     for problem in family()
 )  # fmt: skip

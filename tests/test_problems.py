@@ -24,6 +24,7 @@ _AT_POLE = "a pole stays within a rounding of 1 or -1 whatever the gains, and no
 _LOST = "N(z) nearly vanishes: 40 and more of its bits are lost, so no bound of a radius is given"
 _MULTIPLE = "half or a third of the digits of a multiple root are there in float64"
 _DAMPED = "a strongly damped plant with small poles: not all digits of N(z) are known"
+_BEYOND = "the promised accuracy ends at gamma = 40, delta = 10"
 _CREEPS = "a pole that rounds to 1 neither decays nor oscillates: 0/0"
 LIMITS: dict[str, dict[str, str]] = {
     "verdict": {
@@ -51,7 +52,8 @@ LIMITS: dict[str, dict[str, str]] = {
         _CREEPS,
     ),
     "characteristic_polynomial": {
-        "gamma 10000, delta 1000": "the promised accuracy ends at gamma = 40, delta = 10",
+        "gamma 10000, delta 1000": _BEYOND,
+        "radius next to its bound, delay 2": _BEYOND,
     },
 }
 
