@@ -141,7 +141,7 @@ def _stress(rows: list[Row]) -> Iterator[Line]:
             ulps = max(row["error"] for row in some)
             error += f", {ulps:.1e} ulp" if ulps < 2.0**53 else ", no digit right"
         if share := max(row["share_of_bound"] for row in some):
-            error += f", at most {share:.2f} of its bound"
+            error += f", at most {share:.3f} of its bound"
         yield f"{total:,} random and adversarial loops", method, "", error, ""
 
 
