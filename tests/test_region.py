@@ -177,6 +177,13 @@ def test_regions_of_small_margins_are_resolved(
         assert expected is None or expected == bool(inside)
 
 
+@pytest.mark.xfail(reason="a scan of 176 angles steps over both pieces of curve of the cut")
+def test_a_cut_between_two_angles_of_the_scan_is_found() -> None:
+    """The curve crosses itself at theta = 0.4895 and 1.2986, and at 0.5061 and 1.3047."""
+    region = stable_region(3.4221236931311325, 9.11095313928446, 6.351107263508205)
+    assert len(region.corners) == 5
+
+
 def test_an_unresolved_region_claims_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jaxstab.boundary.region._SCANS", ((1, 4, 1e-4),))  # no finer ones
     region = stable_region(39.52046, 0.13948, 4.0)
