@@ -275,7 +275,7 @@ def _gains() -> Iterator[Problem]:
 
 
 def _found() -> Iterator[Problem]:
-    """What `python -m benchmarks stress` came upon, in ten million loops."""
+    """What `python -m benchmarks stress` came upon, in ten million loops; long numbers are cut."""
     tags = frozenset({"found"})
     why = "of all loops, the error of the radius came closest to its bound"
     for point in (

@@ -340,8 +340,7 @@ def _all_inside(polynomial: list[Array], error: Array) -> Array:
         lowered = [lowest * highest, *(first * a - last * b for a, b in pairs)]
         scale = power_of_two_below_inverse(lowered[0])
         polynomial = [value * scale for value in lowered]
-    lost = _SAFETY * (error * whole + 8.0 * FLOAT_UNIT * above * quotients)
-    return is_inside & (lost < below)
+    return is_inside & (_lost(error, above, whole, quotients) < below)
 
 
 def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
@@ -373,8 +372,12 @@ def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
     halves = rows[:-half], turned[:-half], *rest
     state: tuple[Array, ...] = lax.fori_loop(half, len(polynomial) - 1, lower, halves)
     _, _, is_inside, below, above, whole, quotients = state
-    lost = _SAFETY * (error * whole + 8.0 * FLOAT_UNIT * above * quotients)
-    return is_inside & (lost < below)
+    return is_inside & (_lost(error, above, whole, quotients) < below)
+
+
+def _lost(error: Array, above: Array, whole: Array, quotients: Array) -> Array:
+    """Bound what the polynomial's own error and the rounding of all steps come to at the end."""
+    return _SAFETY * (error * whole + 8.0 * FLOAT_UNIT * above * quotients)
 
 
 def _size_sum(columns: list[Array]) -> Array:

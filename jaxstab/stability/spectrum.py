@@ -90,9 +90,10 @@ def spectral_radius(
     Returns:
         SpectralRadius of arrays of the broadcast shape: ``value``; ``error``, proved: all roots are
         inside value + error, not all inside value - error; ``status``, a RadiusStatus: NO_BOUND
-        also next to gamma = (2 pi k)^2 with next to no damping, where N(z) nearly vanishes. The
-        derivative of ``value`` is that of the dominant root by the implicit function theorem; it is
-        infinite or NaN where that root is multiple.
+        also next to gamma = (2 pi k)^2 with next to no damping, where N(z) nearly vanishes, and for
+        radii below 0.5 at delta above 10, where not all digits of N(z) are known. The derivative of
+        ``value`` is that of the dominant root by the implicit function theorem; it is infinite or
+        NaN where that root is multiple.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN, or the method is
