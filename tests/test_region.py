@@ -177,11 +177,27 @@ def test_regions_of_small_margins_are_resolved(
         assert expected is None or expected == bool(inside)
 
 
-@pytest.mark.xfail(reason="a scan of 176 angles steps over both pieces of curve of the cut")
-def test_a_cut_between_two_angles_of_the_scan_is_found() -> None:
-    """The curve crosses itself at theta = 0.4895 and 1.2986, and at 0.5061 and 1.3047."""
-    region = stable_region(3.4221236931311325, 9.11095313928446, 6.351107263508205)
-    assert len(region.corners) == 5
+# Where the curve crosses itself, or a line, twice between two angles of the scan.
+@pytest.mark.parametrize(
+    ("place", "theta"),
+    [
+        ((3.4221236931311325, 9.11095313928446, 6.351107263508205), 0.498),
+        ((1.3488207792095845, 0.5590127914668694, 7.0), 0.845),
+        ((6.57005961986159, 36.351609338153324, 7.0), 0.808),
+        ((11.523438187710303, 0.40536209838398013, 1.0), 2.85),
+    ],
+)
+def test_cuts_between_two_angles_of_the_scan_are_found(
+    place: tuple[float, float, float], theta: float
+) -> None:
+    """The curve at this angle is outside of the region, not on its outline."""
+    wall = boundary_curve(theta, *place)
+    lower, _ = truth.spectral_radius(*map(float, wall), *place)
+    assert lower > 1.0 + 1e-7
+    region = stable_region(*place)
+    assert region.status == RegionStatus.COMPLETE
+    assert not region.contains(*wall)
+    assert float(region.distance(*wall)) < -1e-7
 
 
 def test_an_unresolved_region_claims_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -252,16 +252,27 @@ def _newton_steps(c: SliceCoefficients, angles: Array, sizes: tuple[Array, ...])
     values, slopes = jax.jvp(points, (angles,), (jnp.ones_like(angles),))
     alpha, beta, lift, margin = values
     alpha_slope, beta_slope, lift_slope, margin_slope = lax.stop_gradient(slopes)
-    across, along = alpha[0] - alpha[1], beta[0] - beta[1]
-    determinant = _nonzero(beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1])
-    first = (alpha_slope[1] * along - beta_slope[1] * across) / determinant
-    second = (alpha_slope[0] * along - beta_slope[0] * across) / determinant
-    gap = jnp.maximum(jnp.abs(across), jnp.abs(along))
+    first, second = steps_to_meeting(alpha, beta, alpha_slope, beta_slope)
+    gap = jnp.maximum(jnp.abs(alpha[0] - alpha[1]), jnp.abs(beta[0] - beta[1]))
     return _Steps(  # in the order of Branch
         steps=jnp.stack([first, lift / _nonzero(lift_slope), margin / _nonzero(margin_slope)]),
         partner=second,
         mismatch=jnp.stack([gap, jnp.abs(lift), jnp.abs(margin)]),
     )
+
+
+def steps_to_meeting(
+    alpha: Array, beta: Array, alpha_slope: Array, beta_slope: Array
+) -> tuple[Array, Array]:
+    """Return Newton's steps, to be taken off two angles, to where the curve meets itself.
+
+    The first row of each argument is of the first angle, the second row of the second angle.
+    """
+    across, along = alpha[0] - alpha[1], beta[0] - beta[1]
+    determinant = _nonzero(beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1])
+    first = (alpha_slope[1] * along - beta_slope[1] * across) / determinant
+    second = (alpha_slope[0] * along - beta_slope[0] * across) / determinant
+    return first, second
 
 
 def _corners(

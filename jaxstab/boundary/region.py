@@ -14,12 +14,14 @@ from jaxtyping import Float64, Int
 
 from jaxstab.boundary import measures
 from jaxstab.boundary.arcs import Arcs, find_arcs
+from jaxstab.boundary.crossings import crossings
 from jaxstab.boundary.curve import SliceCoefficients, slice_coefficients
 from jaxstab.boundary.outline import Outline, extra_vertices, polygon
 from jaxstab.boundary.scan import (
     closer_angles,
     hiding_places,
     most_places,
+    nearly_stable,
     same_arcs,
     scan_angles,
 )
@@ -301,8 +303,9 @@ def _refined_arcs(c: SliceCoefficients, length: int, *, may_be_empty: bool) -> A
     With damping the loop without a wall is stable: an empty answer is then a scan too coarse. Where
     even the finest scan is not enough, ``resolved`` of the arcs is False.
     """
-    places = np.empty(0)
+    known = crossings(c, scan_angles(length, 1))
     for fineness, slots, outside in _SCANS:
+        places = nearly_stable(c, known, outside, length=length)
         scan, before = scan_angles(length, fineness), None
         for _ in range(_ROUNDS):
             angles = closer_angles(scan, places, slots)
@@ -312,7 +315,7 @@ def _refined_arcs(c: SliceCoefficients, length: int, *, may_be_empty: bool) -> A
                 return arcs
             if same or not arcs.exists[0]:
                 break
-            places = hiding_places(c, arcs, scan, places, outside, length=length)
+            places = hiding_places(c, arcs, places, outside, length=length)
             if len(places) > most_places(slots):
                 break
             before = arcs

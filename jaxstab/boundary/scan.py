@@ -1,29 +1,25 @@
 """The angles at which a scan looks for arcs of the boundary of the stable set."""
 
-from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
 from jaxtyping import Float64
 
-from jaxstab.boundary.arcs import Arcs, minus_margin, other_roots, others_inside
-from jaxstab.boundary.curve import SliceCoefficients, curve_and_lift
+from jaxstab.boundary.arcs import Arcs, other_roots, others_inside
+from jaxstab.boundary.crossings import Angles, in_batches
+from jaxstab.boundary.curve import SliceCoefficients
 
 _FIRST, _PI_MINUS_LAST = 1e-7, 1e-7
 _CLOSEST = 1e-11
 _OFFSETS = 24  # to each side of a place
 _PLACES = 6  # for each slot
 _NEAR_CIRCLE = 1e-2
-_BATCH = 16
 _SAME = 1e-7
-_HALVINGS = 40
-
-Angles = Float64[np.ndarray, " _"]  # of any length
 
 
+@cache
 def scan_angles(length: int, fineness: int) -> Angles:
     """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends.
 
@@ -35,7 +31,9 @@ def scan_angles(length: int, fineness: int) -> Angles:
         np.geomspace(first, even[0], 12 * fineness, endpoint=False)
         for first in (_FIRST, _PI_MINUS_LAST)
     )
-    return np.concatenate([start, even, np.pi - end[::-1]])
+    angles = np.concatenate([start, even, np.pi - end[::-1]])
+    angles.flags.writeable = False
+    return angles
 
 
 def most_places(slots: int) -> int:
@@ -53,24 +51,28 @@ def closer_angles(angles: Angles, places: Angles, slots: int) -> Angles:
 
 
 def hiding_places(
-    c: SliceCoefficients, arcs: Arcs, angles: Angles, known: Angles, outside: float, *, length: int
+    c: SliceCoefficients, arcs: Arcs, known: Angles, outside: float, *, length: int
 ) -> Angles:
     """Return the angles around which something may hide between two of the scan, with those known.
 
-    What was missed begins or ends where the curve crosses a line, or at the angle of one of the
-    roots that are on the circle at a corner next to it; and there no other root is farther outside
-    of the circle than ``outside``.
+    They are the corners found and the angles of the roots that are on the circle there, or close.
     """
     ends = np.concatenate([np.asarray(arcs.begin), np.asarray(arcs.end)])
     corners = np.tile(np.asarray(arcs.exists), 2) & (ends > 0.0) & (ends < np.pi)
     others = np.asarray(_others(c, jnp.asarray(ends), length=length))[:, corners]
     partners = [_angles_near_circle(polynomial) for polynomial in others.T]
-    found = np.concatenate([known, ends[corners], *partners, _line_crossings(c, angles)])
-    places = np.sort(found)
+    found = np.concatenate([known, ends[corners], *partners])
+    return nearly_stable(c, found, outside, length=length)
+
+
+def nearly_stable(
+    c: SliceCoefficients, places: Angles, outside: float, *, length: int
+) -> Angles:
+    """Return those angles, in order, at which no other root is farther than that outside."""
+    places = np.sort(places)
     places = places[np.diff(places, prepend=-1.0) > _CLOSEST]
-    nearly_stable = partial(_others_inside, c, within=1.0 + outside, length=length)
-    chosen: Angles = places[_in_batches(nearly_stable, places)]
-    return chosen
+    inside = partial(_others_inside, c, within=1.0 + outside, length=length)
+    return places[in_batches(inside, places).astype(bool)]
 
 
 def same_arcs(one: Arcs, other: Arcs) -> bool:
@@ -89,44 +91,3 @@ def _angles_near_circle(polynomial: Float64[np.ndarray, " coefficient"]) -> Angl
     near = roots[(np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE) & (roots.imag >= 0.0)]
     angles: Angles = np.angle(near)
     return angles
-
-
-def _line_crossings(c: SliceCoefficients, angles: Angles) -> Angles:
-    """Return the angles at which the curve crosses one of the lines."""
-    changes = np.diff(np.sign(np.asarray(_line_margins(c, jnp.asarray(angles)))), axis=1) != 0.0
-    line, step = np.nonzero(changes)
-    return _in_batches(partial(_crossing, c), angles[step], angles[step + 1], line)
-
-
-def _in_batches(compiled: Callable[..., Array], *columns: np.ndarray) -> np.ndarray:
-    """Apply a function to columns of any length in batches of one size, compiled once."""
-    rest = max(-len(columns[0]) % _BATCH, _BATCH - len(columns[0]))
-    batches = np.stack([np.pad(one, (0, rest)) for one in columns]).reshape(
-        len(columns), -1, _BATCH
-    )
-    answers = [np.asarray(compiled(*batch)) for batch in batches.swapaxes(0, 1)]
-    return np.concatenate(answers)[: len(columns[0])]
-
-
-@jax.jit
-def _crossing(c: SliceCoefficients, lower: Array, upper: Array, line: Array) -> Array:
-    """Bisect between angles on unlike sides of a line."""
-
-    def side(theta: Array) -> Array:
-        plus, minus = _line_margins(c, theta) > 0.0
-        return jnp.where(line == 0, plus, minus)
-
-    def halved(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        middle = 0.5 * (ends[0] + ends[1])
-        below = side(middle) == before
-        return jnp.where(below, middle, ends[0]), jnp.where(below, ends[1], middle)
-
-    before = side(lower)
-    crossing: Array = lax.fori_loop(0, _HALVINGS, halved, (lower, upper))[0]
-    return crossing
-
-
-@jax.jit
-def _line_margins(c: SliceCoefficients, theta: Array) -> Array:
-    alpha, beta, lift = curve_and_lift(c, theta)
-    return jnp.stack([lift, minus_margin(c, alpha, beta)])

@@ -1,0 +1,52 @@
+"""Crossings of the curve with itself and the lines, against roots of p along the curve."""
+
+import numpy as np
+import pytest
+
+from jaxstab.boundary.crossings import crossings
+from jaxstab.boundary.curve import boundary_curve, slice_coefficients
+from jaxstab.boundary.scan import scan_angles
+from jaxstab.model import characteristic_polynomial
+
+FARTHEST = 1e-6  # from the circle: what is still on it
+
+PLACES = [
+    (1e-3, 0.015, 0.0),
+    (1e-3, 0.015, 1.0),
+    (11.523438187710303, 0.40536209838398013, 1.0),  # a line is crossed twice in a step
+    (0.5, 0.2, 3.4),
+    (3.4221236931311325, 9.11095313928446, 6.351107263508205),  # and here the curve
+    (1.3488207792095845, 0.5590127914668694, 7.0),
+    (39.799975315059754, 0.4533140420022334, 4.0),
+    (0.1, 0.05, 12.0),
+]
+
+
+Place = tuple[float, float, float]
+
+
+def found(place: Place) -> np.ndarray:
+    length = int(place[2]) + 3
+    return crossings(slice_coefficients(*place), scan_angles(length, 1))
+
+
+def sizes_of_roots(theta: np.ndarray, place: Place) -> np.ndarray:
+    """Return |z| of all roots for the walls of the curve at these angles."""
+    p = np.asarray(characteristic_polynomial(*boundary_curve(theta, *place), *place))
+    return np.abs([np.roots(one) for one in p])
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_the_number_of_unstable_roots_changes_at_crossings(place: Place) -> None:
+    theta = np.linspace(0.01, np.pi - 0.01, 4001)
+    unstable = np.sum(sizes_of_roots(theta, place) > 1.0 + FARTHEST, axis=1)
+    changes = theta[1:][np.diff(unstable) != 0]
+    away = np.min(np.abs(changes[:, None] - found(place)), axis=1)
+    assert len(changes)
+    assert np.max(away) < 2.0 * (theta[1] - theta[0])
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_at_a_crossing_there_are_three_roots_on_the_circle(place: Place) -> None:
+    away = np.sort(np.abs(sizes_of_roots(found(place), place) - 1.0), axis=1)
+    assert np.max(away[:, 2]) < FARTHEST
