@@ -6,8 +6,9 @@ stable: of its points those are wrong that it contains and that are not stable.
 Slices are random: weak and strong hands, beyond the Nyquist frequency and next to its multiples,
 without damping, whole and fractional delays to 50 samples, stability and decay rates. Points are
 anywhere around a region, next to its outline, and next to pieces of the boundary that eigenvalues
-find at random angles, whether the region has them or not. A rival is the polygon itself. The judge
-is the criterion of Schur and Cohn in balls of python-flint, on coefficients of 50 digits.
+find at random angles, whether the region has them or not; of the last two kinds half are where
+region and eigenvalues agree least. A rival is the polygon itself. The judge is the criterion of
+Schur and Cohn in balls of python-flint, on coefficients of 50 digits.
 """
 
 from collections.abc import Iterator
@@ -29,7 +30,7 @@ MEASURE = "share of points misclassified, by certified root counts"
 DISTANCES = 10.0 ** -np.arange(3, 10)  # from the boundary, relative to the region
 _CLASSES = ((0, 2, 1000), (2, 8, 1000), (8, 20, 1000), (20, 51, 250))  # delays, and how many slices
 _POINTS = 16  # of each kind, for each slice
-_ANGLES = 200
+_ANGLES = 500
 _ON_CIRCLE = 1e-9  # float64 roots this close to the circle count as inside
 _DIGITS = 80
 
@@ -136,13 +137,23 @@ def probes(region: StableRegion, judge: "Judge", rng: np.random.Generator) -> np
     low, high = outline.min(axis=0), outline.max(axis=0)
     size = high - low
     anywhere = rng.uniform(low - 0.2 * size, high + 0.2 * size, (_POINTS, 2))
-    here = rng.integers(0, len(outline) - 1, _POINTS)
-    share = rng.choice([0.0, 0.5, 1.0], (_POINTS, 1))
+    here = rng.integers(0, len(outline) - 1, _ANGLES)
+    share = rng.choice([0.0, 0.5, 1.0], (_ANGLES, 1))
     edges = outline[here] + share * (outline[here + 1] - outline[here])
-    others = found[rng.integers(0, len(found), _POINTS)]
-    near = np.concatenate([edges, others])
+    others = found[rng.integers(0, len(found), _ANGLES)]
+    outside = judge.largest_roots(edges)
+    missed = np.abs(np.asarray(region.distance(*others.T)))
+    near = np.concatenate(
+        [_half_at_the_largest(edges, outside), _half_at_the_largest(others, missed)]
+    )
     away = rng.choice(DISTANCES, (len(near), 1)) * rng.normal(size=near.shape)
     return np.concatenate([anywhere, near + size * away])
+
+
+def _half_at_the_largest(points: np.ndarray, doubts: np.ndarray) -> np.ndarray:
+    """Return ``_POINTS`` of these points, half of them the one with the largest doubt."""
+    half = _POINTS // 2
+    return np.concatenate([np.tile(points[np.argmax(doubts)], (half, 1)), points[:half]])
 
 
 class Judge:
@@ -176,9 +187,14 @@ class Judge:
     def boundary(self, angles: np.ndarray) -> np.ndarray:
         """Return the points of the curve at these angles next to which walls are stable."""
         points = self.curve(angles)
-        radii = [np.abs(np.roots(self._coefficients(a, b, self.radius))) for a, b in points]
-        inside = [np.max(one, initial=0.0) < 1 + _ON_CIRCLE for one in radii]
-        return points[inside]
+        return points[self.largest_roots(points) < 1 + _ON_CIRCLE]
+
+    def largest_roots(self, points: np.ndarray) -> np.ndarray:
+        """Return for points (n, 2) the largest |z| / radius by eigenvalues."""
+        p = [self._coefficients(alpha, beta, self.radius) for alpha, beta in points.tolist()]
+        companion = np.tile(np.eye(self.size, k=-1), (len(p), 1, 1))
+        companion[:, 0, :] = -np.array(p).reshape(len(p), -1)[:, 1:]
+        return np.max(np.abs(np.linalg.eigvals(companion)), axis=1, initial=0.0)
 
     def _coefficients(self, alpha: mpf | float, beta: mpf | float, radius: mpf | float) -> list:
         """Return p(radius z) over a power of the radius, in the arithmetic of its arguments."""

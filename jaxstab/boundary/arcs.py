@@ -35,6 +35,7 @@ _MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on th
 _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
 _NARROWINGS = 9
 _NEWTON_STEPS = 16
+_STRAY = 16.0  # of a bracket: Newton's method does not come back from there
 _NEWTON_TOLERANCE = 1e-10  # of the last step: its square is below rounding
 NO_BRANCH = -1
 
@@ -115,7 +116,9 @@ def find_arcs(c: SliceCoefficients, angles: Array, *, length: int, slots: int) -
     begin_branch, end_branch = branch[:slots], branch[slots:]
     joins, joined = end_branch == Branch.CURVE, begin_branch == Branch.CURVE
     angles, next_arc, previous_arc = angles_to_join(branch == Branch.CURVE)
-    solved, low, found = _corners(c, jnp.where(pinned, NO_BRANCH, branch), angles, sizes)
+    reach = _STRAY * (jnp.abs(outer - inner) + _SLACK)
+    unpinned = jnp.where(pinned, NO_BRANCH, branch)
+    solved, low, found = _corners(c, unpinned, angles, sizes, reach)
     found = pinned | (found & _between(solved, outer, inner))
     solved, low = jnp.where(found, solved, rough), jnp.where(found & ~pinned, low, 0.0)
     begin = jnp.where(pinned[:slots], 0.0, solved[:slots])
@@ -276,12 +279,13 @@ def steps_to_meeting(
 
 
 def _corners(
-    c: SliceCoefficients, branch: Array, angles: Array, sizes: tuple[Array, ...]
+    c: SliceCoefficients, branch: Array, angles: Array, sizes: tuple[Array, ...], reach: Array
 ) -> tuple[Array, Array, Array]:
     """Return the angles near ``angles[0]`` where the curve meets a branch, and which were found.
 
     Between the two, what rounding took from the angles. The curve meets itself at angles near
-    ``angles[1]``. Differentiable in the slice.
+    ``angles[1]``. A search that strays farther than ``reach`` ends: all lanes wait for the last
+    one. Differentiable in the slice.
     """
 
     def newton(slice_: SliceCoefficients, angles: Array) -> tuple[Array, Array]:
@@ -292,16 +296,16 @@ def _corners(
         partner = jnp.where(branch == Branch.CURVE, partner, 0.0)
         return jnp.stack([step, partner]), gap
 
+    def moved(angles: Array, start: Array) -> Array:
+        near = jnp.abs(angles[0] - start) <= reach
+        return angles - jnp.where(near, newton(known, angles)[0], 0.0)
+
     known = lax.stop_gradient(c)
     solver: optx.FixedPointIteration[Array, Array] = optx.FixedPointIteration(
         rtol=_NEWTON_TOLERANCE, atol=_NEWTON_TOLERANCE
     )
     angles = optx.fixed_point(
-        lambda angles, _: angles - newton(known, angles)[0],
-        solver,
-        angles,
-        max_steps=_NEWTON_STEPS,
-        throw=False,
+        moved, solver, angles, args=angles[0], max_steps=_NEWTON_STEPS, throw=False
     ).value
     # One more step has the derivative of the angle by the theorem of the implicit function.
     angles = lax.stop_gradient(angles)

@@ -20,7 +20,7 @@ from jaxstab.boundary.curve import SliceCoefficients, curve_and_lift, curve_poin
 from jaxstab.boundary.roots import bracketed_root
 
 _BATCH = 16
-_NEWTON_STEPS = 8
+_NEWTON_STEPS = 24  # where two pieces all but touch each step halves what is left
 _BEYOND = 0.5  # how far Newton's method may leave a piece, as a share of it
 _ARRIVED = 1e-3  # the last step, and the least distance of two angles that meet; likewise
 _STARTS = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])  # of two pieces: one end of each
@@ -31,8 +31,7 @@ Pieces = Int[np.ndarray, " _"]
 
 def crossings(c: SliceCoefficients, angles: Angles) -> Angles:
     """Return the angles at which the curve of a scan meets itself, two each, or a line."""
-    sampled = map(np.asarray, _sampled(c, jnp.asarray(angles)))
-    controls, slopes, near = sampled
+    controls, slopes, near = map(np.asarray, _sampled(c, jnp.asarray(angles)))
     of_curve = _self_crossings(c, angles, controls[:, :2], slopes[:2], near)
     of_lines = _line_crossings(c, angles, controls[:, 2:], slopes[2:])
     return np.concatenate([of_curve, of_lines])
@@ -90,8 +89,9 @@ def _self_crossings(
     pairs = np.concatenate([_touching_pieces(controls, near), loops], axis=1)
     pieces = np.repeat(pairs, _STARTS.shape[1], axis=1)
     start = angles[pieces + np.tile(_STARTS, pairs.shape[1])]
-    found = in_batches(partial(_meeting, c), *start, *angles[pieces], *angles[pieces + 1])
-    return found[np.isfinite(found)]
+    both = in_batches(partial(_meeting, c), *start, *angles[pieces], *angles[pieces + 1])
+    found: Angles = both[np.isfinite(both)]
+    return found
 
 
 def _touching_pieces(controls: np.ndarray, near: np.ndarray) -> Int[np.ndarray, "2 pair"]:

@@ -6,7 +6,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxstab.boundary.arcs import NO_BRANCH, Arcs, Branch, first_places, lines_crossing
+from jaxstab.boundary.arcs import (
+    NO_BRANCH,
+    Arcs,
+    Branch,
+    first_places,
+    lines_crossing,
+    others_inside,
+)
 from jaxstab.boundary.curve import SliceCoefficients, curve_point, poles
 from jaxstab.boundary.roots import bracketed_root
 
@@ -14,6 +21,8 @@ _FEWEST_NODES, _MOST_NODES = 33, 129  # per arc, to see where it bends and turns
 _TURNS = 8  # vertical and horizontal tangents, for each eight slots of arcs
 _BESIDE = 1e-8
 _ROUNDING = 1e-10  # a coordinate that moves less than that is constant: a straight edge
+_TESTED = slice(1, None, 4)
+_ROUNDED = 1e-7  # a root so close to the circle may be on it, next to a corner
 _HERE, _THERE = slice(None, -1), slice(1, None)
 _EVENNESS = 0.1  # the share of points that straight parts get
 
@@ -53,10 +62,12 @@ class _Marks(NamedTuple):
 _ON_ARC, _VIA, _CLOSING = 0, 1, 2  # in the order in which an arc and what follows it pass them
 
 
-def polygon(c: SliceCoefficients, arcs: Arcs, points: int) -> Outline:
+def polygon(c: SliceCoefficients, arcs: Arcs, points: int, length: int | None = None) -> Outline:
     """Return an outline of exactly ``points`` vertices, spread so that all edges bend alike.
 
-    Differentiable in the slice: vertices between corners stay at their share of the arc.
+    Differentiable in the slice: vertices between corners stay at their share of the arc. With
+    ``length``, that of the polynomials of the other roots, every fourth vertex is put to the test
+    of these roots: a cut that the scan stepped over is noticed where a vertex falls on it.
     """
     slots = len(arcs.exists)
     turns = extra_vertices(slots) - 4 * slots
@@ -83,6 +94,10 @@ def polygon(c: SliceCoefficients, arcs: Arcs, points: int) -> Outline:
     chosen = _merged(_keys(arcs, spread), _keys(arcs, extra))
     marks = jax.tree.map(lambda *parts: jnp.concatenate(parts), spread, extra)
     resolved = arcs.resolved & fits
+    if length is not None:
+        known, angles = lax.stop_gradient((c, theta[_TESTED]))
+        sound = others_inside(known, angles, length, within=1.0 + _ROUNDED)
+        resolved = resolved & jnp.all(sound | ~exist[_TESTED])
     count = jnp.where(resolved, jnp.sum(marks.exists), 0)
     chosen = chosen[jnp.clip(jnp.arange(points), max=jnp.maximum(count - 1, 0))]
     at_marks = _points(c, marks)

@@ -16,7 +16,7 @@ _CLOSEST = 1e-11
 _OFFSETS = 24  # to each side of a place
 _PLACES = 6  # for each slot
 _NEAR_CIRCLE = 1e-2
-_SAME = 1e-7
+_SAME = 1e-10
 
 
 @cache
@@ -65,20 +65,19 @@ def hiding_places(
     return nearly_stable(c, found, outside, length=length)
 
 
-def nearly_stable(
-    c: SliceCoefficients, places: Angles, outside: float, *, length: int
-) -> Angles:
+def nearly_stable(c: SliceCoefficients, places: Angles, outside: float, *, length: int) -> Angles:
     """Return those angles, in order, at which no other root is farther than that outside."""
     places = np.sort(places)
     places = places[np.diff(places, prepend=-1.0) > _CLOSEST]
     inside = partial(_others_inside, c, within=1.0 + outside, length=length)
-    return places[in_batches(inside, places).astype(bool)]
+    chosen: Angles = places[in_batches(inside, places).astype(bool)]
+    return chosen
 
 
-def same_arcs(one: Arcs, other: Arcs) -> bool:
-    """Return whether two scans found the same arcs."""
-    first, second = (np.stack([arcs.exists, arcs.begin, arcs.end]) for arcs in (one, other))
-    return bool(np.allclose(first, second, rtol=_SAME, atol=_SAME))
+def are_among(places: Angles, known: Angles) -> bool:
+    """Return whether each of these places is one of those known."""
+    away = np.abs(places[:, None] - known)
+    return bool(np.all(np.min(away, axis=1, initial=np.inf) < _SAME))
 
 
 _others = jax.jit(other_roots, static_argnames="length")
@@ -86,8 +85,8 @@ _others_inside = jax.jit(others_inside, static_argnames="length")
 
 
 def _angles_near_circle(polynomial: Float64[np.ndarray, " coefficient"]) -> Angles:
-    """Return the angles in [0, pi] of the roots close to the circle."""
+    """Return the angles between 0 and pi of the roots close to the circle."""
     roots = np.roots(polynomial)
-    near = roots[(np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE) & (roots.imag >= 0.0)]
+    near = roots[(np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE) & (roots.imag > 0.0)]
     angles: Angles = np.angle(near)
     return angles
