@@ -28,7 +28,7 @@ from jaxstab.boundary import RegionStatus, StableRegion, stable_region
 MEASURE = "share of points misclassified, by certified root counts"
 
 DISTANCES = 10.0 ** -np.arange(3, 10)  # from the boundary, relative to the region
-_CLASSES = ((0, 2, 1000), (2, 8, 1000), (8, 20, 1000), (20, 51, 250))  # delays, and how many slices
+_CLASSES = ((0, 2, 5000), (2, 8, 3000), (8, 20, 2000), (20, 51, 500))  # delays, how many slices
 _POINTS = 16  # of each kind, for each slice
 _ANGLES = 500
 _ON_CIRCLE = 1e-9  # float64 roots this close to the circle count as inside

@@ -200,6 +200,12 @@ def test_cuts_between_two_angles_of_the_scan_are_found(
     assert float(region.distance(*wall)) < -1e-7
 
 
+def test_an_outline_with_a_cut_that_its_scan_missed_is_unresolved() -> None:
+    place = (0.3748891679491507, 0.5807087649792142, 6.901339437787484)
+    assert region_outline(*place).status == RegionStatus.UNRESOLVED
+    assert region_outline(*place, fineness=4).status == RegionStatus.COMPLETE
+
+
 def test_an_unresolved_region_claims_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jaxstab.boundary.region._SCANS", ((1, 4, 1e-4),))  # no finer ones
     region = stable_region(39.52046, 0.13948, 4.0)
