@@ -23,6 +23,7 @@ _BATCH = 16
 _NEWTON_STEPS = 24  # where two pieces all but touch each step halves what is left
 _BEYOND = 0.5  # how far Newton's method may leave a piece, as a share of it
 _ARRIVED = 1e-3  # the last step, and the least distance of two angles that meet; likewise
+_CLOSE = 1e-6  # crossings closer to each other are one
 _STARTS = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])  # of two pieces: one end of each
 
 Angles = Float64[np.ndarray, " _"]  # of any length
@@ -30,11 +31,12 @@ Pieces = Int[np.ndarray, " _"]
 
 
 def crossings(c: SliceCoefficients, angles: Angles) -> Angles:
-    """Return the angles at which the curve of a scan meets itself, two each, or a line."""
+    """Return the angles, in order, at which the curve of a scan meets itself or a line."""
     controls, slopes, near = map(np.asarray, _sampled(c, jnp.asarray(angles)))
     of_curve = _self_crossings(c, angles, controls[:, :2], slopes[:2], near)
     of_lines = _line_crossings(c, angles, controls[:, 2:], slopes[2:])
-    return np.concatenate([of_curve, of_lines])
+    found = np.sort(np.concatenate([of_curve, of_lines]))
+    return found[np.diff(found, prepend=-1.0) > _CLOSE]
 
 
 def in_batches(compiled: Callable[..., Array], *columns: np.ndarray) -> np.ndarray:
