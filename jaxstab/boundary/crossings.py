@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float64, Int
 
 from jaxstab.boundary.arcs import minus_margin, steps_to_meeting
 from jaxstab.boundary.curve import SliceCoefficients, curve_and_lift, curve_point
-from jaxstab.boundary.roots import bracketed_root
+from jaxstab.boundary.roots import bracketed_root, with_slope
 
 _BATCH = 16
 _NEWTON_STEPS = 24  # where two pieces all but touch each step halves what is left
@@ -61,7 +61,7 @@ def _sampled(c: SliceCoefficients, angles: Array) -> tuple[Array, Array, Array]:
         alpha, beta, lift = curve_and_lift(c, theta)
         return jnp.stack([alpha, beta, lift, minus_margin(c, alpha, beta)])
 
-    at_angles, slopes = _with_slopes(values, angles)
+    at_angles, slopes = with_slope(values, angles)
     here, there = at_angles[:, :-1], at_angles[:, 1:]
     third = jnp.diff(angles) / 3.0
     inner = here + third * slopes[:, :-1], there - third * slopes[:, 1:]
@@ -69,11 +69,6 @@ def _sampled(c: SliceCoefficients, angles: Array) -> tuple[Array, Array, Array]:
     low, high = jnp.min(controls[:, :2], axis=0), jnp.max(controls[:, :2], axis=0)
     overlap = (low[:, :, None] <= high[:, None]) & (low[:, None] <= high[:, :, None])
     return controls, slopes, overlap[0] & overlap[1]
-
-
-def _with_slopes(function: Callable[[Array], Array], angles: Array) -> tuple[Array, Array]:
-    both: tuple[Array, Array] = jax.jvp(function, (angles,), (jnp.ones_like(angles),))
-    return both
 
 
 # ---------------------------------------------------------------------------- of two pieces
@@ -138,7 +133,7 @@ def _meeting(c: SliceCoefficients, *columns: Array) -> Array:
 
     def newton(_: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         angles, _ = state
-        points, slopes = _with_slopes(lambda theta: jnp.stack(curve_point(c, theta)), angles)
+        points, slopes = with_slope(lambda theta: jnp.stack(curve_point(c, theta)), angles)
         steps = jnp.stack(steps_to_meeting(*points, *slopes))
         return jnp.clip(angles - steps, lowest, highest), steps
 
@@ -193,7 +188,7 @@ def _nearest_place(c: SliceCoefficients, lower: Array, upper: Array, line: Array
     """Return angles at which the curve is nearest to a line, or farthest beyond it."""
 
     def slope(slice_: SliceCoefficients, theta: Array) -> Array:
-        return _with_slopes(lambda angle: _margin(slice_, angle, line), theta)[1]
+        return with_slope(lambda angle: _margin(slice_, angle, line), theta)[1]
 
     return bracketed_root(slope, c, lower, upper)
 

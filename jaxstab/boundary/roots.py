@@ -33,7 +33,7 @@ def bracketed_root(
     """
     known = lax.stop_gradient(parameters)
     frozen = _search(partial(function, known), *lax.stop_gradient((lower, upper)))
-    slope = _with_slope(partial(function, known), frozen)[1]
+    slope = with_slope(partial(function, known), frozen)[1]
     value = function(parameters, frozen)
     # Zero, with the derivative of the root.
     step = (value - lax.stop_gradient(value)) / jnp.where(slope == 0.0, jnp.inf, slope)
@@ -53,7 +53,7 @@ def _search(function: Callable[[Array], Array], lower: Array, upper: Array) -> A
 
     def narrowed(state: _State) -> _State:
         count, low, high, x, last, moving = state
-        value, slope = _with_slope(function, x)
+        value, slope = with_slope(function, x)
         above = value * sign > 0.0
         low, high = jnp.where(above, low, x), jnp.where(above, x, high)
         newton = x - value / slope
@@ -69,6 +69,7 @@ def _search(function: Callable[[Array], Array], lower: Array, upper: Array) -> A
     return root
 
 
-def _with_slope(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+def with_slope(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+    """Return the values of an elementwise function and their derivatives."""
     value, slope = jax.jvp(function, (x,), (jnp.ones_like(x),))
     return value, slope
