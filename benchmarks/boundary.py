@@ -18,7 +18,8 @@ from benchmarks.exact import ExactSlice
 from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.timing import interleaved
-from jaxstab.boundary import region_outline, stable_region, trace_boundary
+from jaxstab.region import region_outline, stable_region
+from jaxstab.trace import trace_boundary
 
 GAMMA, DELTA = 1e-3, 0.015
 MEASURE = "largest distance of found points from the exact boundary, relative to the region"

@@ -17,7 +17,7 @@ import truth
 
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from jaxstab.atlas.fill import Slice, plan_filling
+from jaxstab.atlas.compute.fill import Slice, plan_filling
 from jaxstab.conventions import STABLE, UNSTABLE
 
 GAMMA, DELTA = 1e-3, 0.015

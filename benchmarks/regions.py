@@ -23,7 +23,7 @@ from matplotlib.path import Path as Polygon
 from mpmath import mp, mpf
 
 from benchmarks.record import Row
-from jaxstab.boundary import RegionStatus, StableRegion, stable_region
+from jaxstab.region import RegionStatus, StableRegion, stable_region
 
 MEASURE = "share of points misclassified, by certified root counts"
 

@@ -19,8 +19,8 @@ import jaxstab
 from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily
 from benchmarks.timing import Timing, interleaved
-from jaxstab.boundary import boundary_curve
 from jaxstab.conventions import STABLE, UNSTABLE
+from jaxstab.region import boundary_curve
 
 GAMMA, DELTA = 1e-3, 0.015
 WRONG = "share of sampled points whose verdict was wrong or undecided"

@@ -23,7 +23,7 @@ from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily
 from benchmarks.timing import Timing, interleaved
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
-from jaxstab.stability.wide_vectors import wide_jit
+from jaxstab.wide_vectors import wide_jit
 
 GAMMA, DELTA = 1e-3, 0.015
 BAND = "largest distance from the boundary with a wrong or no verdict, relative to the region"

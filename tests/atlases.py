@@ -7,7 +7,9 @@ from pathlib import Path
 
 import h5py
 
-from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, file, footer, write_atlas
+from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, write_atlas
+from jaxstab.atlas.format import footer
+from jaxstab.atlas.read import file
 
 SMALL = AtlasSpec(
     alpha=FittedAxis(24),

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxstab import write_atlas
-from jaxstab.atlas import build
+from jaxstab.atlas.write import build
 
 FORMER = b"the former file"
 spec, key, images, whole = pickle.load(sys.stdin.buffer)

@@ -23,7 +23,7 @@ from jaxstab import (
     build_atlas,
     open_atlas,
 )
-from jaxstab.atlas.layout import lay_out
+from jaxstab.atlas.compute.layout import lay_out
 
 TRIANGLE = AtlasSpec(
     alpha=FittedAxis(16),

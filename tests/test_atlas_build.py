@@ -20,12 +20,14 @@ import numpy as np
 import pytest
 
 import jaxstab
-from jaxstab import AtlasSpec, open_atlas, plan_atlas, write_atlas
-from jaxstab.atlas import build, durable, footer, products
-from jaxstab.atlas.executors import tile_image
-from jaxstab.atlas.plan import Plan, Tile
-from jaxstab.atlas.schema import VARIABLES
-from jaxstab.atlas.shards import shards_of
+from jaxstab import AtlasSpec, durable, open_atlas, plan_atlas, write_atlas
+from jaxstab.atlas.compute import products
+from jaxstab.atlas.compute.plan import Plan, Tile
+from jaxstab.atlas.format import footer
+from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.write import build
+from jaxstab.atlas.write.tiles import shards_of
+from jaxstab.atlas.write.workers import tile_image
 
 KEY = "0" * 64
 TINY = AtlasSpec(

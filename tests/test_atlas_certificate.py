@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import truth
 
-from jaxstab.atlas.certificate import Intervals, cells_without_crossing, plant_motion
+from jaxstab.atlas.compute.certificate import Intervals, cells_without_crossing, plant_motion
 
 # Corners of the parameter space: no spring or damper, haptic, resonant, strongly damped.
 CELLS = [

@@ -11,8 +11,9 @@ from atlases import SMALL, edited, small_image, write_small
 
 import jaxstab
 from jaxstab import open_atlas, plan_atlas
-from jaxstab.atlas import file, footer, schema
-from jaxstab.atlas.products import compute_tile
+from jaxstab.atlas.compute.products import compute_tile
+from jaxstab.atlas.format import footer, schema
+from jaxstab.atlas.read import file
 
 FOREIGN = {
     "empty": b"",

@@ -4,17 +4,8 @@ import numpy as np
 import pytest
 from atlases import small_atlas, small_contents
 
-from jaxstab import (
-    AXES,
-    STABLE,
-    UNDECIDED,
-    UNSTABLE,
-    Atlas,
-    QueryStatus,
-    stable_region,
-    verdict,
-)
-from jaxstab.atlas import file
+from jaxstab import AXES, STABLE, UNDECIDED, UNSTABLE, Atlas, QueryStatus, stable_region, verdict
+from jaxstab.atlas.read import file
 
 DELAYS = (0.0, 1.5)
 

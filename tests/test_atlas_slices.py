@@ -16,7 +16,7 @@ from jaxstab import (
     plan_atlas,
     stable_region,
 )
-from jaxstab.figures import draw_atlas
+from jaxstab.pictures.atlas import draw_atlas
 
 SLICES = AtlasSpec(
     alpha=FittedAxis(8),

@@ -10,10 +10,10 @@ from atlases import edited
 from click.testing import CliRunner
 
 from jaxstab import AtlasSpec, FittedAxis, open_atlas, write_atlas
-from jaxstab.atlas import footer
-from jaxstab.atlas.digest import content_digest, digest_of
-from jaxstab.atlas.schema import VARIABLES
-from jaxstab.cli import main
+from jaxstab.atlas.format import footer
+from jaxstab.atlas.format.digest import content_digest, digest_of
+from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.cli.main import main
 
 SPEC = AtlasSpec(
     alpha=FittedAxis(16), beta=FittedAxis(16), gamma=[0.0, 0.001], delta=[0.0, 0.015], delay=[1.0],

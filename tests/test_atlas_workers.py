@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from jaxstab import AtlasSpec, write_atlas
-from jaxstab.atlas.executors import dask_cluster, processes
+from jaxstab.atlas.write.workers import dask_cluster, processes
 
 SPEC = AtlasSpec(
     alpha=[0.0, 0.1, 0.2], beta=[0.1, 0.2], gamma=[0.0, 0.0005, 0.001], delta=[0.0, 0.015],
@@ -27,7 +27,7 @@ SPEC = AtlasSpec(
 SCRIPT = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from jaxstab.cli import main
+from jaxstab.cli.main import main
 main()
 """
 COMMAND = [sys.executable, "-c", SCRIPT, "atlas", "build"]
@@ -179,7 +179,7 @@ def test_a_dask_cluster_builds_the_serial_atlas_though_a_worker_is_killed(
 
 
 def test_without_a_scheduler_or_dask_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jaxstab.atlas.executors._SECONDS_TO_CONNECT", 1)
+    monkeypatch.setattr("jaxstab.atlas.write.workers._SECONDS_TO_CONNECT", 1)
     with pytest.raises(OSError, match=r"no dask scheduler answers at tcp://127\.0\.0\.1:9;"):
         dask_cluster("tcp://127.0.0.1:9").__enter__()
     monkeypatch.setitem(sys.modules, "distributed", None)

@@ -8,10 +8,10 @@ import pytest
 import truth
 
 from jaxstab import STABLE, boundary_curve, verdict
-from jaxstab.boundary.bands import StableColumns, stable_columns
-from jaxstab.boundary.enclosure import Domain, curve_patches
-from jaxstab.model.linear_model import LinearModel
-from jaxstab.model.plant_models import HandBoxes, plant_models
+from jaxstab.boxes.columns import StableColumns, stable_columns
+from jaxstab.boxes.enclosure import Domain, curve_patches
+from jaxstab.boxes.models import LinearModel
+from jaxstab.boxes.plant import HandBoxes, plant_models
 
 HAPTIC = (1e-3, 0.015)
 SCENES = [  # delay, gamma, delta, widths of the boxes, domain in units of the delay's stable set

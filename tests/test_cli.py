@@ -11,7 +11,7 @@ import pytest
 from atlases import SMALL_TOML, write_small
 from click.testing import CliRunner, Result
 
-from jaxstab.cli import main
+from jaxstab.cli.main import main
 
 POINT = ["--alpha", "0.1", "--beta", "0.5", "--gamma", "0.0005", "--delta", "0.01", "--delay", "0"]
 SMALLEST_TOML = """
@@ -22,7 +22,7 @@ gamma = [0, 0.001]
 delta = [0, 0.01]
 delay = [0]
 """
-START = "import sys; from jaxstab.cli import main; main()"
+START = "import sys; from jaxstab.cli.main import main; main()"
 
 
 def run(*arguments: str | Path, stdin: str = "") -> Result:
@@ -213,7 +213,7 @@ def test_help_and_queries_start_without_anything_heavy(arguments: list[str], pat
     given = [*arguments, str(path), *POINT] if "query" in arguments else arguments
     script = (
         "import sys\n"
-        "from jaxstab.cli import main\n"
+        "from jaxstab.cli.main import main\n"
         "try:\n"
         "    main()\n"
         "finally:\n"

@@ -10,8 +10,7 @@ import truth
 from mpmath import mp, mpf
 
 from jaxstab import HapticLoop
-from jaxstab.boundary import (
-    boundary_curve,
+from jaxstab.criteria import (
     linear_alpha_limit,
     linear_condition,
     linear_error,
@@ -19,8 +18,9 @@ from jaxstab.boundary import (
     passive_region,
     routh_hurwitz_condition,
 )
-from jaxstab.boundary.cosine_series import first_rise, largest_value
-from jaxstab.boundary.criteria import ValidityStatus
+from jaxstab.criteria.cosine_series import first_rise, largest_value
+from jaxstab.criteria.linear import ValidityStatus
+from jaxstab.region import boundary_curve
 
 ANCHORS = Path(__file__).parents[1] / "data" / "reference" / "anchors.tsv"
 LEVELS = {"linear_error_2_percent": 0.02, "linear_error_5_percent": 0.05}

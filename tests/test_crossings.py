@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from jaxstab.boundary.crossings import crossings
-from jaxstab.boundary.curve import boundary_curve, slice_coefficients
-from jaxstab.boundary.scan import scan_angles
 from jaxstab.model import characteristic_polynomial
+from jaxstab.region.crossings import crossings
+from jaxstab.region.curve import boundary_curve, slice_coefficients
+from jaxstab.region.scan import scan_angles
 
 FARTHEST = 1e-6  # from the circle: what is still on it
 

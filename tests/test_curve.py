@@ -8,7 +8,7 @@ import pytest
 import truth
 from mpmath import mp, mpf
 
-from jaxstab.boundary import boundary_curve, minus_line, plus_line
+from jaxstab.region import boundary_curve, minus_line, plus_line
 
 ACCURACY = 1e-13
 ROUNDING = 2.0**-52

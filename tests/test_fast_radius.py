@@ -13,7 +13,7 @@ from mpmath import mp, mpf
 
 import jaxstab
 from jaxstab.conventions import RadiusStatus
-from jaxstab.stability import cubic, dominant_root, fast_radius, power_iteration
+from jaxstab.point.radius import cubic, dominant_root, fast_radius, power_iteration
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 DELAYS = (0.0, 1.0, 0.5, 2.0, 3.7, 5.0, 12.0, 20.0, 33.5, 60.0)  # four degrees are shared
@@ -207,7 +207,7 @@ class TestCubic:
 
 class TestDominantRoot:
     def test_a_root_that_is_not_dominant_is_not_proved(self) -> None:
-        plant = jaxstab.stability.certified_loop.float_plant(
+        plant = jaxstab.point.verdict.loop.float_plant(
             jnp.asarray(0.2), jnp.asarray(0.1), jnp.asarray(0.0), is_fractional=False
         )
         loop = dominant_root.Loop(jnp.asarray(0.1), jnp.asarray(0.3), jnp.asarray(0.2), plant)

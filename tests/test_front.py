@@ -10,10 +10,11 @@ import pytest
 import truth
 from click.testing import CliRunner, Result
 
-from jaxstab import commands, front
-from jaxstab.cli import main
-from jaxstab.scene import EXAMPLE, Scene
-from jaxstab.scene_figure import scene_figure
+from jaxstab.cli import scene as commands
+from jaxstab.cli.main import main
+from jaxstab.pictures.scene import scene_figure
+from jaxstab.scene import answers as front
+from jaxstab.scene.scene import EXAMPLE, Scene
 
 FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]
 PHANTOM = ["--device", "phantom", "--sample-time", "0.001"]

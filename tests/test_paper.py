@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from jaxstab.boundary import linear_validity
-from jaxstab.cli import main
-from jaxstab.paper import paper_figure, picture, region_figure
+from jaxstab.cli.main import main
+from jaxstab.criteria import linear_validity
+from jaxstab.pictures.paper import paper_figure, picture, region_figure
 
 
 def lines(panel):

@@ -22,11 +22,12 @@ from jaxstab import (
     plan_atlas,
     verdict,
 )
-from jaxstab.atlas import products, schema
-from jaxstab.atlas.blocks import CellSlice, prove_blocks
-from jaxstab.atlas.fill import Filling, Slice, plan_filling
-from jaxstab.atlas.products import compute_tile
-from jaxstab.atlas.schema import VARIABLES
+from jaxstab.atlas.compute import products
+from jaxstab.atlas.compute.blocks import CellSlice, prove_blocks
+from jaxstab.atlas.compute.fill import Filling, Slice, plan_filling
+from jaxstab.atlas.compute.products import compute_tile
+from jaxstab.atlas.format import schema
+from jaxstab.atlas.format.schema import VARIABLES
 
 DELAYS = (0.0, 0.5, 1.0, 2.3, 5.0, 20.0, 41.7, 60.0)
 SLICES = 12  # of each delay
@@ -229,7 +230,7 @@ def test_a_tile_is_the_same_alone_and_in_an_atlas_of_any_tiles(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plan, whole = plan_atlas(SMALL), small_contents().arrays
-    monkeypatch.setattr("jaxstab.atlas.plan.TILE_NODES", 1)
+    monkeypatch.setattr("jaxstab.atlas.compute.plan.TILE_NODES", 1)
     assert len(plan.tiles) == 2 * 3 * 2
     for tile in plan.tiles[::-1]:
         for name, values in compute_tile(plan, tile).items():
@@ -336,7 +337,7 @@ def test_a_bad_tolerance_is_refused_in_one_sentence(toml: str, says: str) -> Non
 def test_the_plan_is_printed_by_a_command(tmp_path) -> None:
     from click.testing import CliRunner
 
-    from jaxstab.cli import main
+    from jaxstab.cli.main import main
 
     spec = tmp_path / "slice.toml"
     spec.write_text(

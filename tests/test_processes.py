@@ -12,7 +12,7 @@ import pytest
 from problems import PROBLEMS
 
 import jaxstab
-from jaxstab.atlas.executors import processes
+from jaxstab.atlas.write.workers import processes
 
 DELAY = 0.0  # one, for each is compiled in each process
 COUNT = 2**16 + 3  # enough for threads to share it, and no multiple of what they share it by

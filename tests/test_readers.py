@@ -14,10 +14,10 @@ import pytest
 import truth
 
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Atlas, AtlasSpec, QueryStatus, open_atlas
-from jaxstab.atlas import footer
-from jaxstab.atlas.digest import content_digest, digest_of
-from jaxstab.atlas.file import checked_datasets, opened, text_of
-from jaxstab.atlas.schema import SCHEMA_VERSION, SLICE, VARIABLES
+from jaxstab.atlas.format import footer
+from jaxstab.atlas.format.digest import content_digest, digest_of
+from jaxstab.atlas.format.schema import SCHEMA_VERSION, SLICE, VARIABLES
+from jaxstab.atlas.read.file import checked_datasets, opened, text_of
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 GOLDEN = DATA / "golden" / "atlas-v2.h5"

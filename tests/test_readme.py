@@ -12,7 +12,7 @@ import jaxstab
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-START = "import sys; from jaxstab.cli import main; main()"
+START = "import sys; from jaxstab.cli.main import main; main()"
 
 
 def blocks(language: str) -> list[str]:

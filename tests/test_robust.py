@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 import truth
 
-from jaxstab.boundary import (
-    RobustStatus,
-    passive_region,
-    robust_region,
-    stable_region,
-)
 from jaxstab.conventions import Verdict
+from jaxstab.criteria import passive_region
+from jaxstab.ranges import RobustStatus, robust_region
+from jaxstab.region import stable_region
 
 NYQUIST = pi**2 + 0.25  # for delta = 1
 

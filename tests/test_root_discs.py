@@ -7,8 +7,8 @@ import pytest
 import truth
 
 from jaxstab import spectral_radius
-from jaxstab.model.plant_models import HandBoxes
-from jaxstab.stability.root_discs import interpolation_errors
+from jaxstab.boxes.plant import HandBoxes
+from jaxstab.boxes.root_discs import interpolation_errors
 
 
 @pytest.mark.parametrize(
@@ -85,5 +85,5 @@ def test_strips_of_a_large_slice_give_what_the_whole_gives(
     boxes = HandBoxes(*(np.full(1, v) for v in (5e-4, 4e-3, 2e-4, 1e-3)))
     corners = rng.random((2, 2, 8, 6))
     whole = interpolation_errors(*nodes, boxes, 0.0, corners)
-    monkeypatch.setattr("jaxstab.stability.root_discs._LARGEST_STRIP", 15)
+    monkeypatch.setattr("jaxstab.boxes.root_discs._LARGEST_STRIP", 15)
     np.testing.assert_array_equal(interpolation_errors(*nodes, boxes, 0.0, corners), whole)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from jaxstab.scene import EXAMPLE, MEASURES, PRESETS, Scene, plan
+from jaxstab.scene.scene import EXAMPLE, MEASURES, PRESETS, Scene, plan
 
 SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))
 GOOD: dict[str, Any] = {

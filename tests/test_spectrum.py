@@ -12,7 +12,7 @@ from mpmath import mp, mpf
 
 import jaxstab
 from jaxstab.conventions import RadiusStatus
-from jaxstab.stability import grid
+from jaxstab.point import grid
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 SCENE = (0.05, 0.3, 1e-3, 0.015)

@@ -12,7 +12,7 @@ from mpmath import mp
 from near_boundary import ExactPlant, moduli, points_near_the_boundary, random_plants, true_code
 
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, characteristic_polynomial, verdict
-from jaxstab.stability.schur_cohn import radius_error
+from jaxstab.point.verdict.door import radius_error
 
 DELAYS = (0.0, 0.25, 1.0, 1.5, 2.0, 2.75, 5.0, 7.3, 8.0, 20.0, 33.0, 59.5, 60.0)
 POINTS = {True: 2000, False: 200}  # of short delays, of long ones

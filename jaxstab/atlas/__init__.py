@@ -1,4 +1,4 @@
-"""Many points on disk: built once, queried without JAX."""
+"""Many points on disk: specification, build, query, verification."""
 
 from lazy_loader import attach_stub
 

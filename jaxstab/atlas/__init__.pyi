@@ -1,15 +1,16 @@
+from .compute.plan import Plan as Plan
+from .compute.plan import plan_atlas as plan_atlas
+from .format.spec import AtlasSpec as AtlasSpec
+from .format.spec import FittedAxis as FittedAxis
+from .format.spec import ToleranceAxis as ToleranceAxis
+from .read.answer import AtlasAnswer as AtlasAnswer
+from .read.answer import QueryStatus as QueryStatus
+from .read.atlas import Atlas as Atlas
+from .read.atlas import open_atlas as open_atlas
+from .read.limits import AlphaLimits as AlphaLimits
+from .read.limits import MaxAlpha as MaxAlpha
+from .read.outline import AtlasOutline as AtlasOutline
+from .write.build import build_atlas as build_atlas
+from .write.build import write_atlas as write_atlas
+
 __all__: list[str]
-from .answer import AtlasAnswer as AtlasAnswer
-from .answer import QueryStatus as QueryStatus
-from .build import build_atlas as build_atlas
-from .build import write_atlas as write_atlas
-from .limits import AlphaLimits as AlphaLimits
-from .limits import MaxAlpha as MaxAlpha
-from .outline import AtlasOutline as AtlasOutline
-from .plan import Plan as Plan
-from .plan import plan_atlas as plan_atlas
-from .query import Atlas as Atlas
-from .query import open_atlas as open_atlas
-from .spec import AtlasSpec as AtlasSpec
-from .spec import FittedAxis as FittedAxis
-from .spec import ToleranceAxis as ToleranceAxis

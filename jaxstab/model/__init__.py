@@ -1,4 +1,4 @@
-"""The loop as mathematics: parameters, plant coefficients, characteristic polynomial."""
+"""The loop as mathematics: parameters, plant, characteristic polynomial."""
 
 from lazy_loader import attach_stub
 

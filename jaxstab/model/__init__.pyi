@@ -13,3 +13,5 @@ from .plant import plant_transition as plant_transition
 from .polynomial import characteristic_polynomial as characteristic_polynomial
 from .polynomial import companion_matrix as companion_matrix
 from .polynomial import polynomial_degree as polynomial_degree
+
+__all__: list[str]

@@ -1,0 +1,1 @@
+"""What an atlas file is: schema, specification, footer, digest."""

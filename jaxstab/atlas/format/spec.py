@@ -1,0 +1,290 @@
+"""What an atlas shall hold: its axes and its products, checked where they are written down."""
+
+import math
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from functools import partial
+from itertools import pairwise
+from numbers import Real
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxstab.atlas.format.schema import (
+    ALPHA_LIMITS,
+    LARGEST_ATLAS,
+    LARGEST_SLICE,
+    PRODUCTS,
+    SPECTRAL_RADIUS,
+    VERDICT,
+)
+from jaxstab.conventions import AXES
+
+LARGEST_DELAY = 100.0
+FEWEST_FITTED = 8
+_SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
+_RANGE = ("start", "stop", "count", "spacing")
+_TOLERANT = ("start", "stop", "tolerance")
+_LINE_LENGTH = 90
+
+
+@dataclass(frozen=True)
+class FittedAxis:
+    """An axis of alpha or beta that is laid around the stable region of each delay.
+
+    Args:
+        count: number of nodes, >= 8.
+
+    Raises:
+        TypeError: ``count`` is not a whole number.
+        ValueError: ``count`` is too small.
+    """
+
+    count: int
+
+    def __post_init__(self) -> None:
+        _check_count("fitted", self.count, FEWEST_FITTED)
+
+
+@dataclass(frozen=True)
+class ToleranceAxis:
+    """An axis of gamma or delta with as few nodes as a tolerance allows, the two ends at least.
+
+    Args:
+        start: the first node, >= 0.
+        stop: the last node, > start.
+        tolerance: how far the boundary of a stable region may move from one node to the next, as a
+            share of the region's extents in alpha and beta; in [0.001, 1].
+
+    Raises:
+        TypeError: a value is not a real number.
+        ValueError: a value is out of range.
+    """
+
+    start: float | int
+    stop: float | int
+    tolerance: float | int
+
+    def __post_init__(self) -> None:
+        for name, *limits in (("start", 0.0), ("stop", 0.0), ("tolerance", 1e-3, 1.0)):
+            number = _check_number(f"{name} of an axis", getattr(self, name), *limits)
+            object.__setattr__(self, name, number)
+        if not self.start < self.stop:
+            raise ValueError(f"an axis goes from {self.start} to {self.stop}; give stop > start.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AtlasSpec:
+    """The axes and products of an atlas; without arguments, the paper's haptic range (15).
+
+    Args:
+        alpha: nodes of the wall's stiffness K T^2/m, or a FittedAxis for each delay.
+        beta: nodes of the wall's damping B T/m, or a FittedAxis for each delay.
+        gamma: nodes of the physical stiffness k T^2/m, >= 0, or a ToleranceAxis.
+        delta: nodes of the physical damping b T/m, >= 0, or a ToleranceAxis.
+        delay: delays t_d/T in [0, 100], whole or fractional; each has a grid of its own.
+        products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "outline" and
+            "summary"; by default the first three.
+        limit_cells: number of even cells along beta in which the limits of alpha are given.
+        radius_rounding: spectral radii are rounded to multiples of the largest power of two that is
+            not above this (a smaller file; counted in the stored error), at least to float32.
+
+    Nodes are finite and ascending, and kept as tuples of floats; along alpha and beta there are at
+    least two, and gamma, delta and delay are fixed by one.
+
+    Raises:
+        TypeError: a value is not of the kind above.
+        ValueError: a value is out of range, out of order, or the atlas would be too large.
+    """
+
+    alpha: ArrayLike | FittedAxis = field(default_factory=partial(FittedAxis, 128))
+    beta: ArrayLike | FittedAxis = field(default_factory=partial(FittedAxis, 112))
+    gamma: ArrayLike | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
+    delta: ArrayLike | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
+    delay: ArrayLike = (0.0, 1.0, 2.0, 3.0)
+    products: Sequence[str] = (VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS)
+    limit_cells: int = 512
+    radius_rounding: float | int = 1e-7
+
+    def __post_init__(self) -> None:
+        for name in AXES:
+            value = getattr(self, name)
+            if not isinstance(value, _LAID_OUT.get(name, ())):
+                object.__setattr__(self, name, _checked_nodes(name, value))
+        object.__setattr__(self, "products", _checked_products(self.products))
+        _check_count("limit_cells", self.limit_cells, 1)
+        _check_number("radius_rounding", self.radius_rounding, 0.0, 1.0)
+        check_size([_least_count(getattr(self, name)) for name in AXES])
+
+    @classmethod
+    def from_file(cls, path: str | PathLike[str]) -> "AtlasSpec":
+        """Read a TOML file.
+
+        Raises:
+            OSError: the file cannot be read.
+            TypeError, ValueError: as for ``from_toml``, with the name of the file.
+        """
+        try:
+            return cls.from_toml(Path(path).read_text(encoding="utf-8"))
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{path}: {error}") from error
+
+    @classmethod
+    def from_toml(cls, text: str) -> "AtlasSpec":
+        """Read a specification in TOML; what is left out has its default.
+
+        An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
+        ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
+        ``fitted``, a count, and for gamma and delta ``start``, ``stop`` and ``tolerance``.
+
+        Raises:
+            ValueError: the text is no TOML, or has an unknown name or a bad value.
+            TypeError: a value is of the wrong kind.
+        """
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"this is not TOML: {error}.") from error
+        _check_names("a specification", table, [entry.name for entry in fields(cls)])
+        axes: dict[str, Any] = {name: _axis_of(name, table[name]) for name in AXES if name in table}
+        return cls(**(table | axes))
+
+    def to_toml(self) -> str:
+        """Return the text from which ``from_toml`` makes an equal specification."""
+        entries = (f"{entry.name} = {_toml(getattr(self, entry.name))}" for entry in fields(self))
+        return "\n".join(entries) + "\n"
+
+
+_LAID_OUT: Mapping[str, type] = {
+    "alpha": FittedAxis,
+    "beta": FittedAxis,
+    "gamma": ToleranceAxis,
+    "delta": ToleranceAxis,
+}
+_ENTRIES: Mapping[type, list[str]] = {FittedAxis: ["fitted"], ToleranceAxis: ["tolerance"]}
+
+
+def check_size(counts: Sequence[int]) -> None:
+    """Raise ValueError where so many nodes along each axis are more than an atlas may have."""
+    for axes, size, most in (
+        ("axes", math.prod(counts), LARGEST_ATLAS),
+        ("axes alpha and beta", math.prod(counts[:2]), LARGEST_SLICE),
+    ):
+        if size > most:
+            raise ValueError(
+                f"the {axes} make {size} nodes; at most {most} are allowed, so give fewer."
+            )
+
+
+def _least_count(axis: Any) -> int:
+    if isinstance(axis, FittedAxis):
+        return axis.count
+    return 2 if isinstance(axis, ToleranceAxis) else len(axis)
+
+
+def _axis_of(name: str, entry: Any) -> Any:
+    if not isinstance(entry, Mapping):
+        return entry
+    allowed = ["values", *_RANGE, *_ENTRIES.get(_LAID_OUT.get(name, object), [])]
+    _check_names(f"axis {name}", entry, allowed)
+    if set(entry) == {"fitted"}:
+        return FittedAxis(entry["fitted"])
+    if set(entry) == {"values"}:
+        return entry["values"]
+    if set(entry) == set(_TOLERANT):
+        return ToleranceAxis(*(_check_number(f"{key} of {name}", entry[key]) for key in _TOLERANT))
+    if set(entry) | {"spacing"} != set(_RANGE):
+        others = {"fitted": ", or fitted", "tolerance": ", or start, stop and tolerance"}
+        raise ValueError(
+            f"axis {name} has {', '.join(entry) or 'nothing'}; give either values, or start, stop "
+            f"and count{others.get(allowed[-1], '')}."
+        )
+    return _spaced(name, **entry)
+
+
+def _spaced(name: str, start: Any, stop: Any, count: Any, spacing: Any = "linear") -> list[float]:
+    _check_count(f"count of {name}", count, 2)
+    ends = [_check_number(f"{end} of {name}", v) for end, v in (("start", start), ("stop", stop))]
+    if spacing not in _SPACINGS:
+        raise ValueError(f"spacing of {name} is {spacing!r}; give one of {', '.join(_SPACINGS)}.")
+    if spacing == "geometric" and min(ends) <= 0.0:
+        raise ValueError(f"axis {name} is geometric from {ends[0]} to {ends[1]}; give ends > 0.")
+    nodes: list[float] = _SPACINGS[spacing](*ends, count).tolist()
+    return nodes
+
+
+def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
+    if isinstance(values, str | Mapping | FittedAxis | ToleranceAxis) or not isinstance(
+        values, Sequence | np.ndarray
+    ):
+        raise TypeError(f"axis {name} is {values!r}; give a list of numbers.")
+    limits = {"alpha": (-math.inf, math.inf), "beta": (-math.inf, math.inf)}
+    lower, upper = limits.get(name, (0.0, LARGEST_DELAY if name == "delay" else math.inf))
+    nodes = tuple(_check_number(f"axis {name}", value, lower, upper) for value in values)
+    if len(nodes) < (2 if name in limits else 1):
+        fewest = "two" if name in limits else "one"
+        raise ValueError(f"axis {name} has {len(nodes)} node(s); give at least {fewest}.")
+    for left, right in pairwise(nodes):
+        if not left < right:
+            raise ValueError(
+                f"axis {name} has {right} after {left}; give ascending values, each once."
+            )
+    return nodes
+
+
+def _checked_products(products: Any) -> tuple[str, ...]:
+    if isinstance(products, str) or not isinstance(products, Sequence):
+        raise TypeError(f"products is {products!r}; give a list of names.")
+    _check_names("products", products, list(PRODUCTS))
+    if not products:
+        raise ValueError(f"products is empty; give at least one of {', '.join(PRODUCTS)}.")
+    return tuple(name for name in PRODUCTS if name in products)
+
+
+def _check_names(where: str, names: Any, allowed: Sequence[str]) -> None:
+    for name in names:
+        if name not in allowed:
+            near = get_close_matches(str(name), allowed, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(allowed)}."
+            raise ValueError(f"{where} has no {name!r}; {hint}")
+
+
+def _check_number(
+    name: str, value: Any, lower: float = -math.inf, upper: float = math.inf
+) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"{name} has {value!r}; give real numbers.")
+    number = float(value)
+    if not (math.isfinite(number) and lower <= number <= upper):
+        allowed = "finite numbers" + (f" >= {lower:g}" if lower > -math.inf else "")
+        allowed += f" and <= {upper:g}" if upper < math.inf else ""
+        raise ValueError(f"{name} has {number}; give {allowed}.")
+    return number
+
+
+def _check_count(name: str, count: Any, fewest: int) -> None:
+    if isinstance(count, bool) or not isinstance(count, int):
+        raise TypeError(f"{name} is {count!r}; give a whole number.")
+    if not fewest <= count <= LARGEST_SLICE:
+        raise ValueError(f"{name} is {count}; give {fewest} to {LARGEST_SLICE}.")
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, FittedAxis):
+        return f"{{ fitted = {value.count} }}"
+    if isinstance(value, ToleranceAxis):
+        return "{ " + ", ".join(f"{key} = {getattr(value, key)!r}" for key in _TOLERANT) + " }"
+    if not isinstance(value, tuple):
+        return repr(value)
+    items = ["'" + item + "'" if isinstance(item, str) else repr(item) for item in value]
+    lines = [""]
+    for item in items:
+        if len(lines[-1]) + len(item) > _LINE_LENGTH:
+            lines.append("  ")
+        lines[-1] += f"{item}, "
+    return "[" + "\n".join(lines).rstrip(", ") + "]"

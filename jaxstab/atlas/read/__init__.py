@@ -1,0 +1,1 @@
+"""Reading and querying an atlas, without JAX."""

@@ -1,0 +1,124 @@
+"""What an atlas answers, and what it can be asked. No JAX."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from importlib import import_module
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jaxstab.conventions import AXES, NOT_COMPUTED, UNDECIDED
+
+Floats = NDArray[np.float64]
+Numbers = ArrayLike | float | int
+
+
+class QueryStatus(IntEnum):
+    """How an atlas knows what it answers for a point."""
+
+    NODE = 1
+    CELL = 2
+    UNDECIDED_CELL = 3
+    BETWEEN_DELAYS = 4
+    OUTSIDE = 5
+    EXACT = 6
+
+    @property
+    def words(self) -> str:
+        """The status in words."""
+        return _WORDS[self]
+
+
+_WORDS = {
+    QueryStatus.NODE: "a node: the atlas holds verdict and radius of this very point",
+    QueryStatus.CELL: "between nodes: the verdict is proved for a cell or column around the point, "
+    "the radius is interpolated",
+    QueryStatus.UNDECIDED_CELL: "between nodes: no verdict is proved, the radius is interpolated",
+    QueryStatus.BETWEEN_DELAYS: "between two delays of the atlas: it says nothing here",
+    QueryStatus.OUTSIDE: "outside of the atlas: it says nothing here",
+    QueryStatus.EXACT: "not decided by the atlas: the verdict was computed for this very point",
+}
+
+
+@dataclass(frozen=True)
+class AtlasAnswer:
+    """What an atlas says about points; four arrays of the broadcast shape of the query.
+
+    Attributes:
+        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved between nodes;
+            at a node they are what the atlas holds, whose interpretation says what is proved.
+            UNDECIDED where the atlas cannot decide; NOT_COMPUTED when it holds no verdicts.
+        spectral_radius: computed at a node, multilinearly interpolated elsewhere; NaN where the
+            atlas holds none.
+        radius_error: proved bound of the error of ``spectral_radius``; infinite without one.
+        status: int8 codes of ``QueryStatus``: how this is known.
+    """
+
+    verdict: NDArray[np.int8]
+    spectral_radius: Floats
+    radius_error: Floats
+    status: NDArray[np.int8]
+
+    def reshaped(self, shape: tuple[int, ...]) -> "AtlasAnswer":
+        """Return the same answer with arrays of another shape."""
+        return AtlasAnswer(
+            self.verdict.reshape(shape),
+            self.spectral_radius.reshape(shape),
+            self.radius_error.reshape(shape),
+            self.status.reshape(shape),
+        )
+
+
+def no_answer(size: int, *, has_verdicts: bool) -> AtlasAnswer:
+    """Return an answer that says nothing yet."""
+    return AtlasAnswer(
+        verdict=np.full(size, UNDECIDED if has_verdicts else NOT_COMPUTED, np.int8),
+        spectral_radius=np.full(size, np.nan),
+        radius_error=np.full(size, np.inf),
+        status=np.full(size, QueryStatus.BETWEEN_DELAYS, np.int8),
+    )
+
+
+def check_outside(outside: str) -> None:
+    """Raise ValueError for an unknown word."""
+    if outside not in ("error", "undecided"):
+        raise ValueError(f"outside is {outside!r}; give 'error' or 'undecided'.")
+
+
+def all_checked(values: Sequence[Numbers], names: Sequence[str] = AXES) -> list[Floats]:
+    """Return real numbers without NaN, or raise TypeError or ValueError for the first others."""
+    return [_checked(name, value) for name, value in zip(names, values, strict=False)]
+
+
+def _checked(name: str, value: Numbers) -> Floats:
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "iuf":
+        raise TypeError(f"{name} is {value!r}; give real numbers.")
+    numbers = numbers.astype(np.float64, copy=False)
+    if np.any(np.isnan(numbers)):
+        raise ValueError(f"{name} is NaN; give numbers.")
+    return numbers
+
+
+def check_inside(name: str, values: Floats, low: float, high: float, at: str = "") -> None:
+    """Raise ValueError for the first value beyond the ends of an atlas."""
+    beyond = ~((values >= low) & (values <= high))
+    if np.any(beyond):
+        raise ValueError(
+            f"{name} is {float(values[beyond].flat[0])!r}, and this atlas reaches from "
+            f"{float(low)!r} to {float(high)!r}{at}; ask inside of it, or set "
+            "outside to 'undecided'."
+        )
+
+
+def settle(where: Mapping[str, Floats], answer: AtlasAnswer) -> None:
+    """Compute what the atlas left open inside of it."""
+    is_open = (answer.verdict == UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
+    left = np.flatnonzero(is_open)
+    if left.size:
+        # By name at run time, so that reading an atlas imports no JAX.
+        verdict: Callable[..., NDArray[np.int8]] = import_module("jaxstab.point").verdict
+        points = (where[name][left] for name in AXES)
+        answer.verdict[left] = np.asarray(verdict(*points, resolve="exact"))
+        answer.status[left] = QueryStatus.EXACT

@@ -1,0 +1,401 @@
+"""Answers from an atlas in memory: at a node what it holds, elsewhere only what is proved.
+
+NumPy and h5py alone: no JAX, and nothing else that takes time to import.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxstab.atlas.format import schema
+from jaxstab.atlas.read import file
+from jaxstab.atlas.read.answer import (
+    AtlasAnswer,
+    Numbers,
+    QueryStatus,
+    all_checked,
+    check_inside,
+    check_outside,
+    no_answer,
+    settle,
+)
+from jaxstab.atlas.read.cells import Place, decided_share, picked
+from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
+from jaxstab.atlas.read.outline import AtlasOutline, outline_at
+from jaxstab.atlas.read.xarray_view import to_xarray
+from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+Range = tuple[float, float]
+Outside = Literal["error", "undecided"]
+
+
+class Atlas:
+    """An atlas in memory; ``open_atlas`` makes it.
+
+    Attributes:
+        arrays: the variables of the file by name (``jaxstab.atlas.format.schema`` describes them),
+            each unpacked when it is first asked for; one of more than 2 GiB is refused then.
+        spec: the TOML text from which the atlas was built.
+        created_by: the program and version that built it.
+    """
+
+    arrays: Mapping[str, NDArray[Any]]
+    spec: str
+    created_by: str
+
+    def __init__(self, contents: file.Contents) -> None:
+        self.arrays = contents.arrays
+        self.spec = b"\n".join(self.arrays[schema.SPEC].tolist()).decode("utf-8") + "\n"
+        self.created_by = contents.created_by
+
+    @property
+    def products(self) -> tuple[str, ...]:
+        """What was chosen to be computed, of ``jaxstab.atlas.format.schema.PRODUCTS``."""
+        return tuple(name for name, held in schema.PRODUCTS.items() if held[0] in self.arrays)
+
+    @property
+    def delays(self) -> Floats:
+        """The delays t_d/T of the atlas, ascending."""
+        return self.arrays["delay"]
+
+    def nodes(self, delay_number: int) -> dict[str, Floats]:
+        """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``."""
+        return {
+            "alpha": self.arrays["alpha"][:, delay_number],
+            "beta": self.arrays["beta"][:, delay_number],
+            "gamma": self.arrays["gamma"],
+            "delta": self.arrays["delta"],
+        }
+
+    def to_xarray(self) -> Any:
+        """Return all of it as an xarray.Dataset; RuntimeError where xarray is not installed."""
+        return to_xarray(self.arrays, self.created_by)
+
+    def decided_fraction(self, delay_number: int) -> float:
+        """Return the share of the volume at one delay in which a query between nodes is decided."""
+        nodes = self.nodes(delay_number)
+        table = self._tables.get(float(self.delays[delay_number]))
+        if table is not None:
+            return table.decided_share(nodes["gamma"], nodes["delta"])
+        if schema.CELL_VERDICT not in self.arrays:
+            return 0.0
+        codes = self.arrays[schema.CELL_VERDICT][..., delay_number]
+        return decided_share(codes, [*nodes.values()])
+
+    def query(
+        self,
+        alpha: Numbers,
+        beta: Numbers,
+        gamma: Numbers,
+        delta: Numbers,
+        delay: Numbers,
+        outside: Outside = "error",
+        *,
+        exact: bool = False,
+    ) -> AtlasAnswer:
+        """Answer for points of any broadcast shape, and never with a guess.
+
+        At a node of the grid the answer is what was computed there. Between nodes the verdict is
+        given where the limits of alpha, or the proof for the whole cell, decide it, and is
+        UNDECIDED elsewhere. A delay that is not one of ``delays`` is UNDECIDED.
+
+        Args:
+            alpha: wall stiffness K T^2/m.
+            beta: wall damping B T/m.
+            gamma: physical stiffness k T^2/m.
+            delta: physical damping b T/m.
+            delay: time delay t_d/T in samples.
+            outside: "error" to refuse points outside of the atlas, "undecided" to answer so.
+            exact: settle UNDECIDED points inside by computation, for which JAX is imported.
+
+        Raises:
+            TypeError: an argument is not made of real numbers.
+            ValueError: a value is NaN or, unless ``outside`` is "undecided", outside of the atlas.
+            RuntimeError: ``exact`` is asked for and JAX's x64 mode is off.
+
+        Source: the certificates are those of ``jaxstab.boxes.columns`` and
+        ``jaxstab.atlas.compute.certificate``.
+        """
+        check_outside(outside)
+        points = np.broadcast_arrays(*all_checked((alpha, beta, gamma, delta, delay)))
+        shape = points[0].shape
+        answer = no_answer(points[0].size, has_verdicts=self._has_verdicts)
+        where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
+        self._find_outside(where, answer.status, refuse=outside == "error")
+        for number, delay_node in enumerate(self.delays):
+            here = np.flatnonzero(
+                (where["delay"] == delay_node) & (answer.status != QueryStatus.OUTSIDE)
+            )
+            if here.size:
+                self._answer_at_delay(number, where, here, answer)
+        if exact:
+            settle(where, answer)
+        return answer.reshaped(shape)
+
+    def verdict(
+        self,
+        alpha: Numbers,
+        beta: Numbers,
+        gamma: Numbers,
+        delta: Numbers,
+        delay: Numbers,
+        outside: Outside = "error",
+        *,
+        exact: bool = False,
+    ) -> NDArray[np.int8]:
+        """Return the verdicts of ``query`` alone, by the limits of alpha where the atlas has them.
+
+        One point given as five numbers, and many at one delay, are answered many times faster.
+
+        Args, errors and source: as ``query``.
+
+        Returns:
+            int8 codes of ``jaxstab.Verdict`` of the broadcast shape.
+        """
+        given = (alpha, beta, gamma, delta, delay)
+        if outside == "error":
+            codes = self._verdict_by_limits(given)
+            if codes is not None and not (exact and np.any(codes == UNDECIDED)):
+                return codes
+        return self.query(*given, outside, exact=exact).verdict
+
+    def alpha_limits(
+        self, beta: Numbers, gamma: Numbers, delta: Numbers, delay: float
+    ) -> AlphaLimits:
+        """Return the smallest and largest stable alpha, with proved errors.
+
+        Args:
+            beta: wall damping B T/m; like gamma and delta it broadcasts.
+            gamma: physical stiffness k T^2/m.
+            delta: physical damping b T/m.
+            delay: time delay t_d/T, one of ``delays``.
+
+        Raises:
+            TypeError: an argument is not made of real numbers.
+            ValueError: a value is NaN or outside of the atlas, or this holds no limits of alpha.
+
+        Source: ``jaxstab.boxes.columns``.
+        """
+        table, points = self._asked(delay, beta=beta, gamma=gamma, delta=delta)
+        found = table.limits(*(point.reshape(-1) for point in points))
+        is_empty = found.lower == np.inf
+        limits = (np.where(is_empty, np.nan, limit) for limit in (found.lower, found.upper))
+        parts = zip(limits, (found.lower_error, found.upper_error), strict=True)
+        return AlphaLimits(*(v.reshape(points[0].shape) for pair in parts for v in pair))
+
+    def max_alpha(self, gamma: Numbers, delta: Numbers, delay: float) -> MaxAlpha:
+        """Return the largest stable alpha of hands, where it is, and a proved bound.
+
+        Args:
+            gamma: physical stiffness k T^2/m; like delta it broadcasts.
+            delta: physical damping b T/m.
+            delay: time delay t_d/T, one of ``delays``.
+
+        Raises:
+            TypeError, ValueError: as ``alpha_limits``.
+
+        Source: ``jaxstab.boxes.columns``.
+        """
+        table, points = self._asked(delay, gamma=gamma, delta=delta)
+        found = table.max_alpha(*(point.reshape(-1) for point in points))
+        return MaxAlpha(*(value.reshape(points[0].shape) for value in found))
+
+    def worst_verdict(
+        self, alpha: float, beta: float, gamma: Range, delta: Range, delay: float
+    ) -> np.int8:
+        """Return the verdict on one wall for a box of hands.
+
+        Args:
+            alpha: wall stiffness K T^2/m.
+            beta: wall damping B T/m.
+            gamma: lowest and highest physical stiffness k T^2/m.
+            delta: lowest and highest physical damping b T/m.
+            delay: time delay t_d/T, one of ``delays``.
+
+        Returns:
+            STABLE: proved for every hand of the box; UNSTABLE: proved for one; else UNDECIDED.
+
+        Raises:
+            TypeError, ValueError: as ``alpha_limits``; or a range has its ends swapped.
+
+        Source: ``jaxstab.boxes.columns``.
+        """
+        table = self._asked_over(alpha, beta, gamma, delta, delay)
+        return np.int8(table.worst_verdict(alpha, beta, gamma, delta))
+
+    def common_alpha_limits(self, beta: float, gamma: Range, delta: Range, delay: float) -> Range:
+        """Return between which alphas every hand of a box is proved stable.
+
+        Args:
+            beta: wall damping B T/m.
+            gamma: lowest and highest physical stiffness k T^2/m.
+            delta: lowest and highest physical damping b T/m.
+            delay: time delay t_d/T, one of ``delays``.
+
+        Returns:
+            The lowest and the highest alpha, an open interval; empty where the first is not less.
+
+        Raises:
+            TypeError, ValueError: as ``worst_verdict``.
+
+        Source: ``jaxstab.boxes.columns``.
+        """
+        table = self._asked_over(None, beta, gamma, delta, delay)
+        return table.common_limits(beta, gamma, delta)
+
+    def _verdict_by_limits(self, given: Sequence[Numbers]) -> NDArray[np.int8] | None:
+        """Return what the limits of alpha say; None where they are missing or do not reach."""
+        numbers = [v for v in given if isinstance(v, float | int) and not isinstance(v, bool)]
+        if len(numbers) == len(given):
+            *point, delay = numbers
+            table = self._tables.get(delay)
+            if table is None or not table.holds(*point):
+                return None
+            return np.asarray(table.verdict(*point), np.int8)
+        *values, node = all_checked(given)
+        table = self._tables.get(float(node)) if node.shape == () else None
+        if table is None or not table.holds_all(*values):
+            return None
+        points = np.broadcast_arrays(*values)
+        codes = table.verdicts(*(point.reshape(-1) for point in points))
+        return codes.reshape(points[0].shape)
+
+    def outline(self, gamma: float, delta: float, delay: float) -> AtlasOutline:
+        """Return the boundary of the stable region at a node, with its corners.
+
+        Args:
+            gamma: physical stiffness k T^2/m, a node.
+            delta: physical damping b T/m, a node.
+            delay: time delay t_d/T, one of ``delays``.
+
+        Raises:
+            ValueError: a value is no node, or this holds no outlines.
+
+        Source: ``jaxstab.stable_region``.
+        """
+        return outline_at(self.arrays, gamma, delta, delay)
+
+    @property
+    def _has_verdicts(self) -> bool:
+        return schema.VERDICT in self.arrays or schema.ALPHA_LIMITS in self.arrays
+
+    @cached_property
+    def _tables(self) -> dict[float, LimitTable]:
+        """The limits of alpha for each delay, where the atlas has them."""
+        if schema.ALPHA_LIMITS not in self.arrays:
+            return {}
+        planes = self.arrays[schema.ALPHA_LIMITS]
+        return {
+            delay: LimitTable(planes[:, :, :, number], **self.nodes(number))
+            for number, delay in enumerate(self.delays.tolist())
+        }
+
+    def _table(self, delay: float) -> LimitTable:
+        if not self._tables:
+            raise ValueError(
+                "this atlas holds no limits of alpha; build one with the product "
+                f"{schema.ALPHA_LIMITS!r}."
+            )
+        (number,) = all_checked((delay,), ("delay",))
+        if number.shape != () or float(number) not in self._tables:
+            delays = ", ".join(f"{node:g}" for node in self.delays.tolist())
+            raise ValueError(f"delay is {delay!r}; this atlas has limits at {delays} alone.")
+        return self._tables[float(number)]
+
+    def _asked(self, delay: float, **given: Numbers) -> tuple[LimitTable, Sequence[Floats]]:
+        table = self._table(delay)
+        values = all_checked(tuple(given.values()), tuple(given))
+        for name, value in zip(given, values, strict=True):
+            check_inside(name, value, *table.ends(name))
+        return table, np.broadcast_arrays(*values)
+
+    def _asked_over(
+        self, alpha: float | None, beta: float, gamma: Range, delta: Range, delay: float
+    ) -> LimitTable:
+        given: dict[str, Numbers] = {
+            "beta": beta,
+            "gamma": np.asarray(gamma),
+            "delta": np.asarray(delta),
+        }
+        table, _ = self._asked(delay, **given | ({} if alpha is None else {"alpha": alpha}))
+        for name, ends in (("gamma", gamma), ("delta", delta)):
+            if ends[0] > ends[1]:
+                raise ValueError(f"{name} is {ends!r}; give its lowest and its highest value.")
+        return table
+
+    def _find_outside(
+        self, where: Mapping[str, Floats], status: NDArray[np.int8], *, refuse: bool
+    ) -> None:
+        """Mark points outside of the atlas, or refuse the first."""
+
+        def check(name: str, nodes: Floats, members: Mask, at: str = "") -> None:
+            if refuse:
+                check_inside(name, where[name][members], nodes[0], nodes[-1], at)
+            status[members & ~((where[name] >= nodes[0]) & (where[name] <= nodes[-1]))] = (
+                QueryStatus.OUTSIDE
+            )
+
+        everywhere = np.ones(status.shape, bool)
+        for name in ("gamma", "delta", "delay"):
+            check(name, self.arrays[name], everywhere)
+        for number, delay in enumerate(self.delays):
+            members = where["delay"] == delay
+            for name in ("alpha", "beta"):
+                nodes = self.arrays[name][:, number]
+                check(name, nodes, members, f" at delay {float(delay):g}")
+
+    def _answer_at_delay(
+        self, number: int, where: Mapping[str, Floats], here: Integers, answer: AtlasAnswer
+    ) -> None:
+        """Fill in the answer for the points numbered ``here``, all at one delay and inside."""
+        place = Place.of([(nodes, where[name][here]) for name, nodes in self.nodes(number).items()])
+        status = np.where(place.at_node, QueryStatus.NODE, QueryStatus.UNDECIDED_CELL)
+        if self._has_verdicts:
+            codes = self._between_nodes(number, where, here, place)
+            proved = ~place.at_node & ((codes == STABLE) | (codes == UNSTABLE))
+            status[proved] = QueryStatus.CELL
+            left = place.at_node & (codes == UNDECIDED)
+            if schema.VERDICT in self.arrays and left.any():
+                nodes = self.arrays[schema.VERDICT][..., number]
+                codes[left] = picked(nodes, place.node, left)
+            answer.verdict[here] = codes
+        if schema.SPECTRAL_RADIUS in self.arrays:
+            radius = self.arrays[schema.SPECTRAL_RADIUS][..., number]
+            answer.spectral_radius[here] = place.interpolated(radius)
+            for name, numbers, members in (
+                (schema.RADIUS_ERROR, place.node, place.at_node),
+                (schema.CELL_RADIUS_ERROR, place.cell, ~place.at_node),
+            ):
+                if members.any():
+                    error = self.arrays[name][..., number]
+                    answer.radius_error[here[members]] = picked(error, numbers, members)
+        answer.status[here] = status
+
+    def _between_nodes(
+        self, number: int, where: Mapping[str, Floats], here: Integers, place: Place
+    ) -> NDArray[np.int8]:
+        table = self._tables.get(float(self.delays[number]))
+        if table is None:
+            codes: NDArray[np.int8] = self.arrays[schema.CELL_VERDICT][..., number][place.cell]
+            return codes
+        return table.verdicts(*(where[name][here] for name in ("alpha", "beta", "gamma", "delta")))
+
+
+def open_atlas(path: str | PathLike[str]) -> Atlas:
+    """Load an atlas into memory; all of its bytes are checked.
+
+    An array is unpacked by the first question that needs it.
+
+    Raises:
+        OSError: the file is missing or unreadable.
+        ValueError: it is foreign, damaged, of another version of the schema, or beyond 2 GiB.
+    """
+    return Atlas(file.read(Path(path)))

@@ -1,0 +1,1 @@
+"""Builds, workers, tiles, merge and verification."""

@@ -1,0 +1,134 @@
+"""The tiles of a build become one file: chunks are copied as they are, one tile at a time."""
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxstab.atlas.compute.plan import Plan, Tile
+from jaxstab.atlas.format import schema
+from jaxstab.atlas.format.digest import Chunked, content_digest, digest_of
+from jaxstab.atlas.format.footer import footer_of
+from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.write.tiles import VALUES_DIGEST, Shards
+from jaxstab.atlas.write.variables import (
+    FORMAT_VERSIONS,
+    create_variable,
+    write_content_digest,
+    write_head,
+    write_variable,
+)
+from jaxstab.durable import PatientStream, replacing, write_all
+
+_FLAT_CHUNK = 2**16  # values of what is strung together
+
+
+def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
+    """Publish the atlas of which all tiles are done.
+
+    Raises:
+        OSError: the folder is read-only or full; a former file is still there.
+        ValueError: a tile was damaged since it was looked at.
+    """
+    with replacing(path, shards.folder / ".atlas.part") as descriptor:
+        stream = PatientStream(descriptor)
+        with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
+            write_head(file, created_by)
+            datasets = _create_variables(file, plan, shards)
+            digests = _copy_tiles(datasets, plan, shards, stream)
+            write_content_digest(file, content_digest(_chunked(datasets, digests)))
+        stream.check()
+        os.ftruncate(descriptor, stream.size)
+        with open(descriptor, "rb", buffering=0, closefd=False) as image:
+            footer = footer_of(image, stream.size)
+        os.lseek(descriptor, stream.size, os.SEEK_SET)
+        write_all(descriptor, footer)
+
+
+def _create_variables(file: h5py.File, plan: Plan, shards: Shards) -> dict[str, h5py.Dataset]:
+    """Write what is known without the tiles, and make room for the rest."""
+    chosen = (name for product in plan.spec.products for name in schema.PRODUCTS[product])
+    names = schema.ALWAYS.union(chosen)
+    lengths = plan.grid.lengths | _flat_lengths(plan, shards, names)
+    known = _known_variables(plan, lengths)
+    datasets = {}
+    for name, variable in VARIABLES.items():
+        if name in known and name in names:
+            datasets[name] = write_variable(file, variable, known[name])
+        elif name in names:
+            shape = [lengths[dimension] for dimension in variable.dimensions]
+            chunk = plan.chunk(name) if plan.is_gridded(name) else [min(*shape, _FLAT_CHUNK)]
+            datasets[name] = create_variable(file, variable, shape, chunk, np.dtype(variable.dtype))
+    return datasets
+
+
+def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArray[Any]]:
+    """Return the axes and the specification."""
+    grid = plan.grid
+    lines = np.array([line.encode("utf-8") for line in plan.spec.to_toml().splitlines()])
+    known = {
+        "alpha": grid.alpha,
+        "beta": grid.beta,
+        "gamma": grid.gamma,
+        "delta": grid.delta,
+        "delay": grid.delay,
+        schema.SPEC: lines,
+    }
+    counted = {**lengths, "spec_line": lines.size}
+    numbers = {name: np.arange(count, dtype=np.int32) for name, count in counted.items()}
+    return numbers | known
+
+
+def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str, int]:
+    """Return how long all tiles together are along the dimensions that the grid does not have."""
+    flat = [
+        n for n in names if not (plan.is_gridded(n) or VARIABLES[n].is_axis or n == schema.SPEC)
+    ]
+    lengths = {VARIABLES[name].dimensions[0]: 0 for name in flat}
+    for tile in plan.tiles if flat else ():
+        with shards.opened(tile) as image:
+            sizes = {
+                VARIABLES[name].dimensions[0]: image[name].size for name in flat if name in image
+            }
+        lengths |= {dimension: lengths[dimension] + size for dimension, size in sizes.items()}
+    return lengths
+
+
+_Digests = dict[str, dict[tuple[int, ...], str]]
+
+
+def _copy_tiles(
+    datasets: Mapping[str, h5py.Dataset], plan: Plan, shards: Shards, stream: PatientStream
+) -> _Digests:
+    """Copy the chunks of gridded variables, and string the others together in the tiles' order."""
+    digests: _Digests = {}
+    filled = dict.fromkeys(datasets, 0)
+    for tile in plan.tiles:
+        with shards.opened(tile) as image:
+            for name, part in image.items():
+                if plan.is_gridded(name):
+                    place = _place(plan, name, tile)
+                    mask, chunk = part.id.read_direct_chunk((0,) * part.ndim)
+                    datasets[name].id.write_direct_chunk(place, chunk, mask)
+                    digest = part.attrs[VALUES_DIGEST].decode()
+                    digests.setdefault(name, {})[place] = digest
+                else:
+                    datasets[name][filled[name] : filled[name] + part.size] = part[()]
+                    filled[name] += part.size
+        stream.check()
+    return digests
+
+
+def _place(plan: Plan, name: str, tile: Tile) -> tuple[int, ...]:
+    return tuple(plan.numbers(dimension, tile).start for dimension in VARIABLES[name].dimensions)
+
+
+def _chunked(datasets: Mapping[str, h5py.Dataset], digests: _Digests) -> Iterator[Chunked]:
+    for name, dataset in datasets.items():
+        whole = digest_of(name, dataset)
+        copied = [digest for _, digest in sorted(digests.get(name, {}).items())]
+        yield whole._replace(digests=copied) if copied else whole

@@ -1,0 +1,283 @@
+"""Check an atlas file: that it is whole, as the schema says, and right at a sample of points.
+
+One slice is in memory at a time, however large the atlas is. Half of the sample is next to where
+the verdict changes, where a wrong one would be. Outlines and summaries are computed again for whole
+slices: an outline must lie on the exact boundary, enclose its area and have its corners.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import prod
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+from jaxtyping import Float, Float64, Int8, Int64
+from numpy.typing import NDArray
+
+from jaxstab.atlas.compute.slices import slice_summaries
+from jaxstab.atlas.format.digest import content_digest, digest_of
+from jaxstab.atlas.format.schema import (
+    CELL_VERDICT,
+    PRODUCTS,
+    RADIUS_ERROR,
+    SLICE,
+    SPECTRAL_RADIUS,
+    VERDICT,
+)
+from jaxstab.atlas.read.atlas import Atlas, open_atlas
+from jaxstab.atlas.read.file import (
+    TooLargeError,
+    checked_datasets,
+    inconsistency,
+    opened,
+    text_of,
+)
+from jaxstab.atlas.read.outline import AtlasOutline, outline_at
+from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model import require_x64
+from jaxstab.point import spectral_radius, verdict
+from jaxstab.region import RegionStatus, stable_region
+
+_SLICES = 16  # that are looked at
+_NEAR = 1e-9  # of the size of a slice's stable region, or of a number in its summary
+_FAR = 1e-6  # of a coordinate of an extreme, where what is extreme hardly changes
+_POLYGON = 1e-5  # of that size squared: a polygon leaves the boundary by 1e-6 of it
+
+Datasets = Mapping[str, h5py.Dataset]
+Axes = Mapping[str, NDArray[Any]]
+Place = Sequence[int]  # numbers along gamma, delta and delay
+
+
+class Check(NamedTuple):
+    """What was looked at, whether it was right, and what was found in words."""
+
+    name: str
+    passed: bool
+    words: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {'ok' if self.passed else 'WRONG'}, {self.words}"
+
+
+def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -> Iterator[Check]:
+    """Yield one check after the other; the first that fails may be the last.
+
+    Args:
+        path: of the file.
+        sample: about how many nodes, and as many points in cells, are computed again; of outlines
+            and summaries those of at most 16 slices are.
+        seed: of the sample.
+
+    Raises:
+        OSError: the file is missing or unreadable.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: ``jaxstab.verdict`` with resolve="exact", ``jaxstab.spectral_radius``,
+        ``jaxstab.stable_region`` and ``jaxstab.least_radius``.
+    """
+    require_x64()
+    chance = np.random.default_rng(seed)
+    try:
+        with opened(Path(path)) as file:
+            yield Check("file", True, "whole by its SHA-256, of this version of the schema")
+            datasets = checked_datasets(file)
+            axes = {name: datasets[name][()] for name in AXES}
+            shapes = {name: dataset.shape for name, dataset in datasets.items()}
+            problem = inconsistency(shapes, axes)
+            yield Check("schema", not problem, problem or f"{len(shapes)} variables as it says")
+            if not problem:
+                yield _content(file, datasets)
+                for name in (name for name in _COMPARED if name in datasets):
+                    yield _sampled(name, datasets, axes, sample, chance)
+                for product in (p for p in _OF_SLICES if PRODUCTS[p][0] in datasets):
+                    yield _sampled_slices(product, datasets, axes, sample, chance)
+        yield _answers(open_atlas(path), sample, chance)
+    except TooLargeError:
+        return
+    except ValueError as error:
+        yield Check("file", False, str(error))
+
+
+def _content(file: h5py.File, datasets: Datasets) -> Check:
+    found = content_digest(digest_of(name, dataset) for name, dataset in datasets.items())
+    return Check("content", found == text_of(file, "content_sha256"), f"its digest is {found}")
+
+
+def _sampled(
+    name: str, datasets: Datasets, axes: Axes, sample: int, chance: np.random.Generator
+) -> Check:
+    """Compare a variable with what is computed at points of some slices."""
+    places = _places(datasets[name].shape[2:], sample, chance)
+    each = -(-sample // len(places))
+    wrong = sum(_COMPARED[name](datasets, axes, place, each, chance) for place in places)
+    return Check(name, wrong == 0, f"{wrong} of {each * len(places)} points are wrong")
+
+
+def _sampled_slices(
+    product: str, datasets: Datasets, axes: Axes, sample: int, chance: np.random.Generator
+) -> Check:
+    """Compare a product with what is computed for some slices."""
+    places = _places([axes[name].size for name in SLICE], sample, chance)
+    wrong = sum(_OF_SLICES[product](datasets, axes, place) for place in places)
+    return Check(
+        product, wrong == 0, f"{wrong} of {len(places)} slices are off by {_MOST[product]}"
+    )
+
+
+def _places(counts: Sequence[int], sample: int, chance: np.random.Generator) -> list[Place]:
+    """Return some of the slices, each once."""
+    slices = prod(counts)
+    some = chance.choice(slices, min(_SLICES, sample, slices), replace=False)
+    places: list[Place] = np.stack(np.unravel_index(some, counts), axis=-1).tolist()
+    return places
+
+
+def _wrong_nodes(
+    datasets: Datasets, axes: Axes, place: Place, count: int, chance: np.random.Generator
+) -> int:
+    gamma, delta, delay = place
+    codes = datasets[VERDICT][:, :, gamma, delta, delay]
+    i, j = _some(codes, count, chance)
+    return _wrong_codes(codes[i, j], _nodes(axes, i, j, place))
+
+
+def _wrong_cells(
+    datasets: Datasets, axes: Axes, place: Place, count: int, chance: np.random.Generator
+) -> int:
+    gamma, delta, delay = place
+    codes = datasets[CELL_VERDICT][:, :, gamma, delta, delay]
+    i, j = _some(codes, count, chance)
+    inside = [
+        _within(nodes, cell, chance)
+        for nodes, cell in (
+            (axes["alpha"][:, delay], i),
+            (axes["beta"][:, delay], j),
+            (axes["gamma"], np.full(count, gamma)),
+            (axes["delta"], np.full(count, delta)),
+        )
+    ]
+    return _wrong_codes(codes[i, j], (*inside, axes["delay"][delay]))
+
+
+def _wrong_radii(
+    datasets: Datasets, axes: Axes, place: Place, count: int, chance: np.random.Generator
+) -> int:
+    gamma, delta, delay = place
+    value, error = (
+        datasets[name][:, :, gamma, delta, delay] for name in (SPECTRAL_RADIUS, RADIUS_ERROR)
+    )
+    i, j = _some(value < 1.0, count, chance)
+    return _wrong_bounds(value[i, j], error[i, j], _nodes(axes, i, j, place))
+
+
+def _wrong_bounds(
+    value: Float[np.ndarray, " point"], error: Float[np.ndarray, " point"], point: tuple[Any, ...]
+) -> int:
+    """Count spectral radii that are farther from the computed ones than their errors say."""
+    radius = spectral_radius(*point)
+    difference = np.abs(value - np.asarray(radius.value))
+    return int(np.sum(~(difference <= error + np.asarray(radius.error))))
+
+
+def _is_wrong_outline(datasets: Datasets, axes: Axes, place: Place) -> bool:
+    """Whether points or corners are not on the boundary, or parts of it are missing."""
+    loop = _loop(axes, place)
+    stored, region = outline_at({**datasets, **axes}, *loop), stable_region(*loop)
+    if stored.status != int(region.status) or not np.all(np.isfinite(stored.points)):
+        return True
+    if stored.status != RegionStatus.COMPLETE:
+        return False
+    size = float(np.hypot(*np.ptp(region.points, axis=0)))
+    points = np.resize(stored.points, region.outline.vertices.shape)  # one shape is compiled once
+    aside = np.asarray(region.distance(*points.T))
+    missing = float(region.area) - _enclosed(stored)
+    return not (
+        np.all(np.abs(aside) <= _NEAR * size)
+        and abs(missing) <= _POLYGON * size**2
+        and stored.corners.shape == region.corners.shape
+        and np.allclose(stored.corners, region.corners, 0.0, _NEAR * size)
+    )
+
+
+def _enclosed(outline: AtlasOutline) -> float:
+    """Return the area of the polygon, or of several without the ways between them."""
+    (x0, y0), (x1, y1) = outline.points[:-1].T, outline.points[1:].T
+    return 0.5 * float(np.sum(x0 * y1 - x1 * y0, where=outline.branch >= 0))
+
+
+def _is_wrong_summary(datasets: Datasets, axes: Axes, place: Place) -> bool:
+    gamma, delta, delay = _loop(axes, place)
+    exact = slice_summaries(np.array([[gamma, delta]]), delay)
+    tolerances = {name: _FAR if "_of_" in name else _NEAR for name in exact}
+    return not all(
+        np.isclose(datasets[name][tuple(place)], exact[name], tolerance, _NEAR**2, equal_nan=True)
+        for name, tolerance in tolerances.items()
+    )
+
+
+def _some(
+    values: NDArray[Any], count: int, chance: np.random.Generator
+) -> tuple[Int64[np.ndarray, " count"], Int64[np.ndarray, " count"]]:
+    """Return places in a slice, half of them where the value changes along beta."""
+    i, j = (chance.integers(0, length, count) for length in values.shape)
+    changes = np.argwhere(values[:, 1:] != values[:, :-1])
+    if len(changes):
+        near = chance.choice(changes, count // 2)
+        i[: count // 2], j[: count // 2] = near[:, 0], near[:, 1] + chance.integers(0, 2)
+    return i, j
+
+
+def _nodes(
+    axes: Axes, i: Int64[np.ndarray, " point"], j: Int64[np.ndarray, " point"], place: Place
+) -> tuple[Any, ...]:
+    delay = place[-1]
+    return (axes["alpha"][i, delay], axes["beta"][j, delay], *_loop(axes, place))
+
+
+def _loop(axes: Axes, place: Place) -> tuple[float, float, float]:
+    """Return gamma, delta and delay of a slice."""
+    gamma, delta, delay = place
+    return float(axes["gamma"][gamma]), float(axes["delta"][delta]), float(axes["delay"][delay])
+
+
+def _within(
+    nodes: Float64[np.ndarray, " node"],
+    cell: Int64[np.ndarray, " point"],
+    chance: np.random.Generator,
+) -> Float64[np.ndarray, " point"]:
+    """Return a random point of each cell; a single node is its cell."""
+    lower, upper = nodes[cell], nodes[np.minimum(cell + 1, nodes.size - 1)]
+    inside: np.ndarray = np.clip(lower + chance.random(cell.size) * (upper - lower), lower, upper)
+    return inside
+
+
+def _wrong_codes(codes: Int8[np.ndarray, " point"], point: tuple[Any, ...]) -> int:
+    """Count codes that are none, and those that say the opposite of a verdict for the point."""
+    exact = np.asarray(verdict(*point, resolve="exact"))
+    both = np.isin(codes, (STABLE, UNSTABLE)) & np.isin(exact, (STABLE, UNSTABLE))
+    return int(np.sum((both & (codes != exact)) | (codes == NOT_COMPUTED)))
+
+
+def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
+    """Ask the atlas about random points of each delay, as its users do."""
+    each, wrong = -(-sample // atlas.delays.size), 0
+    for number, delay in enumerate(atlas.delays):
+        ends = [(nodes[0], nodes[-1]) for nodes in atlas.nodes(number).values()]
+        point = (*(chance.uniform(*side, each) for side in ends), delay)
+        answer = atlas.query(*point)
+        codes = np.where(answer.verdict == NOT_COMPUTED, np.int8(UNDECIDED), answer.verdict)
+        wrong += _wrong_codes(codes, point)
+        if SPECTRAL_RADIUS in atlas.products:
+            wrong += _wrong_bounds(answer.spectral_radius, answer.radius_error, point)
+    points = each * atlas.delays.size
+    return Check("answers", wrong == 0, f"{wrong} of {points} points are wrong")
+
+
+_COMPARED = {VERDICT: _wrong_nodes, CELL_VERDICT: _wrong_cells, SPECTRAL_RADIUS: _wrong_radii}
+_OF_SLICES = {"outline": _is_wrong_outline, "summary": _is_wrong_summary}
+_MOST = {
+    "outline": f"more than {_NEAR:g} of their size",
+    "summary": f"more than {_NEAR:g}, or {_FAR:g} in where an extreme lies",
+}

@@ -1,0 +1,1 @@
+"""Proofs for all loops of a box."""

@@ -1,0 +1,81 @@
+"""Boxes of loops that may hold a root on the unit circle: the others are proved free of one."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from jaxstab.boxes.exclusion import Exclusion, Loops, exclude
+
+Corners = Float64[np.ndarray, "boxes axis"]
+
+
+class Boxes(NamedTuple):
+    """Boxes center +- half in coordinates of the caller's."""
+
+    center: Corners
+    half: Corners
+
+    def select(self, chosen: Bool[np.ndarray, " boxes"]) -> "Boxes":
+        """Return some of them."""
+        return Boxes(self.center[chosen], self.half[chosen])
+
+
+class Extent(NamedTuple):
+    """The loops of each box: its center, a radius that covers it, and the part of each axis."""
+
+    center: Loops
+    radius: Loops
+    by_axis: list[Loops]
+
+
+class Paving(NamedTuple):
+    """The boxes that could not be excluded, at their smallest size, and whether all were tried."""
+
+    boxes: Boxes
+    finished: bool
+
+
+def pave(
+    boxes: Boxes,
+    smallest: float | Float64[np.ndarray, " axis"],
+    extent: Callable[[Boxes], Extent],
+    most: int = 60_000,
+    prove: Callable[[Loops, Loops], Exclusion] = exclude,
+) -> Paving:
+    """Halve boxes, along the axis that matters most, until ``prove`` frees them or ``smallest``.
+
+    Axes of half-width zero are not split. The work is given up, unfinished, when more than ``most``
+    boxes are open at once.
+    """
+    kept: list[Boxes] = []
+    while len(boxes.center):
+        if len(boxes.center) > most:
+            return Paving(_joined([*kept, boxes]), finished=False)
+        span = extent(boxes)
+        exclusion = prove(span.center, span.radius)
+        divisible = boxes.half > smallest
+        kept.append(boxes.select(~exclusion.free & ~divisible.any(axis=1)))
+        going = ~exclusion.free & divisible.any(axis=1)
+        share = np.stack(
+            [np.sum(exclusion.slopes * np.stack(part), axis=0) for part in span.by_axis], axis=-1
+        )
+        axis = np.argmax(np.where(divisible, share, -1.0), axis=1)[going]
+        boxes = _halved(boxes.select(going), axis)
+    return Paving(_joined(kept), finished=True)
+
+
+def _halved(boxes: Boxes, axis: np.ndarray) -> Boxes:
+    rows = np.arange(len(axis))
+    half = boxes.half.copy()
+    half[rows, axis] /= 2
+    shift = np.zeros_like(half)
+    shift[rows, axis] = half[rows, axis]
+    return Boxes(
+        np.concatenate([boxes.center - shift, boxes.center + shift]), np.concatenate([half, half])
+    )
+
+
+def _joined(parts: list[Boxes]) -> Boxes:
+    return Boxes(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -1,0 +1,173 @@
+"""The commands that make, describe and verify atlases; ``cli`` has those that ask and draw them."""
+
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+import jaxstab
+from jaxstab.conventions import STABLE
+
+if TYPE_CHECKING:
+    from jaxstab.atlas import Atlas
+
+_MOST_DESCRIBED = 2**24  # nodes that are loaded after a build
+_MOST_ASKED = 128  # nodes along alpha and beta
+
+
+@click.command()
+@click.option("--spec", type=Path, help="TOML file; without, the haptic range of the paper.")
+@click.option("-o", "--output", type=Path, default=Path("atlas.h5"), show_default=True)
+@click.option(
+    "--workers", type=click.IntRange(1), help="Compute in so many processes of this machine."
+)
+@click.option("--scheduler", help="Compute on the dask cluster whose scheduler has this address.")
+def build(spec: Path | None, output: Path, workers: int | None, scheduler: str | None) -> None:
+    """Compute an atlas and write it as one HDF5 file.
+
+    What was interrupted goes on where it ended when the same command is given again.
+    """
+    import jax
+
+    from jaxstab.atlas import AtlasSpec, write_atlas
+    from jaxstab.atlas.read.file import node_count
+    from jaxstab.atlas.write.workers import dask_cluster, processes
+
+    if workers and scheduler:
+        raise click.UsageError("--workers and --scheduler are given; give one of them.")
+    jax.config.update("jax_enable_x64", True)
+    chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
+    where: AbstractContextManager[Executor | None] = nullcontext()
+    if workers:
+        where = processes(workers)
+    elif scheduler:
+        where = dask_cluster(scheduler)
+    try:
+        with where as executor, _progress(output) as show:
+            write_atlas(chosen, output, show, executor)
+    except KeyboardInterrupt:
+        click.echo(
+            "jaxstab: interrupted; the tiles that are done are kept, so give the same command "
+            "again to go on.",
+            err=True,
+        )
+        sys.exit(130)
+    if node_count(output) <= _MOST_DESCRIBED:
+        click.echo(_described(jaxstab.open_atlas(output), output))
+    else:
+        click.echo(
+            f"{output}: {output.stat().st_size / 1e6:.2f} MB; jaxstab atlas info loads it to say "
+            "what it holds."
+        )
+
+
+@contextmanager
+def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that draws a bar with rate and time left on stderr."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(
+        TextColumn(f"building {output}"),
+        BarColumn(),
+        TextColumn("{task.completed} of {task.total} tiles, {task.fields[rate]} a second"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
+    task = bar.add_task("", total=None, rate="?")
+
+    def show(done: int, total: int) -> None:
+        bar.start()  # only now: what is refused before the work is refused without a bar
+        speed = bar.tasks[0].speed
+        bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
+
+    try:
+        yield show
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+@click.command()
+@click.argument("spec", type=Path, required=False)
+def plan(spec: Path | None) -> None:
+    """Print what a build would compute, and why it need not compute the rest."""
+    import jax
+
+    from jaxstab.atlas import AtlasSpec, plan_atlas
+
+    jax.config.update("jax_enable_x64", True)
+    click.echo(plan_atlas(AtlasSpec.from_file(spec) if spec else AtlasSpec()))
+
+
+@click.command()
+@click.argument("file", type=Path)
+def info(file: Path) -> None:
+    """Print what an atlas holds, and a line to query it."""
+    click.echo(_described(jaxstab.open_atlas(file), file))
+
+
+@click.command()
+@click.argument("file", type=Path)
+@click.option(
+    "--sample",
+    type=click.IntRange(1),
+    default=1000,
+    show_default=True,
+    help="About how many points of each kind are computed again.",
+)
+def verify(file: Path, sample: int) -> None:
+    """Check that an atlas is whole, and right at a random sample of points."""
+    import jax
+
+    from jaxstab.atlas.write.verify import verify_atlas
+
+    jax.config.update("jax_enable_x64", True)
+    passed = True
+    for check in verify_atlas(file, sample):
+        click.echo(check)
+        passed = passed and check.passed
+    sys.exit(0 if passed else 1)
+
+
+def _described(opened: "Atlas", file: Path) -> str:
+    """Return what an atlas holds, ending in a line to query it."""
+    shape = {name: nodes.size for name, nodes in opened.nodes(0).items()}
+    lines = [
+        f"{file}: {file.stat().st_size / 1e6:.2f} MB, made by {opened.created_by}",
+        f"products: {', '.join(opened.products)}",
+        *(
+            f"{name}: {shape[name]} nodes from {nodes[0]:g} to {nodes[-1]:g}"
+            for name, nodes in list(opened.nodes(0).items())[2:]
+        ),
+        "",
+        f"delay   alpha ({shape['alpha']} nodes)      beta ({shape['beta']} nodes)       "
+        "decided between nodes",
+    ]
+    for number, delay in enumerate(opened.delays):
+        spans = [f"{n[0]:9.3g} to {n[-1]:<8.3g}" for n in list(opened.nodes(number).values())[:2]]
+        decided = f"{100.0 * opened.decided_fraction(number):.4g} %"
+        lines.append(f"{delay:<5g} {spans[0]} {spans[1]}   {decided}")
+    options = " ".join(f"--{name} {value:g}" for name, value in _example(opened).items())
+    lines += ["", "Query it with", f"  jaxstab atlas query {shlex.quote(str(file))} {options}"]
+    return "\n".join(lines)
+
+
+def _example(opened: "Atlas") -> dict[str, float]:
+    """Return a point in the middle of the first delay's box, or rather of what is stable there."""
+    nodes, delay = opened.nodes(0), float(opened.delays[0])
+    point = {name: float(axis[axis.size // 2]) for name, axis in nodes.items()}
+    alpha, beta = (
+        nodes[name][:: -(-nodes[name].size // _MOST_ASKED)] for name in ("alpha", "beta")
+    )
+    hand = point["gamma"], point["delta"], delay
+    i, j = (opened.verdict(alpha[:, None], beta, *hand) == STABLE).nonzero()
+    if i.size:
+        centre = i.size // 2
+        point |= {"alpha": float(alpha[i[centre]]), "beta": float(beta[j[centre]])}
+    return point | {"delay": delay}

@@ -1,0 +1,172 @@
+"""The passive region: the walls that can be touched by any passive hand, at any mass and stiffness.
+
+A wall behind a sampler, a delay d = n + f and a zero-order hold is passive together with the
+physical damping delta when, for every theta in [0, pi],
+
+    delta > R + f (1 - f) |H|^2 / (4 delta),            H = alpha + beta (1 - e^(-i theta))
+    R = (1 - f) R_n + f R_(n+1),        R_k = alpha sin((k + 1/2) theta) / (2 sin(theta/2))
+                                              - beta cos((k + 1) theta)
+
+For a whole delay, f = 0, this is Colgate's condition, the paper's (28) at d = 0. For a fraction the
+sampler folds frequencies that the hold releases with unlike phases: the damper must outweigh the
+larger eigenvalue of a Hermitian form of rank two, which is the condition above (Colgate's formula
+with a fractional delay put in errs to either side). For each theta it describes a convex set that
+grows in proportion to delta, so the passive region is convex and does too.
+
+A wall of negative stiffness is not passive at rest, hence alpha >= 0.
+"""
+
+from dataclasses import dataclass, field
+from math import floor, pi, sqrt
+
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Bool, Float64
+
+from jaxstab.criteria.cosine_series import largest_value
+from jaxstab.model import checked_delay, checked_delta, checked_gain, require_x64
+
+Points = Float64[np.ndarray, "points 2"]
+
+_MARGIN = 1e-12  # by which an outline is pulled in, so that rounding does not spoil its proof
+_FEWEST_DIRECTIONS = 3  # the two ends of the edge alpha = 0 and one on the other side
+_CHUNK = 4096  # points tested at once
+
+
+@dataclass(frozen=True)
+class PassiveRegion:
+    """The passive walls of one damping and delay: a convex set, part of the plane (alpha, beta).
+
+    ``outline`` holds the vertices, shape (n, 2), counterclockwise, first one not repeated; no
+    vertex at all where delta = 0. Every point of the polygon is proved passive (vertices within
+    1e-12 of their size); the region reaches at most about ``tolerance`` times delta beyond it.
+    """
+
+    delta: float
+    delay: float
+    tolerance: float
+    outline: Points = field(repr=False)
+
+    @property
+    def max_alpha(self) -> Float64[np.ndarray, " 2"]:
+        """The vertex (alpha, beta) of the largest stiffness; (0, 0) for an empty region."""
+        if not len(self.outline):
+            return np.zeros(2)
+        vertex: Float64[np.ndarray, " 2"] = self.outline[np.argmax(self.outline[:, 0])]
+        return vertex
+
+    def contains(self, alpha: ArrayLike, beta: ArrayLike) -> Bool[np.ndarray, "*grid"]:
+        """Return True where (alpha, beta) is proved passive, tested by its own supremum."""
+        gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
+        grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
+        flat = grid.reshape(-1, 2)
+        inside = (flat[:, 0] >= 0.0) & (self.delta > 0.0)
+        for start in range(0, len(flat), _CHUNK):
+            chunk = slice(start, start + _CHUNK)
+            points = flat[chunk] / (self.delta or 1.0)
+            inside[chunk] &= (
+                largest_value(_series(points, np.ones(len(points)), self.delay)).bound < 1
+            )
+        return inside.reshape(grid.shape[:-1])
+
+
+def passive_region(delta: float, delay: float = 0.0, tolerance: float = 1e-4) -> PassiveRegion:
+    """Return the set of walls that are passive whatever the mass, stiffness and hand.
+
+    A passive wall is stable with every passive environment, so the region lies in every robustly
+    stable region of this damping and delay.
+
+    Args:
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        tolerance: how far the region may bulge beyond the chords of its outline, times delta; at
+            least 1e-8.
+
+    Raises:
+        ValueError: an argument is outside its range, infinite or NaN.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: eq. (28) of Hulin, Preusche, Hirzinger (2008) at d = 0; Colgate and Schenkel (1997) for
+    whole delays; for fractional ones the Hermitian form in the head of jaxstab/boundary/passive.py.
+    """
+    require_x64()
+    checked_delta(delta)
+    checked_delay(delay)
+    if not tolerance >= 1e-8:
+        raise ValueError(f"tolerance is {tolerance}; give a number of at least 1e-8.")
+    if delta == 0.0:
+        return PassiveRegion(float(delta), float(delay), tolerance, np.zeros((0, 2)))
+    angles = np.linspace(-pi / 2, pi / 2, _FEWEST_DIRECTIONS)
+    points = _reach(angles, delay)
+    open_ = np.ones(len(angles) - 1, bool)
+    while open_.any():
+        chords = np.flatnonzero(open_)
+        middles = 0.5 * (angles[chords] + angles[chords + 1])
+        found = _reach(middles, delay)
+        bulges = _distance(found, points[chords], points[chords + 1]) > 0.5 * tolerance
+        open_[chords] = bulges
+        places = chords[bulges] + 1
+        angles = np.insert(angles, places, middles[bulges])
+        points = np.insert(points, places, found[bulges], axis=0)
+        open_ = np.insert(open_, places, True)
+    return PassiveRegion(float(delta), float(delay), tolerance, float(delta) * points)
+
+
+def _reach(angles: Float64[np.ndarray, " points"], delay: float) -> Points:
+    """Return the boundary points of the region of delta = 1 in these directions from the origin."""
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    directions[np.abs(directions) < 1e-15] = 0.0
+    fraction = delay - floor(delay)
+    need = largest_value(_series(directions, np.full(len(angles), np.inf), delay)).value
+    need = np.maximum(need, 0.5 * sqrt(fraction * (1 - fraction)) * np.abs(directions[:, 0]))
+    # The damping that one theta needs grows to the one that all need (Newton: from below, convex).
+    for _ in range(60):
+        theta = largest_value(_series(directions, need, delay)).theta
+        raised = np.maximum(need, _need_at(theta, directions, delay))
+        done = np.all(raised <= need * (1 + 1e-15))
+        need = raised
+        if done:
+            break
+    reach: Points = directions / (need * (1 + _MARGIN))[:, None]
+    return reach
+
+
+def _need_at(
+    theta: Float64[np.ndarray, " points"], directions: Points, delay: float
+) -> Float64[np.ndarray, " points"]:
+    """Return the damping that makes the wall passive at one theta."""
+    fraction = delay - floor(delay)
+    order = np.arange(floor(delay) + 3)
+    plain = _series(directions, np.full(len(theta), np.inf), delay)
+    real = np.sum(plain * np.cos(theta[:, None] * order), axis=-1)
+    alpha, beta = directions.T
+    wall = alpha**2 + 4 * beta * (alpha + beta) * np.sin(theta / 2) ** 2
+    need: Float64[np.ndarray, " points"]
+    need = 0.5 * (real + np.sqrt(real**2 + fraction * (1 - fraction) * wall))
+    return need
+
+
+def _series(
+    walls: Points, delta: Float64[np.ndarray, " points"], delay: float
+) -> Float64[np.ndarray, "points term"]:
+    """Return R + f (1 - f) |H|^2 / (4 delta) as cosine series; without the last term for inf."""
+    whole = floor(delay)
+    fraction = delay - whole
+    alpha, beta = walls.T
+    fold = fraction * (1 - fraction) / (4 * delta)
+    series = np.zeros((len(walls), whole + 3))
+    series[:, 0] = 0.5 * alpha
+    series[:, 1 : whole + 1] = alpha[:, None]
+    series[:, whole + 1] = fraction * alpha - (1 - fraction) * beta
+    series[:, whole + 2] = -fraction * beta
+    series[:, 0] += fold * ((alpha + beta) ** 2 + beta**2)
+    series[:, 1] -= 2 * fold * beta * (alpha + beta)
+    return series
+
+
+def _distance(point: Points, start: Points, end: Points) -> Float64[np.ndarray, " points"]:
+    """Return the distance of each point from the line through two others."""
+    chord, away = end - start, point - start
+    across = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
+    distance: Float64[np.ndarray, " points"] = across / np.hypot(*chord.T)
+    return distance

@@ -1,0 +1,78 @@
+"""The slowest mode of the loop, as damping ratio and frequency."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float64
+
+from jaxstab.model import HapticLoop, checked_gain, require_x64
+from jaxstab.point.radius.door import closed_loop_poles
+
+
+class Oscillation(NamedTuple):
+    """The mode of the pole with the largest modulus.
+
+    ``damping_ratio`` is 1 for a mode that creeps without oscillation, 0 on the edge of stability,
+    negative where the oscillation grows. ``frequency`` is that of the oscillation itself (not of
+    the undamped one): between 0 and the Nyquist frequency, which is a pole on the negative axis.
+    """
+
+    damping_ratio: Float64[Array, "*grid"]
+    frequency: Float64[Array, "*grid"]
+
+
+def dominant_mode(
+    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
+) -> Oscillation:
+    """Return damping ratio and frequency of the slowest pole z = exp(s), in samples.
+
+    The damping ratio is -Re s / |s|, the frequency |Im s| in rad per sample, at most pi. Near a
+    double real pole the companion eigenvalues may split into a pair with a tiny frequency.
+
+    Args:
+        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m in [0, 1e4].
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, concrete.
+
+    Returns:
+        Oscillation of arrays of the broadcast shape.
+
+    Raises:
+        ValueError: a concrete argument is outside its range, infinite or NaN.
+        TypeError: the delay is traced.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: the poles of eq. (9); z = exp(s T).
+    """
+    require_x64()
+    pole = closed_loop_poles(alpha, beta, gamma, delta, delay)[..., 0]
+    decay, frequency = -jnp.log(jnp.abs(pole)), jnp.abs(jnp.angle(pole))
+    return Oscillation(decay / jnp.hypot(decay, frequency), frequency)
+
+
+def dominant_oscillation(loop: HapticLoop, stiffness: ArrayLike, damping: ArrayLike) -> Oscillation:
+    """Return damping ratio and frequency in Hz of the slowest mode of a device at a wall.
+
+    Args:
+        loop: device, hand, sample time and delay.
+        stiffness: K of the wall in N/m, any shape; broadcasts with the damping.
+        damping: B of the wall in N s/m.
+
+    Returns:
+        Oscillation of arrays of the broadcast shape, the frequency in Hz.
+
+    Raises:
+        ValueError: a gain is infinite or NaN.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: as ``dominant_mode``; Table I.
+    """
+    require_x64()
+    alpha = loop.alpha(jnp.asarray(checked_gain("stiffness", stiffness), jnp.float64))
+    beta = loop.beta(jnp.asarray(checked_gain("damping", damping), jnp.float64))
+    mode = dominant_mode(alpha, beta, loop.gamma, loop.delta, loop.delay_samples)
+    return Oscillation(mode.damping_ratio, mode.frequency / (2.0 * jnp.pi * loop.sample_time))

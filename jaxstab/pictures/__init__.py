@@ -1,0 +1,1 @@
+"""Figures: regions, atlases, scenes, the paper's."""

@@ -1,0 +1,1 @@
+"""The spectral radius with a proved bound."""

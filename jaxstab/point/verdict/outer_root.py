@@ -1,0 +1,65 @@
+"""Proof of instability by one root: where the recursion loses its digits, a root far outside tells.
+
+A polynomial p of degree n has a root within n |p(z) / p'(z)| of any z, for p'/p is the sum over the
+n roots of 1 / (z - root). So one z outside the unit circle at which p is small enough is a proof;
+it is taken from the eigenvalues of the companion matrix.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float64
+
+from jaxstab.model import companion_matrix
+from jaxstab.point.verdict.recursion import FLOAT_UNIT
+
+_BATCH = 256  # polynomials at once: each takes a matrix
+_ON_CIRCLE = 1e-13  # of the sum of the coefficients' sizes
+_PER_DEGREE = 8.0  # roundings of a complex product, of the sum, and of a coefficient, and to spare
+
+
+def have_outer_root(
+    coefficients: Float64[np.ndarray, "point coefficient"],
+) -> Bool[np.ndarray, " point"]:
+    """Prove for polynomials that not all of their roots lie inside the unit circle.
+
+    Nothing is tried where 1 or -1 is a root to rounding, as on whole lines and in whole planes.
+
+    Args:
+        coefficients: monic, highest power first, each within two roundings of the true one.
+
+    Returns:
+        True where a root is proved to be outside; False says nothing.
+
+    Source: Laguerre's bound for the distance to the nearest root.
+    """
+    alternating = (-1.0) ** np.arange(coefficients.shape[-1])
+    ends = np.abs(np.stack([coefficients.sum(axis=-1), coefficients @ alternating]))
+    sizes = np.abs(coefficients).sum(axis=-1)
+    tried = np.flatnonzero(np.all(ends > _ON_CIRCLE * sizes, axis=0))
+    proved = np.zeros(sizes.shape, bool)
+    for start in range(0, tried.size, _BATCH):
+        some = np.resize(tried[start : start + _BATCH], _BATCH)
+        proved[some] = np.asarray(_has_outer_root(jnp.asarray(coefficients[some])))
+    return proved
+
+
+@jax.jit
+def _has_outer_root(
+    coefficients: Float64[Array, "point coefficient"],
+) -> Bool[Array, " point"]:
+    degree = coefficients.shape[-1] - 1
+    poles = jnp.linalg.eigvals(companion_matrix(coefficients))
+    z = jnp.take_along_axis(poles, jnp.argmax(jnp.abs(poles), -1, keepdims=True), -1)[..., 0]
+    size = jnp.abs(z)
+    value, slope = jnp.zeros_like(z), jnp.zeros_like(z)
+    value_size, slope_size = jnp.zeros_like(size), jnp.zeros_like(size)
+    for place in range(degree + 1):
+        coefficient = coefficients[..., place]
+        slope, slope_size = slope * z + value, slope_size * size + value_size
+        value, value_size = value * z + coefficient, value_size * size + jnp.abs(coefficient)
+    rounding = _PER_DEGREE * (degree + 1) * FLOAT_UNIT
+    steepness = jnp.abs(slope) - rounding * slope_size
+    reach = degree * (jnp.abs(value) + rounding * value_size) / steepness
+    return (steepness > 0.0) & (size - (1.0 + rounding) * reach > 1.0 + rounding)

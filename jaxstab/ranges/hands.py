@@ -1,0 +1,250 @@
+"""One wall and a range of hands: is it stable for all of them, and which hand is the worst?
+
+Sampled hands find the worst one. The proof for all the others is by boxes of mass, stiffness,
+damping and theta that are halved until each is proved free of roots on the unit circle
+(``circle.exclude``): then the number of unstable roots is the same for all hands, and one proof of
+stability is enough.
+"""
+
+from dataclasses import replace
+from itertools import product
+from math import pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.boxes.bisection import Boxes, Extent, pave
+from jaxstab.boxes.exclusion import Loops
+from jaxstab.conventions import UNDECIDED, Verdict
+from jaxstab.model import HapticLoop, checked_gain, require_x64
+from jaxstab.point import spectral_radius, verdict
+from jaxstab.region.limits import Plane, highest
+
+Range = tuple[float, float]
+Hands = Float64[np.ndarray, "hands 3"]
+Column = Float64[np.ndarray, " hands"]
+
+_SAMPLES = 9  # hands along each range
+_BATCH = 1024  # hands judged at once
+_SMALLEST = 2.0**-20  # of the ranges: boxes are not halved beyond
+_PULL = 0.99
+_ATTEMPTS = 5
+
+
+class HandRange(NamedTuple):
+    """Hands from the lowest to the highest mass in kg, stiffness in N/m and damping in N s/m."""
+
+    mass: Range = (0.0, 0.0)
+    stiffness: Range = (0.0, 0.0)
+    damping: Range = (0.0, 0.0)
+
+
+class WorstHand(NamedTuple):
+    """What is known of a wall for all hands of a range, and the worst hand that was sampled.
+
+    ``verdict``: STABLE is proved for every hand, UNSTABLE is proved for ``loop``, the loop with the
+    worst hand: the one of the largest spectral ``radius`` of those sampled.
+    """
+
+    verdict: Verdict
+    loop: HapticLoop
+    radius: float
+
+
+class RobustLimit(NamedTuple):
+    """The stiffest wall for all hands of a range, in SI units; NaN where there is none.
+
+    With ``is_proved`` the wall (stiffness, damping) is proved stable for every hand. ``limit`` is
+    what the sampled hands allow, never less than the truth, and ``loop`` the one that sets it.
+    """
+
+    stiffness: float
+    damping: float
+    is_proved: bool
+    limit: float
+    loop: HapticLoop
+
+
+def worst_hand(loop: HapticLoop, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
+    """Return whether a wall is stable for every hand of a range, and the worst of them.
+
+    Args:
+        loop: device, sample time and delay; its hand is replaced by those of the range.
+        hands: the range of hands.
+        stiffness: K of the wall in N/m.
+        damping: B of the wall in N s/m.
+
+    Returns:
+        WorstHand; UNDECIDED where all sampled hands are stable but not all others could be proved.
+
+    Raises:
+        ValueError: a gain is infinite or NaN, or a range is out of order.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); the proof is described in the head of
+    jaxstab/boundary/hands.py.
+    """
+    require_x64()
+    checked_gain("stiffness", stiffness)
+    checked_gain("damping", damping)
+    _check_order(hands)
+    wall = (float(stiffness), float(damping))
+    worst = _worst_of(loop, _grid(hands, _SAMPLES), *wall)
+    if worst.verdict != Verdict.STABLE:
+        return worst
+    left = _unproved(loop, hands, *wall)
+    if not len(left):
+        return worst
+    among = _worst_of(loop, left, *wall)
+    return among if among.verdict == Verdict.UNSTABLE else among._replace(verdict=UNDECIDED)
+
+
+def robust_limit(loop: HapticLoop, hands: HandRange) -> RobustLimit:
+    """Return the largest stiffness, and its damping, that every hand of a range allows.
+
+    The corners of the range, and hands at which the proof failed, give the limit; a wall of 99 % of
+    it is then proved for every hand.
+
+    Args:
+        loop: device, sample time and delay; its hand is replaced by those of the range.
+        hands: the range of hands.
+
+    Raises:
+        ValueError: a range is out of order.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
+    """
+    require_x64()
+    _check_order(hands)
+    held = [_held(loop, hand) for hand in _grid(hands, 2)]
+    planes = [Plane(one) for one in held]
+    for attempt in range(_ATTEMPTS):
+        limit, damping = _common_limit(held, planes)
+        if np.isnan(limit):
+            return RobustLimit(limit, damping, False, limit, loop)
+        wall = (limit * (_PULL if limit > 0.0 else 2.0 - _PULL), damping)
+        found = worst_hand(loop, hands, *wall)
+        if found.verdict == Verdict.STABLE or attempt == _ATTEMPTS - 1:
+            break
+        held.append(found.loop)
+        planes.append(Plane(found.loop))
+    tops = [
+        float(_tops(one, plane, np.array([damping]))[0])
+        for one, plane in zip(held, planes, strict=True)
+    ]
+    is_proved = found.verdict == Verdict.STABLE
+    return RobustLimit(*wall, is_proved, limit, held[int(np.argmin(tops))])
+
+
+def _common_limit(held: list[HapticLoop], planes: list[Plane]) -> tuple[float, float]:
+    """Return the largest K that all loops allow, and its B."""
+    pairs = list(zip(held, planes, strict=True))
+    spans = [[one.damping(end) for end in plane.span(0)] for one, plane in pairs]
+    low, high = max(span[0] for span in spans), min(span[1] for span in spans)
+
+    def tops(rows: Float64[np.ndarray, " values"]) -> Float64[np.ndarray, " values"]:
+        limits = np.stack([one.stiffness(plane.limits(one.beta(rows), 0)) for one, plane in pairs])
+        least, most = limits[..., 0].max(axis=0), limits[..., 1].min(axis=0)
+        met: Float64[np.ndarray, " values"] = np.where(least < most, most, np.nan)
+        return met
+
+    return highest(tops, low, high)
+
+
+def _tops(
+    loop: HapticLoop, plane: Plane, damping: Float64[np.ndarray, " values"]
+) -> Float64[np.ndarray, " values"]:
+    return loop.stiffness(plane.limits(loop.beta(damping), 0)[:, 1])
+
+
+def _worst_of(loop: HapticLoop, hands: Hands, stiffness: float, damping: float) -> WorstHand:
+    """Return the verdict on the worst of some hands; of too many, of some of them."""
+    some = hands[np.arange(_BATCH) * len(hands) // _BATCH]  # one size, compiled once
+    scene = (*_dimensionless(loop, some, stiffness, damping), loop.delay_samples)
+    radii = np.asarray(spectral_radius(*scene).value)
+    codes = np.asarray(verdict(*scene))
+    unstable = codes == Verdict.UNSTABLE
+    worst = int(np.argmax(np.where(unstable | ~unstable.any(), radii, -1.0)))
+    return WorstHand(Verdict(int(codes[worst])), _held(loop, some[worst]), float(radii[worst]))
+
+
+def _unproved(loop: HapticLoop, hands: HandRange, stiffness: float, damping: float) -> Hands:
+    """Return hands at which a root on the circle could not be excluded; none is a proof.
+
+    The axes of the boxes: 1/m, k, b of the hand, theta.
+    """
+    lightness = tuple(1.0 / (loop.device_mass + mass) for mass in reversed(hands.mass))
+    ranges = np.array([lightness, hands.stiffness, hands.damping, (0.0, pi)])
+    period, own = loop.sample_time, loop.device_damping
+
+    def extent(boxes: Boxes) -> Extent:
+        light, spring, damper, theta = boxes.center.T
+        by_light, by_spring, by_damper, turn = boxes.half.T
+        still = np.zeros_like(light)
+        # Exact centers; radii cover the product of two intervals.
+        center = Loops(
+            stiffness * period**2 * light,
+            damping * period * light,
+            spring * period**2 * light,
+            (own + damper) * period * light,
+            np.full_like(light, loop.delay_samples),
+            theta,
+        )
+        along_light = Loops(
+            abs(stiffness) * period**2 * by_light,
+            abs(damping) * period * by_light,
+            spring * period**2 * by_light,
+            (own + damper) * period * by_light,
+            still,
+            still,
+        )
+        most = light + by_light
+        along_spring = Loops(still, still, most * period**2 * by_spring, still, still, still)
+        along_damper = Loops(still, still, still, most * period * by_damper, still, still)
+        parts = [
+            along_light,
+            along_spring,
+            along_damper,
+            Loops(still, still, still, still, still, turn),
+        ]
+        radius = Loops(*np.sum([np.stack(part) for part in parts], axis=0))
+        return Extent(center, radius, parts)
+
+    boxes = Boxes(ranges.mean(axis=1)[None], 0.5 * np.ptp(ranges, axis=1)[None])
+    left = pave(boxes, _SMALLEST * np.ptp(ranges, axis=1), extent).boxes.center[:, :3]
+    mass = np.clip(1.0 / left[:, 0] - loop.device_mass, *hands.mass)
+    return np.column_stack([mass, left[:, 1:]])
+
+
+def _grid(hands: HandRange, count: int) -> Hands:
+    """Return hands spread over the range, their stiffness evenly in frequency."""
+    ends = (hands.mass, tuple(sqrt(end) for end in hands.stiffness), hands.damping)
+    axes = [np.linspace(low, high, count if low < high else 1) for low, high in ends]
+    axes[1] = axes[1] ** 2
+    axes[1][[0, -1]] = hands.stiffness
+    return np.array(list(product(*axes)))
+
+
+def _dimensionless(
+    loop: HapticLoop, hands: Hands, stiffness: float, damping: float
+) -> tuple[Column, Column, Column, Column]:
+    mass, spring, damper = hands.T
+    per_force = loop.sample_time**2 / (loop.device_mass + mass)
+    per_speed = loop.sample_time / (loop.device_mass + mass)
+    friction = loop.device_damping + damper
+    return stiffness * per_force, damping * per_speed, spring * per_force, friction * per_speed
+
+
+def _held(loop: HapticLoop, hand: Float64[np.ndarray, " 3"]) -> HapticLoop:
+    mass, stiffness, damping = (float(value) for value in hand)
+    return replace(loop, hand_mass=mass, hand_stiffness=stiffness, hand_damping=damping)
+
+
+def _check_order(hands: HandRange) -> None:
+    for name, (low, high) in hands._asdict().items():
+        if not 0.0 <= low <= high < np.inf:
+            raise ValueError(
+                f"hands.{name} is ({low}, {high}); give the lowest, >= 0, and the highest value."
+            )

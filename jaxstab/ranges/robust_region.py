@@ -1,0 +1,278 @@
+"""Walls that are stable for every hand of a range: the intersection of stable regions, proved.
+
+The intersection over sampled hands is only a guess, too large. It is pulled in a little and then
+proved: along the edges of the polygon, for all gamma, delta and theta of the ranges at once, boxes
+are halved until each is proved free of roots on the unit circle (``circle.exclude``). That is
+enough. For any one hand the walls with a root on the circle are a curve that starts on the line
+z = 1, runs through infinity where it is not connected, and ends on the line z = -1 or at infinity;
+no piece of it can lie inside of a closed polygon that none of it crosses. So inside of the polygon
+the number of unstable roots is the same for all walls and, by continuity, for all hands; a verdict
+on one loop says that it is zero.
+
+Where the proof fails, the hand at which it fails joins the sample, and it is tried again.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from math import pi, sqrt
+
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Float64, Int8
+
+from jaxstab.boxes.bisection import Boxes, Extent, pave
+from jaxstab.boxes.exclusion import Loops
+from jaxstab.conventions import Verdict
+from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.point import verdict
+from jaxstab.region.region import RegionStatus, StableRegion, stable_region
+
+Range = tuple[float, float]
+Points = Float64[np.ndarray, "points 2"]
+Hands = Float64[np.ndarray, "hands 2"]
+Rows = Float64[np.ndarray, " rows"]
+
+_FIRST_FREQUENCIES = 17
+_FIRST_DAMPINGS = 3
+_ROWS = 129
+_ATTEMPTS = 8
+_SMALLEST = 2.0**-12  # of the ranges: boxes are not halved beyond
+_OUTLINE_TOLERANCE = 1e-4
+
+
+class RobustStatus(IntEnum):
+    """What is known of a robust region."""
+
+    NOT_COMPUTED = 0
+    PROVED = 1
+    EMPTY = 2
+    UNPROVED = 3
+
+    @property
+    def words(self) -> str:
+        """The status in words."""
+        return {
+            RobustStatus.NOT_COMPUTED: "not computed",
+            RobustStatus.PROVED: "every wall of the outline is proved stable for every hand",
+            RobustStatus.EMPTY: "no wall is stable for all of the sampled hands",
+            RobustStatus.UNPROVED: "stable for the sampled hands, but not proved between them",
+        }[self]
+
+
+@dataclass(frozen=True)
+class RobustRegion:
+    """Walls (alpha, beta) that are stable for every hand of a range at one delay.
+
+    ``outline`` holds the vertices of a polygon, shape (n, 2), counterclockwise, the first one not
+    repeated; no vertex for an empty region. With the status PROVED every wall inside and on it is
+    stable for every hand. ``hands`` are the sampled (gamma, delta): the true region lies inside of
+    the intersection of their stable regions, which is larger than the outline by about
+    ``tolerance`` of its size.
+    """
+
+    gamma: Range
+    delta: Range
+    delay: float
+    tolerance: float
+    status: RobustStatus
+    outline: Points = field(repr=False)
+    hands: Hands = field(repr=False)
+
+    @property
+    def max_alpha(self) -> Float64[np.ndarray, " 2"]:
+        """The vertex (alpha, beta) of the largest stiffness; NaN for an empty region."""
+        if not len(self.outline):
+            return np.full(2, np.nan)
+        vertex: Float64[np.ndarray, " 2"] = self.outline[np.argmax(self.outline[:, 0])]
+        return vertex
+
+    def contains(self, alpha: ArrayLike, beta: ArrayLike) -> Int8[np.ndarray, "*grid"]:
+        """Return a proved verdict on each wall, for all hands of the range.
+
+        Args:
+            alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
+            beta: wall damping B T/m.
+
+        Returns:
+            STABLE where the wall is proved stable for every hand, UNSTABLE where it is proved
+            unstable for one of them, UNDECIDED between.
+
+        Raises:
+            ValueError: alpha or beta is NaN or infinite.
+        """
+        gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
+        grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
+        walls = grid.reshape(-1, 2)
+        single = np.asarray(verdict(*_walls_and_hands(walls, self.hands), self.delay))
+        unstable = np.any(single == Verdict.UNSTABLE, axis=1)
+        # The number of unstable roots is the same for all hands: one proof of stability is enough.
+        likely = np.any(single == Verdict.STABLE, axis=1) & ~unstable
+        proved = np.zeros(len(walls), bool)
+        for number in np.flatnonzero(likely):
+            wall = walls[number : number + 1]
+            proved[number] = not len(_failures(wall, wall, self.gamma, self.delta, self.delay))
+        codes = np.where(proved, Verdict.STABLE, Verdict.UNDECIDED)
+        codes = np.where(unstable, Verdict.UNSTABLE, codes).astype(np.int8)
+        return codes.reshape(grid.shape[:-1])
+
+
+def robust_region(
+    gamma: Range, delta: Range, delay: float = 0.0, tolerance: float = 0.02
+) -> RobustRegion:
+    """Return the walls that are stable for every hand with gamma and delta in given ranges.
+
+    Args:
+        gamma: lower and upper end of the physical stiffness k T^2/m in [0, 1e4]; Nyquist frequency
+            is at pi^2 + delta^2/4. Equal ends fix it.
+        delta: lower and upper end of the physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        tolerance: by which part of its size the polygon is pulled in to be proved, in [1e-3, 0.5].
+
+    Returns:
+        RobustRegion with its status. An empty region is an answer, not an error.
+
+    Raises:
+        ValueError: an end is outside its range or NaN, the ends are in the wrong order, or the
+            tolerance is out of range.
+        RuntimeError: JAX's x64 mode is off.
+
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); the proof is described in the head of
+    jaxstab/boundary/robust.py.
+    """
+    require_x64()
+    for name, ends, check in (("gamma", gamma, checked_gamma), ("delta", delta, checked_delta)):
+        check(np.asarray(ends, np.float64))
+        if not ends[0] <= ends[1]:
+            raise ValueError(f"{name} is {ends}; give the lower end first.")
+    checked_delay(delay)
+    if not 1e-3 <= tolerance <= 0.5:
+        raise ValueError(f"tolerance is {tolerance}; give a number in [0.001, 0.5].")
+    sample = _Sample(gamma, delta, delay)
+    for _ in range(_ATTEMPTS):
+        outer = sample.intersection() if sample.regions else np.zeros((0, 2))
+        if not len(outer):
+            status = RobustStatus.EMPTY if sample.regions else RobustStatus.UNPROVED
+            return RobustRegion(gamma, delta, delay, tolerance, status, outer, sample.hands)
+        outline = _pulled_in(outer, tolerance)
+        failures = _failures(outline, np.roll(outline, -1, axis=0), gamma, delta, delay)
+        if not len(failures):
+            status = RobustStatus.PROVED if sample.holds(outline) else RobustStatus.UNPROVED
+            return RobustRegion(gamma, delta, delay, tolerance, status, outline, sample.hands)
+        sample.add(failures)
+    return RobustRegion(
+        gamma, delta, delay, tolerance, RobustStatus.UNPROVED, outline, sample.hands
+    )
+
+
+class _Sample:
+    """Sampled hands and their stable regions."""
+
+    def __init__(self, gamma: Range, delta: Range, delay: float) -> None:
+        self.delay = delay
+        self.regions: list[StableRegion] = []
+        self.hands = np.zeros((0, 2))
+        frequencies = _FIRST_FREQUENCIES if gamma[0] < gamma[1] else 1
+        frequency = np.linspace(sqrt(gamma[0]), sqrt(gamma[1]), frequencies)
+        stiffness = np.clip(frequency**2, *gamma)
+        damping = np.linspace(*delta, _FIRST_DAMPINGS if delta[0] < delta[1] else 1)
+        self.add(np.stack(np.meshgrid(stiffness, damping), axis=-1).reshape(-1, 2))
+
+    def add(self, hands: Hands) -> None:
+        """Add hands; those already there are passed over."""
+        for hand in hands:
+            if not np.any(np.all(self.hands == hand, axis=1)):
+                self.hands = np.concatenate([self.hands, hand[None]])
+                gamma, delta = map(float, hand)
+                region = stable_region(gamma, delta, self.delay, tolerance=_OUTLINE_TOLERANCE)
+                if region.status != RegionStatus.UNRESOLVED:  # the proof covers this hand too
+                    self.regions.append(region)
+
+    def intersection(self) -> Points:
+        """Return the intersection of the stable regions, of which each row is an interval."""
+        if any(region.is_empty for region in self.regions):
+            return np.zeros((0, 2))
+        tops = [region.points[:, 1] for region in self.regions]
+        low, high = max(t.min() for t in tops), min(t.max() for t in tops)
+        for _ in range(3):  # the intersection may end before the regions do
+            rows = np.linspace(low, high, _ROWS + 2)[1:-1]
+            left, right = self._limits(rows)
+            met = np.flatnonzero(left < right)
+            if not len(met):
+                return np.zeros((0, 2))
+            step = rows[1] - rows[0]
+            low, high = rows[met[0]] - step, rows[met[-1]] + step
+        rows, left, right = rows[met], left[met], right[met]
+        upwards = np.stack([right, rows], axis=-1)
+        downwards = np.stack([left, rows], axis=-1)[::-1]
+        return np.concatenate([upwards, downwards])
+
+    def holds(self, outline: Points) -> bool:
+        """Tell whether one wall of the outline is proved stable for one hand."""
+        one = verdict(*_walls_and_hands(outline[:1], self.hands[:1]), self.delay)
+        return bool(np.all(np.asarray(one) == Verdict.STABLE))
+
+    def _limits(self, rows: Rows) -> tuple[Rows, Rows]:
+        limits = np.stack([np.asarray(region.alpha_limits(rows)) for region in self.regions])
+        limits = np.where(np.isnan(limits), [np.inf, -np.inf], limits)
+        return limits[..., 0].max(axis=0), limits[..., 1].min(axis=0)
+
+
+def _pulled_in(outline: Points, tolerance: float) -> Points:
+    """Return the outline shrunk towards its centroid."""
+    following = np.roll(outline, -1, axis=0)
+    cross = outline[:, 0] * following[:, 1] - following[:, 0] * outline[:, 1]
+    centroid = np.sum((outline + following) * cross[:, None], axis=0) / (3 * np.sum(cross))
+    pulled: Points = centroid + (1 - tolerance) * (outline - centroid)
+    return pulled
+
+
+def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: float) -> Hands:
+    """Return some hands at which walls between start and end could not be proved; none is a proof.
+
+    The axes of the boxes: the place on the edge in [-1, 1], gamma, delta, theta, then the edge
+    itself (its middle and half its length in alpha and beta), which is not divided.
+    """
+    count = len(start)
+    middle, reach = 0.5 * (start + end), 0.5 * (end - start)
+    ranges = np.array([(-1.0, 1.0), gamma, delta, (0.0, pi)])
+    center = np.concatenate([np.tile(ranges.mean(axis=1), (count, 1)), middle, reach], axis=1)
+    half = np.zeros_like(center)
+    half[:, :4] = 0.5 * np.ptp(ranges, axis=1)
+    half[np.all(reach == 0.0, axis=1), 0] = 0.0
+
+    def extent(boxes: Boxes) -> Extent:
+        place, stiffness, damping, theta, alpha, beta, along, up = boxes.center.T
+        walls = (alpha + place * along, beta + place * up)
+        still = np.zeros_like(place)
+        shift, by_gamma, by_delta, by_theta = boxes.half.T[:4]
+        by_place = (np.abs(along) * shift, np.abs(up) * shift)
+        return Extent(
+            Loops(*walls, stiffness, damping, np.full_like(place, delay), theta),
+            Loops(*by_place, by_gamma, by_delta, still, by_theta),
+            [
+                Loops(*by_place, still, still, still, still),
+                Loops(still, still, by_gamma, still, still, still),
+                Loops(still, still, still, by_delta, still, still),
+                Loops(still, still, still, still, still, by_theta),
+                *([Loops(still, still, still, still, still, still)] * 4),
+            ],
+        )
+
+    smallest = _SMALLEST * np.concatenate([np.ptp(ranges, axis=1), np.ones(4)])
+    paving = pave(Boxes(center, half), smallest, extent)
+    left = paving.boxes.center[:, 1:3]
+    if not len(left):
+        return left
+    extremes: Hands = left[[*np.argmin(left, axis=0), *np.argmax(left, axis=0)]]
+    return np.unique(extremes, axis=0)
+
+
+def _walls_and_hands(
+    walls: Points, hands: Hands
+) -> tuple[
+    Float64[np.ndarray, "points 1"],
+    Float64[np.ndarray, "points 1"],
+    Float64[np.ndarray, " hands"],
+    Float64[np.ndarray, " hands"],
+]:
+    return walls[:, :1], walls[:, 1:], hands[:, 0], hands[:, 1]

@@ -1,0 +1,1 @@
+"""A scene in SI units, and what it allows."""

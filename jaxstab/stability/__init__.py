@@ -1,5 +1,0 @@
-"""One point of the parameter space: poles, spectral radius and verdict."""
-
-from lazy_loader import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
