@@ -4,7 +4,7 @@ Standard library only, so that a reader of an atlas can use it without JAX.
 """
 
 from enum import IntEnum
-from typing import Final
+from typing import Final, Self
 
 AXES: Final = ("alpha", "beta", "gamma", "delta", "delay")
 """The dimensionless parameters (paper, Table I) in the order of signatures, axes and files."""
@@ -24,21 +24,28 @@ class Verdict(IntEnum):
     UNDECIDED = 3
 
 
-class RadiusStatus(IntEnum):
+class Status(IntEnum):
+    """How far an answer can be trusted, as a small integer and in words.
+
+    A member is written ``NAME = number, "words"``.
+    """
+
+    words: str
+
+    def __new__(cls, number: int, words: str) -> Self:
+        """Make a member of its number; the words go with it."""
+        member = int.__new__(cls, number)
+        member._value_ = number
+        member.words = words
+        return member
+
+
+class RadiusStatus(Status):
     """How far the error of a spectral radius can be trusted."""
 
-    NOT_COMPUTED = 0
-    PROVED = 1
-    NO_BOUND = 2
-
-    @property
-    def words(self) -> str:
-        """The status in words."""
-        return {
-            RadiusStatus.NOT_COMPUTED: "not computed",
-            RadiusStatus.PROVED: "the error bound is proved",
-            RadiusStatus.NO_BOUND: "no error bound could be proved: the error is infinite",
-        }[self]
+    NOT_COMPUTED = 0, "not computed"
+    PROVED = 1, "the error bound is proved"
+    NO_BOUND = 2, "no error bound could be proved: the error is infinite"
 
 
 NOT_COMPUTED: Final = Verdict.NOT_COMPUTED

@@ -1,4 +1,4 @@
-"""Unevaluated sums of two float64 numbers: about 31 decimal digits inside compiled JAX.
+"""Unevaluated sums of two float64 numbers: about 31 decimal digits, in NumPy and in compiled JAX.
 
 The plant coefficients and the coefficients of p(z) are sums that can cancel for any gains a user
 may choose; computed in pairs and rounded once, each is right to the last digit.
@@ -8,18 +8,18 @@ Popescu (2017). All operations are polynomial or one division, so JAX differenti
 """
 
 from dataclasses import dataclass
+from typing import Union
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+
+from jaxstab.arrays import Array, constant, is_jax, kept, namespace, pytree
 
 _UPPER_HALF = np.uint64(0xFFFFFFFFF8000000)  # sign, exponent and 26 bits of the significand
 _HALVES_UNDERFLOW = 1e-270  # below, products of halves are flushed to zero: rounded once instead
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@pytree
+@dataclass(frozen=True, slots=True)
 class DoubleDouble:
     """The number ``hi + lo`` with ``|lo| <= ulp(hi) / 2``.
 
@@ -31,15 +31,18 @@ class DoubleDouble:
     lo: Array
 
     @classmethod
-    def of(cls, value: "Array | float | DoubleDouble") -> "DoubleDouble":
+    def of(cls, value: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
         """Return a float64 array, a Python float or a pair, unchanged in value, as a pair."""
         if isinstance(value, DoubleDouble):
             return value
-        hi = jnp.asarray(value, jnp.float64)
-        return DoubleDouble(hi, jnp.zeros_like(hi))
+        xp = namespace(value)
+        hi = xp.asarray(value, xp.float64)
+        return DoubleDouble(hi, xp.zeros_like(hi))
 
-    def __add__(self, other: "Array | float | DoubleDouble") -> "DoubleDouble":
-        other = DoubleDouble.of(other)
+    def __add__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
+        if not isinstance(other, DoubleDouble):
+            high, high_error = two_sum(self.hi, other)
+            return DoubleDouble(*_quick_two_sum(high, high_error + self.lo))
         high, high_error = two_sum(self.hi, other.hi)
         low, low_error = two_sum(self.lo, other.lo)
         high, high_error = _quick_two_sum(high, high_error + low)
@@ -48,17 +51,19 @@ class DoubleDouble:
     def __neg__(self) -> "DoubleDouble":
         return DoubleDouble(-self.hi, -self.lo)
 
-    def __sub__(self, other: "Array | float | DoubleDouble") -> "DoubleDouble":
-        return self + (-DoubleDouble.of(other))
+    def __sub__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
+        return self + (-other)
 
-    def __mul__(self, other: "Array | float | DoubleDouble") -> "DoubleDouble":
-        other = DoubleDouble.of(other)
+    def __mul__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
+        if not isinstance(other, DoubleDouble):
+            high, error = two_product(self.hi, other)
+            return DoubleDouble(*_quick_two_sum(high, error + self.lo * other))
         high, error = two_product(self.hi, other.hi)
         return DoubleDouble(
             *_quick_two_sum(high, error + (self.hi * other.lo + self.lo * other.hi))
         )
 
-    def __truediv__(self, other: "Array | float | DoubleDouble") -> "DoubleDouble":
+    def __truediv__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
         other = DoubleDouble.of(other)
         first = self.hi / other.hi
         remainder = self - other * first
@@ -77,7 +82,7 @@ class DoubleDouble:
 
 def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
     """Return ``fl(a + b)`` and the rounding error of it, exactly (Knuth)."""
-    total = _kept(a + b)
+    total = kept(a + b)
     b_seen = total - a
     return total, (a - (total - b_seen)) + (b - b_seen)
 
@@ -89,27 +94,29 @@ def two_product(a: Array, b: Array) -> tuple[Array, Array]:
     sum to one fused operation as it likes: with exact products that changes nothing. A product
     below 1e-270 is only rounded.
     """
+    xp = namespace(a, b)
     a_high, a_low = _halves(a)
     b_high, b_low = _halves(b)
     middle, middle_error = two_sum(a_high * b_low, a_low * b_high)
     product, error = _quick_two_sum(a_high * b_high, middle)
     error = error + (middle_error + a_low * b_low)
-    underflows = jnp.abs(product) < _HALVES_UNDERFLOW
-    return jnp.where(underflows, a * b, product), jnp.where(underflows, 0.0, error)
+    underflows = abs(product) < _HALVES_UNDERFLOW
+    return xp.where(underflows, a * b, product), xp.where(underflows, 0.0, error)
 
 
 def _quick_two_sum(a: Array, b: Array) -> tuple[Array, Array]:
-    total = _kept(a + b)
+    total = kept(a + b)
     return total, b - (total - a)
 
 
 def _halves(a: Array) -> tuple[Array, Array]:
-    bits = lax.bitcast_convert_type(lax.stop_gradient(a), jnp.uint64)
-    high = lax.bitcast_convert_type(bits & _UPPER_HALF, jnp.float64)
+    bits: Array
+    if is_jax(a):
+        from jax import lax
+
+        bits = lax.bitcast_convert_type(constant(a), np.uint64) & _UPPER_HALF
+        high = lax.bitcast_convert_type(bits, np.float64)
+    else:
+        bits = np.asarray(a, np.float64).view(np.uint64)
+        high = (bits & _UPPER_HALF).view(np.float64)
     return high, a - high
-
-
-def _kept(rounded: Array) -> Array:
-    # Without the barrier XLA rewrites (c + x) - c as x for a constant c: no error term is left.
-    kept: Array = lax.optimization_barrier(rounded)
-    return kept

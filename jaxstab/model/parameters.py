@@ -1,21 +1,21 @@
 """The five dimensionless parameters (Table I): where they come from, what is allowed for them."""
 
+import sys
 from dataclasses import dataclass, fields
-from math import isfinite, ulp
-from numbers import Real
+from math import ulp
 from typing import TypeVar
 
-import jax
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float64
+
+from jaxstab.arrays import Numbers, is_jax, is_traced
+from jaxstab.numbers import checked, checked_number
 
 GAMMA_LIMIT = 1e4
 DELTA_LIMIT = 1e3
 GAIN_LIMIT = 1e150
 
-Values = TypeVar("Values", float, Array, np.ndarray[tuple[int, ...], np.dtype[np.float64]])
+Values = TypeVar("Values", bound=Numbers)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +48,8 @@ class HapticLoop:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            positive = field.name in ("device_mass", "sample_time")
-            _check_number(field.name, getattr(self, field.name), positive=positive)
+            is_positive = field.name in ("device_mass", "sample_time")
+            checked_number(field.name, getattr(self, field.name), 0.0, is_open=is_positive)
 
     @property
     def mass(self) -> float:
@@ -90,68 +90,44 @@ class HapticLoop:
         return beta * (self.mass / self.sample_time)
 
 
-def require_x64() -> None:
-    """Refuse to compute while JAX is in its default single precision.
+def require_x64(*values: Numbers) -> None:
+    """Refuse to compute with JAX arrays while JAX is in its default single precision.
 
     Raises:
-        RuntimeError: x64 mode is off.
+        RuntimeError: one of the values is a JAX array or a tracer, and x64 mode is off.
     """
-    if not jax.config.read("jax_enable_x64"):
+    if any(map(is_jax, values)) and not sys.modules["jax"].config.read("jax_enable_x64"):
         raise RuntimeError(
             "jaxstab computes in float64, but JAX's x64 mode is off: call "
             'jax.config.update("jax_enable_x64", True) before the first computation.'
         )
 
 
-def checked_gain(name: str, value: ArrayLike) -> ArrayLike:
+def checked_gain(name: str, value: Numbers) -> Numbers:
     """Return a wall gain alpha or beta; raise ValueError for a concrete one beyond +-1e150."""
-    return _checked(name, value, -GAIN_LIMIT, GAIN_LIMIT)
+    return checked(name, value, -GAIN_LIMIT, GAIN_LIMIT)
 
 
-def checked_gamma(gamma: ArrayLike) -> ArrayLike:
+def checked_gamma(gamma: Numbers) -> Numbers:
     """Return gamma; raise ValueError for a concrete one outside [0, 1e4]."""
-    return _checked("gamma", gamma, 0.0, GAMMA_LIMIT)
+    return checked("gamma", gamma, 0.0, GAMMA_LIMIT)
 
 
-def checked_delta(delta: ArrayLike) -> ArrayLike:
+def checked_delta(delta: Numbers) -> Numbers:
     """Return delta; raise ValueError for a concrete one outside [0, 1e3]."""
-    return _checked("delta", delta, 0.0, DELTA_LIMIT)
+    return checked("delta", delta, 0.0, DELTA_LIMIT)
 
 
-def checked_delay(delay: ArrayLike) -> Float64[np.ndarray, "*grid"]:
+def checked_delay(delay: Numbers) -> Float64[np.ndarray, "*grid"]:
     """Return the delay in samples as a NumPy array, for it decides the degree of p(z).
 
     Raises:
         TypeError: the delay is traced by jit, vmap or grad.
         ValueError: a delay is negative, infinite or NaN.
     """
-    if isinstance(delay, jax.core.Tracer):
+    if is_traced(delay):
         raise TypeError(
             "delay must be a concrete number because it sets the degree of p(z); close over it or "
             "mark it static instead of tracing it."
         )
-    return np.asarray(_checked("delay", np.asarray(delay, np.float64), 0.0, np.inf), np.float64)
-
-
-def _checked(name: str, value: ArrayLike, lower: float, upper: float) -> ArrayLike:
-    if isinstance(value, jax.core.Tracer):
-        return value
-    numbers = np.asarray(value)
-    if numbers.dtype.kind not in "iuf":
-        raise TypeError(f"{name} is {value!r}; give real numbers.")
-    wrong = ~((numbers >= lower) & (numbers <= upper) & np.isfinite(numbers))
-    if np.any(wrong):
-        culprit = float(numbers[wrong].flat[0])
-        raise ValueError(
-            f"{name} is {culprit}; allowed are finite values from {lower:g} to {upper:g}."
-        )
-    return value
-
-
-def _check_number(name: str, value: object, *, positive: bool) -> None:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} is {value!r}; give a real number in SI units.")
-    allowed = "> 0" if positive else ">= 0"
-    number = float(value)
-    if not isfinite(number) or number < 0.0 or (positive and number == 0.0):
-        raise ValueError(f"{name} is {value}; give a finite number {allowed} in SI units.")
+    return np.asarray(checked("delay", delay, 0.0), np.float64)

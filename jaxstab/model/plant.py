@@ -20,18 +20,16 @@ keep their relative accuracy even at gamma = (2 pi)^2, delta = 0, where N(z) van
 """
 
 from fractions import Fraction
-from functools import partial
+from functools import lru_cache, partial
 from math import factorial
 from operator import itemgetter
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
-from jax.typing import ArrayLike
 from jaxtyping import Float64
 
+from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, repeat, tree_map
+from jaxstab.batches import compiled
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma, require_x64
 
@@ -42,6 +40,8 @@ from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma
 _ACCURATE_GAMMA, _ACCURATE_DELTA = 40.0, 10.0
 _CANCELLING_GAMMA = 36.0  # up to _ACCURATE_DELTA
 _ERROR, _STIFF_ERROR, _DAMPED_ERROR = 2.0**-97, 2.0**-66, 2.0**-56
+
+_MANY = 1 << 14  # plants that are worth the two seconds that XLA takes to compile
 
 _DUPLICATIONS = 10
 _TERMS = 10
@@ -78,9 +78,7 @@ class PlantPairs(NamedTuple):
     den_at_one: DoubleDouble
 
 
-def plant_coefficients(
-    gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike = 0.0
-) -> PlantCoefficients:
+def plant_coefficients(gamma: Numbers, delta: Numbers, delay: Numbers = 0.0) -> PlantCoefficients:
     """Discretise mass, spring and damper behind a zero-order hold and the fraction of a delay.
 
     Args:
@@ -97,21 +95,19 @@ def plant_coefficients(
 
     Raises:
         ValueError: a concrete gamma, delta or delay is outside its range or NaN.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eqs. (2)-(6) and (9) of Hulin, Preusche, Hirzinger (2008), rewritten; for a fractional
     delay the modified z-transform.
     """
-    require_x64()
+    require_x64(gamma, delta)
     delay = checked_delay(delay)
     fraction = delay - np.floor(delay)
     pairs = plant_pairs(checked_gamma(gamma), checked_delta(delta), fraction)
     return PlantCoefficients(*(pair.rounded() for pair in pairs))
 
 
-def plant_transition(
-    gamma: ArrayLike, delta: ArrayLike, time: ArrayLike
-) -> Float64[Array, "*grid 2 3"]:
+def plant_transition(gamma: Numbers, delta: Numbers, time: Numbers) -> Float64[Array, "*grid 2 3"]:
     """Return how the plant moves while a force is held for a time of at most one sample.
 
     Position and velocity (rows) at the end, for a unit of position, of velocity and of force
@@ -124,18 +120,17 @@ def plant_transition(
 
     Raises:
         ValueError: a concrete gamma or delta is outside its range or NaN.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eqs. (1)-(3) of Hulin, Preusche, Hirzinger (2008).
     """
-    require_x64()
+    require_x64(gamma, delta, time)
     values = (checked_gamma(gamma), checked_delta(delta), time)
-    arrays = (jnp.asarray(value, jnp.float64) for value in values)
-    transition: Array = _plant_transition(*jnp.broadcast_arrays(*arrays))
-    return transition
+    arrays = float_arrays(*values)
+    return _plant_transition(*namespace(arrays).broadcast_arrays(*arrays))
 
 
-@jax.jit
+@compiled(many=_MANY)
 def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
     length = DoubleDouble.of(time)
     hold = _hold(gamma, delta, length)
@@ -146,51 +141,60 @@ def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
         (even + lag, odd, hold.response()),
         (-(odd * gamma), even - lag, odd),
     )
-    return jnp.stack([jnp.stack([x.rounded() for x in row], axis=-1) for row in rows], axis=-2)
+    xp = namespace(odd)
+    return xp.stack([xp.stack([x.rounded() for x in row], axis=-1) for row in rows], axis=-2)
 
 
-def plant_pairs(gamma: ArrayLike, delta: ArrayLike, fraction: ArrayLike) -> PlantPairs:
+def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs:
     """Return the plant coefficients as double-double pairs, for sums that may still cancel.
 
     A concrete ``fraction`` (of the delay, in [0, 1)) that is zero throughout costs a third.
     """
-    whole = not isinstance(fraction, jax.core.Tracer) and not np.any(fraction)
-    arrays = (jnp.asarray(value, jnp.float64) for value in (gamma, delta, fraction))
-    pairs: PlantPairs
-    pairs = _plant_pairs(*jnp.broadcast_arrays(*arrays), whole=whole)
-    return pairs
+    values = float_arrays(gamma, delta, fraction)
+    values = namespace(values).broadcast_arrays(*values)
+    whole = not is_traced(fraction) and not np.any(fraction)
+    if namespace(values) is np and values[0].ndim == 0:
+        return _one_plant(*map(float, values), whole=whole)
+    return _plant_pairs(*values, whole=whole)
 
 
-def pairs_error(gamma: ArrayLike, delta: ArrayLike) -> Array:
+@lru_cache(maxsize=256)
+def _one_plant(gamma: float, delta: float, fraction: float, *, whole: bool) -> PlantPairs:
+    """Remember plants of single loops: one is asked about many walls."""
+    return _plant_pairs(*map(np.float64, (gamma, delta, fraction)), whole=whole)
+
+
+def pairs_error(gamma: Numbers, delta: Numbers) -> Array:
     """Return a bound of the error of plant_pairs, in D and relative to the size of N."""
-    soft_error = jnp.where(jnp.asarray(gamma) <= _ACCURATE_GAMMA, _ERROR, _STIFF_ERROR)
-    return jnp.where(jnp.asarray(delta) <= _ACCURATE_DELTA, soft_error, _DAMPED_ERROR)
+    xp = namespace(gamma, delta)
+    soft_error = xp.where(xp.asarray(gamma) <= _ACCURATE_GAMMA, _ERROR, _STIFF_ERROR)
+    return xp.where(xp.asarray(delta) <= _ACCURATE_DELTA, soft_error, _DAMPED_ERROR)
 
 
-def may_cancel(gamma: ArrayLike, delta: ArrayLike) -> Array:
+def may_cancel(gamma: Numbers, delta: Numbers) -> Array:
     """Return True where N may nearly vanish: its size is the root of its coefficients' sum then."""
-    return (jnp.asarray(gamma) > _CANCELLING_GAMMA) & (jnp.asarray(delta) <= _ACCURATE_DELTA)
+    xp = namespace(gamma, delta)
+    return (xp.asarray(gamma) > _CANCELLING_GAMMA) & (xp.asarray(delta) <= _ACCURATE_DELTA)
 
 
-@partial(jax.jit, static_argnames="whole")
+@compiled(static=["whole"], many=_MANY)
 def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) -> PlantPairs:
-    full = DoubleDouble.of(jnp.ones_like(fraction))
+    xp = namespace(gamma, delta, fraction)
+    full = DoubleDouble.of(xp.ones_like(fraction))
     if whole:
         step = _hold(gamma, delta, full)
-        n2, n0 = step.response(), DoubleDouble.of(jnp.zeros_like(fraction))
+        n2, n0 = step.response(), DoubleDouble.of(xp.zeros_like(fraction))
     else:
-        lengths = jax.tree.map(
-            lambda *t: jnp.stack(t), full, full - fraction, DoubleDouble.of(fraction)
-        )
+        lengths = tree_map(lambda *t: xp.stack(t), full, full - fraction, DoubleDouble.of(fraction))
         holds = _hold(gamma, delta, lengths)  # one batch: three times less to compile
-        step, after, before = (jax.tree.map(itemgetter(part), holds) for part in range(3))
+        step, after, before = (tree_map(itemgetter(part), holds) for part in range(3))
         n2, n0 = after.response(), after.decay * after.decay * before.reversed_response()
     d1 = (step.decay * step.kappa).scaled(-2.0)
     d0 = step.decay * step.decay
     total = (step.decay * step.even).scaled(2.0)
     odd = (step.decay * step.odd).scaled(2.0)
     at_minus_one = (n2 + n0).scaled(2.0) - total
-    difference = jax.tree.map(partial(jnp.where, fraction == 0.0), odd, at_minus_one)
+    difference = tree_map(partial(xp.where, fraction == 0.0), odd, at_minus_one)
     n1 = total - n2 - n0
     return PlantPairs(d1, d0, n2, n1, n0, total, difference, total * gamma)
 
@@ -220,8 +224,8 @@ def _hold(gamma: Array, delta: Array, length: DoubleDouble) -> _Hold:
     y = x - length * length * gamma
     x, y = x.scaled(4.0**-_DUPLICATIONS), y.scaled(4.0**-_DUPLICATIONS)
     nodes = _Nodes(x, y, kappa=_series(_KAPPA, x, y), sigma=_series(_SIGMA, x, y))
-    nodes = lax.fori_loop(0, _DUPLICATIONS, lambda _, state: _duplicate(state), nodes)
-    decay = DoubleDouble.of(jnp.ones_like(x.hi)) / (nodes.kappa.x + a * nodes.sigma.x)
+    nodes = repeat(_DUPLICATIONS, _duplicate, nodes)
+    decay = DoubleDouble.of(namespace(x).ones_like(x.hi)) / (nodes.kappa.x + a * nodes.sigma.x)
     return _Hold(length, decay, nodes.kappa.y, nodes.sigma.y, nodes.kappa.xy, a * nodes.sigma.xy)
 
 
@@ -263,16 +267,16 @@ _SIGMA = tuple(Fraction(1, factorial(2 * k + 1)) for k in range(_TERMS))
 
 def _series(coefficients: tuple[Fraction, ...], x: DoubleDouble, y: DoubleDouble) -> _Values:
     """Evaluate a Taylor series at x and y and its divided difference by Horner's rule."""
-    zero = jnp.zeros_like(x.hi)
+    zero = namespace(x).zeros_like(x.hi)
     at_x, at_y, between = zero, zero, zero
     for coefficient in reversed(coefficients[_PAIR_TERMS:]):
         between = at_x + y.hi * between
         at_x, at_y = float(coefficient) + x.hi * at_x, float(coefficient) + y.hi * at_y
     values = _Values(*map(DoubleDouble.of, (at_x, at_y, between)))
-    for coefficient in reversed(coefficients[:_PAIR_TERMS]):
+    for pair in map(_pair, reversed(coefficients[:_PAIR_TERMS])):
         values = _Values(
-            x=x * values.x + _pair(coefficient),
-            y=y * values.y + _pair(coefficient),
+            x=x * values.x + pair,
+            y=y * values.y + pair,
             xy=y * values.xy + values.x,
         )
     return values
@@ -280,4 +284,4 @@ def _series(coefficients: tuple[Fraction, ...], x: DoubleDouble, y: DoubleDouble
 
 def _pair(number: Fraction) -> DoubleDouble:
     hi = float(number)
-    return DoubleDouble(jnp.asarray(hi), jnp.asarray(float(number - Fraction(hi))))
+    return DoubleDouble(hi, float(number - Fraction(hi)))

@@ -2,13 +2,11 @@
 
 from functools import partial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float64
 
+from jaxstab.arrays import Array, Numbers, float_arrays, namespace, tree_map
+from jaxstab.batches import compiled
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import (
     checked_delay,
@@ -19,8 +17,10 @@ from jaxstab.model.parameters import (
 )
 from jaxstab.model.plant import PlantPairs, plant_pairs
 
+_MANY = 1 << 15  # polynomials that are worth compiling for
 
-def polynomial_degree(delay: ArrayLike) -> int:
+
+def polynomial_degree(delay: Numbers) -> int:
     """Return the degree of p(z), of its longest one for an array of delays.
 
     It is 3 + d for a whole delay and 4 + floor(d) for a fractional one.
@@ -35,7 +35,7 @@ def polynomial_degree(delay: ArrayLike) -> int:
 
 
 def characteristic_polynomial(
-    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
+    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> Float64[Array, "*grid coefficient"]:
     """Return the coefficients of p(z), monic, highest power first.
 
@@ -61,25 +61,20 @@ def characteristic_polynomial(
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
         TypeError: the delay is traced.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) divided by -2 c1 gamma.
     """
-    require_x64()
+    require_x64(alpha, beta, gamma, delta)
     delay = checked_delay(delay)
     whole_part = np.floor(delay)
     plant = plant_pairs(checked_gamma(gamma), checked_delta(delta), delay - whole_part)
-    coefficients: Array = _polynomial(
-        jnp.asarray(checked_gain("alpha", alpha), jnp.float64),
-        jnp.asarray(checked_gain("beta", beta), jnp.float64),
-        plant,
-        jnp.asarray(whole_part),
-        degree=polynomial_degree(delay),
-    )
-    return coefficients
+    gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
+    degree = polynomial_degree(delay)
+    return _polynomial(gains[0], gains[1], plant, whole_part, degree=degree)
 
 
-def companion_matrix(coefficients: ArrayLike) -> Float64[Array, "*grid degree degree"]:
+def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degree"]:
     """Return the companion matrix of monic polynomials: its eigenvalues are their roots.
 
     Args:
@@ -91,22 +86,25 @@ def companion_matrix(coefficients: ArrayLike) -> Float64[Array, "*grid degree de
 
     Raises:
         ValueError: fewer than two coefficients.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: theorem 3.3.14 of Horn and Johnson, Matrix Analysis, in the layout of numpy.roots.
     """
-    require_x64()
-    coefficients = jnp.asarray(coefficients, jnp.float64)
+    require_x64(coefficients)
+    xp = namespace(coefficients)
+    coefficients = xp.asarray(coefficients, xp.float64)
     degree = coefficients.shape[-1] - 1 if coefficients.ndim else 0
     if degree < 1:
         raise ValueError(
             f"coefficients has shape {coefficients.shape}; give at least two on the last axis."
         )
-    shifted = jnp.broadcast_to(jnp.eye(degree, k=-1), (*coefficients.shape[:-1], degree, degree))
-    return shifted.at[..., 0, :].set(-coefficients[..., 1:])
+    below = xp.broadcast_to(
+        xp.eye(degree - 1, degree), (*coefficients.shape[:-1], degree - 1, degree)
+    )
+    return xp.concatenate([-coefficients[..., None, 1:], below], axis=-2)
 
 
-@partial(jax.jit, static_argnames="degree")
+@compiled(static=["degree"], many=_MANY)
 def _polynomial(
     alpha: Array,
     beta: Array,
@@ -116,17 +114,18 @@ def _polynomial(
     degree: int,
 ) -> Array:
     wall = _times_wall(alpha, beta, plant)
-    one = DoubleDouble.of(jnp.ones_like(plant.d0.hi))
+    xp = namespace(alpha, beta, plant)
+    one = DoubleDouble.of(xp.ones_like(plant.d0.hi))
     denominator = (one, plant.d1, plant.d0)
-    grid = jnp.broadcast_shapes(wall[0].hi.shape, whole_delay.shape)
+    grid = xp.broadcast_shapes(wall[0].hi.shape, whole_delay.shape)
     columns = []
     for power in range(degree + 1):
         place = power - 1 - whole_delay  # the wall acts a sample after the hold and the delay
         column = _chosen(place, wall)
         if power < len(denominator):
             column = column + denominator[power]
-        columns.append(jnp.broadcast_to(column.rounded(), grid))
-    return jnp.stack(columns, axis=-1)
+        columns.append(xp.broadcast_to(column.rounded(), grid))
+    return xp.stack(columns, axis=-1)
 
 
 def _times_wall(alpha: Array, beta: Array, plant: PlantPairs) -> tuple[DoubleDouble, ...]:
@@ -148,5 +147,5 @@ def _chosen(place: Array, values: tuple[DoubleDouble, ...]) -> DoubleDouble:
     chosen = DoubleDouble.of(0.0)
     for index, value in enumerate(values):
         here = place == index
-        chosen = jax.tree.map(partial(jnp.where, here), value, chosen)
+        chosen = tree_map(partial(namespace(here, value).where, here), value, chosen)
     return chosen

@@ -1,0 +1,141 @@
+"""The two array namespaces that kernels are written for: NumPy and ``jax.numpy``.
+
+What is asked once is answered by NumPy and never waits for a compiler, nor for the import of JAX;
+the many, and all that is traced, go through XLA. A kernel is written once: it takes its namespace
+from its arguments (``xp = namespace(alpha)``), and its loops from here, for a compiled loop is
+spelled unlike a Python loop.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+
+Array: TypeAlias = Any
+"""A NumPy array, a JAX array or a tracer; ``Float64[Array, "*grid"]`` checks shape and dtype."""
+
+Numbers: TypeAlias = Any
+"""What a public function takes for an array: a number, a list, a NumPy or JAX array, a tracer."""
+
+Tree = TypeVar("Tree")
+Class = TypeVar("Class", bound=type)
+
+_unregistered: list[type] = []
+
+
+def is_jax(value: object) -> bool:
+    """Return whether a value is a JAX array or a tracer; JAX is not imported for the question."""
+    jax = sys.modules.get("jax")
+    return hasattr(jax, "Array") and isinstance(value, jax.Array)  # type: ignore[union-attr]
+
+
+def is_traced(value: object) -> bool:
+    """Return whether a value is known to JAX's transformations alone (jit, vmap, grad)."""
+    return is_jax(value) and isinstance(value, sys.modules["jax"].core.Tracer)
+
+
+def namespace(*values: object) -> Any:
+    """Return ``jax.numpy`` if a leaf of the values is a JAX array or a tracer, else ``numpy``."""
+    if "jax" in sys.modules and any(is_jax(leaf) for value in values for leaf in leaves(value)):
+        _register()
+        import jax.numpy
+
+        return jax.numpy
+    return np
+
+
+def float_arrays(*values: Numbers) -> list[Array]:
+    """Return numbers as float64 arrays of one namespace."""
+    xp = namespace(values)
+    return [xp.asarray(value, xp.float64) for value in values]
+
+
+def leaves(tree: object) -> Iterator[Any]:
+    """Yield the arrays and numbers of nested tuples, lists, dicts and pytree dataclasses."""
+    if isinstance(tree, tuple | list):
+        for part in tree:
+            yield from leaves(part)
+    elif isinstance(tree, dict):
+        for part in tree.values():
+            yield from leaves(part)
+    elif is_dataclass(tree) and not isinstance(tree, type):
+        for field in fields(tree):
+            yield from leaves(getattr(tree, field.name))
+    elif tree is not None:
+        yield tree
+
+
+def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
+    """Return a tree like the first, its leaves those of ``function`` on the leaves of all."""
+    result: Any
+    if isinstance(tree, tuple | list):
+        parts = [tree_map(function, *part) for part in zip(tree, *others, strict=True)]
+        result = type(tree)(*parts) if hasattr(tree, "_fields") else type(tree)(parts)
+    elif is_dataclass(tree) and not isinstance(tree, type):
+        names = [field.name for field in fields(tree)]
+        columns = ([getattr(each, name) for each in (tree, *others)] for name in names)
+        result = type(tree)(*(tree_map(function, *column) for column in columns))
+    else:
+        result = None if tree is None else function(tree, *others)
+    return result
+
+
+def pytree(cls: Class) -> Class:
+    """Make a dataclass one that JAX maps over. JAX, if not loaded yet, is told when it is used."""
+    _unregistered.append(cls)
+    if "jax" in sys.modules:
+        _register()
+    return cls
+
+
+def _register() -> None:
+    import jax
+
+    while _unregistered:
+        jax.tree_util.register_dataclass(_unregistered.pop())
+
+
+def kept(rounded: Array) -> Array:
+    """Return a number as it was rounded: XLA must not rewrite what was computed before."""
+    if not is_jax(rounded):
+        return rounded
+    from jax import lax
+
+    return lax.optimization_barrier(rounded)
+
+
+def constant(tree: Tree) -> Tree:
+    """Return the values without their derivatives."""
+    if namespace(tree) is np:
+        return tree
+    from jax import lax
+
+    return lax.stop_gradient(tree)
+
+
+def repeat(count: int | Array, step: Callable[[Tree], Tree], start: Tree) -> Tree:
+    """Apply a step a number of times; in JAX one compiled loop, the number traced or not."""
+    if namespace(count, start) is np:
+        for _ in range(int(count)):
+            start = step(start)
+        return start
+    from jax import lax
+
+    result: Tree = lax.fori_loop(0, count, lambda _, state: step(state), start)
+    return result
+
+
+def repeat_while(
+    is_open: Callable[[Tree], Array], step: Callable[[Tree], Tree], start: Tree
+) -> Tree:
+    """Apply a step as long as a condition of the state holds; in JAX one compiled loop."""
+    if namespace(start) is np:
+        while is_open(start):
+            start = step(start)
+        return start
+    from jax import lax
+
+    result: Tree = lax.while_loop(is_open, step, start)
+    return result

@@ -1,0 +1,110 @@
+"""The one checker of numbers that users give: what is wrong is said in one sentence.
+
+The sentence has the name, the value and what is allowed. Tracers pass: their values are not known.
+"""
+
+from collections.abc import Mapping
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from jaxstab.arrays import Numbers, is_jax, is_traced
+
+
+def checked(
+    name: str,
+    value: Numbers,
+    low: int | float = -inf,
+    high: int | float = inf,
+    *,
+    is_open: bool = False,
+    unit: str = "",
+) -> Numbers:
+    """Return real, finite numbers in [low, high] as float64, in NumPy unless JAX gave them.
+
+    Args:
+        name: what the sentence calls the value.
+        value: a number or an array of any shape.
+        low: the least allowed value.
+        high: the largest allowed value.
+        is_open: whether ``low`` itself is refused.
+        unit: of the limits, for the sentence.
+
+    Raises:
+        TypeError: the value is not made of real numbers.
+        ValueError: a number is outside the range, infinite or NaN.
+    """
+    if is_traced(value):
+        return value
+    try:
+        numbers = np.asarray(value)
+    except ValueError as error:  # rows of different lengths
+        raise TypeError(f"{name} is {value!r}; give real numbers.") from error
+    if numbers.dtype.kind not in "iuf":
+        raise TypeError(f"{name} is {value!r}; give real numbers.")
+    floats = numbers.astype(np.float64)
+    too_low = floats <= low if is_open else floats < low
+    wrong = too_low | (floats > high) | ~np.isfinite(floats)
+    if np.any(wrong):
+        culprit = float(floats[wrong].flat[0])
+        allowed = _allowed(low, high, is_open, unit)
+        raise ValueError(f"{name} is {culprit}; allowed are finite values{allowed}.")
+    return value if is_jax(value) else floats
+
+
+def checked_number(
+    name: str,
+    value: Any,
+    low: int | float = -inf,
+    high: int | float = inf,
+    *,
+    is_open: bool = False,
+    unit: str = "",
+) -> float:
+    """Return one real, finite number in [low, high] as a Python float; see ``checked``.
+
+    Raises:
+        TypeError: the value is not one real number, or it is traced.
+        ValueError: the number is outside the range, infinite or NaN.
+    """
+    if is_traced(value):
+        raise TypeError(f"{name} is traced; give a concrete number, outside of jit, vmap and grad.")
+    numbers = checked(name, value, low, high, is_open=is_open, unit=unit)
+    if np.size(numbers) != 1:
+        raise TypeError(f"{name} has shape {np.shape(numbers)}; give a single number.")
+    return float(np.asarray(numbers).item())
+
+
+def checked_count(name: str, value: Any, least: int, most: int | float = inf) -> int:
+    """Return a whole number in [least, most].
+
+    Raises:
+        TypeError: the value is not a whole number (True and 3.0 are not).
+        ValueError: it is outside the range.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{name} is {value!r}; give a whole number.")
+    if not least <= value <= most:
+        given = f">= {least}" if most == inf else f"from {least} to {most:g}"
+        raise ValueError(f"{name} is {value}; give a whole number {given}.")
+    return int(value)
+
+
+def checked_word(name: str, value: Any, allowed: Mapping[str, Any] | tuple[str, ...]) -> str:
+    """Return one of some words.
+
+    Raises:
+        ValueError: it is none of them.
+    """
+    if value not in tuple(allowed):
+        words = ", ".join(f'"{word}"' for word in allowed)
+        raise ValueError(f"{name} is {value!r}; give one of {words}.")
+    return str(value)
+
+
+def _allowed(low: int | float, high: int | float, is_open: bool, unit: str) -> str:
+    of_unit = f" {unit}" if unit else ""
+    if high == inf:
+        return "" if low == -inf else f" {'>' if is_open else '>='} {low:g}{of_unit}"
+    return f" {'above' if is_open else 'from'} {low:g} to {high:g}{of_unit}"
