@@ -4,7 +4,7 @@ Standard library only, so that a reader of an atlas can use it without JAX.
 """
 
 from enum import IntEnum
-from typing import Final, Self
+from typing import Final
 
 AXES: Final = ("alpha", "beta", "gamma", "delta", "delay")
 """The dimensionless parameters (paper, Table I) in the order of signatures, axes and files."""
@@ -32,7 +32,7 @@ class Status(IntEnum):
 
     words: str
 
-    def __new__(cls, number: int, words: str) -> Self:
+    def __new__(cls, number: int, words: str) -> "Status":
         """Make a member of its number; the words go with it."""
         member = int.__new__(cls, number)
         member._value_ = number

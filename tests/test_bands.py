@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import truth
 
-from jaxstab import STABLE, boundary_curve, verdict
-from jaxstab.boxes.columns import StableColumns, stable_columns
+from jaxstab import STABLE, UNDECIDED, UNSTABLE, boundary_curve, verdict
+from jaxstab.boxes.columns import StableColumns, column_gaps, stable_columns
 from jaxstab.boxes.enclosure import Domain, curve_patches
 from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.plant import HandBoxes, plant_models
@@ -80,6 +80,42 @@ def test_what_is_said_of_a_column_is_true_of_every_point(
     for k in rng.choice(np.flatnonzero(is_stable | is_unstable), 8):
         unstable = truth.unstable_count(*(float(v[k]) for v in (alpha, beta, gamma, delta)), delay)
         assert is_stable[k] == (unstable == 0)
+
+
+@pytest.mark.parametrize("edges", ["even", "uneven"])
+@pytest.mark.parametrize(("delay", "first", "width", "domain"), SCENES)
+def test_what_is_said_of_a_gap_is_true_of_every_point(
+    delay: float,
+    first: tuple[float, float],
+    width: tuple[float, float],
+    domain: Domain,
+    edges: str,
+    rng: np.random.Generator,
+) -> None:
+    """At random points of gaps and close to their ends, on the edges of columns and within."""
+    hands = boxes(first, width)
+    beta = np.linspace(*domain.beta, CELLS + 1)
+    if edges == "uneven":
+        beta[1:-1] = np.sort(rng.uniform(*domain.beta, CELLS - 1))
+    gaps = column_gaps(beta, hands, delay, domain)
+    is_gap = (gaps.low < gaps.high) & np.isin(gaps.verdict, (STABLE, UNSTABLE))
+    assert {STABLE, UNSTABLE} <= set(gaps.verdict[is_gap].tolist())
+    some = rng.choice(np.argwhere(is_gap), 2**12)
+    low, high, code = (part[tuple(some.T)] for part in gaps)
+    share = rng.choice([1e-9, 1e-6, 0.5, 1 - 1e-6, 1 - 1e-9], len(some))
+    alpha = np.clip(low + share * (high - low), np.nextafter(low, high), np.nextafter(high, low))
+    box, cell, _ = some.T
+    at = beta[cell] + rng.choice([0.0, 0.3, 0.7, 1.0], len(some)) * np.diff(beta)[cell]
+    within = rng.choice([-1.0, 1.0, 0.2], (2, len(some))) / (1 + 1e-9)
+    gamma = np.maximum(hands.gamma[box] + within[0] * hands.half_gamma[box], 0.0)
+    delta = np.maximum(hands.delta[box] + within[1] * hands.half_delta[box], 0.0)
+    exact = np.asarray(verdict(alpha, at, gamma, delta, delay, resolve="exact"))
+    assert not np.any((exact != code) & (exact != UNDECIDED))
+    widths = np.where(
+        is_gap, np.clip(gaps.high, *domain.alpha) - np.clip(gaps.low, *domain.alpha), 0
+    )
+    share = np.average(widths.sum(axis=2), weights=np.tile(np.diff(beta), (4, 1)))
+    assert share > 0.6 * np.ptp(domain.alpha)
 
 
 def test_the_haptic_range_leaves_less_than_a_thousandth_undecided(rng: np.random.Generator) -> None:

@@ -43,6 +43,23 @@ class StableColumns(NamedTuple):
     upper: Float64[np.ndarray, "box beta_cell 5"]
 
 
+class ColumnGaps(NamedTuple):
+    """Open intervals of alpha in which no root crosses the unit circle anywhere in a column.
+
+    Each has one verdict for all beta, gamma and delta of its closed column. A column has fewer gaps
+    than there is room for where ``low < high`` does not hold.
+
+    Attributes:
+        low: lower ends, shape (box, beta cell, gap), from below.
+        high: upper ends, of the same shape.
+        verdict: codes of ``jaxstab.Verdict``, of the same shape.
+    """
+
+    low: Float64[np.ndarray, "box beta_cell gap"]
+    high: Float64[np.ndarray, "box beta_cell gap"]
+    verdict: Int8[np.ndarray, "box beta_cell gap"]
+
+
 class _Columns(NamedTuple):
     """Boxes of (beta, gamma, delta); corners are deviations from the centre, (8, column, 3)."""
 
@@ -80,7 +97,7 @@ def stable_columns(
     """Return which alphas of a domain are proved stable in each column.
 
     Args:
-        beta: edges of the cells along beta, even and ascending.
+        beta: edges of the cells along beta, ascending.
         hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples.
         domain: of alpha and beta.
@@ -94,18 +111,54 @@ def stable_columns(
     """
     require_x64()
     columns = _columns(beta, hands)
-    height = domain.alpha[1] - domain.alpha[0]
-    margin = _MARGIN * height
-    wide = Domain((domain.alpha[0] - margin, domain.alpha[1] + margin), domain.beta)
-    cell = (beta[-1] - beta[0]) / (beta.size - 1)
-    width = (height / _PATCHES_PER_DOMAIN, cell / _PATCHES_PER_CELL)
-    patches = curve_patches(hands, delay, wide, width)
-    lines = _line_bands(columns, hands, delay, wide, beta.size - 1)
-    bands = _merged(_joined(_curve_bands(patches, columns, beta, height), lines), columns)
-    codes = _gap_verdicts(bands, columns, delay, domain, wide)
+    bands = _bands(beta, columns, hands, delay, domain)
+    codes = _gap_verdicts(bands, columns, delay, domain)
     lower, upper = _limits(bands, codes, columns, domain)
     shape = (hands.gamma.size, beta.size - 1, len(TERMS))
     return StableColumns(lower.reshape(shape), upper.reshape(shape))
+
+
+def column_gaps(
+    beta: Float64[np.ndarray, " edge"], hands: HandBoxes, delay: float, domain: Domain
+) -> ColumnGaps:
+    """Return what is proved of each column of a domain, gap by gap.
+
+    Args, errors and source: as ``stable_columns``.
+    """
+    require_x64()
+    columns = _columns(beta, hands)
+    bands = _bands(beta, columns, hands, delay, domain)
+    codes = _gap_verdicts(bands, columns, delay, domain)
+    terms = np.sum(np.abs(bands.slope * columns.centre[:, None]), axis=-1)
+    error = bands.error + _ROUNDING * (np.abs(bands.centre) + 2.0 * terms)
+    low, high = _gaps(*bands._replace(error=error).ends(columns), _widened(domain))
+    shape = (hands.gamma.size, beta.size - 1, codes.shape[1])
+    return ColumnGaps(
+        low.max(axis=0).reshape(shape), high.min(axis=0).reshape(shape), codes.reshape(shape)
+    )
+
+
+def _bands(
+    beta: Float64[np.ndarray, " edge"],
+    columns: _Columns,
+    hands: HandBoxes,
+    delay: float,
+    domain: Domain,
+) -> _Bands:
+    """Return the bands of all columns, in order from below and apart from each other."""
+    height = domain.alpha[1] - domain.alpha[0]
+    cell = (beta[-1] - beta[0]) / (beta.size - 1)
+    width = (height / _PATCHES_PER_DOMAIN, cell / _PATCHES_PER_CELL)
+    wide = _widened(domain)
+    patches = curve_patches(hands, delay, wide, width)
+    lines = _line_bands(columns, hands, delay, wide, beta.size - 1)
+    return _merged(_joined(_curve_bands(patches, columns, beta, height), lines), columns)
+
+
+def _widened(domain: Domain) -> Domain:
+    low, high = domain.alpha
+    margin = _MARGIN * (high - low)
+    return Domain((low - margin, high + margin), domain.beta)
 
 
 def _columns(beta: Float64[np.ndarray, " edge"], hands: HandBoxes) -> _Columns:
@@ -148,13 +201,10 @@ def _curve_bands(
 ) -> _Bands:
     """Return one band for each run of patches through a column."""
     cells = beta.size - 1
-    cell = (beta[-1] - beta[0]) / cells
-    ends = [(end - beta[0]) / cell for end in (patches.beta.low, patches.beta.high)]
-    first, last = (
-        np.clip(np.nan_to_num(np.floor(end + side * _EDGE), nan=lost), -1, cells).astype(np.int64)
-        for end, side, lost in zip(ends, (-1.0, 1.0), (-1, cells), strict=True)
-    )
-    first, last = np.maximum(first, 0), np.minimum(last, cells - 1)
+    beyond = 2.0 * _EDGE * np.max(np.diff(beta))
+    low, high = patches.beta.low - beyond, patches.beta.high + beyond
+    first = np.searchsorted(beta[1:], np.where(np.isnan(low), -np.inf, low))
+    last = np.searchsorted(beta[:-1], np.where(np.isnan(high), np.inf, high), "right") - 1
     counts = np.maximum(last - first + 1, 0)
     patch = np.repeat(np.arange(counts.size), counts)
     column = np.arange(patch.size) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -253,18 +303,18 @@ def _set_flat(
 
 
 def _gap_verdicts(
-    bands: _Bands, columns: _Columns, delay: float, asked: Domain, domain: Domain
+    bands: _Bands, columns: _Columns, delay: float, domain: Domain
 ) -> Int8[np.ndarray, "column gap"]:
     """Return a verdict for each gap of a domain, from below; NOT_COMPUTED where there is none."""
     low, high = bands.centre - bands.error, bands.centre + bands.error
-    floor, ceiling = _gaps(low, high, domain)
+    floor, ceiling = _gaps(low, high, _widened(domain))
     exists = floor < ceiling
     column, _ = np.nonzero(exists)
     points = np.column_stack([0.5 * (floor + ceiling)[exists], columns.centre[column]])
     codes = np.full(exists.shape, NOT_COMPUTED, np.int8)
     codes[exists] = _verdicts(points, delay)
     # What the middle of a column does not see of it
-    begins, ends = _gaps(*bands.ends(columns), asked)
+    begins, ends = _gaps(*bands.ends(columns), domain)
     codes[~exists & np.any(begins < ends, axis=0)] = UNDECIDED
     return codes
 
