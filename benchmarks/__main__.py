@@ -1,6 +1,7 @@
 """The one entry: `python -m benchmarks [name] [--small]`."""
 
 import argparse
+import os
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -26,6 +27,8 @@ BENCHMARKS = (
 
 
 def main() -> int:
+    os.environ.setdefault("JAX_ENABLE_X64", "1")  # of this process and of all that it starts
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # batches of eigenvalues have threads of jax
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument(
         "name",

@@ -14,10 +14,10 @@ import jax
 import numpy as np
 
 import jaxstab
-from benchmarks.exact import ExactSlice
 from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.timing import interleaved
+from benchmarks.truth.slices import ExactSlice
 from jaxstab.region import region_outline, stable_region
 from jaxstab.trace import trace_boundary
 

@@ -13,8 +13,8 @@ from mmap import MADV_HUGEPAGE, mmap
 from typing import Any
 
 import numpy as np
-import truth
 
+from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
 from jaxstab.atlas.compute.fill import Slice, plan_filling

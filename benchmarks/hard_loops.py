@@ -1,10 +1,10 @@
 """Loops that are hard to compute, at random, and changes of such loops."""
 
 import numpy as np
-import truth
-from near_boundary import ExactPlant, points_near_the_boundary, random_plants
 
-from benchmarks.judge import Loops
+from benchmarks import truth
+from benchmarks.truth.judge import Loops
+from benchmarks.truth.near_boundary import ExactPlant, points_near_the_boundary, random_plants
 
 _MOST = (1e150, 1e4, 1e3)  # a gain, gamma and delta
 

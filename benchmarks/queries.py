@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import truth
 from scipy.interpolate import RegularGridInterpolator
 
 import jaxstab
+from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE

@@ -10,8 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import jax
-
 import jaxstab
 
 Row = dict[str, Any]
@@ -122,6 +120,8 @@ def line(row: Row) -> str:
 
 def machine() -> dict[str, Any]:
     """Return what a run time depends on; no name of a host."""
+    import jax  # last of all: the flags of a benchmark are set when it starts
+
     cpu = _cpu_model()
     device = jax.devices()[0]
     accelerator = None if device.platform == "cpu" else device.device_kind

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import flint
 import jax
 import numpy as np
-import truth
 from matplotlib.path import Path as Polygon
 from mpmath import mp, mpf
 
+from benchmarks import truth
 from benchmarks.record import Row
 from jaxstab.region import RegionStatus, StableRegion, stable_region
 

@@ -13,9 +13,9 @@ from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
-import truth
 
 import jaxstab
+from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily
 from benchmarks.timing import Timing, interleaved

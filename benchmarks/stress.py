@@ -26,8 +26,8 @@ import jax
 import numpy as np
 
 from benchmarks.hard_loops import changed_loops, random_loops
-from benchmarks.judge import METHODS, Judgement, Loops, Truth, answers_of, judged, truth_of
 from benchmarks.record import Row
+from benchmarks.truth.judge import METHODS, Judgement, Loops, Truth, answers_of, judged, truth_of
 
 MEASURE = "largest error of a spectral radius in units of its last place"
 DEFAULT_POINTS = 100_000

@@ -18,10 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxstab
-from benchmarks.exact import ExactSlice
 from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily
 from benchmarks.timing import Timing, interleaved
+from benchmarks.truth.slices import ExactSlice
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.wide_vectors import wide_jit
 

@@ -11,11 +11,16 @@ from dataclasses import dataclass, field
 from time import perf_counter, process_time
 
 import numpy as np
-from near_boundary import ExactPlant, points_near_the_boundary, random_plants, true_code
 
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import Timing
+from benchmarks.truth.near_boundary import (
+    ExactPlant,
+    points_near_the_boundary,
+    random_plants,
+    true_code,
+)
 from jaxstab.conventions import UNDECIDED
 
 MEASURE = "share of verdicts that certified roots contradict"

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import truth
 from atlases import SMALL, small_atlas, small_contents, write_small
 
+from benchmarks import truth
 from jaxstab import (
     AXES,
     NOT_COMPUTED,

@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 import pytest
-import truth
 
+from benchmarks import truth
 from jaxstab.atlas.compute.certificate import Intervals, cells_without_crossing, plant_motion
 
 # Corners of the parameter space: no spring or damper, haptic, resonant, strongly damped.

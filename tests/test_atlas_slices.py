@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import truth
 
+from benchmarks import truth
 from jaxstab import (
     Atlas,
     AtlasSpec,

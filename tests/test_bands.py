@@ -5,8 +5,8 @@ from itertools import product
 import mpmath
 import numpy as np
 import pytest
-import truth
 
+from benchmarks import truth
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, boundary_curve, verdict
 from jaxstab.boxes.columns import StableColumns, column_gaps, stable_columns
 from jaxstab.boxes.enclosure import Domain, curve_patches

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import truth
 from mpmath import mp, mpf
 
+from benchmarks import truth
 from jaxstab import HapticLoop
 from jaxstab.criteria import (
     linear_alpha_limit,

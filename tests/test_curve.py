@@ -5,9 +5,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-import truth
 from mpmath import mp, mpf
 
+from benchmarks import truth
 from jaxstab.region import boundary_curve, minus_line, plus_line
 
 ACCURACY = 1e-13

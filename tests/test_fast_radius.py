@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import truth
 from mpmath import mp, mpf
 
 import jaxstab
+from benchmarks import truth
 from jaxstab.conventions import RadiusStatus
 from jaxstab.point.radius import cubic, dominant_root, fast_radius, power_iteration
 

@@ -7,9 +7,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-import truth
 from click.testing import CliRunner, Result
 
+from benchmarks import truth
 from jaxstab.cli import scene as commands
 from jaxstab.cli.main import main
 from jaxstab.pictures.scene import scene_figure

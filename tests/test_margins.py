@@ -5,10 +5,10 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-import truth
 from mpmath import mp, mpf
 
 import jaxstab
+from benchmarks import truth
 from jaxstab import HandRange, HapticLoop, Verdict
 
 FREE = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0)  # K = alpha, B = beta

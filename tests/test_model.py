@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
-import truth
 from jax.test_util import check_grads
 from mpmath import mp, mpf
 
 import jaxstab
+from benchmarks import truth
 from jaxstab.model import DoubleDouble, polynomial_degree
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import flint
 import numpy as np
 import pytest
-import truth
 from atlases import SMALL, small_contents
 
+from benchmarks import truth
 from jaxstab import (
     STABLE,
     UNDECIDED,

@@ -9,14 +9,14 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import problems
 import pytest
-import truth
+from calls import COMPUTING_CALLS
 from mpmath import mp, mpc, mpf
-from problems import PROBLEMS, Problem
-from test_house import COMPUTING_CALLS
 
 import jaxstab
+from benchmarks import truth
+from benchmarks.truth import problems
+from benchmarks.truth.problems import PROBLEMS, Problem
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, SettlingStatus
 
 # What does not converge, and why: a limit that is gone fails the test.

@@ -9,9 +9,9 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from problems import PROBLEMS
 
 import jaxstab
+from benchmarks.truth.problems import PROBLEMS
 from jaxstab.atlas.write.workers import processes
 
 DELAY = 0.0  # one, for each is compiled in each process

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 import pytest
-import truth
 
+from benchmarks import truth
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Atlas, AtlasSpec, QueryStatus, open_atlas
 from jaxstab.atlas.format import footer
 from jaxstab.atlas.format.digest import content_digest, digest_of

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import truth
 from mpmath import mp, mpf
 
+from benchmarks import truth
 from jaxstab.region import (
     Branch,
     RegionStatus,

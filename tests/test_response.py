@@ -4,9 +4,9 @@ import jax
 import numpy as np
 import pytest
 import scipy.signal
-import truth
 
 import jaxstab
+from benchmarks import truth
 from jaxstab import HapticLoop
 from jaxstab.model import plant_transition
 

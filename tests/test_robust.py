@@ -4,8 +4,8 @@ from math import pi
 
 import numpy as np
 import pytest
-import truth
 
+from benchmarks import truth
 from jaxstab.conventions import Verdict
 from jaxstab.criteria import passive_region
 from jaxstab.ranges import RobustStatus, robust_region

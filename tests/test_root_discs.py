@@ -4,8 +4,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-import truth
 
+from benchmarks import truth
 from jaxstab import spectral_radius
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.boxes.root_discs import interpolation_errors

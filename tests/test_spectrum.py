@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import truth
 from mpmath import mp, mpf
 
 import jaxstab
+from benchmarks import truth
 from jaxstab.conventions import RadiusStatus
 from jaxstab.point import grid
 

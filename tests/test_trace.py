@@ -4,8 +4,9 @@ from math import pi
 
 import numpy as np
 import pytest
-import truth
+from mpmath import mp
 
+from benchmarks import truth
 from jaxstab import HapticLoop
 from jaxstab.boxes.exclusion import Loops, exclude
 from jaxstab.region import boundary_curve, minus_line
@@ -97,7 +98,7 @@ def test_points_have_their_root_on_the_circle(traced, rng):
     assert np.max(trace.residual) < 1e-14
     for number in rng.choice(len(trace.points), 12, replace=False):
         loop = [max(v, 0.0) if i > 1 else v for i, v in enumerate(loop_of(*trace.points[number]))]
-        value = truth.evaluate(truth.polynomial(*loop), truth.mp.expj(trace.theta[number]))
+        value = truth.evaluate(truth.polynomial(*loop), mp.expj(trace.theta[number]))
         assert abs(value) < 1e-14
         if truth.unstable_count(*loop) is not None:
             outside = [abs(root) for root in truth.roots(*loop) if abs(root) > 1 + 1e-7]

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import truth
 from mpmath import mp, mpf
+
+from benchmarks import truth
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 PLANTS = [

@@ -7,11 +7,11 @@ import jax
 import numpy as np
 import pytest
 import scipy.optimize
-import truth
 from mpmath import mp, mpf
 from test_response import HELD, PHANTOM
 
 import jaxstab
+from benchmarks import truth
 from jaxstab import TuningStatus
 
 LEAST_RADII = (0.587401, 0.752114, 0.824656, 0.864687, 0.889931, 0.907271)  # gamma = delta = 0

@@ -7,10 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import truth
 from mpmath import mp
-from near_boundary import ExactPlant, moduli, points_near_the_boundary, random_plants, true_code
 
+from benchmarks import truth
+from benchmarks.truth.near_boundary import (
+    ExactPlant,
+    moduli,
+    points_near_the_boundary,
+    random_plants,
+    true_code,
+)
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, characteristic_polynomial, verdict
 from jaxstab.point.verdict.door import radius_error
 

@@ -1,6 +1,6 @@
 """Write the 50-digit reference tables beside this file: `python data/reference/make_reference.py`.
 
-The formulas are those of tests/truth.py. The tables come out the same, byte for byte, every time.
+The formulas are those of benchmarks/truth. The tables come out the same, byte for byte, every time.
 """
 
 import sys
@@ -13,9 +13,9 @@ from typing import NamedTuple
 from mpmath import mp, mpf
 
 FOLDER = Path(__file__).resolve().parent
-sys.path.insert(0, str(FOLDER.parents[1] / "tests"))
+sys.path.insert(0, str(FOLDER.parents[1]))
 
-import truth  # noqa: E402
+from benchmarks import truth  # noqa: E402
 
 Row = tuple[object, ...]
 

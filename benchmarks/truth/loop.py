@@ -1,4 +1,4 @@
-"""Independent 50-digit truth about the loop, for the tests and for data/reference.
+"""50 digits of everything about a loop: plant, polynomial, roots and boundary.
 
 The route is the textbook one, on purpose not the library's: the plant x'' + delta x' + gamma x = u
 (T = m = 1) is sampled in state space, from the Taylor series of its step response in t. That needs

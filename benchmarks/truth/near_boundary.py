@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import flint
 import numpy as np
-import truth
 
+from benchmarks import truth
 from jaxstab import STABLE, UNDECIDED, UNSTABLE
 
 

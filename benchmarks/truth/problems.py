@@ -11,10 +11,10 @@ from functools import cached_property
 
 import flint
 import numpy as np
-import truth
 from mpmath import mp, mpc, mpf
-from near_boundary import ExactPlant, true_code
 
+from benchmarks import truth
+from benchmarks.truth.near_boundary import ExactPlant, true_code
 from jaxstab import STABLE, UNDECIDED, UNSTABLE
 
 Point = tuple[float, float, float, float, float]

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import flint
 import numpy as np
-from near_boundary import ExactPlant
-from truth import printed_plant
 
 import jaxstab
+from benchmarks.truth import printed_plant
+from benchmarks.truth.near_boundary import ExactPlant
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 
 CERTIFIED = ("verdict", "verdict, exact", "spectral_radius", "spectral_radius, companion")

@@ -1,4 +1,4 @@
-"""The exact boundary of one slice, from the 50-digit truth of the tests: the judge of the rivals.
+"""The exact boundary of one slice, from the 50-digit truth: the judge of the rivals.
 
 Lengths are relative to the size of the stable region: alpha and beta are divided by its extents.
 """
@@ -7,8 +7,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import truth
 from mpmath import mp, mpc, mpf
+
+from benchmarks import truth
 
 _ANGLES = 4000  # of the scan that finds the pieces of the boundary
 _LINE_POINTS = 200

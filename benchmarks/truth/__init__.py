@@ -1,0 +1,58 @@
+"""What is true of a loop, by routes that share no code with jaxstab; tests and benchmarks ask it.
+
+- ``loop``: 50 digits of the plant, the polynomial, its roots and its boundary, for any loop;
+- ``near_boundary``: true verdicts in balls of python-flint, of many points close to the boundary;
+- ``slices``: the boundary of one slice, all pieces, and distances from it;
+- ``problems``: the registry of loops that are hard to compute;
+- ``judge``: what each method says of many loops, against the truth.
+"""
+
+from benchmarks.truth.loop import (
+    DIGITS,
+    NotCertain,
+    Plant,
+    as_arb,
+    as_fmpq,
+    as_mpf,
+    boundary_point,
+    coefficients_to,
+    degree,
+    evaluate,
+    motion,
+    plant,
+    plant_poles,
+    polynomial,
+    printed_plant,
+    root_balls,
+    roots,
+    sampled_plant,
+    spectral_radius,
+    split_delay,
+    ulps,
+    unstable_count,
+)
+
+__all__ = [
+    "DIGITS",
+    "NotCertain",
+    "Plant",
+    "as_arb",
+    "as_fmpq",
+    "as_mpf",
+    "boundary_point",
+    "coefficients_to",
+    "degree",
+    "evaluate",
+    "motion",
+    "plant",
+    "plant_poles",
+    "polynomial",
+    "printed_plant",
+    "root_balls",
+    "roots",
+    "sampled_plant",
+    "spectral_radius",
+    "split_delay",
+    "ulps",
+    "unstable_count",
+]

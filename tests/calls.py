@@ -1,0 +1,48 @@
+"""One good call of each public function that computes."""
+
+from typing import Any
+
+# One good call of each public function that computes. Without x64 every one of them must refuse.
+# "loop" stands for a HapticLoop, "hands" for a HandRange.
+COMPUTING_CALLS: dict[str, list[Any]] = {
+    "boundary_curve": [1.0, 0.001, 0.015, 1.0],
+    "minus_line": [0.1, 0.001, 0.015, 1.0],
+    "plus_line": [0.1, 0.001, 0.015, 1.0],
+    "region_outline": [0.001, 0.015, 1.0],
+    "stable_region": [0.001, 0.015, 1.0],
+    "plant_coefficients": [0.001, 0.015],
+    "characteristic_polynomial": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "companion_matrix": [[1.0, -0.5, 0.25]],
+    "closed_loop_poles": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "spectral_radius": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "is_stable": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "sweep": [None, 0.1, 0.2, 0.001, 0.015, 1.0],
+    "verdict": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "simulate": ["loop", 1000.0, 10.0],
+    "settling_samples": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "settling_time": ["loop", 1000.0, 10.0],
+    "dominant_mode": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "dominant_oscillation": ["loop", 1000.0, 10.0],
+    "least_radius": [0.001, 0.015, 1.0],
+    "least_radius_damping": [0.1, 0.001, 0.015, 1.0],
+    "least_settling": [0.001, 0.015, 1.0],
+    "optimal_gains": ["loop"],
+    "wall_limits": ["loop"],
+    "stiffness_limits": ["loop", 10.0],
+    "damping_limits": ["loop", 1000.0],
+    "boundary_distance": ["loop", 1000.0, 10.0],
+    "margins": ["loop", 1000.0, 10.0],
+    "dimensionless_margins": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "worst_hand": ["loop", "hands", 1000.0, 10.0],
+    "robust_limit": ["loop", "hands"],
+    "linear_alpha_limit": [0.2, 0.015, 1.0],
+    "linear_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "linear_error": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "linear_validity": [0.02, 0.001, 0.015, 1.0],
+    "passive_region": [0.015, 1.0],
+    "region_facts": [0.001, 0.015, 1.0],
+    "resolved_region": [0.001, 0.015, 1.0],
+    "robust_region": [[0.0, 0.001], [0.0, 0.015], 1.0],
+    "routh_hurwitz_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "trace_boundary": [["gamma", "delta"], [[0.0, 1.0], [0.0, 1.0]]],
+}
