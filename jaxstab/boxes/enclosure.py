@@ -22,6 +22,8 @@ _ROUNDING = 16 * np.finfo(np.float64).eps  # more than cosines have
 _FIRST_PATCHES = 64
 _PER_TURN = 8  # of z^(delay + 1)
 _MOST_HALVINGS = 10
+_TOLERATED = 8.0  # widths of what is not known of a patch, if halving it helps
+_HELPS = 0.5  # times what was not known of the whole
 
 Patch = Float64[np.ndarray, " patch"]
 Box = Int64[np.ndarray, " patch"]
@@ -70,12 +72,14 @@ def curve_patches(
         np.repeat(boxes, count), np.tile(angles[:-1], boxes.size), np.tile(angles[1:], boxes.size)
     )
     short = []
+    rests = np.full((2, intervals.box.size), np.inf)  # of what the intervals are halves of
     for halving in range(_MOST_HALVINGS + 1):
         curve = _curve(plant, turns, intervals)
-        is_short = curve.is_short(width, is_last=halving == _MOST_HALVINGS)
+        is_short = curve.is_short(width, rests) | (halving == _MOST_HALVINGS)
         is_inside = ~curve.is_outside(domain)
         short.append(intervals.some(is_inside & is_short))
         intervals = intervals.some(is_inside & ~is_short).halves()
+        rests = np.tile(curve.rests[:, is_inside & ~is_short], 2)
     parts = _Intervals(*map(np.concatenate, zip(*short, strict=True)))
     parts = parts.some(np.lexsort((parts.first, parts.box)))
     curve = _curve(plant, turns, parts)
@@ -119,13 +123,26 @@ class _Curve(NamedTuple):
     square: Moving
     lift: Moving
 
-    def is_short(self, width: tuple[float, float], *, is_last: bool) -> Bool[np.ndarray, " patch"]:
-        """Say which patches theta moves no farther than a width, or than what is not known."""
+    @property
+    def rests(self) -> Float64[np.ndarray, "2 patch"]:
+        """What is not known of alpha and beta."""
+        return np.stack([self.alpha.value.rest, self.beta.value.rest])
+
+    def is_short(
+        self, width: tuple[float, float], before: Float64[np.ndarray, "2 patch"]
+    ) -> Bool[np.ndarray, " patch"]:
+        """Say which patches theta moves no farther than a width, or than what is not known.
+
+        Where that is much, it is more than half of what was not known ``before`` the last halving.
+        """
         short = np.ones(self.lift.value.rest.shape, bool)
-        for gain, wanted in zip((self.alpha.value, self.beta.value), width, strict=True):
+        for gain, wanted, former in zip(
+            (self.alpha.value, self.beta.value), width, before, strict=True
+        ):
             moves = 2.0 * np.abs(gain.slope[0]) * gain.half[0]
             short &= (moves <= np.maximum(wanted, gain.rest)) & np.isfinite(gain.rest)
-        return short | is_last
+            short &= (gain.rest <= _TOLERATED * wanted) | (gain.rest > _HELPS * former)
+        return short
 
     def is_outside(self, domain: Domain) -> Bool[np.ndarray, " patch"]:
         """Say which patches lie wholly outside, or below alpha = -gamma."""
