@@ -1,9 +1,18 @@
-"""One good call of each public function that computes."""
+"""One good call of each public function that computes, and what it answers as a text.
 
+A call is a list of arguments; "loop" stands for a HapticLoop, "hands" for a HandRange,
+"function" for one that a sweep calls.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
 from typing import Any
 
-# One good call of each public function that computes. Without x64 every one of them must refuse.
-# "loop" stands for a HapticLoop, "hands" for a HandRange.
+import numpy as np
+
+import jaxstab
+from jaxstab.arrays import leaves
+
 COMPUTING_CALLS: dict[str, list[Any]] = {
     "boundary_curve": [1.0, 0.001, 0.015, 1.0],
     "minus_line": [0.1, 0.001, 0.015, 1.0],
@@ -16,7 +25,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "closed_loop_poles": [0.1, 0.2, 0.001, 0.015, 1.0],
     "spectral_radius": [0.1, 0.2, 0.001, 0.015, 1.0],
     "is_stable": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "sweep": [None, 0.1, 0.2, 0.001, 0.015, 1.0],
+    "sweep": ["function", 0.1, 0.2, 0.001, 0.015, 1.0],
     "verdict": [0.1, 0.2, 0.001, 0.015, 1.0],
     "simulate": ["loop", 1000.0, 10.0],
     "settling_samples": [0.1, 0.2, 0.001, 0.015, 1.0],
@@ -46,3 +55,35 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "routh_hurwitz_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
     "trace_boundary": [["gamma", "delta"], [[0.0, 1.0], [0.0, 1.0]]],
 }
+
+
+OBJECTS: dict[str, Callable[[], Any]] = {
+    "loop": lambda: jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3),
+    "hands": lambda: jaxstab.HandRange(mass=(0.0, 1.0)),
+    "function": lambda: jaxstab.verdict,
+}
+
+
+def as_text(answer: Any) -> str:
+    """Every bit of an answer: two answers with the same text are the same."""
+    answer = list(answer) if isinstance(answer, Iterator) else answer
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        parts = [f"{np.asarray(leaf).dtype}{np.asarray(leaf)!r}" for leaf in leaves(answer)]
+    return "\n".join(parts)
+
+
+def outcome(name: str, array: Callable[[Any], Any] | None = None) -> str:
+    """What a call answers, or the error that it ends with; array makes arrays of its numbers."""
+    try:
+        given = [
+            OBJECTS[value]() if isinstance(value, str) else value for value in COMPUTING_CALLS[name]
+        ]
+        if array is not None:
+            given = [array(value) if _are_numbers(value) else value for value in given]
+        return as_text(getattr(jaxstab, name)(*given))
+    except Exception as error:  # noqa: BLE001
+        return f"{type(error).__name__}: {error}"
+
+
+def _are_numbers(value: Any) -> bool:
+    return isinstance(value, float | list) and np.asarray(value).dtype.kind == "f"

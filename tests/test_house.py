@@ -1,7 +1,5 @@
 """The rules of the house that a machine can check (CONTRIBUTING.md)."""
 
-import json
-import os
 import re
 import subprocess
 import sys
@@ -21,14 +19,10 @@ FLOORS_THAT_COMPUTE = tuple(
 )
 
 
-def run_python(
-    *arguments: str, input: str = "", **environment: str
-) -> subprocess.CompletedProcess[str]:
+def run_python(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=ROOT,
-        env=os.environ | environment,
-        input=input,
         capture_output=True,
         text=True,
         check=False,
@@ -54,35 +48,6 @@ def is_function(value: object) -> bool:
 
 def computes(value: object) -> bool:
     return is_function(value) and value.__module__.startswith(FLOORS_THAT_COMPUTE)
-
-
-REFUSALS_SCRIPT = """
-import json, sys
-import jaxstab
-
-loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-hands = jaxstab.HandRange(mass=(0.0, 1.0))
-answers = {}
-for name, arguments in json.load(sys.stdin).items():
-    known = {"loop": loop, "hands": hands}
-    arguments = [known.get(str(argument), argument) for argument in arguments]
-    try:
-        getattr(jaxstab, name)(*arguments)
-        answers[name] = "no error"
-    except Exception as error:
-        answers[name] = f"{type(error).__name__}: {error}"
-print(json.dumps(answers))
-"""
-
-
-@pytest.fixture(scope="module")
-def refusals_without_x64() -> dict[str, str]:
-    """What each call of the table answers in a process that left JAX in float32."""
-    completed = run_python(
-        "-c", REFUSALS_SCRIPT, input=json.dumps(COMPUTING_CALLS), JAX_ENABLE_X64="0"
-    )
-    assert completed.returncode == 0, completed.stderr
-    return json.loads(completed.stdout)
 
 
 def test_the_linter_has_nothing_to_say() -> None:
@@ -134,16 +99,6 @@ def test_every_public_callable_says_what_it_is_what_it_refuses_and_where_it_is_f
         assert re.search(r"\bRaises:", text), "says nothing about errors"
     if computes(value):
         assert re.search(r"(?i)\b(paper|eqs?\.|theorem|criterion|table|sec\.)", text), "no source"
-
-
-@pytest.mark.parametrize("name", sorted(COMPUTING_CALLS))
-def test_a_computing_function_refuses_without_x64(
-    name: str, refusals_without_x64: dict[str, str]
-) -> None:
-    kind, _, message = refusals_without_x64[name].partition(": ")
-    assert kind == "RuntimeError"
-    assert "jax_enable_x64" in message
-    assert "\n" not in message
 
 
 def test_every_computing_function_is_in_the_table_of_calls() -> None:
