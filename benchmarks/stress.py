@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+import jaxstab
 from benchmarks.hard_loops import changed_loops, random_loops
 from benchmarks.record import Row
 from benchmarks.truth.judge import METHODS, Judgement, Loops, Truth, answers_of, judged, truth_of
@@ -212,10 +213,8 @@ def share_of(task: Task) -> Share:
 def _start_worker(compiled: str) -> None:
     """Leave Ctrl-C to the parent, and share a folder of compiled functions with other workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    jaxstab.use_compilation_cache(compiled)
     jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_compilation_cache_dir", compiled)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def _judge(loops: Loops, tallies: Tallies) -> dict[str, Judgement]:

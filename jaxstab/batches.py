@@ -6,8 +6,11 @@ answered by NumPy, and one with NumPy arrays of ``many`` elements goes to XLA an
 XLA compiles for each shape; so what others give is padded here, to few shapes.
 """
 
+import os
+import sys
 from collections.abc import Callable, Sequence
 from functools import cache, wraps
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -72,3 +75,47 @@ def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any)
         arrays = tree_map(lambda leaf: leaf if np.ndim(leaf) == 0 else jnp.asarray(leaf), arguments)
         result: Result = tree_map(np.asarray, function(*arrays, **options))
     return result
+
+
+def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
+    """Keep all that XLA compiles in a folder, for this process, for those it starts, and for later.
+
+    Every command of ``jaxstab`` does the same. JAX is not imported: it reads its options when it
+    is; where it is loaded already, it is told. Numbers and small NumPy arrays never need it.
+
+    Args:
+        folder: of the cache; by default ``JAX_COMPILATION_CACHE_DIR`` where that is set, else
+            ``jaxstab`` in the user's folder of caches (``XDG_CACHE_HOME`` or ``~/.cache``).
+
+    Returns:
+        The folder, which is made if it is missing.
+
+    Raises:
+        OSError: the folder cannot be made.
+
+    Example:
+        >>> import jaxstab
+        >>> jaxstab.use_compilation_cache()  # doctest: +SKIP
+    """
+    path = Path(folder or os.environ.get("JAX_COMPILATION_CACHE_DIR") or _users_cache()).absolute()
+    path.mkdir(parents=True, exist_ok=True)
+    options: dict[str, str | float] = {
+        "jax_compilation_cache_dir": str(path),
+        # By default JAX keeps only what took a second to compile: hardly anything.
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+        "jax_persistent_cache_min_entry_size_bytes": -1,
+    }
+    os.environ |= {name.upper(): str(value) for name, value in options.items()}
+    if "jax" in sys.modules:
+        import jax
+        from jax.experimental.compilation_cache import compilation_cache
+
+        compilation_cache.reset_cache()  # it keeps to the folder of the first program, or to none
+        for name, value in options.items():
+            jax.config.update(name, value)
+    return path
+
+
+def _users_cache() -> Path:
+    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return (Path(home) if home else Path.home() / ".cache") / "jaxstab"

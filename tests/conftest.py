@@ -1,20 +1,51 @@
-"""What every test stands on: float64, checked shapes and dtypes, seeded randomness."""
+"""What every test stands on: float64, checked shapes and dtypes, seeded randomness.
 
-import jax
+What XLA compiles is kept in one folder for as long as the tests run: workers of pytest-xdist and
+the processes that tests start do not compile the same again. The user's own cache is not touched.
+"""
+
+import os
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from jaxtyping import install_import_hook
+
+# Before the first import of jaxstab: from here on its annotations are checked at every call.
+install_import_hook("jaxstab", "beartype.beartype")
+
+import jaxstab  # noqa: E402
+
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    _programs = TemporaryDirectory(prefix="jaxstab-tests-")  # deleted when this process ends
+    jaxstab.use_compilation_cache(_programs.name)
+
+import jax  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
-from jaxtyping import install_import_hook  # noqa: E402
-
-# Before the first import of jaxstab: from here on its annotations are checked at every call.
-install_import_hook("jaxstab", "beartype.beartype")
 
 # Every run draws the same examples, and no example is timed.
 settings.register_profile("reproducible", derandomize=True, deadline=None)
 settings.load_profile("reproducible")
+
+
+_MEMORY = 1 << 30  # bytes of a process, from which on it forgets what it has compiled
+_STATUS = Path("/proc/self/statm")
+
+
+@pytest.fixture(autouse=True)
+def _forget_programs() -> Iterator[None]:
+    """Keep the programs that XLA has compiled from filling the memory; the folder has them."""
+    yield
+    if _STATUS.exists():
+        resident = int(_STATUS.read_text().split()[1]) * resource.getpagesize()
+        if resident > _MEMORY:
+            jax.clear_caches()
 
 
 @pytest.fixture

@@ -9,9 +9,13 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+import jax
 import pytest
 from calls import COMPUTING_CALLS, outcome
+
+import jaxstab
 
 TESTS = Path(__file__).parent
 
@@ -43,9 +47,10 @@ print(json.dumps({name: outcome(name, jnp.asarray) for name in sys.argv[1:]}))
 """
 
 
-def in_new_process(script: str, **environment: str) -> dict[str, str]:
+def printed_by(script: str, *words: str, **environment: str) -> Any:
+    """What a script prints as JSON in a fresh process."""
     completed = subprocess.run(
-        [sys.executable, "-c", script, *sorted(CONVERTED)],
+        [sys.executable, "-c", script, *words],
         cwd=TESTS,
         env=os.environ | environment,
         capture_output=True,
@@ -58,12 +63,12 @@ def in_new_process(script: str, **environment: str) -> dict[str, str]:
 
 @cache
 def without_jax() -> dict[str, str]:
-    return in_new_process(WITHOUT_JAX)
+    return printed_by(WITHOUT_JAX, *sorted(CONVERTED))
 
 
 @cache
 def in_single_precision() -> dict[str, str]:
-    return in_new_process(IN_SINGLE_PRECISION, JAX_ENABLE_X64="0")
+    return printed_by(IN_SINGLE_PRECISION, *sorted(CONVERTED), JAX_ENABLE_X64="0")
 
 
 @pytest.mark.parametrize("name", sorted(CONVERTED))
@@ -82,3 +87,65 @@ def test_jax_arrays_are_refused_without_x64(name: str) -> None:
 
 def test_the_names_are_those_of_functions_that_compute() -> None:
     assert set(COMPUTING_CALLS) >= CONVERTED | WITHOUT_ARRAYS
+
+
+# ------------------------------------------------------------------------- the cache of programs
+
+COMPILED_WITH = """
+import sys
+import jaxstab
+{setting}
+assert "jax" not in sys.modules
+import jax
+
+missing = []
+jax.monitoring.register_event_listener(
+    lambda name, **_: missing.append(name) if name.endswith("cache_misses") else None
+)
+for factor in (2.0, 3.0):
+    jax.jit(lambda x: factor * x)(1.0)
+print(len(missing))
+"""
+
+
+@pytest.mark.parametrize(
+    ("setting", "environment"),
+    [
+        ("jaxstab.use_compilation_cache()", {}),
+        ("jaxstab.use_compilation_cache()", {"JAX_COMPILATION_CACHE_DIR": "{folder}/of user"}),
+        ("jaxstab.use_compilation_cache(r'{folder}/given')", {}),
+    ],
+    ids=["default", "environment", "given"],
+)
+def test_a_second_process_finds_all_that_the_first_one_compiled(
+    setting: str, environment: dict[str, str], tmp_path: Path
+) -> None:
+    cleared = {"XDG_CACHE_HOME": str(tmp_path), "JAX_COMPILATION_CACHE_DIR": ""}
+    environment = cleared | {
+        name: value.format(folder=tmp_path) for name, value in environment.items()
+    }
+    script = COMPILED_WITH.format(setting=setting.format(folder=tmp_path))
+    assert printed_by(script, **environment) == 2
+    assert printed_by(script, **environment) == 0
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_cache_is_switched_on_after_the_first_program_too(tmp_path: Path) -> None:
+    options = ("compilation_cache_dir", "persistent_cache_min_compile_time_secs")
+    before = os.environ["JAX_COMPILATION_CACHE_DIR"]
+    jax.jit(lambda x: x + 5.0)(1.0)
+    try:
+        assert jaxstab.use_compilation_cache(tmp_path / "new") == tmp_path / "new"
+        jax.jit(lambda x: x + 6.0)(1.0)
+        assert any((tmp_path / "new").iterdir())
+        assert [getattr(jax.config, f"jax_{name}") for name in options] == [
+            str(tmp_path / "new"), 0.0
+        ]  # fmt: skip
+    finally:
+        jaxstab.use_compilation_cache(before)
+
+
+def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="file"):
+        jaxstab.use_compilation_cache(tmp_path / "file" / "folder")

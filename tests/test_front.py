@@ -4,13 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
 from benchmarks import truth
-from jaxstab.cli import scene as commands
 from jaxstab.cli.main import main
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import answers as front
@@ -19,12 +17,6 @@ from jaxstab.scene.scene import EXAMPLE, Scene
 FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]
 PHANTOM = ["--device", "phantom", "--sample-time", "0.001"]
 GRID = 0.05  # s: of FREE, K = alpha m / T^2 and B = beta m / T
-
-
-@pytest.fixture(autouse=True)
-def _no_cache_of_the_users(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The commands must not write into the cache of whoever runs the tests."""
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
 
 
 def run(*arguments: str | Path) -> Result:
@@ -226,25 +218,6 @@ def test_an_unusual_scale_is_a_warning_of_one_line() -> None:
     assert result.stderr.count("\n") == 1
     assert "device.mass is 500 kg" in result.stderr
     assert "controller.sample_time is 1 s" in result.stderr
-
-
-def test_what_was_compiled_is_kept_in_the_cache_of_the_user(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    names = (
-        "jax_compilation_cache_dir",
-        "jax_persistent_cache_min_compile_time_secs",
-        "jax_persistent_cache_min_entry_size_bytes",
-    )
-    before = {name: getattr(jax.config, name) for name in names}
-    try:
-        commands.start_jax()
-        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "jaxstab")
-    finally:
-        for name, value in before.items():
-            jax.config.update(name, value)
 
 
 def test_design_says_when_no_sample_time_makes_up_for_a_delay() -> None:

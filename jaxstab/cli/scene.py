@@ -1,14 +1,15 @@
 """The commands around a scene: what it allows, how its walls do, the best walls, the design."""
 
 import json
-import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import isfinite, isinf, isnan
 from pathlib import Path
 from typing import Any
 
 import click
+
+from jaxstab.batches import use_compilation_cache
 
 _UNITS = (  # the first that is in a name
     ("gain", ""),
@@ -263,20 +264,11 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
 
 def start_jax() -> None:
     """Switch on float64, and keep what was compiled for the next process of this user."""
+    with suppress(OSError):  # without a cache it only takes longer
+        use_compilation_cache()
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        return
-    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    folder = (Path(home) if home else Path.home() / ".cache") / "jaxstab"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return  # without a cache it only takes longer
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 # ------------------------------------------------------------------------------------------- print
