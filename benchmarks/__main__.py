@@ -14,6 +14,7 @@ from benchmarks import record, table
 from benchmarks.record import Row
 
 BENCHMARKS = (
+    "latency",
     "boundary",
     "regions",
     "queries",

@@ -15,6 +15,8 @@ from benchmarks.record import Record, Row
 
 # Okabe and Ito's colours, told apart by the colour-blind; a marker each for those who print grey.
 _STYLES = {
+    "jaxstab": ("#0072B2", "o"),
+    "NumPy eigenvalues": ("#E69F00", "s"),
     "eigenvalue grid": ("#E69F00", "s"),
     "numpy eigvals": ("#E69F00", "s"),
     "jax eigvals": ("#D55E00", "D"),
@@ -227,7 +229,27 @@ def _stress(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
+def _latency(rows: list[Row]) -> Figure:
+    """Time and memory of each question, a line each; a bar ends at what is wanted."""
+    questions = list(dict.fromkeys(row["section"] for row in rows))[::-1]
+    figure, axes = _panels(1, 2, "One question to a fresh process, imports included")
+    figure.set_figheight(1.6 + 0.3 * len(questions))
+    columns = (("seconds", "target_seconds", "CPU time in s"), ("peak_mib", "target_mib", "MiB"))
+    for panel, (column, target, label) in zip(axes[0], columns, strict=True):
+        wanted = {row["section"]: row[target] for row in rows}
+        panel.barh(questions, [wanted[name] for name in questions], color="0.9", label="wanted")
+        for method in dict.fromkeys(row["method"] for row in rows):
+            colour, marker = _STYLES[method]
+            some = [row for row in rows if row["method"] == method]
+            values, names = [row[column] for row in some], [row["section"] for row in some]
+            panel.plot(values, names, marker, color=colour, label=method)
+        panel.set(xscale="log", xlabel=label)
+    axes[0, 1].set_yticklabels([])
+    return _with_legend(figure, axes)
+
+
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
+    "latency": _latency,
     "boundary": _boundary,
     "regions": _regions,
     "queries": _queries,

@@ -153,7 +153,16 @@ def _scaling(rows: list[Row]) -> Iterator[Line]:
     yield f"{row['points']:,} points streamed", row["method"], time, error, ""
 
 
+def _latency(rows: list[Row]) -> Iterator[Line]:
+    for row in rows:
+        time = f"{_time(row['seconds'])} of CPU"
+        if row["method"] == "jaxstab":
+            time += f" (wanted: {row['target_seconds']:g} s), {row['peak_mib']:.0f} MiB"
+        yield f"fresh process: {row['section']}", row["method"], time, _error(row["error"]), ""
+
+
 _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
+    "latency": _latency,
     "boundary": _boundary,
     "regions": _regions,
     "queries": _queries,

@@ -321,6 +321,7 @@ def test_after_a_death_at_any_call_there_is_the_old_file_or_the_new_one_and_a_bu
     assert found == {FORMER, whole}
 
 
+@pytest.mark.campaign
 @pytest.mark.usefixtures("computed")
 def test_kill_9_at_any_time_leaves_the_old_file_or_the_new_one(
     whole: bytes, images: dict[Tile, bytes], tmp_path: Path
@@ -356,6 +357,7 @@ def remount(disk: Path, option: str) -> None:
     subprocess.run(["mount", "-o", f"remount,{option}", str(disk)], check=True)
 
 
+@pytest.mark.campaign
 @pytest.mark.usefixtures("computed")
 @pytest.mark.parametrize("free", [0, 4096, 8192, 16384, 24576])
 def test_on_a_full_disk_the_build_is_refused_and_goes_on_when_there_is_room(

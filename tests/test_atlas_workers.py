@@ -19,6 +19,8 @@ import pytest
 from jaxstab import AtlasSpec, write_atlas
 from jaxstab.atlas.write.workers import dask_cluster, processes
 
+pytestmark = pytest.mark.campaign
+
 SPEC = AtlasSpec(
     alpha=[0.0, 0.1, 0.2], beta=[0.1, 0.2], gamma=[0.0, 0.0005, 0.001], delta=[0.0, 0.015],
     delay=[0.0, 1.0], products=["verdict"],

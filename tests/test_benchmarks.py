@@ -15,6 +15,8 @@ import pytest
 
 from benchmarks.__main__ import BENCHMARKS
 
+pytestmark = pytest.mark.campaign
+
 ROOT = Path(__file__).resolve().parents[1]
 # Compiled quickly rather than well: the compiler is most of what a small run costs.
 QUICK = {"XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"}
@@ -159,10 +161,6 @@ def test_plots_and_table_are_made_of_the_records(out: Path) -> None:
     table = [line for line in printed.splitlines() if line.startswith("|")]
     assert len(table) > 10
     assert len({line.count("|") for line in table}) == 1
-
-
-def test_the_readme_has_the_table_of_the_records() -> None:
-    assert run_benchmarks("table") in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_a_plot_of_nothing_says_what_to_run_first(tmp_path: Path) -> None:

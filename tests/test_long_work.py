@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import pytest
 from atlases import small_atlas, write_small
 
 THREADS = 8
@@ -31,6 +32,7 @@ print(ask(10_000) - before)
 """
 
 
+@pytest.mark.campaign
 def test_ten_thousand_queries_leak_nothing(tmp_path: Path) -> None:
     completed = subprocess.run(
         [sys.executable, "-c", QUERIES_SCRIPT, str(write_small(tmp_path))],

@@ -71,6 +71,7 @@ def other_machine() -> Iterator[Executor]:
             yield executor
 
 
+@pytest.mark.campaign
 def test_threads_and_devices_change_no_bit(here: Answers, other_machine: Executor) -> None:
     there = other_machine.submit(answers, 1).result()
     for name, values in here.items():
@@ -97,6 +98,7 @@ def test_a_worker_process_that_sets_nothing_answers_plain_numbers_as_this_one() 
     assert (radius.value, radius.error) == tuple(jaxstab.spectral_radius(*loop)[:2])
 
 
+@pytest.mark.campaign
 def test_a_worker_process_that_sets_nothing_writes_the_same_atlas_or_none(tmp_path: Path) -> None:
     spec = jaxstab.AtlasSpec(
         alpha=[0.0, 0.1], beta=[0.1, 0.2], gamma=[0.0, 0.001], delta=[0.0, 0.015], delay=[0.0]

@@ -4,6 +4,7 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.campaign
 def test_the_main_job_writes_one_file_and_says_how_to_ask_it(folder: Path) -> None:
     said = (folder / "said").read_text()
     assert [path.name for path in folder.glob("*.h5")] == ["atlas.h5"]
@@ -51,6 +53,7 @@ def test_the_main_job_writes_one_file_and_says_how_to_ask_it(folder: Path) -> No
     assert "stable" in answer
 
 
+@pytest.mark.campaign
 def test_the_atlas_of_the_main_job_holds_the_haptic_range(folder: Path) -> None:
     atlas = jaxstab.open_atlas(folder / "atlas.h5")
     assert atlas.delays.tolist() == [0.0, 1.0, 2.0, 3.0]
@@ -59,15 +62,23 @@ def test_the_atlas_of_the_main_job_holds_the_haptic_range(folder: Path) -> None:
     assert (nodes["delta"][0], nodes["delta"][-1]) == (0.0, 0.015)
 
 
+@pytest.mark.campaign
 def test_the_query_answers(folder: Path) -> None:
     header, answer = jaxstab_command(blocks("sh")[1].strip(), folder).splitlines()
     row = dict(zip(header.split(","), answer.split(","), strict=True))
     assert row["verdict"] == "stable"
 
 
-@pytest.mark.parametrize("number", range(len(blocks("python"))))
-def test_the_lines_of_python_run(number: int, folder: Path) -> None:
-    code = blocks("python")[number]
+def lines_of_python() -> Iterator[object]:
+    """Each block; one that opens the atlas of the main job belongs to the campaign."""
+    for code in blocks("python"):
+        marks = [pytest.mark.campaign] if "open_atlas" in code else []
+        yield pytest.param(code, marks=marks, id=code.splitlines()[-1])
+
+
+@pytest.mark.parametrize("code", list(lines_of_python()))
+def test_the_lines_of_python_run(code: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    folder = request.getfixturevalue("folder") if "open_atlas" in code else tmp_path
     printed = run("-c", code, folder=folder).splitlines()
     promised = re.findall(r"print\(.*\)\s+# ([A-Z]+)$", code, flags=re.MULTILINE)
     assert set(promised) <= set(printed)
@@ -77,3 +88,7 @@ def test_the_lines_of_python_run(number: int, folder: Path) -> None:
 def test_pictures_and_pages_are_there() -> None:
     for target in re.findall(r"\]\(([^)#]+)\)", README):
         assert target.startswith("http") or (ROOT / target).exists(), target
+
+
+def test_the_table_is_that_of_the_records() -> None:
+    assert run("-m", "benchmarks", "table", folder=ROOT) in README

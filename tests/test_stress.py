@@ -5,6 +5,8 @@ import pytest
 from benchmarks.stress import Findings, Tally, share_of, tasks_of
 from benchmarks.truth.judge import CERTIFIED
 
+pytestmark = pytest.mark.campaign
+
 LOOPS = 100_000
 DELAYS = {0.0: 2, 0.5: 1}  # and shares of the loops: each delay is compiled
 

@@ -1,0 +1,241 @@
+"""What one question costs: user and system time of a fresh process, its imports included, and its
+peak memory. No program is cached: each process has an empty folder for what XLA compiles.
+
+Every row is the median of runs of one question. ``target_seconds`` is what it may cost at most; the
+rival is a process with NumPy's eigenvalues that answers the same to the resolution of a grid.
+``error`` is that of what the process prints, by the truth; for commands, the share that failed.
+"""
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from statistics import median, quantiles
+from time import perf_counter
+from typing import NamedTuple
+
+from mpmath import mp, mpf
+
+from benchmarks import truth
+from benchmarks.eigenvalues import ALPHA, BETA, DELAY, DELTA, GAMMA, MASS, SAMPLE_TIME
+from benchmarks.record import Row
+
+ROOT = Path(__file__).parents[1]
+MEASURE = "error of what the process prints; of commands the share that failed"
+MEMORY_TARGET = 500.0  # MiB
+
+Answer = list[float]
+Judge = Callable[[Answer], float]
+
+_RUNS = 5
+_LOOP = (GAMMA, DELTA, float(DELAY))
+_SCENE = [
+    "--mass", "0.25", "--damping", "0.1", "--sample-time", "0.001", "--delay", "0.001",
+]  # fmt: skip
+_LOOP_CODE = (
+    "import jaxstab\n"
+    "loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, "
+    "hand_mass=0.15, hand_damping=5.0, hand_stiffness=400.0, delay=1e-3)\n"
+)
+_COMMAND = "import sys; from jaxstab.cli.main import main; main()"
+_WALL = f"{ALPHA * MASS / SAMPLE_TIME**2!r}, {BETA * MASS / SAMPLE_TIME!r}"
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question: what a fresh Python is given to answer it, its judge and its rival."""
+
+    name: str
+    target: float  # s of CPU
+    words: tuple[str, ...]
+    judge: Judge = lambda _: 0.0
+    rival: str = ""
+    delay: float = float(DELAY)
+
+
+class Run(NamedTuple):
+    """A process that has ended: its CPU and wall time, the peak of its memory, what it printed."""
+
+    seconds: float
+    wall: float
+    peak: float  # MiB
+    printed: str
+    failed: bool
+
+
+def rows(small: bool) -> Iterator[Row]:
+    for question in _questions():
+        if small and question.target > 2.0:
+            continue
+        runs = 1 if small else _RUNS
+        yield _row(question, "jaxstab", [_run(question.words) for _ in range(runs)])
+        if question.rival:
+            words = ("-m", "benchmarks.eigenvalues", question.rival)
+            yield _row(question, "NumPy eigenvalues", [_run(words) for _ in range(runs)])
+
+
+def _python(code: str) -> tuple[str, ...]:
+    return ("-c", _LOOP_CODE + code)
+
+
+def _command(*words: str) -> tuple[str, ...]:
+    return ("-c", _COMMAND, *words)
+
+
+def _questions() -> list[Question]:
+    five = f"{ALPHA}, {BETA}, {GAMMA}, {DELTA}, {float(DELAY)}"
+    three = f"{GAMMA}, {DELTA}, {float(DELAY)}"
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    snippet = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)[0]
+    atlas = str(ROOT / "data" / "golden")
+    golden = sorted(Path(atlas).rglob("*.h5"))[-1]
+    return [
+        Question("atlas, one verdict", 0.5, _python(
+            f"atlas = jaxstab.open_atlas({str(golden)!r})\n"
+            "nodes = {name: float(x[x.size // 2]) for name, x in atlas.nodes(0).items()}\n"
+            "print(int(atlas.query(**nodes, delay=float(atlas.delays[0])).verdict))"
+        ), lambda answer: float(answer[0] not in (1.0, 2.0))),
+        Question("verdict", 1.2, _python(f"print(int(jaxstab.verdict({five})))"),
+                 _judge_verdict, "verdict"),
+        Question("spectral_radius", 1.5, _python(
+            f"print(float(jaxstab.spectral_radius({five}).value))"
+        ), _judge_radius, "spectral_radius"),
+        Question("stable_region", 2.0, _python(
+            f"print(float(jaxstab.stable_region({three}).max_alpha[0]))"
+        ), _judge_largest, "outline"),
+        Question("margins", 2.0, _python(
+            f"print(loop.alpha(float(jaxstab.margins(loop, {_WALL}).stiffness[1])))"
+        ), _judge_margin, "margins"),
+        Question("wall_limits", 2.0, _python(
+            "print(loop.alpha(float(jaxstab.wall_limits(loop).stiffness)))"
+        ), _judge_largest, "largest_alpha"),
+        Question("optimal_gains", 3.0, _python(
+            "best = jaxstab.optimal_gains(loop)\n"
+            "print(float(best.value), *map(float, best[:2]))"
+        ), _judge_best, "best_gains"),
+        Question("robust_region", 4.0, _python(
+            f"region = jaxstab.robust_region((0.0, {GAMMA}), (0.0, 0.015), {float(DELAY)})\n"
+            "print(float(region.max_alpha[0]))"
+        ), _judge_robust, "robust_region"),
+        Question("README's first snippet", 3.0, ("-c", snippet)),
+        Question("jaxstab limits", 2.5, _command("limits", *_SCENE)),
+        Question("jaxstab check, a range of hands", 4.0, _command(
+            "check", *_SCENE, "--wall", "wall", "20000", "80",
+            "--hand-mass", "0:1", "--hand-stiffness", "0:400", "--hand-damping", "0:5",
+        )),
+        Question("jaxstab tune", 4.0, _command("tune", *_SCENE)),
+        Question("jaxstab design", 3.0, _command("design", *_SCENE, "--stiffness", "5000")),
+        Question("jaxstab region, with a picture", 3.0, _command(
+            "region", "--gamma", str(GAMMA), "--delta", str(DELTA), "--delay", str(DELAY),
+            "-o", "region.png",
+        ), rival="picture"),
+        Question("jaxstab figure all", 15.0, _command("figure", "all")),
+        Question("jaxstab atlas build, the default", 25.0, _command("atlas", "build")),
+    ]  # fmt: skip
+
+
+def _run(words: tuple[str, ...]) -> Run:
+    with tempfile.TemporaryDirectory() as folder:
+        ours = ("JAX_", "OPENBLAS_", "XLA_")
+        inherited = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
+        empty = {"XDG_CACHE_HOME": f"{folder}/cache", "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
+        with open(f"{folder}/out", "w+") as out, open(f"{folder}/errors", "w+") as errors:
+            start = perf_counter()
+            process = subprocess.Popen(
+                [sys.executable, *words],
+                cwd=folder,
+                env=inherited | empty,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=errors,
+            )
+            _, status, used = os.wait4(process.pid, 0)
+            wall = perf_counter() - start
+            process.returncode = os.waitstatus_to_exitcode(status)
+            printed, complaints = (file.seek(0) or file.read() for file in (out, errors))
+    failed = process.returncode not in (0, 1) or "Traceback" in complaints  # 1: of unstable walls
+    if failed:
+        print(complaints, file=sys.stderr)
+    return Run(used.ru_utime + used.ru_stime, wall, used.ru_maxrss / 1024.0, printed, failed)
+
+
+def _row(question: Question, method: str, runs: list[Run]) -> Row:
+    seconds = [run.seconds for run in runs]
+    low, _, high = quantiles(seconds, n=4) if len(seconds) > 1 else seconds * 3
+    return {
+        "section": question.name,
+        "method": method,
+        "delay": question.delay,
+        "points": 1,
+        "seconds": median(seconds),
+        "seconds_quartiles": [low, high],
+        "repeats": len(runs),
+        "error": max(_error_of(question, run) for run in runs),
+        "error_measure": MEASURE,
+        "wall_seconds": median(run.wall for run in runs),
+        "peak_mib": max(run.peak for run in runs),
+        "target_seconds": question.target,
+        "target_mib": MEMORY_TARGET,
+        "is_on_target": bool(median(seconds) <= question.target),
+    }
+
+
+def _error_of(question: Question, run: Run) -> float:
+    if run.failed:
+        return 1.0
+    if question.name.startswith(("jaxstab", "README")):
+        return 0.0
+    error = question.judge([float(word) for word in run.printed.split()])
+    return error if error < 1.0 else 1.0  # NaN, too
+
+
+# ------------------------------------------------------------------------------------ the judges
+
+
+def _judge_verdict(answer: Answer) -> float:
+    is_stable = truth.unstable_count(ALPHA, BETA, *_LOOP) == 0
+    return float((answer[0] == 1.0) != is_stable)
+
+
+def _judge_radius(answer: Answer) -> float:
+    return _difference(answer[0], truth.spectral_radius(ALPHA, BETA, *_LOOP)[0])
+
+
+def _judge_largest(answer: Answer) -> float:
+    return _difference(answer[0], _largest_alpha(GAMMA, DELTA))
+
+
+def _judge_margin(answer: Answer) -> float:
+    angle = mp.findroot(lambda t: truth.boundary_point(t, *_LOOP)[1] - mpf(BETA), mpf("0.35"))
+    return _difference(answer[0], truth.boundary_point(angle, *_LOOP)[0])
+
+
+def _judge_best(answer: Answer) -> float:
+    """The radius that is printed must be that of the gains that are printed."""
+    return _difference(answer[0], truth.spectral_radius(*answer[1:], *_LOOP)[0])
+
+
+def _judge_robust(answer: Answer) -> float:
+    """No wall is stable for all hands beyond the least of the largest alphas of some of them."""
+    least = min(_largest_alpha(gamma, delta) for gamma in (0.0, GAMMA) for delta in (0.0, 0.015))
+    return _difference(answer[0], least)
+
+
+@cache
+def _largest_alpha(gamma: float, delta: float) -> mpf:
+    """The top of the curve, by thirds: of all angles between the ends of the stable piece."""
+    low, high = mpf("0.05"), mpf("0.8")
+    for _ in range(60):
+        first, second = low + (high - low) / 3, high - (high - low) / 3
+        values = [truth.boundary_point(t, gamma, delta, float(DELAY))[0] for t in (first, second)]
+        low, high = (first, high) if values[0] < values[1] else (low, second)
+    return truth.boundary_point(low, gamma, delta, float(DELAY))[0]
+
+
+def _difference(value: float, exact: mpf) -> float:
+    return float(abs(mpf(value) / exact - 1))
