@@ -8,14 +8,16 @@ XLA compiles for each shape; so what others give is padded here, to few shapes.
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache, wraps
+from math import prod
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
+from jaxtyping import Int64
 
-from jaxstab.arrays import is_jax, is_traced, leaves, namespace, tree_map
+from jaxstab.arrays import Array, is_jax, is_traced, leaves, namespace, tree_map
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -33,7 +35,7 @@ def compiled(
 
     Args:
         static: names of arguments that are compiled in, to be given by keyword.
-        many: size of the largest NumPy argument from which on XLA answers, as NumPy arrays.
+        many: size of the grid of NumPy arguments from which on XLA answers, as NumPy arrays.
         wide: ask for the widest vectors of the CPU, for plain arithmetic on many points.
     """
 
@@ -55,7 +57,7 @@ def compiled(
                 is_outer = not any(map(is_traced, given))
                 answer: Result = program(wide and is_outer)(*arguments, **options)
                 return answer
-            if max((np.size(leaf) for leaf in given), default=0) < many:
+            if many == np.inf or _size(given) < many:
                 with np.errstate(all="ignore"):  # as XLA does: NaN and infinity are answers
                     return kernel(*arguments, **options)
             return in_float64(program(wide), *arguments, **options)
@@ -65,8 +67,20 @@ def compiled(
     return decorate
 
 
+def _size(arrays: list[Any]) -> int:
+    """Return the size of the grid to which arrays broadcast, or of the largest if they do not."""
+    shapes = {np.shape(array) for array in arrays}
+    try:
+        return prod(np.broadcast_shapes(*shapes))
+    except ValueError:
+        return max(map(prod, shapes))
+
+
 def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any) -> Result:
-    """Call a JAX function in float64, whatever its flag says; NumPy arrays in and out."""
+    """Call a JAX function in float64, whatever its flag says; NumPy arrays in and out.
+
+    The arrays that come back share the memory of XLA and are read-only.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -75,6 +89,53 @@ def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any)
         arrays = tree_map(lambda leaf: leaf if np.ndim(leaf) == 0 else jnp.asarray(leaf), arguments)
         result: Result = tree_map(np.asarray, function(*arrays, **options))
     return result
+
+
+def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) -> Result:
+    """Evaluate an elementwise kernel tile by tile, so that what it keeps stays in the cache.
+
+    Arrays of one element are not copied for every point. Only XLA on a CPU needs it: NumPy and an
+    accelerator get all points at once.
+    """
+    xp = namespace(arguments)
+    if xp is np:
+        return kernel(*arguments)
+    import jax
+
+    leaves_of, structure = jax.tree.flatten(arguments)
+    shape = xp.broadcast_shapes(*(xp.shape(leaf) for leaf in leaves_of))
+    size = prod(shape)
+    if size <= tile or jax.default_backend() != "cpu":
+        return kernel(*arguments)
+    shared = [xp.reshape(leaf, ()) if leaf.size == 1 else None for leaf in leaves_of]
+    tiles = [
+        xp.resize(xp.broadcast_to(leaf, shape).ravel(), (-(-size // tile), tile))
+        for leaf in leaves_of
+        if leaf.size > 1
+    ]
+
+    def of_tile(columns: list[Array]) -> Array:
+        parts = iter(columns)
+        mixed = [next(parts) if one is None else one for one in shared]
+        return kernel(*jax.tree.unflatten(structure, mixed))
+
+    return tree_map(lambda row: row.ravel()[:size].reshape(shape), jax.lax.map(of_tile, tiles))
+
+
+def lists(
+    indices: Int64[np.ndarray, " point"], longest: int, shortest: int | None = None
+) -> Iterator[tuple[Int64[np.ndarray, " part"], Int64[np.ndarray, " list"]]]:
+    """Cut a list of points into parts, and repeat points to fill each to a length compiled before.
+
+    The lengths are ``longest`` / 8^k down to ``shortest`` (by default ``longest``): a few points do
+    not pay for many. Yields each part and the list to compute, of which the part comes first.
+    """
+    for start in range(0, indices.size, longest):
+        part = indices[start : start + longest]
+        length = longest
+        while length // 8 >= max(part.size, longest if shortest is None else shortest):
+            length //= 8
+        yield part, np.resize(part, length)
 
 
 def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:

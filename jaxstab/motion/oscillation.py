@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float64
 
 from jaxstab.model import HapticLoop, checked_gain, require_x64
-from jaxstab.point.radius.door import closed_loop_poles
+from jaxstab.point.poles import closed_loop_poles
 
 
 class Oscillation(NamedTuple):

@@ -9,29 +9,25 @@ import math
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float64, Int64
 
+from jaxstab.arrays import Array, Numbers, is_traced, namespace, tree_map
 from jaxstab.model import characteristic_polynomial, checked_delay, require_x64
+from jaxstab.numbers import checked_count
 
 CHUNK = 2**15
-_GROWTH = 64  # sizes of chunks are CHUNK / 64^k: each is compiled
-_MOST_PADDED = 4  # a list does not pay for more than so many times its points
 
 Result = TypeVar("Result")
 
 
 def sweep(
     function: Callable[..., Result],
-    alpha: ArrayLike,
-    beta: ArrayLike,
-    gamma: ArrayLike,
-    delta: ArrayLike,
-    delay: ArrayLike,
+    alpha: Numbers,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
     *,
     chunk: int = CHUNK,
 ) -> Iterator[tuple[slice, Result]]:
@@ -52,13 +48,12 @@ def sweep(
 
     Raises:
         ValueError: ``chunk`` is below 1, or the shapes do not broadcast; else as the function.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: Table I for the parameters.
     """
-    require_x64()
-    if chunk < 1:
-        raise ValueError(f"chunk is {chunk}; give at least 1 point.")
+    require_x64(alpha, beta, gamma, delta, delay)
+    checked_count("chunk", chunk, 1)
     arguments = [np.asarray(value, np.float64) for value in (alpha, beta, gamma, delta, delay)]
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     total = math.prod(shape)
@@ -69,39 +64,36 @@ def sweep(
     )
 
 
-def over_grid(kernel: Callable[[Array], Result], *parameters: ArrayLike) -> Result:
-    """Apply a compiled function of coefficients (point, degree + 1) to every point of a grid.
+def over_grid(kernel: Callable[[Array], Result], *parameters: Numbers) -> Result:
+    """Apply a kernel of coefficients (point, degree + 1) to every point of a grid.
 
     The results' arrays have the point first; where further axes are longer for a higher degree, the
     shorter results end in zeros. Traced parameters are not taken apart: one padded batch.
     """
     alpha, beta, gamma, delta, delay = parameters
+    require_x64(*parameters)
     delay = checked_delay(delay)
-    if any(isinstance(value, jax.core.Tracer) for value in parameters):
+    if any(map(is_traced, parameters)):
         return kernel(characteristic_polynomial(alpha, beta, gamma, delta, delay))
     arguments = [np.asarray(value, np.float64) for value in parameters]
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     chunks = list(_chunks(delay, shape))
     parts = [
-        kernel(characteristic_polynomial(*looked_up(arguments, shape, np.resize(points, size))))
-        for points, size in chunks
+        kernel(characteristic_polynomial(*looked_up(arguments, shape, points))) for points in chunks
     ]
-    whole: Result = jax.tree.map(lambda *arrays: _scattered(chunks, arrays, shape), *parts)
-    return whole
+    xp = namespace(parameters)
+    return tree_map(lambda *arrays: xp.asarray(_scattered(chunks, arrays, shape)), *parts)
 
 
 def _chunks(
     delay: Float64[np.ndarray, "..."], shape: tuple[int, ...]
-) -> Iterator[tuple[Int64[np.ndarray, " point"], int]]:
-    """Yield flat indices of points of one degree, and the size to which to pad them."""
+) -> Iterator[Int64[np.ndarray, " point"]]:
+    """Yield flat indices of points of one degree."""
     degrees = np.ceil(delay)
     for degree in np.unique(degrees):
         members = np.flatnonzero(np.broadcast_to(degrees == degree, shape))
-        size = CHUNK
-        while size >= _GROWTH and size > _MOST_PADDED * members.size:
-            size //= _GROWTH
-        for start in range(0, members.size, size):
-            yield members[start : start + size], size
+        for start in range(0, members.size, CHUNK):
+            yield members[start : start + CHUNK]
 
 
 def looked_up(
@@ -123,14 +115,13 @@ def looked_up(
 
 
 def _scattered(
-    chunks: list[tuple[Int64[np.ndarray, "_"], int]],
-    parts: tuple[Array, ...],
+    chunks: list[Int64[np.ndarray, "_"]],
+    parts: tuple[np.ndarray, ...],
     shape: tuple[int, ...],
-) -> Array:
+) -> np.ndarray:
     longest = max((part.shape[1:] for part in parts), default=())
     result = np.zeros((math.prod(shape), *longest), parts[0].dtype)
-    for (points, _), part in zip(chunks, parts, strict=True):
-        values = np.asarray(part)[: points.size]
+    for points, part in zip(chunks, parts, strict=True):
         missing = [(0, full - length) for full, length in zip(longest, part.shape[1:], strict=True)]
-        result[points] = np.pad(values, [(0, 0), *missing])
-    return jnp.asarray(result.reshape((*shape, *longest)))
+        result[points] = np.pad(part, [(0, 0), *missing])
+    return result.reshape((*shape, *longest))

@@ -7,7 +7,7 @@ Newton's method goes down to it without a turn.
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxstab.point.radius.power_iteration import reciprocal, square_root
+from jaxstab.point.radius.elementary import reciprocal, square_root
 
 _THIRD_OF_BITS = 715_094_163  # x^(1/3) within 6 %, from a third of the upper bits of x
 _ABOVE = 1.06

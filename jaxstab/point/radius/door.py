@@ -1,32 +1,40 @@
-"""The closed loop's poles and spectral radius, by companion eigenvalues or without them."""
+"""The spectral radius of the closed loop, each with a proved bound of its error."""
 
-from typing import NamedTuple
+from math import prod
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
-from jaxtyping import Bool, Complex128, Float64, Int8
+from jaxtyping import Float64, Int8
 
-from jaxstab.conventions import RadiusStatus, Verdict
+from jaxstab.arrays import Array, Numbers, constant, is_traced, namespace, tree_map
+from jaxstab.batches import compiled
+from jaxstab.conventions import RadiusStatus
 from jaxstab.model import (
+    characteristic_polynomial,
     checked_delay,
     checked_delta,
     checked_gain,
     checked_gamma,
-    companion_matrix,
+    polynomial_degree,
     require_x64,
 )
+from jaxstab.numbers import checked_word
 from jaxstab.point.grid import looked_up, over_grid
-from jaxstab.point.radius.fast_radius import TOLERANCE, fast_radius
-from jaxstab.point.verdict.door import radius_error, verdict
-from jaxstab.point.verdict.loop import is_plant_lost
+from jaxstab.point.poles import companion_poles
+from jaxstab.point.radius.bound import radius_error
+from jaxstab.point.radius.dominance import distance_of_dominant, modulus
+from jaxstab.point.radius.dominant_root import Complex, Loop, newton
+from jaxstab.point.radius.fast_radius import LONGEST_DELAY, TOLERANCE, fast_radius
+from jaxstab.point.verdict.loop import float_plant, is_plant_lost
 
-_HUGE = 2.0**400
+_MANY = 1 << 14  # points of one delay from which on XLA looks for dominant roots
+_LIST = 1 << 12  # points whose companion matrices are made at once
+_NEWTON_STEPS = 3
 # Strongly damped plants have coefficients of N far below its size, which do not have all their
 # digits; what is lost beside 1, divided by powers of a small radius, is more than a rounding.
 _DAMPED, _SMALL_RADIUS = 10.0, 0.5
+
+Values = np.ndarray[Any, np.dtype[Any]]
 
 
 class SpectralRadius(NamedTuple):
@@ -37,41 +45,12 @@ class SpectralRadius(NamedTuple):
     status: Int8[Array, "*grid"]
 
 
-def closed_loop_poles(
-    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
-) -> Complex128[Array, "*grid degree"]:
-    """Return the poles of the closed loop, the eigenvalues of the companion matrix of p(z).
-
-    Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, concrete.
-
-    Returns:
-        Array of shape (*grid, degree), the largest modulus first. For an array of delays, a loop of
-        a lower degree has zeros at the end.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced.
-        RuntimeError: JAX's x64 mode is off.
-
-    Source: eq. (9); each pole is an exact root of a polynomial within a few ulp of p(z) (backward
-    error), so a root of multiplicity k is only good to about ulp^(1/k).
-    """
-    require_x64()
-    poles: Array = over_grid(_poles, alpha, beta, gamma, delta, delay)
-    return poles
-
-
 def spectral_radius(
-    alpha: ArrayLike,
-    beta: ArrayLike,
-    gamma: ArrayLike,
-    delta: ArrayLike,
-    delay: ArrayLike,
+    alpha: Numbers,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
     *,
     method: str = "fast",
 ) -> SpectralRadius:
@@ -83,159 +62,126 @@ def spectral_radius(
         gamma: physical stiffness k T^2/m in [0, 1e4].
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, concrete.
-        method: "fast" finds and proves the dominant root without eigenvalues and leaves only the
-            points where that fails, and delays above 64, to the companion matrix; "companion" takes
-            it for all. Inside jit, vmap and grad it is always the companion matrix.
+        method: "fast" finds and proves the dominant root, without eigenvalues for many points of
+            one delay up to 64, by XLA; "companion" takes the companion matrix and a ladder of
+            verdicts for all. Inside jit, vmap and grad it is always the companion matrix.
 
     Returns:
-        SpectralRadius of arrays of the broadcast shape: ``value``; ``error``, proved: all roots are
-        inside value + error, not all inside value - error; ``status``, a RadiusStatus: NO_BOUND
-        also next to gamma = (2 pi k)^2 with next to no damping, where N(z) nearly vanishes, and for
-        radii below 0.5 at delta above 10, where not all digits of N(z) are known. The derivative of
-        ``value`` is that of the dominant root by the implicit function theorem; it is infinite or
-        NaN where that root is multiple.
+        SpectralRadius of arrays of the broadcast shape, in JAX if an argument is: ``value``;
+        ``error``, proved: all roots are inside value + error, not all inside value - error;
+        ``status``, a RadiusStatus: NO_BOUND also next to gamma = (2 pi k)^2 with next to no
+        damping, where N(z) nearly vanishes, and for radii below 0.5 at delta above 10, where not
+        all digits of N(z) are known. The derivative of ``value`` is that of the dominant root by
+        the implicit function theorem; it is infinite or NaN where that root is multiple.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN, or the method is
             unknown.
         TypeError: the delay is traced.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9); sec. V of the paper for its use.
+
+    Example:
+        >>> jaxstab.spectral_radius(0.1, 0.2, 0.0, 0.015, 1.0).value
+        0.9382...
     """
-    require_x64()
-    if method not in ("fast", "companion"):
-        raise ValueError(f'method is {method!r}; give "fast" or "companion".')
+    checked_word("method", method, ("fast", "companion"))
     arguments = alpha, beta, gamma, delta, delay
-    is_traced = any(isinstance(value, jax.core.Tracer) for value in arguments)
-    if method == "fast" and not is_traced:
-        radius = _fast_radius(*arguments)
+    require_x64(*arguments)
+    if any(map(is_traced, arguments)):
+        return _traced_radius(*arguments)
+    checked_arguments = (
+        checked_gain("alpha", alpha),
+        checked_gain("beta", beta),
+        checked_gamma(gamma),
+        checked_delta(delta),
+        checked_delay(delay),
+    )
+    points = [np.asarray(value, np.float64) for value in checked_arguments]
+    value, error = _concrete_radius(points, is_fast=method == "fast")
+    xp = namespace(arguments)
+    return tree_map(xp.asarray, _believed(value, error, points[2], points[3]))
+
+
+def _concrete_radius(points: list[Values], *, is_fast: bool) -> tuple[Values, Values]:
+    *parameters, delay = points
+    shape = np.broadcast_shapes(*(values.shape for values in points))
+    if delay.size == 1:
+        return _of_delay(parameters, shape, delay.item(), is_fast=is_fast)
+    value, error = np.zeros(shape), np.full(shape, np.inf)
+    for one in np.unique(delay).tolist():
+        indices = np.flatnonzero(np.broadcast_to(delay == one, shape))
+        listed = looked_up(parameters, shape, indices)
+        found = _of_delay(listed, indices.shape, one, is_fast=is_fast)
+        value.flat[indices], error.flat[indices] = found
+    return value, error
+
+
+def _of_delay(
+    parameters: list[Values], shape: tuple[int, ...], delay: float, *, is_fast: bool
+) -> tuple[Values, Values]:
+    if is_fast and delay <= LONGEST_DELAY and prod(shape) >= _MANY:
+        value, error = fast_radius(parameters, shape, delay)
     else:
-        radius = over_grid(_radius, *arguments)
-    believed: SpectralRadius = _believed(radius, jnp.asarray(gamma), jnp.asarray(delta))
-    return believed
+        value, error = np.zeros(shape), np.full(shape, np.inf)
+    still_open = np.flatnonzero(~(error <= TOLERANCE))
+    for start in range(0, still_open.size, _LIST):
+        part = still_open[start : start + _LIST]
+        best = _few(looked_up(parameters, shape, part), delay, is_fast=is_fast)
+        closer = ~(best[1] >= error.flat[part])
+        value.flat[part[closer]], error.flat[part[closer]] = (column[closer] for column in best)
+    return value, error
 
 
-def is_stable(
-    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
-) -> Bool[Array, "*grid"]:
-    """Return True where all poles are proved to lie inside the unit circle.
-
-    False where the loop is unstable, marginal, or closer to the boundary than float64 can decide:
-    ``verdict`` tells these apart.
-
-    Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, concrete.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced.
-        RuntimeError: JAX's x64 mode is off.
-
-    Source: sec. V of the paper.
-    """
-    stable: Array = verdict(alpha, beta, gamma, delta, delay) == Verdict.STABLE
-    return stable
+def _few(parameters: list[Values], delay: float, *, is_fast: bool) -> tuple[Values, Values]:
+    """Return value and error for a list of points: eigenvalues, proved in one of two ways."""
+    alpha, beta, gamma, delta = parameters
+    coefficients = characteristic_polynomial(alpha, beta, gamma, delta, delay)
+    poles = companion_poles(coefficients)
+    value, error = np.abs(poles[:, 0]), np.full(len(poles), np.inf)
+    if is_fast:
+        value, error = _polished(parameters, delay, poles[:, 0])
+    is_open = np.flatnonzero(~(error <= TOLERANCE))
+    if is_open.size:
+        rough = np.abs(poles[is_open, 0])
+        bound = radius_error(coefficients[is_open], rough)
+        closer = ~(bound >= error[is_open])
+        value[is_open[closer]], error[is_open[closer]] = rough[closer], bound[closer]
+    return value, error
 
 
-@jax.jit
-def _poles(coefficients: Float64[Array, "*grid coefficient"]) -> Complex128[Array, "*grid degree"]:
-    order_of = jnp.arange(coefficients.shape[-1])
-    unit = _unit(coefficients)[..., None]
-    scaled = companion_matrix(coefficients / unit**order_of)
-    poles = unit * jnp.linalg.eigvals(scaled)
-    order = jnp.argsort(-jnp.abs(poles), axis=-1)
-    return jnp.take_along_axis(poles, order, axis=-1)
+def _polished(parameters: list[Values], delay: float, root: Values) -> tuple[Values, Values]:
+    alpha, beta, gamma, delta = parameters
+    degree, fraction = polynomial_degree(delay), delay % 1.0
+    plant = float_plant(gamma, delta, np.float64(fraction), is_fractional=fraction > 0.0)
+    loop = Loop(alpha, beta, gamma, plant)
+    t = Complex(root.real - 1.0, np.abs(root.imag))
+    with np.errstate(all="ignore"):
+        for _ in range(_NEWTON_STEPS):
+            t = newton(t, loop, degree)
+    closer = t.re + 1j * t.im
+    return modulus(closer), distance_of_dominant(closer, loop, degree=degree)
 
 
-def _unit(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "*grid"]:
-    """Return what to measure roots in: 1, but of huge coefficients about the largest root.
-
-    Some builds of LAPACK lose the scale of matrices above 1e138.
-    """
-    sizes = jnp.abs(coefficients[..., 1:])
-    exponents = jnp.log2(sizes) / jnp.arange(1, coefficients.shape[-1])
-    largest = jnp.exp2(jnp.floor(jnp.max(exponents, axis=-1)))
-    return jnp.where(jnp.max(sizes, axis=-1) > _HUGE, largest, 1.0)
+def _traced_radius(*arguments: Numbers) -> SpectralRadius:
+    radius = over_grid(_companion_radius, *arguments)
+    return _believed(*radius, *arguments[2:4])
 
 
-def _fast_radius(
-    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
-) -> SpectralRadius:
-    arguments = [
-        np.asarray(value, np.float64)
-        for value in (
-            checked_gain("alpha", alpha),
-            checked_gain("beta", beta),
-            checked_gamma(gamma),
-            checked_delta(delta),
-            checked_delay(delay),
-        )
-    ]
-    value, error = fast_radius(arguments[:4], arguments[4])
-    left = np.flatnonzero(~(error <= TOLERANCE))
-    if left.size:
-        exact = over_grid(_radius, *looked_up(arguments, value.shape, left))
-        # In NumPy: as many points as are left would have JAX compile for each such number.
-        exact_value, exact_error = np.asarray(exact.value), np.asarray(exact.error)
-        closer = ~(exact_error >= error.flat[left])
-        value.flat[left[closer]] = exact_value[closer]
-        error.flat[left[closer]] = exact_error[closer]
-    status = np.where(
-        np.isfinite(error), np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
-    )
-    return SpectralRadius(*map(jnp.asarray, (value, error, status)))
+def _companion_radius(coefficients: Array) -> tuple[Array, Array]:
+    from jaxstab.point.radius.derivative import largest_modulus
+
+    value = largest_modulus(coefficients)
+    return value, radius_error(*constant((coefficients, value)))
 
 
-@jax.jit
-def _believed(radius: SpectralRadius, gamma: Array, delta: Array) -> SpectralRadius:
-    """Take back the bounds where the plant is not known to an ulp."""
-    is_lost = is_plant_lost(gamma, delta) | ((delta > _DAMPED) & (radius.value < _SMALL_RADIUS))
-    error = jnp.where(is_lost, jnp.inf, radius.error)
-    return SpectralRadius(
-        radius.value,
-        error,
-        jnp.where(is_lost, np.int8(RadiusStatus.NO_BOUND), radius.status),
-    )
-
-
-@jax.jit
-def _radius(coefficients: Float64[Array, "*grid coefficient"]) -> SpectralRadius:
-    value = _largest_modulus(coefficients)
-    error = radius_error(*jax.lax.stop_gradient((coefficients, value)))
-    status = jnp.where(jnp.isfinite(error), RadiusStatus.PROVED, RadiusStatus.NO_BOUND)
-    return SpectralRadius(value, error, status.astype(jnp.int8))
-
-
-@jax.custom_jvp
-def _largest_modulus(
-    coefficients: Float64[Array, "*grid coefficient"],
-) -> Float64[Array, "*grid"]:
-    return jnp.abs(_poles(coefficients)[..., 0])
-
-
-@_largest_modulus.defjvp
-def _largest_modulus_jvp(
-    primals: tuple[Array], tangents: tuple[Array]
-) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid"]]:
-    """Differentiate p(z) = 0 at the dominant root: eigvals has no derivative at double roots."""
-    (coefficients,), (change,) = primals, tangents
-    degree = coefficients.shape[-1] - 1
-    root = _poles(coefficients)[..., 0]
-    slope = _evaluated(coefficients[..., :-1] * jnp.arange(degree, 0, -1), root)
-    motion = -_evaluated(change, root) / slope
-    modulus = jnp.abs(root)
-    return modulus, (root.conj() * motion).real / modulus
-
-
-def _evaluated(
-    coefficients: Float64[Array, "*grid coefficient"], z: Complex128[Array, "*grid"]
-) -> Complex128[Array, "*grid"]:
-    value = jnp.zeros_like(z)
-    for power in range(coefficients.shape[-1]):
-        value = value * z + coefficients[..., power]
-    return value
+@compiled()
+def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> SpectralRadius:
+    """Take back the bounds where the plant is not known to an ulp, and say how all are known."""
+    xp = namespace(value, error, gamma, delta)
+    is_damped, is_lost = delta > _DAMPED, is_plant_lost(gamma, delta)
+    if xp is not np or np.any(is_damped) or np.any(is_lost):
+        error = xp.where(is_lost | (is_damped & (value < _SMALL_RADIUS)), xp.inf, error)
+    known, unknown = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
+    return SpectralRadius(value, error, xp.where(xp.isfinite(error), known, unknown))

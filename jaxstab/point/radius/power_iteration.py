@@ -15,10 +15,8 @@ from operator import add
 import jax.numpy as jnp
 from jax import Array, lax
 
-_EXPONENT = 0x7FF0_0000_0000_0000
-_LARGEST_EXPONENT = 0x7FE0_0000_0000_0000
-_RECIPROCAL = 0x7FDE_6238_22FC_16E6  # minus the bits of x: 1/x within 13 %
-_INVERSE_ROOT = 0x5FE6_EB50_C7B5_37A9  # minus half the bits of x: 1/sqrt(x) within 4 %
+from jaxstab.point.radius.elementary import power_of_two_below_inverse, reciprocal, square_root
+
 _ONE_ROOT = 1e-10  # relative determinant below which one real root is left
 
 Column = Array | None
@@ -126,12 +124,6 @@ def _rescaled(columns: list[Column]) -> list[Column]:
     return [None if column is None else column * scale for column in columns]
 
 
-def power_of_two_below_inverse(x: Array) -> Array:
-    """Return the power of two that brings x > 0 to [1, 2)."""
-    exponent = lax.bitcast_convert_type(x, jnp.int64) & _EXPONENT
-    return lax.bitcast_convert_type(_LARGEST_EXPONENT - exponent, jnp.float64)
-
-
 def _fitted(samples: list[Array]) -> tuple[Array, Array]:
     """Return t of the larger root of the recurrence of order two, or one, that fits best."""
     h0, h1, h2, h3 = samples
@@ -148,35 +140,10 @@ def _fitted(samples: list[Array]) -> tuple[Array, Array]:
     return jnp.where(is_single, single, re) - 1.0, jnp.where(is_pair & ~is_single, width, 0.0)
 
 
-# XLA does not fuse divisions and square roots whose results are used more than once. The results of
-# these go through Newton's method.
-
-
-def reciprocal(x: Array) -> Array:
-    """Return 1/x for x > 0 to eight digits."""
-    y = lax.bitcast_convert_type(_RECIPROCAL - lax.bitcast_convert_type(x, jnp.int64), jnp.float64)
-    for _ in range(3):
-        y = y * (2.0 - x * y)
-    return y
-
-
-def square_root(x: Array) -> Array:
-    """Return the root of x >= 0 to eight digits."""
-    y = lax.bitcast_convert_type(
-        _INVERSE_ROOT - (lax.bitcast_convert_type(x, jnp.int64) >> 1), jnp.float64
-    )
-    for _ in range(3):
-        y = y * (1.5 - 0.5 * x * y * y)
-    return x * y
-
-
-def plus(a: Column, b: Array) -> Array:
-    """Return a + b."""
-    return b if a is None else a + b
-
-
 def _plus_product(a: Column, b: Column, c: Column) -> Column:
-    return a if b is None or c is None else plus(a, b * c)
+    if b is None or c is None:
+        return a
+    return b * c if a is None else a + b * c
 
 
 def _minus(a: Column, b: Array, c: Column) -> Column:

@@ -3,14 +3,13 @@
 Source: eq. (9), in the form of the design; plants are computed once, in double-double.
 """
 
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Generic, cast
+from dataclasses import dataclass, fields, replace
+from typing import Any, Generic
 
-import jax
-import jax.numpy as jnp
-from jax import Array
+import numpy as np
 
+from jaxstab.arrays import Array, namespace, pytree
+from jaxstab.batches import compiled
 from jaxstab.conventions import UNSTABLE
 from jaxstab.model import DoubleDouble, PlantPairs, plant_pairs
 from jaxstab.model.plant import may_cancel, pairs_error
@@ -25,10 +24,11 @@ from jaxstab.point.verdict.recursion import (
     size_sum,
 )
 
+HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a loop
 _LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Plant(Generic[Number]):
     """A sampled plant, with N(z) ((alpha + beta) z - beta) = stiff(z) alpha - damp(z) beta."""
@@ -55,16 +55,19 @@ def float_plant(
     return plant
 
 
-@partial(jax.jit, static_argnames="is_fractional")
+@compiled(static=["is_fractional"])
 def _rounded_plant(
     gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
 ) -> Plant[Array]:
-    def is_pair(value: object) -> bool:
-        return isinstance(value, DoubleDouble)
-
     plant = _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
-    rounded = jax.tree.map(lambda v: v.rounded() if is_pair(v) else v, plant, is_leaf=is_pair)
-    return cast(Plant[Array], rounded)
+    rounded = {field.name: _rounded(getattr(plant, field.name)) for field in fields(plant)}
+    return Plant(**rounded)
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(map(_rounded, value))
+    return value.rounded() if isinstance(value, DoubleDouble) else value
 
 
 def pair_plant(
@@ -78,12 +81,13 @@ def pair_plant(
 def _plant_of(
     gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
 ) -> Plant[DoubleDouble]:
-    one = DoubleDouble.of(jnp.ones_like(pairs.d0.hi))
+    xp = namespace(gamma, delta, pairs)
+    one = DoubleDouble.of(xp.ones_like(pairs.d0.hi))
     zero = one - one
     stiff = (zero, pairs.n0, pairs.n1, pairs.n2)
     # n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
     damp = (pairs.n0, pairs.n1 - pairs.n0, pairs.difference - pairs.n0, -pairs.n2)
-    sum_n = sum(jnp.abs(n.hi) for n in stiff[1:])
+    sum_n = sum(abs(n.hi) for n in stiff[1:])
     return Plant(
         gap=one - pairs.d0,
         d1=pairs.d1,
@@ -93,16 +97,17 @@ def _plant_of(
         difference=pairs.difference,
         at_minus_one=one - pairs.d1 + pairs.d0,
         error=pairs_error(gamma, delta),
-        size=jnp.where(may_cancel(gamma, delta), jnp.sqrt(sum_n), sum_n),
+        size=xp.where(may_cancel(gamma, delta), xp.sqrt(sum_n), sum_n),
         sum=pairs.sum.hi,
     )
 
 
 def is_plant_lost(gamma: Array, delta: Array) -> Array:
     """Return True where N(z) nearly vanishes, so that an ulp of it cannot be relied on."""
-    rate = jnp.sqrt(jnp.maximum(gamma - 0.25 * delta**2, 0.0))
-    half = jnp.expm1(-0.5 * delta)
-    gamma_sum = half**2 + 4.0 * (1.0 + half) * jnp.sin(0.5 * rate) ** 2  # gamma N(1)
+    xp = namespace(gamma, delta)
+    rate = xp.sqrt(xp.maximum(gamma - 0.25 * delta**2, 0.0))
+    half = xp.expm1(-0.5 * delta)
+    gamma_sum = half**2 + 4.0 * (1.0 + half) * xp.sin(0.5 * rate) ** 2  # gamma N(1)
     return may_cancel(gamma, delta) & (gamma_sum < _LOST * gamma)
 
 
@@ -115,14 +120,18 @@ def loop_codes(
     unit: float,
     degree: int | Array,
 ) -> Array:
-    """Return the code of each point, computed in numbers of the given unit roundoff."""
+    """Return the code of each point, computed in numbers of the given unit roundoff.
+
+    The drift from exact steps is followed for high degrees, and where the degree is an array.
+    """
     chain = _closed_loop(alpha, beta, plant, unit)
     ends = _ends(alpha, beta, gamma, plant, unit, degree)
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
     large = size_sum(chain.tail) - chain.error > 8.0 * 2.0**degree
-    if not isinstance(degree, int):
+    if not isinstance(degree, int) or degree > HIGHEST_UNROLLED:
         chain = replace(chain, drift=chain.error + chain.head_error + 4.0 * unit)
-    return jnp.where(large, UNSTABLE, decide(chain, ends, unit, degree)).astype(jnp.int8)
+    codes = decide(chain, ends, unit, degree)
+    return namespace(large, codes).where(large, UNSTABLE, codes).astype(np.int8)
 
 
 def _closed_loop(alpha: Number, beta: Number, plant: Plant[Number], unit: float) -> Chain[Number]:

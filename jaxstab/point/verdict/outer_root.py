@@ -5,10 +5,7 @@ n roots of 1 / (z - root). So one z outside the unit circle at which p is small 
 it is taken from the eigenvalues of the companion matrix.
 """
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jaxtyping import Bool, Float64
 
 from jaxstab.model import companion_matrix
@@ -40,26 +37,25 @@ def have_outer_root(
     tried = np.flatnonzero(np.all(ends > _ON_CIRCLE * sizes, axis=0))
     proved = np.zeros(sizes.shape, bool)
     for start in range(0, tried.size, _BATCH):
-        some = np.resize(tried[start : start + _BATCH], _BATCH)
-        proved[some] = np.asarray(_has_outer_root(jnp.asarray(coefficients[some])))
+        batch = tried[start : start + _BATCH]
+        proved[batch] = _has_outer_root(coefficients[batch])
     return proved
 
 
-@jax.jit
 def _has_outer_root(
-    coefficients: Float64[Array, "point coefficient"],
-) -> Bool[Array, " point"]:
+    coefficients: Float64[np.ndarray, "point coefficient"],
+) -> Bool[np.ndarray, " point"]:
     degree = coefficients.shape[-1] - 1
-    poles = jnp.linalg.eigvals(companion_matrix(coefficients))
-    z = jnp.take_along_axis(poles, jnp.argmax(jnp.abs(poles), -1, keepdims=True), -1)[..., 0]
-    size = jnp.abs(z)
-    value, slope = jnp.zeros_like(z), jnp.zeros_like(z)
-    value_size, slope_size = jnp.zeros_like(size), jnp.zeros_like(size)
-    for place in range(degree + 1):
-        coefficient = coefficients[..., place]
+    poles = np.linalg.eigvals(companion_matrix(coefficients))
+    z = np.take_along_axis(poles, np.argmax(np.abs(poles), -1)[..., None], -1)[..., 0]
+    size = np.abs(z)
+    value, slope = np.zeros_like(z), np.zeros_like(z)
+    value_size, slope_size = np.zeros_like(size), np.zeros_like(size)
+    for coefficient in coefficients.T:
         slope, slope_size = slope * z + value, slope_size * size + value_size
-        value, value_size = value * z + coefficient, value_size * size + jnp.abs(coefficient)
+        value, value_size = value * z + coefficient, value_size * size + np.abs(coefficient)
     rounding = _PER_DEGREE * (degree + 1) * FLOAT_UNIT
-    steepness = jnp.abs(slope) - rounding * slope_size
-    reach = degree * (jnp.abs(value) + rounding * value_size) / steepness
-    return (steepness > 0.0) & (size - (1.0 + rounding) * reach > 1.0 + rounding)
+    steepness = np.abs(slope) - rounding * slope_size
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half_width = degree * (np.abs(value) + rounding * value_size) / steepness
+    return (steepness > 0.0) & (size - (1.0 + rounding) * half_width > 1.0 + rounding)

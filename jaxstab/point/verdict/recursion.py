@@ -34,10 +34,9 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Generic, NamedTuple, TypeVar, cast
 
-import jax
-import jax.numpy as jnp
-from jax import Array, lax
+import numpy as np
 
+from jaxstab.arrays import Array, kept, namespace, pytree, repeat, tree_map
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import DoubleDouble
 
@@ -49,7 +48,7 @@ UNDERFLOW = 1e-260  # more than all that is lost by numbers flushed to zero
 _SAFETY = 1.001  # the bounds themselves are rounded
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Chain(Generic[Number]):
     """A polynomial in the form of the recursion, with the error bounds of its coefficients."""
@@ -79,14 +78,15 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
 
     A degree that is an array sets the length of a loop, one compilation serving all above 3.
     """
+    xp = namespace(chain, degree)
     is_cubic = isinstance(degree, int) and degree == 3
     if not is_cubic:
         chain = _step(chain, unit, is_monic=True)
-    if not isinstance(degree, int):
-        chain = _steps(chain, unit, degree - 4)
-    else:
+    if isinstance(degree, int):
         for _ in range(degree - 4):
             chain = _step(chain, unit)
+    else:
+        chain = _steps(chain, unit, degree - 4)
     # The last step, from a cubic b0 z^3 + b1 z^2 + b2 z + b3 to u0 - u2 of the quadratic.
     head, tail = chain.head, chain.tail
     b0 = chain.gap + head[1]
@@ -105,23 +105,22 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
         ends.at_minus_one < -ends.at_minus_one_error
     )
     no_real = (ends.at_one > ends.at_one_error) & (ends.at_minus_one > ends.at_minus_one_error)
-    counted = jnp.where(is_inside, STABLE, UNSTABLE)
-    codes = jnp.where(no_real & is_clear, counted, UNDECIDED)
-    return jnp.where(real_outside | chain.outside, UNSTABLE, codes).astype(jnp.int8)
+    counted = xp.where(is_inside, STABLE, UNSTABLE)
+    codes = xp.where(no_real & is_clear, counted, UNDECIDED)
+    return xp.where(real_outside | chain.outside, UNSTABLE, codes).astype(np.int8)
 
 
 def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
-    shape = jnp.shape(chain.error)
-    start = jax.tree.map(lambda value: jnp.broadcast_to(value, shape), chain)
-    steps = lax.fori_loop(0, count, lambda _, state: _step(state, unit), start)
-    return cast(Chain[Number], steps)
+    xp = namespace(chain, count)
+    start = tree_map(lambda value: xp.broadcast_to(value, xp.shape(chain.error)), chain)
+    return repeat(count, lambda state: _step(state, unit), start)
 
 
 def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Number]:
     """Lower the degree by one, and bound what exact steps with the same K could differ by."""
     gap, head, tail = chain.gap, chain.head, chain.tail
     first = gap + head[1]
-    ratio = tail[0] if is_monic else lax.optimization_barrier(tail[0] / first)
+    ratio = tail[0] if is_monic else tree_map(kept, tail[0] / first)
     modulus = size(ratio)
     lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
     sizes = size(first) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
@@ -153,7 +152,7 @@ def _drifted(drift: Array, modulus: Array, first: Array, total: Array, unit: flo
     ratio_error = 3.0 * drift * (1.0 + modulus) / first + 3.0 * unit * modulus
     grown = drift * (1.0 + 2.0 * modulus) + 2.0 * ratio_error * total
     grown = grown + 5.0 * unit * total * (1.0 + modulus)
-    return jnp.where(first >= 6.0 * drift, grown, jnp.inf)
+    return namespace(drift, grown).where(first >= 6.0 * drift, grown, np.inf)
 
 
 def _minus(a: Number | None, ratio: Number, b: Number | None) -> Number:
@@ -170,9 +169,9 @@ def leading(number: Array | DoubleDouble) -> Array:
 
 def size(number: Array | DoubleDouble) -> Array:
     """Return the absolute value, to float64 accuracy."""
-    return jnp.abs(leading(number))
+    return abs(leading(number))
 
 
 def size_sum(numbers: tuple[Number, ...]) -> Array:
     """Return the l1 norm."""
-    return sum((size(number) for number in numbers), jnp.zeros(()))
+    return sum(map(size, numbers), 0.0)
