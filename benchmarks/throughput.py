@@ -22,8 +22,8 @@ from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth.slices import ExactSlice
+from jaxstab.batches import compiled
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
-from jaxstab.wide_vectors import wide_jit
 
 GAMMA, DELTA = 1e-3, 0.015
 BAND = "largest distance from the boundary with a wrong or no verdict, relative to the region"
@@ -287,7 +287,7 @@ def _plain_kernel(operations: float) -> Callable[[jax.Array, jax.Array], jax.Arr
     """Return a kernel of so many multiplications and additions per point and nothing else."""
     steps = max(round(operations / 2.0 / _CHAINS), 1)
 
-    @wide_jit
+    @compiled(wide=True)
     def kernel(x: jax.Array, y: jax.Array) -> jax.Array:
         chains = [x + chain for chain in range(_CHAINS)]
         for _ in range(steps):

@@ -7,16 +7,18 @@ were given. A grid of five axes needs the memory of its axes, of one chunk and o
 
 import math
 from collections.abc import Callable, Iterator
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.arrays import Array, Numbers, is_traced, namespace, tree_map
+from jaxstab.batches import lists
 from jaxstab.model import characteristic_polynomial, checked_delay, require_x64
 from jaxstab.numbers import checked_count
 
 CHUNK = 2**15
+MANY = 2**14  # points of one degree whose companion matrices go through XLA
 
 Result = TypeVar("Result")
 
@@ -77,23 +79,16 @@ def over_grid(kernel: Callable[[Array], Result], *parameters: Numbers) -> Result
         return kernel(characteristic_polynomial(alpha, beta, gamma, delta, delay))
     arguments = [np.asarray(value, np.float64) for value in parameters]
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
-    chunks = list(_chunks(delay, shape))
-    parts = [
-        kernel(characteristic_polynomial(*looked_up(arguments, shape, points))) for points in chunks
-    ]
+    degrees = np.broadcast_to(np.ceil(delay), shape)
+    members = [np.flatnonzero(degrees == degree) for degree in np.unique(degrees)]
+    parts, results = [], []
+    for part, padded in (pair for some in members for pair in lists(some, CHUNK)):
+        listed = looked_up(arguments, shape, padded if part.size >= MANY else part)
+        whole = kernel(characteristic_polynomial(*listed))
+        parts.append(part)
+        results.append(tree_map(lambda array, count=part.size: array[:count], whole))
     xp = namespace(parameters)
-    return tree_map(lambda *arrays: xp.asarray(_scattered(chunks, arrays, shape)), *parts)
-
-
-def _chunks(
-    delay: Float64[np.ndarray, "..."], shape: tuple[int, ...]
-) -> Iterator[Int64[np.ndarray, " point"]]:
-    """Yield flat indices of points of one degree."""
-    degrees = np.ceil(delay)
-    for degree in np.unique(degrees):
-        members = np.flatnonzero(np.broadcast_to(degrees == degree, shape))
-        for start in range(0, members.size, CHUNK):
-            yield members[start : start + CHUNK]
+    return tree_map(lambda *arrays: xp.asarray(_scattered(parts, arrays, shape)), *results)
 
 
 def looked_up(
@@ -115,13 +110,13 @@ def looked_up(
 
 
 def _scattered(
-    chunks: list[Int64[np.ndarray, "_"]],
-    parts: tuple[np.ndarray, ...],
+    points: list[Int64[np.ndarray, "_"]],
+    parts: tuple[Any, ...],
     shape: tuple[int, ...],
 ) -> np.ndarray:
     longest = max((part.shape[1:] for part in parts), default=())
     result = np.zeros((math.prod(shape), *longest), parts[0].dtype)
-    for points, part in zip(chunks, parts, strict=True):
+    for index, part in zip(points, parts, strict=True):
         missing = [(0, full - length) for full, length in zip(longest, part.shape[1:], strict=True)]
-        result[points] = np.pad(part, [(0, 0), *missing])
+        result[index] = np.pad(part, [(0, 0), *missing])
     return result.reshape((*shape, *longest))

@@ -6,7 +6,7 @@ from jaxtyping import Complex128, Float64
 from jaxstab.arrays import Array, Numbers, namespace
 from jaxstab.batches import compiled
 from jaxstab.model import companion_matrix
-from jaxstab.point.grid import over_grid
+from jaxstab.point.grid import MANY, over_grid
 
 _HUGE = 2.0**400
 
@@ -42,7 +42,7 @@ def closed_loop_poles(
     return over_grid(companion_poles, alpha, beta, gamma, delta, delay)
 
 
-@compiled()
+@compiled(many=MANY)
 def companion_poles(
     coefficients: Float64[Array, "*grid coefficient"],
 ) -> Complex128[Array, "*grid degree"]:

@@ -210,11 +210,11 @@ def _grouped_verdict(points: _Points) -> Int8[np.ndarray, "*grid"]:
 
 def _resolved(codes: Int8[np.ndarray, "*grid"], points: _Points) -> Int8[np.ndarray, "*grid"]:
     """Repeat UNDECIDED points in double-double; of what is left, look for a root outside."""
-    for form, indices in points.groups(codes == UNDECIDED):
+    for form, indices in points.groups(np.asarray(codes == UNDECIDED)):
         for start in range(0, indices.size, _PAIRS):
             part = indices[start : start + _PAIRS]
             codes.flat[part] = _pair_codes(_gathered(points, points.shape, part), form)
-    for _, indices in points.groups(codes == UNDECIDED):
+    for _, indices in points.groups(np.asarray(codes == UNDECIDED)):
         values = looked_up(list(points), points.shape, indices)
         proved = have_outer_root(characteristic_polynomial(*values))
         proved &= ~is_plant_lost(*values[2:4])
