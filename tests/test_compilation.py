@@ -20,7 +20,15 @@ import jaxstab
 TESTS = Path(__file__).parent
 
 # What is written for both array namespaces; all other functions still ask JAX for everything.
-CONVERTED = {"characteristic_polynomial", "companion_matrix", "plant_coefficients"}
+CONVERTED = {
+    "characteristic_polynomial",
+    "closed_loop_poles",
+    "companion_matrix",
+    "is_stable",
+    "plant_coefficients",
+    "spectral_radius",
+    "verdict",
+}
 
 # No JAX array can be given to them: they take a HapticLoop and a HandRange alone.
 WITHOUT_ARRAYS = {"optimal_gains", "robust_limit", "wall_limits"}

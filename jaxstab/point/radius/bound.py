@@ -1,7 +1,8 @@
 """How far a spectral radius can be from the true one: verdicts on p(r z) for a ladder of radii r.
 
 All roots are inside the circle of radius + error, and not all inside that of radius - error; each
-side is one verdict of the certified recursion. The steps of the ladder have a ratio of 4.
+side is one verdict of the certified recursion (lemma R3 of docs/proofs.md). The steps of the ladder
+have a ratio of 4.
 
 Source: Schur-Cohn criterion (Jury 1964) for p(r z).
 """

@@ -1,16 +1,9 @@
 """The proof that a root of p(z) is the dominant one, and how far it is from the true one.
 
-p of degree n has a root z1 within n |p(z) / p'(z)| of any z, a multiple root too: that is
-``distance``, the rounding of p and p' included. Divided by z1, and by its conjugate where there is
-one, p leaves Q(z). If all roots of Q are proved to be inside the circle through z, z1 is dominant.
-The Schur-Cohn steps a -> (a - k a*) / z (1 - k^2) from Q down to a constant give, with the k that
-were computed, however wrong, a polynomial with all roots inside and on the circle the modulus
-
-    prod (1 - |k|)  at least, while its coefficients sum up to  prod (1 + |k|)  at most;
-
-Q is no further from it than its own error and what the steps rounded, each step's rounding being
-raised by the steps before it: by Rouche's theorem Q has all roots inside too if that is less than
-the modulus. So the proof needs no more precision than the distance to the second largest root asks.
+A root lies within n |p(z) / p'(z)| of any z (lemma R1 of docs/proofs.md). Divided by it, and by its
+conjugate where there is one, p leaves Q(z); if all roots of Q are proved to be inside the circle
+through z, the root is dominant (lemma R2). So the proof needs no more precision than the distance
+to the second largest root asks.
 
 Sources: Schur (1917), Cohn (1922); Henrici, Applied and Computational Complex Analysis I, 6.4, for
 the distance.

@@ -1,6 +1,6 @@
 """The loop's p(z) in the form of the certified recursion, and what is lost in forming it.
 
-Source: eq. (9), in the form of the design; plants are computed once, in double-double.
+Plants are computed once, in double-double (lemma V7 of docs/proofs.md). Source: eq. (9).
 """
 
 from dataclasses import dataclass, fields, replace

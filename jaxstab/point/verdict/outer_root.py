@@ -1,8 +1,7 @@
-"""Proof of instability by one root: where the recursion loses its digits, a root far outside tells.
+"""The proof of instability by one root outside, for loops whose recursion loses its digits.
 
-A polynomial p of degree n has a root within n |p(z) / p'(z)| of any z, for p'/p is the sum over the
-n roots of 1 / (z - root). So one z outside the unit circle at which p is small enough is a proof;
-it is taken from the eigenvalues of the companion matrix.
+One z outside the unit circle at which p is small enough proves that a root is outside (lemma V5 of
+docs/proofs.md). It is taken from the eigenvalues of the companion matrix.
 """
 
 import numpy as np

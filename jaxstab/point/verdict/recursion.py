@@ -6,26 +6,14 @@ p -> (p - K z^m p(1/z)) / z with K = v0/u0, lowers the degree m by one and keeps
 
     u_i -> u_i - K v_i,        v_i -> v_(i+1) - K u_(i+1).
 
-**Proof.** Let F_j be what these steps give in exact arithmetic, for the true p but with the K that
-were computed, however wrong. On the unit circle |z^m p(1/z)| = |p|. So while |K| is not 1, F_j has
-no zero there if F_(j+1) has none, and the winding number of p follows from that of F_(n-2). The
-computed quadratic differs from F_(n-2) by a Laurent polynomial whose coefficients have the l1 norm
-``error`` at most, for a step multiplies errors by 1 + |K| at most. On the upper half circle
+The K that were computed decide, however wrong they are; ``error`` bounds what the polynomial may
+differ by from exact steps with the same K, and the winding number of the quadratic at the end, with
+the signs of p(1) and p(-1), tells where the roots are: lemmas V1 to V6 of docs/proofs.md.
 
-    Im(F_(n-2) / z) / sin(theta) = u0 - u2 + (at most (n - 1) error),
-
-so once the left side keeps its sign, the winding number is known from the signs of p(1) and p(-1).
-If all |K| < 1 and u0 > u2, every root is inside. If a |K| > 1, at least one is not: a step with
-|K| > 1 at degree m exchanges the numbers of roots inside and outside, and from none outside no
-such exchanges at m >= 3 lead to the 0 ... 2 that the quadratic can have.
-
-**Near z = 1** u0 and u2 are both close to 1. Their difference, the ``gap``, is carried instead; u1
-enters F_(n-2) at the centre, where it does not count. So errors are relative to the gap and to the
-tail, not to the coefficients of p.
-
-**Far outside**, for long delays, factors of 1 + |K| add up to more than float64 has digits, though
-an early K is certainly above 1. ``drift`` bounds the distance to the steps with the exact K, each
-of which has |K| < 1 for a stable polynomial.
+Near z = 1 u0 and u2 are both close to 1. Their difference, the ``gap``, is carried instead, so
+errors are relative to the gap and to the tail, not to the coefficients of p. Far outside, for long
+delays, factors of 1 + |K| add up to more than float64 has digits, though an early K is certainly
+above 1: ``drift`` bounds the distance to the steps with the exact K.
 
 Sources: Schur (1917), Cohn (1922); Jury (1964), Theory and Application of the z-Transform Method.
 """
@@ -45,7 +33,7 @@ Number = TypeVar("Number", Array, DoubleDouble)
 FLOAT_UNIT = 2.0**-53
 PAIR_UNIT = 2.0**-99  # of the least accurate operation, the division
 UNDERFLOW = 1e-260  # more than all that is lost by numbers flushed to zero
-_SAFETY = 1.001  # the bounds themselves are rounded
+_SAFETY = 1.001  # the bounds themselves are rounded (lemma V3)
 
 
 @pytree
