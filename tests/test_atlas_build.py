@@ -35,6 +35,7 @@ TINY = AtlasSpec(
     products=["verdict"],
 )  # fmt: skip
 FORMER = b"the former file"
+LONG = pytest.mark.campaign
 KILLS = Path(__file__).with_name("killed_builds.py")
 
 
@@ -209,7 +210,13 @@ def failing_write(error: int, after: int) -> Callable[[int, bytes], int]:
     return write
 
 
-@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EDQUOT])
+@pytest.mark.parametrize(
+    "error",
+    [
+        errno.ENOSPC,
+        *(pytest.param(e, marks=pytest.mark.campaign) for e in (errno.EIO, errno.EDQUOT)),
+    ],
+)
 @pytest.mark.usefixtures("computed")
 def test_a_full_disk_leaves_the_former_file_and_the_tiles_that_are_done(
     error: int, whole: bytes, tmp_path: Path
@@ -299,6 +306,7 @@ class Death:
         return mortal_call
 
 
+@pytest.mark.campaign
 @pytest.mark.usefixtures("computed")
 def test_after_a_death_at_any_call_there_is_the_old_file_or_the_new_one_and_a_build_mends_all(
     whole: bytes, tmp_path: Path

@@ -27,6 +27,7 @@ CONVERTED = {
     "is_stable",
     "plant_coefficients",
     "spectral_radius",
+    "sweep",
     "verdict",
 }
 

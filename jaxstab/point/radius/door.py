@@ -160,7 +160,7 @@ def _polished(parameters: list[Values], delay: float, root: Values) -> tuple[Val
     with np.errstate(all="ignore"):
         for _ in range(_NEWTON_STEPS):
             t = newton(t, loop, degree)
-    closer = t.re + 1j * t.im
+        closer = t.re + 1j * t.im
     return modulus(closer), distance_of_dominant(closer, loop, degree=degree)
 
 
