@@ -16,6 +16,9 @@ import numpy as np
 Array: TypeAlias = Any
 """A NumPy array, a JAX array or a tracer; ``Float64[Array, "*grid"]`` checks shape and dtype."""
 
+PI_REST = 1.2246467991473532e-16
+"""pi minus the float64 next to it."""
+
 Numbers: TypeAlias = Any
 """What a public function takes for an array: a number, a list, a NumPy or JAX array, a tracer."""
 

@@ -1,10 +1,7 @@
 """The plant's coefficients over whole boxes of hands, enclosed.
 
-How far second derivatives can go. Let h(t) be the impulse response of x'' + delta x' + gamma x = u.
-For gamma, delta >= 0 its energy h'^2 + gamma h^2 does not grow, so |h'| <= 1 and |h(t)| <= t.
-Derivatives are convolutions: d/dgamma is -h*, d/ddelta is -h'*, with a factor 2 for the second one.
-The plant's coefficients are integrals of h(s) and of e^(-delta (1 - s)) h(s) over parts of (0, 1),
-and d1 has the first derivatives h(1) and -h'(1); this gives the table below.
+How far they can bend follows from lemmas B1 and B2 of docs/proofs.md: the plant's response to an
+impulse stays below t, its velocity below 1, and derivatives by gamma and delta are convolutions.
 """
 
 from typing import NamedTuple
@@ -15,16 +12,33 @@ from jaxtyping import Float64, Int64
 from jaxstab.boxes.models import Floats, LinearModel
 from jaxstab.model.plant import pairs_error, plant_coefficients
 
-# Bounds of the second derivatives: by gamma twice, by gamma and delta, by delta twice.
-_BENDS = {
-    "d1": (1 / 6, 1 / 2, 1.0),
-    "d0": (0.0, 0.0, 1.0),
-    "n2": (1 / 360, 1 / 60, 1 / 12),
-    "n1": (1 / 180, 1 / 24, 1 / 3),
-    "n0": (1 / 360, 1 / 40, 1 / 4),
-    "sum": (1 / 180, 1 / 24, 1 / 3),
-    "difference": (1 / 180, 1 / 24, 1 / 3),
+
+class Bend(NamedTuple):
+    """Bounds of a function's second derivatives by gamma and delta."""
+
+    gamma_twice: float
+    mixed: float
+    delta_twice: float
+
+    def rest(self, half_gamma: Floats, half_delta: Floats) -> Floats:
+        """Bound how far the function is from its tangent within half-widths of gamma and delta."""
+        pure = self.gamma_twice * half_gamma**2 + self.delta_twice * half_delta**2
+        return 0.5 * pure + self.mixed * half_gamma * half_delta
+
+
+# The tables of lemma B2.
+BENDS = {
+    "d1": Bend(1 / 6, 1 / 2, 1.0),
+    "d0": Bend(0.0, 0.0, 1.0),
+    "n2": Bend(1 / 360, 1 / 60, 1 / 12),
+    "n1": Bend(1 / 180, 1 / 24, 1 / 3),
+    "n0": Bend(1 / 360, 1 / 40, 1 / 4),
+    "sum": Bend(1 / 180, 1 / 24, 1 / 3),
+    "difference": Bend(1 / 180, 1 / 24, 1 / 3),
 }
+NUMERATOR_SLOPES = (1 / 12, 1 / 2, 2.0)
+"""Bounds of the slopes of N by gamma, delta and delay, as sums over its coefficients."""
+
 _ROUNDING = 64 * np.finfo(np.float64).eps  # more than the coefficients have
 _UNDERFLOW = 1e-290  # more than all that is lost by numbers flushed to zero
 
@@ -98,10 +112,10 @@ def plant_models(hands: HandBoxes, delay: float) -> PlantModels:
     def model(name: str) -> LinearModel:
         at = np.asarray(getattr(values, name))
         slope = [_secant(at[1], at[2], widths[0]), _secant(at[3], at[4], widths[1])]
-        by_gamma, mixed, by_delta = _BENDS[name]
         # A secant differs from the tangent by as much as the function from its tangent.
-        bend = by_gamma * h_gamma**2 + mixed * h_gamma * h_delta + by_delta * h_delta**2
-        rest = bend + _ROUNDING * np.max(np.abs(at), axis=0)
+        bend = BENDS[name]
+        secant = bend.rest(h_gamma, 0.0) + bend.rest(0.0, h_delta)
+        rest = bend.rest(h_gamma, h_delta) + secant + _ROUNDING * np.max(np.abs(at), axis=0)
         rest += lost * (1.0 if name in ("d1", "d0") else size_n) + _UNDERFLOW
         return LinearModel(at[0], np.stack(slope), rest, half)
 

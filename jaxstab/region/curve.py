@@ -24,11 +24,11 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 from jaxtyping import Float64
 
+from jaxstab.arrays import PI_REST
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.plant import PlantPairs, plant_pairs
 
-_PI_REST = 1.2246467991473532e-16  # pi minus the float64 next to it
 _TERMS = 10  # of sine and cosine up to pi/4: the next one is below 2^-60, of derivatives too
 # A quarter turn in parts of 27 bits: multiples of the first two are exact.
 _QUARTER_TURN = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18)
@@ -271,7 +271,7 @@ def curve_and_lift(
     """
     upper = theta > pi / 2
     # Without the barrier XLA would add the two parts of pi first.
-    from_pi = lax.optimization_barrier(pi - theta) + (_PI_REST - low)
+    from_pi = lax.optimization_barrier(pi - theta) + (PI_REST - low)
     folded = jnp.where(upper, from_pi, theta + low)
     half = 0.5 * folded
     half_sine, half_cosine = half * _sinc(half**2), _cosine(half**2)

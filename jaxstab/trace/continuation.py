@@ -16,7 +16,7 @@ import optimistix
 from jax import Array
 from jaxtyping import Float64
 
-from jaxstab.boxes.exclusion import circle_equations, quick_slice
+from jaxstab.boxes.circle import circle_equations, quick_slice
 from jaxstab.region.curve import SliceCoefficients, slice_coefficients
 from jaxstab.region.pieces import Branch
 from jaxstab.trace.plane import Monomials

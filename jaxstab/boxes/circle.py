@@ -1,0 +1,137 @@
+"""The two real equations for a pair of roots on the unit circle, quick to compute.
+
+With z = e^(i theta), m = floor(delay) + 1 and the notation of ``jaxstab.region.curve``,
+
+    g = p(z) / z^(m + 2) = D/z + z^-m (N/z) H,      H = alpha + beta (1 - 1/z).
+
+g is continuous in all six variables, in the delay too. Re g and Im g / sin(theta) are even and
+2 pi-periodic in theta, so the equations Re g = 0, Im g / sin(theta) = 0 of a pair of roots go on
+smoothly to theta = 0 and pi, where the pair meets a real root.
+"""
+
+from math import pi
+from typing import NamedTuple
+
+from jaxtyping import Float64
+
+from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
+from jaxstab.region.curve import SliceCoefficients
+
+_DOUBLINGS = 12
+_TERMS = 12
+
+
+class Motion(NamedTuple):
+    """Position and velocity after a unit step of force on the plant at rest.
+
+    The velocity is the plant's response h to an impulse, the position its integral.
+    """
+
+    position: Float64[Array, "*grid"]
+    velocity: Float64[Array, "*grid"]
+
+
+def motion(gamma: Array, delta: Array, time: Array) -> Motion:
+    """Sum a Taylor series for a small time and double that time: sums keep their accuracy."""
+    xp = namespace(gamma, delta, time)
+    short = time * 2.0**-_DOUBLINGS
+    before, term = xp.zeros_like(short), 0.5 * short**2
+    position, moment = term, 2.0 * term
+    for k in range(2, _TERMS):
+        following = -(delta * short * term + gamma * short**2 * before / k) / (k + 1)
+        before, term = term, following
+        position, moment = position + term, moment + (k + 1) * term
+
+    def doubled(half: Motion) -> Motion:
+        p, v = half
+        return Motion(2 * p - gamma * p**2 + v**2, 2 * v - delta * v**2 - 2 * gamma * p * v)
+
+    start = Motion(position, moment / xp.where(short == 0.0, 1.0, short))
+    return repeat(_DOUBLINGS, doubled, start)
+
+
+class QuickPlant(NamedTuple):
+    """D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, with some slopes, in plain float64.
+
+    ``impulse`` and ``kept`` are position and velocity one sample after an impulse, ``early`` and
+    ``late`` the slopes by the delay: n2 loses early, n0 gains late, n1 the rest.
+    """
+
+    d1: Float64[Array, "*grid"]
+    d0: Float64[Array, "*grid"]
+    n2: Float64[Array, "*grid"]
+    n1: Float64[Array, "*grid"]
+    n0: Float64[Array, "*grid"]
+    sum: Float64[Array, "*grid"]
+    impulse: Float64[Array, "*grid"]
+    kept: Float64[Array, "*grid"]
+    early: Float64[Array, "*grid"]
+    late: Float64[Array, "*grid"]
+
+
+def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
+    """Return the sampled plant, good to about 1e-14 of one."""
+    xp = namespace(gamma, delta, delay)
+    rest_of_sample = xp.floor(delay) + 1.0 - delay
+    full = motion(gamma, delta, xp.ones_like(gamma + delta))
+    held = motion(gamma, delta, rest_of_sample)
+    kept = 1.0 - delta * full.velocity - gamma * full.position
+    total = full.position + full.velocity**2 - kept * full.position
+    later = full.position - held.position
+    n2, early = held
+    n1 = later + full.velocity * early - kept * n2
+    n0 = full.velocity * (full.velocity - early) - kept * later
+    late = full.velocity * (1.0 - gamma * n2) - early * (1.0 - gamma * full.position)
+    d1, d0 = gamma * full.position - 1.0 - kept, xp.exp(-delta)
+    return QuickPlant(d1, d0, n2, n1, n0, total, full.velocity, kept, early, late)
+
+
+def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
+    """Return the slice for radius 1 in plain float64: quick to compile and to differentiate.
+
+    Good to about 1e-14 of one, where ``slice_coefficients`` gives each value digits of its own.
+    """
+    xp = namespace(gamma, delta, delay)
+    plant = quick_plant(gamma, delta, delay)
+    one = xp.ones_like(plant.d0)
+    return SliceCoefficients(
+        radius=one,
+        turns=xp.floor(delay) + 1.0,
+        gain=one,
+        ratio=gamma,
+        kappa=1.0 + plant.d0,
+        eps=-xp.expm1(-delta),
+        sigma=plant.n2 + plant.n0,
+        nu=plant.n2 - plant.n0,
+        den_plus=gamma * plant.sum,
+        den_minus=1.0 - plant.d1 + plant.d0,
+        num_plus=plant.sum,
+        num_minus=plant.n2 - plant.n1 + plant.n0,
+    )
+
+
+def circle_equations(
+    c: SliceCoefficients, alpha: Numbers, beta: Numbers, theta: Array
+) -> tuple[Array, Array]:
+    """Return Re g and Im g / sin(theta); differentiable, and smooth in theta at 0 and pi."""
+    xp = namespace(c, alpha, beta, theta)
+    upper = theta > pi / 2
+    folded = xp.where(upper, (pi - theta) + PI_REST, theta)
+    sine, is_end = xp.sin(folded), folded == 0.0
+    turn = xp.where(upper, 1.0 - 2.0 * (c.turns % 2.0), 1.0)
+    cosine_m = turn * xp.cos(c.turns * folded)
+    ratio = xp.where(
+        is_end, c.turns, xp.sin(c.turns * folded) / xp.where(is_end, 1.0, sine)
+    )  # sin(m theta) / sin(theta)
+    ratio_m = xp.where(upper, -turn, 1.0) * ratio
+    near, far = 2.0 * xp.sin(0.5 * folded) ** 2, 2.0 * xp.cos(0.5 * folded) ** 2
+    h, rest = xp.where(upper, far, near), xp.where(upper, near, far)  # 1 -+ cos(theta)
+    d = xp.where(upper, c.kappa * rest - c.den_minus, c.den_plus - c.kappa * h)
+    q = xp.where(upper, c.sigma * rest - c.num_minus, c.num_plus - c.sigma * h)
+    wall = alpha + beta * h
+    # (N/z) H = push + i sin(theta) turned
+    push = q * wall - c.nu * beta * sine**2
+    turned = q * beta + c.nu * wall
+    real = d + cosine_m * push + ratio_m * sine**2 * turned
+    imaginary = c.eps + cosine_m * turned - ratio_m * push
+    return real, imaginary

@@ -1,0 +1,187 @@
+"""From stable walls to the first root on the unit circle, when one quantity is changed.
+
+A gain is changed up to where the wall is proved unstable. A delay has no such end; there only those
+angles matter at which |D| = |N| |H| for some fraction of a sample: elsewhere no delay, however
+long, brings a root onto the circle.
+"""
+
+from functools import partial
+from math import inf, nan, pi
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.boxes.bisection import Boxes, Extent, pave
+from jaxstab.boxes.exclusion import Loops, exclude_any_delay
+from jaxstab.boxes.first_root import Lines, Parts, first_roots
+from jaxstab.conventions import AXES, Verdict
+from jaxstab.point import verdict
+
+Walls = Float64[np.ndarray, "wall 5"]
+Column = Float64[np.ndarray, " wall"]
+
+MOST_DELAY = 1024.0  # samples: further delay is not looked at
+
+_ALPHA, _BETA, _DELAY = (AXES.index(name) for name in ("alpha", "beta", "delay"))
+GAIN_WAYS = ((_ALPHA, -1.0), (_ALPHA, 1.0), (_BETA, -1.0), (_BETA, 1.0))
+WAYS = (*GAIN_WAYS, (_DELAY, 1.0))
+"""The axes along which a wall is changed, and the signs."""
+
+_AT_ONCE = 64  # walls
+_ANGLES, _ANGLES_PER_TURN = 32, 4  # boxes of theta at first, for half a turn of the root
+_PIECES = 2  # boxes along a gain at first
+_FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
+_DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
+_DELAY_ANGLES, _FRACTIONS = 256, 4  # boxes at first, for half a turn and for a sample
+_SMALLEST = np.array([0.0, 2.0**-12, 2.0**-16])  # half the size of boxes of fractions, angles / pi
+_MOST_ANGLES = 2000  # such boxes of a wall at once
+_TOUCHING = 1e-9
+_LONGER = 4.0  # each stretch of delay than the one before
+_SAFE = 1.0 - 2.0**-50  # a step loses less when it is computed
+
+
+class _Crossings(NamedTuple):
+    """Steps within which no root reaches the circle, and the angles of the roots that then do."""
+
+    step: Column
+    angle: Column
+
+
+def first_crossings(walls: Walls) -> Float64[np.ndarray, "wall found"]:
+    """Return the verdict on each wall and then, each way of ``WAYS``, a step and an angle.
+
+    Within the step, which has a sign, no root reaches the circle; it is infinite where none does at
+    all. The angle of the root that does is in units of pi. Both are NaN for a wall that is not
+    proved stable.
+    """
+    table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
+    for first in range(0, len(walls), _AT_ONCE):
+        some, rows = walls[first : first + _AT_ONCE], table[first : first + _AT_ONCE]
+        rows[:, 0] = verdict(*some.T)
+        stable = rows[:, 0] == Verdict.STABLE
+        if stable.any():
+            ways = [*_along_gains(some[stable]), _along_delay(some[stable])]
+            rows[stable, 1:] = np.stack([column for way in ways for column in way], axis=-1)
+    return table
+
+
+def _along_gains(walls: Walls) -> list[_Crossings]:
+    reach = _reach(walls)
+    is_known = np.isfinite(reach)
+    change = np.zeros((len(AXES), *reach.shape))
+    for way, (axis, sign) in enumerate(GAIN_WAYS):
+        change[axis, way] = sign * np.where(is_known[way], reach[way], 0.0)
+    lines = Lines(np.tile(walls.T, len(GAIN_WAYS)), change.reshape(len(AXES), -1))
+    roots = first_roots(lines, _all_angles(walls, reach.shape))
+    low, angle = (part.reshape(reach.shape) for part in (roots.low, roots.theta / pi))
+    step = np.where(is_known, low * reach, inf) * _SAFE
+    signs = [sign for _, sign in GAIN_WAYS]
+    return [_Crossings(signs[way] * step[way], angle[way]) for way in range(len(GAIN_WAYS))]
+
+
+def _reach(walls: Walls) -> Float64[np.ndarray, "way wall"]:
+    """Return how far away, along the gains, walls are proved unstable; infinite beyond 2^48."""
+    axes, signs = (np.array(column) for column in zip(*GAIN_WAYS, strict=True))
+    first = np.maximum(_FIRST_STEP, 0.5 * np.abs(walls.T[axes]))
+    reach = np.full(first.shape, inf)
+    for doubled in range(0, _DOUBLINGS, _DOUBLINGS_AT_ONCE):
+        way, wall = np.nonzero(reach == inf)
+        if not way.size:
+            break
+        steps = np.outer(2.0 ** np.arange(doubled, doubled + _DOUBLINGS_AT_ONCE), first[way, wall])
+        moved = np.repeat(walls[wall].T[:, None], _DOUBLINGS_AT_ONCE, axis=1)
+        moved[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
+        is_unstable = np.asarray(verdict(*moved)) == Verdict.UNSTABLE
+        reach[way, wall] = np.min(np.where(is_unstable, steps, inf), axis=0)
+    return reach
+
+
+def _all_angles(walls: Walls, shape: tuple[int, ...]) -> Parts:
+    """Return boxes of all angles of lines, the real roots in the middle of the first and last."""
+    turns = 1.0 + np.floor(np.max(walls[:, _DELAY]))
+    count = int(_ANGLES + _ANGLES_PER_TURN * turns)
+    theta = pi * (np.arange(count + 2) - 0.5) / count
+    t = np.linspace(0.0, 1.0, _PIECES + 1)
+    lines = int(np.prod(shape))
+    grid = np.meshgrid(np.arange(lines), t[:-1], theta[:-1], indexing="ij")
+    line, low = grid[0].ravel(), np.stack([part.ravel() for part in grid[1:]])
+    return Parts(line, low, low + np.array([[t[1]], [theta[1] - theta[0]]]))
+
+
+def _along_delay(walls: Walls) -> _Crossings:
+    angles = _critical_angles(walls)
+    begin, angle = np.zeros(len(walls)), np.full(len(walls), nan)
+    # Within one turn of the phase at a critical angle a root meets the circle.
+    highest = np.full(len(walls), -inf)
+    np.maximum.at(highest, angles.line, angles.low[1])
+    stretch = np.where(highest > 0.0, 2.0 * pi / np.where(highest > 0.0, highest, 1.0), MOST_DELAY)
+    step = np.full(len(walls), inf)
+    is_open = highest > -inf
+    while is_open.any():
+        length = np.minimum(stretch, MOST_DELAY - begin)
+        change = np.zeros((len(AXES), len(walls)))
+        change[_DELAY] = length
+        start = walls.T.copy()
+        start[_DELAY] += begin
+        parts = _in_pieces(angles.some(is_open[angles.line]), length)
+        roots = first_roots(Lines(start, change), parts)
+        is_found = np.isfinite(roots.low)
+        step = np.where(is_found, begin + length * roots.low * _SAFE, step)
+        angle = np.where(is_found, roots.theta / pi, angle)
+        begin, stretch = begin + length, _LONGER * stretch
+        is_open &= ~is_found & (begin < MOST_DELAY)
+    return _Crossings(step, angle)
+
+
+def _critical_angles(walls: Walls) -> Parts:
+    """Return the angles at which some delay may put a root on the circle, t over all of it."""
+    boxes = _angles_and_fractions(len(walls))
+    extent, most = partial(_at_any_delay, walls), _MOST_ANGLES * len(walls)
+    left, _ = pave(boxes, _SMALLEST, extent, most, exclude_any_delay)
+    wall = left.center[:, 0].astype(np.int64)
+    middle, half = pi * left.center[:, 2], pi * left.half[:, 2]
+    low, high = middle - half, middle + half
+    order = np.lexsort((low, wall))
+    wall, low, high = wall[order], low[order], high[order]
+    # Those that touch are one
+    high = np.maximum.accumulate(high + 4.0 * wall) - 4.0 * wall
+    is_apart = (np.diff(wall) > 0) | (low[1:] > high[:-1] + _TOUCHING)
+    is_start = np.append(True, is_apart)[: wall.size]
+    is_end = np.append(is_apart, True)[: wall.size]
+    ends = np.stack([low[is_start] - _TOUCHING, high[is_end] + _TOUCHING])
+    whole = np.repeat([[0.0], [1.0]], is_start.sum(), axis=1)
+    return Parts(wall[is_start], *np.stack([whole, ends], axis=1))
+
+
+def _angles_and_fractions(walls: int) -> Boxes:
+    """Return boxes of the number of the wall, the fraction of the delay, and theta / pi."""
+    fractions, angles = ((np.arange(n) + 0.5) / n for n in (_FRACTIONS, _DELAY_ANGLES))
+    center = np.stack(np.meshgrid(np.arange(walls), fractions, angles, indexing="ij"), axis=-1)
+    center = center.reshape(-1, 3)
+    return Boxes(center, np.full_like(center, [0.0, 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES]))
+
+
+def _at_any_delay(walls: Walls, boxes: Boxes) -> Extent:
+    wall, fraction, angle = boxes.center.T
+    alpha, beta, gamma, delta, _ = walls[wall.astype(np.int64)].T
+    still, by_delay, by_theta = boxes.half.T * [[0.0], [1.0], [pi]]
+    return Extent(
+        Loops(alpha, beta, gamma, delta, fraction, pi * angle),
+        Loops(still, still, still, still, by_delay, by_theta),
+        [
+            Loops(still, still, still, still, still, still),
+            Loops(still, still, still, still, by_delay, still),
+            Loops(still, still, still, still, still, by_theta),
+        ],
+    )
+
+
+def _in_pieces(angles: Parts, length: Column) -> Parts:
+    """Divide lines along the delay, so that the phase turns little in each box."""
+    pieces = np.ceil(length[angles.line] * np.maximum(angles.high[1], 0.0)).astype(np.int64) + 1
+    part = np.repeat(np.arange(pieces.size), pieces)
+    number = np.arange(part.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    low, high = angles.low[:, part], angles.high[:, part]
+    low[0], high[0] = number / pieces[part], (number + 1.0) / pieces[part]
+    return Parts(angles.line[part], low, high)
