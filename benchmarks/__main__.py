@@ -23,6 +23,7 @@ BENCHMARKS = (
     "filling",
     "scaling",
     "verdicts",
+    "criteria",
     "stress",
 )
 

@@ -44,6 +44,7 @@ _STYLES = {
     "verdict, exact": ("#0072B2", "o"),
     "python-flint roots": ("#E69F00", "s"),
     "eq. (9) as printed": ("#D55E00", "P"),
+    "linear_validity": ("#0072B2", "o"),
 }
 _ULPS = (0.1, 1e20)  # smaller and larger errors are drawn here; at 1e16 no digit is right
 
@@ -248,9 +249,19 @@ def _latency(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
+def _criteria(rows: list[Row]) -> Figure:
+    wrong = sum(row["wrong"] + row["raised"] for row in rows)
+    questions = sum(row["points"] for row in rows)
+    figure, axes = _panels(1, 1, f"{questions:,} limits of the linear condition, {wrong} wrong")
+    _lines(axes[0, 0], rows, "seed", "error")
+    axes[0, 0].set(yscale="log", xlabel="seed", ylabel="error of theta, times the level")
+    return figure
+
+
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "latency": _latency,
     "boundary": _boundary,
+    "criteria": _criteria,
     "regions": _regions,
     "queries": _queries,
     "answers": _answers,

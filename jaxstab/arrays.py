@@ -41,8 +41,9 @@ def is_traced(value: object) -> bool:
 
 def namespace(*values: object) -> Any:
     """Return ``jax.numpy`` if a leaf of the values is a JAX array or a tracer, else ``numpy``."""
-    if "jax" in sys.modules and any(is_jax(leaf) for value in values for leaf in leaves(value)):
+    if _unregistered and hasattr(sys.modules.get("jax"), "Array"):  # JAX is loaded by now
         _register()
+    if "jax" in sys.modules and any(is_jax(leaf) for value in values for leaf in leaves(value)):
         import jax.numpy
 
         return jax.numpy

@@ -3,6 +3,7 @@
 - ``loop``: 50 digits of the plant, the polynomial, its roots and its boundary, for any loop;
 - ``near_boundary``: true verdicts in balls of python-flint, of many points close to the boundary;
 - ``slices``: the boundary of one slice, all pieces, and distances from it;
+- ``validity``: where the error of the linear condition first rises through a level;
 - ``problems``: the registry of loops that are hard to compute;
 - ``judge``: what each method says of many loops, against the truth.
 """

@@ -1,21 +1,24 @@
 """What there is to say about one stable region, in numbers and words."""
 
+from functools import partial
 from typing import Any
 
-from jaxstab.criteria.linear import ValidityStatus, linear_validity
 from jaxstab.criteria.passive import passive_region
+from jaxstab.criteria.validity import ValidityStatus, linear_validity
 from jaxstab.region.region import RegionStatus, StableRegion, stable_region
 
-_FINE = 1e-7
+_FINE = 1e-7  # of delta: the tolerance of the passive region
+_ROUNDING = 1e-15
 _VALIDITY_LEVELS = {"2": 0.02, "5": 0.05}  # percent, sec. VII
 
 
-def resolved_region(gamma: float, delta: float, delay: float, radius: float = 1.0) -> StableRegion:
+def resolved_region(
+    gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
+) -> StableRegion:
     """Return a stable region that is neither empty nor unresolved.
 
     Raises:
         ValueError: an argument is outside its range, or there is no such region.
-        RuntimeError: JAX's x64 mode is off.
 
     Source: sec. V of Hulin, Preusche, Hirzinger (2008).
     """
@@ -28,7 +31,9 @@ def resolved_region(gamma: float, delta: float, delay: float, radius: float = 1.
     return region
 
 
-def region_facts(gamma: float, delta: float, delay: float, radius: float = 1.0) -> dict[str, Any]:
+def region_facts(
+    gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
+) -> dict[str, Any]:
     """Return the numbers of a stable region by name: floats, lists of floats, words or None.
 
     Points are [alpha, beta]. For radius 1 the facts include the largest passive alpha and the
@@ -43,30 +48,37 @@ def region_facts(gamma: float, delta: float, delay: float, radius: float = 1.0) 
 
     Raises:
         ValueError: an argument is outside its range, or the region is empty or unresolved.
-        RuntimeError: JAX's x64 mode is off.
 
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
     """
     region = resolved_region(gamma, delta, delay, radius)
+    point = partial(_point, line=-gamma if radius == 1.0 else None)
     facts: dict[str, Any] = {
         "gamma": gamma,
         "delta": delta,
         "delay": delay,
         "radius": radius,
-        "largest_alpha": _point(region.max_alpha),
-        "largest_beta": _point(region.max_beta),
-        "corners": [_point(corner) for corner in region.corners],
+        "largest_alpha": point(region.max_alpha),
+        "largest_beta": point(region.max_beta),
+        "corners": [point(corner) for corner in region.corners],
         "area": float(region.area),
     }
     if radius == 1.0:
         facts["largest_passive_alpha"] = _point(passive_region(delta, delay, _FINE).max_alpha)
         for percent, level in _VALIDITY_LEVELS.items():
             limit = linear_validity(level, gamma, delta, delay)
-            met = int(limit.status) == ValidityStatus.FOUND
+            is_found = int(limit.status) == ValidityStatus.FOUND
             name = f"linear_condition_within_{percent}_percent_up_to"
-            facts[name] = _point((limit.alpha, limit.beta)) if met else None
+            facts[name] = _point((limit.alpha, limit.beta)) if is_found else None
     return facts
 
 
-def _point(point: Any) -> list[float]:
-    return [float(value) for value in point]
+def _point(point: Any, line: float | None = None) -> list[float]:
+    """Return the numbers of a point; one that rounding took off the line alpha = -gamma is on it.
+
+    Zeros lose their sign.
+    """
+    alpha, beta = (float(value) for value in point)
+    if line is not None and abs(alpha - line) <= _ROUNDING * (abs(alpha) + abs(beta)):
+        alpha = line
+    return [alpha + 0.0, beta + 0.0]

@@ -20,11 +20,12 @@ from dataclasses import dataclass, field
 from math import floor, pi, sqrt
 
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Bool, Float64
 
+from jaxstab.arrays import Numbers
 from jaxstab.criteria.cosine_series import largest_value
 from jaxstab.model import checked_delay, checked_delta, checked_gain, require_x64
+from jaxstab.numbers import checked_number
 
 Points = Float64[np.ndarray, "points 2"]
 
@@ -55,7 +56,7 @@ class PassiveRegion:
         vertex: Float64[np.ndarray, " 2"] = self.outline[np.argmax(self.outline[:, 0])]
         return vertex
 
-    def contains(self, alpha: ArrayLike, beta: ArrayLike) -> Bool[np.ndarray, "*grid"]:
+    def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
         """Return True where (alpha, beta) is proved passive, tested by its own supremum."""
         gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
         grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
@@ -70,7 +71,9 @@ class PassiveRegion:
         return inside.reshape(grid.shape[:-1])
 
 
-def passive_region(delta: float, delay: float = 0.0, tolerance: float = 1e-4) -> PassiveRegion:
+def passive_region(
+    delta: int | float, delay: int | float = 0.0, tolerance: int | float = 1e-4
+) -> PassiveRegion:
     """Return the set of walls that are passive whatever the mass, stiffness and hand.
 
     A passive wall is stable with every passive environment, so the region lies in every robustly
@@ -83,36 +86,40 @@ def passive_region(delta: float, delay: float = 0.0, tolerance: float = 1e-4) ->
             least 1e-8.
 
     Raises:
+        TypeError: an argument is no single number.
         ValueError: an argument is outside its range, infinite or NaN.
-        RuntimeError: JAX's x64 mode is off.
+
+    Example:
+        >>> region = passive_region(delta=0.7)
+        >>> region.contains([1.3, 1.5], 0.0).tolist()
+        [True, False]
 
     Source: eq. (28) of Hulin, Preusche, Hirzinger (2008) at d = 0; Colgate and Schenkel (1997) for
-    whole delays; for fractional ones the Hermitian form in the head of jaxstab/boundary/passive.py.
+    whole delays; for fractional ones the Hermitian form at the head of this file.
     """
-    require_x64()
-    checked_delta(delta)
-    checked_delay(delay)
-    if not tolerance >= 1e-8:
-        raise ValueError(f"tolerance is {tolerance}; give a number of at least 1e-8.")
+    require_x64(delta, delay)
+    delta = checked_number("delta", checked_delta(delta))
+    delay = checked_number("delay", checked_delay(delay))
+    tolerance = checked_number("tolerance", tolerance, 1e-8)
     if delta == 0.0:
-        return PassiveRegion(float(delta), float(delay), tolerance, np.zeros((0, 2)))
+        return PassiveRegion(delta, delay, tolerance, np.zeros((0, 2)))
     angles = np.linspace(-pi / 2, pi / 2, _FEWEST_DIRECTIONS)
-    points = _reach(angles, delay)
-    open_ = np.ones(len(angles) - 1, bool)
-    while open_.any():
-        chords = np.flatnonzero(open_)
+    points = _boundary_points(angles, delay)
+    is_open = np.ones(len(angles) - 1, bool)
+    while is_open.any():
+        chords = np.flatnonzero(is_open)
         middles = 0.5 * (angles[chords] + angles[chords + 1])
-        found = _reach(middles, delay)
+        found = _boundary_points(middles, delay)
         bulges = _distance(found, points[chords], points[chords + 1]) > 0.5 * tolerance
-        open_[chords] = bulges
-        places = chords[bulges] + 1
-        angles = np.insert(angles, places, middles[bulges])
-        points = np.insert(points, places, found[bulges], axis=0)
-        open_ = np.insert(open_, places, True)
-    return PassiveRegion(float(delta), float(delay), tolerance, float(delta) * points)
+        is_open[chords] = bulges
+        indices = chords[bulges] + 1
+        angles = np.insert(angles, indices, middles[bulges])
+        points = np.insert(points, indices, found[bulges], axis=0)
+        is_open = np.insert(is_open, indices, True)
+    return PassiveRegion(delta, delay, tolerance, delta * points)
 
 
-def _reach(angles: Float64[np.ndarray, " points"], delay: float) -> Points:
+def _boundary_points(angles: Float64[np.ndarray, " points"], delay: float) -> Points:
     """Return the boundary points of the region of delta = 1 in these directions from the origin."""
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     directions[np.abs(directions) < 1e-15] = 0.0
@@ -127,8 +134,8 @@ def _reach(angles: Float64[np.ndarray, " points"], delay: float) -> Points:
         need = raised
         if done:
             break
-    reach: Points = directions / (need * (1 + _MARGIN))[:, None]
-    return reach
+    points: Points = directions / (need * (1 + _MARGIN))[:, None]
+    return points
 
 
 def _need_at(
