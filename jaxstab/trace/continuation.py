@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from jax import Array
 from jaxtyping import Float64
 
+from jaxstab.arrays import Array
+from jaxstab.batches import in_batches
 from jaxstab.boxes.circle import circle_equations, quick_slice
 from jaxstab.region.curve import SliceCoefficients, slice_coefficients
 from jaxstab.region.pieces import Branch
@@ -102,22 +103,20 @@ def polish(
     points: Float64[np.ndarray, "points 3"], plane: Monomials, branch: Branch
 ) -> tuple[Float64[np.ndarray, "points 3"], Float64[np.ndarray, " points"]]:
     """Correct points once more with plant coefficients of full accuracy; also return |g| there."""
-    padded = np.pad(points, ((0, -len(points) % _BATCH), (0, 0)), mode="edge")
-    polished, residuals = [], []
-    for chunk in padded.reshape(-1, _BATCH, 3):
-        u, residual = jnp.asarray(chunk), jnp.zeros(_BATCH)
-        for _ in range(2):
-            slices = _accurate_slices(u, plane)
-            u, residual = _polish_step(u, slices, plane, np.float64(branch))
-        polished.append(np.asarray(u))
-        residuals.append(np.asarray(residual))
-    return np.concatenate(polished)[: len(points)], np.concatenate(residuals)[: len(points)]
+    residual = np.zeros(len(points))
+    for _ in range(2):
+        points, residual = in_batches(_BATCH, partial(_polished, plane, branch), points)
+    return points, residual
+
+
+def _polished(plane: Monomials, branch: Branch, points: Array) -> tuple[Array, Array]:
+    return _polish_step(points, _accurate_slices(points, plane), plane, np.float64(branch))
 
 
 def _accurate_slices(points: Array, plane: Monomials) -> SliceCoefficients:
     _, _, gamma, delta, delay = plane.parameters(points[:, :2])
-    gamma, delta, delay = (jnp.maximum(value, 0.0) for value in (gamma, delta, delay))
-    return slice_coefficients(gamma, delta, delay, jnp.ones(len(points)))
+    gamma, delta, delay = (np.maximum(value, 0.0) for value in (gamma, delta, delay))
+    return slice_coefficients(gamma, delta, delay, np.ones(len(points)))
 
 
 @jax.jit

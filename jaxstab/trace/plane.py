@@ -5,17 +5,16 @@ plane, and its range over a box is known from the corners.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import isfinite
+from math import inf
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jaxtyping import Float64
 
+from jaxstab.arrays import Array, namespace
 from jaxstab.conventions import AXES
 from jaxstab.model import HapticLoop
+from jaxstab.numbers import checked_number
 
 PHYSICAL = {  # Table I: powers of the quantities in each parameter
     "stiffness": {"alpha": 1},
@@ -33,9 +32,7 @@ POSITIVE = {"mass", "sample_time"}
 Window = tuple[tuple[float, float], tuple[float, float]]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Monomials:
+class Monomials(NamedTuple):
     """The five parameters factor x^i y^j over a window: arrays, so that all planes compile once."""
 
     factor: Array  # (5,)
@@ -45,13 +42,13 @@ class Monomials:
 
     def parameters(self, position: Array) -> Array:
         """Return the parameters at positions (..., 2) in the window's unit square: (5, ...)."""
-        place = self.lower + self.width * position
-        x, y = (place[..., axis] for axis in (0, 1))
+        point = self.lower + self.width * position
+        x, y = (point[..., axis] for axis in (0, 1))
         rows = [
             self.factor[row] * _power(x, self.powers[row, 0]) * _power(y, self.powers[row, 1])
             for row in range(len(AXES))
         ]
-        return jnp.stack(rows)
+        return namespace(rows).stack(rows)
 
 
 def monomials(plane: tuple[str, str], window: Window, fixed: Mapping[str, float]) -> Monomials:
@@ -80,7 +77,7 @@ def monomials(plane: tuple[str, str], window: Window, fixed: Mapping[str, float]
         ]
     )
     lower, upper = np.array(window, np.float64).T
-    return Monomials(*(jnp.asarray(part) for part in (factor, powers, lower, upper - lower)))
+    return Monomials(factor, powers, lower, upper - lower)
 
 
 def _table(plane: tuple[str, str]) -> dict[str, dict[str, int]]:
@@ -117,17 +114,16 @@ def _check_names(plane: tuple[str, str], fixed: Mapping[str, float]) -> None:
 
 
 def _check_value(name: str, value: float) -> None:
-    lower = "any sign" if name in SIGNED else "> 0" if name in POSITIVE else ">= 0"
-    wrong = (name in POSITIVE and not value > 0) or (name not in SIGNED and not value >= 0)
-    if wrong or not isfinite(value):
-        raise ValueError(f"{name} is {value}; give finite numbers, {lower}.")
+    least = -inf if name in SIGNED else 0.0
+    checked_number(name, value, least, is_open=name in POSITIVE)
 
 
 def _power(base: Array, exponent: Array) -> Array:
     """Return base^exponent for an exponent of -1, 0, 1 or 2; differentiable, at base 0 too."""
-    inverse = 1.0 / jnp.where(exponent < 0.0, base, 1.0)
-    positive = jnp.where(exponent == 0.0, 1.0, jnp.where(exponent == 1.0, base, base * base))
-    return jnp.where(exponent < 0.0, inverse, positive)
+    xp = namespace(base, exponent)
+    inverse = 1.0 / xp.where(exponent < 0.0, base, 1.0)
+    positive = xp.where(exponent == 0.0, 1.0, xp.where(exponent == 1.0, base, base * base))
+    return xp.where(exponent < 0.0, inverse, positive)
 
 
 def corner_ranges(
@@ -136,20 +132,15 @@ def corner_ranges(
     Float64[np.ndarray, "5 boxes"], Float64[np.ndarray, "5 boxes"], Float64[np.ndarray, "2 5 boxes"]
 ]:
     """Return the parameters at the centers of boxes, radii that cover them, and those by axis."""
-    factor, powers, lower, width = (
-        np.asarray(part) for part in (plane.factor, plane.powers, plane.lower, plane.width)
-    )
 
-    def at(x_side: int, y_side: int) -> Float64[np.ndarray, "5 boxes"]:
-        position = center + half * np.array([x_side, y_side])
-        place = lower + width * position
+    def parameters(x_side: int, y_side: int) -> Float64[np.ndarray, "5 boxes"]:
         values: Float64[np.ndarray, "5 boxes"]
-        values = factor[:, None] * np.prod(place[None] ** powers[:, None, :], axis=-1)
+        values = plane.parameters(center + half * np.array([x_side, y_side]))
         return values
 
-    middle = at(0, 0)
-    corners = np.stack([at(x, y) for x in (-1, 1) for y in (-1, 1)])
-    along_x = np.maximum(np.abs(at(-1, 0) - middle), np.abs(at(1, 0) - middle))
-    along_y = np.maximum(np.abs(at(0, -1) - middle), np.abs(at(0, 1) - middle))
+    middle = parameters(0, 0)
+    corners = np.stack([parameters(x, y) for x in (-1, 1) for y in (-1, 1)])
+    along_x = np.maximum(np.abs(parameters(-1, 0) - middle), np.abs(parameters(1, 0) - middle))
+    along_y = np.maximum(np.abs(parameters(0, -1) - middle), np.abs(parameters(0, 1) - middle))
     radius = np.max(np.abs(corners - middle), axis=0) * (1 + 1e-12)
     return middle, radius, np.stack([along_x, along_y])

@@ -10,46 +10,39 @@ So every wall of the window with a root on the unit circle lies within three res
 of the trace or of an unresolved box.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
-from enum import IntEnum
 from math import pi
+from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
+from jaxstab.batches import in_batches
 from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops
-from jaxstab.model import HapticLoop, characteristic_polynomial, require_x64
+from jaxstab.conventions import Status
+from jaxstab.model import HapticLoop, characteristic_polynomial, companion_matrix
+from jaxstab.numbers import checked_number
 from jaxstab.region.pieces import Branch
-from jaxstab.trace.continuation import Corrected, Path, follow, project
 from jaxstab.trace.plane import Monomials, Window, corner_ranges, loop_quantities, monomials
+
+if TYPE_CHECKING:  # it imports JAX and optimistix
+    from jaxstab.trace.continuation import Path
 
 Cloud = Float64[np.ndarray, "points 3"]
 
 _COVER = 2.0  # resolutions: a box this near to a traced point is explained by it
 _REFINEMENTS = 4  # each to a quarter of the size before
 _BATCH = 64
-_EDGE_BATCH = 1024  # points in steps of it: few sizes, each is compiled
 _ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are double roots)
 
 
-class TraceStatus(IntEnum):
+class TraceStatus(Status):
     """What is known about one point of a trace."""
 
-    NOT_COMPUTED = 0
-    CONVERGED = 1
-    STALLED = 2
-
-    @property
-    def words(self) -> str:
-        """The status in words."""
-        return {
-            TraceStatus.NOT_COMPUTED: "not computed",
-            TraceStatus.CONVERGED: "Newton's method converged to full precision",
-            TraceStatus.STALLED: "the branch could not be followed beyond this point",
-        }[self]
+    NOT_COMPUTED = 0, "not computed"
+    CONVERGED = 1, "Newton's method converged to full precision"
+    STALLED = 2, "the branch could not be followed beyond this point"
 
 
 @dataclass(frozen=True)
@@ -86,7 +79,7 @@ def trace_boundary(
     window: Window,
     *,
     loop: HapticLoop | None = None,
-    resolution: float = 1 / 64,
+    resolution: int | float = 1 / 64,
     **fixed: float,
 ) -> BoundaryTrace:
     """Trace where a root lies on the unit circle, in a plane of two quantities.
@@ -108,23 +101,23 @@ def trace_boundary(
     Raises:
         ValueError: a name is unknown, missing or doubled, a value outside its range, a window
             empty, the resolution out of range.
-        RuntimeError: JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; pseudo-arclength
-    continuation (Keller 1977); exclusion boxes, see the head of jaxstab/boundary/circle.py.
+    continuation (Keller 1977); exclusion boxes, ``exclude`` of jaxstab/boxes/exclusion.py.
     """
-    require_x64()
-    if not 1e-3 <= resolution <= 0.25:
-        raise ValueError(f"resolution is {resolution}; give a part of the window in [0.001, 0.25].")
+    resolution = checked_number("resolution", resolution, 1e-3, 0.25, unit="of the window")
     if loop is not None:
         fixed = {
             name: value for name, value in loop_quantities(loop).items() if name not in plane
         } | fixed
     scene = monomials(plane, window, fixed)
+    import jax
+
     tracer = _Tracer(scene, resolution)
-    for branch, low, high in ((Branch.Z_PLUS_ONE, 0.0, 0.0), (Branch.Z_MINUS_ONE, 1.0, 1.0)):
-        tracer.search(branch, low, high)
-    tracer.search(Branch.CURVE, 0.0, 1.0)
+    with jax.enable_x64(True):
+        for branch, low, high in ((Branch.Z_PLUS_ONE, 0.0, 0.0), (Branch.Z_MINUS_ONE, 1.0, 1.0)):
+            tracer.search(branch, low, high)
+        tracer.search(Branch.CURVE, 0.0, 1.0)
     return _gathered(plane, scene, tracer)
 
 
@@ -156,14 +149,19 @@ class _Tracer:
 
     def _followed(self, branch: Branch, boxes: Boxes) -> Boxes:
         """Follow the branches that start in boxes; return the boxes that none explains."""
-        reach = _COVER * self.resolution
-        for start in _projections(boxes.center, self.scene, branch):
-            position = np.asarray(start.position)
-            inside = np.all((position >= 0.0) & (position <= 1.0))
-            if not bool(start.converged) or not inside or self._explained(position[None])[0]:
+        if not len(boxes.center):
+            return boxes
+        from jaxstab.trace.continuation import Corrected, follow, project
+
+        bound = _COVER * self.resolution
+        code = np.float64(branch)
+        starts = in_batches(_BATCH, lambda center: project(center, self.scene, code), boxes.center)
+        inside = np.all((starts.position >= 0.0) & (starts.position <= 1.0), axis=1)
+        for number in np.flatnonzero(starts.converged & inside):
+            start = Corrected(*(column[number] for column in starts))
+            if self._explained(start.position[None])[0]:
                 continue
-            near = np.linalg.norm(boxes.center - position, axis=1) < reach
-            if near.any():
+            if np.any(np.linalg.norm(boxes.center - start.position, axis=1) < bound):
                 path = follow(start, self.scene, branch, self.resolution)
                 self.paths.append((branch, path))
         return boxes.select(~self._explained(boxes.center))
@@ -189,19 +187,8 @@ class _Tracer:
         )
 
 
-def _projections(centers: Cloud, scene: Monomials, branch: Branch) -> Iterable[Corrected]:
-    """Bring the centers of boxes onto the branch, one after the other, in batches of one size."""
-    for start in range(0, len(centers), _BATCH):
-        chunk = centers[start : start + _BATCH]
-        padded = np.concatenate([chunk, np.repeat(chunk[:1], _BATCH - len(chunk), axis=0)])
-        found = project(padded, scene, np.float64(branch))
-        rows = [np.asarray(column) for column in found]
-        for number in range(len(chunk)):
-            yield Corrected(*(jnp.asarray(column[number]) for column in rows))
-
-
 def _gathered(plane: tuple[str, str], scene: Monomials, tracer: _Tracer) -> BoundaryTrace:
-    lower, width = np.asarray(scene.lower), np.asarray(scene.width)
+    lower, width = scene.lower, scene.width
     cubes = [path.points for _, path in tracer.paths]
     cloud = np.concatenate([np.zeros((0, 3)), *cubes])
     sizes = [len(points) for points in cubes]
@@ -244,14 +231,9 @@ def _no_root_outside(
 ) -> Bool[np.ndarray, " points"]:
     if not len(positions):
         return np.zeros(0, bool)
-    padded = np.pad(positions, ((0, -len(positions) % _EDGE_BATCH), (0, 0)), mode="edge")
-    alpha, beta, gamma, delta, delay = np.array(scene.parameters(jnp.asarray(padded)))
-    gamma, delta, delay = (np.maximum(values, 0.0) for values in (gamma, delta, delay))
-    coefficients = np.asarray(characteristic_polynomial(alpha, beta, gamma, delta, delay))
-    companion = np.zeros((len(padded), coefficients.shape[1] - 1, coefficients.shape[1] - 1))
-    companion[:, 0] = -coefficients[:, 1:]
-    below = np.arange(companion.shape[1] - 1)
-    companion[:, below + 1, below] = 1.0
-    moduli = np.abs(np.linalg.eigvals(companion)).max(axis=1)
-    edge: Bool[np.ndarray, " points"] = moduli[: len(positions)] <= 1.0 + _ON_CIRCLE
+    alpha, beta, *plant = scene.parameters(positions)
+    gamma, delta, delay = (np.maximum(values, 0.0) for values in plant)
+    polynomials = characteristic_polynomial(alpha, beta, gamma, delta, delay)
+    roots = np.linalg.eigvals(companion_matrix(polynomials))
+    edge: Bool[np.ndarray, " points"] = np.abs(roots).max(axis=1) <= 1.0 + _ON_CIRCLE
     return edge
