@@ -13,7 +13,8 @@ larger eigenvalue of a Hermitian form of rank two, which is the condition above 
 with a fractional delay put in errs to either side). For each theta it describes a convex set that
 grows in proportion to delta, so the passive region is convex and does too.
 
-A wall of negative stiffness is not passive at rest, hence alpha >= 0.
+A wall of negative stiffness is not passive at rest, hence alpha >= 0. Proof: lemma C6 of
+docs/proofs.md.
 """
 
 from dataclasses import dataclass, field
@@ -95,7 +96,7 @@ def passive_region(
         [True, False]
 
     Source: eq. (28) of Hulin, Preusche, Hirzinger (2008) at d = 0; Colgate and Schenkel (1997) for
-    whole delays; for fractional ones the Hermitian form at the head of this file.
+    whole delays; for fractional ones the Hermitian form of lemma C6 in docs/proofs.md.
     """
     require_x64(delta, delay)
     delta = checked_number("delta", checked_delta(delta))

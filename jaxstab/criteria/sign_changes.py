@@ -1,18 +1,10 @@
 """All sign changes of cosine series on [0, pi], each in a cell of its own.
 
-Lemma (cells): let t be the middle of a cell of angles, r its half-width, and R the largest distance
-in h = 1 - cos(theta) between t and a point of the cell. With
-
-    M = sum_k k^2 |c_k|                   >= |d^2 f / d theta^2|
-    V = sum_k k^2 (k^2 - 1) |c_k| / 3     >= |d^2 f / dh^2|
-
-the cell holds no root where |f(t)| > |f_theta(t)| r + M r^2 / 2, nor where the same holds with f_h,
-R and V; and at most one where |f_theta(t)| > M r or |f_h(t)| > V R, since f is monotone there. In
-h a series is a polynomial, regular at theta = 0 and pi where f_theta vanishes: the second form
-decides the cells at the two ends. Cells that neither form decides are halved.
-
-Close to theta = 0 the values are f(0) - sum_k 2 c_k sin^2(k theta / 2), so that their errors shrink
-with theta^2 as the changes of f itself do. A computed sign counts only beyond a bound of its error.
+A cell is decided at its middle, by bounds of the second derivative of f in theta or in
+h = 1 - cos(theta): a polynomial in h is regular at theta = 0 and pi, where df/dtheta vanishes.
+Cells that neither decides are halved. A computed sign counts only beyond a bound of its error,
+which shrinks with theta^2 towards 0 as the changes of f do. Proofs: lemmas C2 and C3 of
+docs/proofs.md.
 """
 
 from math import pi

@@ -6,9 +6,8 @@ condition exceeds a level where
     E = |N(z)|^2 t_r (alpha_lin - alpha - level (alpha + gamma)),       z = e^(i theta),
 
 has the sign of H. On the curve E is a cosine series in theta of degree floor(delay) + 3, so all of
-its sign changes can be isolated (``sign_changes``). E(0) vanishes to third order in gamma and
-delta; it is summed in double-double, and it is zero for gamma = 0, as for delta = 0 and 2 delay
-whole: there N(z) is symmetric.
+its sign changes can be isolated (``sign_changes``): lemmas C1 to C4 of docs/proofs.md. E(0) is of
+third order in gamma and delta and summed in double-double.
 """
 
 from typing import NamedTuple
@@ -214,10 +213,11 @@ def excess_series(level: Values, gamma: Values, delta: Values, delay: Values) ->
     terms = int(np.max(whole, initial=0.0)) + 4
     series = np.zeros((len(level), terms))
     errors = np.zeros_like(series)
-    # Errors of N are relative to the sum of its coefficients, or to the root of it.
-    loss = pairs_error(gamma, delta) / _EPS
-    size = pairs.sum.hi + np.where(may_cancel(gamma, delta), loss * np.sqrt(pairs.sum.hi), 0.0)
     plant = np.stack([pair.rounded() for pair in pairs[:5]])
+    # Errors of N are relative to the sum of its coefficients, or to the root of it.
+    size = np.sum(np.abs(plant[2:]), axis=0)
+    loss = pairs_error(gamma, delta) / _EPS
+    size += np.where(may_cancel(gamma, delta), loss * np.sqrt(size), 0.0)
     sizes = np.broadcast_to(size, plant.shape).copy()
     sizes[:2] = [[2.0], [1.0]]
     question = np.stack([level, gamma, delta, 0.5 + delay])
