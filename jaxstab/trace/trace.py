@@ -6,7 +6,7 @@
    (``continuation``), until every box left lies at a branch; boxes that do not are halved further.
 3. What still cannot be excluded or explained is returned as unresolved.
 
-So every wall of the window with a root on the unit circle lies within three resolutions of a point
+So every wall of the window with a root on the unit circle lies within two resolutions of a point
 of the trace or of an unresolved box.
 """
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # it imports JAX and optimistix
 
 Cloud = Float64[np.ndarray, "points 3"]
 
-_COVER = 2.0  # resolutions: a box this near to a traced point is explained by it
+_COVER = 1.0  # resolutions: a box this near to a traced point is explained by it
 _REFINEMENTS = 4  # each to a quarter of the size before
 _BATCH = 64
 _ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are double roots)
@@ -70,7 +70,7 @@ class BoundaryTrace:
 
     @property
     def complete(self) -> bool:
-        """Whether the whole window is accounted for, to three resolutions."""
+        """Whether the whole window is accounted for, to two resolutions."""
         return len(self.unresolved) == 0
 
 
@@ -134,7 +134,7 @@ class _Tracer:
         """Find all branches of one kind with theta / pi between low and high."""
         center = np.array([[0.5, 0.5, 0.5 * (low + high)]])
         open_ = Boxes(center, np.array([[0.5, 0.5, 0.5 * (high - low)]]))
-        smallest = 0.5 * self.resolution
+        smallest = 0.25 * self.resolution
         for _ in range(_REFINEMENTS + 1):
             paving = pave(open_, smallest, self._extent)
             open_ = paving.boxes
