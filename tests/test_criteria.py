@@ -356,6 +356,28 @@ def test_a_passive_wall_is_stable_for_any_hand(delay, rng):
             assert truth.unstable_count(alpha / mass, beta / mass, *hand, delay) == 0
 
 
+@pytest.mark.parametrize("delay", [0.0, 1.0 - 1e-9, 2.3])
+def test_vertices_of_passive_regions_need_less_than_the_damping_in_50_digits(delay):
+    delta = 3e-3
+    whole, fraction = truth.split_delay(delay)
+
+    def need(alpha, beta, theta):
+        """What the wall needs at theta, lemma C6."""
+
+        def lagged(k):
+            lag = mp.sin((k + mpf(1) / 2) * theta) / (2 * mp.sin(theta / 2))
+            return alpha * lag - beta * mp.cos((k + 1) * theta)
+
+        force = alpha + beta * (1 - mp.expj(-theta))
+        fold = fraction * (1 - fraction) * abs(force) ** 2 / (4 * mpf(delta))
+        return (1 - fraction) * lagged(whole) + fraction * lagged(whole + 1) + fold
+
+    for vertex in passive_region(delta, delay, 1e-2).outline[::3]:
+        alpha, beta = map(mpf, vertex)
+        thetas = [mp.pi * k / 400 for k in range(1, 401)]
+        assert max(need(alpha, beta, theta) for theta in thetas) < delta
+
+
 def test_without_physical_damping_no_wall_is_passive():
     region = passive_region(0.0, 1.0)
     assert region.outline.shape == (0, 2)

@@ -101,6 +101,9 @@ def test_the_region_command_prints_the_numbers():
     facts = json.loads(CliRunner().invoke(main, [*arguments, "--json"]).stdout)
     assert facts["largest_alpha"] == pytest.approx([12 - 8 * 2**0.5, 2 * 2**0.5 - 2], rel=1e-9)
     assert facts["largest_beta"] == pytest.approx([0.0, 2.0], abs=1e-9)
+    numbers = [value for point in [*facts["corners"], facts["largest_beta"]] for value in point]
+    assert facts["largest_beta"][0] == 0.0  # on the line alpha = -gamma, without noise
+    assert not any(np.signbit(value) for value in numbers)
     # The integral of 2 b (2 - b) / (b + 2) over 0 ... 2.
     assert facts["area"] == pytest.approx(12 - 16 * np.log(2), rel=1e-9)
     alpha, beta = facts["linear_condition_within_2_percent_up_to"]
