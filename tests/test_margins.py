@@ -246,6 +246,34 @@ def test_the_stiffest_wall_for_all_hands_is_proved_and_lies_beyond_the_passive_l
         assert true_radius(held, found.stiffness, found.damping, 0.0) < 1.0
 
 
+def test_the_limit_for_all_hands_is_not_below_a_wall_proved_for_all_of_them() -> None:
+    loop = HapticLoop(
+        device_mass=1.0, device_damping=0.5432825400259356, sample_time=1.0, delay=0.5
+    )
+    hands = HandRange(
+        mass=(0.0, 2.683572731924306),
+        stiffness=(0.0, 11.00056392632787),
+        damping=(0.0, 0.5129250179766981),
+    )
+    wall = (0.6579517982867333, 0.17279470191737856)  # some hands have islands, and two peaks
+    assert jaxstab.worst_hand(loop, hands, *wall).verdict == Verdict.STABLE
+    found = jaxstab.robust_limit(loop, hands)
+    assert found.is_proved
+    assert wall[0] <= found.limit <= 0.7
+    assert 0.6 < found.stiffness < found.limit
+    assert jaxstab.worst_hand(loop, hands, found.stiffness, found.damping).verdict == Verdict.STABLE
+
+
+def test_a_short_way_is_bracketed_as_tightly_as_rounding_allows() -> None:
+    loop = (2223.0694688099143, -18916.483602106142, 157.9368063545867, 0.012970797092212027, 5.0)
+    point = [mpf(value) for value in loop]
+    found = steps(*loop)
+    for axis, step in zip(AXES_OF_STEPS[:4], map(float, found[:4]), strict=True):
+        here = true_step(point, axis, step)
+        assert abs(step) <= abs(here)
+        assert abs(step - here) <= 0.01 * abs(here)
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [

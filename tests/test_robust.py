@@ -42,10 +42,10 @@ def test_walls_of_a_proved_outline_are_stable_for_every_hand(robust, rng):
 def test_outline_is_tight(robust):
     middle = robust.outline.mean(axis=0)
     beyond = middle + (robust.outline - middle) * (1 + 3 * robust.tolerance)
-    codes = robust.contains(*beyond[::16].T)
+    codes = robust.verdict(*beyond[::16].T)
     assert np.mean(codes == Verdict.UNSTABLE) > 0.9
     assert not np.any(codes == Verdict.STABLE)
-    inside = robust.contains(*robust.outline[::43].T)
+    inside = robust.verdict(*robust.outline[::43].T)
     assert np.all(inside == Verdict.STABLE)
 
 
@@ -56,7 +56,7 @@ def test_passive_walls_lie_in_the_robust_region(robust):
         assert not len(passive.outline)
         return
     alpha, beta = passive.outline[:: max(1, len(passive.outline) // 12)].T * 0.97
-    codes = robust.contains(alpha + 1e-3 * robust.delta[0], beta * 0.99)
+    codes = robust.verdict(alpha + 1e-3 * robust.delta[0], beta * 0.99)
     assert np.all(codes == Verdict.STABLE)
 
 
@@ -84,9 +84,12 @@ def test_of_one_hand_it_is_the_stable_region():
 def test_a_verdict_on_a_wall_is_for_all_hands():
     region = robust_region(*RANGES["haptic hands"])
     alpha = np.array([0.05, 0.2, -1e-3, 0.0])
-    codes = region.contains(alpha, 0.3)
+    codes = region.verdict(alpha, 0.3)
     assert codes.tolist()[:3] == [Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNSTABLE]
     assert codes[3] == Verdict.UNDECIDED  # a root at z = 1 for gamma = 0
+    inside = region.contains(alpha, 0.3)
+    assert inside.dtype == bool
+    assert inside.tolist() == [True, False, False, False]
 
 
 @pytest.mark.parametrize(

@@ -12,13 +12,17 @@ smoothly to theta = 0 and pi, where the pair meets a real root.
 from math import pi
 from typing import NamedTuple
 
+import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
+from jaxstab.model import plant_coefficients
 from jaxstab.region.curve import SliceCoefficients
 
 _DOUBLINGS = 12
 _TERMS = 12
+_LOST = 16 * np.finfo(np.float64).eps
+"""More than each of n2, n1, n0 and d0 of a quick plant has lost; d1 loses more for a stiff hand."""
 
 
 class Motion(NamedTuple):
@@ -54,7 +58,8 @@ class QuickPlant(NamedTuple):
     """D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, with some slopes, in plain float64.
 
     ``impulse`` and ``kept`` are position and velocity one sample after an impulse, ``early`` and
-    ``late`` the slopes by the delay: n2 loses early, n0 gains late, n1 the rest.
+    ``late`` the slopes by the delay: n2 loses early, n0 gains late, n1 the rest. ``d_error`` and
+    ``n_error`` bound what D and N have lost on the circle, beside a few roundings of their terms.
     """
 
     d1: Float64[Array, "*grid"]
@@ -67,6 +72,26 @@ class QuickPlant(NamedTuple):
     kept: Float64[Array, "*grid"]
     early: Float64[Array, "*grid"]
     late: Float64[Array, "*grid"]
+    d_error: Float64[Array, "*grid"]
+    n_error: Float64[Array, "*grid"]
+
+
+def accurate_plant(
+    gamma: Float64[np.ndarray, " loop"],
+    delta: Float64[np.ndarray, " loop"],
+    delay: Float64[np.ndarray, " loop"],
+) -> QuickPlant:
+    """Return the sampled plant of loops, of which many may have the same one, to all digits."""
+    hands = np.stack([gamma, delta, delay - np.floor(delay)], axis=-1)
+    hands, number = np.unique(hands, axis=0, return_inverse=True)
+    alone = len(hands) == 1
+    exact = plant_coefficients(*(hands[0] if alone else hands.T))  # single ones are remembered
+    plant = quick_plant(*hands.T)._replace(
+        d1=exact.d1, d0=exact.d0, n2=exact.n2, n1=exact.n1, n0=exact.n0, sum=exact.sum
+    )
+    zero = np.zeros(len(hands))
+    plant = plant._replace(d_error=zero, n_error=zero)
+    return QuickPlant(*(np.broadcast_to(part, len(hands))[number.ravel()] for part in plant))
 
 
 def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
@@ -83,7 +108,9 @@ def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
     n0 = full.velocity * (full.velocity - early) - kept * later
     late = full.velocity * (1.0 - gamma * n2) - early * (1.0 - gamma * full.position)
     d1, d0 = gamma * full.position - 1.0 - kept, xp.exp(-delta)
-    return QuickPlant(d1, d0, n2, n1, n0, total, full.velocity, kept, early, late)
+    slopes = (full.velocity, kept, early, late)
+    errors = (_LOST * (2.0 + xp.sqrt(gamma)), xp.full_like(n1, 4.0 * _LOST))
+    return QuickPlant(d1, d0, n2, n1, n0, total, *slopes, *errors)
 
 
 def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:

@@ -24,7 +24,7 @@ TERMS = ("constant", "per_beta", "per_gamma", "per_delta", "error")
 _PATCHES_PER_CELL = 2.0
 _PATCHES_PER_DOMAIN = 256.0  # along alpha
 _MARGIN = 0.1  # of the domain along alpha: a band that leaves it leaves it for good
-_FEWEST_POINTS = 2**12
+_MANY_POINTS = 2**12
 _EDGE = 1e-9  # of a column: it reaches beyond its edges, so that rounding finds no gap
 _ROUNDING = 1e-14  # of the domain: sums of the terms of a plane
 
@@ -320,8 +320,10 @@ def _gap_verdicts(
 
 
 def _verdicts(points: Float64[np.ndarray, "point 4"], delay: float) -> Int8[np.ndarray, " point"]:
-    # A few sizes of lists: each is compiled.
-    count = max(_FEWEST_POINTS, 1 << (len(points) - 1).bit_length())
+    # A few sizes of long lists: each is compiled.
+    count = len(points)
+    if count > _MANY_POINTS:
+        count = 1 << (count - 1).bit_length()
     alpha, beta, gamma, delta = np.resize(points, (count, 4)).T
     codes = np.asarray(verdict(alpha, beta, gamma, delta, delay, resolve="exact"))
     return codes[: len(points)]

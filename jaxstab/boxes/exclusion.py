@@ -17,7 +17,6 @@ Reals = Float64[np.ndarray, " boxes"]
 Complexes = Complex128[np.ndarray, " boxes"]
 
 _EPS = np.finfo(np.float64).eps
-_QUICK = 16 * _EPS  # more than N and d0 of the quick plant have lost; and d1, per root of gamma
 _SUMS = 4 * _EPS  # of each term of g, for each sample that it turns and 8 operations
 
 
@@ -160,8 +159,9 @@ def _rest(
         + total * (steps * wall_change + radius.beta)
     )
     most_force = total + force_change + per_delay * radius.delay
-    rounding = _SUMS * (turns + 8) * (4.0 + most_force * most_wall)
-    rounding += _QUICK * (2.0 + np.sqrt(np.maximum(center.gamma, 0.0)) + 4.0 * most_wall)
+    terms = most_wall + np.abs(center.alpha) + np.abs(center.beta)
+    rounding = _SUMS * (turns + 8) * (4.0 + most_force * terms)
+    rounding += plant.d_error + plant.n_error * most_wall
     slopes = np.zeros((6, len(total)))
     slopes[2], slopes[3] = most_wall * per_gamma, most_wall * per_delta
     slopes[4] = most_wall * lag * radius.delay

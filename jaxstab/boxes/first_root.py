@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.boxes.circle import QuickPlant, quick_plant
+from jaxstab.boxes.circle import QuickPlant, accurate_plant, quick_plant
 from jaxstab.boxes.exclusion import Loops, expansion, is_free
 
 Ends = Float64[np.ndarray, "2 box"]
@@ -72,7 +72,7 @@ def first_roots(lines: Lines, parts: Parts) -> FirstRoots:
     count = lines.start.shape[1]
     found = FirstRoots(*(np.full(count, end) for end in (np.inf, np.inf, np.nan)))
     with np.errstate(all="ignore"):
-        plants = quick_plant(*lines.start[2:])
+        plants = accurate_plant(*lines.start[2:])
         while parts.line.size:
             models = _models(lines, plants, parts)
             is_open = ~is_free(*models[:3])

@@ -1,11 +1,11 @@
 from .hands import HandRange as HandRange
-from .hands import RobustLimit as RobustLimit
 from .hands import WorstHand as WorstHand
-from .hands import robust_limit as robust_limit
 from .hands import worst_hand as worst_hand
 from .margins import Margins as Margins
 from .margins import dimensionless_margins as dimensionless_margins
 from .margins import margins as margins
+from .robust_limit import RobustLimit as RobustLimit
+from .robust_limit import robust_limit as robust_limit
 from .robust_region import RobustRegion as RobustRegion
 from .robust_region import RobustStatus as RobustStatus
 from .robust_region import robust_region as robust_region

@@ -2,8 +2,8 @@
 
 Sampled hands find the worst one. The proof for all the others is by boxes of mass, stiffness,
 damping and theta that are halved until each is proved free of roots on the unit circle
-(``circle.exclude``): then the number of unstable roots is the same for all hands, and one proof of
-stability is enough.
+(``boxes.exclusion``): then the number of unstable roots is the same for all hands, and one proof of
+stability is enough (lemma B6 of docs/proofs.md).
 """
 
 from dataclasses import replace
@@ -17,19 +17,17 @@ from jaxtyping import Float64
 from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops
 from jaxstab.conventions import UNDECIDED, Verdict
-from jaxstab.model import HapticLoop, checked_gain, require_x64
+from jaxstab.model import HapticLoop
+from jaxstab.numbers import checked_number
 from jaxstab.point import spectral_radius, verdict
-from jaxstab.region.limits import Plane, highest
 
 Range = tuple[float, float]
 Hands = Float64[np.ndarray, "hands 3"]
 Column = Float64[np.ndarray, " hands"]
 
 _SAMPLES = 9  # hands along each range
-_BATCH = 1024  # hands judged at once
+_MOST = 1024  # hands judged at once
 _SMALLEST = 2.0**-20  # of the ranges: boxes are not halved beyond
-_PULL = 0.99
-_ATTEMPTS = 5
 
 
 class HandRange(NamedTuple):
@@ -52,20 +50,6 @@ class WorstHand(NamedTuple):
     radius: float
 
 
-class RobustLimit(NamedTuple):
-    """The stiffest wall for all hands of a range, in SI units; NaN where there is none.
-
-    With ``is_proved`` the wall (stiffness, damping) is proved stable for every hand. ``limit`` is
-    what the sampled hands allow, never less than the truth, and ``loop`` the one that sets it.
-    """
-
-    stiffness: float
-    damping: float
-    is_proved: bool
-    limit: float
-    loop: HapticLoop
-
-
 def worst_hand(loop: HapticLoop, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
     """Return whether a wall is stable for every hand of a range, and the worst of them.
 
@@ -79,18 +63,14 @@ def worst_hand(loop: HapticLoop, hands: HandRange, stiffness: float, damping: fl
         WorstHand; UNDECIDED where all sampled hands are stable but not all others could be proved.
 
     Raises:
+        TypeError: a gain is not one real number.
         ValueError: a gain is infinite or NaN, or a range is out of order.
-        RuntimeError: JAX's x64 mode is off.
 
-    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); the proof is described in the head of
-    jaxstab/boundary/hands.py.
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B6 of docs/proofs.md.
     """
-    require_x64()
-    checked_gain("stiffness", stiffness)
-    checked_gain("damping", damping)
-    _check_order(hands)
-    wall = (float(stiffness), float(damping))
-    worst = _worst_of(loop, _grid(hands, _SAMPLES), *wall)
+    wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
+    checked_range(hands)
+    worst = _worst_of(loop, spread_hands(hands, _SAMPLES), *wall)
     if worst.verdict != Verdict.STABLE:
         return worst
     left = _unproved(loop, hands, *wall)
@@ -100,74 +80,16 @@ def worst_hand(loop: HapticLoop, hands: HandRange, stiffness: float, damping: fl
     return among if among.verdict == Verdict.UNSTABLE else among._replace(verdict=UNDECIDED)
 
 
-def robust_limit(loop: HapticLoop, hands: HandRange) -> RobustLimit:
-    """Return the largest stiffness, and its damping, that every hand of a range allows.
-
-    The corners of the range, and hands at which the proof failed, give the limit; a wall of 99 % of
-    it is then proved for every hand.
-
-    Args:
-        loop: device, sample time and delay; its hand is replaced by those of the range.
-        hands: the range of hands.
-
-    Raises:
-        ValueError: a range is out of order.
-        RuntimeError: JAX's x64 mode is off.
-
-    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
-    """
-    require_x64()
-    _check_order(hands)
-    held = [_held(loop, hand) for hand in _grid(hands, 2)]
-    planes = [Plane(one) for one in held]
-    for attempt in range(_ATTEMPTS):
-        limit, damping = _common_limit(held, planes)
-        if np.isnan(limit):
-            return RobustLimit(limit, damping, False, limit, loop)
-        wall = (limit * (_PULL if limit > 0.0 else 2.0 - _PULL), damping)
-        found = worst_hand(loop, hands, *wall)
-        if found.verdict == Verdict.STABLE or attempt == _ATTEMPTS - 1:
-            break
-        held.append(found.loop)
-        planes.append(Plane(found.loop))
-    tops = [
-        float(_tops(one, plane, np.array([damping]))[0])
-        for one, plane in zip(held, planes, strict=True)
-    ]
-    is_proved = found.verdict == Verdict.STABLE
-    return RobustLimit(*wall, is_proved, limit, held[int(np.argmin(tops))])
-
-
-def _common_limit(held: list[HapticLoop], planes: list[Plane]) -> tuple[float, float]:
-    """Return the largest K that all loops allow, and its B."""
-    pairs = list(zip(held, planes, strict=True))
-    spans = [[one.damping(end) for end in plane.span(0)] for one, plane in pairs]
-    low, high = max(span[0] for span in spans), min(span[1] for span in spans)
-
-    def tops(rows: Float64[np.ndarray, " values"]) -> Float64[np.ndarray, " values"]:
-        limits = np.stack([one.stiffness(plane.limits(one.beta(rows), 0)) for one, plane in pairs])
-        least, most = limits[..., 0].max(axis=0), limits[..., 1].min(axis=0)
-        met: Float64[np.ndarray, " values"] = np.where(least < most, most, np.nan)
-        return met
-
-    return highest(tops, low, high)
-
-
-def _tops(
-    loop: HapticLoop, plane: Plane, damping: Float64[np.ndarray, " values"]
-) -> Float64[np.ndarray, " values"]:
-    return loop.stiffness(plane.limits(loop.beta(damping), 0)[:, 1])
-
-
 def _worst_of(loop: HapticLoop, hands: Hands, stiffness: float, damping: float) -> WorstHand:
     """Return the verdict on the worst of some hands; of too many, of some of them."""
-    some = hands[np.arange(_BATCH) * len(hands) // _BATCH]  # one size, compiled once
+    count = min(len(hands), _MOST)
+    some = hands[np.arange(count) * len(hands) // count]
     scene = (*_dimensionless(loop, some, stiffness, damping), loop.delay_samples)
     radii = np.asarray(spectral_radius(*scene).value)
     codes = np.asarray(verdict(*scene))
     unstable = codes == Verdict.UNSTABLE
     worst = int(np.argmax(np.where(unstable | ~unstable.any(), radii, -1.0)))
-    return WorstHand(Verdict(int(codes[worst])), _held(loop, some[worst]), float(radii[worst]))
+    return WorstHand(Verdict(int(codes[worst])), held(loop, some[worst]), float(radii[worst]))
 
 
 def _unproved(loop: HapticLoop, hands: HandRange, stiffness: float, damping: float) -> Hands:
@@ -218,7 +140,7 @@ def _unproved(loop: HapticLoop, hands: HandRange, stiffness: float, damping: flo
     return np.column_stack([mass, left[:, 1:]])
 
 
-def _grid(hands: HandRange, count: int) -> Hands:
+def spread_hands(hands: HandRange, count: int) -> Hands:
     """Return hands spread over the range, their stiffness evenly in frequency."""
     ends = (hands.mass, tuple(sqrt(end) for end in hands.stiffness), hands.damping)
     axes = [np.linspace(low, high, count if low < high else 1) for low, high in ends]
@@ -237,12 +159,14 @@ def _dimensionless(
     return stiffness * per_force, damping * per_speed, spring * per_force, friction * per_speed
 
 
-def _held(loop: HapticLoop, hand: Float64[np.ndarray, " 3"]) -> HapticLoop:
+def held(loop: HapticLoop, hand: Float64[np.ndarray, " 3"]) -> HapticLoop:
+    """Return the loop with a hand of (mass, stiffness, damping)."""
     mass, stiffness, damping = (float(value) for value in hand)
     return replace(loop, hand_mass=mass, hand_stiffness=stiffness, hand_damping=damping)
 
 
-def _check_order(hands: HandRange) -> None:
+def checked_range(hands: HandRange) -> None:
+    """Refuse a range whose ends are out of order or negative."""
     for name, (low, high) in hands._asdict().items():
         if not 0.0 <= low <= high < np.inf:
             raise ValueError(

@@ -23,9 +23,8 @@ class Margins(NamedTuple):
     """What a wall has left; NaN throughout for a wall that is not proved stable.
 
     All numbers are proved: so far the wall stays stable. They fall short of the first root on the
-    circle by at most about 1e-9 of the way there, and where it is nearer to the wall than about
-    1e-6 of the wall's gains, by what rounding hides of it: about 1e-15 of the gains, times as much
-    as the gains' effect exceeds that of the one that is changed.
+    circle by at most about 1e-9 of the way there, or by what rounding hides: changes that move p(z)
+    on the circle by less than about 1e-13 of its largest term, per sample of delay, are not seen.
 
     Attributes:
         verdict: certified codes of ``Verdict``.

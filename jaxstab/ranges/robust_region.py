@@ -2,28 +2,28 @@
 
 The intersection over sampled hands is only a guess, too large. It is pulled in a little and then
 proved: along the edges of the polygon, for all gamma, delta and theta of the ranges at once, boxes
-are halved until each is proved free of roots on the unit circle (``circle.exclude``). That is
+are halved until each is proved free of roots on the unit circle (``boxes.exclusion``). That is
 enough. For any one hand the walls with a root on the circle are a curve that starts on the line
 z = 1, runs through infinity where it is not connected, and ends on the line z = -1 or at infinity;
 no piece of it can lie inside of a closed polygon that none of it crosses. So inside of the polygon
 the number of unstable roots is the same for all walls and, by continuity, for all hands; a verdict
-on one loop says that it is zero.
+on one loop says that it is zero (lemma B7 of docs/proofs.md).
 
 Where the proof fails, the hand at which it fails joins the sample, and it is tried again.
 """
 
 from dataclasses import dataclass, field
-from enum import IntEnum
 from math import pi, sqrt
 
 import numpy as np
-from jax.typing import ArrayLike
-from jaxtyping import Float64, Int8
+from jaxtyping import Bool, Float64, Int8
 
+from jaxstab.arrays import Numbers
 from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops
-from jaxstab.conventions import Verdict
-from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.conventions import Status, Verdict
+from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma
+from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
 from jaxstab.region.region import RegionStatus, StableRegion, stable_region
 
@@ -40,23 +40,13 @@ _SMALLEST = 2.0**-12  # of the ranges: boxes are not halved beyond
 _OUTLINE_TOLERANCE = 1e-4
 
 
-class RobustStatus(IntEnum):
+class RobustStatus(Status):
     """What is known of a robust region."""
 
-    NOT_COMPUTED = 0
-    PROVED = 1
-    EMPTY = 2
-    UNPROVED = 3
-
-    @property
-    def words(self) -> str:
-        """The status in words."""
-        return {
-            RobustStatus.NOT_COMPUTED: "not computed",
-            RobustStatus.PROVED: "every wall of the outline is proved stable for every hand",
-            RobustStatus.EMPTY: "no wall is stable for all of the sampled hands",
-            RobustStatus.UNPROVED: "stable for the sampled hands, but not proved between them",
-        }[self]
+    NOT_COMPUTED = 0, "not computed"
+    PROVED = 1, "every wall of the outline is proved stable for every hand"
+    EMPTY = 2, "no wall is stable for all of the sampled hands"
+    UNPROVED = 3, "stable for the sampled hands, but not proved between them"
 
 
 @dataclass(frozen=True)
@@ -86,8 +76,23 @@ class RobustRegion:
         vertex: Float64[np.ndarray, " 2"] = self.outline[np.argmax(self.outline[:, 0])]
         return vertex
 
-    def contains(self, alpha: ArrayLike, beta: ArrayLike) -> Int8[np.ndarray, "*grid"]:
-        """Return a proved verdict on each wall, for all hands of the range.
+    def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
+        """Return where a wall is proved stable for all hands of the range.
+
+        It is proved for each wall anew, so that it may be True outside of the outline.
+
+        Args:
+            alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
+            beta: wall damping B T/m.
+
+        Raises:
+            ValueError: alpha or beta is NaN or infinite.
+        """
+        inside: np.ndarray = self.verdict(alpha, beta) == Verdict.STABLE
+        return inside
+
+    def verdict(self, alpha: Numbers, beta: Numbers) -> Int8[np.ndarray, "*grid"]:
+        """Return a proved code of ``Verdict`` for each wall and all hands of the range.
 
         Args:
             alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
@@ -134,19 +139,15 @@ def robust_region(
     Raises:
         ValueError: an end is outside its range or NaN, the ends are in the wrong order, or the
             tolerance is out of range.
-        RuntimeError: JAX's x64 mode is off.
 
-    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); the proof is described in the head of
-    jaxstab/boundary/robust.py.
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B7 of docs/proofs.md.
     """
-    require_x64()
     for name, ends, check in (("gamma", gamma, checked_gamma), ("delta", delta, checked_delta)):
         check(np.asarray(ends, np.float64))
         if not ends[0] <= ends[1]:
             raise ValueError(f"{name} is {ends}; give the lower end first.")
     checked_delay(delay)
-    if not 1e-3 <= tolerance <= 0.5:
-        raise ValueError(f"tolerance is {tolerance}; give a number in [0.001, 0.5].")
+    checked_number("tolerance", tolerance, 1e-3, 0.5)
     sample = _Sample(gamma, delta, delay)
     for _ in range(_ATTEMPTS):
         outer = sample.intersection() if sample.regions else np.zeros((0, 2))
