@@ -16,7 +16,6 @@ from time import perf_counter
 from typing import NamedTuple
 
 import flint
-import jax
 import numpy as np
 from matplotlib.path import Path as Polygon
 from mpmath import mp, mpf
@@ -105,7 +104,6 @@ def tally(place: Slice, rng: np.random.Generator) -> Tally:
     """Judge one slice at random points."""
     start = perf_counter()
     region = stable_region(*place)
-    jax.block_until_ready(region)
     seconds = perf_counter() - start
     status = RegionStatus(int(region.status))
     judge = Judge(place)

@@ -25,11 +25,15 @@ Numbers: TypeAlias = Any
 Tree = TypeVar("Tree")
 Class = TypeVar("Class", bound=type)
 
+_PLAIN = frozenset({float, int, np.ndarray, np.float64})
+
 _unregistered: list[type] = []
 
 
 def is_jax(value: object) -> bool:
     """Return whether a value is a JAX array or a tracer; JAX is not imported for the question."""
+    if type(value) in _PLAIN:  # most values, at once
+        return False
     jax = sys.modules.get("jax")
     return hasattr(jax, "Array") and isinstance(value, jax.Array)  # type: ignore[union-attr]
 
@@ -101,6 +105,11 @@ def _register() -> None:
         jax.tree_util.register_dataclass(_unregistered.pop())
 
 
+def filled(like: Array, number: float) -> Array:
+    """Return one number in the shape of an array; for a float a float, which is faster."""
+    return number if type(like) is float else namespace(like).full_like(like, number)
+
+
 def kept(rounded: Array) -> Array:
     """Return a number as it was rounded: XLA must not rewrite what was computed before."""
     if not is_jax(rounded):
@@ -143,3 +152,28 @@ def repeat_while(
 
     result: Tree = lax.while_loop(is_open, step, start)
     return result
+
+
+def scan(count: int, step: Callable[[Tree], tuple[Tree, Array]], start: Tree) -> Array:
+    """Apply a step a number of times and return what each of them notes, stacked."""
+    if namespace(start) is np:
+        notes = []
+        for _ in range(count):
+            start, note = step(start)
+            notes.append(note)
+        return np.stack(notes)
+    from jax import lax
+
+    return lax.scan(lambda state, _: step(state), start, None, length=count)[1]
+
+
+def first_indices(mask: Array, count: int) -> Array:
+    """Return the indices of the first ``count`` true entries on the last axis, then its length.
+
+    The result has the shape (*, count), also where JAX must know all shapes beforehand.
+    """
+    xp = namespace(mask)
+    passed = xp.cumsum(mask, axis=-1)
+    if xp is np and mask.ndim == 1:
+        return np.searchsorted(passed, np.arange(1, count + 1))
+    return xp.sum(passed[..., None, :] <= xp.arange(count)[:, None], axis=-1)

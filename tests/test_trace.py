@@ -10,7 +10,7 @@ from benchmarks import truth
 from jaxstab import HapticLoop
 from jaxstab.boxes.exclusion import Loops, exclude
 from jaxstab.region import boundary_curve, minus_line
-from jaxstab.region.pieces import Branch
+from jaxstab.region.corners import Branch
 from jaxstab.trace import TraceStatus, trace_boundary
 
 LOOP = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)

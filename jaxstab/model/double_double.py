@@ -8,6 +8,7 @@ Popescu (2017). All operations are polynomial or one division, so JAX differenti
 """
 
 from dataclasses import dataclass
+from struct import Struct
 from typing import Union
 
 import numpy as np
@@ -15,6 +16,8 @@ import numpy as np
 from jaxstab.arrays import Array, constant, is_jax, kept, namespace, pytree
 
 _UPPER_HALF = np.uint64(0xFFFFFFFFF8000000)  # sign, exponent and 26 bits of the significand
+_UPPER_BITS = int(_UPPER_HALF)
+_FLOAT, _BITS = Struct("<d"), Struct("<Q")
 _HALVES_UNDERFLOW = 1e-270  # below, products of halves are flushed to zero: rounded once instead
 
 
@@ -35,6 +38,8 @@ class DoubleDouble:
         """Return a float64 array, a Python float or a pair, unchanged in value, as a pair."""
         if isinstance(value, DoubleDouble):
             return value
+        if type(value) is float:  # many times faster than a NumPy array of one
+            return cls(value, 0.0)
         xp = namespace(value)
         hi = xp.asarray(value, xp.float64)
         return DoubleDouble(hi, xp.zeros_like(hi))
@@ -94,13 +99,15 @@ def two_product(a: Array, b: Array) -> tuple[Array, Array]:
     sum to one fused operation as it likes: with exact products that changes nothing. A product
     below 1e-270 is only rounded.
     """
-    xp = namespace(a, b)
     a_high, a_low = _halves(a)
     b_high, b_low = _halves(b)
     middle, middle_error = two_sum(a_high * b_low, a_low * b_high)
     product, error = _quick_two_sum(a_high * b_high, middle)
     error = error + (middle_error + a_low * b_low)
     underflows = abs(product) < _HALVES_UNDERFLOW
+    if type(underflows) is bool:
+        return (a * b, 0.0) if underflows else (product, error)
+    xp = namespace(a, b)
     return xp.where(underflows, a * b, product), xp.where(underflows, 0.0, error)
 
 
@@ -111,7 +118,10 @@ def _quick_two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 def _halves(a: Array) -> tuple[Array, Array]:
     bits: Array
-    if is_jax(a):
+    if type(a) is float:
+        (bits,) = _BITS.unpack(_FLOAT.pack(a))
+        (high,) = _FLOAT.unpack(_BITS.pack(bits & _UPPER_BITS))
+    elif is_jax(a):
         from jax import lax
 
         bits = lax.bitcast_convert_type(constant(a), np.uint64) & _UPPER_HALF

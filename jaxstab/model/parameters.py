@@ -1,9 +1,11 @@
 """The five dimensionless parameters (Table I): where they come from, what is allowed for them."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import wraps
 from math import ulp
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -16,6 +18,8 @@ DELTA_LIMIT = 1e3
 GAIN_LIMIT = 1e150
 
 Values = TypeVar("Values", bound=Numbers)
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +92,21 @@ class HapticLoop:
     def damping(self, beta: Values) -> Values:
         """Wall damping B in N s/m for a dimensionless damping beta (Table I)."""
         return beta * (self.mass / self.sample_time)
+
+
+def refuses_loops(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Let a function of dimensionless numbers say how to call it when a HapticLoop is given."""
+
+    @wraps(function)
+    def call(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+        if arguments and isinstance(arguments[0], HapticLoop):
+            raise TypeError(
+                f"{function.__name__} takes dimensionless numbers and no HapticLoop; give "
+                "loop.gamma, loop.delta, loop.delay_samples."
+            )
+        return function(*arguments, **options)
+
+    return call
 
 
 def require_x64(*values: Numbers) -> None:

@@ -28,7 +28,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, repeat, tree_map
+from jaxstab.arrays import (
+    Array,
+    Numbers,
+    filled,
+    float_arrays,
+    is_traced,
+    namespace,
+    repeat,
+    tree_map,
+)
 from jaxstab.batches import compiled
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma, require_x64
@@ -161,7 +170,7 @@ def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs
 @lru_cache(maxsize=256)
 def _one_plant(gamma: float, delta: float, fraction: float, *, whole: bool) -> PlantPairs:
     """Remember plants of single loops: one is asked about many walls."""
-    return _plant_pairs(*map(np.float64, (gamma, delta, fraction)), whole=whole)
+    return tree_map(np.float64, _plant_pairs(gamma, delta, fraction, whole=whole))
 
 
 def pairs_error(gamma: Numbers, delta: Numbers) -> Array:
@@ -180,14 +189,17 @@ def may_cancel(gamma: Numbers, delta: Numbers) -> Array:
 @compiled(static=["whole"], many=_MANY)
 def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) -> PlantPairs:
     xp = namespace(gamma, delta, fraction)
-    full = DoubleDouble.of(xp.ones_like(fraction))
+    full = DoubleDouble.of(filled(fraction, 1.0))
     if whole:
         step = _hold(gamma, delta, full)
-        n2, n0 = step.response(), DoubleDouble.of(xp.zeros_like(fraction))
+        n2, n0 = step.response(), DoubleDouble.of(filled(fraction, 0.0))
     else:
-        lengths = tree_map(lambda *t: xp.stack(t), full, full - fraction, DoubleDouble.of(fraction))
-        holds = _hold(gamma, delta, lengths)  # one batch: three times less to compile
-        step, after, before = (tree_map(itemgetter(part), holds) for part in range(3))
+        lengths = full, full - fraction, DoubleDouble.of(fraction)
+        if type(fraction) is float:
+            step, after, before = (_hold(gamma, delta, length) for length in lengths)
+        else:  # one batch: three times less to compile
+            holds = _hold(gamma, delta, tree_map(lambda *t: xp.stack(t), *lengths))
+            step, after, before = (tree_map(itemgetter(part), holds) for part in range(3))
         n2, n0 = after.response(), after.decay * after.decay * before.reversed_response()
     d1 = (step.decay * step.kappa).scaled(-2.0)
     d0 = step.decay * step.decay
@@ -225,7 +237,7 @@ def _hold(gamma: Array, delta: Array, length: DoubleDouble) -> _Hold:
     x, y = x.scaled(4.0**-_DUPLICATIONS), y.scaled(4.0**-_DUPLICATIONS)
     nodes = _Nodes(x, y, kappa=_series(_KAPPA, x, y), sigma=_series(_SIGMA, x, y))
     nodes = repeat(_DUPLICATIONS, _duplicate, nodes)
-    decay = DoubleDouble.of(namespace(x).ones_like(x.hi)) / (nodes.kappa.x + a * nodes.sigma.x)
+    decay = DoubleDouble.of(filled(x.hi, 1.0)) / (nodes.kappa.x + a * nodes.sigma.x)
     return _Hold(length, decay, nodes.kappa.y, nodes.sigma.y, nodes.kappa.xy, a * nodes.sigma.xy)
 
 
@@ -267,7 +279,7 @@ _SIGMA = tuple(Fraction(1, factorial(2 * k + 1)) for k in range(_TERMS))
 
 def _series(coefficients: tuple[Fraction, ...], x: DoubleDouble, y: DoubleDouble) -> _Values:
     """Evaluate a Taylor series at x and y and its divided difference by Horner's rule."""
-    zero = namespace(x).zeros_like(x.hi)
+    zero = filled(x.hi, 0.0)
     at_x, at_y, between = zero, zero, zero
     for coefficient in reversed(coefficients[_PAIR_TERMS:]):
         between = at_x + y.hi * between

@@ -14,26 +14,32 @@ z = r for th < pi/2 and z = -r for th > pi/2. For th < pi/2 alpha is the line z 
 all carry the factor h, divided out by hand.
 """
 
-from math import factorial, pi
+from math import pi
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
-from jax.typing import ArrayLike
 from jaxtyping import Float64
 
-from jaxstab.arrays import PI_REST
+from jaxstab.arrays import (
+    PI_REST,
+    Array,
+    Numbers,
+    float_arrays,
+    is_traced,
+    kept,
+    namespace,
+    tree_map,
+)
+from jaxstab.batches import compiled
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.plant import PlantPairs, plant_pairs
+from jaxstab.numbers import checked
+from jaxstab.region.sines import sines
 
-_TERMS = 10  # of sine and cosine up to pi/4: the next one is below 2^-60, of derivatives too
-# A quarter turn in parts of 27 bits: multiples of the first two are exact.
-_QUARTER_TURN = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18)
 _CLOSE, _FAR = 1e-9, 4.0  # of the distance of a pole from the circle: closer is as close
 _VANISHING = 1e-3  # N(r) this small beside its terms: the line z = r is no anchor any more
+_MANY = 1 << 18  # angles that are worth compiling for
 
 
 class SliceCoefficients(NamedTuple):
@@ -58,11 +64,11 @@ class SliceCoefficients(NamedTuple):
 
 
 def boundary_curve(
-    theta: ArrayLike,
-    gamma: ArrayLike,
-    delta: ArrayLike,
-    delay: ArrayLike,
-    radius: ArrayLike = 1.0,
+    theta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    radius: Numbers = 1.0,
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid"]]:
     """Return the wall gains (alpha, beta) that put a pair of roots at radius exp(+-i theta).
 
@@ -84,22 +90,21 @@ def boundary_curve(
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) solved for (alpha, beta).
     """
-    require_x64()
-    angle = jnp.asarray(_checked_interval("theta", theta, 0.0, pi), jnp.float64)
-    alpha, beta = curve_point(slice_coefficients(gamma, delta, delay, radius), angle)
-    return alpha, beta
+    require_x64(theta, gamma, delta, radius)
+    angle = float_arrays(checked("theta", theta, 0.0, pi))[0]
+    return curve_point(slice_coefficients(gamma, delta, delay, radius), angle)
 
 
 def plus_line(
-    beta: ArrayLike,
-    gamma: ArrayLike,
-    delta: ArrayLike,
-    delay: ArrayLike,
-    radius: ArrayLike = 1.0,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    radius: Numbers = 1.0,
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = +radius; for radius 1 it is -gamma.
 
@@ -115,22 +120,23 @@ def plus_line(
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = radius.
     """
-    require_x64()
+    require_x64(beta, gamma, delta, radius)
     coefficients = slice_coefficients(gamma, delta, delay, radius)
-    damping = jnp.asarray(checked_gain("beta", beta), jnp.float64)
-    return plus_offset(coefficients) - damping * plus_slope(coefficients)
+    damping = float_arrays(checked_gain("beta", beta))[0]
+    with np.errstate(all="ignore"):
+        return plus_offset(coefficients) - damping * plus_slope(coefficients)
 
 
 def minus_line(
-    beta: ArrayLike,
-    gamma: ArrayLike,
-    delta: ArrayLike,
-    delay: ArrayLike,
-    radius: ArrayLike = 1.0,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    radius: Numbers = 1.0,
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = -radius.
 
@@ -146,18 +152,19 @@ def minus_line(
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = -radius.
     """
-    require_x64()
+    require_x64(beta, gamma, delta, radius)
     coefficients = slice_coefficients(gamma, delta, delay, radius)
-    damping = jnp.asarray(checked_gain("beta", beta), jnp.float64)
-    return minus_offset(coefficients) - damping * minus_slope(coefficients)
+    damping = float_arrays(checked_gain("beta", beta))[0]
+    with np.errstate(all="ignore"):
+        return minus_offset(coefficients) - damping * minus_slope(coefficients)
 
 
 def slice_coefficients(
-    gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike, radius: ArrayLike = 1.0
+    gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
 ) -> SliceCoefficients:
     """Return the coefficients of the boundary for slices of any shape; the delay may be traced.
 
@@ -166,23 +173,23 @@ def slice_coefficients(
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008); each value is formed in double-double.
     """
-    if not isinstance(delay, jax.core.Tracer):
+    if not is_traced(delay):
         delay = checked_delay(delay)
-    whole = jnp.floor(delay) if isinstance(delay, jax.core.Tracer) else np.floor(delay)
-    plant_values = plant_pairs(checked_gamma(gamma), checked_delta(delta), delay - whole)
-    coefficients: SliceCoefficients = _slice_coefficients(
-        jnp.asarray(gamma, jnp.float64),
-        jnp.asarray(_checked_interval("radius", radius, np.nextafter(0.0, 1.0), 1.0), jnp.float64),
-        jnp.asarray(whole + 1.0),
-        plant_values,
-    )
-    return coefficients
+    whole = namespace(delay).floor(delay)
+    plant = plant_pairs(checked_gamma(gamma), checked_delta(delta), delay - whole)
+    size = checked("radius", radius, 0.0, 1.0, is_open=True)
+    gamma, size, turns = float_arrays(gamma, size, whole + 1.0)
+    if namespace(gamma, size, turns, plant) is not np or any(map(np.ndim, (gamma, size, turns))):
+        return _slice_coefficients(gamma, size, turns, plant)
+    single = _slice_coefficients(float(gamma), float(size), float(turns), tree_map(float, plant))
+    return tree_map(np.float64, single)
 
 
-@jax.jit
+@compiled(many=_MANY)
 def _slice_coefficients(
     gamma: Array, radius: Array, turns: Array, plant: PlantPairs
 ) -> SliceCoefficients:
+    xp = namespace(gamma, radius, turns, plant)
     r = DoubleDouble.of(radius)
     inner = r - 1.0
     # Around z = 1 and z = -1, where the plant coefficients have digits of their own.
@@ -192,16 +199,13 @@ def _slice_coefficients(
     num_minus = (
         inner * inner * plant.n2 + inner * (plant.n2.scaled(2.0) - plant.n1) + plant.difference
     )
-    vanishing = jnp.abs(num_plus.hi) < np.finfo(np.float64).tiny
+    vanishing = abs(num_plus.hi) < np.finfo(np.float64).tiny
+    ratio = den_plus.rounded() / xp.where(vanishing, xp.inf, num_plus.rounded())
     return SliceCoefficients(
         radius=radius,
         turns=turns,
         gain=radius**turns,
-        ratio=jnp.where(
-            radius == 1.0,
-            gamma,
-            den_plus.rounded() / jnp.where(vanishing, jnp.inf, num_plus.rounded()),
-        ),
+        ratio=xp.where(radius == 1.0, gamma, ratio),
         kappa=(r + plant.d0 / r).rounded(),
         eps=(r - plant.d0 / r).rounded(),
         sigma=(r * plant.n2 + plant.n0 / r).rounded(),
@@ -215,7 +219,7 @@ def _slice_coefficients(
 
 def plus_offset(c: SliceCoefficients) -> Array:
     """Return w(r): the line z = r is alpha + plus_slope beta = w(r)."""
-    return -c.gain * c.ratio
+    return 0.0 - c.gain * c.ratio  # not the number -0
 
 
 def plus_slope(c: SliceCoefficients) -> Array:
@@ -223,14 +227,31 @@ def plus_slope(c: SliceCoefficients) -> Array:
     return (c.radius - 1.0) / c.radius
 
 
+@np.errstate(divide="ignore")  # infinite where N(-r) = 0
 def minus_offset(c: SliceCoefficients) -> Array:
     """Return w(-r): the line z = -r is alpha + minus_slope beta = w(-r)."""
-    return -_sign(c.turns) * c.gain * c.den_minus / c.num_minus
+    return -parity(c) * c.gain * c.den_minus / c.num_minus
 
 
 def minus_slope(c: SliceCoefficients) -> Array:
     """Return 1 + 1/r."""
     return (c.radius + 1.0) / c.radius
+
+
+def minus_margin(c: SliceCoefficients, alpha: Array, beta: Array) -> Array:
+    """Return p(-r) / r^2 up to the sign that it has inside of the stable set, which is plus."""
+    return c.gain * c.den_minus + parity(c) * c.num_minus * (alpha + minus_slope(c) * beta)
+
+
+def lines_crossing(c: SliceCoefficients) -> tuple[Array, Array]:
+    """Return (alpha, beta) where the lines of a real root at r and at -r cross."""
+    beta = (minus_offset(c) - plus_offset(c)) * c.radius / 2.0
+    return plus_offset(c) - plus_slope(c) * beta, beta
+
+
+def parity(c: SliceCoefficients) -> Array:
+    """Return (-1)^m."""
+    return 1.0 - 2.0 * (c.turns % 2.0)
 
 
 def poles(c: SliceCoefficients) -> tuple[Array, Array]:
@@ -239,20 +260,24 @@ def poles(c: SliceCoefficients) -> tuple[Array, Array]:
     There the curve flies off: close to a zero it changes in steps as short as the distance, which
     is the modulus of the logarithm of |z| / r.
     """
+    xp = namespace(c)
     first, last = 0.5 * (c.sigma + c.nu), 0.5 * (c.sigma - c.nu)
     middle = c.num_plus - c.sigma
     square = middle**2 - 4.0 * first * last
-    root = jnp.sqrt(jnp.abs(square))
-    larger = -0.5 * (middle + jnp.where(middle < 0.0, -root, root))
-    real = jnp.stack([larger / first, last / larger])
-    turned = jnp.arctan2(root, -middle * jnp.sign(first))
-    angles = jnp.where(square < 0.0, turned, jnp.where(real < 0.0, pi, 0.0))
-    modulus = jnp.where(square < 0.0, jnp.sqrt(jnp.abs(last / first)), jnp.abs(real))
-    apart = jnp.abs(jnp.log(modulus))
-    return angles, jnp.clip(jnp.nan_to_num(apart, nan=_FAR), _CLOSE, _FAR)
+    root = xp.sqrt(abs(square))
+    larger = -0.5 * (middle + xp.where(middle < 0.0, -root, root))
+    real = xp.stack([larger / first, last / larger])
+    turned = xp.arctan2(root, -middle * xp.sign(first))
+    angles = xp.where(square < 0.0, turned, xp.where(real < 0.0, pi, 0.0))
+    modulus = xp.where(square < 0.0, xp.sqrt(abs(last / first)), abs(real))
+    distance = abs(xp.log(modulus))
+    return angles, xp.clip(xp.nan_to_num(distance, nan=_FAR), _CLOSE, _FAR)
 
 
-def curve_point(c: SliceCoefficients, theta: Array, low: ArrayLike = 0.0) -> tuple[Array, Array]:
+@compiled(many=_MANY)
+def curve_point(
+    c: SliceCoefficients, theta: Array, low: Array | float = 0.0
+) -> tuple[Array, Array]:
     """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices.
 
     ``low`` is what rounding took from theta: close to pi it holds digits of pi - theta.
@@ -261,112 +286,82 @@ def curve_point(c: SliceCoefficients, theta: Array, low: ArrayLike = 0.0) -> tup
     return alpha, beta
 
 
-@jax.jit
 def curve_and_lift(
-    c: SliceCoefficients, theta: Array, low: ArrayLike = 0.0
+    c: SliceCoefficients, theta: Array, low: Array | float = 0.0
 ) -> tuple[Array, Array, Array]:
     """Return alpha, beta and (alpha + plus_slope beta - w(r)) / (1 - cos th).
 
     The third value vanishes where the curve crosses the line z = r, but not where it starts on it.
+    Analytic in theta, so that NumPy takes derivatives by a complex step (``with_slope``).
     """
-    upper = theta > pi / 2
-    # Without the barrier XLA would add the two parts of pi first.
-    from_pi = lax.optimization_barrier(pi - theta) + (PI_REST - low)
-    folded = jnp.where(upper, from_pi, theta + low)
+    xp = namespace(c, theta)
+    upper = xp.real(theta) > pi / 2
+    # XLA would otherwise add the two parts of pi first.
+    folded = xp.where(upper, kept(pi - theta) + (PI_REST - low), theta + low)
     half = 0.5 * folded
-    half_sine, half_cosine = half * _sinc(half**2), _cosine(half**2)
-    near, far = 2.0 * half_sine**2, 2.0 * half_cosine**2
-    cos_turns, sine_ratio, lag_ratio = _turning(c.turns, upper, half, half_cosine)
+    circle = _circle(c.turns, half)
+    real, slope, scale = _quotient(c, upper, circle)
 
-    h, rest = jnp.where(upper, far, near), jnp.where(upper, near, far)  # 1 -+ cos(theta)
-    sine_square = near * far
-    d = jnp.where(upper, c.kappa * rest - c.den_minus, c.den_plus - c.kappa * h)
-    q = jnp.where(upper, c.sigma * rest - c.num_minus, c.num_plus - c.sigma * h)
-    # (d + i eps sin)(q - i nu sin) / |q + i nu sin|^2 = real + i slope sin
-    scale = c.gain / (q**2 + c.nu**2 * sine_square)
-    real = d * q + c.eps * c.nu * sine_square
-    slope = c.eps * q - c.nu * d
-    beta = -scale * c.radius * (sine_ratio * real + cos_turns * slope)
-
+    sign = xp.where(upper, parity(c), 1.0)
+    swing = circle.sine_ratio * real - circle.cosine * slope
+    beta = xp.where(upper, sign, -1.0) * (scale * c.radius * swing)
+    h = xp.where(upper, circle.far, circle.near)  # 1 - cos(theta)
+    turned = circle.cosine * real + circle.sine_ratio * circle.sine_square * slope
+    direct = -beta * (plus_slope(c) + h / c.radius) - sign * (scale * turned)
     line = plus_offset(c) - plus_slope(c) * beta
     lift = -beta / c.radius + scale * (
-        q * (c.kappa - c.ratio * c.sigma)
-        + rest * (c.nu * (c.ratio * c.nu - c.eps) + sine_ratio * slope)
-        + lag_ratio * real
+        circle.lag_ratio * real
+        - circle.far * (c.nu * (c.eps - c.ratio * c.nu) + circle.sine_ratio * slope)
+        - (c.num_plus - c.sigma * circle.near) * (c.ratio * c.sigma - c.kappa)
     )
-    direct = -beta * (plus_slope(c) + h / c.radius) - scale * (
-        cos_turns * real - sine_ratio * sine_square * slope
-    )
-    lost = jnp.abs(c.num_plus) < _VANISHING * (jnp.abs(c.sigma) + jnp.abs(c.nu))
-    away = upper | lost
-    alpha = jnp.where(away, direct, line + h * lift)
-    return alpha, beta, jnp.where(away, (direct - line) / jnp.where(away, h, 1.0), lift)
+    lost = abs(c.num_plus) < _VANISHING * (abs(c.sigma) + abs(c.nu))
+    direct_only = upper | lost
+    alpha = xp.where(direct_only, direct, line + h * lift)
+    return alpha, beta, xp.where(direct_only, (direct - line) / xp.where(direct_only, h, 1.0), lift)
 
 
-def _turning(
-    turns: Array, upper: Array, half: Array, half_cosine: Array
-) -> tuple[Array, Array, Array]:
-    """Return cos(m th), sin(m th) / sin(th) and (1 - cos(m th)) / (1 - cos th)."""
-    phase = turns * half
-    s, c, sinc = _sine_cosine_sinc(phase)
-    half_ratio = turns * sinc / _sinc(half**2)
-    lag = jnp.where(turns % 2.0 == 1.0, c, s)
-    lag_ratio = jnp.where(upper, lag / half_cosine, half_ratio) ** 2
-    sign = jnp.where(upper, _sign(turns), 1.0)
-    sine_ratio = jnp.where(upper, -sign, 1.0) * half_ratio * c / half_cosine
-    return sign * (c - s) * (c + s), sine_ratio, lag_ratio
+class _Circle(NamedTuple):
+    """Functions of an angle u = 2 half in [0, pi/2].
 
-
-def _sine_cosine_sinc(x: Array) -> tuple[Array, Array, Array]:
-    """Return sin(x), cos(x) and sin(x) / x for x >= 0, also at 0.
-
-    The compiler makes vectors of this, and not of calls of sin and cos: most of the run time.
+    ``near`` and ``far`` are 1 - cos u and 1 + cos u, ``cosine`` is cos(m u), ``sine_ratio`` is
+    sin(m u) / sin(u) and ``lag_ratio`` (1 - cos(m u)) / (1 - cos u).
     """
-    quarters = lax.stop_gradient(jnp.round(x * (2.0 / pi)))
-    rest = x
-    for part in _QUARTER_TURN:
-        rest = rest - quarters * part
-    square = rest**2
-    sinc = _sinc(square)
-    sine, cosine = rest * sinc, _cosine(square)
-    odd = quarters % 2.0 == 1.0
-    sine, cosine = jnp.where(odd, cosine, sine), jnp.where(odd, -sine, cosine)
-    sign = jnp.where(quarters % 4.0 >= 2.0, -1.0, 1.0)
-    sine, cosine = sign * sine, sign * cosine
-    first = quarters == 0.0
-    return sine, cosine, jnp.where(first, sinc, sine / jnp.where(first, 1.0, x))
+
+    near: Array
+    far: Array
+    sine_square: Array
+    cosine: Array
+    sine_ratio: Array
+    lag_ratio: Array
 
 
-def _sinc(square: Array) -> Array:
-    """Return sin(x) / x for x^2 up to (pi/4)^2, with derivatives that do not cancel."""
-    return _alternating(square, 1)
+def _circle(turns: Array, half: Array) -> _Circle:
+    xp = namespace(turns, half)
+    if xp is np and np.ndim(turns) == 0:
+        angles = np.multiply.outer(np.array([1.0, turns]), half)
+    else:
+        angles = xp.stack(xp.broadcast_arrays(half, turns * half))
+    sine, cosine, sinc = sines(angles)
+    near, far = 2.0 * sine[0] ** 2, 2.0 * cosine[0] ** 2
+    half_ratio = turns * sinc[1] / sinc[0]
+    return _Circle(
+        near=near,
+        far=far,
+        sine_square=near * far,
+        cosine=(cosine[1] - sine[1]) * (cosine[1] + sine[1]),
+        sine_ratio=half_ratio * cosine[1] / cosine[0],
+        lag_ratio=half_ratio**2,
+    )
 
 
-def _cosine(square: Array) -> Array:
-    """Return cos(x) for x^2 up to (pi/4)^2."""
-    return _alternating(square, 0)
+def _quotient(c: SliceCoefficients, upper: Array, circle: _Circle) -> tuple[Array, Array, Array]:
+    """Return D/N times (-z)^(m - 1) r^m as scale (real + i slope sin u), by the folded angle u.
 
-
-def _alternating(square: Array, shift: int) -> Array:
-    series = jnp.zeros_like(square)
-    for k in reversed(range(_TERMS)):
-        series = (-1.0) ** k / factorial(2 * k + shift) + square * series
-    return series
-
-
-def _sign(turns: Array) -> Array:
-    return 1.0 - 2.0 * (turns % 2.0)
-
-
-def _checked_interval(name: str, value: ArrayLike, lower: float, upper: float) -> ArrayLike:
-    if isinstance(value, jax.core.Tracer):
-        return value
-    numbers = np.asarray(value)
-    if numbers.dtype.kind not in "iuf":
-        raise TypeError(f"{name} is {value!r}; give real numbers.")
-    wrong = ~((numbers >= lower) & (numbers <= upper))
-    if np.any(wrong):
-        culprit = float(numbers[wrong].flat[0])
-        allowed = "in (0, 1]" if name == "radius" else f"from {lower:g} to {upper!r}"
-        raise ValueError(f"{name} is {culprit}; give numbers {allowed}.")
-    return value
+    Where the angle is folded, d and q have the other sign; their products have not.
+    """
+    xp = namespace(c, circle)
+    d = c.kappa * circle.near - xp.where(upper, c.den_minus, c.den_plus)
+    q = c.sigma * circle.near - xp.where(upper, c.num_minus, c.num_plus)
+    real = d * q + c.eps * c.nu * circle.sine_square
+    scale = c.gain / (q**2 + c.nu**2 * circle.sine_square)
+    return real, c.eps * q - c.nu * d, scale

@@ -1,149 +1,281 @@
-"""Limits, membership, distance and area by the exact boundary, from where its points are known."""
+"""Limits, membership, distance and area by the exact boundary, from where its points are known.
 
+Between two vertices of an outline alpha and beta are monotone. So a line of constant alpha or beta
+meets an edge where it passes between its ends, and a part of an edge lies in the box of its ends.
+"""
+
+from collections.abc import Callable
 from functools import partial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
 
-from jaxstab.region.curve import SliceCoefficients, curve_point
+from jaxstab.arrays import Array, constant, first_indices, namespace, repeat_while
+from jaxstab.batches import compiled
+from jaxstab.region.corners import Branch
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift
 from jaxstab.region.outline import Outline
-from jaxstab.region.pieces import Branch
-from jaxstab.region.roots import bracketed_root
+from jaxstab.region.roots import bracketed_root, nonzero, with_slope
 
-_CROSSINGS = 8  # of a row with the boundary; rows with more are answered by NaN
-_BATCH = 1024
+_CROSSINGS = 8  # of a row with the boundary in JAX; rows with more are answered by NaN
+_AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
 _LAST_STEP = 1e-10  # radians
+_EDGES = 4  # looked at in one step of the search for the nearest
+_SUBDIVISIONS = 8  # of an edge, and then of its nearest parts
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
-@partial(jax.jit, static_argnames="axis")
-def limits(c: SliceCoefficients, outline: Outline, values: Array, *, axis: int) -> Array:
-    """Return where lines of constant alpha (axis 0) or beta (axis 1) enter and leave the region."""
+@compiled(static=["axis", "outermost"])
+def limits(
+    c: SliceCoefficients, outline: Outline, values: Array, *, axis: int, outermost: bool = True
+) -> Array:
+    """Return where lines of constant alpha (axis 0) or beta (axis 1) enter and leave the region.
 
-    def outermost(value: Array) -> Array:
-        places, exist = _crossings(c, outline, value, axis)
-        least = jnp.min(jnp.where(exist, places, jnp.inf))
-        most = jnp.max(jnp.where(exist, places, -jnp.inf))
-        return jnp.where(jnp.any(exist), jnp.stack([least, most]), jnp.nan)
+    That is the first entrance and the last exit, or else the last entrance and the last exit.
+    """
 
-    flat: Array = lax.map(outermost, values.ravel(), batch_size=_BATCH)
-    pairs: Array = flat.reshape(*values.shape, 2)
-    return pairs
+    def ends(values: Array) -> Array:
+        xp = namespace(c, outline, values)
+        coordinates, exist = _crossings(c, outline, values, axis)
+        most = xp.max(xp.where(exist, coordinates, -xp.inf), axis=-1)
+        if outermost:
+            least = xp.min(xp.where(exist, coordinates, xp.inf), axis=-1)
+        else:
+            last = xp.argmax(xp.where(exist, coordinates, -xp.inf), axis=-1)
+            others = exist & (xp.arange(exist.shape[-1]) != last[..., None])
+            least = xp.max(xp.where(others, coordinates, -xp.inf), axis=-1)
+        return xp.where(xp.any(exist, axis=-1)[:, None], xp.stack([least, most], axis=-1), xp.nan)
+
+    return _in_batches(ends, outline, values).reshape(*values.shape, 2)
 
 
-@jax.jit
+@compiled()
 def contains(c: SliceCoefficients, outline: Outline, alpha: Array, beta: Array) -> Array:
     """Return whether an odd number of crossings of the row lies beyond alpha."""
 
-    def is_inside(point: tuple[Array, Array]) -> Array:
-        places, exist = _crossings(c, outline, point[1], 1)
-        return jnp.sum(exist & (places > point[0])) % 2 == 1
+    def is_inside(alpha: Array, beta: Array) -> Array:
+        coordinates, exist = _crossings(c, outline, beta, 1)
+        beyond = exist & (coordinates > alpha[:, None])
+        return namespace(beyond).sum(beyond, axis=-1) % 2 == 1
 
-    flat: Array = lax.map(is_inside, (alpha.ravel(), beta.ravel()), batch_size=_BATCH)
-    return flat.reshape(alpha.shape)
+    return _in_batches(is_inside, outline, alpha, beta).reshape(alpha.shape)
 
 
-@jax.jit
+@compiled()
 def distance(c: SliceCoefficients, outline: Outline, alpha: Array, beta: Array) -> Array:
     """Return the distance to the exact boundary, positive inside."""
 
-    def to_boundary(point: tuple[Array, Array]) -> Array:
-        return _nearest(c, outline, jnp.stack(point))
+    def to_boundary(alpha: Array, beta: Array) -> Array:
+        points = namespace(alpha, beta).stack([alpha, beta], axis=-1)
+        away = points - _nearest(c, outline, points)
+        return namespace(away).hypot(away[:, 0], away[:, 1])
 
-    flat = lax.map(to_boundary, (alpha.ravel(), beta.ravel()), batch_size=_BATCH)
-    nothing = jnp.where(outline.resolved, jnp.inf, jnp.nan)
-    away = jnp.where(outline.size > 0, flat.reshape(alpha.shape), nothing)
-    return jnp.where(contains(c, outline, alpha, beta), away, -away)
+    xp = namespace(c, outline, alpha, beta)
+    nothing = xp.where(outline.resolved, xp.inf, xp.nan)
+    away = _in_batches(to_boundary, outline, alpha, beta).reshape(alpha.shape)
+    away = xp.where(outline.size > 0, away, nothing)
+    return xp.where(contains(c, outline, alpha, beta), away, -away)
 
 
-@jax.jit
+@compiled()
 def area(c: SliceCoefficients, outline: Outline) -> Array:
     """Return the integral of alpha d(beta) around the boundary, by Gauss' rule on each piece."""
+    xp = namespace(c, outline)
     begin, end = outline.angles[:, :1], outline.angles[:, 1:]
     half = 0.5 * (end - begin)
-    theta = begin + half * (1.0 + jnp.asarray(_GAUSS_NODES))
-    (alpha, _), (_, slope) = jax.jvp(lambda x: curve_point(c, x), (theta,), (jnp.ones_like(theta),))
-    on_curve = jnp.sum(half * alpha * slope * jnp.asarray(_GAUSS_WEIGHTS), axis=1)
+    theta = begin + half * (1.0 + _GAUSS_NODES)
+    (alpha, _), (_, slope) = with_slope(lambda angle: _point(c, angle), theta)
+    on_curve = xp.sum(half * alpha * slope * _GAUSS_WEIGHTS, axis=1)
     here, there = outline.vertices[:-1], outline.vertices[1:]
     on_line = 0.5 * (here[:, 0] + there[:, 0]) * (there[:, 1] - here[:, 1])
-    pieces = jnp.where(outline.branches == Branch.CURVE, on_curve, on_line)
-    enclosed = jnp.sum(jnp.where(outline.branches < 0, 0.0, pieces))
-    return jnp.where(outline.resolved, enclosed, jnp.nan)
+    pieces = xp.where(outline.branches == Branch.CURVE, on_curve, on_line)
+    enclosed = xp.sum(xp.where(outline.branches < 0, 0.0, pieces))
+    return xp.where(outline.resolved, enclosed, xp.nan)
 
 
-@jax.jit
 def deviation(c: SliceCoefficients, outline: Outline) -> Array:
     """Return how far the boundary leaves the polygon, as a share of the region's diameter."""
-    middle = jnp.stack(curve_point(c, jnp.mean(outline.angles, axis=1)), axis=-1)
-    bulges = jnp.hypot(*_from_chord(outline, middle).T)
-    on_curve = outline.branches == Branch.CURVE
-    size = jnp.hypot(*(jnp.max(outline.vertices, axis=0) - jnp.min(outline.vertices, axis=0)))
-    return jnp.max(jnp.where(on_curve, bulges, 0.0)) / size
+    xp = namespace(c, outline)
+    middle = xp.stack(_point(c, xp.mean(outline.angles, axis=1)), axis=-1)
+    here, there = outline.vertices[:-1], outline.vertices[1:]
+    away = middle - _foot_on_chord(here, there, middle)
+    bulges = xp.hypot(away[:, 0], away[:, 1])
+    size = xp.hypot(*(xp.max(outline.vertices, axis=0) - xp.min(outline.vertices, axis=0)))
+    return xp.max(xp.where(outline.branches == Branch.CURVE, bulges, 0.0)) / size
+
+
+def _point(c: SliceCoefficients, theta: Array, low: Array | float = 0.0) -> Array:
+    return namespace(c, theta).stack(curve_and_lift(c, theta, low)[:2])
+
+
+def _in_batches(function: Callable[..., Array], outline: Outline, *columns: Array) -> Array:
+    """Apply a function of points to columns of any shape, in parts that fit into memory."""
+    size = max(1, _AT_ONCE // len(outline.angles))
+    flat = [column.ravel() for column in columns]
+    if flat[0].size <= size:
+        return function(*flat)
+    if namespace(outline, columns) is np:
+        parts = range(0, flat[0].size, size)
+        return np.concatenate([function(*(x[i : i + size] for x in flat)) for i in parts])
+    import jax
+
+    def one(point: tuple[Array, ...]) -> Array:
+        return function(*(value[None] for value in point))[0]
+
+    return jax.lax.map(one, tuple(flat), batch_size=size)
+
+
+# ------------------------------------------------------------------------ crossings of a row
 
 
 def _crossings(
-    c: SliceCoefficients, outline: Outline, value: Array, axis: int
+    c: SliceCoefficients, outline: Outline, values: Array, axis: int
 ) -> tuple[Array, Array]:
-    """Return the other coordinate where a line of constant ``axis`` meets the exact boundary."""
-    known = lax.stop_gradient(outline)
+    """Return the other coordinate (row, crossing) where rows meet the boundary, and which exist."""
+    xp = namespace(c, outline, values)
+    known = constant(outline)
     along = known.vertices[:, axis]
-    met = ((along[:-1] <= value) != (along[1:] <= value)) & (known.branches >= 0)
-    edges = jnp.nonzero(met, size=_CROSSINGS, fill_value=-1)[0]
+    above = along > values[:, None]
+    met = (above[:, :-1] != above[:, 1:]) & (known.branches >= 0)
+    count = xp.sum(met, axis=-1)
+    edges = first_indices(met, int(np.max(count, initial=1)) if xp is np else _CROSSINGS)
+    exist = edges < len(known.branches)
+    edges = xp.where(exist, edges, 0)
+    values = xp.broadcast_to(values[:, None], edges.shape)
 
     def excess(parameters: tuple[SliceCoefficients, Array], theta: Array) -> Array:
         slice_, goal = parameters
-        return curve_point(slice_, theta)[axis] - goal
+        return _point(slice_, theta)[axis] - goal
 
     angles = known.angles[edges]
-    theta = bracketed_root(excess, (c, value), angles[:, 0], angles[:, 1])
+    theta = bracketed_root(excess, (c, values), angles[..., 0], angles[..., 1])
     here, there = outline.vertices[edges], outline.vertices[edges + 1]
-    share = (value - here[:, axis]) / _nonzero(there[:, axis] - here[:, axis])
-    on_line = here[:, 1 - axis] + share * (there[:, 1 - axis] - here[:, 1 - axis])
-    on_curve = curve_point(c, theta, _last_step(c, theta, value, axis))[1 - axis]
-    places = jnp.where(known.branches[edges] == Branch.CURVE, on_curve, on_line)
-    return jnp.where(jnp.sum(met) <= _CROSSINGS, places, jnp.nan), edges >= 0
+    run = nonzero(there[..., axis] - here[..., axis], 1.0)
+    share = (values - here[..., axis]) / run
+    on_line = here[..., 1 - axis] + share * (there[..., 1 - axis] - here[..., 1 - axis])
+    low = _last_steps(c, theta, values, axis)
+    on_curve = curve_and_lift(c, theta, low)[1 - axis]
+    coordinates = xp.where(known.branches[edges] == Branch.CURVE, on_curve, on_line)
+    return xp.where((count <= edges.shape[-1])[:, None], coordinates, xp.nan), exist
 
 
-def _last_step(c: SliceCoefficients, theta: Array, value: Array, axis: int) -> Array:
-    """Return Newton's step from a crossing's angle: close to pi, what rounding took from it."""
-    c, theta, value = lax.stop_gradient((c, theta, value))
-    here, tangent = jax.jvp(lambda x: curve_point(c, x), (theta,), (jnp.ones_like(theta),))
-    return jnp.clip((value - here[axis]) / _nonzero(tangent[axis]), -_LAST_STEP, _LAST_STEP)
+def _last_steps(c: SliceCoefficients, theta: Array, values: Array, axis: int) -> Array:
+    """Return Newton's steps from a crossing's angle: close to pi, what rounding took from it."""
+    known, theta, values = constant((c, theta, values))
+    xp = namespace(known, theta)
+    low = xp.zeros_like(theta)
+    for _ in range(2):  # where the curve flies off, one is not enough
+        here, tangent = with_slope(partial(_point, known, low=low), theta)
+        step = (values - here[axis]) / nonzero(tangent[axis], 1.0)
+        low = xp.clip(low + step, -_LAST_STEP, _LAST_STEP)
+    return constant(low)
 
 
-def _nearest(c: SliceCoefficients, outline: Outline, point: Array) -> Array:
-    """Return the distance to the boundary: to the nearest chord, then to the curve around it."""
-    gaps = jnp.sum(_from_chord(outline, point) ** 2, axis=-1)
-    edge = jnp.argmin(jnp.where(outline.branches >= 0, gaps, jnp.inf))
-    near = jnp.clip(edge + jnp.arange(-1, 2), 0, len(gaps) - 1)
+# ------------------------------------------------------------------------ the nearest point
 
-    def along(parameters: tuple[SliceCoefficients, Array], theta: Array) -> Array:
-        slice_, target = parameters
-        here, tangent = jax.jvp(lambda x: curve_point(slice_, x), (theta,), (jnp.ones_like(theta),))
-        dot: Array = (here[0] - target[0]) * tangent[0] + (here[1] - target[1]) * tangent[1]
-        return dot
+
+def _nearest(c: SliceCoefficients, outline: Outline, points: Array) -> Array:
+    """Return the nearest points (point, 2) of the boundary.
+
+    Edges are looked at in the order of the distances of their boxes, up to where a box is farther
+    than the nearest point so far. In JAX the nearest point moves with the slice, but not with the
+    point: to first order the distance is the same.
+    """
+    xp = namespace(c, outline, points)
+    known, slice_, fixed = constant((outline, c, points))
+    here, there = known.vertices[:-1], known.vertices[1:]
+    far = _box_distances(here, there, fixed[:, None])
+    far = xp.where(known.branches >= 0, far, xp.inf)
+    order = xp.argsort(far, axis=-1)[:, : len(here)]
+    bounds = xp.take_along_axis(far, order, axis=-1)
+    rows = xp.arange(len(points))
+
+    def is_open(state: tuple[Array, ...]) -> Array:
+        count, best = state[:2]
+        following = xp.minimum(count, len(here) - 1)
+        return (count < len(here)) & xp.any(bounds[:, following] < best)
+
+    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        count, best, edge, theta = state
+        columns = xp.minimum(count + xp.arange(_EDGES), len(here) - 1)
+        edges = order[:, columns]
+        away, feet = _feet(slice_, known, edges, fixed)
+        away = xp.where(bounds[:, columns] < xp.inf, away, xp.inf)
+        nearest = xp.argmin(away, axis=-1)
+        least = away[rows, nearest]
+        closer = least < best
+        return (
+            count + _EDGES,
+            xp.where(closer, least, best),
+            xp.where(closer, edges[rows, nearest], edge),
+            xp.where(closer, feet[rows, nearest], theta),
+        )
+
+    start = (
+        xp.asarray(0),
+        xp.full(len(points), xp.inf),
+        xp.zeros(len(points), int),
+        xp.ones(len(points)),
+    )
+    _, _, edge, theta = constant(repeat_while(is_open, step, start))
+    on_curve = xp.stack(curve_and_lift(c, theta)[:2], axis=-1)
+    on_line = _foot_on_chord(outline.vertices[edge], outline.vertices[edge + 1], fixed)
+    return xp.where((known.branches[edge] == Branch.CURVE)[:, None], on_curve, on_line)
+
+
+def _box_distances(here: Array, there: Array, points: Array) -> Array:
+    """Return the distances of points to the boxes of which two opposite corners are given."""
+    xp = namespace(here, there, points)
+    low, high = xp.minimum(here, there), xp.maximum(here, there)
+    beside = xp.maximum(xp.maximum(low - points, points - high), 0.0)
+    return xp.hypot(beside[..., 0], beside[..., 1])
+
+
+def _feet(
+    c: SliceCoefficients, outline: Outline, edges: Array, points: Array
+) -> tuple[Array, Array]:
+    """Return the distances (point, edge) of points to some edges each, and the angles there.
+
+    An edge of the curve is divided, and so is its part with the nearest box, with its neighbours;
+    around the nearest of all ends the root of (curve - point) . tangent is the foot.
+    """
+    xp = namespace(c, outline, points)
+    angles = outline.angles[edges]
+    here, there = outline.vertices[edges], outline.vertices[edges + 1]
+    begin, end = angles[..., 0], angles[..., 1]
+    target = xp.moveaxis(points, -1, 0)[..., None]
 
     def gap(theta: Array) -> Array:
-        alpha, beta = curve_point(c, theta)
-        return (alpha - point[0]) ** 2 + (beta - point[1]) ** 2
+        alpha, beta = _point(c, theta)
+        target_ = target[..., None] if alpha.ndim > 2 else target
+        return xp.hypot(alpha - target_[0], beta - target_[1])
 
-    begin, end = outline.angles[near].T
-    foot = bracketed_root(along, (c, point), begin, end)
-    to_curve = jnp.minimum(jnp.minimum(gap(begin), gap(end)), gap(foot))
-    nearest = jnp.where(outline.branches[near] == Branch.CURVE, to_curve, gaps[near])
-    least: Array = jnp.min(jnp.where(outline.branches[near] >= 0, nearest, jnp.inf))
-    return jnp.sqrt(least)
+    shares = np.arange(_SUBDIVISIONS + 1) / _SUBDIVISIONS
+    for _ in range(2):
+        parts = begin[..., None] + (end - begin)[..., None] * shares
+        nearest = xp.argmin(gap(parts), axis=-1)[..., None]
+        begin = xp.take_along_axis(parts, xp.maximum(nearest - 1, 0), axis=-1)[..., 0]
+        end = xp.take_along_axis(parts, xp.minimum(nearest + 1, _SUBDIVISIONS), axis=-1)[..., 0]
+
+    def along(target: Array, theta: Array) -> Array:
+        point, tangent = with_slope(lambda angle: _point(c, angle), theta)
+        return xp.sum((point - target) * tangent, axis=0)
+
+    foot = bracketed_root(along, target, begin, end)
+    candidates = xp.stack([begin, foot, end])
+    gaps = xp.stack([gap(angle) for angle in candidates])
+    best = xp.argmin(gaps, axis=0)[None]
+    theta = xp.take_along_axis(candidates, best, axis=0)[0]
+    to_curve = xp.take_along_axis(gaps, best, axis=0)[0]
+    away = _foot_on_chord(here, there, points[:, None]) - points[:, None]
+    to_line = xp.hypot(away[..., 0], away[..., 1])
+    is_curve = outline.branches[edges] == Branch.CURVE
+    return xp.where(is_curve, to_curve, to_line), theta
 
 
-def _from_chord(outline: Outline, points: Array) -> Array:
-    """Return the vectors from the nearest points of the edges' chords to points."""
-    here = outline.vertices[:-1]
-    chord = outline.vertices[1:] - here
-    share = jnp.sum((points - here) * chord, axis=-1) / _nonzero(jnp.sum(chord**2, axis=-1))
-    return points - here - jnp.clip(share, 0.0, 1.0)[:, None] * chord
-
-
-def _nonzero(x: Array) -> Array:
-    return jnp.where(x == 0.0, 1.0, x)
+def _foot_on_chord(here: Array, there: Array, points: Array) -> Array:
+    """Return the nearest points of chords between two points each."""
+    xp = namespace(here, there, points)
+    chord = there - here
+    square = nonzero(xp.sum(chord**2, axis=-1), 1.0)
+    share = xp.sum((points - here) * chord, axis=-1) / square
+    return here + xp.clip(share, 0.0, 1.0)[..., None] * chord

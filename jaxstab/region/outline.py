@@ -1,24 +1,26 @@
-"""Closed polygons on the exact boundary: arcs joined to loops, points where the curve bends."""
+"""Closed polygons on the exact boundary: pieces joined to loops, points where the curve bends."""
 
+from functools import partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-from jax import Array, lax
+import numpy as np
 
-from jaxstab.region.curve import SliceCoefficients, curve_point, poles
-from jaxstab.region.pieces import (
-    NO_BRANCH,
-    Arcs,
-    Branch,
-    first_places,
+from jaxstab.arrays import Array, constant, first_indices, kept, namespace, scan, tree_map
+from jaxstab.region.corners import Branch
+from jaxstab.region.curve import (
+    SliceCoefficients,
+    curve_and_lift,
     lines_crossing,
-    others_inside,
+    plus_offset,
+    plus_slope,
+    poles,
 )
-from jaxstab.region.roots import bracketed_root
+from jaxstab.region.other_roots import others_inside
+from jaxstab.region.pieces import NO_BRANCH, Pieces
+from jaxstab.region.roots import bracketed_root, with_slope
 
-_FEWEST_NODES, _MOST_NODES = 33, 129  # per arc, to see where it bends and turns
-_TURNS = 8  # vertical and horizontal tangents, for each eight slots of arcs
+_FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns
+_TURNS = 8  # vertical and horizontal tangents, for each eight slots of pieces
 _BESIDE = 1e-8
 _ROUNDING = 1e-10  # a coordinate that moves less than that is constant: a straight edge
 _TESTED = slice(1, None, 4)
@@ -34,7 +36,7 @@ class Outline(NamedTuple):
     point is repeated to the end. ``branches`` (n - 1,) are Branch codes of the edges, and
     ``angles`` (n - 1, 2) the angles of the curve at their ends. Between two vertices alpha and beta
     are monotone. ``size`` vertices are not such repetitions, and they form ``loops`` loops.
-    ``corners`` (m, 2) are followed by NaN. Where the arcs are not ``resolved`` there is nothing.
+    ``corners`` (m, 2) are followed by NaN. Where the pieces are not ``resolved`` there is nothing.
     """
 
     vertices: Array
@@ -47,93 +49,127 @@ class Outline(NamedTuple):
 
 
 class _Marks(NamedTuple):
-    """Points of the boundary: on which arc of the sequence, at which angle, and what they are.
+    """Points of the boundary: on which piece of the sequence, at which angle, and what they are.
 
-    ``low`` is what rounding took from the angle ``theta``.
+    ``low`` is what rounding took from the angle ``theta``; ``branch`` is a line on which the point
+    lies, or Branch.CURVE.
     """
 
-    place: Array
+    piece: Array
     theta: Array
     low: Array
     exists: Array
+    branch: Array
     stage: Array
 
 
-_ON_ARC, _VIA, _CLOSING = 0, 1, 2  # in the order in which an arc and what follows it pass them
+_ON_PIECE, _VIA, _CLOSING = 0, 1, 2  # in the order in which a piece and what follows pass them
 
 
-def polygon(c: SliceCoefficients, arcs: Arcs, points: int, length: int | None = None) -> Outline:
-    """Return an outline of exactly ``points`` vertices, spread so that all edges bend alike.
+def polygon(
+    c: SliceCoefficients, pieces: Pieces, points: int, length: int | None = None
+) -> Outline:
+    """Return an outline of ``points`` vertices, spread so that all edges bend alike.
 
-    Differentiable in the slice: vertices between corners stay at their share of the arc. With
+    Differentiable in the slice: vertices between corners stay at their share of the piece. With
     ``length``, that of the polynomials of the other roots, every fourth vertex is put to the test
     of these roots: a cut that the scan stepped over is noticed where a vertex falls on it.
     """
-    slots = len(arcs.exists)
-    turns = extra_vertices(slots) - 4 * slots
-    order, loop = _sequence(arcs)
-    arcs = jax.tree.map(lambda x: x[order] if x.ndim else x, arcs)
+    xp = namespace(c, pieces)
+    slots = len(pieces.exists)
+    order, loop = _sequence(pieces)
+    pieces = tree_map(lambda x: x[order] if x.ndim else x, pieces)
     # Barriers keep XLA from computing the curve again in every place that reads it.
-    nodes, tangents = lax.optimization_barrier(_survey(c, arcs, _nodes(points)))
-    extremes, fits = _turning_points(c, arcs, nodes, tangents, turns)
-    place, theta = _spread(arcs, nodes, tangents, points - 4 * slots - turns)
-    exist = jnp.broadcast_to(jnp.any(arcs.exists), place.shape)
-    spread = _marks(_ON_ARC, place, theta, jnp.zeros_like(theta), exist)
-    places = jnp.arange(slots)
-    first = jnp.sum(loop[:, None] > loop, axis=1)
-    closes = arcs.exists & (jnp.append(loop[1:], -1) != loop)
-    begins, ends = (arcs.begin, arcs.begin_low), (arcs.end, arcs.end_low)
-    others = [
-        _marks(_ON_ARC, places, *begins, arcs.exists),
-        _marks(_ON_ARC, places, *ends, arcs.exists),
-        _marks(_VIA, places, *ends, arcs.via),
-        _marks(_CLOSING, places, arcs.begin[first], arcs.begin_low[first], closes),
-        extremes,
-    ]
-    extra = jax.tree.map(lambda *parts: jnp.concatenate(parts), *others)
-    chosen = _merged(_keys(arcs, spread), _keys(arcs, extra))
-    marks = jax.tree.map(lambda *parts: jnp.concatenate(parts), spread, extra)
-    resolved = arcs.resolved & fits
+    nodes, tangents = map(kept, _survey(c, pieces, _nodes(points)))
+    extremes, fits = _turning_points(c, pieces, nodes, tangents, slots)
+    ends, closes = _ends(pieces, loop)
+    extra = _together(*ends, extremes)
+    room = points - len(extra.theta)
+    if xp is np and room < points // 2:  # NumPy makes more room
+        room = points // 2
+        points = room + len(extra.theta)
+    spread = _spread(pieces, nodes, tangents, room)
+    chosen = _merged(_keys(pieces, spread), _keys(pieces, extra))
+    marks = _together(spread, extra)
+    resolved = pieces.resolved & fits
     if length is not None:
-        known, angles = lax.stop_gradient((c, theta[_TESTED]))
-        sound = others_inside(known, angles, length, within=1.0 + _ROUNDED)
-        resolved = resolved & jnp.all(sound | ~exist[_TESTED])
-    count = jnp.where(resolved, jnp.sum(marks.exists), 0)
-    chosen = chosen[jnp.clip(jnp.arange(points), max=jnp.maximum(count - 1, 0))]
+        known, tested = constant((c, spread.theta[_TESTED]))
+        sound = others_inside(known, tested, length, within=1.0 + _ROUNDED)
+        resolved = resolved & xp.all(sound | ~spread.exists[_TESTED])
+    count = xp.where(resolved, xp.sum(marks.exists), 0)
+    chosen = chosen[xp.clip(xp.arange(points), 0, xp.maximum(count - 1, 0))]
     at_marks = _points(c, marks)
-    marks = jax.tree.map(lambda x: x[chosen], marks)
-    branches, angles = _edges(arcs, marks)
-    corners = at_marks[len(place) : len(place) + 3 * slots]
+    marks = tree_map(lambda x: x[chosen], marks)
+    branches, angles = _edges(pieces, marks)
+    corners = at_marks[room:][: 3 * slots]
     return Outline(
-        vertices=jnp.where(count > 0, at_marks[chosen], jnp.nan),
-        branches=jnp.where(jnp.arange(points - 1) < count - 1, branches, NO_BRANCH),
+        vertices=xp.where(count > 0, at_marks[chosen], xp.nan),
+        branches=xp.where(xp.arange(points - 1) < count - 1, branches, NO_BRANCH),
         angles=angles,
         size=count,
-        loops=jnp.where(resolved, jnp.sum(closes), 0),
-        corners=jnp.where(resolved, _corners(arcs, corners), jnp.nan),
+        loops=xp.where(resolved, xp.sum(closes), 0),
+        corners=xp.where(resolved, _corners(pieces, corners), xp.nan),
         resolved=resolved,
     )
 
 
-def _marks(stage: int, place: Array, theta: Array, low: Array, exists: Array) -> _Marks:
-    return _Marks(place, theta, low, exists, jnp.full(place.shape, stage))
+def _ends(pieces: Pieces, loop: Array) -> tuple[list[_Marks], Array]:
+    """Return marks of begins, ends, vias and ends of loops, and which pieces end a loop."""
+    xp = namespace(pieces, loop)
+    number = xp.arange(len(loop))
+    first = xp.sum(loop[:, None] > loop, axis=1)
+    closes = pieces.exists & (xp.append(loop[1:], -1) != loop)
+    begin = partial(
+        _marks, theta=pieces.begin, low=pieces.begin_low, branch=pieces.begin_branch, piece=number
+    )
+    end = partial(
+        _marks, theta=pieces.end, low=pieces.end_low, branch=pieces.end_branch, piece=number
+    )
+    closing = tree_map(lambda x: x[first], begin(_ON_PIECE, exists=pieces.exists))
+    return [
+        begin(_ON_PIECE, exists=pieces.exists),
+        end(_ON_PIECE, exists=pieces.exists),
+        end(_VIA, exists=pieces.via),
+        closing._replace(piece=number, exists=closes, stage=xp.full(len(loop), _CLOSING)),
+    ], closes
 
 
-def _keys(arcs: Arcs, marks: _Marks) -> Array:
+def _marks(
+    stage: int, *, piece: Array, theta: Array, low: Array, exists: Array, branch: Array
+) -> _Marks:
+    stages = namespace(theta).full(piece.shape, stage)
+    return _Marks(piece, theta, low, exists, branch, stages)
+
+
+def _on_curve(piece: Array, theta: Array, exists: Array) -> _Marks:
+    xp = namespace(theta)
+    branch = xp.full(piece.shape, Branch.CURVE)
+    low = xp.zeros_like(theta)
+    return _marks(_ON_PIECE, piece=piece, theta=theta, low=low, exists=exists, branch=branch)
+
+
+def _together(*marks: _Marks) -> _Marks:
+    return tree_map(lambda *parts: namespace(parts).concatenate(parts), *marks)
+
+
+def _keys(pieces: Pieces, marks: _Marks) -> Array:
     """Return numbers that grow along the boundary."""
-    along = (marks.theta - arcs.begin[marks.place]) / (arcs.end - arcs.begin)[marks.place]
-    along = jnp.where(marks.stage == _ON_ARC, along, 1.0 + marks.stage)
-    return lax.stop_gradient(jnp.where(marks.exists, 4.0 * marks.place + along, jnp.inf))
+    xp = namespace(marks)
+    widths = pieces.end - pieces.begin
+    along = (marks.theta - pieces.begin[marks.piece]) / widths[marks.piece]
+    along = xp.where(marks.stage == _ON_PIECE, along, 1.0 + marks.stage)
+    return constant(xp.where(marks.exists, 4.0 * marks.piece + along, xp.inf))
 
 
 def _merged(many: Array, few: Array) -> Array:
     """Return the order of keys of which the many are in order already; by counting, not sorting."""
-    order = jnp.argsort(few, stable=True)
-    rank = jnp.arange(len(few)) + jnp.searchsorted(many, few[order])
-    places = jnp.arange(len(many) + len(few))
-    passed = jnp.sum(rank[:, None] <= places, axis=0)
-    latest = jnp.maximum(passed - 1, 0)
-    return jnp.where(rank[latest] == places, len(many) + order[latest], places - passed)
+    xp = namespace(many, few)
+    order = xp.argsort(few, stable=True)
+    rank = xp.arange(len(few)) + xp.searchsorted(many, few[order])
+    number = xp.arange(len(many) + len(few))
+    passed = xp.sum(rank[:, None] <= number, axis=0)
+    latest = xp.maximum(passed - 1, 0)
+    return xp.where(rank[latest] == number, len(many) + order[latest], number - passed)
 
 
 def _nodes(points: int) -> int:
@@ -145,115 +181,123 @@ def extra_vertices(slots: int) -> int:
     return 4 * slots + _TURNS * max(1, slots // 8)
 
 
-def _sequence(arcs: Arcs) -> tuple[Array, Array]:
-    """Return the arcs in the order of the boundary, loop by loop, and the number of the loop."""
+def _sequence(pieces: Pieces) -> tuple[Array, Array]:
+    """Return the pieces in the order of the boundary, loop by loop, and the number of the loop."""
+    xp = namespace(pieces)
+    number = xp.arange(len(pieces.exists))
 
-    def step(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
+    def step(state: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
         visited, current = state
-        visited = visited.at[current].set(True)
-        following = arcs.successor[current]
-        closed = visited[following] | ~arcs.exists[current]
-        fresh = jnp.argmin(2 * visited + ~arcs.exists)
-        return (visited, jnp.where(closed, fresh, following)), jnp.stack([current, closed])
+        visited = visited | (number == current)
+        following = pieces.successor[current]
+        closed = visited[following] | ~pieces.exists[current]
+        fresh = xp.argmin(2 * visited + ~pieces.exists)
+        return (visited, xp.where(closed, fresh, following)), xp.stack([current, closed])
 
-    slots = len(arcs.exists)
-    start = (jnp.zeros(slots, bool), jnp.argmin(~arcs.exists))
-    order, closed = lax.scan(step, start, None, length=slots)[1].T
-    return order, jnp.cumsum(closed) - closed
+    start = (xp.zeros(len(number), bool), xp.argmin(~pieces.exists))
+    order, closed = scan(len(number), step, start).T
+    return order, xp.cumsum(closed) - closed
 
 
-def _survey(c: SliceCoefficients, arcs: Arcs, count: int) -> tuple[Array, Array]:
-    """Return angles (arc, node) and the tangents (alpha', beta') there (2, arc, node)."""
+def _survey(c: SliceCoefficients, pieces: Pieces, count: int) -> tuple[Array, Array]:
+    """Return angles (piece, node) and the tangents (alpha', beta') there (2, piece, node)."""
     # At th = 0 and pi the curve stands still: look beside.
-    begin = arcs.begin[:, None] + _BESIDE * (arcs.end - arcs.begin)[:, None]
-    end = arcs.end[:, None] - _BESIDE * (arcs.end - arcs.begin)[:, None]
-    shares = jnp.linspace(0.0, 1.0, count - 2 * (count // 4))
-    nodes = [begin + (end - begin) * shares]
-    # Half of them close in on the places where the curve flies off.
-    shares = (jnp.arange(count // 4) + 0.5) / (count // 4)
-    for pole, apart in zip(*poles(lax.stop_gradient(c)), strict=True):
-        first, last = jnp.arcsinh((begin - pole) / apart), jnp.arcsinh((end - pole) / apart)
-        nodes.append(jnp.clip(pole + apart * jnp.sinh(first + (last - first) * shares), begin, end))
-    ordered = jnp.sort(jnp.concatenate(nodes, axis=1), axis=1)
-    return ordered, jnp.stack(_tangent(c, ordered))
+    xp = namespace(c, pieces)
+    beside = _BESIDE * (pieces.end - pieces.begin)[:, None]
+    begin, end = pieces.begin[:, None] + beside, pieces.end[:, None] - beside
+    nodes = [begin + (end - begin) * np.linspace(0.0, 1.0, count - 2 * (count // 4))]
+    # Half of them close in on the angles at which the curve flies off.
+    shares = (np.arange(count // 4) + 0.5) / (count // 4)
+    for pole, apart in zip(*poles(constant(c)), strict=True):
+        first, last = (xp.arcsinh((limit - pole) / apart) for limit in (begin, end))
+        nodes.append(xp.clip(pole + apart * xp.sinh(first + (last - first) * shares), begin, end))
+    ordered = xp.sort(xp.concatenate(nodes, axis=1), axis=1)
+    return ordered, _tangent(c, ordered)
 
 
-def _tangent(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
-    tangent: tuple[Array, Array] = jax.jvp(
-        lambda angle: curve_point(c, angle), (theta,), (jnp.ones_like(theta),)
-    )[1]
-    return tangent
+def _tangent(c: SliceCoefficients, theta: Array) -> Array:
+    xp = namespace(c, theta)
+    return with_slope(lambda angle: xp.stack(curve_and_lift(c, angle)[:2]), theta)[1]
 
 
 def _turning_points(
-    c: SliceCoefficients, arcs: Arcs, nodes: Array, tangents: Array, slots: int
+    c: SliceCoefficients, pieces: Pieces, nodes: Array, tangents: Array, slots: int
 ) -> tuple[_Marks, Array]:
-    """Return where alpha or beta turns, and whether there is room for all of these places."""
-    moves = jnp.abs(tangents) > _ROUNDING * jnp.hypot(*tangents)
+    """Return where alpha or beta turns, and whether there is room for all of these points."""
+    xp = namespace(c, pieces)
+    moves = abs(tangents) > _ROUNDING * xp.hypot(*tangents)
     turns = (tangents[..., 1:] * tangents[..., :-1] < 0.0) & (moves[..., 1:] | moves[..., :-1])
-    turns = turns & arcs.exists[:, None]
-    flat = first_places(turns.ravel(), slots)
-    exist = flat < turns.size
-    is_beta, place, node = jnp.unravel_index(jnp.where(exist, flat, 0), turns.shape)
+    turns = turns & pieces.exists[:, None]
+    count = xp.sum(turns)
+    slots = max(int(count), 1) if xp is np else extra_vertices(slots) - 4 * slots
+    flat = first_indices(turns.ravel(), slots)
+    exists = flat < turns.size
+    is_beta, piece, node = xp.unravel_index(xp.where(exists, flat, 0), turns.shape)
 
-    def slope(slice_: SliceCoefficients, theta: Array) -> Array:
+    def slope(parameters: tuple[SliceCoefficients, Array], theta: Array) -> Array:
+        slice_, is_beta = parameters
         along_alpha, along_beta = _tangent(slice_, theta)
-        return jnp.where(is_beta == 1, along_beta, along_alpha)
+        return xp.where(is_beta == 1, along_beta, along_alpha)
 
-    last = jnp.where(exist, nodes[place, node + 1], nodes[place, node])
-    theta = bracketed_root(slope, c, nodes[place, node], last)
-    marks = _marks(_ON_ARC, place, theta, jnp.zeros_like(theta), exist)
-    return marks, jnp.sum(turns) <= slots
+    last = xp.where(exists, nodes[piece, node + 1], nodes[piece, node])
+    theta = bracketed_root(slope, (c, is_beta), nodes[piece, node], last)
+    return _on_curve(piece, theta, exists), count <= slots
 
 
-def _spread(arcs: Arcs, nodes: Array, tangents: Array, count: int) -> tuple[Array, Array]:
-    """Return places and angles of points between which the boundary leaves its chord alike."""
+def _spread(pieces: Pieces, nodes: Array, tangents: Array, count: int) -> _Marks:
+    """Return points between which the boundary leaves its chord alike."""
+    xp = namespace(pieces, nodes)
     alpha, beta = tangents
-    turned = jnp.abs(alpha[:, 1:] * beta[:, :-1] - alpha[:, :-1] * beta[:, 1:])
-    speed = jnp.hypot(alpha, beta)
-    steps = jnp.diff(nodes, axis=1)
-    bend = jnp.sqrt(turned * steps / (speed[:, 1:] + speed[:, :-1]))
-    bend = jnp.where(arcs.exists[:, None], bend, 0.0)
-    pieces = jnp.maximum(jnp.sum(arcs.exists), 1) * steps.shape[1]
-    bend = jnp.where(arcs.exists[:, None], bend + _EVENNESS * jnp.sum(bend) / pieces, 0.0)
-    total = jnp.cumsum(lax.stop_gradient(bend).ravel())
-    goal = total[-1] * (jnp.arange(count) + 0.5) / count
-    piece = jnp.minimum(jnp.searchsorted(total, goal), total.size - 1)
-    width = lax.stop_gradient(bend).ravel()[piece]
-    rest = jnp.where(width > 0.0, (goal - total[piece]) / jnp.where(width > 0.0, width, 1.0), 0.0)
-    place, node = jnp.unravel_index(piece, bend.shape)
-    return place, nodes[place, node + 1] + steps[place, node] * rest
+    turned = abs(alpha[:, 1:] * beta[:, :-1] - alpha[:, :-1] * beta[:, 1:])
+    speed = xp.hypot(alpha, beta)
+    steps = xp.diff(nodes, axis=1)
+    bend = xp.sqrt(turned * steps / (speed[:, 1:] + speed[:, :-1]))
+    bend = xp.where(pieces.exists[:, None], bend, 0.0)
+    steps_in_all = xp.maximum(xp.sum(pieces.exists), 1) * steps.shape[1]
+    even = _EVENNESS * xp.sum(bend) / steps_in_all
+    bend = constant(xp.where(pieces.exists[:, None], bend + even, 0.0))
+    total = xp.cumsum(bend.ravel())
+    goal = total[-1] * (np.arange(count) + 0.5) / count
+    step = xp.minimum(xp.searchsorted(total, goal), total.size - 1)
+    width = bend.ravel()[step]
+    rest = xp.where(width > 0.0, (goal - total[step]) / xp.where(width > 0.0, width, 1.0), 0.0)
+    piece, node = xp.unravel_index(step, bend.shape)
+    theta = nodes[piece, node + 1] + steps[piece, node] * rest
+    return _on_curve(piece, theta, xp.broadcast_to(xp.any(pieces.exists), piece.shape))
 
 
 def _points(c: SliceCoefficients, marks: _Marks) -> Array:
-    on_curve = jnp.stack(curve_point(c, marks.theta, marks.low), axis=-1)
-    on_curve = lax.optimization_barrier(on_curve)
-    crossing = jnp.stack(lines_crossing(c))
-    return jnp.where((marks.stage == _VIA)[:, None], crossing, on_curve)
-
-
-def _edges(arcs: Arcs, marks: _Marks) -> tuple[Array, Array]:
-    """Return for the edge after each vertex its branch and the angles at its ends."""
-    here, there = (jax.tree.map(lambda x, part=part: x[part], marks) for part in (_HERE, _THERE))
-    same_arc = (here.place == there.place) & (there.stage == _ON_ARC)
-    left = arcs.end_branch[here.place]
-    other_line = Branch.Z_PLUS_ONE + Branch.Z_MINUS_ONE - left
-    branches = jnp.where(
-        same_arc,
-        Branch.CURVE,
-        jnp.select(
-            [here.stage == _CLOSING, here.stage == _VIA], [NO_BRANCH, other_line], default=left
-        ),
+    """Return the points of marks; corners with a line are on that line to the last digit."""
+    xp = namespace(c, marks)
+    alpha, beta = curve_and_lift(c, marks.theta, marks.low)[:2]
+    alpha = xp.where(
+        marks.branch == Branch.Z_PLUS_ONE, plus_offset(c) - plus_slope(c) * beta, alpha
     )
-    return branches, jnp.stack([here.theta, jnp.where(same_arc, there.theta, here.theta)], axis=-1)
+    crossing = xp.stack(lines_crossing(c))
+    return xp.where((marks.stage == _VIA)[:, None], crossing, kept(xp.stack([alpha, beta], -1)))
 
 
-def _corners(arcs: Arcs, points: Array) -> Array:
+def _edges(pieces: Pieces, marks: _Marks) -> tuple[Array, Array]:
+    """Return for the edge after each vertex its branch and the angles at its ends."""
+    xp = namespace(pieces, marks)
+    here, there = (tree_map(lambda x, part=part: x[part], marks) for part in (_HERE, _THERE))
+    same_piece = (here.piece == there.piece) & (there.stage == _ON_PIECE)
+    left = pieces.end_branch[here.piece]
+    other_line = Branch.Z_PLUS_ONE + Branch.Z_MINUS_ONE - left
+    branches = xp.where(here.stage == _VIA, other_line, left)
+    branches = xp.where(here.stage == _CLOSING, NO_BRANCH, branches)
+    branches = xp.where(same_piece, Branch.CURVE, branches)
+    end = xp.where(same_piece, there.theta, here.theta)
+    return branches, xp.stack([here.theta, end], axis=-1)
+
+
+def _corners(pieces: Pieces, points: Array) -> Array:
     """Return the corners in the order of the boundary, of the points at begins, ends and vias."""
-    # Where an arc ends on the curve, the next one begins: count that corner once.
-    ends_on_line = arcs.exists & (arcs.end_branch != Branch.CURVE)
-    exist = jnp.stack([arcs.exists, ends_on_line, arcs.via], axis=1).ravel()
+    xp = namespace(pieces, points)
+    # Where a piece ends on the curve, the next one begins: count that corner once.
+    ends_on_line = pieces.exists & (pieces.end_branch != Branch.CURVE)
+    exists = xp.stack([pieces.exists, ends_on_line, pieces.via], axis=1).ravel()
     corners = points.reshape(3, -1, 2).swapaxes(0, 1).reshape(-1, 2)
-    place = first_places(exist, len(exist))
-    found = place < len(exist)
-    return jnp.where(found[:, None], corners[jnp.where(found, place, 0)], jnp.nan)
+    index = first_indices(exists, len(exists))
+    is_corner = index < len(exists)
+    return xp.where(is_corner[:, None], corners[xp.where(is_corner, index, 0)], xp.nan)

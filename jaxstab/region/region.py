@@ -1,44 +1,44 @@
 """The stable set in an (alpha, beta) plane: outline, corners, extremes, limits and distances."""
 
 from dataclasses import dataclass
-from enum import IntEnum
-from functools import partial
-from math import isfinite, sqrt
+from math import ceil, sqrt
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
-from jaxtyping import Float64, Int
+from jaxtyping import Bool, Float64, Int
 
+from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, pytree
+from jaxstab.batches import compiled
+from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
+from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, refuses_loops
+from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import measures
 from jaxstab.region.crossings import crossings
 from jaxstab.region.curve import SliceCoefficients, slice_coefficients
 from jaxstab.region.outline import Outline, extra_vertices, polygon
-from jaxstab.region.pieces import Arcs, find_arcs
+from jaxstab.region.pieces import Pieces, find_pieces
 from jaxstab.region.scan import (
+    Angles,
     are_among,
     closer_angles,
-    hiding_places,
-    most_places,
     nearly_stable,
     scan_angles,
+    suspects,
 )
 
-# Fineness of the scan, slots for arcs, and the places to look closer at: how far other roots may
-# be outside of the circle there. The last ones take the places of the best chances only.
-_SCANS = ((1, 4, 1e-4), (4, 32, 1e-4), (16, 128, 1e-4), (64, 256, 1e-7))
+# Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
+# the circle there. The last ones take the angles of the best chances only.
+_SCANS = ((1, 24, 1e-4), (4, 192, 1e-4), (16, 768, 1e-4), (64, 1536, 1e-7))
 _EMPTY_FINENESS = 4
 _ROUNDS = 8
-_POINTS = (256, 1024, 4096, 16384, 65536)
-_BULGE = 0.2  # times points^-2 is about how far the boundary leaves the polygon
+LONGEST_DELAY = 500.0  # samples: the work grows as the third power
+_FEWEST_POINTS, _MOST_POINTS = 256, 65536
+_BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 _FINEST = 1e-10
 _ROUNDING = 1e-13
 
 
-class RegionStatus(IntEnum):
+class RegionStatus(Status):
     """What is known of a stable region.
 
     COMPLETE: the pieces that were found close to loops. EMPTY: the scan found none.
@@ -47,19 +47,19 @@ class RegionStatus(IntEnum):
     for no point it is known that it is stable; it does not mean that points are unstable.
     """
 
-    COMPLETE = 0
-    EMPTY = 1
-    UNRESOLVED = 2
+    COMPLETE = 0, "the boundary closes to loops"
+    EMPTY = 1, "no (alpha, beta) is stable"
+    UNRESOLVED = 2, "the boundary was not resolved: nothing is claimed"
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class StableRegion:
     """The gains (alpha, beta) for which all roots of p(z) lie inside of a circle about 0.
 
-    ``stable_region`` makes one; ``region_outline`` makes one, or many under ``jax.vmap``, in
-    compiled code. Limits, ``contains``, ``distance`` and ``area`` are those of the exact boundary,
-    not of the polygon.
+    ``stable_region`` makes one of NumPy arrays; ``region_outline`` makes one of JAX arrays, or many
+    under ``jax.vmap``, in compiled code. Limits, ``contains``, ``distance`` and ``area`` are those
+    of the exact boundary, not of the polygon; JAX arrays in give JAX arrays out.
 
     Attributes:
         coefficients: what the exact boundary is made of.
@@ -89,7 +89,7 @@ class StableRegion:
 
         Of several loops each is closed, one follows the other, and the branch between them is -1.
         """
-        return np.asarray(self.outline.vertices)[: int(self.outline.size)]
+        return np.asarray(self.outline.vertices)[: int(self.outline.size)] + 0.0  # no -0
 
     @property
     def branch(self) -> Int[np.ndarray, " piece"]:
@@ -104,7 +104,7 @@ class StableRegion:
         hands closer to it than a relative 1e-6 may be UNRESOLVED.
         """
         corners: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
-        corners = np.asarray(self.outline.corners)
+        corners = np.asarray(self.outline.corners) + 0.0
         return corners[np.isfinite(corners[:, 0])]
 
     @property
@@ -133,10 +133,9 @@ class StableRegion:
         To rounding, but for undamped hands next to the Nyquist frequency: with
         e = |sqrt(gamma)/pi - 1| the relative error there is up to about 1e-16/e.
         """
-        enclosed: Array = measures.area(self.coefficients, self.outline)
-        return enclosed
+        return measures.area(self.coefficients, self.outline)
 
-    def alpha_limits(self, beta: ArrayLike) -> Float64[Array, "*grid 2"]:
+    def alpha_limits(self, beta: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the least and the largest alpha of the region in rows of constant beta.
 
         Args:
@@ -149,11 +148,10 @@ class StableRegion:
         Raises:
             ValueError: beta is NaN or infinite.
         """
-        rows = jnp.asarray(checked_gain("beta", beta), jnp.float64)
-        least_and_most: Array = measures.limits(self.coefficients, self.outline, rows, axis=1)
-        return least_and_most
+        (rows,) = float_arrays(checked_gain("beta", beta))
+        return measures.limits(self.coefficients, self.outline, rows, axis=1)
 
-    def beta_limits(self, alpha: ArrayLike) -> Float64[Array, "*grid 2"]:
+    def beta_limits(self, alpha: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the least and the largest beta of the region in columns of constant alpha.
 
         Args:
@@ -166,11 +164,10 @@ class StableRegion:
         Raises:
             ValueError: alpha is NaN or infinite.
         """
-        columns = jnp.asarray(checked_gain("alpha", alpha), jnp.float64)
-        least_and_most: Array = measures.limits(self.coefficients, self.outline, columns, axis=0)
-        return least_and_most
+        (columns,) = float_arrays(checked_gain("alpha", alpha))
+        return measures.limits(self.coefficients, self.outline, columns, axis=0)
 
-    def contains(self, alpha: ArrayLike, beta: ArrayLike) -> Array:
+    def contains(self, alpha: Numbers, beta: Numbers) -> Bool[Array, "*grid"]:
         """Return whether points lie inside of the exact boundary.
 
         Args:
@@ -184,10 +181,9 @@ class StableRegion:
             ValueError: alpha or beta is NaN or infinite.
         """
         points = _checked_points(alpha, beta)
-        inside: Array = measures.contains(self.coefficients, self.outline, *points)
-        return inside
+        return measures.contains(self.coefficients, self.outline, *points)
 
-    def distance(self, alpha: ArrayLike, beta: ArrayLike) -> Float64[Array, "*grid"]:
+    def distance(self, alpha: Numbers, beta: Numbers) -> Float64[Array, "*grid"]:
         """Return the Euclidean distance to the boundary, positive inside and negative outside.
 
         Args:
@@ -201,16 +197,16 @@ class StableRegion:
             ValueError: alpha or beta is NaN or infinite.
         """
         points = _checked_points(alpha, beta)
-        signed: Array = measures.distance(self.coefficients, self.outline, *points)
-        return signed
+        return measures.distance(self.coefficients, self.outline, *points)
 
 
+@refuses_loops
 def stable_region(
-    gamma: float,
-    delta: float,
-    delay: float,
-    radius: float = 1.0,
-    tolerance: float = 1e-6,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    radius: Numbers = 1.0,
+    tolerance: Numbers = 1e-6,
 ) -> StableRegion:
     """Return the set of all (alpha, beta) with every root of p(z) inside of a circle.
 
@@ -220,42 +216,40 @@ def stable_region(
     cubic with the same ends and tangents.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4].
+        gamma: physical stiffness k T^2/m in [0, 1e4], a number like all arguments.
         delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        delay: time delay t_d/T in samples, whole or fractional, in [0, 500].
         radius: the circle's radius in (0, 1]: 1 for stability, less for a decay rate.
         tolerance: largest distance between the polygon and the boundary, as a share of the
             region's diameter, > 1e-10.
 
     Returns:
-        StableRegion, with its status. An empty region is an answer, not an error.
+        StableRegion of NumPy arrays, with its status. An empty region is an answer, not an error.
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN.
-        RuntimeError: JAX's x64 mode is off.
+        TypeError: an argument is traced by JAX (``region_outline`` takes tracers), or no number.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
     """
-    require_x64()
-    if not (isfinite(tolerance) and tolerance > _FINEST):
-        raise ValueError(f"tolerance is {tolerance}; give a number > {_FINEST:g}.")
-    c = slice_coefficients(gamma, delta, delay, radius)
-    arcs = _refined_arcs(c, _padded_length(delay), may_be_empty=delta == 0.0 or radius < 1.0)
-    slots = len(arcs.exists)
-    points = _enough_points(max(sqrt(_BULGE / tolerance), 2.0 * extra_vertices(slots)))
-    region: StableRegion = _region(c, arcs, points=points)
-    deviation = float(measures.deviation(c, region.outline))
-    if region.status == RegionStatus.COMPLETE and deviation > tolerance:
-        points = _enough_points(1.2 * points * sqrt(deviation / tolerance))
-        region = _region(c, arcs, points=points)
-    return region
+    if any(map(is_traced, (gamma, delta, delay, radius, tolerance))):
+        raise TypeError(
+            "stable_region searches outside of JAX; under jit, vmap and grad call region_outline."
+        )
+    plant = (
+        checked_number("gamma", gamma, 0.0, GAMMA_LIMIT),
+        checked_number("delta", delta, 0.0, DELTA_LIMIT),
+        checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples"),
+        checked_number("radius", radius, 0.0, 1.0, is_open=True),
+    )
+    return _stable_region(*plant, checked_number("tolerance", tolerance, _FINEST, is_open=True))
 
 
 def region_outline(
-    gamma: ArrayLike,
-    delta: ArrayLike,
-    delay: float,
-    radius: ArrayLike = 1.0,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    radius: Numbers = 1.0,
     *,
     points: int = 256,
     slots: int = 4,
@@ -273,90 +267,114 @@ def region_outline(
         delay: time delay t_d/T >= 0 in samples, concrete.
         radius: the circle's radius in (0, 1], a scalar; traced or not.
         points: length of the outline; the last point is repeated where fewer are needed.
-        slots: the largest number of arcs of the curve; more of them are UNRESOLVED.
+        slots: the largest number of pieces of the curve; more of them are UNRESOLVED.
         fineness: how often the steps of the scan are divided.
 
     Returns:
-        StableRegion with arrays of fixed sizes. ``max_alpha``, ``max_beta``, ``outline`` and the
+        StableRegion of JAX arrays of fixed sizes. ``max_alpha``, ``max_beta``, ``outline`` and the
         limits are differentiable once in gamma, delta and radius.
 
     Raises:
         ValueError: a concrete argument is outside its range, or ``points`` is too small.
-        TypeError: the delay is traced.
+        TypeError: the delay is traced, or a count is no whole number.
         RuntimeError: JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
     """
-    require_x64()
-    if points < 2 * extra_vertices(slots):
-        raise ValueError(
-            f"points is {points}; give at least {2 * extra_vertices(slots)} for {slots} slots."
-        )
-    length = _length(delay)
+    import jax.numpy as jnp
+
+    slots, fineness = checked_count("slots", slots, 1), checked_count("fineness", fineness, 1)
+    least = 2 * extra_vertices(slots)
+    if checked_count("points", points, 0) < least:
+        raise ValueError(f"points is {points}; give at least {least} for {slots} slots.")
+    length = _length(float(checked_delay(delay)))
+    angles = jnp.asarray(scan_angles(length, fineness))
+    require_x64(angles)
     c = slice_coefficients(gamma, delta, delay, radius)
-    arcs = _arcs(c, jnp.asarray(scan_angles(length, fineness)), length=length, slots=slots)
-    region: StableRegion = _region(c, arcs, points=points, length=length)
+    pieces = _pieces(c, angles, length=length, slots=slots)
+    return _region(c, pieces, points=points, length=length)
+
+
+@compiled()
+def _stable_region(
+    gamma: float, delta: float, delay: float, radius: float, tolerance: float
+) -> StableRegion:
+    c = slice_coefficients(gamma, delta, delay, radius)
+    pieces = _refined_pieces(c, delay, may_be_empty=delta == 0.0 or radius < 1.0)
+    fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
+    points = _enough_points(sqrt(_BULGE / tolerance), fewest)
+    region = _region(c, pieces, points=points)
+    deviation = float(measures.deviation(c, region.outline))
+    if region.status == RegionStatus.COMPLETE and deviation > tolerance:
+        points = _enough_points(1.2 * points * sqrt(deviation / tolerance), fewest)
+        region = _region(c, pieces, points=points)
     return region
 
 
-def _refined_arcs(c: SliceCoefficients, length: int, *, may_be_empty: bool) -> Arcs:
-    """Return arcs that close to loops and at whose ends nothing more hides.
+def _refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Pieces:
+    """Return pieces that close to loops and at whose ends nothing more hides.
 
     With damping the loop without a wall is stable: an empty answer is then a scan too coarse. Where
-    even the finest scan is not enough, ``resolved`` of the arcs is False.
+    even the finest scan is not enough, ``resolved`` of the pieces is False.
     """
-    places = crossings(c, scan_angles(length, 1))
-    for fineness, slots, outside in _SCANS:
+    length = _length(delay)
+    closer = crossings(c, scan_angles(length, 1))
+    for fineness, most, outside in _SCANS:
         scan = scan_angles(length, fineness)
-        places = nearly_stable(c, places, outside, length=length)
-        for _ in range(_ROUNDS):
-            angles = closer_angles(scan, places, slots)
-            arcs: Arcs = _arcs(c, jnp.asarray(angles), length=length, slots=slots)
-            if not arcs.exists[0]:
-                break
-            known, places = places, hiding_places(c, arcs, places, outside, length=length)
-            if len(places) > most_places(slots):
-                break
-            if are_among(places, known):
-                if arcs.resolved:
-                    return arcs
-                break
-        if may_be_empty and fineness >= _EMPTY_FINENESS and not arcs.exists[0]:
-            return arcs
-    return arcs._replace(resolved=jnp.asarray(False))
+        pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
+        if is_settled:
+            return pieces
+        if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.exists[0]:
+            return pieces
+    return pieces._replace(resolved=np.bool_(False))
 
 
-def _enough_points(wanted: float) -> int:
-    return next((points for points in _POINTS if points >= wanted), _POINTS[-1])
+def _settled_pieces(
+    c: SliceCoefficients, scan: Angles, closer: Angles, most: int, outside: float, length: int
+) -> tuple[Pieces, Angles, bool]:
+    """Look closer at more and more angles, until no new one shows; return whether all is resolved.
+
+    Beside the pieces, the angles looked at are returned.
+    """
+    closer = nearly_stable(c, closer, outside, length=length)
+    for _ in range(_ROUNDS):
+        pieces = find_pieces(c, closer_angles(scan, closer[:most]), length=length)
+        if not pieces.exists[0]:
+            return pieces, closer, False
+        known, closer = closer, suspects(c, pieces, closer, outside, length=length)
+        is_all = are_among(closer, known)
+        if is_all or len(closer) > most:
+            return pieces, closer, is_all and len(closer) <= most and bool(pieces.resolved)
+    return pieces, closer, False
+
+
+def _enough_points(wanted: float, fewest: int) -> int:
+    return max(fewest, min(ceil(wanted), _MOST_POINTS))
 
 
 def _length(delay: float) -> int:
     """Return how many coefficients the polynomials of the other roots have."""
-    return int(np.floor(checked_delay(delay))) + 3
+    return int(delay) + 3
 
 
-def _padded_length(delay: float) -> int:
-    """Return a power of two, at least 4: delays alike share what is compiled."""
-    return max(4, 1 << (_length(delay) - 1).bit_length())
+_pieces = compiled(static=("length", "slots"))(find_pieces)
 
 
-_arcs = jax.jit(find_arcs, static_argnames=("length", "slots"))
-
-
-@partial(jax.jit, static_argnames=("points", "length"))
+@compiled(static=("points", "length"))
 def _region(
-    c: SliceCoefficients, arcs: Arcs, *, points: int, length: int | None = None
+    c: SliceCoefficients, pieces: Pieces, *, points: int, length: int | None = None
 ) -> StableRegion:
-    outline = polygon(c, arcs, points, length)
-    largest = jnp.argmax(jnp.nan_to_num(outline.vertices, nan=-jnp.inf), axis=0)
-    found = jnp.where(jnp.any(arcs.exists), RegionStatus.COMPLETE, RegionStatus.EMPTY)
-    status = jnp.where(outline.resolved, found, RegionStatus.UNRESOLVED)
+    xp = namespace(c, pieces)
+    outline = polygon(c, pieces, points, length)
+    largest = xp.argmax(xp.nan_to_num(outline.vertices, nan=-xp.inf), axis=0)
+    known = xp.where(xp.any(pieces.exists), RegionStatus.COMPLETE, RegionStatus.EMPTY)
+    status = xp.where(outline.resolved, known, RegionStatus.UNRESOLVED)
     return StableRegion(
         coefficients=c,
         outline=outline,
-        status=status.astype(jnp.int8),
-        max_alpha=outline.vertices[largest[0]],
-        max_beta=outline.vertices[largest[1]],
+        status=RegionStatus(int(status)) if xp is np else status.astype(xp.int8),
+        max_alpha=outline.vertices[largest[0]] + 0.0,  # no -0
+        max_beta=outline.vertices[largest[1]] + 0.0,
     )
 
 
@@ -370,8 +388,7 @@ def _turns(coordinate: Float64[np.ndarray, " point"]) -> int:
     return int(np.sum(ways != np.roll(ways, 1)))
 
 
-def _checked_points(alpha: ArrayLike, beta: ArrayLike) -> tuple[Array, Array]:
-    stiffness = jnp.asarray(checked_gain("alpha", alpha), jnp.float64)
-    damping = jnp.asarray(checked_gain("beta", beta), jnp.float64)
-    broadcast = jnp.broadcast_arrays(stiffness, damping)
-    return broadcast[0], broadcast[1]
+def _checked_points(alpha: Numbers, beta: Numbers) -> tuple[Array, Array]:
+    gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
+    stiffness, damping = namespace(gains).broadcast_arrays(*gains)
+    return stiffness, damping

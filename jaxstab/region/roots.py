@@ -1,19 +1,39 @@
-"""Bracketed roots of many smooth functions of one variable at once, to full precision."""
+"""Slopes and bracketed roots of many smooth functions of one angle at once, to full precision."""
 
 from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
 
-import jax
-import jax.numpy as jnp
-from jax import Array, lax
+import numpy as np
+
+from jaxstab.arrays import Array, constant, namespace, repeat_while
 
 Parameters = TypeVar("Parameters")
-_State = tuple[Array, Array, Array, Array, Array, Array]
+_State = tuple[Array, ...]
 
 _STEPS = 60  # bisection alone would take 53 from any bracket of like ends
 _STILL = 4.0 * 2.0**-53
-_ENOUGH = 1e-10  # of a Newton step: its square is below rounding
+_ENOUGH = 1e-10  # of a step of the secant method: what is left after it is below rounding
+_COMPLEX_STEP = 2.0**-300  # its square is nothing beside any number
+
+
+def with_slope(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+    """Return the values of an elementwise, analytic function and their derivatives.
+
+    Source: Squire and Trapp, Using complex variables to estimate derivatives (SIAM Review, 1998).
+    """
+    if namespace(x) is np:
+        moved = function(x + 1j * _COMPLEX_STEP)
+        return moved.real, moved.imag / _COMPLEX_STEP
+    import jax
+
+    value, slope = jax.jvp(function, (x,), (namespace(x).ones_like(x),))
+    return value, slope
+
+
+def nonzero(divisor: Array, instead: float) -> Array:
+    """Return a divisor, another number where it is zero: 1 or infinity keep quotients finite."""
+    return namespace(divisor).where(divisor == 0.0, instead, divisor)
 
 
 def bracketed_root(
@@ -24,52 +44,54 @@ def bracketed_root(
 ) -> Array:
     """Return a root of an elementwise function of an angle between two angles of unlike sign.
 
-    Newton's method, replaced by a bisection wherever it would leave the bracket or creeps. Where
-    the signs at the ends agree the result is some angle between them. The root is differentiable
-    in the parameters, once.
+    The secant method, replaced by a bisection wherever it would leave the bracket or creeps. Where
+    the signs at the ends agree the result is some angle between them. In JAX the root is
+    differentiable in the parameters, once.
 
-    Source: the safeguarded Newton method of Press et al., Numerical Recipes, 9.4; the theorem of
-    the implicit function for the derivatives.
+    Source: the safeguards of Press et al., Numerical Recipes, 9.4; the theorem of the implicit
+    function for the derivatives.
     """
-    known = lax.stop_gradient(parameters)
-    frozen = _search(partial(function, known), *lax.stop_gradient((lower, upper)))
-    slope = with_slope(partial(function, known), frozen)[1]
-    value = function(parameters, frozen)
+    if namespace(lower) is np and not lower.size:
+        return lower
+    known = constant(parameters)
+    root = _search(partial(function, known), *constant((lower, upper)))
+    if namespace(parameters, lower, upper) is np:
+        return root
+    root = constant(root)
+    slope = with_slope(partial(function, known), root)[1]
+    value = function(parameters, root)
     # Zero, with the derivative of the root.
-    step = (value - lax.stop_gradient(value)) / jnp.where(slope == 0.0, jnp.inf, slope)
-    return frozen - step
+    return root - (value - constant(value)) / nonzero(slope, np.inf)
 
 
 def _search(function: Callable[[Array], Array], lower: Array, upper: Array) -> Array:
+    xp = namespace(lower, upper)
     at_lower, at_upper = function(lower), function(upper)
-    sign = jnp.sign(at_upper)
+    sign = xp.sign(at_upper)
     rise = at_upper - at_lower
-    share = jnp.where(at_lower * at_upper < 0.0, -at_lower / jnp.where(rise == 0.0, 1.0, rise), 0.5)
+    share = xp.where(at_lower * at_upper < 0.0, -at_lower / nonzero(rise, 1.0), 0.5)
     start = lower + share * (upper - lower)
+    is_lower_nearer = abs(at_lower) < abs(at_upper)
+    last = xp.where(is_lower_nearer, lower, upper)
+    at_last = xp.where(is_lower_nearer, at_lower, at_upper)
 
     def unfinished(state: _State) -> Array:
         count, *_, moving = state
-        return (count < _STEPS) & jnp.any(moving)
+        return (count < _STEPS) & xp.any(moving)
 
     def narrowed(state: _State) -> _State:
-        count, low, high, x, last, moving = state
-        value, slope = with_slope(function, x)
+        count, low, high, x, last, at_last, moving = state
+        value = function(x)
         above = value * sign > 0.0
-        low, high = jnp.where(above, low, x), jnp.where(above, x, high)
-        newton = x - value / slope
-        step = jnp.abs(newton - x)
-        done = (step <= _ENOUGH * jnp.abs(x)) | (value == 0.0) | (high - low <= _STILL * high)
-        usable = done | ((newton > low) & (newton < high) & (2.0 * step < last))
-        following = jnp.where(usable, newton, 0.5 * (low + high))
-        following = jnp.where(moving & (value != 0.0), following, x)
-        return count + 1, low, high, following, jnp.abs(following - x), moving & ~done
+        low, high = xp.where(above, low, x), xp.where(above, x, high)
+        following = x - value * (x - last) / (value - at_last)  # NaN or infinite: bisected
+        step = abs(following - x)
+        inside = (following > low) & (following < high)
+        done = (step <= _ENOUGH * abs(x)) | (value == 0.0) | (high - low <= _STILL * high)
+        usable = done | (inside & (2.0 * step < abs(x - last)))
+        following = xp.where(usable, xp.clip(following, low, high), 0.5 * (low + high))
+        following = xp.where(moving & (value != 0.0), following, x)
+        return count + 1, low, high, following, x, value, moving & ~done
 
-    state = (jnp.asarray(0), lower, upper, start, upper - lower, lower < upper)
-    root: Array = lax.while_loop(unfinished, narrowed, state)[3]
-    return root
-
-
-def with_slope(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-    """Return the values of an elementwise function and their derivatives."""
-    value, slope = jax.jvp(function, (x,), (jnp.ones_like(x),))
-    return value, slope
+    state = (xp.asarray(0), lower, upper, start, last, at_last, lower < upper)
+    return repeat_while(unfinished, narrowed, state)[3]

@@ -18,8 +18,8 @@ from jaxtyping import Float64
 from jaxstab.arrays import Array
 from jaxstab.batches import in_batches
 from jaxstab.boxes.circle import circle_equations, quick_slice
+from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, slice_coefficients
-from jaxstab.region.pieces import Branch
 from jaxstab.trace.plane import Monomials
 
 Vector = Float64[np.ndarray, " 3"]

@@ -23,7 +23,7 @@ from jaxstab.boxes.exclusion import Loops
 from jaxstab.conventions import Status
 from jaxstab.model import HapticLoop, characteristic_polynomial, companion_matrix
 from jaxstab.numbers import checked_number
-from jaxstab.region.pieces import Branch
+from jaxstab.region.corners import Branch
 from jaxstab.trace.plane import Monomials, Window, corner_ranges, loop_quantities, monomials
 
 if TYPE_CHECKING:  # it imports JAX and optimistix

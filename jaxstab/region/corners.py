@@ -1,0 +1,136 @@
+"""Corners of the boundary, where the curve meets a line or itself, by Newton's method."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxstab.arrays import Array, constant, kept, namespace, repeat_while
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift, minus_margin, plus_offset
+from jaxstab.region.roots import nonzero, with_slope
+
+_STEPS = 16
+_TOLERANCE = 1e-10  # of the last step: its square is below rounding
+
+
+class Branch(IntEnum):
+    """Which root lies on the circle along a piece of the boundary."""
+
+    CURVE = 0
+    Z_PLUS_ONE = 1
+    Z_MINUS_ONE = 2
+
+
+class Scales(NamedTuple):
+    """Factors that bring the mismatches of points, lifts and margins to the order of 1."""
+
+    points: Array
+    lift: Array
+    margin: Array
+
+
+class _Steps(NamedTuple):
+    """Newton's steps of angles to corners of each Branch, and the mismatch there; (branch, end).
+
+    ``partner`` is the step of the second angle, at which the curve meets itself.
+    """
+
+    steps: Array
+    partner: Array
+    mismatch: Array
+
+
+def scales(c: SliceCoefficients, alpha: Array, beta: Array, theta: Array) -> Scales:
+    """Return the scales of the mismatches at points of the curve."""
+    cosine = namespace(theta).cos(theta)
+    size = abs(alpha) + abs(beta) + abs(plus_offset(c))
+    margin = abs(c.gain * c.den_minus) + abs(c.num_minus) * size
+    return Scales(1.0 / size, (1.0 - cosine) / size, (1.0 + cosine) / margin)
+
+
+def nearest_branch(c: SliceCoefficients, angles: Array, scale: Scales) -> Array:
+    """Return for ends at angles[0] which Branch the curve meets there, next to angles[1] or not.
+
+    It is the one that Newton's method says is nearest, were the end a corner of this kind.
+    """
+    xp = namespace(c, angles)
+    steps = _newton_steps(c, angles, scale).steps
+    return xp.argmin(xp.nan_to_num(abs(steps), nan=xp.inf), axis=0)
+
+
+def solved_corners(
+    c: SliceCoefficients, branch: Array, angles: Array, scale: Scales, half_width: Array
+) -> tuple[Array, Array, Array]:
+    """Return the angles near ``angles[0]`` where the curve meets a branch, and which are solved.
+
+    Between the two, what rounding took from the angles. The curve meets itself at angles near
+    ``angles[1]``. A search that strays farther than ``half_width`` ends: all wait for the last one.
+    In JAX differentiable in the slice, by the theorem of the implicit function.
+    """
+    xp = namespace(c, angles)
+
+    def newton(slice_: SliceCoefficients, angles: Array) -> tuple[Array, Array]:
+        """Return the steps of pairs of angles to a corner, and how far they are from it."""
+        every = _newton_steps(slice_, angles, scale)
+        of_branch = branch == xp.arange(len(Branch))[:, None]
+        step, gap = (xp.sum(xp.where(of_branch, x, 0.0), axis=0) for x in (every.steps, every[2]))
+        return xp.stack([step, xp.where(branch == Branch.CURVE, every.partner, 0.0)]), gap
+
+    def is_open(state: tuple[Array, Array, Array]) -> Array:
+        count, _, moved = state
+        return (count < _STEPS) & xp.any(moved)
+
+    def step(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        count, here, _ = state
+        near = abs(here[0] - angles[0]) <= half_width
+        steps = xp.where(near, newton(known, here)[0], 0.0)
+        return count + 1, here - steps, abs(steps) > _TOLERANCE * (1.0 + abs(here))
+
+    known = constant(c)
+    start = (xp.asarray(0), angles, xp.ones(angles.shape, bool))
+    here = constant(repeat_while(is_open, step, start)[1])
+    steps, mismatch = newton(c, here)  # one more has the derivative in the slice
+    solved = here - steps
+    low = constant((here - kept(solved)) - steps)
+    return solved[0], low[0], mismatch < _TOLERANCE
+
+
+def steps_to_meeting(
+    alpha: Array, beta: Array, alpha_slope: Array, beta_slope: Array
+) -> tuple[Array, Array]:
+    """Return Newton's steps, to be taken off two angles, to where the curve meets itself.
+
+    The first row of each argument is of the first angle, the second row of the second angle.
+    """
+    across, along = alpha[0] - alpha[1], beta[0] - beta[1]
+    determinant = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
+    determinant = nonzero(determinant, np.inf)
+    first = (alpha_slope[1] * along - beta_slope[1] * across) / determinant
+    second = (alpha_slope[0] * along - beta_slope[0] * across) / determinant
+    return first, second
+
+
+def _newton_steps(c: SliceCoefficients, angles: Array, scale: Scales) -> _Steps:
+    """Return the steps from angles (2, end) to corners: the second row is for curve with curve."""
+    xp = namespace(c, angles)
+
+    def values(angles: Array) -> Array:
+        alpha, beta, lift = curve_and_lift(c, angles)
+        margin = minus_margin(c, alpha, beta) / (1.0 + xp.cos(angles))
+        return xp.stack(
+            [alpha * scale.points, beta * scale.points, lift * scale.lift, margin * scale.margin]
+        )
+
+    (alpha, beta, lift, margin), slopes = with_slope(values, angles)
+    slopes = constant(slopes)
+    first, second = steps_to_meeting(alpha, beta, slopes[0], slopes[1])
+    gap = xp.maximum(abs(alpha[0] - alpha[1]), abs(beta[0] - beta[1]))
+    to_lines = [
+        value[0] / nonzero(slope[0], np.inf)
+        for value, slope in zip((lift, margin), slopes[2:], strict=True)
+    ]
+    return _Steps(  # in the order of Branch
+        steps=xp.stack([first, *to_lines]),
+        partner=second,
+        mismatch=xp.stack([gap, abs(lift[0]), abs(margin[0])]),
+    )

@@ -1,0 +1,184 @@
+"""Limits in SI units and distances: the counter-examples that searches of fixed angles missed."""
+
+import sys
+from subprocess import run
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxstab
+from benchmarks import truth
+from jaxstab import HapticLoop, Verdict
+from jaxstab.region import Branch, RegionStatus, StableRegion, boundary_curve, stable_region
+
+
+def loop_of(gamma: float, delta: float, delay: float) -> HapticLoop:
+    """A loop of which K = alpha and B = beta."""
+    return HapticLoop(
+        device_mass=1.0, device_damping=delta, sample_time=1.0, hand_stiffness=gamma, delay=delay
+    )
+
+
+def is_stable(alpha: float, beta: float, loop: HapticLoop) -> bool:
+    lower, upper = truth.spectral_radius(alpha, beta, loop.gamma, loop.delta, loop.delay)
+    assert (lower > 1.0) != (upper < 1.0)
+    return bool(upper < 1.0)
+
+
+def test_the_largest_damping_is_not_missed_between_two_angles() -> None:
+    loop = loop_of(10.157332213034863, 0.00267301090318457, 15.788241242160241)
+    assert is_stable(-9.74824021756067, 4.853085545023148, loop)
+    best = jaxstab.wall_limits(loop)
+    assert best.status == RegionStatus.COMPLETE
+    assert best.damping == pytest.approx(5.0573, abs=5e-5)
+    for share, stable in ((1 - 1e-6, True), (1 + 1e-6, False)):
+        # Next to the corner the stable set is thin: a little to the right of alpha = -gamma.
+        walls = best.at_stiffness + np.geomspace(1e-9, 1e-3, 13)
+        assert any(is_stable(float(a), best.damping * share, loop) for a in walls) == stable
+
+
+def test_thin_intervals_of_damping_are_found() -> None:
+    loop = loop_of(2.891596916647083e-05, 0.0012064263375737682, 14.225407632632395)
+    stiffness = 0.0024356861671512276
+    low, high = jaxstab.damping_limits(loop, stiffness)
+    width = high - low
+    assert 0.0608 < low < high < 0.06125
+    for damping, stable in (
+        (low - 0.01 * width, False),
+        (low + 0.01 * width, True),
+        (high - 0.01 * width, True),
+        (high + 0.01 * width, False),
+    ):
+        assert is_stable(stiffness, float(damping), loop) == stable
+
+
+def test_a_region_that_is_not_resolved_says_so_and_gives_no_numbers() -> None:
+    loop = loop_of(9.86962156939937, 0.0, 12.857742738867492)
+    assert is_stable(-3.735280306113643, 1.86764828052154, loop)
+    best = jaxstab.wall_limits(loop)
+    assert best.status == RegionStatus.UNRESOLVED
+    assert np.isnan(best[:4]).all()
+    assert np.isnan(jaxstab.boundary_distance(loop, -3.7, 1.8))
+
+
+def dense_boundary(region: StableRegion, place: tuple[float, ...]) -> np.ndarray:
+    """Short chords (n, 2, 2) of the region's boundary: of its straight edges, and of the curve."""
+    shares = np.linspace(0, 1, 65)
+    begin, end = region.outline.angles[: len(region.branch), :, None].swapaxes(0, 1)
+    curve = np.stack(boundary_curve(begin + shares * (end - begin), *place), axis=-1)
+    here, there = region.points[:-1, None], region.points[1:, None]
+    lines = here + shares[:, None] * (there - here)
+    on_curve = (region.branch == Branch.CURVE)[:, None, None]
+    points = np.where(on_curve, curve, lines)[region.branch >= 0]
+    return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 2)
+
+
+def distance_to(chords: np.ndarray, point: np.ndarray) -> float:
+    here, along = chords[:, 0], chords[:, 1] - chords[:, 0]
+    share = np.sum((point - here) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-300)
+    return float(np.hypot(*(here + np.clip(share, 0, 1)[:, None] * along - point).T).min())
+
+
+def test_the_distance_next_to_a_sharp_turn_is_that_to_the_curve() -> None:
+    place = (88.19443994045147, 0.4993197713896914, 0.5537552816061377, 0.8161400066925342)
+    point = np.array([72.49673704316012, -31.60018426249376])
+    region = stable_region(*place)
+    assert abs(region.distance(*point)) == pytest.approx(6.341586827520546e-4, rel=1e-9)
+    assert distance_to(dense_boundary(region, place), point) == pytest.approx(6.3416e-4, rel=1e-3)
+
+
+SLICES = [
+    (88.19443994045147, 0.4993197713896914, 0.5537552816061377, 0.8161400066925342),
+    (39.799975315059754, 0.4533140420022334, 4.0, 1.0),
+    (3.4221236931311325, 9.11095313928446, 6.351107263508205, 1.0),
+    (1e-3, 0.015, 1.0, 1.0),
+    (0.1, 0.05, 12.0, 0.97),
+    (11.523438187710303, 0.40536209838398013, 1.0, 1.0),
+]
+
+
+@pytest.mark.parametrize("place", SLICES)
+def test_distances_are_those_to_dense_points_of_the_boundary(
+    place: tuple[float, ...], rng: np.random.Generator
+) -> None:
+    region = stable_region(*place)
+    low, high = region.points.min(axis=0), region.points.max(axis=0)
+    size = high - low
+    anywhere = rng.uniform(low - 0.3 * size, high + 0.3 * size, (6, 2))
+    close = region.points[rng.integers(0, len(region.points), 6)] + 1e-3 * size * rng.normal(
+        size=(6, 2)
+    )
+    boundary = dense_boundary(region, place)
+    for point in np.concatenate([anywhere, close]):
+        distance = abs(float(region.distance(*point)))
+        dense = distance_to(boundary, point)
+        assert distance == pytest.approx(dense, abs=1e-8 * np.hypot(*size))
+
+
+def test_the_distance_of_an_unstable_wall_is_the_way_to_the_stable_ones() -> None:
+    """A pair of roots crosses the circle 0.000255 away, but others stay outside there."""
+    place = (11.405564355911224, 1.5592429629386233e-06, 8.243292912477305)
+    wall = np.array([12.273777225929214, -5.663227002875532])
+    distance = float(jaxstab.boundary_distance(loop_of(*place), *wall))
+    boundary = dense_boundary(stable_region(*place), place)
+    assert distance == pytest.approx(-distance_to(boundary, wall), rel=1e-4)
+    theta = np.linspace(0, np.pi, 200_001)[1:-1]
+    curve = np.stack(boundary_curve(theta, *place), axis=-1)
+    away = np.hypot(*(curve - wall).T)
+    assert away.min() < 1e-3
+    assert not is_stable(*curve[np.argmin(away)] * (1 - 1e-6), loop_of(*place))
+
+
+def test_limits_of_a_loop_are_differentiable_in_the_wall() -> None:
+    loop = loop_of(0.05, 0.1, 1.0)
+    slope = jax.grad(lambda damping: jaxstab.stiffness_limits(loop, damping)[1])(0.3)
+    ahead, behind = (jaxstab.stiffness_limits(loop, 0.3 + h)[1] for h in (1e-6, -1e-6))
+    assert float(slope) == pytest.approx((ahead - behind) / 2e-6, rel=1e-6)
+
+
+def test_a_loop_given_for_numbers_is_answered_in_one_sentence() -> None:
+    with pytest.raises(TypeError, match=r"^stable_region takes [^\n]*loop\.gamma[^\n]*\.$"):
+        stable_region(loop_of(0.1, 0.1, 0.0))
+
+
+def test_a_traced_slice_is_sent_to_region_outline() -> None:
+    with pytest.raises(TypeError, match=r"^stable_region [^\n]*call region_outline\."):
+        jax.jit(lambda gamma: stable_region(gamma, 0.1, 1.0).max_alpha)(0.1)
+    assert stable_region(jnp.asarray(0.1), 0.1, 1.0).status == RegionStatus.COMPLETE
+
+
+def test_long_delays_are_answered_or_refused() -> None:
+    region = stable_region(1e-3, 0.015, 300.0)
+    assert region.status == RegionStatus.COMPLETE
+    alpha, beta = map(float, region.max_alpha)
+    place = (1e-3, 0.015, 300.0)
+    assert jaxstab.verdict(alpha - 1e-7, beta, *place) == Verdict.STABLE
+    assert jaxstab.verdict(alpha + 1e-7, beta, *place) == Verdict.UNSTABLE
+    with pytest.raises(ValueError, match=r"^delay is 2000\.0; [^\n]*500 samples\.$"):
+        stable_region(1e-3, 0.015, 2000.0)
+
+
+def test_corners_on_a_line_have_its_alpha_and_no_negative_zeros() -> None:
+    region = stable_region(0.0, 0.0, 0.0)
+    for numbers in (region.points, region.corners, region.max_alpha, region.max_beta):
+        assert not np.any(np.signbit(numbers) & (numbers == 0.0))
+    assert region.max_beta[0] == 0.0
+    for gamma in (1e-3, 0.3):
+        corners = stable_region(gamma, 0.1, 1.5).corners
+        np.testing.assert_array_equal(corners[:, 0], -gamma)
+
+
+def test_regions_and_limits_do_not_import_jax() -> None:
+    program = (
+        "import sys, numpy as np, jaxstab\n"
+        "loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)\n"
+        "region = jaxstab.stable_region(1e-3, 0.015, 1.5)\n"
+        "region.area, region.contains(0.1, [0.2, 0.3]), region.distance(0.1, 0.2)\n"
+        "region.alpha_limits(0.3), region.beta_limits(0.1), region.rows_are_intervals\n"
+        "jaxstab.wall_limits(loop), jaxstab.stiffness_limits(loop, np.arange(9.0))\n"
+        "jaxstab.boundary_distance(loop, 10.0, 1.0), jaxstab.boundary_curve(1.0, 0.1, 0.1, 1.5)\n"
+        "assert 'jax' not in sys.modules\n"
+    )
+    run([sys.executable, "-c", program], check=True, timeout=60)
