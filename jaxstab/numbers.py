@@ -11,6 +11,8 @@ import numpy as np
 
 from jaxstab.arrays import Numbers, is_jax, is_traced
 
+_NOISE = 1e-9
+
 
 def checked(
     name: str,
@@ -74,6 +76,18 @@ def checked_number(
     if np.size(numbers) != 1:
         raise TypeError(f"{name} has shape {np.shape(numbers)}; give a single number.")
     return float(np.asarray(numbers).item())
+
+
+def without_noise(values: Numbers, extent: int | float) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return coordinates with 0 for those that are 0 but for rounding: below 1e-9 of an extent.
+
+    Args:
+        values: along one axis, of any shape; NaN stays.
+        extent: of the whole figure along that axis.
+    """
+    coordinates = np.asarray(values, np.float64)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(coordinates) <= _NOISE * extent, 0.0, coordinates)
 
 
 def checked_count(name: str, value: Any, least: int, most: int | float = inf) -> int:

@@ -9,7 +9,9 @@ from click.testing import CliRunner
 
 from jaxstab.cli.main import main
 from jaxstab.criteria import linear_validity
-from jaxstab.pictures.paper import paper_figure, picture, region_figure
+from jaxstab.pictures.paper import paper_figure
+from jaxstab.pictures.region import region_figure
+from jaxstab.pictures.style import picture
 
 
 def lines(panel):

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from jaxstab.scene.scene import EXAMPLE, MEASURES, PRESETS, Scene, plan
+from jaxstab.scene import EXAMPLE, Scene, plan_scene
+from jaxstab.scene.scene import MEASURES, PRESETS
 
 SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))
 GOOD: dict[str, Any] = {
@@ -110,7 +111,7 @@ def test_a_preset_gives_what_the_table_does_not() -> None:
         (
             "controller",
             {"sample_time": 1e-3, "delay": 1e-3, "delay_samples": 1.0},
-            "controller.delay is 0.001 beside controller.delay_samples; give one.",
+            "controller.delay is 0.001 beside delay_samples; give one.",
         ),
         (
             "controller",
@@ -162,6 +163,7 @@ def test_a_file_may_begin_with_a_mark_of_utf_8_but_not_be_in_another_code(tmp_pa
         ("device.mass", 500.0, "device.mass is 500 kg"),
         ("controller.sample_time", 1.0, "controller.sample_time is 1 s"),
         ("walls.a", {"stiffness": 1e8, "damping": 1.0}, "walls.a.stiffness is 1e+08 N/m"),
+        ("controller.delay", 1.0, "the delay is 1000 samples; one in samples is given as"),
     ],
 )
 def test_a_scale_that_looks_like_a_slip_is_remarked_on(path: str, value: Any, words: str) -> None:
@@ -171,13 +173,13 @@ def test_a_scale_that_looks_like_a_slip_is_remarked_on(path: str, value: Any, wo
 
 
 def test_the_plan_computes_only_what_is_asked_for() -> None:
-    bare = {step.what: step.computed for step in plan(Scene.from_table(GOOD))}
+    bare = {step.what: step.computed for step in plan_scene(Scene.from_table(GOOD))}
     assert [what for what, computed in bare.items() if computed] == ["limits"]
     asked = Scene.from_table(
         with_value("wanted", {"answers": ["check"], "measures": ["radius"]})
         | {"walls": {"a": {"stiffness": 1.0, "damping": 1.0}}, "hand": {"mass": [0.0, 1.0]}}
     )
-    computed = {step.what for step in plan(asked) if step.computed}
+    computed = {step.what for step in plan_scene(asked) if step.computed}
     assert computed == {"certified verdicts", "radius", "proof and worst case over the hands"}
-    assert set(MEASURES) <= {step.what for step in plan(asked)}
-    assert all(step.why for step in plan(asked))
+    assert set(MEASURES) <= {step.what for step in plan_scene(asked)}
+    assert all(step.why for step in plan_scene(asked))

@@ -1,28 +1,18 @@
 """The commands around a scene: what it allows, how its walls do, the best walls, the design."""
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from math import isfinite, isinf, isnan
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxstab.batches import use_compilation_cache
+from jaxstab.cli.options import number_or_range, picture_file
+from jaxstab.cli.process import start_jax
 
-_UNITS = (  # the first that is in a name
-    ("gain", ""),
-    ("share", ""),
-    ("ratio", ""),
-    ("radius", ""),
-    ("time", "s"),
-    ("delay", "s"),
-    ("stiffness", "N/m"),
-    ("damping", "N s/m"),
-    ("mass", "kg"),
-    ("frequency", "Hz"),
-)
+if TYPE_CHECKING:
+    from jaxstab.scene import Answer, Check, Scene
 
 
 class _FileOrCommand(click.Group):
@@ -35,26 +25,6 @@ class _FileOrCommand(click.Group):
         return super().parse_args(ctx, args)
 
 
-def _range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
-    """Return one number, or two in a list."""
-    try:
-        numbers = [float(part) for part in text.split(":")] if text else [None]
-    except ValueError:
-        raise click.BadParameter(
-            f"{text!r} is neither a number nor LOW:HIGH.", param=option
-        ) from None
-    return numbers if len(numbers) > 1 else numbers[0]
-
-
-def _picture_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
-    """Return the name of a picture, or refuse it before anything is computed."""
-    if path and path.suffix not in (".png", ".svg"):
-        raise click.BadParameter(f"{path} ends in neither .png nor .svg.", param=option)
-    if path and (path.is_dir() or not path.parent.is_dir()):
-        raise click.BadParameter(f"{path} is no file in a folder that exists.", param=option)
-    return path
-
-
 def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add what describes a scene: a file, options that go before it, and the form of the answer."""
     decorations = (
@@ -62,9 +32,13 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--device", help="A device by name: phantom, omega or falcon."),
         click.option("--mass", type=float, help="Of the device, in kg."),
         click.option("--damping", type=float, help="Of the device, in N s/m."),
-        click.option("--hand-mass", callback=_range, help="In kg; LOW:HIGH for a range."),
-        click.option("--hand-stiffness", callback=_range, help="In N/m; LOW:HIGH for a range."),
-        click.option("--hand-damping", callback=_range, help="In N s/m; LOW:HIGH for a range."),
+        click.option("--hand-mass", callback=number_or_range, help="In kg; LOW:HIGH for a range."),
+        click.option(
+            "--hand-stiffness", callback=number_or_range, help="In N/m; LOW:HIGH for a range."
+        ),
+        click.option(
+            "--hand-damping", callback=number_or_range, help="In N s/m; LOW:HIGH for a range."
+        ),
         click.option("--sample-time", type=float, help="T in s."),
         click.option("--delay", type=float, help="Time delay of the loop in s."),
         click.option("--delay-samples", type=float, help="The same in samples."),
@@ -83,7 +57,7 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 _plot_option = click.option(
-    "--plot", type=Path, callback=_picture_file, help="PNG or SVG file to draw the scene into."
+    "--plot", type=Path, callback=picture_file, help="PNG or SVG file to draw the scene into."
 )
 
 
@@ -105,10 +79,8 @@ def check(as_json: bool, **given: Any) -> int:
 
     The exit code is 0 if every wall is proved stable, 1 if not.
     """
-    checked = _answer(given, "check", as_json)
-    from jaxstab.scene.answers import all_stable
-
-    return 0 if all_stable(checked) else 1
+    checked: Check = _answer(given, "check", as_json)
+    return 0 if checked.all_stable else 1
 
 
 @click.command()
@@ -142,7 +114,7 @@ def scene() -> None:
 @click.option("-o", "--output", type=Path, help="File to write; without, print it.")
 def init(output: Path | None) -> None:
     """Write a commented example of a scene."""
-    from jaxstab.scene.scene import EXAMPLE
+    from jaxstab.scene import EXAMPLE
 
     if output is None:
         click.echo(EXAMPLE, nl=False)
@@ -161,53 +133,59 @@ def init(output: Path | None) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
     """Answer what a scene FILE wants."""
-    from jaxstab.scene.scene import plan
+    from jaxstab.scene import Answers, plan_scene
 
-    given = _scene({"file": file})
+    scene = _scene({"file": file})
     if explain:
-        _warn(given)
-        for step in plan(given):
+        _warn(scene)
+        for step in plan_scene(scene):
             click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
         return
-    answers = {name: _computed(given, name) for name in given.wanted.answers}
+    answers = Answers({name: _computed(scene, name) for name in scene.wanted.answers})
     if plot:
-        _draw(given, answers.get("check"), plot)
-    _print(given, answers, as_json)
+        _draw(scene, answers.by_name.get("check"), plot)
+    _print(scene, answers, as_json)
 
 
 # --------------------------------------------------------------------------- from options to scene
 
 
-def _answer(given: dict[str, Any], name: str, as_json: bool) -> dict[str, Any]:
-    made, plot = _scene(given), given.get("plot")
-    found = _computed(made, name)
+def _answer(given: dict[str, Any], name: str, as_json: bool) -> Any:
+    scene, plot = _scene(given), given.get("plot")
+    answer = _computed(scene, name)
     if plot:
-        _draw(made, found if name == "check" else None, plot)
-    _print(made, found, as_json)
-    return found
+        _draw(scene, answer if name == "check" else None, plot)
+    _print(scene, answer, as_json)
+    return answer
 
 
-def _draw(scene: Any, checked: dict[str, Any] | None, file: Path) -> None:
+def _draw(scene: "Scene", checked: Any, file: Path) -> None:
     from jaxstab.durable import publish
-    from jaxstab.pictures.paper import picture
     from jaxstab.pictures.scene import scene_figure
+    from jaxstab.pictures.style import picture
 
     with _refused():
         publish(picture(scene_figure(scene, checked), file.suffix[1:]), file)
 
 
-def _computed(scene: Any, name: str) -> dict[str, Any]:
+def _computed(scene: "Scene", name: str) -> Any:
     start_jax()
-    from jaxstab.scene import answers as front
+    from jaxstab.scene import check_walls, design_loop, scene_limits, tune_walls
 
+    answers: Mapping[str, Callable[[Scene], Answer]] = {
+        "limits": scene_limits,
+        "check": check_walls,
+        "tune": tune_walls,
+        "design": design_loop,
+    }
     with _refused():
-        found: dict[str, Any] = getattr(front, name)(scene)
-        return found
+        return answers[name](scene)
 
 
-def _scene(given: dict[str, Any]) -> Any:
+def _scene(given: dict[str, Any]) -> "Scene":
     """Return the checked scene of a file and options."""
-    from jaxstab.scene.scene import Scene, read_table
+    from jaxstab.scene import Scene
+    from jaxstab.tables import read_table
 
     file = given.get("file")
     with _refused():
@@ -262,66 +240,16 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     return merged | ({"walls": merged.get("walls", {}) | walls} if walls else {})
 
 
-def start_jax() -> None:
-    """Switch on float64, and keep what was compiled for the next process of this user."""
-    with suppress(OSError):  # without a cache it only takes longer
-        use_compilation_cache()
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-
-
 # ------------------------------------------------------------------------------------------- print
 
 
-def _warn(scene: Any) -> None:
+def _warn(scene: "Scene") -> None:
     """Say what is unusual about a scene."""
     unusual = scene.unusual()
     if unusual:
         click.echo(f"jaxstab: warning: {'; '.join(unusual)}.", err=True)
 
 
-def _print(scene: Any, answers: dict[str, Any], as_json: bool) -> None:
+def _print(scene: "Scene", answer: "Answer", as_json: bool) -> None:
     _warn(scene)
-    if as_json:
-        click.echo(json.dumps(_for_json(answers), indent=1))
-    else:
-        for line in _lines(answers, ""):
-            click.echo(line)
-
-
-def _lines(answers: dict[str, Any], indent: str) -> list[str]:
-    lines = []
-    for name, value in answers.items():
-        words = name.replace("_", " ")
-        if isinstance(value, dict):
-            lines += [f"{indent}{words}", *_lines(value, indent + "  ")]
-        else:
-            lines.append(f"{indent}{words:{34 - len(indent)}}{_in_words(name, value)}")
-    return lines
-
-
-def _in_words(name: str, value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    unit = next((unit for part, unit in _UNITS if part in name), "")
-    values = value if isinstance(value, list) else [value]
-    if all(part is None or isnan(part) for part in values):
-        return "none"
-    if unit == "s":
-        unit, values = "ms", [1e3 * part for part in values]
-    numbers = " to ".join(_number(part) for part in values)
-    return f"{numbers} {unit}" if unit and numbers[-1].isdigit() else numbers
-
-
-def _number(value: float) -> str:
-    return "unlimited" if isinf(value) else f"{value + 0.0:.6g}"  # no minus zero
-
-
-def _for_json(value: Any) -> Any:
-    """Return a value for JSON, which has no NaN and no infinity."""
-    if isinstance(value, dict):
-        return {name: _for_json(part) for name, part in value.items()}
-    if isinstance(value, list):
-        return [_for_json(part) for part in value]
-    return None if isinstance(value, float) and not isfinite(value) else value
+    click.echo(json.dumps(answer.as_json(), indent=1) if as_json else answer)

@@ -1,14 +1,18 @@
 """What there is to say about one stable region, in numbers and words."""
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
+
+import numpy as np
 
 from jaxstab.criteria.passive import passive_region
 from jaxstab.criteria.validity import ValidityStatus, linear_validity
+from jaxstab.numbers import without_noise
 from jaxstab.region.region import RegionStatus, StableRegion, stable_region
 
 _FINE = 1e-7  # of delta: the tolerance of the passive region
 _ROUNDING = 1e-15
+_kept_region = lru_cache(8)(stable_region)  # who asks for facts asks for a picture, too
 _VALIDITY_LEVELS = {"2": 0.02, "5": 0.05}  # percent, sec. VII
 
 
@@ -22,7 +26,7 @@ def resolved_region(
 
     Source: sec. V of Hulin, Preusche, Hirzinger (2008).
     """
-    region = stable_region(gamma, delta, delay, radius)
+    region = _kept_region(float(gamma), float(delta), float(delay), float(radius))
     where = f"gamma = {gamma:g}, delta = {delta:g}, delay = {delay:g}, radius = {radius:g}"
     if region.is_empty:
         raise ValueError(f"no wall is stable for {where}; there is nothing to show.")
@@ -52,7 +56,8 @@ def region_facts(
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
     """
     region = resolved_region(gamma, delta, delay, radius)
-    point = partial(_point, line=-gamma if radius == 1.0 else None)
+    extent = np.ptp(region.points, axis=0)
+    point = partial(_point, extent=extent, line=-gamma if radius == 1.0 else None)
     facts: dict[str, Any] = {
         "gamma": gamma,
         "delta": delta,
@@ -64,21 +69,23 @@ def region_facts(
         "area": float(region.area),
     }
     if radius == 1.0:
-        facts["largest_passive_alpha"] = _point(passive_region(delta, delay, _FINE).max_alpha)
+        facts["largest_passive_alpha"] = _point(
+            passive_region(delta, delay, _FINE).max_alpha, extent
+        )
         for percent, level in _VALIDITY_LEVELS.items():
             limit = linear_validity(level, gamma, delta, delay)
             is_found = int(limit.status) == ValidityStatus.FOUND
             name = f"linear_condition_within_{percent}_percent_up_to"
-            facts[name] = _point((limit.alpha, limit.beta)) if is_found else None
+            facts[name] = _point((limit.alpha, limit.beta), extent) if is_found else None
     return facts
 
 
-def _point(point: Any, line: float | None = None) -> list[float]:
+def _point(point: Any, extent: Any, line: float | None = None) -> list[float]:
     """Return the numbers of a point; one that rounding took off the line alpha = -gamma is on it.
 
-    Zeros lose their sign.
+    What is 0 but for rounding, beside the extent of the region, is 0, and zeros lose their sign.
     """
-    alpha, beta = (float(value) for value in point)
+    alpha, beta = (float(without_noise(*pair)) for pair in zip(point, extent, strict=True))
     if line is not None and abs(alpha - line) <= _ROUNDING * (abs(alpha) + abs(beta)):
         alpha = line
     return [alpha + 0.0, beta + 0.0]

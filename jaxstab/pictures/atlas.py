@@ -1,7 +1,6 @@
-"""Pictures: matplotlib is used here and nowhere else."""
+"""Pictures of an atlas: verdicts and spectral radii in planes of (alpha, beta)."""
 
 from collections.abc import Sequence
-from io import BytesIO
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +12,10 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas import Atlas
 from jaxstab.conventions import Verdict
+from jaxstab.pictures.style import ALPHA_LABEL, BETA_LABEL, SKY, picture
 
 _RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
-_DOTS_PER_INCH = 150
 _MOST_PLANES = 6
 
 # The rows of a picture, and the products of which an atlas needs one for each.
@@ -28,7 +27,7 @@ _ANSWERED_BY = {
 # Told apart with any colour vision, and in grey.
 _COLOURS = {
     Verdict.NOT_COMPUTED: "#ffffff",
-    Verdict.STABLE: "#56b4e9",
+    Verdict.STABLE: SKY,
     Verdict.UNSTABLE: "#f5ead0",
     Verdict.UNDECIDED: "#444444",
 }
@@ -75,9 +74,9 @@ def draw_atlas(
                 filled = _draw_radii(panel, alpha, beta, answer.spectral_radius)
             panel.tick_params(labelsize=8)
         column[0].set_title(f"delay {atlas.delays[number]:g} T", fontsize=10)
-        column[-1].set_xlabel(r"stiffness  $\alpha = K\,T^2/m$")
+        column[-1].set_xlabel(ALPHA_LABEL)
     for panel in panels[:, 0]:
-        panel.set_ylabel(r"damping  $\beta = B\,T/m$")
+        panel.set_ylabel(BETA_LABEL)
     if "spectral_radius" in rows:
         bar = figure.colorbar(filled, ax=list(panels[-1]), pad=0.01, ticks=_RADII)
         bar.ax.tick_params(labelsize=8)
@@ -85,9 +84,7 @@ def draw_atlas(
     if "verdict" in rows:
         figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(rf"$\gamma = {gamma:g}$,  $\delta = {delta:g}$", fontsize=11)
-    image = BytesIO()
-    figure.savefig(image, format="png", dpi=_DOTS_PER_INCH)
-    return image.getvalue()
+    return picture(figure, "png")
 
 
 def _numbers_of(atlas: Atlas, delays: Sequence[float] | None) -> list[int]:

@@ -1,7 +1,6 @@
-"""The paper's figures 4 to 10, and one stable region with what there is to say about it."""
+"""The paper's figures 4 to 10."""
 
 from collections.abc import Callable, Iterable, Sequence
-from io import BytesIO
 from math import pi
 from typing import Any, Literal, NamedTuple
 
@@ -16,28 +15,12 @@ from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from jaxstab.criteria import linear_alpha_limit, linear_validity, passive_region, resolved_region
-from jaxstab.region import StableRegion
+from jaxstab.pictures.region import closed_outline
+from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, RED, hand_label, panels
 
-# Okabe and Ito's colours, told apart with any colour vision.
-BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
-    "#000000",
-    "#e69f00",
-    "#56b4e9",
-    "#009e73",
-    "#0072b2",
-    "#d55e00",
-    "#cc79a7",
-)
-FORMATS = ("png", "svg")
-FIGURES = range(4, 11)
-
-_PANEL = (4.2, 3.5)  # inches
-_DOTS_PER_INCH = 150
 _NYQUIST_STEPS = 6
 _BELOW_NYQUIST = 1 - 1e-4  # frequency drawn for Nyquist's where only the limit is stable
 _BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 8, "frameon": False}
-_ALPHA_LABEL = r"stiffness  $\alpha = K\,T^2/m$"
-_BETA_LABEL = r"damping  $\beta = B\,T/m$"
 
 Floats = NDArray[np.float64]
 _Style = Literal["-", "--"]
@@ -84,60 +67,6 @@ def paper_figure(number: int) -> Figure:
     return drawings[number]()
 
 
-def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0) -> Figure:
-    """Draw a stable region with its corners, extremes, linear condition and passive region.
-
-    Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
-        radius: modulus in (0, 1] below which all roots lie; 1 is stability.
-
-    Returns:
-        A matplotlib figure; ``picture`` makes a file of it.
-
-    Raises:
-        ValueError: an argument is outside its range, or the region is empty or unresolved.
-        RuntimeError: JAX's x64 mode is off.
-
-    Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
-    """
-    region = resolved_region(gamma, delta, delay, radius)
-    figure, ((panel,),) = _panels(1, 1, width=1.35, height=1.25)
-    inside = "stable region" if radius == 1.0 else f"all roots within {radius:g}"
-    panel.plot(*_closed(region).T, color=BLUE, label=inside)
-    panel.fill(*_closed(region).T, facecolor=BLUE, alpha=0.15)
-    window = panel.get_xlim(), panel.get_ylim()
-    passive = passive_region(delta, delay).outline
-    if len(passive):
-        panel.fill(*passive.T, facecolor=GREEN, alpha=0.35, edgecolor=GREEN, label="passive region")
-    beta = np.array(window[1])
-    limit = np.asarray(linear_alpha_limit(beta, delta, delay))
-    panel.plot(limit, beta, "--", color=RED, label="linear condition")
-    panel.plot(*region.corners.T, "s", color=BLACK, markersize=5, label="corners")
-    for point, name, mark in ((region.max_alpha, "alpha", ">"), (region.max_beta, "beta", "^")):
-        alpha, beta_value = (round(float(value), 12) + 0.0 for value in point)  # no "-1e-16"
-        label = rf"largest $\{name}$: ({alpha:.5g}, {beta_value:.5g})"
-        panel.plot(alpha, beta_value, mark, color=ORANGE, markersize=8, label=label)
-    panel.set(xlim=window[0], ylim=window[1])
-    panel.set_title(f"{_hand(gamma, delta)}, $d = {delay:g}$")
-    figure.legend(loc="outside lower center", ncols=2, frameon=False)
-    return figure
-
-
-def picture(figure: Figure, form: str) -> bytes:
-    """Return a figure as a file of the format "png" or "svg".
-
-    Raises:
-        ValueError: another format.
-    """
-    if form not in FORMATS:
-        raise ValueError(f"the format is {form!r}; give a name that ends in .png or .svg.")
-    image = BytesIO()
-    figure.savefig(image, format=form, dpi=_DOTS_PER_INCH)
-    return image.getvalue()
-
-
 # --------------------------------------------------------------------------- figures 4, 5 and 6
 
 _LIMITS: tuple[tuple[float, float, str, _Style, float], ...] = (  # of the haptic range (15)
@@ -150,13 +79,13 @@ _LIMITS: tuple[tuple[float, float, str, _Style, float], ...] = (  # of the hapti
 
 def _limit_slices(delay: float) -> list[_Slice]:
     return [
-        _Slice(gamma, delta, delay, colour, style, _hand(gamma, delta), width)
+        _Slice(gamma, delta, delay, colour, style, hand_label(gamma, delta), width)
         for gamma, delta, colour, style, width in _LIMITS
     ]
 
 
 def _haptic_range() -> Figure:
-    figure, ((panel,),) = _panels(1, 1, width=1.4, height=1.3)
+    figure, ((panel,),) = panels(1, 1, width=1.4, height=1.3)
     _draw(panel, _limit_slices(0.0))
     panel.set_title("$d = 0$")
     panel.legend(frameon=False)
@@ -164,7 +93,7 @@ def _haptic_range() -> Figure:
 
 
 def _close_up() -> Figure:
-    figure, ((panel,),) = _panels(1, 1, width=1.4, height=1.3)
+    figure, ((panel,),) = panels(1, 1, width=1.4, height=1.3)
     _draw(panel, _limit_slices(0.0))
     panel.set(xlim=(-2.5e-3, 6e-3), ylim=(-0.018, 0.012))
     panel.ticklabel_format(style="sci", scilimits=(-3, -3), axis="x")
@@ -180,7 +109,7 @@ def _close_up() -> Figure:
 
 
 def _delayed_range() -> Figure:
-    figure, ((left, right),) = _panels(1, 2)
+    figure, ((left, right),) = panels(1, 2)
     for panel, delay in ((left, 1.0), (right, 2.0)):
         _draw(panel, _limit_slices(delay))
         panel.set_title(f"$d = {delay:g}$")
@@ -197,8 +126,8 @@ _VALIDITY_WINDOWS = {0.0: (0.16, 0.07), 1.0: (0.05, 0.07)}
 
 
 def _linear_validity() -> Figure:
-    figure, panels = _panels(2, 2)
-    for row, delay in zip(panels, (0.0, 1.0), strict=True):
+    figure, grid = panels(2, 2)
+    for row, delay in zip(grid, (0.0, 1.0), strict=True):
         for panel, gamma in zip(row, (0.0, 1e-3), strict=True):
             _draw_validity(panel, gamma, delay)
     handles = [Line2D([], [], color=c, label=rf"$\delta = {delta:g}$") for delta, c in _DAMPINGS]
@@ -232,8 +161,8 @@ def _draw_validity(panel: Axes, gamma: float, delay: float) -> None:
 
 def _up_to_nyquist(rows: Sequence[tuple[float, float]]) -> Figure:
     """A row for each (delta, delay): gamma up to half Nyquist frequency, and up to all of it."""
-    figure, panels = _panels(len(rows), 2)
-    for row, (delta, delay) in zip(panels, rows, strict=True):
+    figure, grid = panels(len(rows), 2)
+    for row, (delta, delay) in zip(grid, rows, strict=True):
         for panel, share in zip(row, (0.5, 1.0), strict=True):
             slices = _frequencies(share, delta, delay)
             _draw(panel, slices)
@@ -268,43 +197,13 @@ def _frequencies(share: float, delta: float, delay: float) -> list[_Slice]:
     return slices
 
 
-# --------------------------------------------------------------------------------- house style
-
-
-def _panels(
-    rows: int, columns: int, width: float = 1.0, height: float = 1.0
-) -> tuple[Figure, list[list[Axes]]]:
-    size = (_PANEL[0] * columns * width, (_PANEL[1] * rows + 0.4) * height)
-    figure = Figure(figsize=size)
-    figure.set_layout_engine("constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for panel in grid[-1]:
-        panel.set_xlabel(_ALPHA_LABEL)
-    for panel in grid[:, 0]:
-        panel.set_ylabel(_BETA_LABEL)
-    for panel in grid.flat:
-        panel.tick_params(labelsize=9)
-        panel.grid(visible=True, color="#dddddd", linewidth=0.6)
-        panel.set_axisbelow(True)
-        panel.spines[["top", "right"]].set_visible(False)
-    return figure, [list(row) for row in grid]
-
-
 def _draw(panel: Axes, slices: Iterable[_Slice]) -> None:
     for part in slices:
         region = resolved_region(part.gamma, part.delta, part.delay)
         panel.plot(
-            *_closed(region).T, part.style, color=part.colour, label=part.label, lw=part.width
+            *closed_outline(region).T,
+            part.style,
+            color=part.colour,
+            label=part.label,
+            lw=part.width,
         )
-
-
-def _closed(region: StableRegion) -> Floats:
-    """The outline; a line break between loops."""
-    points = np.array(region.points)
-    jumps = np.flatnonzero(np.asarray(region.branch) < 0)
-    broken: Floats = np.insert(points, jumps + 1, np.nan, axis=0) if len(jumps) else points
-    return broken
-
-
-def _hand(gamma: float, delta: float) -> str:
-    return rf"$\gamma = {gamma:g}$, $\delta = {delta:g}$"

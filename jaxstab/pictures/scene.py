@@ -1,62 +1,42 @@
 """A picture of a scene: what is stable in the plane of K and B, its walls, and how they respond."""
 
-from dataclasses import replace
-from itertools import product
-from math import isfinite
+from decimal import ROUND_FLOOR
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from jaxstab.criteria import passive_region
 from jaxstab.model import HapticLoop
-from jaxstab.motion import settling_time, simulate
-from jaxstab.pictures.paper import BLACK, BLUE, GREEN, ORANGE, RED, SKY
-from jaxstab.region import WallLimits, damping_limits, stiffness_limits, wall_limits
-from jaxstab.scene.answers import corner_loops, hands_of, loop_of
+from jaxstab.motion import settling_time
+from jaxstab.pictures.region import closed_outline
+from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, RED, SKY
+from jaxstab.pictures.walls import draw_responses, draw_walls, name_walls
+from jaxstab.scene.answers import Quantity
+from jaxstab.scene.check import Check
+from jaxstab.scene.loops import WallRegion, corner_loops, hands_of, loop_of, wall_region
 from jaxstab.scene.scene import Scene
-from jaxstab.tuning import optimal_gains
+from jaxstab.tuning import TuningStatus, optimal_gains
 
-_ROWS = 400
-_CORNER = 1e-6  # of all rows: how far the outer ones are inside
-_EDGE = 1e-6  # of the largest stiffness: how near to the corner the least damping is taken
-_FEWEST, _MOST = 100, 2000  # samples of a response
-_BAND = 0.02
-_GONE = 5.0  # final positions: an unstable response is drawn no further
 _HEIGHT = 4.6  # inches
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
 _SEEN = 0.05  # of the region, in K or in B: what is smaller is enlarged
-_ZOOMS = 3  # towards the rows of B in which walls are stable for all hands
+_ROWS = 400  # of B, in which walls are stable for all hands
+_CORNER = 1e-6  # of all rows: how far the outer ones are inside
+_ZOOMS = 3  # towards the rows that are
 _COLUMNS = 64  # of the map of settling times, and rows
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
 _LONGEST = 50.0  # of the shortest settling time: the slowest line that is drawn
 _HORIZON = 4096  # samples
-_MARK = 14.0  # pixels: a wall's mark
-_LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
+_LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
+_STIFFNESS, _DAMPING, _TIME = (Quantity(unit, 3) for unit in ("N/m", "N s/m", "s"))
 
 Floats = NDArray[np.float64]
-Ends = tuple[float, float]
 
 
-class _Look(NamedTuple):
-    """How a wall of a verdict is drawn: told apart by colour and by form."""
-
-    colour: str
-    marker: str
-    line: str
-
-
-_LOOKS = {
-    "stable": _Look(BLUE, "o", "-"),
-    "unstable": _Look(RED, "X", ":"),
-    "undecided": _Look(BLACK, "s", "--"),
-}
-
-
-def scene_figure(scene: Scene, checked: dict[str, Any] | None = None) -> Figure:
+def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     """Draw the stable region in the plane of K and B, in SI units, and the walls in it.
 
     What is too small to be seen beside it, of the walls that are passive or stable for all hands,
@@ -64,46 +44,43 @@ def scene_figure(scene: Scene, checked: dict[str, Any] | None = None) -> Figure:
 
     Args:
         scene: the scene.
-        checked: what ``check`` found for its walls. Then the walls are drawn, with their responses
-            to a step of force in a panel of its own.
+        checked: what ``check_walls`` answers. Then the walls are drawn, with their responses to a
+            step of force in a panel of its own.
 
     Raises:
         ValueError: no wall is stable, there is nothing to draw.
-        RuntimeError: JAX's x64 mode is off.
 
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
     """
-    loop = loop_of(scene)
-    best = wall_limits(loop)
-    if not isfinite(best.stiffness):
+    loop, walls = loop_of(scene), checked.walls if checked else {}
+    region = wall_region(loop)
+    if region.region.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
-    dampings = (_least_damping(loop, best), best.damping)
     parts = [part for part in (_common(scene, loop), _passive(loop)) if len(part.outline)]
-    span = np.array([best.stiffness + loop.hand_stiffness, dampings[1] - dampings[0]])
-    small = [part.outline for part in parts if (np.ptp(part.outline, axis=0) < _SEEN * span).any()]
+    is_small = [(np.ptp(part.outline, axis=0) < _SEEN * np.array(region.extent)) for part in parts]
+    small = [part.outline for part, axes in zip(parts, is_small, strict=True) if axes.any()]
 
     widths = [_WIDTH] + [_ZOOM_WIDTH] * bool(small) + [_RESPONSE_WIDTH] * (checked is not None)
     figure = Figure(figsize=(sum(widths), _HEIGHT))
     figure.set_layout_engine("constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
-    walls = list((checked or {}).values())
-    stiffest = max([best.stiffness, *(wall["stiffness"] for wall in walls)])
-    highest = max([best.damping, *(wall["damping"] for wall in walls)])
-    _set_window(panels[0], (min(0.0, -loop.hand_stiffness), stiffest), (dampings[0], highest))
-    _draw_stable(panels[0], loop, dampings)
-    _draw_settling(panels[0], loop, dampings, best.stiffness)
-    _draw_best(panels[0], loop, best)
+    gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
+    _set_window(panels[0], np.concatenate([region.outline, gains, np.zeros((1, 2))]))
+    _draw_settling(panels[0], region)
+    _draw_best(panels[0], region)
     panels[0].set_title("stable walls, and how long they take to settle")
     planes = [panels[0]]
     if small:
-        _draw_enlarged(panels[1], loop, np.concatenate(small), dampings)
+        _set_window(panels[1], np.concatenate(small))
+        panels[1].locator_params(axis="x", nbins=5)
+        panels[1].set_title("enlarged")
         planes.append(panels[1])
     for panel in planes:
+        _draw_stable(panel, region)
         _draw_parts(panel, loop, parts)
-        if checked is not None:
-            _draw_walls(panel, checked)
+        draw_walls(panel, walls)
     if checked is not None:
-        _draw_responses(panels[-1], loop, checked)
+        draw_responses(panels[-1], loop, walls)
         panels[-1].set_title("a constant push, and the band of 2 %")
     if hands_of(scene):
         figure.suptitle(
@@ -116,17 +93,17 @@ def scene_figure(scene: Scene, checked: dict[str, Any] | None = None) -> Figure:
     figure.legend(
         handles, labels, fontsize=8, frameon=False, ncols=columns, loc="outside lower center"
     )
-    if checked is not None:
-        figure.draw_without_rendering()  # places are known only now
+    if walls:
+        figure.draw_without_rendering()  # positions are known only now
         for panel in planes:
-            _name_walls(panel, checked)
+            name_walls(panel, walls)
     return figure
 
 
 class _Part(NamedTuple):
     """A part of the stable walls, and how it is drawn."""
 
-    outline: Floats  # (K, B) by rows
+    outline: Floats  # (K, B)
     look: dict[str, Any]
 
 
@@ -134,26 +111,28 @@ def _common(scene: Scene, loop: HapticLoop) -> _Part:
     """Return the walls that are stable for the hands at all corners of the range, if it is one."""
     hands = hands_of(scene)
     outline = _common_outline(corner_loops(loop, hands)) if hands else np.zeros((0, 2))
-    most = np.max(outline[:, 0], initial=0.0)
-    label = f"for all corners of the hands' range: up to {most:,.0f} N/m"
+    label = f"for all corners of the hands' range: {_up_to(outline)}"
     look = {"facecolor": "none", "edgecolor": BLUE, "hatch": "///", "lw": 0.6, "label": label}
     return _Part(outline, look)
 
 
 def _common_outline(loops: list[HapticLoop]) -> Floats:
     """Return the walls that are stable for each of some loops, row by row of B."""
-    limits = [wall_limits(loop) for loop in loops]
-    low = max(map(_least_damping, loops, limits))
-    high = min(limit.damping for limit in limits)
+    regions = [wall_region(loop) for loop in loops]
+    nothing = np.zeros((0, 2))
+    if any(region.region.is_empty for region in regions):
+        return nothing
+    low = max(region.outline[:, 1].min() for region in regions)
+    high = min(region.outline[:, 1].max() for region in regions)
     for _ in range(_ZOOMS):  # the rows that meet may be few of those tried
         if not low < high:
-            return np.zeros((0, 2))
+            return nothing
         rows = _rows(low, high)
-        ends = np.stack([stiffness_limits(loop, rows) for loop in loops])
+        ends = np.stack([region.stiffness_limits(rows) for region in regions])
         left, right = ends[..., 0].max(axis=0), ends[..., 1].min(axis=0)
         met = np.flatnonzero(left < right)
         if not len(met):
-            return np.zeros((0, 2))
+            return nothing
         if len(met) == _ROWS:
             break
         low, high = rows[max(met[0] - 1, 0)], rows[min(met[-1] + 1, _ROWS - 1)]
@@ -172,42 +151,29 @@ def _passive(loop: HapticLoop) -> _Part:
     own = loop.device_damping * loop.sample_time / loop.mass
     corners = passive_region(own, loop.delay_samples).outline
     outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
-    label = f"passive: up to {np.max(outline[:, 0], initial=0.0):,.0f} N/m"
+    label = f"passive: {_up_to(outline)}"
     return _Part(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
 
 
-def _least_damping(loop: HapticLoop, best: WallLimits) -> float:
-    edge = -loop.hand_stiffness + _EDGE * (best.stiffness + loop.hand_stiffness)
-    return float(damping_limits(loop, edge)[0])
+def _up_to(outline: Floats) -> str:
+    return f"up to {_LARGEST.words(np.max(outline[:, 0], initial=0.0))}"
 
 
-def _set_window(panel: Axes, stiffnesses: Ends, dampings: Ends) -> None:
-    """Show these values of K and B, and a little more, whatever is drawn."""
-    for ends, margins, set_limits in (
-        (stiffnesses, (0.04, 0.12), panel.set_xlim),
-        (dampings, (0.06, 0.06), panel.set_ylim),
-    ):
-        span = ends[1] - ends[0]
-        set_limits(ends[0] - margins[0] * span, ends[1] + margins[1] * span)
+def _set_window(panel: Axes, points: Floats) -> None:
+    """Show some points (K, B), and a little more, whatever is drawn."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    (left, bottom), (right, top) = (
+        low - (0.04, 0.06) * (high - low),
+        high + (0.12, 0.06) * (high - low),
+    )
+    panel.set(xlim=(left, right), ylim=(bottom, top))
     panel.set(xlabel="stiffness K (N/m)", ylabel="damping B (N s/m)")
 
 
-def _draw_stable(panel: Axes, loop: HapticLoop, dampings: Ends) -> None:
-    """Draw what is stable between two values of B."""
-    rows = _rows(*dampings)
-    low, high = stiffness_limits(loop, rows).T
-    panel.fill_betweenx(rows, low, high, color=SKY, alpha=0.35, lw=0, label="stable")
-    panel.plot(np.append(low, high[::-1]), np.append(rows, rows[::-1]), color=BLUE, lw=1.2)
-
-
-def _draw_enlarged(panel: Axes, loop: HapticLoop, corners: Floats, dampings: Ends) -> None:
-    """Draw what is stable around some points, for dampings of the whole region."""
-    _set_window(panel, *zip(corners.min(axis=0), corners.max(axis=0), strict=True))
-    low, high = panel.get_ylim()
-    beyond = high + 0.1 * (high - low)  # no line where only the panel ends
-    _draw_stable(panel, loop, (max(low, dampings[0]), min(beyond, dampings[1])))
-    panel.locator_params(axis="x", nbins=5)
-    panel.set_title("enlarged")
+def _draw_stable(panel: Axes, region: WallRegion) -> None:
+    outline = region.in_si_units(closed_outline(region.region))
+    panel.fill(*outline.T, color=SKY, alpha=0.35, lw=0, label="stable")
+    panel.plot(*outline.T, color=BLUE, lw=1.2)
 
 
 def _draw_parts(panel: Axes, loop: HapticLoop, parts: list[_Part]) -> None:
@@ -220,17 +186,15 @@ def _draw_parts(panel: Axes, loop: HapticLoop, parts: list[_Part]) -> None:
     panel.plot(linear, damping, "--", color=RED, lw=1.4, label="linear rule")
 
 
-def _draw_best(panel: Axes, loop: HapticLoop, best: WallLimits) -> None:
-    panel.plot(
-        best.stiffness,
-        best.at_damping,
-        ">",
-        color=ORANGE,
-        ms=9,
-        mec=BLACK,
-        label=f"stiffest: {best.stiffness:,.0f} N/m, {best.at_damping:.1f} N s/m",
-    )
-    fastest = optimal_gains(loop, "settling")
+def _draw_best(panel: Axes, region: WallRegion) -> None:
+    stiffest = f"stiffest: {_LARGEST.words(region.stiffest.stiffness)}"
+    damping = _DAMPING.words(region.stiffest.damping)
+    panel.plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"{stiffest}, {damping}")
+    fastest = optimal_gains(region.loop, "settling")
+    if fastest.status == TuningStatus.NO_STABLE_GAINS:
+        return
+    gains = f"{_STIFFNESS.words(fastest.stiffness)}, {_DAMPING.words(fastest.damping)}"
+    time = _TIME.words(fastest.settling_time)
     panel.plot(
         fastest.stiffness,
         fastest.damping,
@@ -238,18 +202,15 @@ def _draw_best(panel: Axes, loop: HapticLoop, best: WallLimits) -> None:
         color=ORANGE,
         ms=12,
         mec=BLACK,
-        label=f"fastest: {fastest.stiffness:,.0f} N/m, {fastest.damping:.1f} N s/m, "
-        f"settles in {1e3 * fastest.settling_time:.3g} ms",
+        label=f"fastest: {gains}, settles in {time}",
     )
 
 
-def _draw_settling(
-    panel: Axes, loop: HapticLoop, dampings: tuple[float, float], stiffest: float
-) -> None:
+def _draw_settling(panel: Axes, region: WallRegion) -> None:
     """Draw lines of equal settling time to 2 %, in ms."""
-    stiffness = np.linspace(-loop.hand_stiffness, stiffest, _COLUMNS)
-    damping = np.linspace(*dampings, _COLUMNS)
-    found = settling_time(loop, stiffness[None, :], damping[:, None], horizon=_HORIZON)
+    low, high = region.outline.min(axis=0), region.outline.max(axis=0)
+    stiffness, damping = np.linspace(low, high, _COLUMNS).T
+    found = settling_time(region.loop, stiffness[None, :], damping[:, None], horizon=_HORIZON)
     times = np.where(np.isfinite(found.value), 1e3 * np.asarray(found.value), np.nan)
     if np.isnan(times).all():
         return
@@ -259,70 +220,3 @@ def _draw_settling(
         stiffness, damping, times, levels, colors=BLACK, linewidths=0.7, linestyles="dotted"
     )
     panel.clabel(lines, fmt="%g ms", fontsize=7)
-
-
-def _draw_walls(panel: Axes, checked: dict[str, Any]) -> None:
-    for verdict, look in _LOOKS.items():
-        walls = [wall for wall in checked.values() if wall["verdict"] == verdict]
-        if walls:
-            panel.plot(
-                [wall["stiffness"] for wall in walls],
-                [wall["damping"] for wall in walls],
-                look.marker,
-                color=look.colour,
-                ms=9,
-                mec=BLACK,
-                ls="",
-                zorder=5,
-                label=f"wall, {verdict}",
-            )
-
-
-def _name_walls(panel: Axes, checked: dict[str, Any]) -> None:
-    """Write the name of each wall beside it, where no other name or mark is."""
-    lines = [line for line in panel.get_lines() if line.get_marker() != "None"]
-    marks = np.concatenate([panel.transData.transform(line.get_xydata()) for line in lines])
-    taken = [Bbox.from_bounds(x - _MARK / 2, y - _MARK / 2, _MARK, _MARK) for x, y in marks]
-    for name, wall in checked.items():
-        place = (wall["stiffness"], wall["damping"])
-        if not panel.bbox.contains(*panel.transData.transform(place)):
-            continue
-        text = panel.annotate(
-            name,
-            place,
-            xytext=(8, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=9,
-            zorder=6,
-            bbox={"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75},
-        )
-        for across, along in product((1, -1), _LIFTS):
-            text.set(ha="left" if across > 0 else "right")
-            text.xyann = (8 * across, along)
-            box = text.get_window_extent()
-            is_inside = panel.bbox.containsx(box.x0) and panel.bbox.containsx(box.x1)
-            if is_inside and not box.count_overlaps(taken):
-                break
-        taken.append(box)
-
-
-def _draw_responses(panel: Axes, loop: HapticLoop, checked: dict[str, Any]) -> None:
-    """Draw the response to a step of force, relative to the final displacement."""
-    times = [wall.get("settling_time_2_percent", np.inf) for wall in checked.values()]
-    settled = [time for time in times if isfinite(time)] or [0.0]
-    longest = min(1.2 * max(settled), 6.0 * min(settled))
-    samples = int(np.clip(longest / loop.sample_time, _FEWEST, _MOST))
-    for name, wall in checked.items():
-        gains = wall["stiffness"], wall["damping"]
-        held = {f"hand_{key}": value for key, value in wall.get("worst_hand", {}).items()}
-        at_worst = replace(loop, **held)
-        response = simulate(at_worst, *gains, samples=samples, force=1.0, between=_MOST // samples)
-        relative = np.asarray(response.position) * (gains[0] + at_worst.hand_stiffness)
-        gone = np.logical_or.accumulate(np.abs(relative) > _GONE)
-        shown = np.where(gone, np.nan, relative)
-        panel.plot(np.asarray(response.time), shown, _LOOKS[wall["verdict"]].line, label=name)
-    panel.axhspan(1.0 - _BAND, 1.0 + _BAND, color=BLACK, alpha=0.12, lw=0)
-    panel.set(xlim=(0.0, samples * loop.sample_time), ylim=(-0.3, 2.3))
-    panel.set(xlabel="time (s)", ylabel="position / final position")
-    panel.legend(fontsize=8, frameon=True)

@@ -1,1 +1,5 @@
 """A scene in SI units, and what it allows."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -1,368 +1,176 @@
-"""What a scene allows, how its walls do, the best walls and the design: in SI units, for JSON.
+"""Answers with units, which print themselves as words and as JSON.
 
-Every answer is a dictionary of numbers, words and dictionaries. Where the hand is a range, numbers
-are for its lowest ends unless they say otherwise.
+An answer is a frozen dataclass. The annotation of a number has its Quantity: the unit, the digits
+that are printed and the side to which they are rounded. Limits are rounded inwards: what is printed
+as the largest stable stiffness is not above it. JSON has all digits.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
-from itertools import product
-from math import inf, isfinite, isinf
-from typing import Any
+from dataclasses import dataclass, fields
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal
+from enum import IntEnum
+from functools import cache
+from math import isfinite, isinf, isnan
+from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
-import numpy as np
-
-from jaxstab.conventions import Verdict
-from jaxstab.criteria import linear_alpha_limit, passive_region
-from jaxstab.model import HapticLoop
-from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
-from jaxstab.motion import SettlingStatus, dominant_oscillation, settling_time
-from jaxstab.point import spectral_radius, verdict
-from jaxstab.ranges import HandRange, margins, robust_limit, worst_hand
-from jaxstab.ranges.margins import MOST_DELAY
-from jaxstab.region import boundary_distance, damping_limits, stiffness_limits, wall_limits
-from jaxstab.region.limits import stiffest_wall
-from jaxstab.scene.scene import Hand, Scene, Wall
-from jaxstab.tuning import optimal_gains
-
-_LOWEST = {"hand": "at its lowest values, where nothing else is said"}
-_AGREEMENT = 1e-8  # relative, of a designed sample time or delay
-_HORIZON = 2**17  # samples within which settling is looked for
-_MOST_SAMPLES = 256.0  # of delay, looked at in a design
-_FACTOR = 1024.0  # how much longer or shorter a sample time is looked for
-_LEAST = 1e-3  # of a sample: smaller delays count as none at first
+_LIMIT_DIGITS = 4
+_TRUE_DIGITS = 11  # 2999.9999999999 is 3000 but for rounding
+_MOST_DIGITS = 17
+_COLUMN = 34  # where values begin
+_WRITTEN_OUT = range(-4, 9)  # powers of ten of the first digit
 
 
-def loop_of(scene: Scene) -> HapticLoop:
-    """Return the loop of a scene with the hand at the lowest ends of its range.
+@dataclass(frozen=True)
+class Quantity:
+    """How a number is printed.
 
-    Raises:
-        ValueError: a quantity is out of range.
+    Args:
+        unit: of the number; one in s is printed in ms.
+        digits: significant digits.
+        rounding: in the words of the module ``decimal``.
+        infinite: the words for an infinite number.
     """
-    hand = scene.hand or Hand()
-    _check_scale(scene)
-    return HapticLoop(
-        device_mass=scene.device.mass,
-        device_damping=scene.device.damping,
-        sample_time=scene.controller.sample_time,
-        hand_mass=hand.mass[0],
-        hand_damping=hand.damping[0],
-        hand_stiffness=hand.stiffness[0],
-        delay=scene.controller.time_delay,
-    )
+
+    unit: str = ""
+    digits: int = 6
+    rounding: str = ROUND_HALF_EVEN
+    infinite: str = "unlimited"
+
+    def words(self, value: Any) -> str:
+        """Return a finite or infinite number with its unit."""
+        return self._with_unit(self._text(value, self.rounding, self.digits))
+
+    def _text(self, value: float, rounding: str, digits: int) -> str:
+        if isinf(value):
+            return self.infinite
+        scale = 1000 if self.unit == "s" else 1
+        exact = Context(prec=max(_TRUE_DIGITS, digits)).multiply(Decimal(value), scale)
+        rounded = exact.normalize(Context(prec=digits, rounding=rounding))
+        if not rounded:
+            return "0"
+        is_written_out = rounded.adjusted() in _WRITTEN_OUT
+        return format(rounded, "f") if is_written_out else f"{float(rounded):.{digits}g}"
+
+    def _with_unit(self, text: str) -> str:
+        unit = "ms" if self.unit == "s" else self.unit
+        return f"{text} {unit}" if unit and text[-1].isdigit() else text
 
 
-def _check_scale(scene: Scene) -> None:
-    """Refuse hands and dampers that the model cannot compute, in the words of a scene."""
-    hand, period = scene.hand or Hand(), scene.controller.sample_time
-    per_speed = period / (scene.device.mass + hand.mass[0])
-    damping = scene.device.damping + hand.damping[1]
-    for words, value, most in (
-        ("hand.stiffness T^2/mass", hand.stiffness[1] * period * per_speed, GAMMA_LIMIT),
-        ("damping T/mass of device and hand", damping * per_speed, DELTA_LIMIT),
-    ):
-        if not value <= most:
-            raise ValueError(
-                f"{words} is {value:g}, where T is the sample_time, and at most {most:g} can be "
-                "computed; check the units."
-            )
+class IntervalQuantity(Quantity):
+    """How an interval is printed: its ends inwards, with enough digits that they stay in order."""
+
+    def words(self, value: Any) -> str:
+        """Return the two ends with their unit."""
+        low, high = value
+        for digits in range(self.digits, _MOST_DIGITS + 1):
+            ends = self._text(low, ROUND_CEILING, digits), self._text(high, ROUND_FLOOR, digits)
+            if isinf(low) or isinf(high) or float(ends[0]) <= float(ends[1]):
+                break
+        return self._with_unit(" to ".join(ends))
 
 
-def hands_of(scene: Scene) -> HandRange | None:
-    """Return the range of hands, or None where there is one hand at most."""
-    hand = scene.hand
-    return HandRange(hand.mass, hand.stiffness, hand.damping) if hand and hand.varies else None
+def rounded_gain(value: float) -> float:
+    """Return a gain with the digits with which it is printed."""
+    return float(f"{value:.{Quantity.digits}g}")
 
 
-def limits(scene: Scene) -> dict[str, Any]:
-    """Return the largest stiffness and damping, the linear rule, the passive limit, all hands.
+Stiffness = Annotated[float, Quantity("N/m")]
+Damping = Annotated[float, Quantity("N s/m")]
+Mass = Annotated[float, Quantity("kg")]
+Time = Annotated[float, Quantity("s")]
+Frequency = Annotated[float, Quantity("Hz")]
+Number = Annotated[float, Quantity()]
+Bound = Annotated[float, Quantity(digits=3, rounding=ROUND_CEILING, infinite="not proved")]
+LargestStiffness = Annotated[float, Quantity("N/m", _LIMIT_DIGITS, ROUND_FLOOR)]
+LargestDamping = Annotated[float, Quantity("N s/m", _LIMIT_DIGITS, ROUND_FLOOR)]
+LargestTime = Annotated[float, Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR)]
+LargestGain = Annotated[float, Quantity("", _LIMIT_DIGITS, ROUND_FLOOR)]
+StiffnessLimits = Annotated[tuple[float, float], IntervalQuantity("N/m", _LIMIT_DIGITS)]
+DampingLimits = Annotated[tuple[float, float], IntervalQuantity("N s/m", _LIMIT_DIGITS)]
 
-    Raises:
-        ValueError: a quantity is out of range.
-        RuntimeError: JAX's x64 mode is off.
+
+class Answer:
+    """What a dataclass of quantities, words and further answers has in common.
+
+    A field is left out where it is None; a field of a dictionary stands for what is in it. An
+    answer that ``is_part`` of another one has no heading of its own.
     """
-    loop, wanted = loop_of(scene), scene.wanted
-    best = wall_limits(loop)
-    own = loop.device_damping * loop.sample_time / loop.mass
-    passive = passive_region(own, loop.delay_samples).max_alpha
-    answer: dict[str, Any] = {
-        "best": {"largest_stiffness": best.stiffness, "at_damping": best.at_damping},
-        "most_damped": {"largest_damping": best.damping, "at_stiffness": best.at_stiffness},
-        "passive": {
-            "largest_stiffness": float(loop.stiffness(passive[0])),
-            "at_damping": float(loop.damping(passive[1])),
-        },
-    }
-    if isfinite(best.at_damping):
-        answer["linear_rule"] = _linear_rule(loop, best.at_damping)
-    if wanted.at_damping is not None:
-        answer["at_given_damping"] = _at_damping(loop, wanted.at_damping)
-    if wanted.at_stiffness is not None:
-        answer["at_given_stiffness"] = _at_stiffness(loop, wanted.at_stiffness)
-    for name, wall in scene.walls.items():
-        answer[f"wall {name}"] = _at_damping(loop, wall.damping) | _at_stiffness(
-            loop, wall.stiffness
-        )
-    hands = hands_of(scene)
-    if hands:
-        answer |= _LOWEST
-        found = robust_limit(loop, hands)
-        answer["all_hands"] = {
-            "largest_stiffness": found.stiffness,
-            "at_damping": found.damping,
-            "certainty": "proved for every hand" if found.is_proved else "not proved",
-            "sampled_hands_allow_stiffness": found.limit,
-            "worst_hand": _hand(found.loop),
-        }
-    return answer
+
+    is_part: ClassVar[bool] = False
+    absent: ClassVar[str] = "none"
+    """The words for a number that is NaN."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return names and values as JSON has them: without NaN and infinity, which are None."""
+        return dict(self._json_entries())
+
+    def lines(self, indent: str = "") -> list[str]:
+        """Return a line for each value, its name in front."""
+        lines, own = [], {field.name for field in fields(self)}  # type: ignore[arg-type]
+        for name, value in self._entries():
+            words = name.replace("_", " ") if name in own else name  # of a wall as it is
+            if isinstance(value, Answer):
+                heading = [] if value.is_part else [indent + words]
+                lines += heading + value.lines(indent if value.is_part else indent + "  ")
+            else:
+                lines.append(f"{indent}{words:{_COLUMN - len(indent)}}{self._words(name, value)}")
+        return lines
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def _entries(self) -> Any:
+        for field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if isinstance(value, dict):
+                yield from value.items()
+            elif value is not None:
+                yield field.name, value
+
+    def _json_entries(self) -> Any:
+        for name, value in self._entries():
+            if not isinstance(value, Answer):
+                yield name, _for_json(value)
+            elif value.is_part:
+                yield from value._json_entries()
+            else:
+                yield name, value.as_json()
+
+    def _words(self, name: str, value: Any) -> str:
+        if isinstance(value, str | IntEnum):
+            return in_words(value)
+        is_absent = isnan(sum(value) if isinstance(value, tuple) else value)
+        kind: Any = type(self)  # mypy holds it for not hashable
+        return self.absent if is_absent else _quantities(kind)[name].words(value)
 
 
-def check(scene: Scene) -> dict[str, Any]:
-    """Return for each wall its verdict and the measures that are wanted, at the worst hand.
+@dataclass(frozen=True)
+class Answers(Answer):
+    """Several answers by their names."""
 
-    Raises:
-        ValueError: there is no wall, or a quantity is out of range.
-        RuntimeError: JAX's x64 mode is off.
-    """
-    scene.require_walls()
-    return {name: _checked(scene, wall) for name, wall in scene.walls.items()}
+    by_name: dict[str, Any]
 
 
-def all_stable(checked: dict[str, Any]) -> bool:
-    """Whether ``check`` found every wall stable, by proof."""
-    return all(wall["verdict"] == Verdict.STABLE.name.lower() for wall in checked.values())
+def in_words(value: str | IntEnum) -> str:
+    """Return the words of a status, or the name of a verdict."""
+    return value if isinstance(value, str) else getattr(value, "words", value.name.lower())
 
 
-def tune(scene: Scene) -> dict[str, Any]:
-    """Return the walls that come to rest fastest, and the best damping at the stiffnesses given.
-
-    Raises:
-        ValueError: a quantity is out of range.
-        RuntimeError: JAX's x64 mode is off.
-    """
-    loop = loop_of(scene)
-    stiffest, _ = stiffest_wall(loop)
-    answer = {
-        "least_radius": _best(scene, loop, "radius", stiffest),
-        "least_settling": _best(scene, loop, "settling", stiffest),
-    }
-    given = {f"wall {name}": wall.stiffness for name, wall in scene.walls.items()}
-    if scene.wanted.at_stiffness is not None:
-        given["at_given_stiffness"] = scene.wanted.at_stiffness
-    for name, stiffness in given.items():
-        answer[name] = _best(scene, loop, "settling", stiffest, stiffness)
-    return answer | (_LOWEST if hands_of(scene) else {})
+def _for_json(value: Any) -> Any:
+    if isinstance(value, str | IntEnum):
+        return in_words(value)
+    if isinstance(value, tuple):
+        return [_for_json(part) for part in value]
+    return value if isfinite(value) else None
 
 
-def design(scene: Scene) -> dict[str, Any]:
-    """Return the largest sample time, and the largest delay, that allow the wanted stiffness.
-
-    A delay given in samples grows with the sample time. The damping is the one that allows most.
-
-    Raises:
-        ValueError: no stiffness is wanted, or a quantity is out of range.
-        RuntimeError: JAX's x64 mode is off.
-    """
-    stiffness = scene.wanted.stiffness
-    if stiffness is None:
-        raise ValueError("wanted.stiffness is missing; give the stiffness to design for in N/m.")
-    loop = loop_of(scene)
-    in_samples = scene.controller.delay_samples
-
-    def sampled(period: float) -> HapticLoop:
-        delay = loop.delay if in_samples is None else in_samples * period
-        return replace(loop, sample_time=period, delay=delay)
-
-    def delayed(delay: float) -> HapticLoop:
-        return replace(loop, delay=delay)
-
-    period = _largest(
-        lambda value: stiffest_wall(sampled(value))[0] / stiffness - 1.0,
-        loop.sample_time,
-        max(loop.sample_time / _FACTOR, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0),
-        loop.sample_time * _FACTOR,
-    )
-    delay = _largest(
-        lambda value: stiffest_wall(delayed(value))[0] / stiffness - 1.0,
-        loop.sample_time,
-        0.0,
-        _MOST_SAMPLES * loop.sample_time,
-    )
-    answer: dict[str, Any] = {
-        "stiffness": stiffness,
-        "now_allowed_stiffness": stiffest_wall(loop)[0],
-    }
-    answer["sample_time"] = {"largest_sample_time": period}
-    if period is not None and isfinite(period):
-        answer["sample_time"] |= {"at_damping": stiffest_wall(sampled(period))[1]}
-    answer["delay"] = {"largest_delay": delay}
-    if delay is not None and isfinite(delay):
-        answer["delay"] |= {"at_damping": stiffest_wall(delayed(delay))[1]}
-    return answer | (_LOWEST if hands_of(scene) else {})
-
-
-def _linear_rule(loop: HapticLoop, damping: float) -> dict[str, float]:
-    limit = linear_alpha_limit(loop.beta(damping), loop.delta, loop.delay_samples)
-    return {"largest_stiffness": loop.stiffness(float(limit)), "at_damping": damping}
-
-
-def _at_damping(loop: HapticLoop, damping: float) -> dict[str, Any]:
-    return {
-        "at_damping": damping,
-        "stiffness_limits": stiffness_limits(loop, damping).tolist(),
-        "linear_rule_stiffness": _linear_rule(loop, damping)["largest_stiffness"],
-    }
-
-
-def _at_stiffness(loop: HapticLoop, stiffness: float) -> dict[str, Any]:
-    return {
-        "at_stiffness": stiffness,
-        "damping_limits": damping_limits(loop, stiffness).tolist(),
-    }
-
-
-def _checked(scene: Scene, wall: Wall) -> dict[str, Any]:
-    loop, hands, wanted = loop_of(scene), hands_of(scene), scene.wanted.measures
-    gains = (wall.stiffness, wall.damping)
-    answer: dict[str, Any] = {"stiffness": gains[0], "damping": gains[1]}
-    loops = [loop]
-    if hands:
-        worst = worst_hand(loop, hands, *gains)
-        loop = worst.loop
-        loops = list({loop, *corner_loops(loop, hands)})
-        answer |= {"verdict": worst.verdict.name.lower(), "worst_hand": _hand(loop)}
-    else:
-        answer["verdict"] = _verdict(loop, *gains).name.lower()
-    measures: dict[str, Callable[..., dict[str, Any]]] = {
-        "margins": lambda _, *gains: _margins(loops, *gains),
-        "distance": lambda *at: {"distance_to_boundary": float(boundary_distance(*at))},
-        "radius": _radius,
-        "settling": _settling,
-        "oscillation": _oscillation,
-    }
-    for name, measure in measures.items():
-        if name in wanted:
-            answer |= measure(loop, *gains)
-    return answer
-
-
-def corner_loops(loop: HapticLoop, hands: HandRange) -> list[HapticLoop]:
-    """Return the loop with each hand at the corners of a range.
-
-    Raises:
-        ValueError: a quantity is out of range.
-    """
-    return [
-        replace(loop, hand_mass=mass, hand_stiffness=stiffness, hand_damping=damping)
-        for mass, stiffness, damping in product(*(sorted(set(ends)) for ends in hands))
-    ]
-
-
-def _verdict(loop: HapticLoop, stiffness: float, damping: float) -> Verdict:
-    return Verdict(int(verdict(*_point(loop, stiffness, damping))))
-
-
-def _point(loop: HapticLoop, stiffness: float, damping: float) -> tuple[float, ...]:
-    gains = (loop.alpha(stiffness), loop.beta(damping))
-    return (*gains, loop.gamma, loop.delta, loop.delay_samples)
-
-
-def _margins(loops: list[HapticLoop], stiffness: float, damping: float) -> dict[str, Any]:
-    """Return the least margins over some loops."""
-    found = [margins(loop, stiffness, damping) for loop in loops]
-    ranges = np.array([np.append(one.stiffness, one.damping) for one in found])  # NaN: unstable
-    lowest, highest = ranges.max(axis=0).tolist(), ranges.min(axis=0).tolist()
-    rest = np.array([[one.stiffness_gain, one.damping_gain, one.extra_delay] for one in found])
-    stiffness_gain, damping_gain, extra_delay = rest.min(axis=0).tolist()
-    answer: dict[str, Any] = {
-        "stiffness_gain": stiffness_gain,
-        "damping_gain": damping_gain,
-        "stiffness_limits": [lowest[0], highest[1]],
-        "damping_limits": [lowest[2], highest[3]],
-        "extra_delay": extra_delay,
-    }
-    if isinf(extra_delay):
-        answer["delay_searched"] = MOST_DELAY * loops[0].sample_time
-    if len(loops) > 1:
-        answer["margins_are"] = f"the least of {len(loops)} hands"
-    return answer
-
-
-def _radius(loop: HapticLoop, stiffness: float, damping: float) -> dict[str, Any]:
-    found = spectral_radius(*_point(loop, stiffness, damping))
-    return {"spectral_radius": float(found.value), "radius_error": float(found.error)}
-
-
-def _settling(loop: HapticLoop, stiffness: float, damping: float) -> dict[str, Any]:
-    answer: dict[str, Any] = {}
-    for percent in (2, 5):
-        found = settling_time(loop, stiffness, damping, percent / 100.0, horizon=_HORIZON)
-        answer[f"settling_time_{percent}_percent"] = float(found.value)
-    return answer | {"settling_status": SettlingStatus(int(found.status)).words}
-
-
-def _oscillation(loop: HapticLoop, stiffness: float, damping: float) -> dict[str, Any]:
-    mode = dominant_oscillation(loop, stiffness, damping)
-    return {"damping_ratio": float(mode.damping_ratio), "frequency": float(mode.frequency)}
-
-
-def _hand(loop: HapticLoop) -> dict[str, float]:
-    return {
-        "mass": loop.hand_mass,
-        "stiffness": loop.hand_stiffness,
-        "damping": loop.hand_damping,
-    }
-
-
-def _best(
-    scene: Scene, loop: HapticLoop, goal: Any, stiffest: float, stiffness: float | None = None
-) -> dict[str, Any]:
-    best = optimal_gains(loop, goal, stiffness=stiffness)
-    answer = {
-        "stiffness": best.stiffness,
-        "damping": best.damping,
-        "spectral_radius": best.radius,
-        "settling_time_2_percent": best.settling_time,
-        "share_of_largest": best.stiffness / stiffest,
-        "status": best.status.words,
-    }
-    hands = hands_of(scene)
-    if hands and isfinite(best.settling_time):
-        worst = worst_hand(loop, hands, best.stiffness, best.damping)
-        answer["for_all_hands"] = worst.verdict.name.lower()
-    return answer
-
-
-def _largest(
-    spare: Callable[[float], float], start: float, lowest: float, highest: float
-) -> float | None:
-    """Return the largest value with something to spare, of a function that falls.
-
-    Infinite where ``highest`` leaves some, None where ``lowest`` leaves none.
-    """
-    low = high = start
-    at_low = at_high = spare(start)
-    while at_high >= 0.0:
-        if high >= highest:
-            return inf
-        low, at_low, high = high, at_high, min(2.0 * high, highest)
-        at_high = spare(high)
-    while not at_low >= 0.0:
-        if low <= lowest:
-            return None
-        high, at_high, low = low, at_low, max(0.5 * low, lowest)
-        low = lowest if low < _LEAST * start else low
-        at_low = spare(low)
-    # False position; the weight of an end that stays twice is halved (Illinois).
-    last = 0
-    while high - low > _AGREEMENT * high:
-        share = at_low / (at_low - at_high) if isfinite(at_high) else 0.5
-        middle = low + min(max(share, _AGREEMENT / 4), 1.0 - _AGREEMENT / 4) * (high - low)
-        at_middle = spare(middle)
-        if at_middle >= 0.0:
-            low, at_low, at_high = middle, at_middle, at_high * (0.5 if last == 1 else 1.0)
-            last = 1
-        else:
-            high, at_high, at_low = middle, at_middle, at_low * (0.5 if last == -1 else 1.0)
-            last = -1
-    return low
+@cache
+def _quantities(kind: Any) -> dict[str, Quantity]:
+    """Return the quantities of the annotated fields of an answer."""
+    hints = get_type_hints(kind, include_extras=True)
+    found = {}
+    for name, hint in hints.items():
+        for part in (hint, *get_args(hint)):  # of "quantity | None", too
+            for note in getattr(part, "__metadata__", ()):
+                if isinstance(note, Quantity):
+                    found[name] = note
+    return found

@@ -1,6 +1,9 @@
 """The commands around a scene, as a user meets them."""
 
 import json
+import re
+from dataclasses import dataclass
+from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +13,12 @@ from click.testing import CliRunner, Result
 
 from benchmarks import truth
 from jaxstab.cli.main import main
+from jaxstab.conventions import Verdict
+from jaxstab.model import HapticLoop
 from jaxstab.pictures.scene import scene_figure
-from jaxstab.scene import answers as front
-from jaxstab.scene.scene import EXAMPLE, Scene
+from jaxstab.point import spectral_radius, verdict
+from jaxstab.scene import EXAMPLE, Scene, check_walls, scene_limits
+from jaxstab.scene.answers import Answer, Bound, LargestStiffness, StiffnessLimits, Time
 
 FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]
 PHANTOM = ["--device", "phantom", "--sample-time", "0.001"]
@@ -106,7 +112,15 @@ def test_design_returns_the_sample_time_at_which_the_wanted_stiffness_is_the_lar
     found = answered("design", *FREE, "--stiffness", wanted)
     period = np.sqrt((12 - 8 * np.sqrt(2)) / wanted)
     assert found["sample_time"]["largest_sample_time"] == pytest.approx(period, rel=1e-7)
+    assert found["sample_time"]["status"] == "the largest one that allows the stiffness"
     assert found["delay"]["largest_delay"] is None  # not even without any
+    assert found["delay"]["status"] == "none that was tried allows the stiffness"
+
+
+def test_design_says_up_to_where_it_looked() -> None:
+    found = answered("design", *PHANTOM, "--stiffness", 1e-3)["delay"]
+    assert found["largest_delay"] == pytest.approx(0.256)
+    assert found["status"] == "the longest one that was tried allows the stiffness"
 
 
 def test_a_scene_answers_what_it_wants_and_explains_itself(tmp_path: Path) -> None:
@@ -175,7 +189,7 @@ def test_the_picture_shows_the_exact_edge_and_tells_the_walls_apart_without_colo
             "wanted": {"measures": ["settling"]},
         }
     )
-    plane, response = scene_figure(scene, front.check(scene)).axes
+    plane, response = scene_figure(scene, check_walls(scene)).axes
     edge, *_ = plane.get_lines()
     stiffness, damping = np.asarray(edge.get_data())
     closed = 2 * damping * (2 - damping) / (damping + 2)
@@ -193,9 +207,9 @@ def test_what_is_too_small_to_be_seen_beside_the_region_is_enlarged() -> None:
     scene = Scene.from_file(Path(__file__).parents[1] / "data" / "scenes" / "collision.toml")
     whole, enlarged = scene_figure(scene).axes
     parts = {str(patch.get_label()): patch.get_path().vertices for patch in enlarged.patches}
-    assert "passive: up to 3,000 N/m" in parts  # 2 b/T, Colgate
+    assert "passive: up to 3000 N/m" in parts  # 2 b/T, Colgate
     common = next(name for name in parts if name.startswith("for all corners"))
-    most = front.limits(scene)["all_hands"]["sampled_hands_allow_stiffness"]
+    most = scene_limits(scene).all_hands.sampled_hands_allow_stiffness
     assert parts[common][:, 0].max() == pytest.approx(most, rel=1e-3)
     for panel, is_seen in ((whole, False), (enlarged, True)):
         window = np.ptp([panel.get_xlim(), panel.get_ylim()], axis=1)
@@ -232,6 +246,120 @@ def test_options_for_a_table_that_is_none_are_refused_with_the_table(tmp_path: P
     result = run("limits", file, "--hand-mass", 1)
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.count("\n") == 1
+
+
+# ----------------------------------------------------------------------------- what is printed
+
+
+def printed(*arguments: str | Path, exit_code: int = 0) -> list[tuple[str, str]]:
+    """The lines of an answer, as name and value."""
+    result = run(*arguments)
+    assert result.exit_code == exit_code, result.stderr
+    lines = (line.strip().partition("  ") for line in result.stdout.splitlines())
+    return [(name, value.strip()) for name, _, value in lines]
+
+
+def number(words: str) -> float:
+    return float(words.split()[0])
+
+
+def test_the_radius_that_tune_prints_is_that_of_the_gains_that_it_prints() -> None:
+    lines = dict(printed("tune", *PHANTOM)[:6])  # of the smallest radius
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+    gains = loop.alpha(number(lines["stiffness"])), loop.beta(number(lines["damping"]))
+    radius = spectral_radius(*gains, loop.gamma, loop.delta, loop.delay_samples)
+    assert number(lines["spectral radius"]) == pytest.approx(float(radius.value), abs=1e-6)
+    assert float(radius.value) > 4 ** (1 / 3) - 1 + 1e-3  # where three poles meet, digits matter
+    exact = answered("tune", *PHANTOM)["least_radius"]
+    assert exact["rounded"]["stiffness"] == number(lines["stiffness"])
+    assert exact["spectral_radius"] < exact["rounded"]["spectral_radius"]
+
+
+@pytest.mark.parametrize("delay", ["0", "0.0013", "0.004"])
+def test_printed_limits_are_rounded_inwards(delay: str) -> None:
+    scene = [*PHANTOM, "--hand-stiffness", "123", "--delay", delay, "--at-damping", "7"]
+    exact = answered("limits", *scene)
+    lines = dict(printed("limits", *scene))
+    low, high = (float(end) for end in lines["stiffness limits"].split(" N")[0].split(" to "))
+    given = exact["at_given_damping"]["stiffness_limits"]
+    assert given[0] <= low < high <= given[1]
+    for end in (low, high):
+        point = (end * 1e-5, 7e-2, 123e-5, 1.5e-2, float(delay) * 1e3)
+        assert verdict(*point) in (Verdict.STABLE, Verdict.UNDECIDED)
+    design = [*scene[:-2], "--stiffness", "1000"]
+    for quantity in ("sample time", "delay"):
+        least = dict(printed("design", *design))[f"largest {quantity}"]
+        key = quantity.replace(" ", "_")
+        most = answered("design", *design)[key][f"largest_{key}"]
+        assert 0.999 * most < number(least) / 1e3 <= most * (1 + 1e-10)
+
+
+def test_what_is_zero_by_the_geometry_is_printed_as_zero() -> None:
+    for arguments in (
+        ["limits", *PHANTOM, "--at-damping", "0"],
+        ["limits", *FREE, "--at-stiffness", "100"],
+        ["check", *PHANTOM, "--wall", "a", "800", "5"],
+        ["region", "--gamma", "0", "--delta", "0.015", "--delay", "1"],
+        ["region", "--gamma", "0", "--delta", "0", "--delay", "0"],
+    ):
+        text = run(*arguments).stdout
+        assert not re.search(r"e-\d", text.replace("radius error", "#").split("#")[0]), text
+        assert not re.search(r"-0(?![.\d])", text), text
+    assert ("at stiffness", "0 N/m") in printed("limits", *PHANTOM)
+    assert dict(printed("check", *PHANTOM, "--wall", "a", "800", "5"))["stiffness limits"][:5] == (
+        "0 to "
+    )
+
+
+def test_what_is_not_proved_is_said_so_and_an_unstable_wall_never_settles() -> None:
+    lines = dict(printed("check", *FREE, "--wall", "b", "1000", "10", exit_code=1))
+    assert lines["stiffness gain"] == lines["extra delay"] == "none is proved"
+    assert lines["settling time 2 percent"] == "never"
+    assert lines["settling status"] == "the loop is unstable and never settles"
+    slow = dict(printed("check", *FREE, "--wall", "c", "1e-9", "1e-3"))
+    assert slow["settling time 2 percent"] == slow["settling time 5 percent"] == "not proved"
+    text = run("check", *FREE, "--wall", "b", "1000", "10", "--wall", "c", "1e-9", "1e-3").stdout
+    assert not re.search(r"\b(nan|inf)\b", text)
+
+
+@dataclass(frozen=True)
+class Sample(Answer):
+    """An answer of each kind of number."""
+
+    most: LargestStiffness
+    limits: StiffnessLimits
+    time: Time
+    error: Bound
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (
+            (2.99969e3, (0.12341, 5.67899), 0.0012345678, 1.2341e-9),
+            ["2999 N/m", "0.1235 to 5.678 N/m", "1.23457 ms", "1.24e-09"],
+        ),
+        (
+            (3e3 - 1e-12, (-0.12349, -0.0), 2.0, inf),
+            ["3000 N/m", "-0.1234 to 0 N/m", "2000 ms", "not proved"],
+        ),
+        (
+            (-1.23456, (2.50001, 2.50002), 1e-9, 0.0),
+            ["-1.235 N/m", "2.50001 to 2.50002 N/m", "1e-06 ms", "0"],
+        ),
+        (
+            (nan, (nan, nan), inf, nan),
+            ["none", "none", "unlimited", "none"],
+        ),
+    ],
+)
+def test_numbers_in_words(values: Any, words: list[str]) -> None:
+    sample = Sample(*values)
+    assert [line[34:] for line in sample.lines()] == words
+    table = json.loads(json.dumps(sample.as_json(), allow_nan=False))
+    exact = [table["most"], *table["limits"], table["time"], table["error"]]
+    flat = [values[0], *values[1], *values[2:]]
+    assert exact == [value if isfinite(value) else None for value in flat]
 
 
 def test_without_anything_to_do_the_help_is_shown() -> None:

@@ -1,0 +1,26 @@
+"""Values of options, checked before anything is computed."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
+    """Return one number, or two in a list."""
+    try:
+        numbers = [float(part) for part in text.split(":")] if text else [None]
+    except ValueError:
+        raise click.BadParameter(
+            f"{text!r} is neither a number nor LOW:HIGH.", param=option
+        ) from None
+    return numbers if len(numbers) > 1 else numbers[0]
+
+
+def picture_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+    """Return the name of a picture."""
+    if path and path.suffix not in (".png", ".svg"):
+        raise click.BadParameter(f"{path} ends in neither .png nor .svg.", param=option)
+    if path and (path.is_dir() or not path.parent.is_dir()):
+        raise click.BadParameter(f"{path} is no file in a folder that exists.", param=option)
+    return path

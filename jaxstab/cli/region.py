@@ -1,0 +1,73 @@
+"""The commands around one region of the (alpha, beta) plane, and around the paper's figures."""
+
+import json
+from decimal import ROUND_FLOOR, ROUND_HALF_EVEN
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxstab.cli.options import picture_file
+from jaxstab.cli.process import start_jax
+
+_FIGURES = range(4, 11)
+_DIGITS = 10
+
+
+@click.command()
+@click.argument("number", type=click.Choice([*map(str, _FIGURES), "all"]))
+@click.option("-o", "--output", type=Path, default=Path(), help="Folder to write to.")
+@click.option("--format", "form", type=click.Choice(["png", "svg"]), default="png")
+def figure(number: str, output: Path, form: str) -> None:
+    """Draw a figure of Hulin, Preusche, Hirzinger (2008): NUMBER is 4 ... 10, or all."""
+    start_jax()
+    from jaxstab.durable import publish
+    from jaxstab.pictures.paper import paper_figure
+    from jaxstab.pictures.style import picture
+
+    for one in _FIGURES if number == "all" else [int(number)]:
+        file = output / f"figure_{one}.{form}"
+        publish(picture(paper_figure(one), form), file)
+        click.echo(file)
+
+
+@click.command()
+@click.option("--gamma", type=float, required=True, help="Physical stiffness k T^2/m.")
+@click.option("--delta", type=float, required=True, help="Physical damping b T/m.")
+@click.option("--delay", type=float, default=0.0, show_default=True, help="t_d/T in samples.")
+@click.option("--radius", type=float, default=1.0, show_default=True, help="Of all roots.")
+@click.option(
+    "-o", "--output", type=Path, callback=picture_file, help="PNG or SVG file for a picture."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def region(
+    gamma: float, delta: float, delay: float, radius: float, output: Path | None, as_json: bool
+) -> None:
+    """Measure the stable region in the (alpha, beta) plane, and draw it."""
+    start_jax()
+    from jaxstab.criteria import region_facts
+
+    facts = region_facts(gamma, delta, delay, radius)
+    if output:
+        from jaxstab.durable import publish
+        from jaxstab.pictures.region import region_figure
+        from jaxstab.pictures.style import picture
+
+        publish(picture(region_figure(gamma, delta, delay, radius), output.suffix[1:]), output)
+    if as_json:
+        click.echo(json.dumps(facts, indent=1, allow_nan=False))
+    else:
+        width = max(map(len, facts))
+        for name, value in facts.items():
+            click.echo(f"{name.replace('_', ' '):{width}}  {_words(name, value)}")
+
+
+def _words(name: str, value: Any) -> str:
+    """Return a number, a point or a list of points; what is the largest is not rounded up."""
+    from jaxstab.scene.answers import Quantity
+
+    if isinstance(value, list):
+        return f"({', '.join(_words(name, part) for part in value)})"
+    is_largest = name.startswith("largest")
+    quantity = Quantity("", _DIGITS, ROUND_FLOOR if is_largest else ROUND_HALF_EVEN)
+    return quantity.words(value) if isinstance(value, float) else "none"

@@ -1,0 +1,23 @@
+from .answers import Answer as Answer
+from .answers import Answers as Answers
+from .check import Check as Check
+from .check import WallCheck as WallCheck
+from .check import check_walls as check_walls
+from .design import Design as Design
+from .design import DesignStatus as DesignStatus
+from .design import design_loop as design_loop
+from .example import EXAMPLE as EXAMPLE
+from .limits import Limits as Limits
+from .limits import scene_limits as scene_limits
+from .loops import WallRegion as WallRegion
+from .loops import corner_loops as corner_loops
+from .loops import hands_of as hands_of
+from .loops import loop_of as loop_of
+from .loops import wall_region as wall_region
+from .plan import plan_scene as plan_scene
+from .scene import Scene as Scene
+from .tune import BestWall as BestWall
+from .tune import Tuned as Tuned
+from .tune import tune_walls as tune_walls
+
+__all__: list[str]

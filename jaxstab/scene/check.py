@@ -1,0 +1,217 @@
+"""How the walls of a scene do: verdict, margins, radius, settling and oscillation, with proofs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import ROUND_FLOOR
+from math import inf, isinf, nan
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.conventions import Verdict
+from jaxstab.model import HapticLoop
+from jaxstab.motion import Settling as MotionSettling
+from jaxstab.motion import SettlingStatus, dominant_oscillation, settling_time
+from jaxstab.numbers import without_noise
+from jaxstab.point import spectral_radius, verdict
+from jaxstab.ranges import HandRange, dimensionless_margins, worst_hand
+from jaxstab.ranges.margins import MOST_DELAY
+from jaxstab.region import boundary_distance
+from jaxstab.scene.answers import (
+    Answer,
+    Bound,
+    Damping,
+    DampingLimits,
+    Frequency,
+    Number,
+    Quantity,
+    Stiffness,
+    StiffnessLimits,
+    Time,
+)
+from jaxstab.scene.limits import HeldBy, held_by
+from jaxstab.scene.loops import Gains, corner_loops, hands_of, loop_of, walls_of
+from jaxstab.scene.scene import Scene
+
+_HORIZON = 2**17  # samples within which settling is looked for
+
+
+SettlingTime = Annotated[float, Quantity("s", infinite="never")]
+SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "more than is searched")]
+SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any")]
+
+
+@dataclass(frozen=True)
+class Margins(Answer):
+    """How far each quantity may change alone: the least over some hands."""
+
+    is_part = True
+    absent = "none is proved"
+
+    stiffness_gain: SpareGain
+    damping_gain: SpareGain
+    stiffness_limits: StiffnessLimits
+    damping_limits: DampingLimits
+    extra_delay: SpareTime
+    delay_searched: Time | None
+    margins_are: str | None
+
+
+@dataclass(frozen=True)
+class Distance(Answer):
+    """The distance to the edge of stability in units of alpha and beta."""
+
+    is_part = True
+    absent = "not known"
+
+    distance_to_boundary: Number
+
+
+@dataclass(frozen=True)
+class Radius(Answer):
+    """The spectral radius and the bound of its error."""
+
+    is_part = True
+
+    spectral_radius: Number
+    radius_error: Bound
+
+
+@dataclass(frozen=True)
+class Settling(Answer):
+    """The settling times; NaN where they are not proved, infinite for an unstable wall."""
+
+    is_part = True
+    absent = "not proved"
+
+    settling_time_2_percent: SettlingTime
+    settling_time_5_percent: SettlingTime
+    settling_status: SettlingStatus
+
+
+@dataclass(frozen=True)
+class Oscillation(Answer):
+    """The slowest mode."""
+
+    is_part = True
+
+    damping_ratio: Number
+    frequency: Frequency
+
+
+@dataclass(frozen=True)
+class WallCheck(Answer):
+    """What is known of a wall, and the measures that are wanted, at the worst hand."""
+
+    stiffness: Stiffness
+    damping: Damping
+    verdict: Verdict
+    worst_hand: HeldBy | None
+    margins: Margins | None = None
+    distance: Distance | None = None
+    radius: Radius | None = None
+    settling: Settling | None = None
+    oscillation: Oscillation | None = None
+
+
+@dataclass(frozen=True)
+class Check(Answer):
+    """What is known of each wall, by its name."""
+
+    walls: dict[str, WallCheck]
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether every wall is stable, by proof."""
+        return all(wall.verdict == Verdict.STABLE for wall in self.walls.values())
+
+
+def check_walls(scene: Scene) -> Check:
+    """Return for each wall its verdict and the measures that are wanted, at the worst hand.
+
+    Raises:
+        ValueError: there is no wall, or a quantity is out of range.
+    """
+    scene.require_walls()
+    loop, hands, wanted = loop_of(scene), hands_of(scene), scene.wanted.measures
+    return Check(
+        {name: _checked(loop, hands, gains, wanted) for name, gains in walls_of(scene).items()}
+    )
+
+
+def _checked(
+    loop: HapticLoop, hands: HandRange | None, gains: Gains, wanted: tuple[str, ...]
+) -> WallCheck:
+    loops, hand = [loop], None
+    if hands:
+        worst = worst_hand(loop, hands, *gains)
+        code, loop, hand = worst.verdict, worst.loop, held_by(worst.loop)
+        loops = list(dict.fromkeys([loop, *corner_loops(loop, hands)]))
+    else:
+        code = Verdict(int(verdict(*_point(loop, gains))))
+    measures: dict[str, Callable[[], Answer]] = {
+        "margins": lambda: _margins(loops, gains),
+        "distance": lambda: Distance(float(boundary_distance(loop, *gains))),
+        "radius": lambda: _radius(loop, gains),
+        "settling": lambda: _settling(loop, gains),
+        "oscillation": lambda: _oscillation(loop, gains),
+    }
+    measured = {name: measure() for name, measure in measures.items() if name in wanted}
+    return WallCheck(*gains, code, hand, **measured)  # type: ignore[arg-type]
+
+
+def _point(loop: HapticLoop, gains: Gains) -> tuple[float, ...]:
+    alpha, beta = loop.alpha(gains.stiffness), loop.beta(gains.damping)
+    return alpha, beta, loop.gamma, loop.delta, loop.delay_samples
+
+
+def _margins(loops: list[HapticLoop], gains: Gains) -> Margins:
+    """Return the least margins over some loops of one sample time and delay."""
+    points = np.array([_point(loop, gains) for loop in loops]).T
+    found = dimensionless_margins(*points)
+    mass = np.array([loop.mass for loop in loops])
+    # NaN, of a hand with which the wall is not stable, goes through.
+    period = loops[0].sample_time
+    stiffness = np.asarray(found.stiffness) * (mass / period**2)[:, None]
+    damping = np.asarray(found.damping) * (mass / period)[:, None]
+    extra_delay = period * float(np.min(found.extra_delay))
+    return Margins(
+        float(np.min(found.stiffness_gain)),
+        float(np.min(found.damping_gain)),
+        _common(stiffness),
+        _common(damping),
+        extra_delay,
+        MOST_DELAY * period if isinf(extra_delay) else None,
+        f"the least of {len(loops)} hands" if len(loops) > 1 else None,
+    )
+
+
+def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
+    """Return the interval that is in all intervals; an end that is 0 but for rounding is 0."""
+    low, high = limits[:, 0].max(), limits[:, 1].min()
+    return float(without_noise(low, high - low)), float(without_noise(high, high - low))
+
+
+def _radius(loop: HapticLoop, gains: Gains) -> Radius:
+    found = spectral_radius(*_point(loop, gains))
+    return Radius(float(found.value), float(found.error))
+
+
+def _settling(loop: HapticLoop, gains: Gains) -> Settling:
+    two, five = (settling_time(loop, *gains, level, horizon=_HORIZON) for level in (0.02, 0.05))
+    status = SettlingStatus(int(two.status))
+    return Settling(settled(two), settled(five), status)
+
+
+def settled(found: MotionSettling) -> float:
+    """Return a settling time in s; infinite for an unstable loop, NaN where none is proved."""
+    status = int(found.status)
+    if status == SettlingStatus.SETTLED:
+        return float(found.value)
+    return inf if status == SettlingStatus.UNSTABLE else nan
+
+
+def _oscillation(loop: HapticLoop, gains: Gains) -> Oscillation:
+    mode = dominant_oscillation(loop, *gains)
+    return Oscillation(float(mode.damping_ratio), float(mode.frequency))

@@ -1,0 +1,168 @@
+"""The largest sample time and the largest delay that allow a wanted stiffness."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import isfinite, nan
+from typing import NamedTuple
+
+from jaxstab.conventions import Status
+from jaxstab.model import HapticLoop
+from jaxstab.scene.answers import Answer, Damping, LargestStiffness, LargestTime, Stiffness
+from jaxstab.scene.limits import LOWEST_HAND
+from jaxstab.scene.loops import hands_of, loop_of, wall_region
+from jaxstab.scene.scene import Scene
+
+_AGREEMENT = 1e-8  # relative, of a designed sample time or delay
+_MOST_SAMPLES = 256.0  # of delay that are tried
+_FACTOR = 1024.0  # by which the sample times that are tried are longer or shorter
+_NO_DELAY = 1e-3  # samples: less than this is tried as none at first
+
+
+class DesignStatus(Status):
+    """What is known of a largest sample time or delay."""
+
+    FOUND = 1, "the largest one that allows the stiffness"
+    NONE = 2, "none that was tried allows the stiffness"
+    LONGEST_TRIED = 3, "the longest one that was tried allows the stiffness"
+
+
+@dataclass(frozen=True)
+class LargestSampleTime(Answer):
+    """The largest sample time, the damping that allows most there, and what is known of it."""
+
+    largest_sample_time: LargestTime
+    at_damping: Damping | None
+    status: DesignStatus
+
+
+@dataclass(frozen=True)
+class LargestDelay(Answer):
+    """The largest delay, the damping that allows most there, and what is known of it."""
+
+    largest_delay: LargestTime
+    at_damping: Damping | None
+    status: DesignStatus
+
+
+@dataclass(frozen=True)
+class Design(Answer):
+    """What a wanted stiffness asks of the controller."""
+
+    stiffness: Stiffness
+    now_allowed_stiffness: LargestStiffness
+    sample_time: LargestSampleTime
+    delay: LargestDelay
+    hand: str | None
+
+
+def design_loop(scene: Scene) -> Design:
+    """Return the largest sample time, and the largest delay, that allow the wanted stiffness.
+
+    A delay given in samples grows with the sample time. The damping is the one that allows most.
+    The stiffness is taken to fall as the sample time or the delay grows.
+
+    Raises:
+        ValueError: no stiffness is wanted, a quantity is out of range, or a stable region on the
+            way is not resolved.
+    """
+    wanted = scene.wanted.stiffness
+    if wanted is None:
+        raise ValueError("wanted.stiffness is missing; give the stiffness to design for in N/m.")
+    loop = loop_of(scene)
+    in_samples = scene.controller.delay_samples
+
+    def sampled(period: float) -> HapticLoop:
+        delay = loop.delay if in_samples is None else in_samples * period
+        return replace(loop, sample_time=period, delay=delay)
+
+    def delayed(delay: float) -> HapticLoop:
+        return replace(loop, delay=delay)
+
+    period = loop.sample_time
+    shortest = max(period / _FACTOR, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0)
+    return Design(
+        stiffness=wanted,
+        now_allowed_stiffness=wall_region(loop).stiffest.stiffness,
+        sample_time=LargestSampleTime(
+            *_largest(sampled, wanted, period, shortest, _FACTOR * period)
+        ),
+        delay=LargestDelay(*_largest(delayed, wanted, period, 0.0, _MOST_SAMPLES * period)),
+        hand=LOWEST_HAND if hands_of(scene) else None,
+    )
+
+
+class _Largest(NamedTuple):
+    """The largest value of a quantity, the damping there, and what is known of it."""
+
+    value: float
+    damping: float | None
+    status: DesignStatus
+
+
+def _largest(
+    loop_at: Callable[[float], HapticLoop],
+    wanted: float,
+    start: float,
+    lowest: float,
+    highest: float,
+) -> _Largest:
+    """Return the largest value of a quantity whose loop allows the wanted stiffness."""
+
+    def spare(value: float) -> float:
+        return wall_region(loop_at(value)).stiffest.stiffness / wanted - 1.0
+
+    low, high = _bracket(spare, start, lowest, highest)
+    if not low.spare >= 0.0:
+        return _Largest(nan, None, DesignStatus.NONE)
+    if high.spare >= 0.0:
+        found, status = high.value, DesignStatus.LONGEST_TRIED
+    else:
+        found, status = _last_with_spare(spare, low, high), DesignStatus.FOUND
+    return _Largest(found, wall_region(loop_at(found)).stiffest.damping, status)
+
+
+class _Trial(NamedTuple):
+    """A value of a quantity, and what it has to spare of the wanted stiffness."""
+
+    value: float
+    spare: float
+
+
+def _bracket(
+    spare: Callable[[float], float], start: float, lowest: float, highest: float
+) -> tuple[_Trial, _Trial]:
+    """Return two values, of which the lower one has something to spare, and the other one not.
+
+    As far as there are such between the lowest and the highest one.
+    """
+    low = high = _Trial(start, spare(start))
+    while high.spare >= 0.0 and high.value < highest:
+        value = min(2.0 * high.value, highest)
+        low, high = high, _Trial(value, spare(value))
+    while not low.spare >= 0.0 and low.value > lowest:
+        value = max(0.5 * low.value, lowest)
+        value = lowest if value < _NO_DELAY * start else value
+        low, high = _Trial(value, spare(value)), low
+    return low, high
+
+
+def _last_with_spare(spare: Callable[[float], float], low: _Trial, high: _Trial) -> float:
+    """Return the largest value with something to spare, by false position.
+
+    The weight of an end that stays twice is halved (the Illinois rule).
+    """
+    weight_low, weight_high, moved = low.spare, high.spare, ""
+    while high.value - low.value > _AGREEMENT * high.value:
+        share = weight_low / (weight_low - weight_high) if isfinite(weight_high) else 0.5
+        share = min(max(share, _AGREEMENT / 4), 1.0 - _AGREEMENT / 4)
+        middle = low.value + share * (high.value - low.value)
+        trial = _Trial(middle, spare(middle))
+        if trial.spare >= 0.0:
+            low, weight_low = trial, trial.spare
+            weight_high *= 0.5 if moved == "low" else 1.0
+            moved = "low"
+        else:
+            high, weight_high = trial, trial.spare
+            weight_low *= 0.5 if moved == "high" else 1.0
+            moved = "high"
+    return low.value

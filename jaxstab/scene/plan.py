@@ -1,0 +1,36 @@
+"""What is computed for a scene, what is skipped, and why."""
+
+from typing import NamedTuple
+
+from jaxstab.scene.scene import ANSWERS, MEASURES, Hand, Scene
+
+
+class Step(NamedTuple):
+    """One thing that a scene may ask for: whether it is computed, and why or why not."""
+
+    what: str
+    computed: bool
+    why: str
+
+
+def plan_scene(scene: Scene) -> list[Step]:
+    """Return what is computed for a scene and what is skipped."""
+    wanted, hand = scene.wanted, scene.hand or Hand()
+    asked = {name: name in wanted.answers for name in ANSWERS}
+    reason = {True: "wanted.answers has it", False: "wanted.answers does not have it"}
+    steps = [Step(name, asked[name], reason[asked[name]]) for name in ("limits", "tune", "design")]
+    for key, what in (("at_damping", "stiffness limits"), ("at_stiffness", "damping limits")):
+        given = getattr(wanted, key) is not None
+        why = f"wanted.{key} is {'given' if given else 'not given'}"
+        steps.append(Step(f"{what} at a given {key[3:]}", given and asked["limits"], why))
+    checked = f"for each of {len(scene.walls)} walls" if asked["check"] else reason[False]
+    steps.append(Step("certified verdicts", asked["check"], checked))
+    for name in MEASURES:
+        is_wanted = name in wanted.measures
+        why = checked if is_wanted else "wanted.measures does not have it"
+        steps.append(Step(name, asked["check"] and is_wanted, why))
+    why = "the hand is a range" if hand.varies else "there is one hand at most"
+    steps.append(Step("proof and worst case over the hands", hand.varies, why))
+    why = f"the delay is fixed: {scene.controller.samples:g} samples"
+    steps.append(Step("sweep over delays", False, why))
+    return steps

@@ -1,0 +1,116 @@
+"""The walls that come to rest fastest, and the best damping at given stiffnesses."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+from jaxstab.conventions import Verdict
+from jaxstab.model import HapticLoop
+from jaxstab.motion import settling_time
+from jaxstab.point import spectral_radius
+from jaxstab.ranges import HandRange, worst_hand
+from jaxstab.scene.answers import Answer, Bound, Damping, Number, Stiffness, rounded_gain
+from jaxstab.scene.check import SettlingTime, settled
+from jaxstab.scene.limits import LOWEST_HAND
+from jaxstab.scene.loops import Gains, hands_of, loop_of, wall_region
+from jaxstab.scene.scene import Scene
+from jaxstab.tuning import TuningStatus, optimal_gains
+
+
+@dataclass(frozen=True)
+class TunedWall(Answer):
+    """Gains, and the radius and settling time that these gains have."""
+
+    is_part = True
+    absent = "not proved"
+
+    stiffness: Stiffness
+    damping: Damping
+    spectral_radius: Number
+    radius_error: Bound
+    settling_time_2_percent: SettlingTime
+
+
+@dataclass(frozen=True)
+class RoundedWall(TunedWall):
+    """The same with the digits of the gains that are printed."""
+
+    is_part = False
+
+
+@dataclass(frozen=True)
+class BestWall(Answer):
+    """The best wall, and how it is known. Where none is stable there is only the status.
+
+    Where poles coincide the radius depends on the last digits of the gains. So what is printed is
+    what the gains reach as they are printed; JSON has both.
+    """
+
+    exact: TunedWall | None
+    rounded: RoundedWall | None
+    share_of_largest: Number | None
+    status: TuningStatus
+    for_all_hands: Verdict | None
+
+    def lines(self, indent: str = "") -> list[str]:
+        """Return the lines of the rounded wall, and the rest."""
+        printed = TunedWall(**vars(self.rounded)) if self.rounded else None
+        return Answer.lines(replace(self, exact=printed, rounded=None), indent)
+
+
+@dataclass(frozen=True)
+class Tuned(Answer):
+    """The wall of the smallest radius, of the fastest settling, and the best dampings."""
+
+    least_radius: BestWall
+    least_settling: BestWall
+    walls: dict[str, BestWall]
+    at_given_stiffness: BestWall | None
+    hand: str | None
+
+
+def tune_walls(scene: Scene) -> Tuned:
+    """Return the walls that come to rest fastest, and the best damping at the stiffnesses given.
+
+    Raises:
+        ValueError: a quantity is out of range, or the stable region is not resolved.
+    """
+    loop, hands = loop_of(scene), hands_of(scene)
+    best = partial(_best, loop, hands)
+    given = scene.wanted.at_stiffness
+    return Tuned(
+        least_radius=best("radius"),
+        least_settling=best("settling"),
+        walls={
+            f"wall {name}": best("settling", wall.stiffness) for name, wall in scene.walls.items()
+        },
+        at_given_stiffness=None if given is None else best("settling", given),
+        hand=LOWEST_HAND if hands else None,
+    )
+
+
+def _best(
+    loop: HapticLoop,
+    hands: HandRange | None,
+    goal: Literal["radius", "settling"],
+    stiffness: float | None = None,
+) -> BestWall:
+    best = optimal_gains(loop, goal, stiffness=stiffness)
+    if best.status == TuningStatus.NO_STABLE_GAINS:
+        return BestWall(None, None, None, best.status, None)
+    gains = Gains(best.stiffness, best.damping)
+    rounded = Gains(rounded_gain(best.stiffness), rounded_gain(best.damping))
+    return BestWall(
+        TunedWall(*gains, *_reached(loop, gains)),
+        RoundedWall(*rounded, *_reached(loop, rounded)),
+        best.stiffness / wall_region(loop).stiffest.stiffness,
+        best.status,
+        worst_hand(loop, hands, *rounded).verdict if hands else None,
+    )
+
+
+def _reached(loop: HapticLoop, gains: Gains) -> tuple[float, float, float]:
+    """Return the spectral radius, the bound of its error, and the settling time to 2 %."""
+    alpha, beta = loop.alpha(gains.stiffness), loop.beta(gains.damping)
+    radius = spectral_radius(alpha, beta, loop.gamma, loop.delta, loop.delay_samples)
+    return float(radius.value), float(radius.error), settled(settling_time(loop, *gains))

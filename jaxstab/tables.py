@@ -1,0 +1,192 @@
+"""Tables of TOML files: read as they are, and checked key by key into frozen dataclasses.
+
+Whatever is wrong is said in one sentence: the key, its value and what is allowed.
+"""
+
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from difflib import get_close_matches
+from math import inf, isfinite
+from os import PathLike
+from pathlib import Path
+from reprlib import repr as shortened
+from typing import Any, TypeVar
+
+Made = TypeVar("Made", bound="Table")
+Check = Callable[[Any], Any]
+"""It returns a value as it is kept, or raises a ValueError that says what is allowed."""
+
+
+def read_table(path: str | PathLike[str]) -> dict[str, Any]:
+    """Read a TOML file as it is.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not TOML.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise OSError(error.errno, f"cannot read {path}: {error.strerror}.") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"{path}: byte {error.start} is no UTF-8; save the file as UTF-8 text."
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: this is not TOML: {error}.") from error
+
+
+def key(check: Check, default: Any = MISSING) -> Any:
+    """Return the field of a Table for a key, with the check of its value."""
+    return field(default=default, metadata={"check": check})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """What a table of a file becomes. Values are checked whenever one is made.
+
+    Raises:
+        ValueError: one sentence on the first value that is not allowed.
+    """
+
+    def __post_init__(self) -> None:
+        _checked_values(type(self), vars(self))
+
+    @classmethod
+    def from_table(cls: type[Made], table: Any, place: str = "") -> Made:
+        """Check a table of a file, whose keys are unknown.
+
+        Args:
+            table: a mapping, or whatever stands in its place.
+            place: keys that lead to it, for the sentence.
+
+        Raises:
+            ValueError: one sentence on the first key that is unknown, missing or has a bad value.
+        """
+        if not isinstance(table, Mapping):
+            raise ValueError(f"{place} is {shortened(table)}; give a table.")
+        check_keys(place, table, [entry.name for entry in fields(cls)])
+        values = cls.filled_in(table)
+        for entry in fields(cls):
+            if entry.name not in values and entry.default is MISSING:
+                raise ValueError(f"{_path(place, entry.name)} is missing; give it a value.")
+        try:
+            return cls(**_checked_values(cls, values))
+        except ValueError as error:
+            raise ValueError(_path(place, str(error))) from None
+
+    @classmethod
+    def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return a table with what others of its values stand for."""
+        return table
+
+
+def check_keys(place: str, keys: Iterable[str], known: list[str]) -> None:
+    """Refuse a key that is not known.
+
+    Raises:
+        ValueError: a key is unknown; the sentence has the most similar one.
+    """
+    for name in keys:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}."
+            raise ValueError(f"{_path(place, name)} is unknown; {hint}")
+
+
+def quantity(unit: str, *, is_positive: bool = False) -> Check:
+    """Return the check of a finite number in a unit, not negative."""
+    allowed = f"a finite number {'> 0' if is_positive else '>= 0'} in {unit}"
+
+    def check(value: Any) -> float:
+        number = _finite(value)
+        if number < 0.0 or (is_positive and number == 0.0) or number == inf:
+            raise ValueError(f"give {allowed}")
+        return number
+
+    return check
+
+
+def interval(unit: str) -> Check:
+    """Return the check of a finite number in a unit, or of two in order."""
+    allowed = f"a finite number >= 0 in {unit}, or [lowest, highest]"
+
+    def check(value: Any) -> tuple[float, float]:
+        ends = value if isinstance(value, list | tuple) else (value, value)
+        numbers = [_finite(end) for end in ends]
+        if len(numbers) != 2 or not all(0.0 <= number < inf for number in numbers):
+            raise ValueError(f"give {allowed}")
+        low, high = numbers
+        if low > high:
+            raise ValueError(f"its ends are swapped, so give [{high:g}, {low:g}]")
+        return low, high
+
+    return check
+
+
+def one_of(names: Iterable[str]) -> Check:
+    """Return the check of one of some names."""
+    known = list(names)
+
+    def check(value: Any) -> str:
+        if value not in known:
+            near = get_close_matches(str(value), known, n=1)
+            raise ValueError(f"did you mean {near[0]!r}?" if near else f"give {', '.join(known)}")
+        return str(value)
+
+    return check
+
+
+def some_of(names: Iterable[str]) -> Check:
+    """Return the check of a list of names, each of which is one of some."""
+    check_name = one_of(names)
+
+    def check(value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list | tuple):
+            raise ValueError("give a list")
+        for number, name in enumerate(value):
+            _checked(str(number), name, check_name)
+        return tuple(value)
+
+    return check
+
+
+def _checked_values(kind: type[Table], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of keys as they are kept; defaults are."""
+    known = {entry.name: entry for entry in fields(kind)}
+    return {
+        name: value
+        if value is known[name].default
+        else _checked(name, value, known[name].metadata["check"])
+        for name, value in values.items()
+    }
+
+
+def _checked(name: str, value: Any, check: Check) -> Any:
+    try:
+        return check(value)
+    except _Sentence as error:
+        raise _Sentence(f"{name}.{error}") from None
+    except ValueError as error:
+        end = "" if str(error).endswith("?") else "."
+        raise _Sentence(f"{name} is {shortened(value)}; {error}{end}") from None
+
+
+class _Sentence(ValueError):
+    """A sentence with the key and its value."""
+
+
+def _path(place: str, name: str) -> str:
+    return f"{place}.{name}" if place else name
+
+
+def _finite(value: Any) -> float:
+    """Return a number as a float; infinite whatever is none or too large."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return inf
+    try:
+        number = float(value)
+    except OverflowError:
+        return inf
+    return number if isfinite(number) else inf
