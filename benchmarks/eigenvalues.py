@@ -12,40 +12,49 @@ import numpy as np
 ALPHA, BETA, GAMMA, DELTA, DELAY = 0.05, 0.2, 1e-3, 0.01275, 1
 SAMPLE_TIME, MASS = 1e-3, 0.4
 
+Values = np.ndarray | float
+
 _GRID = 200
 _WINDOW = (0.2, 1.2)  # of alpha and beta: the stable set is inside
 
 
+def printed_plant(gamma: Values, delta: Values) -> tuple[Values, Values, Values, Values]:
+    """d1, d0, n1 and n0 by eq. (9) as printed, divided by -2 c1 gamma: what the library avoids."""
+    with np.errstate(all="ignore"):
+        c1 = np.sqrt(np.asarray(delta, complex) ** 2 - 4.0 * gamma)
+        c2, c3, d0 = np.exp(-(delta + c1) / 2.0), np.exp(-(delta - c1) / 2.0), np.exp(-delta)
+        unit = -2.0 * c1 * gamma
+        n1 = ((c3 + c2 - 2.0) * c1 + (c3 - c2) * delta) / unit
+        n0 = ((c3 + c2 - 2.0 * d0) * c1 + (c2 - c3) * delta) / unit
+        return -(c2 + c3).real, d0, n1.real, n0.real
+
+
 def polynomial(
-    alpha: np.ndarray | float,
-    beta: np.ndarray | float,
-    gamma: float = GAMMA,
-    delta: float = DELTA,
-    delay: int = DELAY,
+    alpha: Values, beta: Values, gamma: Values = GAMMA, delta: Values = DELTA, delay: int = DELAY
 ) -> np.ndarray:
     """Coefficients of the characteristic polynomial, shape (..., 4 + delay)."""
-    c1 = np.sqrt(complex(delta**2 - 4.0 * gamma))
-    c2, c3, d0 = np.exp(-(delta + c1) / 2.0), np.exp(-(delta - c1) / 2.0), np.exp(-delta)
-    n1 = (((c3 + c2 - 2.0) * c1 + (c3 - c2) * delta) / (-2.0 * c1 * gamma)).real
-    n0 = (((c3 + c2 - 2.0 * d0) * c1 + (c2 - c3) * delta) / (-2.0 * c1 * gamma)).real
-    alpha, beta = np.broadcast_arrays(alpha, beta)
-    p = np.zeros((*alpha.shape, 4 + delay))
-    p[..., :3] = 1.0, -(c2 + c3).real, d0
-    p[..., -3] += n1 * (alpha + beta)
-    p[..., -2] += n0 * (alpha + beta) - n1 * beta
-    p[..., -1] -= n0 * beta
+    d1, d0, n1, n0 = printed_plant(gamma, delta)
+    p = np.zeros((*np.broadcast_shapes(*map(np.shape, (alpha, beta, n1))), 4 + delay))
+    p[..., 0], p[..., 1], p[..., 2] = 1.0, d1, d0
+    with np.errstate(all="ignore"):
+        p[..., -3] += n1 * (alpha + beta)
+        p[..., -2] += n0 * (alpha + beta) - n1 * beta
+        p[..., -1] -= n0 * beta
     return p
 
 
 def radius(p: np.ndarray) -> np.ndarray:
-    """The largest modulus of a root of each polynomial."""
+    """The largest modulus of a root of each polynomial; infinite where a coefficient is."""
+    is_finite = np.isfinite(p).all(axis=-1)
     companion = np.zeros((*p.shape[:-1], p.shape[-1] - 1, p.shape[-1] - 1))
-    companion[..., 0, :] = -p[..., 1:]
+    companion[..., 0, :] = np.where(is_finite[..., None], -p[..., 1:], 0.0)
     companion[..., range(1, p.shape[-1] - 1), range(p.shape[-1] - 2)] = 1.0
-    return np.abs(np.linalg.eigvals(companion)).max(axis=-1)
+    return np.where(is_finite, np.abs(np.linalg.eigvals(companion)).max(axis=-1), np.inf)
 
 
-def grid(low: tuple[float, float] = (-0.05, 0.0), high: tuple[float, float] = _WINDOW):
+def grid(
+    low: tuple[float, float] = (-0.05, 0.0), high: tuple[float, float] = _WINDOW
+) -> tuple[np.ndarray, np.ndarray]:
     """Alphas (a column) and betas (a row) of a grid."""
     alpha, beta = (np.linspace(a, b, _GRID) for a, b in zip(low, high, strict=True))
     return alpha[:, None], beta[None, :]

@@ -3,8 +3,9 @@
 import numpy as np
 
 from benchmarks import truth
+from benchmarks.truth.balls import ExactPlant
 from benchmarks.truth.judge import Loops
-from benchmarks.truth.near_boundary import ExactPlant, points_near_the_boundary, random_plants
+from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 
 _MOST = (1e150, 1e4, 1e3)  # a gain, gamma and delta
 

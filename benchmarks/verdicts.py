@@ -15,12 +15,8 @@ import numpy as np
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import Timing
-from benchmarks.truth.near_boundary import (
-    ExactPlant,
-    points_near_the_boundary,
-    random_plants,
-    true_code,
-)
+from benchmarks.truth.balls import ExactPlant, true_code
+from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 from jaxstab.conventions import UNDECIDED
 
 MEASURE = "share of verdicts that certified roots contradict"

@@ -10,13 +10,8 @@ import pytest
 from mpmath import mp
 
 from benchmarks import truth
-from benchmarks.truth.near_boundary import (
-    ExactPlant,
-    moduli,
-    points_near_the_boundary,
-    random_plants,
-    true_code,
-)
+from benchmarks.truth.balls import ExactPlant, moduli, true_code
+from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, characteristic_polynomial, verdict
 from jaxstab.point.radius.bound import radius_error
 

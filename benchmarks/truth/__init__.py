@@ -1,7 +1,8 @@
 """What is true of a loop, by routes that share no code with jaxstab; tests and benchmarks ask it.
 
 - ``loop``: 50 digits of the plant, the polynomial, its roots and its boundary, for any loop;
-- ``near_boundary``: true verdicts in balls of python-flint, of many points close to the boundary;
+- ``balls``: plants and verdicts in balls of python-flint, for many points of one plant;
+- ``near_boundary``: points close to the boundary, to be judged;
 - ``slices``: the boundary of one slice, all pieces, and distances from it;
 - ``validity``: where the error of the linear condition first rises through a level;
 - ``problems``: the registry of loops that are hard to compute;
@@ -19,11 +20,11 @@ from benchmarks.truth.loop import (
     coefficients_to,
     degree,
     evaluate,
+    isolated_roots,
     motion,
     plant,
     plant_poles,
     polynomial,
-    printed_plant,
     root_balls,
     roots,
     sampled_plant,
@@ -44,11 +45,11 @@ __all__ = [
     "coefficients_to",
     "degree",
     "evaluate",
+    "isolated_roots",
     "motion",
     "plant",
     "plant_poles",
     "polynomial",
-    "printed_plant",
     "root_balls",
     "roots",
     "sampled_plant",

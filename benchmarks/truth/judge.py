@@ -10,8 +10,8 @@ import flint
 import numpy as np
 
 import jaxstab
-from benchmarks.truth import printed_plant
-from benchmarks.truth.near_boundary import ExactPlant
+from benchmarks import eigenvalues, truth
+from benchmarks.truth.balls import ExactPlant, code_of
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 
 CERTIFIED = ("verdict", "verdict, exact", "spectral_radius", "spectral_radius, companion")
@@ -97,7 +97,9 @@ def answers_of(loops: Loops) -> dict[str, Answer]:
     exact = jaxstab.characteristic_polynomial(alpha, beta, gamma, delta, loops.delay)
     found["numpy.roots"] = _by_roots(np.asarray(exact))
     if loops.delay % 1.0 == 0.0:
-        found["eq. (9) as printed"] = _by_roots(_printed(loops))
+        found["eq. (9) as printed"] = _by_roots(
+            eigenvalues.polynomial(alpha, beta, gamma, delta, int(loops.delay))
+        )
     return found
 
 
@@ -138,10 +140,7 @@ def _true(plants: _Plants, alpha: float, beta: float) -> tuple[int, float, float
             radius = float(largest.mid())
             rest = float((largest - radius).mid())
         distance = min(abs(float((modulus - 1).mid())) for modulus in moduli)
-    if any(modulus > 1 for modulus in moduli):
-        code = UNSTABLE
-    else:
-        code = STABLE if all(modulus < 1 for modulus in moduli) else UNDECIDED
+    code = code_of(moduli)
     if code == UNDECIDED and alpha != -plants.plant[0]:
         distance = np.nan  # by too few digits: whether a root is on the circle is not known
     return code, radius, rest, distance
@@ -152,16 +151,13 @@ def _moduli(plants: _Plants, alpha: float, beta: float) -> list[flint.arb]:
     moduli: list[flint.arb] = []
     for bits, plant_bits in _BITS.items():
         coefficients = plants[plant_bits].polynomial(alpha, beta, plants.plant[2])
-        while coefficients[-1] == 0:
-            coefficients.pop()
         size = 1 + max(abs(float(coefficient)) for coefficient in coefficients)  # of all roots
         with flint.ctx.workprec(bits):
             tolerance = size * flint.arb(2) ** -(5 * bits // 8)
-            try:
-                balls = flint.acb_poly(coefficients[::-1]).roots(tol=tolerance)
-            except ValueError:
+            balls = truth.isolated_roots(coefficients, tolerance)
+            if balls is None:
                 continue
-            moduli = [abs(ball) for ball in balls] or [flint.arb(0)]
+            moduli = [abs(ball) for ball in balls]
             on_circle = sum(modulus.overlaps(flint.arb(1)) for modulus in moduli)
             are_told_apart = on_circle <= (alpha == -plants.plant[0])  # p(1) = (alpha + gamma) N(1)
             if are_told_apart and _largest(moduli).rel_accuracy_bits() >= _DIGITS:
@@ -174,28 +170,5 @@ def _largest(moduli: list[flint.arb]) -> flint.arb:
 
 
 def _by_roots(coefficients: np.ndarray) -> Answer:
-    """numpy.roots of many polynomials: the same companion matrices, in one call."""
-    count, degree = coefficients.shape[0], coefficients.shape[1] - 1
-    usable = np.isfinite(coefficients).all(axis=1)
-    companion = np.zeros((count, degree, degree))
-    companion[:, 0] = np.where(usable[:, None], -coefficients[:, 1:], 0.0)
-    companion[:, range(1, degree), range(degree - 1)] = 1.0
-    radius = np.abs(np.linalg.eigvals(companion)).max(axis=1)
-    radius = np.where(usable, radius, np.inf)
-    return Answer(np.where(radius < 1, STABLE, UNSTABLE), radius, np.full(count, np.nan))
-
-
-def _printed(loops: Loops) -> np.ndarray:
-    whole, walls = int(loops.delay), loops.alpha.shape[1]
-    rows = []
-    for gamma, delta in zip(loops.gamma.tolist(), loops.delta.tolist(), strict=True):
-        rows += [printed_plant(gamma, delta)[:4]] * walls
-    d1, d0, n1, n0 = np.array(rows).T
-    alpha, beta = loops.alpha.ravel(), loops.beta.ravel()
-    coefficients = np.zeros((alpha.size, whole + 4))
-    coefficients[:, :3] = np.stack([np.ones_like(d1), d1, d0], axis=-1)
-    with np.errstate(all="ignore"):
-        coefficients[:, -3] += n1 * (alpha + beta)
-        coefficients[:, -2] += n0 * (alpha + beta) - n1 * beta
-        coefficients[:, -1] -= n0 * beta
-    return coefficients
+    radius = eigenvalues.radius(coefficients)
+    return Answer(np.where(radius < 1, STABLE, UNSTABLE), radius, np.full(radius.size, np.nan))

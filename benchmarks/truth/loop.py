@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import flint
-import numpy as np
 from mpmath import mp, mpc, mpf
 
 DIGITS = 50
@@ -107,20 +106,6 @@ def plant(gamma: Number, delta: Number, fraction: Number = 0) -> Plant:
     return Plant(*certain(lambda: sampled_plant(gamma, delta, fraction)))
 
 
-def printed_plant(gamma: float, delta: float) -> Plant:
-    """Eq. (9) as printed, divided by -2 c1 gamma, in plain float64: what the library avoids."""
-    with np.errstate(all="ignore"):
-        c1 = np.sqrt(np.complex128(delta) ** 2 - 4 * gamma)
-        c2, c3 = np.exp(-(delta + c1) / 2), np.exp(-(delta - c1) / 2)
-        unit = -2 * c1 * gamma
-        d0 = np.exp(-delta)
-        n1 = ((c3 + c2 - 2) * c1 + (c3 - c2) * delta) / unit
-        n0 = ((c3 + c2 - 2 * d0) * c1 + (c2 - c3) * delta) / unit
-        beta_part = 2 * ((1 - d0) * c1 + (c2 - c3) * delta) / unit
-        values = (-(c2 + c3), d0, n1, n0, 0.0, n1 + n0, -beta_part)
-        return Plant(*(float(np.real(v)) for v in values))
-
-
 # -------------------------------------------------------------------- the characteristic polynomial
 
 
@@ -179,25 +164,35 @@ def rational_roots(coefficients: Sequence[mpf]) -> list[flint.acb]:
 def transcendental_roots(
     alpha: Number, beta: Number, gamma: Number, delta: Number, delay: float
 ) -> list[flint.acb]:
-    """The roots, with the roots at zero split off; without a controller they are known."""
+    """The roots, by more and more digits; without a controller they are known."""
     for digits in PRECISIONS:
         with flint.ctx.workdps(digits + 20):
-            coefficients = coefficients_to(digits, alpha, beta, gamma, delta, delay)
-            while coefficients[-1] == 0:
-                coefficients.pop()
-            zeros = [flint.acb(0)] * (degree(delay) + 1 - len(coefficients))
             if alpha == beta == 0:
-                balls = plant_poles(gamma, delta)
+                zeros = [flint.acb(0)] * (degree(delay) - 2)
+                balls = plant_poles(gamma, delta) + zeros
             else:
                 error = flint.arb(0, flint.arb(10) ** -digits)
-                inexact = [as_arb(c) * (1 + error) for c in reversed(coefficients)]
-                try:
-                    balls = flint.acb_poly(inexact).roots(tol=flint.arb(10) ** -(SAFE_DIGITS + 10))
-                except ValueError:
-                    continue
-            if all(ball.rel_accuracy_bits() > SAFE_DIGITS * 3.3 for ball in balls):
-                return [on_real_axis(ball, balls) for ball in balls] + zeros
+                coefficients = coefficients_to(digits, alpha, beta, gamma, delta, delay)
+                inexact = [as_arb(c) * (1 + error) for c in coefficients]
+                balls = isolated_roots(inexact, flint.arb(10) ** -(SAFE_DIGITS + 10))
+            if balls and all(b == 0 or b.rel_accuracy_bits() > SAFE_DIGITS * 3.3 for b in balls):
+                return [on_real_axis(ball, balls) for ball in balls]
     raise NotCertain(f"roots not told apart at {(alpha, beta, gamma, delta, delay)}")
+
+
+def isolated_roots(
+    coefficients: Sequence[flint.arb], tolerance: flint.arb
+) -> list[flint.acb] | None:
+    """All roots, each in a certified ball of its own, at flint's precision; those at 0 exactly.
+
+    None where some cannot be told apart.
+    """
+    last = max(n for n, c in enumerate(coefficients) if c != 0)
+    try:
+        balls = flint.acb_poly(coefficients[last::-1]).roots(tol=tolerance)
+    except ValueError:
+        return None
+    return balls + [flint.acb(0)] * (len(coefficients) - 1 - last)
 
 
 def plant_poles(gamma: Number, delta: Number) -> list[flint.acb]:

@@ -14,7 +14,7 @@ import numpy as np
 from mpmath import mp, mpc, mpf
 
 from benchmarks import truth
-from benchmarks.truth.near_boundary import ExactPlant, true_code
+from benchmarks.truth.balls import ExactPlant, true_code
 from jaxstab import STABLE, UNDECIDED, UNSTABLE
 
 Point = tuple[float, float, float, float, float]
@@ -64,26 +64,16 @@ class Problem:
     def exact_code(self) -> int:
         """STABLE, UNSTABLE, or UNDECIDED with no root outside and one on the circle."""
         plant = ExactPlant.of(*self.point[2:])
-        coefficients = plant.polynomial(*self.point[:2], self.delay)
-        while coefficients[-1] == 0:
-            coefficients.pop()
-        return true_code(coefficients)
+        return true_code(plant.polynomial(*self.point[:2], self.delay))
 
 
 def _certified_roots(*point: float) -> list[flint.acb]:
     coefficients = ExactPlant.of(*point[2:]).polynomial(*point[:2], point[4])
-    zeros = 0
-    while coefficients[-1] == 0:
-        coefficients.pop()
-        zeros += 1
     for bits in _BITS:
         with flint.ctx.workprec(bits):
-            try:
-                tolerance = flint.arb(2) ** (-bits // 2)
-                balls = flint.acb_poly(coefficients[::-1]).roots(tol=tolerance)
-            except ValueError:
-                continue
-            return sorted(balls, key=lambda ball: -float(abs(ball).mid())) + [flint.acb(0)] * zeros
+            balls = truth.isolated_roots(coefficients, flint.arb(2) ** (-bits // 2))
+            if balls is not None:
+                return sorted(balls, key=lambda ball: -float(abs(ball).mid()))
     return truth.root_balls(*point)  # exactly multiple roots, at gamma = delta = 0
 
 

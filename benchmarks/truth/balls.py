@@ -1,0 +1,87 @@
+"""Plants and verdicts in balls of python-flint: quick where many points of one plant are asked."""
+
+from typing import NamedTuple
+
+import flint
+
+from benchmarks import truth
+from jaxstab import STABLE, UNDECIDED, UNSTABLE
+
+
+class ExactPlant(NamedTuple):
+    """The truth's plant in balls of so many bits, which serve many points."""
+
+    d1: flint.arb
+    d0: flint.arb
+    n2: flint.arb
+    n1: flint.arb
+    n0: flint.arb
+    bits: int
+
+    @classmethod
+    def of(cls, gamma: float, delta: float, delay: float, bits: int = 1400) -> "ExactPlant":
+        _, fraction = truth.split_delay(delay)
+        with flint.ctx.workprec(bits):
+            stiffness, damping = flint.arb(gamma), flint.arb(delta)
+            position, velocity = _motion(stiffness, damping, flint.arb(1))
+            state_12, state_22 = velocity, 1 - damping * velocity - stiffness * position
+            d1, d0 = stiffness * position - 1 - state_22, (-damping).exp()
+            if fraction == 0:
+                n1 = velocity**2 - state_22 * position
+                return cls(d1, d0, position, n1, flint.arb(0), bits)
+            n2, early = _motion(stiffness, damping, 1 - flint.arb(fraction))
+            late_position, late_velocity = position - n2, velocity - early
+            n1 = late_position + state_12 * early - state_22 * n2
+            n0 = state_12 * late_velocity - state_22 * late_position
+            return cls(d1, d0, n2, n1, n0, bits)
+
+    def polynomial(self, alpha: float, beta: float, delay: float) -> list[flint.arb]:
+        whole, fraction = truth.split_delay(delay)
+        with flint.ctx.workprec(self.bits):
+            a, b = flint.arb(alpha), flint.arb(beta)
+            wall = [
+                self.n2 * (a + b),
+                self.n1 * (a + b) - self.n2 * b,
+                self.n0 * (a + b) - self.n1 * b,
+                -self.n0 * b,
+            ][: 3 if fraction == 0 else 4]
+            coefficients = [flint.arb(1), self.d1, self.d0] + [flint.arb(0)] * (
+                whole + len(wall) - 2
+            )
+            for place, value in enumerate(reversed(wall), start=1):
+                coefficients[-place] += value
+            return coefficients
+
+
+def _motion(
+    stiffness: flint.arb, damping: flint.arb, time: flint.arb
+) -> tuple[flint.arb, flint.arb]:
+    """Position and velocity of the plant at rest after a unit of force for a time."""
+    still = flint.arb(0)
+    generator = [[still, time, still], [-stiffness * time, -damping * time, time], [still] * 3]
+    transition = flint.arb_mat(generator).exp()
+    return transition[0, 2], transition[1, 2]
+
+
+def moduli(coefficients: list[flint.arb], bits: int) -> list[flint.arb] | None:
+    """The moduli of all roots in balls; None where so many bits do not tell the roots apart."""
+    with flint.ctx.workprec(bits):
+        roots = truth.isolated_roots(coefficients, flint.arb(2) ** (-bits // 2))
+        return None if roots is None else [abs(ball) for ball in roots]
+
+
+def true_code(coefficients: list[flint.arb]) -> int:
+    """UNDECIDED where a root is on the circle, as far as 360 digits can tell."""
+    for bits in (160, 400, 1200):
+        balls = moduli(coefficients, bits)
+        code = UNDECIDED if balls is None else code_of(balls)
+        if code != UNDECIDED:
+            return code
+    return UNDECIDED
+
+
+def code_of(moduli: list[flint.arb]) -> int:
+    """The verdict that follows from the moduli of all roots."""
+    if any(modulus > 1 for modulus in moduli):
+        return UNSTABLE
+    return STABLE if all(modulus < 1 for modulus in moduli) else UNDECIDED
