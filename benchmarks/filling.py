@@ -1,4 +1,4 @@
-"""A slice of verdicts that is filled between the boundary's crossings, beside writing its array.
+"""A slice of verdicts that is proved column by column, beside writing its array.
 
 Plain writes are to memory that the process holds but that has left the cache, and to new memory,
 the first touch of each page included, in pages as large as NumPy asks for. ``error`` is the share
@@ -10,14 +10,15 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import cycle
 from mmap import MADV_HUGEPAGE, mmap
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from jaxstab.atlas.compute.fill import Slice, plan_filling
+from jaxstab import verdict
+from jaxstab.atlas.compute.verdicts import node_verdicts, undecided_nodes
 from jaxstab.conventions import STABLE, UNSTABLE
 
 GAMMA, DELTA = 1e-3, 0.015
@@ -27,6 +28,33 @@ _ALL_TURNS = (-4.0, 4.0, -4.0, 4.0)
 _BEYOND_CACHE = 2**28  # bytes that are written in turns
 
 Call = Callable[[], Any]
+
+
+class Slice(NamedTuple):
+    """All (alpha, beta) of a grid at one (gamma, delta, delay)."""
+
+    alpha: np.ndarray
+    beta: np.ndarray
+    gamma: float
+    delta: float
+    delay: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.alpha.size, self.beta.size
+
+    @property
+    def size(self) -> int:
+        return self.alpha.size * self.beta.size
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        hand = np.array([self.gamma]), np.array([self.delta])
+        return self.alpha, self.beta, *hand, self.delay
+
+    def dense(self) -> np.ndarray:
+        point = (self.alpha[:, None], self.beta, self.gamma, self.delta, self.delay)
+        return np.asarray(verdict(*point, resolve="exact"))
 
 
 def rows(small: bool) -> Iterator[Row]:
@@ -59,7 +87,7 @@ def _slice_rows(section: str, of: Slice, small: bool) -> Iterator[Row]:
             **timing.columns(),
             "error": float(np.mean([codes[node] != code for node, code in judged.items()])),
             "error_measure": MEASURE,
-            "evaluated": plan_filling(of).computed if method == "filled" else of.size,
+            "evaluated": int(undecided_nodes(*of.arguments)[0]) if method == "filled" else of.size,
             "differing": int(np.sum(codes != dense)),
             "times_write": timing.median / timings["write"].median,
             "times_new_write": timing.median / timings["write, new memory"].median,
@@ -67,7 +95,7 @@ def _slice_rows(section: str, of: Slice, small: bool) -> Iterator[Row]:
 
 
 def _filled(of: Slice) -> np.ndarray:
-    return plan_filling(of).codes()
+    return node_verdicts(*of.arguments)[0]
 
 
 def _rotating(of: Slice) -> Call:

@@ -189,9 +189,12 @@ def test_a_point_outside_is_refused_by_name_value_and_range_or_undecided(
 
 
 @pytest.mark.parametrize("name", AXES)
-def test_nan_is_refused_by_name_even_where_outside_is_allowed(name: str, atlas: Atlas) -> None:
-    with pytest.raises(ValueError, match=f"^{name} is NaN"):
-        atlas.query(**(inner_point(atlas) | {name: np.nan}), outside="undecided")
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_refused_by_name_even_where_outside_is_allowed(
+    value: float, name: str, atlas: Atlas
+) -> None:
+    with pytest.raises(ValueError, match=f"^{name} is {value}; allowed are finite values"):
+        atlas.query(**(inner_point(atlas) | {name: value}), outside="undecided")
 
 
 @pytest.mark.parametrize("name", AXES)

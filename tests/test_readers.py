@@ -175,8 +175,8 @@ def refused_files(folder: Path) -> Iterator[tuple[Path, str]]:
         ("truncated", whole[:-1], damage),
         ("without-footer", whole[:-48], damage),
         ("no-hdf5", footer.sealed(bytes(1000)), damage),
-        ("newer", edited(set_version(3)), "has a schema version other than 2"),
-        ("older", edited(set_version(1)), "has a schema version other than 2"),
+        ("newer", edited(set_version(4)), "has a schema version other than 2 and 3"),
+        ("older", edited(set_version(1)), "has a schema version other than 2 and 3"),
         ("without-limits", edited(lambda f: f.pop("alpha_limits")), "holds no limits of alpha"),
         ("without-gamma", edited(lambda f: f.pop("gamma")), damage),
     ):

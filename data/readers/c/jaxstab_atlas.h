@@ -38,7 +38,8 @@ enum {
     JAXSTAB_STABLE = 1,    /* proved */
     JAXSTAB_UNSTABLE = 2,  /* proved */
     JAXSTAB_UNDECIDED = 3, /* too close to the boundary for the atlas */
-    JAXSTAB_SCHEMA_VERSION = 2
+    JAXSTAB_OLDEST_SCHEMA = 2,
+    JAXSTAB_NEWEST_SCHEMA = 3
 };
 
 /* Every alpha from lower + lower_error to upper - upper_error is stable, and every one below
@@ -323,8 +324,9 @@ static inline jaxstab_atlas *jaxstab_loaded_(hid_t file, const char **problem)
     *problem = jaxstab_damaged_;
     if (!jaxstab_is_format_(file))
         return NULL;
-    if (jaxstab_version_(file) != JAXSTAB_SCHEMA_VERSION) {
-        *problem = "has a schema version other than 2; use another reader, or build it again.";
+    const int version = jaxstab_version_(file);
+    if (version < JAXSTAB_OLDEST_SCHEMA || version > JAXSTAB_NEWEST_SCHEMA) {
+        *problem = "has a schema version other than 2 and 3; use another reader, or build it again.";
         return NULL;
     }
     if (H5Lexists(file, "alpha_limits", H5P_DEFAULT) == 0) {

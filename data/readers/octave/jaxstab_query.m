@@ -134,12 +134,14 @@ function check_bytes(file)
   if ~isequal(bytes(numel(image) + 1:end), footer) || isempty(strfind(image, 'jaxstab atlas'))
     refuse_damaged(file);
   end
-  % Octave shows no attributes, so this is schema_version = 2 as it lies in the file: name, type
-  % (int32, little endian), space (one value) and value.
-  version = ['schema_version', 0, 16, 8, 0, 0, 4, 0, 0, 0, 0, 0, 32, 0, 2, 0, 0, 0, 2, 0, 0, 0];
-  if isempty(strfind(image, char(version)))
+  % Octave shows no attributes, so this is schema_version as it lies in the file: name, type (int32,
+  % little endian), space (one value) and value, which is 2 or 3.
+  head = [uint8('schema_version'), 0, 16, 8, 0, 0, 4, 0, 0, 0, 0, 0, 32, 0, 2, 0, 0, 0];
+  at = strfind(image, char(head)) + numel(head);
+  if numel(at) ~= 1 || ~any(image(at) == [2, 3]) || any(image(at + (1:3)) ~= 0)
     error('jaxstab:version', ...
-          '%s has a schema version other than 2; use another reader, or build it again.', file);
+          '%s has a schema version other than 2 and 3; use another reader, or build it again.', ...
+          file);
   end
 end
 

@@ -45,6 +45,12 @@ class Grid:
         lengths = dict(zip((*NODE, *CELL), (*self.shape, *self.cell_shape), strict=True))
         return lengths | {"limit_cell": self.limit_cells, "limit_term": 2 * len(TERMS)}
 
+    def walls(
+        self, delay: int
+    ) -> tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"], float]:
+        """Return the nodes of alpha and beta at the delay of this index, and the delay."""
+        return self.alpha[:, delay], self.beta[:, delay], float(self.delay[delay])
+
     def sides(self, axis: str) -> Float64[np.ndarray, "cell 2"]:
         """Return the ends of the cells along gamma or delta; one node alone is both of them."""
         nodes = getattr(self, axis)

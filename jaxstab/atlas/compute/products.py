@@ -1,17 +1,15 @@
 """What each product holds in a tile of the plan: functions of the plan and the tile alone."""
 
 from collections.abc import Callable, Mapping
-from itertools import product
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int8
+from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
 
-from jaxstab.atlas.compute.blocks import prove_blocks
-from jaxstab.atlas.compute.fill import plan_filling
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.compute.slices import outlines, summaries
+from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts
 from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
     CELL_RADIUS_ERROR,
@@ -24,7 +22,6 @@ from jaxstab.boxes.columns import stable_columns
 from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.boxes.root_discs import interpolation_errors
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.point import spectral_radius
 
 Arrays = dict[str, NDArray[Any]]
@@ -48,65 +45,28 @@ def compute_tile(plan: Plan, tile: Tile) -> Arrays:
 
 
 def _verdicts(plan: Plan, tile: Tile) -> Arrays:
-    nodes = np.zeros(plan.shape(VERDICT, tile), np.int8)
-    cells = np.zeros(plan.shape(CELL_VERDICT, tile), np.int8)
-    gammas, deltas = (plan.numbers(name, tile) for name in ("gamma", "delta"))
-    corners = {
-        (gamma, delta): plan_filling(plan.slice_at(gamma, delta, tile.delay)).codes()
-        for gamma in _with_next(gammas, plan.grid.gamma.size)
-        for delta in _with_next(deltas, plan.grid.delta.size)
+    alpha, beta, delay = plan.grid.walls(tile.delay)
+    hands = plan.hands(tile)
+    nodes = node_verdicts(alpha, beta, hands[:, 0], hands[:, 1], delay)
+    cells = np.zeros((0, alpha.size - 1, beta.size - 1), np.int8)
+    sides = _sides(plan, tile)
+    if sides.size:
+        cells = cell_verdicts(alpha, beta, _boxes(sides), delay)
+    return {
+        VERDICT: np.moveaxis(nodes, 0, -1).reshape(plan.shape(VERDICT, tile)),
+        CELL_VERDICT: np.moveaxis(cells, 0, -1).reshape(plan.shape(CELL_VERDICT, tile)),
     }
-    for j, delta in enumerate(deltas):
-        nodes[:, :, 0, j, 0] = corners[tile.gamma, delta]
-    for gamma in plan.numbers("gamma_cell", tile):
-        for j, delta in enumerate(plan.numbers("delta_cell", tile)):
-            proved = prove_blocks(plan.cells_at(gamma, delta, tile.delay)).cells()
-            around = [
-                corners[corner]
-                for corner in product((gamma, gamma + 1), (delta, delta + 1))
-                if corner in corners
-            ]
-            cells[:, :, 0, j, 0] = _cell_codes(proved, np.stack(around))
-    return {VERDICT: nodes, CELL_VERDICT: cells}
-
-
-def _with_next(numbers: range, count: int) -> range:
-    """Return the numbers of nodes, and of the one after them, if any, where their cells end."""
-    return range(numbers.start, min(numbers.stop + 1, count))
-
-
-def _cell_codes(
-    proved: Bool[np.ndarray, "alpha_cell beta_cell"],
-    corners: Int8[np.ndarray, "corner alpha_node beta_node"],
-) -> Int8[np.ndarray, "alpha_cell beta_cell"]:
-    """Return the verdicts of cells without a crossing, from the verdicts at their corners."""
-    some_stable, some_unstable = (_at_some_corner(corners == code) for code in (STABLE, UNSTABLE))
-    return np.select(
-        [proved & some_stable & ~some_unstable, proved & some_unstable & ~some_stable],
-        [np.int8(STABLE), np.int8(UNSTABLE)],
-        np.int8(UNDECIDED),
-    )
-
-
-def _at_some_corner(
-    corners: Bool[np.ndarray, "corner alpha_node beta_node"],
-) -> Bool[np.ndarray, "alpha_cell beta_cell"]:
-    nodes = np.logical_or.reduce(corners)
-    either = nodes[:-1] | nodes[1:]
-    beside: np.ndarray = either[:, :-1] | either[:, 1:]
-    return beside
 
 
 def _alpha_limits(plan: Plan, tile: Tile) -> Arrays:
-    grid = plan.grid
     sides = _sides(plan, tile)
     shape = plan.shape(ALPHA_LIMITS, tile)
     if not sides.size:
         return {ALPHA_LIMITS: np.zeros(shape)}
-    alpha, beta = grid.alpha[:, tile.delay], grid.beta[:, tile.delay]
+    alpha, beta, delay = plan.grid.walls(tile.delay)
     domain = Domain((alpha[0], alpha[-1]), (beta[0], beta[-1]))
-    edges = np.linspace(*domain.beta, grid.limit_cells + 1)
-    columns = stable_columns(edges, _boxes(sides), float(grid.delay[tile.delay]), domain)
+    edges = np.linspace(*domain.beta, plan.grid.limit_cells + 1)
+    columns = stable_columns(edges, _boxes(sides), delay, domain)
     planes = np.concatenate([columns.lower, columns.upper], axis=-1)
     return {ALPHA_LIMITS: planes.swapaxes(0, 1).reshape(shape)}
 
@@ -146,16 +106,18 @@ def _cell_errors(
     sides: Float64[np.ndarray, "hand side"],
     corners: Float32[np.ndarray, "gamma_side delta_side alpha_node beta_node"],
 ) -> Float32[np.ndarray, "alpha_cell beta_cell"]:
-    grid = plan.grid
-    alpha, beta = grid.alpha[:, tile.delay], grid.beta[:, tile.delay]
+    alpha, beta, delay = plan.grid.walls(tile.delay)
     both = np.broadcast_to(corners, (2, 2, alpha.size, beta.size))  # of one node, both sides
-    errors = interpolation_errors(
-        alpha, beta, _boxes(sides[None]), float(grid.delay[tile.delay]), both.astype(np.float64)
-    )
+    errors = interpolation_errors(alpha, beta, _boxes(sides[None]), delay, both.astype(np.float64))
     # In its own tile a node can be rounded to the other side.
     digit = max(_FLOAT32_STEP, float(np.spacing(corners.max())))
     step = max(_rounding_step(plan.spec.radius_rounding), digit)
     return _raised(errors + 2.0 * step)
+
+
+def _with_next(indices: range, count: int) -> range:
+    """Return the indices of nodes, and of the one after them, if any, where their cells end."""
+    return range(indices.start, min(indices.stop + 1, count))
 
 
 def _sides(plan: Plan, tile: Tile) -> Float64[np.ndarray, "cell hand side"]:

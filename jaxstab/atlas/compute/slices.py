@@ -17,7 +17,7 @@ Arrays = dict[str, NDArray[Any]]
 def outlines(plan: Plan, tile: Tile) -> Arrays:
     """Return the outlines of the stable regions of a tile, one after the other."""
     delay = float(plan.grid.delay[tile.delay])
-    regions = [stable_region(gamma, delta, delay) for gamma, delta in _hands(plan, tile).tolist()]
+    regions = [stable_region(gamma, delta, delay) for gamma, delta in plan.hands(tile).tolist()]
     points = [_ended(region.points) for region in regions]
     corners = [_ended(region.corners) for region in regions]
     # A piece begins at every point but the last one and the end mark.
@@ -44,7 +44,7 @@ def outlines(plan: Plan, tile: Tile) -> Arrays:
 
 def summaries(plan: Plan, tile: Tile) -> Arrays:
     """Return the extremes of the stable regions of a tile, and the fastest loops."""
-    values = slice_summaries(_hands(plan, tile), float(plan.grid.delay[tile.delay]))
+    values = slice_summaries(plan.hands(tile), float(plan.grid.delay[tile.delay]))
     return {name: value.reshape(plan.shape(name, tile)) for name, value in values.items()}
 
 
@@ -72,11 +72,6 @@ def slice_summaries(
         name: np.array(value, np.float64)
         for name, value in zip(schema.SUMMARY, values, strict=True)
     }
-
-
-def _hands(plan: Plan, tile: Tile) -> Float64[np.ndarray, "slice 2"]:
-    deltas = plan.grid.delta[list(plan.numbers("delta", tile))]
-    return np.stack([np.full_like(deltas, plan.grid.gamma[tile.gamma]), deltas], axis=-1)
 
 
 def _ended(points: Float64[np.ndarray, "point 2"]) -> Float64[np.ndarray, "point_and_end 2"]:

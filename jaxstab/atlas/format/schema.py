@@ -10,7 +10,9 @@ from typing import Final
 from jaxstab.conventions import Verdict
 
 FORMAT: Final = "jaxstab atlas"
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
+READ_VERSIONS: Final = (2, 3)
+"""Version 2 has the same variables, but verdicts of nodes far from the boundary are not proved."""
 
 FOOTER_MAGIC: Final = b"jaxstab\n"
 """After the image: these 8 bytes, its length (uint64, little endian), its SHA-256 (32 bytes)."""
@@ -126,17 +128,15 @@ VARIABLES: Final = {
             NODE,
             "stability at the node",
             "stable: all roots of the characteristic polynomial inside the unit circle; "
-            "unstable: not so; undecided: too close to the boundary. Proved for each node next to "
-            "the boundary and for samples; the others lie between crossings of its closed form and "
-            "have the verdict of the samples there",
+            "unstable: not so; both proved. Undecided: too close to the boundary",
         ),
         Variable(
             CELL_VERDICT,
             "int8",
             CELL,
             "stability of all points of the cell",
-            "stable or unstable: proved for each point of the closed cell (no root crosses the "
-            "unit circle, by zero exclusion, and the verdict of a corner); undecided: no proof",
+            "stable or unstable: proved for each point of the closed cell (the boundary in closed "
+            "form is enclosed and passes elsewhere); undecided: no proof",
         ),
         _numbers("limit_cell", "cell i of n is the i-th of n equal parts of the range of beta"),
         _numbers(
@@ -245,5 +245,17 @@ ALWAYS: Final = frozenset(VARIABLES) - {name for names in PRODUCTS.values() for 
 
 FLAG_VALUES: Final = tuple(int(code) for code in Verdict)
 FLAG_MEANINGS: Final = " ".join(code.name.lower() for code in Verdict)
+
+ROOT_ATTRIBUTES: Final = (
+    "format",
+    "title",
+    "created_by",
+    "source",
+    "symbols",
+    "Conventions",
+    "schema_version",
+)
+ATTRIBUTES: Final = ("long_name", "interpretation", "units", "flag_values", "flag_meanings")
+"""What a file, and each of its datasets, says of itself in words and numbers."""
 
 LONGEST_LINE: Final = 4096  # bytes in a line of the specification

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import partial
 from itertools import pairwise
-from numbers import Real
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from jaxstab.atlas.format.schema import (
     VERDICT,
 )
 from jaxstab.conventions import AXES
+from jaxstab.numbers import checked_count, checked_number, checked_word
 
 LARGEST_DELAY = 100.0
 FEWEST_FITTED = 8
@@ -48,7 +48,7 @@ class FittedAxis:
     count: int
 
     def __post_init__(self) -> None:
-        _check_count("fitted", self.count, FEWEST_FITTED)
+        checked_count("fitted", self.count, FEWEST_FITTED, LARGEST_SLICE)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class ToleranceAxis:
 
     def __post_init__(self) -> None:
         for name, *limits in (("start", 0.0), ("stop", 0.0), ("tolerance", 1e-3, 1.0)):
-            number = _check_number(f"{name} of an axis", getattr(self, name), *limits)
+            number = checked_number(f"{name} of an axis", getattr(self, name), *limits)
             object.__setattr__(self, name, number)
         if not self.start < self.stop:
             raise ValueError(f"an axis goes from {self.start} to {self.stop}; give stop > start.")
@@ -117,8 +117,8 @@ class AtlasSpec:
             if not isinstance(value, _LAID_OUT.get(name, ())):
                 object.__setattr__(self, name, _checked_nodes(name, value))
         object.__setattr__(self, "products", _checked_products(self.products))
-        _check_count("limit_cells", self.limit_cells, 1)
-        _check_number("radius_rounding", self.radius_rounding, 0.0, 1.0)
+        checked_count("limit_cells", self.limit_cells, 1, LARGEST_SLICE)
+        checked_number("radius_rounding", self.radius_rounding, 0.0, 1.0)
         check_size([_least_count(getattr(self, name)) for name in AXES])
 
     @classmethod
@@ -197,7 +197,7 @@ def _axis_of(name: str, entry: Any) -> Any:
     if set(entry) == {"values"}:
         return entry["values"]
     if set(entry) == set(_TOLERANT):
-        return ToleranceAxis(*(_check_number(f"{key} of {name}", entry[key]) for key in _TOLERANT))
+        return ToleranceAxis(*(checked_number(f"{key} of {name}", entry[key]) for key in _TOLERANT))
     if set(entry) | {"spacing"} != set(_RANGE):
         others = {"fitted": ", or fitted", "tolerance": ", or start, stop and tolerance"}
         raise ValueError(
@@ -208,10 +208,9 @@ def _axis_of(name: str, entry: Any) -> Any:
 
 
 def _spaced(name: str, start: Any, stop: Any, count: Any, spacing: Any = "linear") -> list[float]:
-    _check_count(f"count of {name}", count, 2)
-    ends = [_check_number(f"{end} of {name}", v) for end, v in (("start", start), ("stop", stop))]
-    if spacing not in _SPACINGS:
-        raise ValueError(f"spacing of {name} is {spacing!r}; give one of {', '.join(_SPACINGS)}.")
+    checked_count(f"count of {name}", count, 2, LARGEST_SLICE)
+    ends = [checked_number(f"{end} of {name}", v) for end, v in (("start", start), ("stop", stop))]
+    checked_word(f"spacing of {name}", spacing, _SPACINGS)
     if spacing == "geometric" and min(ends) <= 0.0:
         raise ValueError(f"axis {name} is geometric from {ends[0]} to {ends[1]}; give ends > 0.")
     nodes: list[float] = _SPACINGS[spacing](*ends, count).tolist()
@@ -225,7 +224,7 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
         raise TypeError(f"axis {name} is {values!r}; give a list of numbers.")
     limits = {"alpha": (-math.inf, math.inf), "beta": (-math.inf, math.inf)}
     lower, upper = limits.get(name, (0.0, LARGEST_DELAY if name == "delay" else math.inf))
-    nodes = tuple(_check_number(f"axis {name}", value, lower, upper) for value in values)
+    nodes = tuple(checked_number(f"axis {name}", value, lower, upper) for value in values)
     if len(nodes) < (2 if name in limits else 1):
         fewest = "two" if name in limits else "one"
         raise ValueError(f"axis {name} has {len(nodes)} node(s); give at least {fewest}.")
@@ -252,26 +251,6 @@ def _check_names(where: str, names: Any, allowed: Sequence[str]) -> None:
             near = get_close_matches(str(name), allowed, n=1)
             hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(allowed)}."
             raise ValueError(f"{where} has no {name!r}; {hint}")
-
-
-def _check_number(
-    name: str, value: Any, lower: float = -math.inf, upper: float = math.inf
-) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} has {value!r}; give real numbers.")
-    number = float(value)
-    if not (math.isfinite(number) and lower <= number <= upper):
-        allowed = "finite numbers" + (f" >= {lower:g}" if lower > -math.inf else "")
-        allowed += f" and <= {upper:g}" if upper < math.inf else ""
-        raise ValueError(f"{name} has {number}; give {allowed}.")
-    return number
-
-
-def _check_count(name: str, count: Any, fewest: int) -> None:
-    if isinstance(count, bool) or not isinstance(count, int):
-        raise TypeError(f"{name} is {count!r}; give a whole number.")
-    if not fewest <= count <= LARGEST_SLICE:
-        raise ValueError(f"{name} is {count}; give {fewest} to {LARGEST_SLICE}.")
 
 
 def _toml(value: Any) -> str:

@@ -2,43 +2,31 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from importlib import import_module
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxstab.conventions import AXES, NOT_COMPUTED, UNDECIDED
+from jaxstab.conventions import AXES, NOT_COMPUTED, UNDECIDED, Status
+from jaxstab.numbers import checked
 
 Floats = NDArray[np.float64]
 Numbers = ArrayLike | float | int
 
 
-class QueryStatus(IntEnum):
+class QueryStatus(Status):
     """How an atlas knows what it answers for a point."""
 
-    NODE = 1
-    CELL = 2
-    UNDECIDED_CELL = 3
-    BETWEEN_DELAYS = 4
-    OUTSIDE = 5
-    EXACT = 6
-
-    @property
-    def words(self) -> str:
-        """The status in words."""
-        return _WORDS[self]
-
-
-_WORDS = {
-    QueryStatus.NODE: "a node: the atlas holds verdict and radius of this very point",
-    QueryStatus.CELL: "between nodes: the verdict is proved for a cell or column around the point, "
-    "the radius is interpolated",
-    QueryStatus.UNDECIDED_CELL: "between nodes: no verdict is proved, the radius is interpolated",
-    QueryStatus.BETWEEN_DELAYS: "between two delays of the atlas: it says nothing here",
-    QueryStatus.OUTSIDE: "outside of the atlas: it says nothing here",
-    QueryStatus.EXACT: "not decided by the atlas: the verdict was computed for this very point",
-}
+    NODE = 1, "a node: the atlas holds verdict and radius of this very point"
+    CELL = (
+        2,
+        "between nodes: the verdict is proved for a cell or column around the point, the radius "
+        "is interpolated",
+    )
+    UNDECIDED_CELL = 3, "between nodes: no verdict is proved, the radius is interpolated"
+    BETWEEN_DELAYS = 4, "between two delays of the atlas: it says nothing here"
+    OUTSIDE = 5, "outside of the atlas: it says nothing here"
+    EXACT = 6, "not decided by the atlas: the verdict was computed for this very point"
 
 
 @dataclass(frozen=True)
@@ -46,9 +34,9 @@ class AtlasAnswer:
     """What an atlas says about points; four arrays of the broadcast shape of the query.
 
     Attributes:
-        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved between nodes;
-            at a node they are what the atlas holds, whose interpretation says what is proved.
-            UNDECIDED where the atlas cannot decide; NOT_COMPUTED when it holds no verdicts.
+        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved, but at nodes of
+            an atlas of schema version 2 that are far from the boundary. UNDECIDED where the atlas
+            cannot decide; NOT_COMPUTED when it holds no verdicts.
         spectral_radius: computed at a node, multilinearly interpolated elsewhere; NaN where the
             atlas holds none.
         radius_error: proved bound of the error of ``spectral_radius``; infinite without one.
@@ -80,25 +68,9 @@ def no_answer(size: int, *, has_verdicts: bool) -> AtlasAnswer:
     )
 
 
-def check_outside(outside: str) -> None:
-    """Raise ValueError for an unknown word."""
-    if outside not in ("error", "undecided"):
-        raise ValueError(f"outside is {outside!r}; give 'error' or 'undecided'.")
-
-
 def all_checked(values: Sequence[Numbers], names: Sequence[str] = AXES) -> list[Floats]:
-    """Return real numbers without NaN, or raise TypeError or ValueError for the first others."""
-    return [_checked(name, value) for name, value in zip(names, values, strict=False)]
-
-
-def _checked(name: str, value: Numbers) -> Floats:
-    numbers = np.asarray(value)
-    if numbers.dtype.kind not in "iuf":
-        raise TypeError(f"{name} is {value!r}; give real numbers.")
-    numbers = numbers.astype(np.float64, copy=False)
-    if np.any(np.isnan(numbers)):
-        raise ValueError(f"{name} is NaN; give numbers.")
-    return numbers
+    """Return real, finite numbers, or raise TypeError or ValueError for the first others."""
+    return [np.asarray(checked(*pair), np.float64) for pair in zip(names, values, strict=False)]
 
 
 def check_inside(name: str, values: Floats, low: float, high: float, at: str = "") -> None:

@@ -20,7 +20,6 @@ from jaxstab.atlas.read.answer import (
     QueryStatus,
     all_checked,
     check_inside,
-    check_outside,
     no_answer,
     settle,
 )
@@ -29,6 +28,7 @@ from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.read.xarray_view import to_xarray
 from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
+from jaxstab.numbers import checked_word
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.intp]
@@ -47,7 +47,7 @@ class Atlas:
         created_by: the program and version that built it.
     """
 
-    arrays: Mapping[str, NDArray[Any]]
+    arrays: file.PackedArrays
     spec: str
     created_by: str
 
@@ -77,7 +77,7 @@ class Atlas:
 
     def to_xarray(self) -> Any:
         """Return all of it as an xarray.Dataset; RuntimeError where xarray is not installed."""
-        return to_xarray(self.arrays, self.created_by)
+        return to_xarray(self.arrays)
 
     def decided_fraction(self, delay_number: int) -> float:
         """Return the share of the volume at one delay in which a query between nodes is decided."""
@@ -114,17 +114,16 @@ class Atlas:
             delta: physical damping b T/m.
             delay: time delay t_d/T in samples.
             outside: "error" to refuse points outside of the atlas, "undecided" to answer so.
-            exact: settle UNDECIDED points inside by computation, for which JAX is imported.
+            exact: settle UNDECIDED points inside by computation.
 
         Raises:
             TypeError: an argument is not made of real numbers.
-            ValueError: a value is NaN or, unless ``outside`` is "undecided", outside of the atlas.
-            RuntimeError: ``exact`` is asked for and JAX's x64 mode is off.
+            ValueError: a value is NaN or infinite or, unless ``outside`` is "undecided", outside of
+                the atlas.
 
-        Source: the certificates are those of ``jaxstab.boxes.columns`` and
-        ``jaxstab.atlas.compute.certificate``.
+        Source: ``jaxstab.boxes.columns``.
         """
-        check_outside(outside)
+        checked_word("outside", outside, ("error", "undecided"))
         points = np.broadcast_arrays(*all_checked((alpha, beta, gamma, delta, delay)))
         shape = points[0].shape
         answer = no_answer(points[0].size, has_verdicts=self._has_verdicts)
@@ -180,7 +179,8 @@ class Atlas:
 
         Raises:
             TypeError: an argument is not made of real numbers.
-            ValueError: a value is NaN or outside of the atlas, or this holds no limits of alpha.
+            ValueError: a value is NaN, infinite or outside of the atlas, or this holds no limits of
+                alpha.
 
         Source: ``jaxstab.boxes.columns``.
         """

@@ -7,7 +7,7 @@ in memory, and the arrays are unpacked from them: what becomes of the file later
 """
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
@@ -36,7 +36,7 @@ _DAMAGED = "is damaged, or no jaxstab atlas; build it again or copy it anew."
 class Contents:
     """What an atlas file holds: arrays by the names of the schema, who made it, and a digest."""
 
-    arrays: Arrays
+    arrays: "PackedArrays"
     created_by: str
     content_digest: str
 
@@ -75,6 +75,20 @@ class PackedArrays(Mapping[str, Array]):
 
     def __len__(self) -> int:
         return len(self._shapes)
+
+    def attributes(self, name: str, wanted: Iterable[str]) -> dict[str, Any]:
+        """Return what the file says of a variable, or of itself ("/"), where it says it."""
+        with _parsed(io.BytesIO(self._data), self._path) as file:
+            of = file[name]
+            said = {
+                word: _attribute(of, word, dimensions=int(word == "flag_values"))
+                for word in wanted
+                if word in of.attrs
+            }
+        return {
+            word: value.decode() if isinstance(value, bytes) else value
+            for word, value in said.items()
+        }
 
     def _unpack(self, name: str) -> Array:
         if name not in self:
@@ -186,20 +200,21 @@ def _check_version(file: h5py.File) -> None:
     version = _attribute(file, "schema_version")
     if _attribute(file, "format") != np.bytes_(schema.FORMAT):
         raise _Refusal(_DAMAGED)
-    if version != schema.SCHEMA_VERSION:
+    if version not in schema.READ_VERSIONS:
+        known = " and ".join(map(str, schema.READ_VERSIONS))
         raise _Refusal(
-            f"has schema version {version}, and this jaxstab reads version "
-            f"{schema.SCHEMA_VERSION}; use the jaxstab that wrote it, or build it again."
+            f"has schema version {version}, and this jaxstab reads versions {known}; use the "
+            "jaxstab that wrote it, or build it again."
         )
 
 
-def _attribute(file: h5py.File, name: str) -> Any:
-    identifier = file.attrs.get_id(name)
-    if identifier.shape != () or identifier.dtype.kind not in "Si":
+def _attribute(of: h5py.Group | h5py.Dataset, name: str, dimensions: int = 0) -> Any:
+    identifier = of.attrs.get_id(name)
+    size = prod(identifier.shape) * identifier.dtype.itemsize
+    is_expected = len(identifier.shape) == dimensions and identifier.dtype.kind in "Si"
+    if not is_expected or size > _LONGEST_ATTRIBUTE:
         raise _Refusal(_DAMAGED)
-    if identifier.dtype.itemsize > _LONGEST_ATTRIBUTE:
-        raise _Refusal(_DAMAGED)
-    return file.attrs[name]
+    return of.attrs[name]
 
 
 def _checked_names(file: h5py.File) -> list[str]:

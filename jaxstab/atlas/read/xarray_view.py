@@ -1,15 +1,12 @@
 """An atlas as an ``xarray.Dataset``. No JAX, and xarray only when it is asked for."""
 
-from collections.abc import Mapping
 from typing import Any
 
-from numpy.typing import NDArray
-
 from jaxstab.atlas.format import schema
-from jaxstab.atlas.write.variables import attributes_of, head_attributes
+from jaxstab.atlas.read.file import PackedArrays
 
 
-def to_xarray(arrays: Mapping[str, NDArray[Any]], created_by: str) -> Any:
+def to_xarray(arrays: PackedArrays) -> Any:
     """Return the variables of an atlas with named coordinates, as ``xarray.open_dataset`` does.
 
     Raises:
@@ -21,10 +18,13 @@ def to_xarray(arrays: Mapping[str, NDArray[Any]], created_by: str) -> Any:
         raise RuntimeError(
             "an xarray.Dataset needs xarray: python -m pip install 'jaxstab[xarray]'."
         ) from error
-    variables = {}
-    for name, values in arrays.items():
-        attributes = attributes_of(schema.VARIABLES[name])
-        attributes.pop("coordinates", None)  # which alpha and beta are now
-        variables[name] = (schema.VARIABLES[name].dimensions, values, attributes)
-    dataset = xarray.Dataset(variables, attrs=head_attributes(created_by))
+    variables = {
+        name: (
+            schema.VARIABLES[name].dimensions,
+            values,
+            arrays.attributes(name, schema.ATTRIBUTES),
+        )
+        for name, values in arrays.items()
+    }
+    dataset = xarray.Dataset(variables, attrs=arrays.attributes("/", schema.ROOT_ATTRIBUTES))
     return dataset.set_coords(["alpha", "beta"])
