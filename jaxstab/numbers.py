@@ -3,6 +3,7 @@
 The sentence has the name, the value and what is allowed. Tracers pass: their values are not known.
 """
 
+import sys
 from collections.abc import Mapping
 from math import inf
 from typing import Any
@@ -12,6 +13,19 @@ import numpy as np
 from jaxstab.arrays import Numbers, is_jax, is_traced
 
 _NOISE = 1e-9
+
+
+def require_x64(*values: Numbers) -> None:
+    """Refuse to compute with JAX arrays while JAX is in its default single precision.
+
+    Raises:
+        RuntimeError: one of the values is a JAX array or a tracer, and x64 mode is off.
+    """
+    if any(map(is_jax, values)) and not sys.modules["jax"].config.read("jax_enable_x64"):
+        raise RuntimeError(
+            "jaxstab computes in float64, but JAX's x64 mode is off: call "
+            'jax.config.update("jax_enable_x64", True) before the first computation.'
+        )
 
 
 def checked(
@@ -69,9 +83,11 @@ def checked_number(
     Raises:
         TypeError: the value is not one real number, or it is traced.
         ValueError: the number is outside the range, infinite or NaN.
+        RuntimeError: it is a JAX array, and x64 mode is off.
     """
     if is_traced(value):
         raise TypeError(f"{name} is traced; give a concrete number, outside of jit, vmap and grad.")
+    require_x64(value)
     numbers = checked(name, value, low, high, is_open=is_open, unit=unit)
     if np.size(numbers) != 1:
         raise TypeError(f"{name} has shape {np.shape(numbers)}; give a single number.")

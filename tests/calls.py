@@ -1,7 +1,7 @@
 """One good call of each public function that computes, and what it answers as a text.
 
-A call is a list of arguments; "loop" stands for a HapticLoop, "hands" for a HandRange,
-"function" for one that a sweep calls.
+A call is a list of arguments, with a dict of keywords at its end where there are some; "loop" stands
+for a HapticLoop, "hands" for a HandRange, "function" for one that a sweep calls.
 """
 
 import sys
@@ -51,9 +51,13 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "passive_region": [0.015, 1.0],
     "region_facts": [0.001, 0.015, 1.0],
     "resolved_region": [0.001, 0.015, 1.0],
-    "robust_region": [[0.0, 0.001], [0.0, 0.015], 1.0],
+    "robust_region": [(0.0, 0.001), (0.0, 0.015), 1.0],
     "routh_hurwitz_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "trace_boundary": [["gamma", "delta"], [[0.0, 1.0], [0.0, 1.0]]],
+    "trace_boundary": [
+        ("gamma", "delta"),
+        ((0.0, 1.0), (0.0, 1.0)),
+        {"alpha": 0.1, "beta": 0.2, "delay": 1.0},
+    ],
 }
 
 
@@ -80,7 +84,8 @@ def outcome(name: str, array: Callable[[Any], Any] | None = None) -> str:
         ]
         if array is not None:
             given = [array(value) if _are_numbers(value) else value for value in given]
-        return as_text(getattr(jaxstab, name)(*given))
+        options = given.pop() if isinstance(given[-1], dict) else {}
+        return as_text(getattr(jaxstab, name)(*given, **options))
     except Exception as error:  # noqa: BLE001
         return f"{type(error).__name__}: {error}"
 

@@ -21,19 +21,35 @@ TESTS = Path(__file__).parent
 
 # What is written for both array namespaces; all other functions still ask JAX for everything.
 CONVERTED = {
+    "boundary_curve",
+    "boundary_distance",
     "characteristic_polynomial",
     "closed_loop_poles",
     "companion_matrix",
+    "damping_limits",
+    "dimensionless_margins",
     "is_stable",
     "linear_alpha_limit",
     "linear_condition",
     "linear_error",
+    "linear_validity",
+    "margins",
+    "minus_line",
     "passive_region",
     "plant_coefficients",
+    "plus_line",
+    "region_facts",
+    "resolved_region",
+    "robust_limit",
+    "robust_region",
     "routh_hurwitz_condition",
     "spectral_radius",
+    "stable_region",
+    "stiffness_limits",
     "sweep",
     "verdict",
+    "wall_limits",
+    "worst_hand",
 }
 
 # No JAX array can be given to them: they take a HapticLoop and a HandRange alone.

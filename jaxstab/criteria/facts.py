@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxstab.criteria.passive import passive_region
 from jaxstab.criteria.validity import ValidityStatus, linear_validity
-from jaxstab.numbers import without_noise
+from jaxstab.numbers import require_x64, without_noise
 from jaxstab.region.region import RegionStatus, StableRegion, stable_region
 
 _FINE = 1e-7  # of delta: the tolerance of the passive region
@@ -23,9 +23,11 @@ def resolved_region(
 
     Raises:
         ValueError: an argument is outside its range, or there is no such region.
+        RuntimeError: an argument is a JAX array, and x64 mode is off.
 
     Source: sec. V of Hulin, Preusche, Hirzinger (2008).
     """
+    require_x64(gamma, delta, delay, radius)
     region = _kept_region(float(gamma), float(delta), float(delay), float(radius))
     where = f"gamma = {gamma:g}, delta = {delta:g}, delay = {delay:g}, radius = {radius:g}"
     if region.is_empty:

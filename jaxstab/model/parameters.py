@@ -1,6 +1,5 @@
 """The five dimensionless parameters (Table I): where they come from, what is allowed for them."""
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import wraps
@@ -10,8 +9,9 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Numbers, is_jax, is_traced
+from jaxstab.arrays import Numbers, is_traced
 from jaxstab.numbers import checked, checked_number
+from jaxstab.numbers import require_x64 as require_x64  # offered here, too
 
 GAMMA_LIMIT = 1e4
 DELTA_LIMIT = 1e3
@@ -107,19 +107,6 @@ def refuses_loops(function: Callable[Arguments, Result]) -> Callable[Arguments, 
         return function(*arguments, **options)
 
     return call
-
-
-def require_x64(*values: Numbers) -> None:
-    """Refuse to compute with JAX arrays while JAX is in its default single precision.
-
-    Raises:
-        RuntimeError: one of the values is a JAX array or a tracer, and x64 mode is off.
-    """
-    if any(map(is_jax, values)) and not sys.modules["jax"].config.read("jax_enable_x64"):
-        raise RuntimeError(
-            "jaxstab computes in float64, but JAX's x64 mode is off: call "
-            'jax.config.update("jax_enable_x64", True) before the first computation.'
-        )
 
 
 def checked_gain(name: str, value: Numbers) -> Numbers:
