@@ -1,6 +1,6 @@
 """One good call of each public function that computes, and what it answers as a text.
 
-A call is a list of arguments, with a dict of keywords at its end where there are some; "loop" stands
+A call is a list of arguments, with a dict of keywords at its end where there are some; "loop" is
 for a HapticLoop, "hands" for a HandRange, "function" for one that a sweep calls.
 """
 
