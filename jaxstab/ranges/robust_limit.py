@@ -116,7 +116,10 @@ def _common_limit(loops: list[HapticLoop], pull: float) -> RobustLimit:
         hopeful = columns.most > enough
         if not hopeful.any():
             break
-        first = hopeful & (columns.most >= np.sort(columns.most)[-min(_AT_ONCE, hopeful.size)])
+        order = np.argsort(np.where(hopeful, columns.most, -np.inf))
+        first = np.zeros_like(hopeful)
+        first[order[-_AT_ONCE:]] = True
+        first &= hopeful
         parts = _judged(loops, _divided(columns.begin[first], columns.end[first]), domain)
         inside = np.any(
             (parts.begin[:, None] >= columns.begin[first])
@@ -177,6 +180,8 @@ def _gaps(loops: list[HapticLoop], edges: Float64[np.ndarray, " edge"], domain: 
         gaps = column_gaps(loop.beta(edges), hand, loop.delay_samples, own)
         parts.append([loop.stiffness(gaps.low[0]), loop.stiffness(gaps.high[0]), gaps.verdict[0]])
     low, high, verdict = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    # All hands end at the same stiffness, which rounding must not take apart.
+    low, high = np.maximum(low, domain.alpha[0]), np.minimum(high, domain.alpha[1])
     counts = [part[0].shape[1] for part in parts]
     verdict = np.where(low < high, verdict, Verdict.NOT_COMPUTED)
     return _Gaps(low, high, verdict, np.repeat(np.arange(len(loops)), counts))
