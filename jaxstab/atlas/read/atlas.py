@@ -23,7 +23,7 @@ from jaxstab.atlas.read.answer import (
     no_answer,
     settle,
 )
-from jaxstab.atlas.read.cells import Place, decided_share, picked
+from jaxstab.atlas.read.cells import Integers, Place, decided_share, picked
 from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.read.xarray_view import to_xarray
@@ -31,7 +31,6 @@ from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
 from jaxstab.numbers import checked_word
 
 Floats = NDArray[np.float64]
-Integers = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 Range = tuple[float, float]
 Outside = Literal["error", "undecided"]
