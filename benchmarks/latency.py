@@ -6,6 +6,7 @@ rival is a process with NumPy's eigenvalues that answers the same to the resolut
 ``error`` is that of what the process prints, by the truth; for commands, the share that failed.
 """
 
+import json
 import os
 import re
 import subprocess
@@ -16,7 +17,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from statistics import median, quantiles
-from time import perf_counter
 from typing import NamedTuple
 
 from mpmath import mp, mpf
@@ -139,29 +139,42 @@ def _questions() -> list[Question]:
     ]  # fmt: skip
 
 
+# What a process took is asked by a small one: a child inherits the peak memory of its parent.
+_MEASURED = """
+import json, os, sys, time
+start = time.perf_counter()
+child = os.posix_spawn(sys.executable, [sys.executable, *sys.argv[1:]], os.environ)
+_, status, used = os.wait4(child, 0)
+with open("used.json", "w") as file:
+    json.dump({
+        "seconds": used.ru_utime + used.ru_stime,
+        "wall": time.perf_counter() - start,
+        "peak": used.ru_maxrss / 1024.0,
+        "code": os.waitstatus_to_exitcode(status),
+    }, file)
+"""
+
+
 def _run(words: tuple[str, ...]) -> Run:
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
         ours = ("JAX_", "OPENBLAS_", "XLA_")
         inherited = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
-        empty = {"XDG_CACHE_HOME": f"{folder}/cache", "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
-        with open(f"{folder}/out", "w+") as out, open(f"{folder}/errors", "w+") as errors:
-            start = perf_counter()
-            process = subprocess.Popen(
-                [sys.executable, *words],
-                cwd=folder,
-                env=inherited | empty,
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=errors,
-            )
-            _, status, used = os.wait4(process.pid, 0)
-            wall = perf_counter() - start
-            process.returncode = os.waitstatus_to_exitcode(status)
-            printed, complaints = (file.seek(0) or file.read() for file in (out, errors))
-    failed = process.returncode not in (0, 1) or "Traceback" in complaints  # 1: of unstable walls
+        empty = {"XDG_CACHE_HOME": f"{name}/cache", "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
+        done = subprocess.run(
+            [sys.executable, "-S", "-c", _MEASURED, *words],
+            cwd=folder,
+            env=inherited | empty,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        used = json.loads((folder / "used.json").read_text())
+    failed = used.pop("code") not in (0, 1) or "Traceback" in done.stderr  # 1: unstable walls
     if failed:
-        print(complaints, file=sys.stderr)
-    return Run(used.ru_utime + used.ru_stime, wall, used.ru_maxrss / 1024.0, printed, failed)
+        print(done.stderr, file=sys.stderr)
+    return Run(**used, printed=done.stdout, failed=failed)
 
 
 def _row(question: Question, method: str, runs: list[Run]) -> Row:
