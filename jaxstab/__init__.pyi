@@ -81,9 +81,9 @@ from .trace import trace_boundary as trace_boundary
 from .tuning import OptimalGains as OptimalGains
 from .tuning import OptimalWall as OptimalWall
 from .tuning import TuningStatus as TuningStatus
-from .tuning import least_radius as least_radius
-from .tuning import least_radius_damping as least_radius_damping
-from .tuning import least_settling as least_settling
+from .tuning import minimize_radius as minimize_radius
+from .tuning import minimize_radius_damping as minimize_radius_damping
+from .tuning import minimize_settling as minimize_settling
 from .tuning import optimal_gains as optimal_gains
 
 __version__: str

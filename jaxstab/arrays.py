@@ -23,6 +23,7 @@ Numbers: TypeAlias = Any
 """What a public function takes for an array: a number, a list, a NumPy or JAX array, a tracer."""
 
 Tree = TypeVar("Tree")
+Kept = TypeVar("Kept")
 Class = TypeVar("Class", bound=type)
 
 _PLAIN = frozenset({float, int, np.ndarray, np.float64})
@@ -137,6 +138,22 @@ def repeat(count: int | Array, step: Callable[[Tree], Tree], start: Tree) -> Tre
     from jax import lax
 
     result: Tree = lax.fori_loop(0, count, lambda _, state: step(state), start)
+    return result
+
+
+def repeat_and_keep(
+    count: int, step: Callable[[Tree], tuple[Tree, Kept]], start: Tree
+) -> tuple[Tree, Kept]:
+    """Apply a step a number of times, and stack what each gives beside the state that follows."""
+    if namespace(start) is np:
+        history = []
+        for _ in range(count):
+            start, gift = step(start)
+            history.append(gift)
+        return start, tree_map(lambda *values: np.array(values), *history)
+    from jax import lax
+
+    result: tuple[Tree, Kept] = lax.scan(lambda state, _: step(state), start, length=count)
     return result
 
 

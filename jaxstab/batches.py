@@ -17,7 +17,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from jaxtyping import Int64
 
-from jaxstab.arrays import Array, is_jax, is_traced, leaves, namespace, tree_map
+from jaxstab.arrays import Array, constant, is_jax, is_traced, leaves, namespace, tree_map
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -196,4 +196,35 @@ def in_batches(size: int, function: Callable[..., Result], *arrays: Any) -> Resu
         return np.concatenate([np.asarray(leaf) for leaf in leaves])[:count]
 
     result: Result = tree_map(joined, *parts)
+    return result
+
+
+def on_host(
+    function: Callable[..., Result], *arrays: Array, shape: tuple[int, ...], like: Any
+) -> Result:
+    """Call a NumPy function of arrays that all have one shape, also from JAX, jit and vmap.
+
+    A search with branches for each loop is no kernel for XLA: JAX hands its arrays to NumPy and
+    goes on with the answer, which has no derivative.
+
+    Args:
+        function: takes NumPy arrays, returns a tree of NumPy arrays of the same shape; it must not
+            call JAX.
+        arrays: what it is called with, broadcast to the shape.
+        shape: of arguments and results.
+        like: a tree like the result, with the dtype in place of each array.
+    """
+    xp = namespace(arrays)
+    arrays = constant(tuple(xp.broadcast_to(array, shape) for array in arrays))
+    if xp is np:
+        return function(*arrays)
+    import jax
+
+    shapes = tree_map(lambda dtype: jax.ShapeDtypeStruct(shape, dtype), like)
+    result: Result = jax.pure_callback(
+        lambda *given: function(*map(np.asarray, given)),
+        shapes,
+        *arrays,
+        vmap_method="broadcast_all",
+    )
     return result

@@ -11,7 +11,7 @@ from jaxstab import (
     AtlasSpec,
     FittedAxis,
     build_atlas,
-    least_radius,
+    minimize_radius,
     open_atlas,
     plan_atlas,
     stable_region,
@@ -60,7 +60,7 @@ def test_summaries_are_the_closed_forms(atlas: Atlas) -> None:
     assert atlas.arrays["largest_beta"][0, 0, 0] == pytest.approx(2.0, rel=1e-12)
     # The integral of 2 b (2 - b) / (b + 2) over 0 < b < 2
     assert atlas.arrays["stable_area"][0, 0, 0] == pytest.approx(12 - 16 * np.log(2), rel=1e-9)
-    other = least_radius(0.001, 0.005, 1.5)
+    other = minimize_radius(0.001, 0.005, 1.5)
     assert atlas.arrays["least_radius"][1, 1, 1] == pytest.approx(float(other.value), abs=1e-12)
 
 

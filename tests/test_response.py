@@ -129,6 +129,16 @@ class TestSimulate:
         np.testing.assert_allclose(response.position[:, 2], 4 * response.position[:, 0], rtol=1e-12)
         assert not np.allclose(response.position[0], response.position[1])
 
+    def test_of_jax_arrays_is_that_of_numpy(self) -> None:
+        walls = np.array([2_000.0, 3_000.0])
+        options = {"samples": 30, "velocity": 0.1, "between": 2, "unilateral": True}
+        plain = jaxstab.simulate(HELD, walls, 30.0, **options)
+        compiled = jaxstab.simulate(HELD, jax.numpy.asarray(walls), 30.0, **options)
+        assert all(isinstance(field, np.ndarray) for field in plain)
+        assert all(isinstance(field, jax.Array) for field in compiled)
+        for mine, other in zip(plain, compiled, strict=True):
+            np.testing.assert_allclose(mine, other, rtol=1e-12, atol=1e-12 * np.abs(mine).max())
+
     def test_the_derivative_in_stiffness_is_that_of_the_fine_discretisation(self) -> None:
         last = lambda k: jaxstab.simulate(HELD, k, 30.0, samples=40, force=5.0).position[-1]  # noqa: E731
         start = np.zeros(2)
@@ -144,7 +154,7 @@ class TestSimulate:
             ({}, "nothing moves"),
             ({"velocity": 0.1, "samples": 0}, "samples is 0"),
             ({"velocity": 0.1, "between": -1}, "between is -1"),
-            ({"velocity": np.nan}, "NaN"),
+            ({"velocity": np.nan}, "velocity is nan"),
         ],
     )
     def test_refuses(self, arguments: dict[str, float], message: str) -> None:

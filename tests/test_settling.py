@@ -99,15 +99,81 @@ class TestSettling:
         assert math.isinf(found.value)
         assert SettlingStatus(int(found.status)).words == "the loop is unstable and never settles"
 
-    def test_beyond_the_horizon_is_infinite_and_says_so(self) -> None:
+    def test_beyond_the_horizon_is_not_a_number_and_says_so(self) -> None:
         found = jaxstab.settling_time(PHANTOM, 20.0, 0.0, horizon=64)
-        assert math.isinf(found.value)
+        assert math.isnan(found.value)
         assert int(found.status) == SettlingStatus.NOT_SETTLED
         assert "horizon" in SettlingStatus(int(found.status)).words
 
     def test_on_the_edge_of_stability_does_not_end(self) -> None:
         found = jaxstab.settling_samples(0.0, 0.5, 0.0, 0.0, 0)
+        assert math.isnan(found.value)
         assert int(found.status) == SettlingStatus.NOT_SETTLED
+
+    @pytest.mark.parametrize("device_damping", [0.0, 0.5, 1.5, 3.0])
+    def test_of_long_delays_that_were_called_infinite_once(self, device_damping: float) -> None:
+        """1 kg at 1 kHz behind 30 ms: a bound of all powers at once is too large to be of use."""
+        loop = HapticLoop(
+            device_mass=1.0, device_damping=device_damping, sample_time=1e-3, delay=0.03
+        )
+        walls = [(414.11, 24.598), (302.36, 16.943), (181.64, 39.512)]
+        for stiffness, damping in walls:
+            states, _ = march_on_a_fine_grid(loop, stiffness, damping, LONG, stiffness, np.zeros(2))
+            expected = settled_since(states[::FINE, 0], 1.0, 0.02)
+            found = jaxstab.settling_time(loop, stiffness, damping)
+            assert int(found.status) == SettlingStatus.SETTLED
+            assert float(found.value) == pytest.approx(expected * 1e-3, rel=1e-14)
+
+    def test_of_a_loop_that_rings_for_long_is_that_of_its_slowest_pole(self) -> None:
+        """A free oscillator again: 30,000 samples until a spring without a wall is at rest."""
+        gamma, delta = 0.04, 2.5e-4
+        time = np.arange(1 << 16)
+        frequency = math.sqrt(gamma - delta**2 / 4)
+        deviation = np.exp(-delta / 2 * time) * (
+            np.cos(frequency * time) + delta / 2 / frequency * np.sin(frequency * time)
+        )
+        found = jaxstab.settling_samples(0.0, 0.0, gamma, delta, 1.0)
+        assert float(found.value) == settled_since(deviation, 0.0, 0.02) > 30_000
+
+    def test_of_random_loops_are_those_of_their_simulation(self, rng: np.random.Generator) -> None:
+        """Either excitation, any delay; what is not settled is unstable or rings for long."""
+        count, settled = 60, 0
+        for _ in range(count):
+            loop = HapticLoop(
+                device_mass=1.0,
+                device_damping=10 ** rng.uniform(-3, 0),
+                hand_stiffness=rng.choice([0.0, 10 ** rng.uniform(-4, 0.5)]),
+                sample_time=1.0,
+                delay=rng.choice([0.0, 1.0, rng.uniform(0, 12)]),
+            )
+            slow = 1 + loop.delay
+            wall = 0.2 * rng.uniform() / slow**2, 0.6 * rng.uniform() / slow
+            level = rng.choice([0.01, 0.02, 0.1])
+            push = jaxstab.simulate(
+                loop, *wall, samples=LONG, force=wall[0] + loop.hand_stiffness
+            ).position
+            hit = np.asarray(jaxstab.simulate(loop, *wall, samples=LONG, velocity=1.0).position)
+            expected = {
+                "force": settled_since(np.asarray(push), 1.0, level),
+                "impact": settled_since(hit, 0.0, level * np.abs(hit).max()),
+            }
+            for excitation, samples in expected.items():
+                found = jaxstab.settling_time(loop, *wall, level, excitation=excitation)
+                if int(found.status) == SettlingStatus.SETTLED:
+                    assert samples == LONG or float(found.value) == samples
+                    settled += 1
+                else:
+                    assert samples == LONG
+        assert settled > count
+
+    def test_of_jax_arrays_are_jax_arrays_also_when_compiled(self) -> None:
+        alphas = jax.numpy.array([0.01, 0.03, 0.9])
+        direct = jaxstab.settling_samples(np.asarray(alphas), 0.3, 0.0, 0.0, 1)
+        function = jax.jit(lambda a: jaxstab.settling_samples(a, 0.3, 0.0, 0.0, 1))
+        for other in (function(alphas), jaxstab.settling_samples(alphas, 0.3, 0.0, 0.0, 1)):
+            assert all(isinstance(field, jax.Array) for field in other)
+            np.testing.assert_array_equal(other.value, direct.value)
+            np.testing.assert_array_equal(other.status, direct.status)
 
     def test_maps_over_gains(self) -> None:
         alphas = np.array([0.01, 0.03])

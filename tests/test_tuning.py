@@ -64,15 +64,15 @@ TRIPLE_ROOTS = [(0.0, 0.0, 0.0), (1e-3, 0.015, 1.0), (0.1, 1.0, 0.5), (0.0, 0.3,
 DOUBLE_PAIRS = [((1.0, 0.0, 1.0), 0.94862), ((5.0, 0.3, 0.5), 2.11121)]
 
 
-class TestLeastRadius:
+class TestMinimizeRadius:
     @pytest.mark.parametrize("delay", range(6))
     def test_of_the_undamped_mass_is_the_known_one(self, delay: int) -> None:
-        best = jaxstab.least_radius(0.0, 0.0, delay)
+        best = jaxstab.minimize_radius(0.0, 0.0, delay)
         assert float(best.value) == pytest.approx(LEAST_RADII[delay], abs=5e-7)
         assert int(best.status) == TuningStatus.TRIPLE_ROOT
 
     def test_of_the_undamped_mass_without_delay_is_a_closed_form(self) -> None:
-        best = jaxstab.least_radius(0.0, 0.0, 0)
+        best = jaxstab.minimize_radius(0.0, 0.0, 0)
         root = 4 ** (1 / 3) - 1
         assert float(best.value) == pytest.approx(root, rel=1e-14)
         assert float(best.alpha) == pytest.approx(6 * root**2 - 2, rel=1e-13)
@@ -82,7 +82,7 @@ class TestLeastRadius:
         ("plant", "angle"), [(plant, 0.0) for plant in TRIPLE_ROOTS] + DOUBLE_PAIRS
     )
     def test_is_the_multiple_root_to_full_precision(self, plant: Plant, angle: float) -> None:
-        best = jaxstab.least_radius(*plant)
+        best = jaxstab.minimize_radius(*plant)
         kind = TuningStatus.TRIPLE_ROOT if angle == 0 else TuningStatus.DOUBLE_PAIR
         assert int(best.status) == kind
         for mine, exact in zip(best[:3], multiple_root(plant, best, angle), strict=True):
@@ -92,7 +92,7 @@ class TestLeastRadius:
         "plant", [*TRIPLE_ROOTS, *(p for p, _ in DOUBLE_PAIRS), (10.601024803602744, 0.0, 0.5)]
     )
     def test_is_not_beaten_by_brute_force(self, plant: Plant, rng: np.random.Generator) -> None:
-        best = jaxstab.least_radius(*plant)
+        best = jaxstab.minimize_radius(*plant)
         alpha, beta, value = (float(x) for x in best[:3])
         span = np.linspace(-1.5, 1.5, 120) * max(abs(alpha), abs(beta))
         grid = radii(plant, alpha + span[:, None], beta + span)
@@ -103,21 +103,60 @@ class TestLeastRadius:
     def test_says_where_it_only_knows_a_scan(self) -> None:
         """Beyond the Nyquist frequency a double and a simple real pole can face each other."""
         plant = (10.601024803602744, 0.0, 0.5)
-        best = jaxstab.least_radius(*plant)
+        best = jaxstab.minimize_radius(*plant)
         assert int(best.status) == TuningStatus.SCANNED
         assert "scan" in TuningStatus(int(best.status)).words
-        slope = jax.grad(lambda gamma: jaxstab.least_radius(gamma, *plant[1:]).value)(plant[0])
+        slope = jax.grad(lambda gamma: jaxstab.minimize_radius(gamma, *plant[1:]).value)(plant[0])
         assert math.isnan(slope)
 
     def test_at_half_the_sampling_rate_no_gains_are_stable(self) -> None:
         """gamma = pi^2, delta = 0: a pole at z = -1 for every delay (sec. VIII of the paper)."""
-        best = jaxstab.least_radius(math.pi**2, 0.0, 1.0)
+        best = jaxstab.minimize_radius(math.pi**2, 0.0, 1.0)
         assert int(best.status) == TuningStatus.NO_STABLE_GAINS
         assert float(best.value) == pytest.approx(1.0, abs=1e-5)
 
+    @pytest.mark.parametrize(
+        "plant",
+        [
+            (10.066923895620718, 0.005884497685831669, 0.5),  # all stable gains near theta = pi
+            (39.81098965769077, 0.003624424766600166, 6.503942924075369),  # N(1) is all but 0
+            (39.4728614848101, 0.0, 6.012824175776159),
+        ],
+    )
+    def test_finds_stable_gains_where_a_region_has_an_area(self, plant: Plant) -> None:
+        assert float(jaxstab.stable_region(*plant).area) > 10
+        best = jaxstab.minimize_radius(*plant)
+        alpha, beta, value = (float(x) for x in best[:3])
+        assert int(best.status) == TuningStatus.SCANNED
+        assert value < 0.998
+        assert truth.spectral_radius(alpha, beta, *plant)[1] < value + 1e-6
+        assert jaxstab.stable_region(*plant, value * 0.999).is_empty
+
+    def test_of_random_plants_is_reached_and_no_region_is_left_below(
+        self, rng: np.random.Generator
+    ) -> None:
+        """With damping the loop without a wall is stable, so there are always stable gains."""
+        for _ in range(12):
+            gamma = rng.choice([0.0, 10 ** rng.uniform(-5, 0), 10 ** rng.uniform(0, 2)])
+            plant = gamma, 10 ** rng.uniform(-4, 0.5), rng.choice([0.0, 2.0, rng.uniform(0, 8)])
+            best = jaxstab.minimize_radius(*plant)
+            assert int(best.status) != TuningStatus.NO_STABLE_GAINS
+            value = float(best.value)
+            reached = truth.spectral_radius(float(best.alpha), float(best.beta), *plant)[1]
+            assert float(reached) == pytest.approx(value, rel=1e-3)
+            assert jaxstab.stable_region(*plant, value * 0.999).is_empty
+
+    def test_of_jax_arrays_is_that_of_numpy_also_when_compiled(self) -> None:
+        gammas = np.array([1e-3, 1.0, 10.601024803602744])
+        plain = jaxstab.minimize_radius(gammas, 0.0, 0.5)
+        compiled = jax.jit(lambda g: jaxstab.minimize_radius(g, 0.0, 0.5))(gammas)
+        assert all(isinstance(field, np.ndarray) for field in plain)
+        for mine, other in zip(plain, compiled, strict=True):
+            np.testing.assert_allclose(mine, other, rtol=1e-12)
+
     def test_broadcasts_over_plants(self) -> None:
         gammas, deltas = np.array([[0.0], [1e-3], [1.0]]), np.array([0.0, 0.1])
-        best = jaxstab.least_radius(gammas, deltas, 1.0)
+        best = jaxstab.minimize_radius(gammas, deltas, 1.0)
         assert best.value.shape == best.status.shape == (3, 2)
         assert set(np.unique(best.status)) == {TuningStatus.TRIPLE_ROOT, TuningStatus.DOUBLE_PAIR}
         assert float(best.value[0, 0]) == pytest.approx(LEAST_RADII[1], abs=5e-7)
@@ -127,33 +166,33 @@ class TestLeastRadius:
         self, plant: Plant, angle: float
     ) -> None:
         gamma, delta, delay = plant
-        slopes = jax.jacfwd(lambda g: jaxstab.least_radius(g, delta, delay)[:3])(gamma)
+        slopes = jax.jacfwd(lambda g: jaxstab.minimize_radius(g, delta, delay)[:3])(gamma)
         step = mpf(10) ** -8
-        best = jaxstab.least_radius(*plant)
+        best = jaxstab.minimize_radius(*plant)
         below, above = (
             multiple_root((mpf(gamma) + sign * step, delta, delay), best, angle) for sign in (-1, 1)
         )
         for slope, low, high in zip(slopes, below, above, strict=True):
             assert float(slope) == pytest.approx(float((high - low) / (2 * step)), rel=1e-9)
-        backwards = jax.grad(lambda g: jaxstab.least_radius(g, delta, delay).value)(gamma)
+        backwards = jax.grad(lambda g: jaxstab.minimize_radius(g, delta, delay).value)(gamma)
         assert float(backwards) == pytest.approx(float(slopes[2]), rel=1e-12)
 
     def test_needs_less_than_half_of_the_largest_stable_stiffness(self) -> None:
         for delay, largest in enumerate(LARGEST_ALPHAS):
-            assert 0 < float(jaxstab.least_radius(0.0, 0.0, delay).alpha) < largest / 2
+            assert 0 < float(jaxstab.minimize_radius(0.0, 0.0, delay).alpha) < largest / 2
 
     def test_refuses_an_array_of_delays(self) -> None:
         with pytest.raises((ValueError, TypeError), match="delay"):
-            jaxstab.least_radius(0.0, 0.0, np.array([0.0, 1.0]))
+            jaxstab.minimize_radius(0.0, 0.0, np.array([0.0, 1.0]))
 
 
-class TestLeastRadiusDamping:
+class TestMinimizeRadiusDamping:
     @pytest.mark.parametrize(
         ("alpha", "plant"),
         [(0.1, (0.0, 0.0, 0.0)), (0.02, (1e-3, 0.015, 1.5)), (0.0, (1.0, 0.0, 1.0))],
     )
     def test_is_the_minimum_over_beta(self, alpha: float, plant: Plant) -> None:
-        best = jaxstab.least_radius_damping(alpha, *plant)
+        best = jaxstab.minimize_radius_damping(alpha, *plant)
         betas = np.linspace(-1.0, 2.0, 30_001)
         values = radii(plant, np.array(alpha), betas)
         middle = values.argmin()
@@ -167,7 +206,7 @@ class TestLeastRadiusDamping:
         assert float(best.beta) == pytest.approx(refined.x, abs=1e-6)
 
     def test_of_a_wall_that_is_too_stiff_says_so(self) -> None:
-        best = jaxstab.least_radius_damping(0.8, 0.0, 0.0, 0.0)
+        best = jaxstab.minimize_radius_damping(0.8, 0.0, 0.0, 0.0)
         assert int(best.status) == TuningStatus.NO_STABLE_GAINS
         assert float(best.value) > 1
 
@@ -188,10 +227,10 @@ def settled_mass(alpha: np.ndarray, beta: np.ndarray, delay: int, length: int) -
 @pytest.fixture(scope="module")
 def best() -> list[jaxstab.OptimalGains]:
     """The gains of least settling for the undamped mass, by delay."""
-    return [jaxstab.least_settling(0.0, 0.0, delay) for delay in range(4)]
+    return [jaxstab.minimize_settling(0.0, 0.0, delay) for delay in range(4)]
 
 
-class TestLeastSettling:
+class TestMinimizeSettling:
     def test_grows_by_about_5_samples_per_sample_of_delay(
         self, best: list[jaxstab.OptimalGains]
     ) -> None:
@@ -216,30 +255,30 @@ class TestLeastSettling:
             assert settled_mass(alphas, betas, delay, 120).min() >= samples
 
     def test_with_a_given_stiffness_is_not_beaten_by_brute_force(self) -> None:
-        gains = jaxstab.least_settling(0.0, 0.0, 0, alpha=0.3)
+        gains = jaxstab.minimize_settling(0.0, 0.0, 0, alpha=0.3)
         brute = settled_mass(np.array(0.3), np.linspace(0.0, 2.0, 20_001), 0, 400)
         assert float(gains.alpha) == 0.3
         assert float(gains.value) == brute.min()
 
     def test_of_an_impact_is_slower_than_of_a_push(self, best: list[jaxstab.OptimalGains]) -> None:
-        gains = jaxstab.least_settling(0.0, 0.0, 1, excitation="impact")
+        gains = jaxstab.minimize_settling(0.0, 0.0, 1, excitation="impact")
         proved = jaxstab.settling_samples(*gains[:2], 0.0, 0.0, 1, excitation="impact")
         assert float(best[1].value) < float(gains.value) == float(proved.value)
 
     def test_without_stable_gains_is_infinite(self) -> None:
-        gains = jaxstab.least_settling(0.0, 0.0, 0, alpha=0.8)
+        gains = jaxstab.minimize_settling(0.0, 0.0, 0, alpha=0.8)
         assert math.isinf(gains.value)
         assert int(gains.status) == TuningStatus.NO_STABLE_GAINS
 
     def test_refuses_several_plants(self) -> None:
         with pytest.raises((ValueError, TypeError), match="gamma"):
-            jaxstab.least_settling(np.array([0.0, 0.1]), 0.0, 0)
+            jaxstab.minimize_settling(np.array([0.0, 0.1]), 0.0, 0)
 
 
 class TestOptimalGains:
     def test_for_the_radius_are_those_of_the_dimensionless_loop(self) -> None:
         wall = jaxstab.optimal_gains(HELD, "radius")
-        best = jaxstab.least_radius(HELD.gamma, HELD.delta, 1.75)
+        best = jaxstab.minimize_radius(HELD.gamma, HELD.delta, 1.75)
         assert HELD.alpha(wall.stiffness) == pytest.approx(float(best.alpha), rel=1e-14)
         assert HELD.beta(wall.damping) == pytest.approx(float(best.beta), rel=1e-14)
         assert wall.radius == pytest.approx(float(best.value), abs=1e-4)
@@ -260,6 +299,24 @@ class TestOptimalGains:
             wall = jaxstab.optimal_gains(PHANTOM, goal, stiffness=5_000.0)
             assert wall.stiffness == pytest.approx(5_000.0, rel=1e-14)
             assert wall.radius < 1
+
+    def test_have_the_radius_that_they_are_given_with(self) -> None:
+        for goal in ("radius", "settling"):
+            wall = jaxstab.optimal_gains(PHANTOM, goal)
+            gains = PHANTOM.alpha(wall.stiffness), PHANTOM.beta(wall.damping)
+            low, high = truth.spectral_radius(*gains, PHANTOM.gamma, PHANTOM.delta, 0.0)
+            assert low - wall.radius_error <= wall.radius <= high + wall.radius_error
+            assert wall.radius_error < 1e-4
+
+    def test_of_six_digits_miss_the_smallest_radius_by_far(self) -> None:
+        """As the docstring says: the sixth digit of a gain is worth 0.004 of the radius here."""
+        wall = jaxstab.optimal_gains(PHANTOM, "radius")
+        gains = (float(f"{gain:.6g}") for gain in (wall.stiffness, wall.damping))
+        alpha, beta = (
+            scale(gain) for scale, gain in zip((PHANTOM.alpha, PHANTOM.beta), gains, strict=True)
+        )
+        low, _ = truth.spectral_radius(alpha, beta, PHANTOM.gamma, PHANTOM.delta, 0.0)
+        assert wall.radius + 1e-3 < low < wall.radius + 1e-2
 
     def test_refuse_an_unknown_goal(self) -> None:
         with pytest.raises((ValueError, TypeError), match="goal"):

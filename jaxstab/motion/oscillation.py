@@ -2,11 +2,10 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
-from jax import Array
-from jax.typing import ArrayLike
+import numpy as np
 from jaxtyping import Float64
 
+from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.model import HapticLoop, checked_gain, require_x64
 from jaxstab.point.poles import closed_loop_poles
 
@@ -24,7 +23,7 @@ class Oscillation(NamedTuple):
 
 
 def dominant_mode(
-    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
+    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> Oscillation:
     """Return damping ratio and frequency of the slowest pole z = exp(s), in samples.
 
@@ -44,17 +43,19 @@ def dominant_mode(
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
         TypeError: the delay is traced.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: the poles of eq. (9); z = exp(s T).
     """
-    require_x64()
-    pole = closed_loop_poles(alpha, beta, gamma, delta, delay)[..., 0]
-    decay, frequency = -jnp.log(jnp.abs(pole)), jnp.abs(jnp.angle(pole))
-    return Oscillation(decay / jnp.hypot(decay, frequency), frequency)
+    require_x64(alpha, beta, gamma, delta)
+    poles = closed_loop_poles(alpha, beta, gamma, delta, delay)
+    xp, pole = namespace(poles), poles[..., 0]
+    with np.errstate(all="ignore"):  # a pole at 0 or at 1
+        decay, frequency = -xp.log(abs(pole)), abs(xp.angle(pole))
+        return Oscillation(decay / xp.hypot(decay, frequency), frequency)
 
 
-def dominant_oscillation(loop: HapticLoop, stiffness: ArrayLike, damping: ArrayLike) -> Oscillation:
+def dominant_oscillation(loop: HapticLoop, stiffness: Numbers, damping: Numbers) -> Oscillation:
     """Return damping ratio and frequency in Hz of the slowest mode of a device at a wall.
 
     Args:
@@ -67,12 +68,13 @@ def dominant_oscillation(loop: HapticLoop, stiffness: ArrayLike, damping: ArrayL
 
     Raises:
         ValueError: a gain is infinite or NaN.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: as ``dominant_mode``; Table I.
     """
-    require_x64()
-    alpha = loop.alpha(jnp.asarray(checked_gain("stiffness", stiffness), jnp.float64))
-    beta = loop.beta(jnp.asarray(checked_gain("damping", damping), jnp.float64))
-    mode = dominant_mode(alpha, beta, loop.gamma, loop.delta, loop.delay_samples)
-    return Oscillation(mode.damping_ratio, mode.frequency / (2.0 * jnp.pi * loop.sample_time))
+    require_x64(stiffness, damping)
+    gains = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
+    stiff, damp = float_arrays(*gains)
+    plant = loop.gamma, loop.delta, loop.delay_samples
+    mode = dominant_mode(loop.alpha(stiff), loop.beta(damp), *plant)
+    return Oscillation(mode.damping_ratio, mode.frequency / (2.0 * np.pi * loop.sample_time))

@@ -4,17 +4,16 @@ Between two events (a sample, the arrival of a delayed force) the force is const
 transition is exact there. This route shares the plant with p(z), but neither z nor polynomials.
 """
 
-from functools import partial
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
-from jax.typing import ArrayLike
 from jaxtyping import Float64
 
+from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, repeat_and_keep
+from jaxstab.batches import compiled
 from jaxstab.model import HapticLoop, checked_gain, plant_transition, require_x64
+from jaxstab.numbers import checked, checked_count
 
 
 class Response(NamedTuple):
@@ -30,25 +29,15 @@ class Response(NamedTuple):
     force: Float64[Array, "*grid time"]
 
 
-class Motion(NamedTuple):
-    """The state of a loop just before a sample, with T = m = 1."""
-
-    position: Float64[Array, ""]
-    velocity: Float64[Array, ""]
-    previous: Float64[Array, ""]  # the position at the last sample
-    acting: Float64[Array, ""]  # the wall's force at the end of the last hold
-    line: Float64[Array, " whole_delay"]  # the forces on their way, the next one to arrive last
-
-
 def simulate(
     loop: HapticLoop,
-    stiffness: ArrayLike,
-    damping: ArrayLike,
+    stiffness: Numbers,
+    damping: Numbers,
     *,
     samples: int = 200,
-    force: ArrayLike = 0.0,
-    velocity: ArrayLike = 0.0,
-    position: ArrayLike = 0.0,
+    force: Numbers = 0.0,
+    velocity: Numbers = 0.0,
+    position: Numbers = 0.0,
     between: int = 0,
     unilateral: bool = False,
 ) -> Response:
@@ -76,74 +65,66 @@ def simulate(
 
     Raises:
         ValueError: a gain is infinite or NaN, nothing moves the device, or a count is too small.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eqs. (1)-(5) and Fig. 2 of Hulin, Preusche, Hirzinger (2008); Remark 1.
     """
-    require_x64()
-    _check_counts(samples, between)
-    alpha = loop.alpha(jnp.asarray(checked_gain("stiffness", stiffness), jnp.float64))
-    beta = loop.beta(jnp.asarray(checked_gain("damping", damping), jnp.float64))
+    require_x64(stiffness, damping, force, velocity, position)
+    checked_count("samples", samples, 1)
+    checked_count("between", between, 0)
     period = loop.sample_time
-    push = jnp.asarray(force, jnp.float64) * (period**2 / loop.mass)
-    start = jnp.asarray(position, jnp.float64)
-    speed = jnp.asarray(velocity, jnp.float64) * period
-    _check_excitation(push, start, speed)
+    values = float_arrays(
+        loop.alpha(checked_gain("stiffness", stiffness)),
+        loop.beta(checked_gain("damping", damping)),
+        checked("force", force) * (period**2 / loop.mass),
+        checked("position", position),
+        checked("velocity", velocity) * period,
+    )
+    _require_excitation(*values[2:])
     whole, fraction = divmod(loop.delay_samples, 1.0)
     offsets = np.arange(between + 2) / (between + 1)
-    grid = jnp.broadcast_shapes(*(x.shape for x in (alpha, beta, push, start, speed)))
-    lanes = [jnp.ravel(jnp.broadcast_to(x, grid)) for x in (alpha, beta, push, start, speed)]
-    arrays = _march_all(
-        tuple(lanes),
-        propagator(loop.gamma, loop.delta, fraction, offsets),
-        jnp.asarray(offsets[:-1] < fraction),
+    walls = list(namespace(values).broadcast_arrays(*values))
+    x, v, f = _simulate(
+        walls,
+        _propagator_of_one(loop.gamma, loop.delta, fraction, tuple(offsets.tolist())),
+        offsets[:-1] < fraction,
         samples=samples,
         whole_delay=int(whole),
         unilateral=unilateral,
     )
-    x, v, f = (array.reshape((*grid, -1)) for array in arrays)
-    time = jnp.arange(x.shape[-1]) * (period / (between + 1))
-    return Response(time, x, v / period, f * (loop.mass / period**2))
+    time = np.arange(x.shape[-1]) * (period / (between + 1))
+    return Response(float_arrays(time, x)[0], x, v / period, f * (loop.mass / period**2))
 
 
 def propagator(
-    gamma: ArrayLike, delta: ArrayLike, fraction: ArrayLike, offsets: ArrayLike
+    gamma: Numbers, delta: Numbers, fraction: Numbers, offsets: Numbers
 ) -> Float64[Array, "*grid offset 2 5"]:
     """Return position and velocity (rows) at times in [0, 1] after a sample.
 
     The columns: position and velocity at the sample, the force that acts up to ``fraction``, the
     force that acts from then on, and a force that acts all the time.
     """
-    offsets = jnp.asarray(offsets, jnp.float64)
-    gamma, delta, fraction = (
-        jnp.asarray(x, jnp.float64)[..., None] for x in (gamma, delta, fraction)
-    )
-    whole = plant_transition(gamma, delta, offsets)
-    pushed = whole[..., 2:]
-    late = plant_transition(gamma, delta, jnp.maximum(offsets - fraction, 0.0))[..., 2:]
-    late = jnp.broadcast_to(late, jnp.broadcast_shapes(late.shape, pushed.shape))
-    whole = jnp.broadcast_to(whole, (*late.shape[:-1], 3))
-    return jnp.concatenate([whole[..., :2], pushed - late, late, whole[..., 2:]], axis=-1)
+    gamma, delta, fraction, offsets = float_arrays(gamma, delta, fraction, offsets)
+    xp = namespace(gamma, delta, fraction, offsets)
+    gamma, delta, fraction = (value[..., None] for value in (gamma, delta, fraction))
+    late = xp.maximum(offsets - fraction, 0.0)
+    times = xp.stack(xp.broadcast_arrays(offsets, late, gamma, delta)[:2])  # one batch is faster
+    whole, rest = plant_transition(gamma, delta, times)
+    pushed, late = whole[..., 2:], rest[..., 2:]
+    return xp.concatenate([whole[..., :2], pushed - late, late, pushed], axis=-1)
 
 
-def wall_acts(
-    motion: Motion, alpha: Array, beta: Array, place: Array | int, *, unilateral: bool = False
-) -> tuple[Array, Array]:
-    """Sample the wall's force: the force that leaves the line of delay, and the line behind it.
-
-    ``place`` is where a force enters the line: at its beginning, 0, if the line is as long as the
-    delay, further on if it is longer.
-    """
-    force = -(alpha * motion.position + beta * (motion.position - motion.previous))
-    if unilateral:
-        force = jnp.where(motion.position > 0.0, force, 0.0)
-    line = jnp.concatenate([jnp.zeros(1), motion.line]).at[place].add(force)
-    return line[-1], line[:-1]
+@lru_cache(maxsize=64)
+def _propagator_of_one(
+    gamma: float, delta: float, fraction: float, offsets: tuple[float, ...]
+) -> Float64[np.ndarray, "offset 2 5"]:
+    """Remember the propagators of single loops: one is asked about many walls."""
+    return propagator(gamma, delta, fraction, offsets)
 
 
-@partial(jax.jit, static_argnames=("samples", "whole_delay", "unilateral"))
-def _march_all(
-    lanes: tuple[Array, ...],
+@compiled(static=["samples", "whole_delay", "unilateral"])
+def _simulate(
+    walls: list[Array],
     propagate: Array,
     early: Array,
     *,
@@ -151,43 +132,43 @@ def _march_all(
     whole_delay: int,
     unilateral: bool,
 ) -> tuple[Array, Array, Array]:
-    def march(
-        alpha: Array, beta: Array, push: Array, position: Array, velocity: Array
-    ) -> tuple[Array, Array, Array]:
-        def step(motion: Motion, _: None) -> tuple[Motion, tuple[Array, Array, Array]]:
-            arriving, line = wall_acts(motion, alpha, beta, 0, unilateral=unilateral)
-            causes = (motion.position, motion.velocity, motion.acting, arriving, push)
-            path = propagate @ jnp.stack(causes)
-            following = Motion(path[-1, 0], path[-1, 1], motion.position, arriving, line)
-            return following, (
-                path[:-1, 0],
-                path[:-1, 1],
-                jnp.where(early, motion.acting, arriving),
-            )
+    """Return position, velocity and force; the times are on the last axis.
 
-        rest = jnp.zeros(())
-        start = Motion(position, velocity, position, rest, jnp.zeros(whole_delay))
-        _, paths = lax.scan(step, start, length=samples)
-        x, v, force = (jnp.ravel(path) for path in paths)
-        return x, v, force
+    Only the step from sample to sample is a loop; what lies between follows from it at once.
+    """
+    xp = namespace(walls, propagate)
+    rows = propagate[-1]
+    if xp is np:
+        rows = rows.tolist()
+    if xp is np and not walls[0].ndim:  # numbers of Python are several times faster here
+        walls = [wall.item() for wall in walls]
+    alpha, beta, push, position, velocity = walls
 
-    arrays: tuple[Array, Array, Array] = jax.vmap(march)(*lanes)
-    return arrays
+    # The state: position, velocity, the position at the last sample, the force at the end of the
+    # last hold, and the forces on their way, the next one to arrive first. NumPy and Python are
+    # quick with plain tuples.
+    def step(state: Any) -> tuple[tuple[Any, ...], tuple[Array, ...]]:
+        x, v, previous, acting, waiting = state
+        force = -(alpha * x + beta * (x - previous))
+        if unilateral:
+            force = force * (x > 0.0)
+        line: tuple[Array, ...] = (*waiting, force)
+        arriving = line[0]
+        moved = [a * x + b * v + c * acting + d * arriving + e * push for a, b, c, d, e in rows]
+        return (*moved, x, arriving, line[1:]), (x, v, acting, arriving, push)
+
+    rest = 0.0 * position
+    start = (position, velocity, position, rest, (rest,) * whole_delay)
+    _, history = repeat_and_keep(samples, step, start)
+    causes = xp.stack([xp.moveaxis(xp.asarray(cause), 0, -1) for cause in history])
+    paths = xp.einsum("ork,k...s->r...so", propagate[:-1], causes)
+    held = xp.where(early, causes[2][..., None], causes[3][..., None])
+    x, v, f = (xp.reshape(path, (*path.shape[:-2], -1)) for path in (*paths, held))
+    return x, v, f
 
 
-def _check_counts(samples: int, between: int) -> None:
-    if samples < 1:
-        raise ValueError(f"samples is {samples}; give at least 1.")
-    if between < 0:
-        raise ValueError(f"between is {between}; give 0 or more points between two samples.")
-
-
-def _check_excitation(*causes: Array) -> None:
-    if any(isinstance(cause, jax.core.Tracer) for cause in causes):
-        return
-    if not all(np.all(np.isfinite(cause)) for cause in causes):
-        raise ValueError("force, velocity or position is infinite or NaN; give finite numbers.")
-    if not any(np.any(cause) for cause in causes):
+def _require_excitation(*causes: Array) -> None:
+    if not any(is_traced(cause) or np.any(cause) for cause in causes):
         raise ValueError(
             "force, velocity and position are all 0, so nothing moves: give at least one of them."
         )

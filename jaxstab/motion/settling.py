@@ -1,84 +1,80 @@
 """How long the sampled loop rings: settling in the time domain, with the tail proved.
 
-The deviation from rest follows s -> A s. While a loop is simulated, the largest entry of its state
-bounds all that is to come: with g_i the row-sum norm of A^(2^i) and g_I < 1, no power of A has a
-norm above g_0 g_1 ... g_(I-1), factors below 1 left out. Once this bound lies within the level, the
-loop has settled. No eigenvalue is needed, and multiple roots do no harm.
+The deviation from rest follows s -> A s. Let the samples be cut into stretches of W, and let M of
+them be looked at: their first states s_0, s_W, ..., none larger than S, and every position. With
+rho = |A^(MW)| < 1 and G no less than |A^i| for i < W, any later state is A^i (A^(MW))^(q+1) s_(jW)
+for an i < W, a j < M and a q >= 0, so none is larger than G rho S. Once this is within the level
+the loop has settled, and the last position outside was among those looked at. M is doubled until
+then: one product of matrices doubles the states, one squares the power of A. No eigenvalue is
+needed, and multiple roots do no harm.
 """
 
-from collections.abc import Callable
-from enum import IntEnum
 from functools import partial
-from math import ceil, log2, prod
+from math import ceil, log2
 from typing import Any, Literal, NamedTuple, get_args
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
-from jax.typing import ArrayLike
-from jaxtyping import Float64, Int8
+from jaxtyping import Float64, Int, Int8
 
-from jaxstab.conventions import Verdict
+from jaxstab.arrays import Array, Numbers, float_arrays, namespace
+from jaxstab.batches import on_host
+from jaxstab.conventions import Status, Verdict
 from jaxstab.model import HapticLoop, checked_delay, checked_gain, require_x64
-from jaxstab.motion.response import Motion, propagator, wall_acts
+from jaxstab.motion.response import propagator
+from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdict.door import verdict
 
 Excitation = Literal["force", "impact"]
+Matrices = Float64[np.ndarray, "loop state state"]
 
-HORIZON = 4096
+HORIZON = 1 << 18
 _LEAST_STIFFNESS = 1e-12  # keeps the scales of a loop without any stiffness finite
-_STRIDE = 8  # samples between two looks at the bound
-_BATCH = 512  # lanes that run until the last of them has settled
+_STRETCH = 32  # samples, a power of two
+_NUMBERS = 1 << 20  # of an array that loops side by side fill, about
+_ROUNDING = 2.0**-53
 
 
-class SettlingStatus(IntEnum):
+class SettlingStatus(Status):
     """What is known about the settling of a loop; small integers, so that arrays store int8."""
 
-    NOT_COMPUTED = 0
-    SETTLED = 1
-    UNSTABLE = 2
-    NOT_SETTLED = 3
-
-    @property
-    def words(self) -> str:
-        """The status in words."""
-        return {
-            SettlingStatus.NOT_COMPUTED: "not computed",
-            SettlingStatus.SETTLED: "settled, and proved to stay so",
-            SettlingStatus.UNSTABLE: "the loop is unstable and never settles",
-            SettlingStatus.NOT_SETTLED: "not proved to settle within the horizon",
-        }[self]
+    NOT_COMPUTED = 0, "not computed"
+    SETTLED = 1, "settled, and proved to stay so"
+    UNSTABLE = 2, "the loop is unstable and never settles"
+    NOT_SETTLED = 3, "not proved to settle within the horizon"
 
 
 class Settling(NamedTuple):
-    """A settling time and what is known about it: infinite unless the status is SETTLED."""
+    """A settling time and what is known about it.
+
+    It is finite for SETTLED, infinite for UNSTABLE, and NaN where neither could be proved.
+    """
 
     value: Float64[Array, "*grid"]
     status: Int8[Array, "*grid"]
 
 
 def settling_samples(
-    alpha: ArrayLike,
-    beta: ArrayLike,
-    gamma: ArrayLike,
-    delta: ArrayLike,
-    delay: ArrayLike,
+    alpha: Numbers,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
     level: float = 0.02,
     *,
     excitation: Excitation = "force",
     horizon: int = HORIZON,
 ) -> Settling:
-    """Count the samples until the position stays within a band around its final value.
+    """Count the samples until the position stays within a tolerance of its final value.
 
-    The answer is the first sample from which on every sampled position is within the band: a whole
-    number, and true of the time domain, unlike an estimate from the spectral radius. The device
-    moves between samples too, but is not looked at there. Two excitations are known:
+    The answer is the first sample from which on every sampled position is within the tolerance: a
+    whole number, and true of the time domain, unlike an estimate from the spectral radius. The
+    device moves between samples too, but is not looked at there. Two excitations are known:
 
     - "force": the hand begins to push with a constant force at sample 0, on a device at rest. The
-      band is +-level times the final displacement F/(K + k): the settling time of a step response.
+      tolerance is level times the final displacement F/(K + k): the settling time of a step
+      response.
     - "impact": the device hits the wall with some velocity at sample 0, and nothing else pushes it.
-      The band is +-level times the largest sampled excursion, around 0.
+      The tolerance is level times the largest sampled excursion, around 0.
 
     Args:
         alpha: wall stiffness K T^2/m, any shape; like the next four arguments it broadcasts.
@@ -86,56 +82,61 @@ def settling_samples(
         gamma: physical stiffness k T^2/m in [0, 1e4].
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, concrete.
-        level: half width of the band, between 0 and 1; 0.02 is the usual one.
+        level: the tolerance, between 0 and 1; 0.02 is the usual one.
         excitation: "force" or "impact".
-        horizon: samples after which a loop that is not proved to have settled is given up.
+        horizon: samples, rounded up to a power of two, after which a loop that is not proved to
+            have settled is given up.
 
     Returns:
-        Settling with ``value`` in samples and ``status``, a SettlingStatus.
+        Settling with ``value`` in samples and ``status``, a SettlingStatus. That the loop stays
+        settled is proved for the transition of one sample as float64 has it; positions within
+        about 1e-12 of the tolerance may be taken for either side.
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or the excitation is unknown.
-        TypeError: the delay is traced.
-        RuntimeError: JAX's x64 mode is off.
+        TypeError: the delay is traced, or the horizon is not a whole number.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: the loop of eqs. (1)-(5); 2 % settling is what later papers of the same authors use.
     """
-    require_x64()
-    check_options(level, excitation, horizon)
-    lanes, shape = lanes_of(alpha, beta, gamma, delta, delay)
-    first = _settle(
-        lanes,
-        float(level),
-        float(horizon),
-        impact=excitation == "impact",
-        squarings=ceil(log2(horizon)) + 1,
-    ).reshape(shape)
-    unstable = verdict(alpha, beta, gamma, delta, delay) == Verdict.UNSTABLE
-    unsettled = jnp.where(unstable, SettlingStatus.UNSTABLE, SettlingStatus.NOT_SETTLED)
-    status = jnp.where(jnp.isfinite(first), SettlingStatus.SETTLED, unsettled)
-    return Settling(first, status.astype(jnp.int8))
+    require_x64(alpha, beta, gamma, delta)
+    level = checked_level(level, excitation)
+    checked_count("horizon", horizon, 1)
+    delay = checked_delay(delay)
+    gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
+    propagate = propagator(gamma, delta, delay % 1.0, np.ones(1))[..., 0, :, :4]
+    xp = namespace(gains, propagate)
+    grid = xp.broadcast_shapes(*map(np.shape, gains), propagate.shape[:-2], delay.shape)
+    entries = [propagate[..., row, column] for row in (0, 1) for column in range(4)]
+    search = partial(_settle, level=level, excitation=excitation, horizon=horizon)
+    is_unstable = xp.asarray(verdict(alpha, beta, gamma, delta, delay) == Verdict.UNSTABLE)
+    lanes = *gains, *entries, np.floor(delay), ~is_unstable
+    first = on_host(search, *lanes, shape=grid, like=np.float64)
+    unsettled = xp.where(is_unstable, SettlingStatus.UNSTABLE, SettlingStatus.NOT_SETTLED)
+    status = xp.where(xp.isfinite(first), SettlingStatus.SETTLED, unsettled)
+    return Settling(xp.where(is_unstable, np.inf, first), status.astype(np.int8))
 
 
 def settling_time(
     loop: HapticLoop,
-    stiffness: ArrayLike,
-    damping: ArrayLike,
+    stiffness: Numbers,
+    damping: Numbers,
     level: float = 0.02,
     *,
     excitation: Excitation = "force",
     horizon: int = HORIZON,
 ) -> Settling:
-    """Return the time in s until the position stays within a band around its final value.
+    """Return the time in s until the position stays within a tolerance of its final value.
 
-    It is ``settling_samples`` times the sample time; see there for the band and the excitations.
-    Goes through vmap. A count of samples jumps between constants, so its derivative means nothing:
+    It is ``settling_samples`` times the sample time; see there for tolerance and excitations.
+    Goes through jit and vmap. A count of samples jumps between constants, so it has no derivative:
     that of ``spectral_radius`` tells how the decay changes.
 
     Args:
         loop: device, hand, sample time and delay.
         stiffness: K of the wall in N/m, any shape; broadcasts with the damping.
         damping: B of the wall in N s/m.
-        level: half width of the band, between 0 and 1; 0.02 is the usual one.
+        level: the tolerance, between 0 and 1; 0.02 is the usual one.
         excitation: "force", a constant push, or "impact", a velocity at the wall.
         horizon: samples after which a loop that is not proved to have settled is given up.
 
@@ -144,155 +145,203 @@ def settling_time(
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or the excitation is unknown.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: the loop of eqs. (1)-(5), Table I.
     """
-    require_x64()
-    alpha = loop.alpha(jnp.asarray(checked_gain("stiffness", stiffness), jnp.float64))
-    beta = loop.beta(jnp.asarray(checked_gain("damping", damping), jnp.float64))
-    scene = (alpha, beta, loop.gamma, loop.delta, loop.delay_samples)
+    require_x64(stiffness, damping)
+    gains = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
+    stiff, damp = float_arrays(*gains)
+    scene = loop.alpha(stiff), loop.beta(damp), loop.gamma, loop.delta, loop.delay_samples
     samples = settling_samples(*scene, level, excitation=excitation, horizon=horizon)
     return Settling(samples.value * loop.sample_time, samples.status)
 
 
-class Lanes(NamedTuple):
-    """Loops side by side, each with the transition of its plant over one sample."""
+def checked_level(level: Any, excitation: str) -> float:
+    """Return the level; refuse what is no level or no excitation.
 
-    alpha: Float64[Array, " lane"]
-    beta: Float64[Array, " lane"]
-    propagate: Float64[Array, "lane 2 4"]
-    line: Float64[Array, "lane whole_delay"]  # 1 where forces wait for a delay, as in Motion
-
-
-def lanes_of(
-    alpha: ArrayLike, beta: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
-) -> tuple[Lanes, tuple[int, ...]]:
-    """Return the loops of a broadcast grid, in C order, and its shape."""
-    delay = checked_delay(delay)
-    alpha = jnp.asarray(checked_gain("alpha", alpha), jnp.float64)
-    beta = jnp.asarray(checked_gain("beta", beta), jnp.float64)
-    whole = np.floor(delay)
-    propagate = propagator(gamma, delta, delay - whole, np.ones(1))[..., 0, :, :4]
-    longest = int(np.max(whole, initial=0))
-    line = jnp.asarray(np.arange(longest) >= (longest - whole)[..., None], jnp.float64)
-    shape = jnp.broadcast_shapes(alpha.shape, beta.shape, propagate.shape[:-2], delay.shape)
-
-    def spread(array: Array, own: int) -> Array:
-        inner = array.shape[array.ndim - own :]
-        return jnp.broadcast_to(array, (*shape, *inner)).reshape((prod(shape), *inner))
-
-    return Lanes(spread(alpha, 0), spread(beta, 0), spread(propagate, 2), spread(line, 1)), shape
-
-
-def excited(lane: Lanes, *, impact: bool) -> Motion:
-    """Return the deviation from the final state at sample 0, per final displacement or velocity."""
-    zero, one = jnp.zeros(()), jnp.ones(())
-    if impact:
-        return Motion(zero, one, zero, zero, jnp.zeros_like(lane.line))
-    return Motion(-one, zero, -one, lane.alpha, lane.alpha * lane.line)
-
-
-def advanced(lane: Lanes, motion: Motion) -> Motion:
-    """Return a deviation one sample later."""
-    place = lane.line.shape[0] - jnp.sum(lane.line).astype(jnp.int32)
-    arriving, line = wall_acts(motion, lane.alpha, lane.beta, place)
-    causes = jnp.stack([motion.position, motion.velocity, motion.acting, arriving])
-    position, velocity = jnp.sum(lane.propagate * causes, axis=-1)
-    return Motion(position, velocity, motion.position, arriving, line)
-
-
-class _Run(NamedTuple):
-    motion: Motion
-    time: Array
-    peak: Array  # what the band is relative to
-    first: Array  # the first sample since when all were inside the band
-
-
-@partial(jax.jit, static_argnames=("impact", "squarings"))
-def _settle(
-    lanes: Lanes, level: Array, horizon: Array, *, impact: bool, squarings: int
-) -> Float64[Array, " lane"]:
-    def settle(lane: Lanes, growth: Array) -> Array:
-        def is_proved(run: _Run) -> Array:
-            return growth * jnp.max(jnp.abs(_scaled(lane, run.motion))) <= level * run.peak
-
-        def runs(run: _Run) -> Array:
-            return jnp.isfinite(growth) & ~is_proved(run) & (run.time < horizon)
-
-        def look(_: Array, run: _Run) -> _Run:
-            excursion = jnp.abs(run.motion.position)
-            peak = jnp.maximum(run.peak, excursion) if impact else run.peak
-            first = jnp.where(excursion > level * peak, run.time + 1.0, run.first)
-            return _Run(advanced(lane, run.motion), run.time + 1.0, peak, first)
-
-        zero, one = jnp.zeros(()), jnp.ones(())
-        start = _Run(excited(lane, impact=impact), zero, zero if impact else one, zero)
-        run = lax.while_loop(runs, lambda run: lax.fori_loop(0, _STRIDE, look, run), start)
-        return jnp.where(is_proved(run), run.first, jnp.inf)
-
-    growth, slowness = _in_batches(partial(_growth, squarings), lanes)
-    order = jnp.argsort(slowness)  # a batch runs as long as its slowest lane
-    sorted_lanes, growth = jax.tree.map(lambda x: x[order], (lanes, growth))
-    return jnp.zeros_like(growth).at[order].set(_in_batches(settle, sorted_lanes, growth))
-
-
-def _growth(squarings: int, lane: Lanes) -> tuple[Array, Array]:
-    """Bound the row-sum norm of every power of the loop's transition; infinite if none is < 1.
-
-    The second value is how often the transition was squared before the norm fell below 1.
+    Raises:
+        ValueError: one of them is not allowed.
     """
-    size = 4 + lane.line.shape[0]
-    step = jax.jacfwd(lambda state: _scaled(lane, advanced(lane, _unscaled(lane, state))))
-
-    def square(
-        _: Array, state: tuple[Array, Array, Array, Array]
-    ) -> tuple[Array, Array, Array, Array]:
-        power, growth, contracts, slowness = state
-        norm = jnp.max(jnp.sum(jnp.abs(power), axis=-1))
-        contracts = contracts | (norm < 1.0)
-        growth = jnp.where(contracts, growth, growth * jnp.maximum(norm, 1.0))
-        return power @ power, growth, contracts, slowness + ~contracts
-
-    start = (step(jnp.zeros(size)), jnp.ones(()), jnp.asarray(False), jnp.asarray(0))
-    _, growth, contracts, slowness = lax.fori_loop(0, squarings, square, start)
-    return jnp.where(contracts, growth, jnp.inf), slowness
+    checked_word("excitation", excitation, get_args(Excitation))
+    level = checked_number("level", level, 0.0, 1.0, is_open=True)
+    if level == 1.0:
+        raise ValueError("level is 1.0; give a number below 1, such as 0.02.")
+    return level
 
 
-def _scaled(lane: Lanes, motion: Motion) -> Array:
-    """Return the state in units in which an undamped oscillation is nearly a rotation."""
-    rate = _natural_rate(lane)
-    difference = motion.position - motion.previous
-    small = jnp.stack([motion.velocity, difference, motion.acting])
-    return jnp.concatenate([motion.position[None], small / rate, motion.line / rate])
+class Loops(NamedTuple):
+    """Loops side by side that have one whole part of their delays: s -> A s, from s_0 on.
+
+    The state: position, its difference to the last sample, velocity, the acting force, and those on
+    their way, the next one to arrive first. It is given in units in which an undamped oscillation
+    is nearly a rotation; that of the position is the final displacement, or velocity.
+    """
+
+    transition: Matrices
+    start: Float64[np.ndarray, "loop state 1"]
 
 
-def _unscaled(lane: Lanes, state: Array) -> Motion:
-    position, small = state[0], state[1:] * _natural_rate(lane)
-    return Motion(position, small[0], position - small[1], small[2], small[3:])
+def loops_of(
+    alpha: Float64[np.ndarray, " loop"],
+    beta: Float64[np.ndarray, " loop"],
+    entries: Float64[np.ndarray, "8 loop"],
+    whole_delay: int,
+    excitation: str,
+) -> Loops:
+    """Return the loops of gains and of the entries (2, 4) of their propagators."""
+    size = 4 + whole_delay
+    step = np.zeros((alpha.size, size, size))
+    rows = np.moveaxis(entries.reshape(2, 4, -1), -1, 0)
+    force = np.zeros((alpha.size, size))
+    force[:, 0], force[:, 1] = -alpha, -beta
+    step[:, range(3, size - 1), range(4, size)] = 1.0
+    step[:, -1] = force
+    motion = np.zeros((alpha.size, 2, size))
+    motion[:, :, [0, 2, 3]] = rows[:, :, :3]
+    motion += rows[:, :, 3:] * step[:, 3:4]  # the force that arrives is the next one to act
+    step[:, [0, 2]] = motion
+    step[:, 1] = motion[:, 0]
+    step[:, 1, 0] -= 1.0
+    rate = np.sqrt(np.abs(alpha) + np.abs(entries[4]) + _LEAST_STIFFNESS)
+    units = np.ones((alpha.size, size))
+    units[:, 1:] = rate[:, None]
+    start = np.zeros((alpha.size, size))
+    if excitation == "impact":
+        start[:, 2] = 1.0
+    else:
+        start[:, 0], start[:, 3:] = -1.0, alpha[:, None]
+    transition = step * units[:, None, :] / units[:, :, None]
+    return Loops(transition, (start / units)[..., None])
 
 
-def _natural_rate(lane: Lanes) -> Array:
-    """Return about sqrt(alpha + gamma), whatever their signs."""
-    return jnp.sqrt(jnp.abs(lane.alpha) + jnp.abs(lane.propagate[1, 0]) + _LEAST_STIFFNESS)
+def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
+    """Return the sampled deviations of loops, at least as many as asked for."""
+    search = _Search.begun(loops)
+    found = [search.deviation()]
+    while sum(part.shape[1] for part in found) < samples:
+        search = search.doubled()
+        found.append(search.deviation())
+    return np.concatenate(found, axis=1)
 
 
-def _in_batches(function: Callable[..., Any], *lanes: Any) -> Any:
-    """Apply a function of one lane to all, so many at once that each batch ends by itself."""
-    count = jax.tree.leaves(lanes)[0].shape[0]
-    if count <= _BATCH:
-        return jax.vmap(function)(*lanes)
-    places = jnp.arange(-(-count // _BATCH) * _BATCH).reshape((-1, _BATCH)) % count
-    batches = jax.tree.map(lambda x: x[places], lanes)
-    results = lax.map(lambda batch: jax.vmap(function)(*batch), batches)
-    return jax.tree.map(lambda x: x.reshape((-1, *x.shape[2:]))[:count], results)
+class _Search(NamedTuple):
+    """What is known of loops after M stretches."""
+
+    number: Int[np.ndarray, " loop"]
+    rows: Float64[np.ndarray, "loop stretch state"]  # of the position, of A^i, i < W
+    growth: Float64[np.ndarray, " loop"]  # no less than |A^i|, i < W
+    power: Matrices  # A^(MW)
+    error: Float64[np.ndarray, " loop"]  # no less than the norm of its rounding errors
+    states: Float64[np.ndarray, "loop state stretch"]  # at the beginning of each stretch
+    largest: Float64[np.ndarray, " loop"]  # of all states so far
+    peak: Float64[np.ndarray, " loop"]  # of the positions, or what the tolerance refers to
+    first: Float64[np.ndarray, " loop"]  # the sample since when all were inside the tolerance
+
+    @classmethod
+    def begun(cls, loops: Loops) -> "_Search":
+        """Return what is known before the first stretch."""
+        power, states = loops
+        count = len(power)
+        rows = np.zeros((count, 1, power.shape[1]))
+        rows[:, 0, 0] = 1.0
+        growth, error, zero = np.ones(count), 4.0 * _ROUNDING * _norm(power), np.zeros(count)
+        for _ in range(int(log2(_STRETCH))):
+            growth = growth * np.maximum(1.0, _norm(power) + error)
+            rows = np.concatenate([rows, rows @ power], axis=1)
+            power, error = _squared(power, error)
+        return cls(np.arange(count), rows, growth, power, error, states, zero, zero, zero)
+
+    @property
+    def samples(self) -> int:
+        """How many samples of each loop are known."""
+        return self.states.shape[2] * _STRETCH
+
+    def deviation(self) -> Float64[np.ndarray, "loop sample"]:
+        """Return the positions in the second half of the stretches; all, if there is but one."""
+        states = self.states[:, :, self.states.shape[2] // 2 :]
+        return np.swapaxes(self.rows @ states, 1, 2).reshape(len(self.power), -1)
+
+    def doubled(self) -> "_Search":
+        """Return what is known of twice as many stretches, but for the positions."""
+        states = np.concatenate([self.states, self.power @ self.states], axis=2)
+        power, error = _squared(self.power, self.error)
+        return self._replace(power=power, error=error, states=states)
+
+    def looked_at(self, level: float, is_impact: bool) -> "_Search":
+        """Return what the positions in the second half tell.
+
+        A position that is outside of the tolerance now may be inside after a larger one; then that
+        one, which is outside, comes later, so the last one outside is right.
+        """
+        size = np.abs(self.deviation())
+        new = self.states[:, :, self.states.shape[2] // 2 :]
+        peak = np.maximum(self.peak, np.max(size, axis=1)) if is_impact else np.ones(len(size))
+        outside = size[:, ::-1] > level * peak[:, None]
+        last = self.samples - np.argmax(outside, axis=1)
+        return self._replace(
+            largest=np.maximum(self.largest, np.max(np.abs(new), axis=(1, 2))),
+            peak=peak,
+            first=np.where(np.any(outside, axis=1), last, self.first),
+        )
+
+    def bound(self) -> Float64[np.ndarray, " loop"]:
+        """Return a bound of all states after those looked at; infinite if none is proved."""
+        contraction = _norm(self.power) + self.error
+        return np.where(contraction < 1.0, self.growth * contraction * self.largest, np.inf)
+
+    def chosen(self, which: Any) -> "_Search":
+        """Return the search of some of the loops."""
+        return _Search(*(field[which] for field in self))
 
 
-def check_options(level: float, excitation: str, horizon: int = HORIZON) -> None:
-    """Refuse what is no level, excitation or horizon."""
-    if not 0.0 < level < 1.0:
-        raise ValueError(f"level is {level}; give a number between 0 and 1, such as 0.02.")
-    if excitation not in get_args(Excitation):
-        raise ValueError(f'excitation is {excitation!r}; give "force" or "impact".')
-    if not horizon >= 1:
-        raise ValueError(f"horizon is {horizon}; give at least 1 sample.")
+def _norm(matrices: Matrices) -> Float64[np.ndarray, " loop"]:
+    """Return the row-sum norm: the largest entry of A s for entries of s up to 1."""
+    return np.max(np.sum(np.abs(matrices), axis=2), axis=1)
+
+
+def _squared(power: Matrices, error: np.ndarray) -> tuple[Matrices, np.ndarray]:
+    """Return the square, and a bound of its error if that of the factor is one."""
+    norm = _norm(power)
+    rounding = (power.shape[-1] + 2) * _ROUNDING * (norm + error) ** 2
+    return power @ power, error * (2.0 * norm + error) + rounding
+
+
+def _settle(
+    *lanes: Array, level: float, excitation: str, horizon: int
+) -> Float64[np.ndarray, "*grid"]:
+    """Return the first sample since when all are inside the tolerance; NaN if none is proved.
+
+    The lanes: the gains, the entries of the propagator, the whole delay, and whether to search.
+    """
+    alpha, beta, *propagators, whole_delay, is_hopeful = (np.ravel(lane) for lane in lanes)
+    entries = np.array(propagators)
+    first = np.full(alpha.shape, np.nan)
+    for whole in np.unique(whole_delay):
+        together = np.flatnonzero((whole_delay == whole) & is_hopeful)
+        count = max(1, _NUMBERS // ((4 + int(whole)) ** 2 * _STRETCH))
+        for begin in range(0, together.size, count):
+            some = together[begin : begin + count]
+            loops = loops_of(alpha[some], beta[some], entries[:, some], int(whole), excitation)
+            with np.errstate(all="ignore"):  # what grows overflows, and is never proved
+                first[some] = _first_samples(loops, level, horizon, excitation == "impact")
+    return first.reshape(lanes[0].shape)
+
+
+def _first_samples(
+    loops: Loops, level: float, horizon: int, is_impact: bool
+) -> Float64[np.ndarray, " loop"]:
+    first = np.full(len(loops.start), np.nan)
+    searches = [_Search.begun(loops)]
+    while searches:
+        search = searches.pop().looked_at(level, is_impact)
+        proved = search.bound() <= level * search.peak
+        first[search.number[proved]] = search.first[proved]
+        is_open = ~proved & np.isfinite(search.error)
+        if search.samples >= horizon or not np.any(is_open):
+            continue
+        search = search.chosen(is_open)
+        parts = ceil(len(search.number) * search.samples / _NUMBERS)
+        lanes = np.array_split(np.arange(len(search.number)), parts)
+        searches += [search.chosen(part).doubled() for part in lanes if part.size]
+    return first

@@ -9,52 +9,48 @@ taken: they are unique, and inside the set of all gains that settle as fast.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from math import ceil, isfinite, log2
+from math import isfinite
 from typing import Literal, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
-from jax.typing import ArrayLike
 from jaxtyping import Float64
 
+from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
-from jaxstab.model import (
-    HapticLoop,
-    checked_delay,
-    checked_delta,
-    checked_gain,
-    checked_gamma,
-    require_x64,
-)
-from jaxstab.motion.response import Motion
+from jaxstab.model import HapticLoop, checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.motion.response import propagator
 from jaxstab.motion.settling import (
     Excitation,
-    Lanes,
-    advanced,
-    check_options,
-    excited,
-    lanes_of,
+    checked_level,
+    loops_of,
+    positions,
     settling_samples,
 )
+from jaxstab.numbers import checked_number, checked_word
 from jaxstab.point.radius.door import spectral_radius
 from jaxstab.point.verdict.door import verdict
-from jaxstab.tuning.radius import OptimalGains, TuningStatus, least_radius, one_number
+from jaxstab.tuning.radius import OptimalGains, TuningStatus, minimize_radius
+
+Plant = tuple[float, float, float]
 
 _STEPS = np.geomspace(2.0**-24, 2.0**8, 129)  # from a stable point until the loop is unstable
-_COARSE, _FINE = 129, 33  # points on an axis of the first grid and of those that zoom in
+_COARSE, _FINE = 65, 33  # points on an axis of the first grid and of those that zoom in
 _NEIGHBOURS = 4  # steps of a grid to which the next one zooms in
 _ZOOMS = 12
+_NUMBERS = 1 << 20  # of an array that walls side by side fill, about
 _DAMPINGS = np.geomspace(1e-7, 1e2, 600)  # of either sign, tried where the stiffness is given
 
 
 class OptimalWall(NamedTuple):
-    """The best wall in SI units, and what it reaches."""
+    """The best wall in SI units, and what just these gains reach.
+
+    The spectral radius of the gains as they are given is ``radius``, to ``radius_error``, proved.
+    """
 
     stiffness: float
     damping: float
     radius: float
+    radius_error: float
     settling_time: float
     status: TuningStatus
 
@@ -69,8 +65,9 @@ def optimal_gains(
 ) -> OptimalWall:
     """Return the wall (K, B) that comes to rest fastest, or the best B for a given K.
 
-    A search for one loop, without vmap or derivatives; ``least_radius`` has both over gamma and
-    delta.
+    A search for one loop, without vmap or derivatives; ``minimize_radius`` has both over gamma and
+    delta. The best gains for the radius are sensitive: next to a triple pole the radius grows with
+    the cube root of a change, so gains of six digits may miss the smallest one by 0.01.
 
     Args:
         loop: device, hand, sample time and delay.
@@ -80,41 +77,40 @@ def optimal_gains(
         excitation: what the settling time refers to, see ``settling_samples``.
 
     Returns:
-        OptimalWall: stiffness in N/m, damping in N s/m, spectral radius per sample, settling time
-        in s (infinite without a stable wall), and a TuningStatus.
+        OptimalWall: stiffness in N/m, damping in N s/m, spectral radius per sample with its bound,
+        settling time in s (infinite without a stable wall), and a TuningStatus.
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
-        RuntimeError: JAX's x64 mode is off.
+        TypeError: an argument is not one number.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9); settling as in later papers of the same authors.
     """
-    require_x64()
-    if goal not in ("radius", "settling"):
-        raise ValueError(f'goal is {goal!r}; give "radius" or "settling".')
-    check_options(level, excitation)
+    checked_word("goal", goal, ("radius", "settling"))
+    level = checked_level(level, excitation)
     plant = (loop.gamma, loop.delta, loop.delay_samples)
-    alpha = None if stiffness is None else loop.alpha(float(stiffness))
+    alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness))
     if goal == "settling":
-        best = least_settling(*plant, level, alpha=alpha, excitation=excitation)
+        best = minimize_settling(*plant, level, alpha=alpha, excitation=excitation)
     elif alpha is None:
-        best = least_radius(*plant)
+        best = minimize_radius(*plant)
     else:
-        best = least_radius_damping(alpha, *plant)
-    scene = (best.alpha, best.beta, *plant)
+        best = minimize_radius_damping(alpha, *plant)
+    gains = loop.stiffness(float(best.alpha)), loop.damping(float(best.beta))
+    scene = float(best.alpha), float(best.beta), *plant
+    radius = spectral_radius(*scene)
     settling = settling_samples(*scene, level, excitation=excitation).value
     return OptimalWall(
-        loop.stiffness(float(best.alpha)),
-        loop.damping(float(best.beta)),
-        float(spectral_radius(*scene).value),
+        *gains,
+        float(radius.value),
+        float(radius.error),
         float(settling) * loop.sample_time,
         TuningStatus(int(best.status)),
     )
 
 
-def least_radius_damping(
-    alpha: ArrayLike, gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike
-) -> OptimalGains:
+def minimize_radius_damping(alpha: float, gamma: float, delta: float, delay: float) -> OptimalGains:
     """Return the damping beta with the smallest spectral radius for a given stiffness alpha.
 
     Found by a scan over both signs and nine decades of beta, and by zooming in on its best point.
@@ -131,13 +127,14 @@ def least_radius_damping(
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN.
-        RuntimeError: JAX's x64 mode is off.
+        TypeError: an argument is not one number.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9).
     """
-    require_x64()
+    require_x64(alpha, gamma, delta)
     plant = _one_plant(gamma, delta, delay)
-    alpha = one_number("alpha", checked_gain("alpha", alpha))
+    alpha = checked_number("alpha", checked_gain("alpha", alpha))
     betas = np.concatenate([-_DAMPINGS[::-1], [0.0], _DAMPINGS])
     radii = np.asarray(spectral_radius(alpha, betas, *plant).value)
     middle = int(radii.argmin())
@@ -152,13 +149,13 @@ def least_radius_damping(
     return _as_gains(alpha, beta, radius, status)
 
 
-def least_settling(
-    gamma: ArrayLike,
-    delta: ArrayLike,
-    delay: ArrayLike,
+def minimize_settling(
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
     level: float = 0.02,
     *,
-    alpha: ArrayLike | None = None,
+    alpha: Numbers | None = None,
     excitation: Excitation = "force",
 ) -> OptimalGains:
     """Return the gains that settle after the fewest samples.
@@ -179,19 +176,20 @@ def least_settling(
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
-        RuntimeError: JAX's x64 mode is off.
+        TypeError: an argument is not one number.
+        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: the loop of eqs. (1)-(5); settling as in later papers of the same authors.
     """
-    require_x64()
-    check_options(level, excitation)
+    level = checked_level(level, excitation)
+    require_x64(alpha, gamma, delta)
     plant = _one_plant(gamma, delta, delay)
-    start = least_radius(*plant) if alpha is None else least_radius_damping(alpha, *plant)
+    start = minimize_radius(*plant) if alpha is None else minimize_radius_damping(alpha, *plant)
     settles = partial(settling_samples, level=level, excitation=excitation)
     samples = float(settles(start.alpha, start.beta, *plant).value)
     if int(start.status) == TuningStatus.NO_STABLE_GAINS or not isfinite(samples):
-        return start._replace(value=jnp.full((), jnp.inf))
-    best = _least_samples(start, plant, level, excitation, int(samples), alpha is not None)
+        return start._replace(value=np.array(np.inf))
+    best = _fewest_samples(start, plant, level, excitation, int(samples), alpha is not None)
     reached = settles(*best, *plant).value
     return _as_gains(*best, float(reached), TuningStatus.SCANNED)
 
@@ -245,26 +243,25 @@ def _zoomed(
     return best, value
 
 
-def _least_samples(
+def _fewest_samples(
     start: OptimalGains,
-    plant: tuple[float, float, float],
+    plant: Plant,
     level: float,
     excitation: Excitation,
     samples: int,
     is_stiffness_given: bool,
 ) -> tuple[float, float]:
-    length = 2 ** ceil(log2(2 * samples + 8))
-    tails = partial(_least_tails, impact=excitation == "impact", length=length)
+    tails = partial(_smallest_tails, plant=plant, excitation=excitation, length=2 * samples + 8)
 
     def least_after(sample: int) -> Callable[[_Grid], tuple[float, int]]:
         def least(grid: _Grid) -> tuple[float, int]:
-            values, places = tails(lanes_of(*grid.points, *plant)[0])
+            values, places = tails(grid)
             return float(values[sample]), int(places[sample])
 
         return least
 
     coarse = _stable_box(start, plant, is_stiffness_given)
-    values, places = (np.asarray(x) for x in tails(lanes_of(*coarse.points, *plant)[0]))
+    values, places = tails(coarse)
     best = (float(start.alpha), float(start.beta))
     within = np.flatnonzero(values <= level)
     if within.size and within[0] <= samples:
@@ -279,9 +276,7 @@ def _least_samples(
     return calmest if tail <= level else best
 
 
-def _stable_box(
-    start: OptimalGains, plant: tuple[float, float, float], is_stiffness_given: bool
-) -> _Grid:
+def _stable_box(start: OptimalGains, plant: Plant, is_stiffness_given: bool) -> _Grid:
     """Return a box that reaches from the first gains to the edge of stability on each side."""
     alpha, beta = float(start.alpha), float(start.beta)
 
@@ -296,30 +291,39 @@ def _stable_box(
     return _Grid((alpha - reach(-1.0, 0.0), alpha + reach(1.0, 0.0)), betas, _COARSE)
 
 
-@partial(jax.jit, static_argnames=("impact", "length"))
-def _least_tails(lanes: Lanes, *, impact: bool, length: int) -> tuple[Array, Array]:
-    """Return, for every sample, the smallest of all lanes' largest deviations from then on."""
+def _smallest_tails(
+    grid: _Grid, plant: Plant, excitation: str, length: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return, for every sample, the smallest of all walls' largest deviations from then on."""
+    gamma, delta, delay = plant
+    entries = propagator(gamma, delta, delay % 1.0, np.ones(1))[0, :, :4].reshape(8, 1)
+    alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
+    count = max(1, _NUMBERS // (length + (4 + int(delay)) ** 2 * 32))
+    smallest: list[tuple[np.ndarray, np.ndarray]] = []
+    for begin in range(0, alphas.size, count):
+        some = slice(begin, begin + count)
+        same = np.broadcast_to(entries, (8, alphas[some].size))
+        loops = loops_of(alphas[some], betas[some], same, int(delay), excitation)
+        with np.errstate(all="ignore"):  # unstable walls overflow
+            deviation = np.abs(positions(loops, length))
+            tails = np.maximum.accumulate(deviation[:, ::-1], axis=1)[:, ::-1]
+            if excitation == "impact":
+                tails = tails / tails[:, :1]
+        tails = np.nan_to_num(tails, nan=np.inf, posinf=np.inf)
+        smallest.append((np.min(tails, axis=0), begin + np.argmin(tails, axis=0)))
+    values, places = (np.array(part) for part in zip(*smallest, strict=True))
+    best = np.argmin(values, axis=0), np.arange(values.shape[1])
+    return values[best], places[best]
 
-    def tail(lane: Lanes) -> Array:
-        def step(motion: Motion, _: None) -> tuple[Motion, Array]:
-            return advanced(lane, motion), jnp.abs(motion.position)
 
-        _, deviation = lax.scan(step, excited(lane, impact=impact), length=length)
-        reference = jnp.max(deviation) if impact else 1.0
-        return lax.cummax(deviation, reverse=True) / reference
-
-    tails = jnp.nan_to_num(jax.vmap(tail)(lanes), nan=jnp.inf, posinf=jnp.inf)
-    return jnp.min(tails, axis=0), jnp.argmin(tails, axis=0)
-
-
-def _one_plant(gamma: ArrayLike, delta: ArrayLike, delay: ArrayLike) -> tuple[float, float, float]:
+def _one_plant(gamma: Numbers, delta: Numbers, delay: Numbers) -> Plant:
     return (
-        one_number("gamma", checked_gamma(gamma)),
-        one_number("delta", checked_delta(delta)),
-        one_number("delay", checked_delay(delay)),
+        checked_number("gamma", checked_gamma(gamma)),
+        checked_number("delta", checked_delta(delta)),
+        checked_number("delay", delay, 0.0),
     )
 
 
 def _as_gains(alpha: float, beta: float, value: float, status: TuningStatus) -> OptimalGains:
-    point = [jnp.asarray(number, jnp.float64) for number in (alpha, beta, value)]
-    return OptimalGains(point[0], point[1], point[2], jnp.asarray(int(status), jnp.int8))
+    point = [np.array(number, np.float64) for number in (alpha, beta, value)]
+    return OptimalGains(point[0], point[1], point[2], np.array(status, np.int8))

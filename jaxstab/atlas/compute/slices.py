@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format import schema
 from jaxstab.region import stable_region
-from jaxstab.tuning import least_radius
+from jaxstab.tuning import minimize_radius
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -58,7 +58,7 @@ def slice_summaries(
         delay: time delay t_d/T of all of them.
     """
     regions = [stable_region(gamma, delta, delay) for gamma, delta in hands.tolist()]
-    best = least_radius(hands[:, 0], hands[:, 1], delay)
+    best = minimize_radius(hands[:, 0], hands[:, 1], delay)
     values = (
         [float(region.max_alpha[0]) for region in regions],
         [float(region.max_alpha[1]) for region in regions],

@@ -75,7 +75,7 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
         RuntimeError: JAX's x64 mode is off.
 
     Source: ``jaxstab.verdict`` with resolve="exact", ``jaxstab.spectral_radius``,
-        ``jaxstab.stable_region`` and ``jaxstab.least_radius``.
+        ``jaxstab.stable_region`` and ``jaxstab.minimize_radius``.
     """
     require_x64()
     chance = np.random.default_rng(seed)
