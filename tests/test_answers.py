@@ -209,8 +209,10 @@ def test_what_is_too_small_to_be_seen_beside_the_region_is_enlarged() -> None:
     parts = {str(patch.get_label()): patch.get_path().vertices for patch in enlarged.patches}
     assert "passive: up to 3000 N/m" in parts  # 2 b/T, Colgate
     common = next(name for name in parts if name.startswith("for all corners"))
-    most = scene_limits(scene).all_hands.sampled_hands_allow_stiffness
-    assert parts[common][:, 0].max() == pytest.approx(most, rel=1e-3)
+    proved = scene_limits(scene).all_hands
+    stiffest = parts[common][:, 0].max()
+    assert proved.largest_stiffness < stiffest <= proved.none_is_stiffer_than
+    assert stiffest == pytest.approx(proved.none_is_stiffer_than, rel=3e-3)
     for panel, is_seen in ((whole, False), (enlarged, True)):
         window = np.ptp([panel.get_xlim(), panel.get_ylim()], axis=1)
         shares = np.ptp(parts[common], axis=0) / window
@@ -269,10 +271,10 @@ def test_the_radius_that_tune_prints_is_that_of_the_gains_that_it_prints() -> No
     gains = loop.alpha(number(lines["stiffness"])), loop.beta(number(lines["damping"]))
     radius = spectral_radius(*gains, loop.gamma, loop.delta, loop.delay_samples)
     assert number(lines["spectral radius"]) == pytest.approx(float(radius.value), abs=1e-6)
-    assert float(radius.value) > 4 ** (1 / 3) - 1 + 1e-3  # where three poles meet, digits matter
     exact = answered("tune", *PHANTOM)["least_radius"]
     assert exact["rounded"]["stiffness"] == number(lines["stiffness"])
-    assert exact["spectral_radius"] < exact["rounded"]["spectral_radius"]
+    rounded = exact["rounded"]["spectral_radius"]
+    assert exact["spectral_radius"] + 1e-3 < rounded  # where three poles meet, digits matter
 
 
 @pytest.mark.parametrize("delay", ["0", "0.0013", "0.004"])
@@ -283,7 +285,8 @@ def test_printed_limits_are_rounded_inwards(delay: str) -> None:
     low, high = (float(end) for end in lines["stiffness limits"].split(" N")[0].split(" to "))
     given = exact["at_given_damping"]["stiffness_limits"]
     assert given[0] <= low < high <= given[1]
-    for end in (low, high):
+    inwards = 1e-9 * (high - low)  # off the line alpha = -gamma itself
+    for end in (low + inwards, high):
         point = (end * 1e-5, 7e-2, 123e-5, 1.5e-2, float(delay) * 1e3)
         assert verdict(*point) in (Verdict.STABLE, Verdict.UNDECIDED)
     design = [*scene[:-2], "--stiffness", "1000"]

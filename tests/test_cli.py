@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import struct
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 from atlases import SMALL_TOML, write_small
 from click.testing import CliRunner, Result
 
+import jaxstab
 from jaxstab.cli.main import main
 
 POINT = ["--alpha", "0.1", "--beta", "0.5", "--gamma", "0.0005", "--delta", "0.01", "--delay", "0"]
@@ -226,3 +228,38 @@ def test_help_and_queries_start_without_anything_heavy(arguments: list[str], pat
     loaded = set(completed.stderr.split())
     assert loaded.isdisjoint({"jax", "jaxtyping", "matplotlib", "rich", "scipy", "pydantic"})
     assert ("numpy" in loaded) == ("query" in arguments)
+
+
+PLAIN = ["--device", "phantom", "--sample-time", "0.001"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["limits", *PLAIN],
+        ["limits", *PLAIN, "--hand-mass", "0:0.2"],
+        ["design", *PLAIN, "--stiffness", "3000"],
+        ["region", "--gamma", "0", "--delta", "0.015", "--delay", "1", "-o", "region.png"],
+        ["figure", "4"],
+    ],
+    ids=" ".join,
+)
+def test_what_is_asked_once_does_not_load_jax(arguments: list[str], tmp_path: Path) -> None:
+    script = (
+        "import atexit, sys\n"
+        "from jaxstab.cli.main import main\n"
+        "atexit.register(lambda: print(*sys.modules, file=sys.stderr))\n"
+        "main()\n"
+    )
+    completed = subprocess.run(
+        [sys.executable, "-c", script, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(Path(jaxstab.__file__).parents[1])},
+    )
+    assert completed.returncode == 0, completed.stderr
+    loaded = set(completed.stderr.split())
+    assert loaded.isdisjoint({"jax", "rich", "scipy"})
+    assert ("matplotlib" in loaded) == (arguments[0] in ("region", "figure"))

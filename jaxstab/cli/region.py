@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from jaxstab.cli.options import picture_file
-from jaxstab.cli.process import start_jax
 
 _FIGURES = range(4, 11)
 _DIGITS = 10
@@ -20,7 +19,6 @@ _DIGITS = 10
 @click.option("--format", "form", type=click.Choice(["png", "svg"]), default="png")
 def figure(number: str, output: Path, form: str) -> None:
     """Draw a figure of Hulin, Preusche, Hirzinger (2008): NUMBER is 4 ... 10, or all."""
-    start_jax()
     from jaxstab.durable import publish
     from jaxstab.pictures.paper import paper_figure
     from jaxstab.pictures.style import picture
@@ -44,7 +42,6 @@ def region(
     gamma: float, delta: float, delay: float, radius: float, output: Path | None, as_json: bool
 ) -> None:
     """Measure the stable region in the (alpha, beta) plane, and draw it."""
-    start_jax()
     from jaxstab.criteria import region_facts
 
     facts = region_facts(gamma, delta, delay, radius)

@@ -1,7 +1,7 @@
 """The commands around a scene: what it allows, how its walls do, the best walls, the design."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -160,6 +160,7 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> Any:
 
 
 def _draw(scene: "Scene", checked: Any, file: Path) -> None:
+    start_jax()
     from jaxstab.durable import publish
     from jaxstab.pictures.scene import scene_figure
     from jaxstab.pictures.style import picture
@@ -168,18 +169,22 @@ def _draw(scene: "Scene", checked: Any, file: Path) -> None:
         publish(picture(scene_figure(scene, checked), file.suffix[1:]), file)
 
 
-def _computed(scene: "Scene", name: str) -> Any:
-    start_jax()
-    from jaxstab.scene import check_walls, design_loop, scene_limits, tune_walls
+_FUNCTIONS = {
+    "limits": "scene_limits",
+    "check": "check_walls",
+    "tune": "tune_walls",
+    "design": "design_loop",
+}
+_WITH_JAX = ("check", "tune")  # which look at motion; so do pictures of a scene
 
-    answers: Mapping[str, Callable[[Scene], Answer]] = {
-        "limits": scene_limits,
-        "check": check_walls,
-        "tune": tune_walls,
-        "design": design_loop,
-    }
+
+def _computed(scene: "Scene", name: str) -> Any:
+    import jaxstab.scene
+
+    if name in _WITH_JAX:
+        start_jax()
     with _refused():
-        return answers[name](scene)
+        return getattr(jaxstab.scene, _FUNCTIONS[name])(scene)
 
 
 def _scene(given: dict[str, Any]) -> "Scene":

@@ -13,6 +13,7 @@ from jaxstab.scene.answers import (
     LargestStiffness,
     Mass,
     Stiffness,
+    StiffnessBound,
     StiffnessLimits,
 )
 from jaxstab.scene.loops import WallRegion, hands_of, loop_of, wall_region, walls_of
@@ -70,12 +71,12 @@ class HeldBy(Answer):
 
 @dataclass(frozen=True)
 class AllHands(Answer):
-    """The stiffest wall for all hands of a range."""
+    """A wall for all hands of a range, nearly the stiffest, and a proved bound of all."""
 
     largest_stiffness: LargestStiffness
     at_damping: Damping
     certainty: str
-    sampled_hands_allow_stiffness: LargestStiffness
+    none_is_stiffer_than: StiffnessBound
     worst_hand: HeldBy
 
 
@@ -157,6 +158,6 @@ def _for_all(loop: HapticLoop, hands: HandRange) -> AllHands:
         largest_stiffness=found.stiffness,
         at_damping=found.damping,
         certainty="proved for every hand" if found.is_proved else "not proved",
-        sampled_hands_allow_stiffness=found.limit,
+        none_is_stiffer_than=found.limit,
         worst_hand=held_by(found.loop),
     )
