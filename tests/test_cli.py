@@ -238,6 +238,8 @@ PLAIN = ["--device", "phantom", "--sample-time", "0.001"]
     [
         ["limits", *PLAIN],
         ["limits", *PLAIN, "--hand-mass", "0:0.2"],
+        ["check", *PLAIN, "--wall", "a", "800", "5"],
+        ["tune", *PLAIN],
         ["design", *PLAIN, "--stiffness", "3000"],
         ["region", "--gamma", "0", "--delta", "0.015", "--delay", "1", "-o", "region.png"],
         ["figure", "4"],

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jaxstab.cli.options import number_or_range, picture_file
-from jaxstab.cli.process import start_jax
 
 if TYPE_CHECKING:
     from jaxstab.scene import Answer, Check, Scene
@@ -160,7 +159,6 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> Any:
 
 
 def _draw(scene: "Scene", checked: Any, file: Path) -> None:
-    start_jax()
     from jaxstab.durable import publish
     from jaxstab.pictures.scene import scene_figure
     from jaxstab.pictures.style import picture
@@ -175,14 +173,11 @@ _FUNCTIONS = {
     "tune": "tune_walls",
     "design": "design_loop",
 }
-_WITH_JAX = ("check", "tune")  # which look at motion; so do pictures of a scene
 
 
 def _computed(scene: "Scene", name: str) -> Any:
     import jaxstab.scene
 
-    if name in _WITH_JAX:
-        start_jax()
     with _refused():
         return getattr(jaxstab.scene, _FUNCTIONS[name])(scene)
 
