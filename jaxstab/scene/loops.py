@@ -14,6 +14,7 @@ from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.numbers import without_noise
 from jaxstab.ranges import HandRange
 from jaxstab.region import RegionStatus, StableRegion, stable_region
+from jaxstab.region.region import LONGEST_DELAY
 from jaxstab.scene.scene import Hand, Scene
 
 Pairs = Float64[np.ndarray, "*grid 2"]
@@ -88,6 +89,11 @@ def wall_region(loop: HapticLoop) -> WallRegion:
     Raises:
         ValueError: the dimensionless parameters are out of range, or the region is not resolved.
     """
+    if loop.delay_samples > LONGEST_DELAY:
+        raise ValueError(
+            f"the delay is {loop.delay_samples:g} samples, and limits are computed for at most "
+            f"{LONGEST_DELAY:g}; a delay that is meant in samples is given as delay_samples."
+        )
     region = stable_region(loop.gamma, loop.delta, loop.delay_samples)
     if int(region.status) == RegionStatus.UNRESOLVED:
         raise ValueError(
