@@ -24,6 +24,7 @@ BENCHMARKS = (
     "scaling",
     "verdicts",
     "criteria",
+    "tuning",
     "stress",
 )
 

@@ -258,10 +258,24 @@ def _criteria(rows: list[Row]) -> Figure:
     return figure
 
 
+def _tuning(rows: list[Row]) -> Figure:
+    plants = sum(row["repeats"] for row in rows)
+    figure, axes = _panels(1, 2, f"Smallest radii of {plants:,} random plants")
+    judged = ("beaten", "region_below", "not_reached", "missed")
+    for panel, columns in zip(
+        axes[0], (judged, ("triple_root", "double_pair", "scanned")), strict=True
+    ):
+        counts = [sum(row[column] for row in rows) for column in columns]
+        panel.barh([column.replace("_", " ") for column in columns], counts)
+        panel.set(xlabel="plants")
+    return figure
+
+
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "latency": _latency,
     "boundary": _boundary,
     "criteria": _criteria,
+    "tuning": _tuning,
     "regions": _regions,
     "queries": _queries,
     "answers": _answers,

@@ -138,6 +138,8 @@ def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, An
     assert {row["wrong"] for row in rows("verdicts")} == {0}
     assert {row["wrong"] for row in rows("answers")} == {0}
     assert {row["wrong"] for row in rows("regions", method="stable_region")} == {0}
+    for row in rows("tuning"):
+        assert row["beaten"] == row["region_below"] == row["not_reached"] == row["missed"] == 0
 
 
 def test_a_filled_slice_is_that_of_its_nodes(rows: Callable[..., list[dict[str, Any]]]) -> None:

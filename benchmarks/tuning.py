@@ -1,0 +1,133 @@
+"""Random plants: do the gains of ``minimize_radius`` have their radius, and are they the best?
+
+Hands are weak and stiff, beyond the Nyquist frequency and next to its multiples, a part of them
+without damping; delays from 0 to 8, half of them whole. Three judges, none of which shares the
+search: certified roots of p at the gains (``not_reached``: they are more than 0.1 % larger than
+the radius), the region of all gains with a radius 0.1 % smaller (``region_below``: it is not
+empty), and a random descent over the gains with eigenvalues of polynomials of 50 digits
+(``beaten``: by more than 0.1 %). ``missed`` counts plants of NO_STABLE_GAINS with a stable region.
+``error`` is the largest share by which the descent did better.
+"""
+
+from collections.abc import Iterator
+from time import process_time
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks import truth
+from benchmarks.record import Row
+from jaxstab.region import stable_region
+from jaxstab.tuning import TuningStatus, minimize_radius
+
+MEASURE = "largest share by which a random descent found a smaller radius"
+
+_CLASSES = ((0, 3, 500), (3, 9, 500))  # delays, how many plants
+_ALLOWED = 1e-3
+_STEPS, _TRIALS = 60, 60  # of a descent
+_SPREADS = (-6.0, 0.3)  # decades of the steps beside the size of the gains
+
+Plant = tuple[float, float, float]
+
+
+class Tally(NamedTuple):
+    """What became of one plant."""
+
+    status: TuningStatus
+    not_reached: bool
+    region_below: bool
+    missed: bool
+    gain: float  # the share by which the descent did better
+    seconds: float
+
+
+def rows(small: bool) -> Iterator[Row]:
+    for first, stop, count in _CLASSES[:1] if small else _CLASSES:
+        rng = np.random.default_rng([20120412, stop])
+        plants = [random_plant(rng, first, stop) for _ in range(4 if small else count)]
+        tallies = [tally(plant, rng) for plant in plants]
+        seconds = [one.seconds for one in tallies]
+        yield {
+            "section": "minimize_radius",
+            "method": "minimize_radius",
+            "delay": stop - 1,
+            "points": 1,
+            "seconds": float(np.median(seconds)),
+            "seconds_quartiles": np.quantile(seconds, (0.25, 0.75)).tolist(),
+            "repeats": len(tallies),
+            "error": max(0.0, *(one.gain for one in tallies)),
+            "error_measure": MEASURE,
+            "beaten": sum(one.gain > _ALLOWED for one in tallies),
+            **{
+                name: sum(getattr(one, name) for one in tallies)
+                for name in ("not_reached", "region_below", "missed")
+            },
+            **{s.name.lower(): sum(one.status == s for one in tallies) for s in TuningStatus},
+        }
+
+
+def random_plant(rng: np.random.Generator, first: int, stop: int) -> Plant:
+    """Return gamma, delta and a delay from first to below stop."""
+    nyquist = (np.pi * rng.integers(1, 4)) ** 2
+    gamma = rng.choice(
+        [
+            0.0,
+            10 ** rng.uniform(-6, 0),
+            10 ** rng.uniform(0, 2),
+            nyquist * (1 + rng.choice([-1, 1]) * 10 ** rng.uniform(-4, -1)),
+        ]
+    )
+    delta = rng.choice(
+        [0.0, 10 ** rng.uniform(-5, 0), 10 ** rng.uniform(-1, 1)], p=[0.15, 0.6, 0.25]
+    )
+    delay = rng.choice([float(rng.integers(first, stop)), rng.uniform(first, stop - 1)])
+    return float(gamma), float(delta), float(delay)
+
+
+def tally(plant: Plant, rng: np.random.Generator) -> Tally:
+    """Judge one plant."""
+    start = process_time()
+    best = minimize_radius(*plant)
+    seconds = process_time() - start
+    status, value = TuningStatus(int(best.status)), float(best.value)
+    if status == TuningStatus.NO_STABLE_GAINS:
+        missed = not stable_region(*plant).is_empty
+        return Tally(status, False, False, missed, 0.0, seconds)
+    gains = np.array([float(best.alpha), float(best.beta)])
+    reached = float(truth.spectral_radius(*gains.tolist(), *plant)[1])
+    below = stable_region(*plant, value * (1.0 - _ALLOWED))
+    found = min(
+        descent(family(plant), start, rng)
+        for start in (gains, np.zeros(2), rng.normal(size=2) * max(1.0, plant[0], *abs(gains)))
+    )
+    too_large = reached > value * (1.0 + _ALLOWED)
+    return Tally(status, too_large, len(below.points) > 0, False, 1.0 - found / value, seconds)
+
+
+def family(plant: Plant) -> np.ndarray:
+    """Return p without a wall, and what a unit of alpha and of beta adds."""
+    walls = [(0, 0), (1, 0), (0, 1)]
+    base, alpha, beta = (np.array(truth.polynomial(*wall, *plant)) for wall in walls)
+    return np.stack([base, alpha - base, beta - base]).astype(float)
+
+
+def descent(polynomials: np.ndarray, start: np.ndarray, rng: np.random.Generator) -> float:
+    """Return the smallest radius of a random walk that keeps what is better."""
+    gains, least = start, radii(polynomials, start[None])[0]
+    size = max(*np.abs(start), 0.1 / polynomials.shape[1] ** 2)
+    for _ in range(_STEPS):
+        spread = 10 ** rng.uniform(*_SPREADS, (_TRIALS, 1))
+        trials = gains + size * spread * rng.normal(size=(_TRIALS, 2))
+        values = radii(polynomials, trials)
+        if values.min() < least:
+            gains, least = trials[np.argmin(values)], values.min()
+    return float(least)
+
+
+def radii(polynomials: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """Return the largest modulus of the eigenvalues for gains (n, 2)."""
+    coefficients = polynomials[0] + gains @ polynomials[1:]
+    size = coefficients.shape[1] - 1
+    companion = np.tile(np.eye(size, k=-1), (len(gains), 1, 1))
+    companion[:, 0, :] = -coefficients[:, 1:]
+    return np.max(np.abs(np.linalg.eigvals(companion)), axis=1)
