@@ -27,7 +27,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "is_stable": [0.1, 0.2, 0.001, 0.015, 1.0],
     "sweep": ["function", 0.1, 0.2, 0.001, 0.015, 1.0],
     "verdict": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "simulate": ["loop", 1000.0, 10.0],
+    "simulate": ["loop", 1000.0, 10.0, {"force": 1.0}],
     "settling_samples": [0.1, 0.2, 0.001, 0.015, 1.0],
     "settling_time": ["loop", 1000.0, 10.0],
     "dominant_mode": [0.1, 0.2, 0.001, 0.015, 1.0],
