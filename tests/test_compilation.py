@@ -90,6 +90,82 @@ def test_the_exceptions_are_names_of_functions_that_compute() -> None:
     assert set(COMPUTING_CALLS) >= BY_JAX | WITHOUT_ARRAYS
 
 
+# --------------------------------------------------------------------------- numbers of programs
+
+# What a first call may compile at most, and each later one of another size. A number that falls
+# is good news: put it here.
+PROGRAMS = {
+    "spectral_radius": (10, 0),
+    "boundary_curve": (0, 0),
+    "trace_boundary": (7, 0),
+    "verdict": (4, 3),
+    "write_atlas": (6, 3),
+}
+
+COUNT_PROGRAMS = """
+import json, tempfile
+import jax
+import numpy as np
+import jaxstab
+from jaxstab import AtlasSpec, FittedAxis
+
+def loops(count):
+    rng = np.random.default_rng(count)
+    plants = np.full(count, 1e-3), np.full(count, 0.015)
+    return rng.uniform(0.0, 0.3, count), rng.uniform(0.0, 0.9, count), *plants, 1.0
+
+def trace(size):
+    window = ((-0.01, 0.2), (0.0, size / 10))
+    jaxstab.trace_boundary(("alpha", "beta"), window, gamma=1e-3, delta=0.015, delay=1.0)
+
+def write(size):
+    axes = {"alpha": FittedAxis(size), "beta": FittedAxis(size)}
+    spec = AtlasSpec(**axes, gamma=[0.0, 1e-3], delta=[0.0, 0.015], delay=[0.0])
+    with tempfile.TemporaryDirectory() as folder:
+        jaxstab.write_atlas(spec, folder + "/a.h5")
+
+CALLS = {
+    "verdict": (lambda size: jaxstab.verdict(*loops(size)), (33_000, 33_001, 34_000)),
+    "spectral_radius": (
+        lambda size: jaxstab.spectral_radius(*loops(size)), (17_000, 17_001, 18_000)
+    ),
+    "boundary_curve": (
+        lambda size: jaxstab.boundary_curve(np.linspace(0.1, 3.0, size), 1e-3, 0.015, 1.0),
+        (100_000, 131_000),
+    ),
+    "trace_boundary": (trace, (10, 11, 12)),
+    "write_atlas": (write, (8, 9, 11)),
+}
+compiled = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda name, _, **__: compiled.append(name) if "backend_compile" in name else None
+)
+counts = {}
+for name, (call, sizes) in CALLS.items():
+    counts[name] = []
+    for size in sizes:
+        compiled.clear()
+        call(size)
+        counts[name].append(len(compiled))
+print(json.dumps(counts))
+"""
+
+
+@cache
+def programs() -> dict[str, list[int]]:
+    # Compiled quickly rather than well: they are only counted.
+    quick = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    return printed_by(COUNT_PROGRAMS, JAX_ENABLE_X64="1", XLA_FLAGS=quick)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_no_more_programs_are_compiled_than_allowed(name: str) -> None:
+    first, *others = programs()[name]
+    assert first <= PROGRAMS[name][0]
+    assert max(others) <= PROGRAMS[name][1]
+
+
 # ------------------------------------------------------------------------- the cache of programs
 
 COMPILED_WITH = """
