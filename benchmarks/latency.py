@@ -115,8 +115,8 @@ def _questions() -> list[Question]:
             "print(loop.alpha(float(jaxstab.wall_limits(loop).stiffness)))"
         ), _judge_largest, "largest_alpha"),
         Question("optimal_gains", 3.0, _python(
-            "best = jaxstab.optimal_gains(loop)\n"
-            "print(float(best.value), *map(float, best[:2]))"
+            "best = jaxstab.optimal_gains(loop, 'radius')\n"
+            "print(best.radius, loop.alpha(best.stiffness), loop.beta(best.damping))"
         ), _judge_best, "best_gains"),
         Question("robust_region", 4.0, _python(
             f"region = jaxstab.robust_region((0.0, {GAMMA}), (0.0, 0.015), {float(DELAY)})\n"
