@@ -107,7 +107,7 @@ def test_the_worst_of_many_hands_decides(atlas: Atlas, rng: np.random.Generator)
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda atlas: atlas.alpha_limits(np.nan, 0.0, 0.0, 0.0), "beta is NaN"),
+        (lambda atlas: atlas.alpha_limits(np.nan, 0.0, 0.0, 0.0), "beta is nan"),
         (lambda atlas: atlas.alpha_limits(0.1, 1.0, 0.0, 0.0), "gamma is 1.0, and this atlas"),
         (lambda atlas: atlas.alpha_limits(0.1, 0.0, 0.0, 0.5), "delay is 0.5; this atlas has"),
         (lambda atlas: atlas.max_alpha(0.0, -1.0, 0.0), "delta is -1.0, and this atlas"),
@@ -116,7 +116,7 @@ def test_the_worst_of_many_hands_decides(atlas: Atlas, rng: np.random.Generator)
             "gamma is .0.001, 0.0.; give its lowest and its highest",
         ),
         (lambda atlas: atlas.verdict(9.0, 0.1, 0.0, 0.0, 0.0), "alpha is 9.0, and this atlas"),
-        (lambda atlas: atlas.verdict(np.nan, 0.1, 0.0, 0.0, 0.0), "alpha is NaN"),
+        (lambda atlas: atlas.verdict(np.nan, 0.1, 0.0, 0.0, 0.0), "alpha is nan"),
     ],
 )
 def test_questions_that_cannot_be_answered_are_refused(atlas: Atlas, ask, words: str) -> None:
