@@ -62,12 +62,6 @@ def wall_limits(loop: HapticLoop) -> WallLimits:
     )
 
 
-def stiffest_wall(loop: HapticLoop) -> tuple[float, float]:
-    """Return the largest stable stiffness in N/m and its damping in N s/m, as ``wall_limits``."""
-    best = wall_limits(loop)
-    return best.stiffness, best.at_damping
-
-
 def stiffness_limits(loop: HapticLoop, damping: Numbers) -> Float64[Array, "*grid 2"]:
     """Return the least and the largest stable stiffness at given dampings.
 

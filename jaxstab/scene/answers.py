@@ -84,7 +84,6 @@ LargestStiffness = Annotated[float, Quantity("N/m", _LIMIT_DIGITS, ROUND_FLOOR)]
 StiffnessBound = Annotated[float, Quantity("N/m", _LIMIT_DIGITS, ROUND_CEILING)]
 LargestDamping = Annotated[float, Quantity("N s/m", _LIMIT_DIGITS, ROUND_FLOOR)]
 LargestTime = Annotated[float, Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR)]
-LargestGain = Annotated[float, Quantity("", _LIMIT_DIGITS, ROUND_FLOOR)]
 StiffnessLimits = Annotated[tuple[float, float], IntervalQuantity("N/m", _LIMIT_DIGITS)]
 DampingLimits = Annotated[tuple[float, float], IntervalQuantity("N s/m", _LIMIT_DIGITS)]
 
