@@ -9,7 +9,7 @@ g is continuous in all six variables, in the delay too. Re g and Im g / sin(thet
 smoothly to theta = 0 and pi, where the pair meets a real root.
 """
 
-from math import pi
+from math import ceil, log2, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +19,8 @@ from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
 from jaxstab.model import plant_coefficients
 from jaxstab.region.curve import SliceCoefficients
 
-_DOUBLINGS = 12
-_TERMS = 12
+_DOUBLINGS = 12  # enough for the stiffest and most damped hands
+_TERMS = 12  # enough for a time in which the plant moves by 1/4
 _LOST = 16 * np.finfo(np.float64).eps
 """More than each of n2, n1, n0 and d0 of a quick plant has lost; d1 loses more for a stiff hand."""
 
@@ -38,7 +38,8 @@ class Motion(NamedTuple):
 def motion(gamma: Array, delta: Array, time: Array) -> Motion:
     """Sum a Taylor series for a small time and double that time: sums keep their accuracy."""
     xp = namespace(gamma, delta, time)
-    short = time * 2.0**-_DOUBLINGS
+    doublings = _doublings(gamma, delta) if xp is np else _DOUBLINGS
+    short = time * 2.0**-doublings
     before, term = xp.zeros_like(short), 0.5 * short**2
     position, moment = term, 2.0 * term
     for k in range(2, _TERMS):
@@ -51,7 +52,13 @@ def motion(gamma: Array, delta: Array, time: Array) -> Motion:
         return Motion(2 * p - gamma * p**2 + v**2, 2 * v - delta * v**2 - 2 * gamma * p * v)
 
     start = Motion(position, moment / xp.where(short == 0.0, 1.0, short))
-    return repeat(_DOUBLINGS, doubled, start)
+    return repeat(doublings, doubled, start)
+
+
+def _doublings(gamma: Array, delta: Array) -> int:
+    """Return how often to double the time in which no plant moves by more than about 1/4."""
+    rate = 4.0 * np.max(np.sqrt(np.abs(gamma)) + np.abs(delta), initial=0.25)
+    return min(ceil(log2(rate)), _DOUBLINGS)
 
 
 class QuickPlant(NamedTuple):
@@ -98,8 +105,8 @@ def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
     """Return the sampled plant, good to about 1e-14 of one."""
     xp = namespace(gamma, delta, delay)
     rest_of_sample = xp.floor(delay) + 1.0 - delay
-    full = motion(gamma, delta, xp.ones_like(gamma + delta))
-    held = motion(gamma, delta, rest_of_sample)
+    times = xp.stack(xp.broadcast_arrays(xp.ones_like(gamma + delta), rest_of_sample))
+    full, held = map(Motion, *motion(gamma, delta, times))
     kept = 1.0 - delta * full.velocity - gamma * full.position
     total = full.position + full.velocity**2 - kept * full.position
     later = full.position - held.position

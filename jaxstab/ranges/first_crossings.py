@@ -34,7 +34,7 @@ _PIECES = 2  # boxes along a gain at first
 _FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
 _DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
 _DELAY_ANGLES, _FRACTIONS = 256, 4  # boxes at first, for half a turn and for a sample
-_SMALLEST = np.array([0.0, 2.0**-12, 2.0**-16])  # half the size of boxes of fractions, angles / pi
+_SMALLEST = np.array([0.0, 2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
 _MOST_ANGLES = 2000  # such boxes of a wall at once
 _TOUCHING = 1e-9
 _LONGER = 4.0  # each stretch of delay than the one before
@@ -58,12 +58,18 @@ def first_crossings(walls: Walls) -> Float64[np.ndarray, "wall found"]:
     table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
     for first in range(0, len(walls), _AT_ONCE):
         some, rows = walls[first : first + _AT_ONCE], table[first : first + _AT_ONCE]
-        rows[:, 0] = verdict(*some.T)
+        rows[:, 0] = verdict(*some.T[:2], *_plants(some))
         stable = rows[:, 0] == Verdict.STABLE
         if stable.any():
             ways = [*_along_gains(some[stable]), _along_delay(some[stable])]
             rows[stable, 1:] = np.stack([column for way in ways for column in way], axis=-1)
     return table
+
+
+def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
+    """Return gamma, delta and delay of walls, once if they are those of all: quicker to prove."""
+    plants = walls.T[2:]
+    return plants[:, 0] if np.all(plants == plants[:, :1]) else plants
 
 
 def _along_gains(walls: Walls) -> list[_Crossings]:
@@ -90,9 +96,9 @@ def _reach(walls: Walls) -> Float64[np.ndarray, "way wall"]:
         if not way.size:
             break
         steps = np.outer(2.0 ** np.arange(doubled, doubled + _DOUBLINGS_AT_ONCE), first[way, wall])
-        moved = np.repeat(walls[wall].T[:, None], _DOUBLINGS_AT_ONCE, axis=1)
-        moved[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
-        is_unstable = np.asarray(verdict(*moved)) == Verdict.UNSTABLE
+        gains = np.repeat(walls[wall, :2].T[:, None], _DOUBLINGS_AT_ONCE, axis=1)
+        gains[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
+        is_unstable = verdict(*gains, *_plants(walls[wall])) == Verdict.UNSTABLE
         reach[way, wall] = np.min(np.where(is_unstable, steps, inf), axis=0)
     return reach
 
@@ -127,7 +133,8 @@ def _along_delay(walls: Walls) -> _Crossings:
         parts = _in_pieces(angles.some(is_open[angles.line]), length)
         roots = first_roots(Lines(start, change), parts)
         is_found = np.isfinite(roots.low)
-        step = np.where(is_found, begin + length * roots.low * _SAFE, step)
+        part = np.where(is_found, roots.low, 0.0)
+        step = np.where(is_found, begin + length * part * _SAFE, step)
         angle = np.where(is_found, roots.theta / pi, angle)
         begin, stretch = begin + length, _LONGER * stretch
         is_open &= ~is_found & (begin < MOST_DELAY)
