@@ -5,12 +5,12 @@ points of a grid are brought to the kernels, each at the degree of its own delay
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int8, Int64
+from jaxtyping import Bool, Int8
 
-from jaxstab.arrays import Array, Numbers, is_traced, namespace, tree_map
+from jaxstab.arrays import Array, Numbers, is_traced, namespace
 from jaxstab.batches import compiled, lists, over_tiles
 from jaxstab.conventions import UNDECIDED, UNSTABLE, Verdict
 from jaxstab.model import (
@@ -31,24 +31,12 @@ from jaxstab.point.verdict.loop import (
     pair_plant,
 )
 from jaxstab.point.verdict.outer_root import have_outer_root
+from jaxstab.point.verdict.points import Form, Points, gathered
 from jaxstab.point.verdict.recursion import FLOAT_UNIT, PAIR_UNIT
 
 _MANY = 1 << 15  # points from which on XLA answers for NumPy arrays
 _LIST = 1 << 16  # points of one list that is gathered from a grid
 _PAIRS = 1 << 12  # the same in double-double
-
-Values = np.ndarray[Any, np.dtype[Any]]
-
-
-class _Form(NamedTuple):
-    """What sets the form of p(z)."""
-
-    whole_delay: int
-    is_fractional: bool
-
-    @property
-    def degree(self) -> int:
-        return self.whole_delay + 3 + self.is_fractional
 
 
 def verdict(
@@ -100,14 +88,14 @@ def verdict(
     point = (*gains, checked_gamma(gamma), checked_delta(delta))
     xp = namespace(point, delay)
     if resolve is None and delays.size == 1:
-        form = _form(delays.item())
+        form = Form.of(delays.item())
         arrays = [xp.asarray(value, xp.float64) for value in point]
         codes = _float_verdict(arrays, xp.asarray(delays % 1.0), form)
         shape = np.broadcast_shapes(delays.shape, *(array.shape for array in arrays))
         return xp.array(xp.broadcast_to(codes, shape))
     if any(map(is_traced, point)):
         raise TypeError("verdict takes traced arguments with one delay and without resolve only.")
-    points = _Points(*(np.asarray(value, np.float64) for value in (*point, delays)))
+    points = Points(*(np.asarray(value, np.float64) for value in (*point, delays)))
     codes = _grouped_verdict(points)
     return xp.asarray(codes if resolve is None else _resolved(codes, points))
 
@@ -141,35 +129,7 @@ def is_stable(
     return verdict(alpha, beta, gamma, delta, delay) == Verdict.STABLE
 
 
-class _Points(NamedTuple):
-    """The five parameters of a grid, as they were given: they broadcast."""
-
-    alpha: Values
-    beta: Values
-    gamma: Values
-    delta: Values
-    delay: Values
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return np.broadcast_shapes(*(values.shape for values in self))
-
-    def groups(
-        self, chosen: Bool[np.ndarray, "*grid"]
-    ) -> list[tuple[_Form, Int64[np.ndarray, " point"]]]:
-        """Return the form of p(z) and the flat indices of each group of chosen points."""
-        twice = np.broadcast_to(np.floor(self.delay) + np.ceil(self.delay), chosen.shape)
-        return [
-            (_form(one / 2.0), np.flatnonzero(chosen & (twice == one)))
-            for one in np.unique(twice[chosen]).tolist()
-        ]
-
-
-def _form(delay: float) -> _Form:
-    return _Form(int(delay), delay % 1.0 > 0.0)
-
-
-def _float_verdict(point: list[Array], fraction: Array, form: _Form) -> Array:
+def _float_verdict(point: list[Array], fraction: Array, form: Form) -> Array:
     alpha, beta, gamma, delta = point
     plant = float_plant(gamma, delta, fraction, is_fractional=form.is_fractional)
     return _float_codes((alpha, beta, gamma, plant), form.degree)
@@ -193,7 +153,7 @@ def _long_codes(arguments: tuple[Any, ...], degree: int | Array) -> Array:
     return over_tiles(partial(loop_codes, unit=FLOAT_UNIT, degree=degree), arguments)
 
 
-def _grouped_verdict(points: _Points) -> Int8[np.ndarray, "*grid"]:
+def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
     """Run every delay at the degree of its own."""
     codes = np.zeros(points.shape, np.int8)
     for form, indices in points.groups(np.full(points.shape, True)):
@@ -203,17 +163,17 @@ def _grouped_verdict(points: _Points) -> Int8[np.ndarray, "*grid"]:
         )
         for part, padded in lists(indices, _LIST):
             chosen = part if part.size < _MANY else padded
-            values = _gathered((*points[:3], plants), points.shape, chosen)
+            values = gathered((*points[:3], plants), points.shape, chosen)
             codes.flat[part] = _float_codes(values, form.degree)[: part.size]
     return codes
 
 
-def _resolved(codes: Int8[np.ndarray, "*grid"], points: _Points) -> Int8[np.ndarray, "*grid"]:
+def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarray, "*grid"]:
     """Repeat UNDECIDED points in double-double; of what is left, look for a root outside."""
     for form, indices in points.groups(np.asarray(codes == UNDECIDED)):
         for start in range(0, indices.size, _PAIRS):
             part = indices[start : start + _PAIRS]
-            codes.flat[part] = _pair_codes(_gathered(points, points.shape, part), form)
+            codes.flat[part] = _pair_codes(gathered(points, points.shape, part), form)
     for _, indices in points.groups(np.asarray(codes == UNDECIDED)):
         values = looked_up(list(points), points.shape, indices)
         proved = have_outer_root(characteristic_polynomial(*values))
@@ -222,15 +182,9 @@ def _resolved(codes: Int8[np.ndarray, "*grid"], points: _Points) -> Int8[np.ndar
     return codes
 
 
-def _pair_codes(points: _Points, form: _Form) -> Int8[np.ndarray, " point"]:
+def _pair_codes(points: Points, form: Form) -> Int8[np.ndarray, " point"]:
     alpha, beta, gamma, delta, delay = points
     plant = pair_plant(gamma, delta, delay % 1.0, is_fractional=form.is_fractional)
     gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
     with np.errstate(all="ignore"):
         return loop_codes(*gains, gamma, plant, unit=PAIR_UNIT, degree=form.degree)
-
-
-def _gathered(values: Any, shape: tuple[int, ...], indices: Int64[np.ndarray, " point"]) -> Any:
-    """Return arrays that broadcast to a grid, at flat indices of it."""
-    index = np.unravel_index(indices, shape or (1,))
-    return tree_map(lambda value: np.broadcast_to(value, shape or (1,))[index], values)

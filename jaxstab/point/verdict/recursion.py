@@ -33,7 +33,7 @@ Number = TypeVar("Number", Array, DoubleDouble)
 FLOAT_UNIT = 2.0**-53
 PAIR_UNIT = 2.0**-99  # of the least accurate operation, the division
 UNDERFLOW = 1e-260  # more than all that is lost by numbers flushed to zero
-_SAFETY = 1.001  # the bounds themselves are rounded (lemma V3)
+SAFETY = 1.001  # the bounds themselves are rounded (lemma V3)
 
 
 @pytree
@@ -86,7 +86,7 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
     sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
     error = chain.error + modulus * (chain.error + chain.head_error + 4.0 * unit * sizes)
     error = error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2]))
-    is_clear = size(gap) > (_SAFETY * (degree - 1)) * error
+    is_clear = size(gap) > (SAFETY * (degree - 1)) * error
     is_clear = is_clear & chain.regular & (modulus != 1.0)
     is_inside = chain.inside & (modulus < 1.0) & (leading(gap) > 0.0)
     real_outside = (ends.at_one < -ends.at_one_error) | (
@@ -120,7 +120,7 @@ def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Nu
     outside, drift = chain.outside, chain.drift
     if drift is not None:
         outside = outside | (size(tail[0]) - size(first) > 4.0 * drift)
-        drift = _drifted(drift, modulus, size(first), sizes + small, unit)
+        drift = drifted(drift, modulus, size(first), sizes + small, unit)
     pairs = list(zip_longest(head, tail[1:]))
     return Chain(
         gap=gap - ratio * lowered,
@@ -135,7 +135,7 @@ def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Nu
     )
 
 
-def _drifted(drift: Array, modulus: Array, first: Array, total: Array, unit: float) -> Array:
+def drifted(drift: Array, modulus: Array, first: Array, total: Array, unit: float) -> Array:
     """Bound the distance to exact steps after one more, while u0 is large beside its error."""
     ratio_error = 3.0 * drift * (1.0 + modulus) / first + 3.0 * unit * modulus
     grown = drift * (1.0 + 2.0 * modulus) + 2.0 * ratio_error * total
