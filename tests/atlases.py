@@ -9,7 +9,11 @@ import h5py
 
 from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, write_atlas
 from jaxstab.atlas.format import footer
+from jaxstab.atlas.format.digest import digest_of
+from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format.table import table_text
 from jaxstab.atlas.read import file
+from jaxstab.atlas.write.variables import places_of
 
 SMALL = AtlasSpec(
     alpha=FittedAxis(24),
@@ -58,9 +62,18 @@ def write_small(folder: Path) -> Path:
     return path
 
 
-def edited(edit: Callable[[h5py.File], None], image: bytes | None = None) -> bytes:
-    """The small atlas, or another one, after an edit, with the right footer."""
+def small_table() -> bytes:
+    return small_file()[len(small_image()) : -footer.FOOTER.size]
+
+
+def edited(edit: Callable[[h5py.File], object], image: bytes | None = None) -> bytes:
+    """The small atlas, or another one, after an edit, with the right table and footer."""
     with h5py.File.in_memory(image or small_image()) as opened:
         edit(opened)
         opened.flush()
-        return footer.sealed(bytes(opened.id.get_file_image()))
+        held = {name: opened[name] for name in VARIABLES if name in opened}
+        digests = (digest_of(name, dataset) for name, dataset in held.items())
+        variables = [variable._replace(digests=list(variable.digests)) for variable in digests]
+        places = {name: places_of(dataset) for name, dataset in held.items()}
+        table = table_text(opened.attrs["created_by"].decode(), variables, places)
+        return footer.sealed(bytes(opened.id.get_file_image()), table)

@@ -2,18 +2,29 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from atlases import SMALL, edited, small_image, write_small
+from atlases import (
+    SMALL,
+    edited,
+    small_contents,
+    small_file,
+    small_image,
+    small_table,
+    write_small,
+)
+from hostile import retold, sub
 
 import jaxstab
 from jaxstab import open_atlas, plan_atlas
 from jaxstab.atlas.compute.products import compute_tile
 from jaxstab.atlas.format import footer, schema
 from jaxstab.atlas.read import file
+from jaxstab.atlas.write.verify import verify_atlas
 
 FOREIGN = {
     "empty": b"",
@@ -72,8 +83,11 @@ def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_pat
         assert set(opened) == set(variables_of_small())
         for name, dataset in opened.items():
             assert dataset.fletcher32
-            assert dataset.shuffle
-            assert dataset.compression == "gzip"
+            assert (
+                dataset.shuffle
+                == (dataset.compression == "gzip")
+                == schema.VARIABLES[name].is_packed
+            )
             assert dataset.attrs["long_name"].decode()
             assert dataset.attrs["interpretation"].decode()
             variable = schema.VARIABLES[name]
@@ -86,13 +100,15 @@ def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_pat
         assert flags == {0: "not_computed", 1: "stable", 2: "unstable", 3: "undecided"}
 
 
-@pytest.mark.parametrize("version", [1, 99, -1])
+@pytest.mark.parametrize("version", [1, 3, 99])
 def test_a_file_of_another_version_of_the_schema_is_refused_with_the_remedy(
     version: int, tmp_path: Path
 ) -> None:
     path = tmp_path / "other.h5"
-    path.write_bytes(edited(lambda f: f.attrs.modify("schema_version", np.int32(version))))
-    assert f"schema version {version}, and this jaxstab reads version" in refusal(path)
+    path.write_bytes(retold(small_file(), sub("atlas 4", f"atlas {version}")))
+    assert f"schema version {version}, and this jaxstab reads version 4; use" in refusal(path)
+    path.write_bytes(footer.sealed(small_image()))
+    assert "has no table of schema version 4" in refusal(path)
 
 
 # ------------------------------------------------------------------------------------------- damage
@@ -218,8 +234,13 @@ def short_axis(opened: h5py.File) -> None:
     replace("alpha", data=opened["alpha"][:-1], **AS_WRITTEN)(opened)
 
 
-def long_attribute(opened: h5py.File) -> None:
-    opened.attrs["created_by"] = np.arange(3)
+def say(value: object) -> Callable[[h5py.File], None]:
+    """An edit of what a reader may ask for first."""
+
+    def edit(opened: h5py.File) -> None:
+        opened.attrs["content_sha256"] = opened["alpha"].ref if value is h5py.ref_dtype else value
+
+    return edit
 
 
 def filters_twice(opened: h5py.File) -> None:
@@ -251,9 +272,14 @@ HOSTILE = {
         promise_without_data,
         descending_axis,
         short_axis,
-        long_attribute,
     )
 } | {
+    "array attribute": say(np.full(1000, b"jaxstab atlas__")),
+    "attribute of any length": say("jaxstab atlas"),
+    "huge attribute": say(np.bytes_(b"a" * 65000)),
+    "object attribute": say(h5py.ref_dtype),
+    "attribute of numbers": say(np.arange(3)),
+    "empty attribute": say(h5py.Empty("S64")),
     "contiguous": replace("alpha"),
     "unchecked": replace("alpha", chunks=True, compression="gzip", shuffle=True),
     "other filter": replace("alpha", compression="lzf", shuffle=True, fletcher32=True),
@@ -279,27 +305,36 @@ HOSTILE = {
 def test_damage_under_a_right_footer_is_refused_or_changes_no_value(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    """The checksums of HDF5 behind the footer: what they let through is words and padding."""
+    """The digests of the chunks behind the footer: the rest of the image is not looked at."""
     image, path = small_image(), tmp_path / "sealed.h5"
-    path.write_bytes(footer.sealed(image))
-    whole = ask_for_all(path)
     for place in rng.integers(0, 8 * len(image), 200).tolist():
         damaged = bytearray(image)
         damaged[place // 8] ^= 1 << (place % 8)
-        path.write_bytes(footer.sealed(bytes(damaged)))
-        try:
-            arrays = ask_for_all(path)
-        except ValueError:
-            continue
-        for name, values in whole.items():
-            np.testing.assert_array_equal(arrays[name], values)
+        path.write_bytes(footer.sealed(bytes(damaged), small_table()))
+        is_refused_or_as_it_was(path)
+
+
+def is_refused_or_as_it_was(path: Path) -> None:
+    try:
+        arrays = ask_for_all(path)
+    except ValueError:
+        return
+    for name, values in small_contents().arrays.items():
+        np.testing.assert_array_equal(arrays[name], values)
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_sealed_file_that_is_not_as_the_schema_says_is_refused(name: str, tmp_path: Path) -> None:
+def test_an_image_that_is_not_as_the_table_says_changes_no_answer_and_fails_verification(
+    name: str, tmp_path: Path
+) -> None:
     path = tmp_path / "hostile.h5"
-    path.write_bytes(edited(HOSTILE[name]))
-    refusal(path)
+    with h5py.File.in_memory(small_image()) as opened:
+        HOSTILE[name](opened)
+        opened.flush()
+        image = bytes(opened.id.get_file_image())
+    path.write_bytes(footer.sealed(image, small_table()))
+    is_refused_or_as_it_was(path)
+    assert not all(check.passed for check in islice(verify_atlas(path, 1), 3))
 
 
 @pytest.mark.parametrize("name", ["verdict", "cell_verdict"])
@@ -341,14 +376,16 @@ def test_what_is_too_large_is_refused_and_the_rest_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_small(tmp_path)
-    largest = max(values.nbytes for values in ask_for_all(path).values())
     monkeypatch.setattr(schema, "LARGEST_ARRAY", path.stat().st_size - 1)
     assert "read into memory" in refusal(path)
-    monkeypatch.setattr(schema, "LARGEST_ARRAY", largest - 1)
+    monkeypatch.undo()
+    monkeypatch.setattr(schema, "LARGEST_UNASKED", 0)
+    monkeypatch.setattr(schema, "LARGEST_EXPANSION", 1)
     atlas = open_atlas(path)
-    assert f"has {largest} bytes of alpha_limits" in refusal(
-        path, lambda _: atlas.max_alpha(0.0, 0.0, 0.0)
+    size = 4 * atlas.arrays["verdict"].size
+    assert f"has {size} bytes of spectral_radius" in refusal(
+        path, lambda _: atlas.query(0.1, 0.5, 0.0005, 0.01, 0.0)
     )
-    assert atlas.arrays["verdict"].shape == atlas.arrays["spectral_radius"].shape
+    assert atlas.verdict(0.1, 0.5, 0.0005, 0.01, 0.0) == jaxstab.STABLE
     with pytest.raises(KeyError):
         atlas.arrays["passengers"]

@@ -1,4 +1,4 @@
-/* Stability verdicts from a jaxstab atlas, for a haptic control loop. C99 (or C++) and libhdf5.
+/* Stability verdicts from a jaxstab atlas, for a haptic control loop. C99 or C++, no library.
  *
  *     const char *problem;
  *     jaxstab_atlas *atlas = jaxstab_open("atlas.h5", &problem);      once, before the loop
@@ -11,8 +11,8 @@
  *
  *     alpha = K T^2/m    beta = B T/m    gamma = k T^2/m    delta = b T/m    delay = t_d/T
  *
- * jaxstab_open checks the whole file, its SHA-256 included, and keeps the limits of the stable
- * alpha in one block of memory. After that the atlas is constant: a query allocates nothing, locks
+ * jaxstab_open checks the whole file, its SHA-256s included, and keeps the limits of the stable
+ * alpha in one block of memory. It takes less than three times the file's size until then. After that the atlas is constant: a query allocates nothing, locks
  * nothing and calls nothing, its time is bounded, and many threads may make queries at once.
  *
  * The answers are those of Python's Atlas.verdict and Atlas.alpha_limits, bit for bit where doubles
@@ -26,20 +26,17 @@
 #error "jaxstab_atlas.h compares with infinities and NaN: compile it without -ffast-math"
 #endif
 
-#include <hdf5.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "jaxstab_footer.h"
+#include "jaxstab_table.h"
 
 enum {
     JAXSTAB_OUTSIDE = -1,  /* NaN, outside of the atlas, or not one of its delays: not known */
     JAXSTAB_STABLE = 1,    /* proved */
     JAXSTAB_UNSTABLE = 2,  /* proved */
-    JAXSTAB_UNDECIDED = 3, /* too close to the boundary for the atlas */
-    JAXSTAB_OLDEST_SCHEMA = 2,
-    JAXSTAB_NEWEST_SCHEMA = 3
+    JAXSTAB_UNDECIDED = 3  /* too close to the boundary for the atlas */
 };
 
 /* Every alpha from lower + lower_error to upper - upper_error is stable, and every one below
@@ -153,77 +150,7 @@ static inline int jaxstab_alpha_limits(const jaxstab_atlas *atlas, double beta, 
     return 1;
 }
 
-/* ---- the HDF5 image ---- */
-
-#define JAXSTAB_LARGEST_ARRAY_ ((hsize_t)1 << 28)
-
-static const char jaxstab_damaged_[] =
-    "is damaged, or no jaxstab atlas; build it again or copy it anew.";
-
-/* Open an image in memory: what is read is what was checked, whatever happens to the file. */
-static inline hid_t jaxstab_open_image_(unsigned char *image, size_t length)
-{
-    const hid_t access = H5Pcreate(H5P_FILE_ACCESS);
-    hid_t file = -1;
-    if (H5Pset_fapl_core(access, 1 << 16, 0) >= 0 && H5Pset_file_image(access, image, length) >= 0)
-        file = H5Fopen("jaxstab atlas in memory", H5F_ACC_RDONLY, access);
-    H5Pclose(access);
-    return file;
-}
-
-static inline int jaxstab_is_format_(hid_t file)
-{
-    char text[16] = "";
-    const hid_t attribute = H5Aopen(file, "format", H5P_DEFAULT), type = H5Tcopy(H5T_C_S1);
-    const int is_read =
-        H5Tset_size(type, sizeof text - 1) >= 0 && H5Aread(attribute, type, text) >= 0;
-    H5Tclose(type);
-    H5Aclose(attribute);
-    return is_read && strcmp(text, "jaxstab atlas") == 0;
-}
-
-static inline int jaxstab_version_(hid_t file)
-{
-    int version = -1;
-    const hid_t attribute = H5Aopen(file, "schema_version", H5P_DEFAULT);
-    const hid_t space = H5Aget_space(attribute);
-    if (H5Sget_simple_extent_npoints(space) == 1)
-        H5Aread(attribute, H5T_NATIVE_INT, &version);
-    H5Sclose(space);
-    H5Aclose(attribute);
-    return version;
-}
-
-/* Return the numbers of a dataset of float64 in this file, to be freed, and its shape; or NULL. */
-static inline double *jaxstab_read_(hid_t file, const char *name, int rank, hsize_t *shape)
-{
-    H5L_info_t link;
-    if (H5Lget_info(file, name, &link, H5P_DEFAULT) < 0 || link.type != H5L_TYPE_HARD)
-        return NULL;
-    const hid_t dataset = H5Dopen2(file, name, H5P_DEFAULT);
-    const hid_t space = H5Dget_space(dataset), type = H5Dget_type(dataset);
-    const hid_t layout = H5Dget_create_plist(dataset);
-    double *values = NULL;
-    if (H5Sget_simple_extent_ndims(space) == rank && H5Pget_layout(layout) == H5D_CHUNKED &&
-        H5Tget_class(type) == H5T_FLOAT && H5Tget_size(type) == sizeof *values) {
-        hsize_t count = 1;
-        H5Sget_simple_extent_dims(space, shape, NULL);
-        for (int i = 0; i < rank; i++)
-            count = shape[i] && count <= JAXSTAB_LARGEST_ARRAY_ / shape[i] ? count * shape[i] : 0;
-        if (count)
-            values = (double *)malloc((size_t)count * sizeof *values);
-        if (values &&
-            H5Dread(dataset, H5T_NATIVE_DOUBLE, H5S_ALL, H5S_ALL, H5P_DEFAULT, values) < 0) {
-            free(values);
-            values = NULL;
-        }
-    }
-    H5Pclose(layout);
-    H5Tclose(type);
-    H5Sclose(space);
-    H5Dclose(dataset);
-    return values;
-}
+/* ---- what a file may hold ---- */
 
 /* Whether the nodes in one column of a table are finite and ascending. */
 static inline int jaxstab_ascends_(const double *nodes, size_t count, size_t columns, size_t column)
@@ -245,21 +172,41 @@ enum {
     JAXSTAB_ARRAYS_ /* so many */
 };
 
-/* Whether shapes and axes fit together. */
-static inline int jaxstab_fits_(double *const values[], const hsize_t shape[][5])
+/* Whether nodes ascend so far that cells between them have a width. */
+static inline int jaxstab_spans_(const double *nodes, size_t count, size_t columns, size_t column)
 {
-    const hsize_t *planes = shape[JAXSTAB_PLANES_], delays = shape[JAXSTAB_DELAY_][0];
+    const double span = nodes[(count - 1) * columns + column] - nodes[column];
+    return isfinite(span) && isfinite(1.0 / span);
+}
+
+/* Whether constants are numbers or infinite, slopes finite, and errors not negative. */
+static inline int jaxstab_are_planes_(const double *planes, size_t count)
+{
+    int are = 1;
+    for (size_t i = 0; are && i < count; i += 5)
+        are = !isnan(planes[i]) && isfinite(planes[i + 1]) && isfinite(planes[i + 2]) &&
+              isfinite(planes[i + 3]) && planes[i + 4] >= 0.0;
+    return are;
+}
+
+/* Whether shapes and axes fit together, and all numbers may be. */
+static inline int jaxstab_fits_(double *const values[], const size_t shape[][5])
+{
+    const size_t *planes = shape[JAXSTAB_PLANES_], delays = shape[JAXSTAB_DELAY_][0];
     int fits = planes[1] == (shape[JAXSTAB_GAMMA_][0] > 1 ? shape[JAXSTAB_GAMMA_][0] - 1 : 1) &&
                planes[2] == (shape[JAXSTAB_DELTA_][0] > 1 ? shape[JAXSTAB_DELTA_][0] - 1 : 1) &&
                planes[3] == delays && planes[4] == 10;
     for (int i = JAXSTAB_ALPHA_; i <= JAXSTAB_BETA_; i++) {
         fits = fits && shape[i][1] == delays && shape[i][0] > 1;
         for (size_t k = 0; fits && k < delays; k++)
-            fits = jaxstab_ascends_(values[i], (size_t)shape[i][0], (size_t)delays, k);
+            fits = jaxstab_ascends_(values[i], shape[i][0], delays, k) &&
+                   jaxstab_spans_(values[i], shape[i][0], delays, k);
     }
     for (int i = JAXSTAB_GAMMA_; i <= JAXSTAB_DELAY_; i++)
-        fits = fits && jaxstab_ascends_(values[i], (size_t)shape[i][0], 1, 0);
-    return fits;
+        fits = fits && jaxstab_ascends_(values[i], shape[i][0], 1, 0) && values[i][0] >= 0.0;
+    return fits && values[JAXSTAB_DELAY_][delays - 1] <= 100.0 &&
+           jaxstab_are_planes_(values[JAXSTAB_PLANES_],
+                               planes[0] * planes[1] * planes[2] * planes[3] * planes[4]);
 }
 
 static inline double *jaxstab_copied_(const double *values, size_t count, double **free_space)
@@ -271,13 +218,13 @@ static inline double *jaxstab_copied_(const double *values, size_t count, double
 }
 
 /* Return an atlas in one block: itself, the walls of each delay, the nodes and the planes. */
-static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const hsize_t shape[][5])
+static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const size_t shape[][5])
 {
-    const hsize_t *planes = shape[JAXSTAB_PLANES_];
-    const size_t delays = (size_t)shape[JAXSTAB_DELAY_][0];
-    const size_t gammas = (size_t)shape[JAXSTAB_GAMMA_][0];
-    const size_t deltas = (size_t)shape[JAXSTAB_DELTA_][0];
-    const size_t numbers = (size_t)(planes[0] * planes[1] * planes[2] * planes[3] * planes[4]);
+    const size_t *planes = shape[JAXSTAB_PLANES_];
+    const size_t delays = shape[JAXSTAB_DELAY_][0];
+    const size_t gammas = shape[JAXSTAB_GAMMA_][0];
+    const size_t deltas = shape[JAXSTAB_DELTA_][0];
+    const size_t numbers = planes[0] * planes[1] * planes[2] * planes[3] * planes[4];
     const size_t head = (sizeof(jaxstab_atlas) + sizeof(double) - 1) / sizeof(double);
     const size_t walls_size = delays * (sizeof(jaxstab_walls_) / sizeof(double));
     const size_t count = head + walls_size + gammas + deltas + delays + numbers;
@@ -290,9 +237,9 @@ static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const hs
     atlas->delays = delays;
     atlas->gammas = gammas;
     atlas->deltas = deltas;
-    atlas->beta_cells = (size_t)planes[0];
-    atlas->gamma_cells = (size_t)planes[1];
-    atlas->delta_cells = (size_t)planes[2];
+    atlas->beta_cells = planes[0];
+    atlas->gamma_cells = planes[1];
+    atlas->delta_cells = planes[2];
     atlas->walls = walls;
     atlas->delay = jaxstab_copied_(values[JAXSTAB_DELAY_], delays, &free_space);
     atlas->gamma = jaxstab_copied_(values[JAXSTAB_GAMMA_], gammas, &free_space);
@@ -300,7 +247,7 @@ static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const hs
     atlas->planes = jaxstab_copied_(values[JAXSTAB_PLANES_], numbers, &free_space);
     const double *lowest[] = {values[JAXSTAB_ALPHA_], values[JAXSTAB_BETA_]}, *highest[2];
     for (int i = JAXSTAB_ALPHA_; i <= JAXSTAB_BETA_; i++)
-        highest[i] = values[i] + ((size_t)shape[i][0] - 1) * delays;
+        highest[i] = values[i] + (shape[i][0] - 1) * delays;
     for (size_t k = 0; k < delays; k++) {
         walls[k].lowest_alpha = lowest[JAXSTAB_ALPHA_][k];
         walls[k].highest_alpha = highest[JAXSTAB_ALPHA_][k];
@@ -312,56 +259,49 @@ static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const hs
     return atlas;
 }
 
-/* Return the atlas of an open HDF5 file; or NULL and what is wrong with it. */
-static inline jaxstab_atlas *jaxstab_loaded_(hid_t file, const char **problem)
+/* Return the atlas of an image and the table after it; or NULL and what is wrong, in words. */
+static inline jaxstab_atlas *jaxstab_loaded_(const unsigned char *bytes, size_t image, char *text,
+                                             size_t length, const char **problem)
 {
     static const char *const names[] = {"alpha", "beta", "gamma", "delta", "delay", "alpha_limits"};
     static const int ranks[] = {2, 2, 1, 1, 1, 5};
+    jaxstab_file_ file = {bytes, image, {NULL}};
     double *values[JAXSTAB_ARRAYS_] = {NULL};
-    hsize_t shape[JAXSTAB_ARRAYS_][5] = {{0}};
+    size_t shape[JAXSTAB_ARRAYS_][5] = {{0}};
     jaxstab_atlas *atlas = NULL;
-    int is_read = 1;
-    *problem = jaxstab_damaged_;
-    if (!jaxstab_is_format_(file))
-        return NULL;
-    const int version = jaxstab_version_(file);
-    if (version < JAXSTAB_OLDEST_SCHEMA || version > JAXSTAB_NEWEST_SCHEMA) {
-        *problem = "has a schema version other than 2 and 3; use another reader, or build it again.";
-        return NULL;
+    *problem = jaxstab_parse_(text, length, file.blocks);
+    int is_read = !*problem;
+    for (int i = 0; is_read && i < JAXSTAB_ARRAYS_; i++) {
+        values[i] = jaxstab_read_(&file, image, names[i], ranks[i], shape[i]);
+        is_read = values[i] != NULL;
     }
-    if (H5Lexists(file, "alpha_limits", H5P_DEFAULT) == 0) {
-        *problem = "holds no limits of alpha; build one with the product 'alpha_limits'.";
-        return NULL;
-    }
-    for (int i = 0; is_read && i < JAXSTAB_ARRAYS_; i++)
-        is_read = (values[i] = jaxstab_read_(file, names[i], ranks[i], shape[i])) != NULL;
-    if (is_read && jaxstab_fits_(values, (const hsize_t (*)[5])shape)) {
+    if (is_read && jaxstab_fits_(values, (const size_t (*)[5])shape)) {
         *problem = "does not fit into memory.";
-        atlas = jaxstab_assembled_(values, (const hsize_t (*)[5])shape);
+        atlas = jaxstab_assembled_(values, (const size_t (*)[5])shape);
+    } else if (!*problem) {
+        *problem = jaxstab_damaged_;
     }
     for (int i = 0; i < JAXSTAB_ARRAYS_; i++)
         free(values[i]);
     return atlas;
 }
 
-/* Return an atlas, to be closed; or NULL, and in *problem what is wrong with the file, in words.
- * Not for two threads at once, unless libhdf5 was built for threads. */
+/* Return an atlas, to be closed; or NULL, and in *problem what is wrong with the file, in words. */
 static inline jaxstab_atlas *jaxstab_open(const char *path, const char **problem)
 {
     jaxstab_atlas *atlas = NULL;
-    size_t length;
+    size_t length, image, end;
     unsigned char *bytes = jaxstab_bytes_of_(path, &length);
     *problem = bytes ? jaxstab_damaged_ : "cannot be read.";
-    length = jaxstab_image_length_(bytes, length);
-    if (length) {
-        H5E_BEGIN_TRY {
-            const hid_t file = jaxstab_open_image_(bytes, length);
-            if (file >= 0) {
-                atlas = jaxstab_loaded_(file, problem);
-                H5Fclose(file);
-            }
+    if (bytes && jaxstab_is_whole_(bytes, length, &image, &end)) {
+        char *text = (char *)malloc(end - image + 1);
+        *problem = "does not fit into memory.";
+        if (text) {
+            memcpy(text, bytes + image, end - image);
+            text[end - image] = 0;
+            atlas = jaxstab_loaded_(bytes, image, text, end - image, problem);
         }
-        H5E_END_TRY;
+        free(text);
     }
     free(bytes);
     if (atlas)

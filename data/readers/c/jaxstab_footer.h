@@ -1,7 +1,7 @@
 /* Is a file of jaxstab whole? Part of jaxstab_atlas.h, standard C99 alone.
  *
- * After an HDF5 image come 48 bytes: "jaxstab\n", the length of the image (8 bytes, the least first)
- * and its SHA-256 (FIPS 180-4).
+ * Its last 48 bytes are "jaxstab\n", the length of the HDF5 image at its beginning (8 bytes, the
+ * least first), and the SHA-256 (FIPS 180-4) of all that is before them.
  */
 #ifndef JAXSTAB_FOOTER_H
 #define JAXSTAB_FOOTER_H
@@ -74,17 +74,31 @@ static inline void jaxstab_sha256_(const unsigned char *bytes, size_t length,
         digest[i] = (unsigned char)(state[i / 4] >> (24 - 8 * (i % 4)));
 }
 
-/* Return the length of the image before the footer; 0 where the footer is missing or wrong. */
-static inline size_t jaxstab_image_length_(const unsigned char *bytes, size_t length)
+/* Whether bytes have a digest, given in hexadecimal. */
+static inline int jaxstab_has_digest_(const unsigned char *bytes, size_t length, const char *digits)
 {
-    unsigned char footer[48] = "jaxstab\n";
-    if (length <= sizeof footer)
+    unsigned char digest[32];
+    jaxstab_sha256_(bytes, length, digest);
+    for (int i = 0; i < 64; i++) /* which ends at the end of a text that is too short */
+        if (digits[i] != "0123456789abcdef"[digest[i / 2] >> (i % 2 ? 0 : 4) & 15])
+            return 0;
+    return 1;
+}
+
+/* Whether the footer of a file is right; if so, where the image and the table after it end. */
+static inline int jaxstab_is_whole_(const unsigned char *bytes, size_t length, size_t *image,
+                                    size_t *table)
+{
+    unsigned char digest[32];
+    uint64_t size = 0;
+    if (length < 48 || memcmp(bytes + (length - 48), "jaxstab\n", 8) != 0)
         return 0;
-    const size_t image = length - sizeof footer;
-    for (int i = 0; i < 8; i++)
-        footer[8 + i] = (unsigned char)((uint64_t)image >> 8 * i);
-    jaxstab_sha256_(bytes, image, footer + 16);
-    return memcmp(bytes + image, footer, sizeof footer) == 0 ? image : 0;
+    *table = length - 48;
+    for (int i = 7; i >= 0; i--)
+        size = size << 8 | bytes[*table + 8 + (size_t)i];
+    *image = (size_t)size;
+    jaxstab_sha256_(bytes, *table, digest);
+    return size <= *table && memcmp(bytes + *table + 16, digest, sizeof digest) == 0;
 }
 
 /* Return all bytes of a file, to be freed; NULL where it cannot be read. */

@@ -1,6 +1,6 @@
 /* Ask a jaxstab atlas from the command line: an example for jaxstab_atlas.h.
  *
- *     cc -std=c99 -O2 jaxstab_query.c $(pkg-config --cflags --libs hdf5) -o jaxstab_query
+ *     cc -std=c99 -O2 jaxstab_query.c -o jaxstab_query
  *
  *     jaxstab_query ATLAS            lines of alpha beta gamma delta delay in, a code for each out
  *     jaxstab_query ATLAS --limits   lines of beta gamma delta delay in; for each out the lower

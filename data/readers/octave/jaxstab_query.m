@@ -91,58 +91,132 @@ function [limit, limit_error] = plane(terms, beta, gamma, delta)
 end
 
 function atlas = opened(file)
-  check_bytes(file);
-  names = {'alpha', 'beta', 'gamma', 'delta', 'delay', 'alpha_limits'};
-  if is_octave()
-    raw = load('-hdf5', file, names{:});
-  else
-    raw = struct();
-    for name = names(ismember(names, {h5info(file).Datasets.Name}))
-      raw.(name{1}) = h5read(file, ['/', name{1}]);
-    end
-  end
-  found = isfield(raw, names);
-  if ~all(found(1:5))
+  [image, head, shapes, places] = table_of(file);
+  if isempty(regexp(head, '^jaxstab atlas 4\n', 'once'))
+    error('jaxstab:version', ['%s has another schema version than 4, or none; use another ', ...
+                              'reader, or build it again.'], file);
+  elseif isempty(strfind(head, [sprintf('\ncontent '), sprintf('%02x', sha256(shapes))]))
     refuse_damaged(file);
-  elseif ~found(6)
+  elseif isempty(regexp(shapes, '(^|\n)alpha_limits ', 'once'))
     error('jaxstab:product', ...
           '%s holds no limits of alpha; build one with the product ''alpha_limits''.', file);
   end
+  names = {'alpha', 'beta', 'gamma', 'delta', 'delay', 'alpha_limits'};
+  ranks = [2, 2, 1, 1, 1, 5];
+  for i = 1:6
+    [values, is_read] = array_of(image, shapes, places, names{i}, ranks(i));
+    if ~is_read
+      refuse_damaged(file);
+    end
+    raw.(names{i}) = values;
+  end
 
-  % Both programs show an array of HDF5 with its dimensions reversed.
+  % The dimensions of arrays are reversed here.
   atlas = struct('alpha', raw.alpha, 'beta', raw.beta);
   for name = {'gamma', 'delta', 'delay'}
-    atlas.(name{1}) = reshape(raw.(name{1}), 1, []);
+    atlas.(name{1}) = raw.(name{1})';
   end
-  hands = max([numel(atlas.gamma), numel(atlas.delta)] - 1, 1);
-  count = numel(raw.alpha_limits) / (10 * numel(atlas.delay) * prod(hands));
-  atlas.cells = [count, hands];
-  atlas.planes = reshape(raw.alpha_limits, 10, numel(atlas.delay), []);
+  planes = raw.alpha_limits;
+  atlas.cells = [size(planes, 5), size(planes, 4), size(planes, 3)];
+  atlas.planes = reshape(planes, 10, size(planes, 2), []);
+  if ~may_be(atlas, size(planes, 1))
+    refuse_damaged(file);
+  end
 end
 
-function check_bytes(file)
-% Refuse a file without the right footer, or of another version of the schema.
+function yes = may_be(atlas, terms)
+% Whether shapes and axes fit together, and all numbers may be.
+  delays = numel(atlas.delay);
+  hands = max([numel(atlas.gamma), numel(atlas.delta)] - 1, 1);
+  yes = terms == 10 && size(atlas.planes, 2) == delays && isequal(atlas.cells(2:3), hands) && ...
+        atlas.delay(end) <= 100;
+  for axis = {atlas.gamma, atlas.delta, atlas.delay}
+    yes = yes && all(isfinite(axis{1})) && all(diff(axis{1}) > 0) && axis{1}(1) >= 0;
+  end
+  for axis = {atlas.alpha, atlas.beta}
+    span = axis{1}(:, end) - axis{1}(:, 1);
+    yes = yes && size(axis{1}, 1) == delays && size(axis{1}, 2) > 1 && ...
+          all(isfinite(axis{1}(:))) && all(all(diff(axis{1}, 1, 2) > 0)) && ...
+          all(isfinite([span; 1 ./ span]));
+  end
+  if yes
+    slopes = atlas.planes([2:4, 7:9], :);
+    errors = atlas.planes([5, 10], :);
+    yes = all(isfinite(slopes(:))) && all(errors(:) >= 0) && ~any(isnan(atlas.planes(:)));
+  end
+end
+
+function [image, head, shapes, places] = table_of(file)
+% The bytes of the HDF5 image, and the three blocks of the table after it.
   stream = fopen(file, 'r');
   if stream < 0
     error('jaxstab:file', '%s cannot be read.', file);
   end
   bytes = fread(stream, Inf, '*uint8')';
   fclose(stream);
-  image = char(bytes(1:max(end - 48, 0)));
-  length_bytes = mod(floor(numel(image) ./ 256 .^ (0:7)), 256);
-  footer = [uint8(sprintf('jaxstab\n')), uint8(length_bytes), sha256(image)];
-  if ~isequal(bytes(numel(image) + 1:end), footer) || isempty(strfind(image, 'jaxstab atlas'))
+  count = numel(bytes) - 48;
+  if count < 0 || ~isequal(bytes(count + (1:8)), uint8(sprintf('jaxstab\n'))) || ...
+     ~isequal(bytes(count + (17:48)), sha256(char(bytes(1:count))))
     refuse_damaged(file);
   end
-  % Octave shows no attributes, so this is schema_version as it lies in the file: name, type (int32,
-  % little endian), space (one value) and value, which is 2 or 3.
-  head = [uint8('schema_version'), 0, 16, 8, 0, 0, 4, 0, 0, 0, 0, 0, 32, 0, 2, 0, 0, 0];
-  at = strfind(image, char(head)) + numel(head);
-  if numel(at) ~= 1 || ~any(image(at) == [2, 3]) || any(image(at + (1:3)) ~= 0)
-    error('jaxstab:version', ...
-          '%s has a schema version other than 2 and 3; use another reader, or build it again.', ...
-          file);
+  extent = double(bytes(count + (9:16))) * (256 .^ (0:7))';
+  if extent > count || any(bytes(extent + 1:count) > 127)
+    refuse_damaged(file);
   end
+  image = bytes(1:extent);
+  blocks = regexp(char(bytes(extent + 1:count)), '\n\n', 'split');
+  head = [blocks{1}, sprintf('\n')];
+  if numel(blocks) == 3
+    shapes = [blocks{2}, sprintf('\n')];
+    places = blocks{3};
+  elseif isempty(regexp(head, '^jaxstab atlas 4\n', 'once'))
+    [shapes, places] = deal('');
+  else
+    refuse_damaged(file);
+  end
+end
+
+function [values, is_read] = array_of(image, shapes, places, name, rank)
+% An array of float64 from its chunks; not read where they are not what their digests say.
+  values = [];
+  is_read = false;
+  number = '[1-9]\d{0,11}';
+  shape = [number, repmat(['x', number], 1, rank - 1)];
+  line = regexp(shapes, ['(?:^|\n)', name, ' <f8 (', shape, ') (', shape, ') ([0-9a-f ]+)\n'], ...
+                'tokens', 'once');
+  where = regexp(places, ['(?:^|\n)', name, '((?: \d{1,12}\+\d{1,12})+)\n'], 'tokens', 'once');
+  if isempty(line) || isempty(where)
+    return
+  end
+  whole = [fliplr(sscanf(line{1}, '%fx')'), 1];
+  part = [fliplr(sscanf(line{2}, '%fx')'), 1];
+  digests = regexp(line{3}, ' ', 'split');
+  ranges = sscanf(where{1}, ' %f+%f', [2, Inf]);
+  along = ceil(whole ./ part);
+  size_of_chunk = 8 * prod(part) + 4;
+  if any(part > whole) || prod(along) ~= numel(digests) || prod(along) ~= size(ranges, 2) || ...
+     any(ranges(2, :) ~= size_of_chunk) || any(sum(ranges, 1) > numel(image)) || ...
+     prod(along) * size_of_chunk > numel(image)
+    return
+  end
+  values = zeros(whole);
+  for n = 1:numel(digests)
+    rest = n - 1;
+    for i = 1:numel(whole)
+      start = mod(rest, along(i)) * part(i);
+      rest = floor(rest / along(i));
+      inside{i} = 1:min(part(i), whole(i) - start);
+      place{i} = start + inside{i};
+    end
+    bytes = image(ranges(1, n) + (1:size_of_chunk - 4));
+    chunk = reshape(typecast(bytes, 'double'), part);
+    chunk = chunk(inside{:});
+    if ~strcmp(sprintf('%02x', sha256(char(typecast(chunk(:)', 'uint8')))), digests{n})
+      return
+    end
+    values(place{:}) = chunk;
+  end
+  is_read = true;
 end
 
 function refuse_damaged(file)

@@ -33,8 +33,8 @@ class Chunked(NamedTuple):
         return " ".join([self.name, dtype, *shapes, *self.digests])
 
 
-def content_digest(variables: Iterable[Chunked]) -> str:
-    """Return the digest of all variables, in hexadecimal."""
+def content_digest(variables: Iterable[Chunked | str]) -> str:
+    """Return the digest of all variables, or of their lines, in hexadecimal."""
     digest = hashlib.sha256()
     for variable in variables:
         digest.update(f"{variable}\n".encode())

@@ -1,4 +1,4 @@
-"""The footer after an HDF5 image, by which a reader knows that the image is whole. No JAX."""
+"""The footer of a file, by which a reader knows that all of it is there. No JAX."""
 
 import errno
 import hashlib
@@ -7,12 +7,17 @@ import struct
 
 from jaxstab.atlas.format.schema import FOOTER_MAGIC
 
-_FOOTER = struct.Struct(f"<{len(FOOTER_MAGIC)}sQ32s")
+FOOTER = struct.Struct(f"<{len(FOOTER_MAGIC)}sQ32s")
 _BLOCK = 2**20  # bytes
 
 
-def footer_of(stream: io.FileIO | io.BytesIO, length: int) -> bytes:
-    """Return the footer of an image of this length at the beginning of a stream.
+def footer_of(stream: io.FileIO | io.BytesIO, length: int, image_size: int) -> bytes:
+    """Return the footer of what is in the first bytes of a stream.
+
+    Args:
+        stream: of a file.
+        length: how many bytes.
+        image_size: how many of them are the HDF5 image.
 
     Raises:
         OSError: the stream is shorter, or cannot be read.
@@ -25,23 +30,28 @@ def footer_of(stream: io.FileIO | io.BytesIO, length: int) -> bytes:
             raise OSError(errno.EIO, f"the file ends {rest} bytes early")
         digest.update(block)
         rest -= len(block)
-    return _FOOTER.pack(FOOTER_MAGIC, length, digest.digest())
+    return FOOTER.pack(FOOTER_MAGIC, image_size, digest.digest())
 
 
-def sealed(image: bytes) -> bytes:
-    """Return an image with its footer."""
-    return image + footer_of(io.BytesIO(image), len(image))
+def sealed(image: bytes, table: bytes = b"") -> bytes:
+    """Return an image, and perhaps a table, with their footer."""
+    data = image + table
+    return data + footer_of(io.BytesIO(data), len(data), len(image))
 
 
 def image_of(data: bytes) -> bytes | None:
-    """Return the image if its footer is right."""
-    return data[: -_FOOTER.size] if is_sealed(io.BytesIO(data)) else None
+    """Return the image if the footer is right."""
+    size = image_size(io.BytesIO(data))
+    return None if size is None else data[:size]
 
 
-def is_sealed(stream: io.FileIO | io.BytesIO) -> bool:
-    """Whether a stream holds an image and its footer, and both are right."""
-    length = stream.seek(0, io.SEEK_END) - _FOOTER.size
+def image_size(stream: io.FileIO | io.BytesIO) -> int | None:
+    """Return the length of the image in a stream; None where the footer is missing or wrong."""
+    length = stream.seek(0, io.SEEK_END) - FOOTER.size
     if length < 0:
-        return False
+        return None
     stream.seek(length)
-    return stream.read(_FOOTER.size) == footer_of(stream, length)
+    footer = stream.read(FOOTER.size)
+    size = int(FOOTER.unpack(footer)[1])
+    is_right = size <= length and footer == footer_of(stream, length, size)
+    return size if is_right else None

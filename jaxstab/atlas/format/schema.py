@@ -1,25 +1,31 @@
 """The format of an atlas file: every name, meaning, code and limit in one place.
 
-Standard library only. A file holds one HDF5 image and then a footer; the image holds the variables
-below in its root group, with dimension scales. All numbers are dimensionless.
+Standard library only. A file holds one HDF5 image, a table of its chunks (``format.table``) and a
+footer; the image holds the variables below in its root group, with dimension scales. All numbers
+are dimensionless. What a file may hold is written here once: the readers refuse the rest.
 """
 
 from dataclasses import dataclass
+from math import inf
 from typing import Final
 
 from jaxstab.conventions import Verdict
 
 FORMAT: Final = "jaxstab atlas"
-SCHEMA_VERSION: Final = 3
-READ_VERSIONS: Final = (2, 3)
-"""Version 2 has the same variables, but verdicts of nodes far from the boundary are not proved."""
+SCHEMA_VERSION: Final = 4
 
 FOOTER_MAGIC: Final = b"jaxstab\n"
-"""After the image: these 8 bytes, its length (uint64, little endian), its SHA-256 (32 bytes)."""
+"""At the end: these 8 bytes, the length of the image (uint64, little endian), and the SHA-256 (32
+bytes) of all that is before."""
 
+CHECKSUM_SIZE: Final = 4  # bytes of Fletcher32 after the values of a chunk
+BEST_COMPRESSION: Final = 1100  # deflate cannot do better than about 1032
+LARGEST_EXPANSION: Final = 20  # of numbers, when they are more than the next
+LARGEST_UNASKED: Final = 2 * 10**8  # bytes
 LARGEST_ARRAY: Final = 2**31  # bytes that are read into memory at once
 LARGEST_ATLAS: Final = 2**38  # nodes
 LARGEST_SLICE: Final = 2**22  # nodes along alpha and beta
+LARGEST_DELAY: Final = 100.0
 
 VERDICT: Final = "verdict"
 CELL_VERDICT: Final = "cell_verdict"
@@ -56,13 +62,27 @@ LIMITS: Final = ("limit_cell", "gamma_cell", "delta_cell", "delay", "limit_term"
 
 @dataclass(frozen=True)
 class Variable:
-    """One dataset: its type, its dimensions (itself for an axis) and what its numbers mean."""
+    """One dataset: its type, its dimensions (itself for an axis) and what its numbers mean.
+
+    Attributes:
+        lowest: that its values may be.
+        highest: likewise.
+        has_nan: whether NaN has a meaning.
+    """
 
     name: str
     dtype: str
     dimensions: tuple[str, ...]
     long_name: str
     interpretation: str
+    lowest: float | int = -inf
+    highest: float | int = inf
+    has_nan: bool = False
+
+    @property
+    def is_packed(self) -> bool:
+        """Whether its chunks are shuffled and deflated; those of others are plain numbers."""
+        return self.dimensions in (NODE, CELL)
 
     @property
     def is_axis(self) -> bool:
@@ -75,12 +95,12 @@ class Variable:
         return self.dtype == "int8"
 
 
-def _axis(name: str, dtype: str, long_name: str, interpretation: str) -> Variable:
-    return Variable(name, dtype, (name,), long_name, interpretation)
+def _axis(name: str, long_name: str, interpretation: str, highest: float = inf) -> Variable:
+    return Variable(name, "float64", (name,), long_name, interpretation, 0.0, highest)
 
 
 def _numbers(name: str, interpretation: str) -> Variable:
-    return _axis(name, "int32", f"number along {name}", interpretation)
+    return Variable(name, "int32", (name,), f"number along {name}", interpretation, 0)
 
 
 def _cells(axis: str, nodes: str) -> Variable:
@@ -89,19 +109,27 @@ def _cells(axis: str, nodes: str) -> Variable:
 
 def _point(name: str, dimension: str, what: str) -> Variable:
     words = "the slices follow each other in the order of delay, gamma, delta; NaN ends each"
-    return Variable(name, "float64", (dimension,), what, words)
+    return Variable(name, "float64", (dimension,), what, words, has_nan=True)
 
 
-def _of_slice(name: str, long_name: str, interpretation: str, dtype: str = "float64") -> Variable:
-    return Variable(name, dtype, SLICE, long_name, interpretation)
+def _measure(name: str, long_name: str, interpretation: str) -> Variable:
+    return Variable(name, "float64", SLICE, long_name, interpretation, has_nan=True)
 
+
+def _count(name: str, long_name: str, interpretation: str, highest: float | int) -> Variable:
+    return Variable(name, "int32", SLICE, long_name, interpretation, 0, highest)
+
+
+FLAG_VALUES: Final = tuple(int(code) for code in Verdict)
+FLAG_MEANINGS: Final = " ".join(code.name.lower() for code in Verdict)
+_CODES: Final = (min(FLAG_VALUES), max(FLAG_VALUES))
 
 VARIABLES: Final = {
     variable.name: variable
     for variable in (
-        _axis("delay", "float64", "time delay", "t_d/T, in sampling periods T"),
-        _axis("gamma", "float64", "physical stiffness", "k T^2/m, k of device and hand"),
-        _axis("delta", "float64", "physical damping", "b T/m, b of device and hand"),
+        _axis("delay", "time delay", "t_d/T, in sampling periods T", LARGEST_DELAY),
+        _axis("gamma", "physical stiffness", "k T^2/m, k of device and hand"),
+        _axis("delta", "physical damping", "b T/m, b of device and hand"),
         _numbers("alpha_node", "node i at delay k is at alpha[i, k]"),
         _numbers("beta_node", "node i at delay k is at beta[i, k]"),
         _cells("alpha", "alpha_node"),
@@ -129,6 +157,7 @@ VARIABLES: Final = {
             "stability at the node",
             "stable: all roots of the characteristic polynomial inside the unit circle; "
             "unstable: not so; both proved. Undecided: too close to the boundary",
+            *_CODES,
         ),
         Variable(
             CELL_VERDICT,
@@ -137,6 +166,7 @@ VARIABLES: Final = {
             "stability of all points of the cell",
             "stable or unstable: proved for each point of the closed cell (the boundary in closed "
             "form is enclosed and passes elsewhere); undecided: no proof",
+            *_CODES,
         ),
         _numbers("limit_cell", "cell i of n is the i-th of n equal parts of the range of beta"),
         _numbers(
@@ -161,6 +191,7 @@ VARIABLES: Final = {
             NODE,
             "largest modulus of a closed-loop pole at the node",
             "decay per sampling period; below 1 for a stable loop",
+            0.0,
         ),
         Variable(
             RADIUS_ERROR,
@@ -168,6 +199,7 @@ VARIABLES: Final = {
             NODE,
             "error bound of spectral_radius",
             "proved: the true radius is within spectral_radius +- this; infinite: no bound",
+            0.0,
         ),
         Variable(
             CELL_RADIUS_ERROR,
@@ -177,6 +209,7 @@ VARIABLES: Final = {
             "proved: at each point of the closed cell the true radius is within this of the "
             "multilinear interpolation of spectral_radius at the corners (discs that hold all "
             "roots); infinite: no bound",
+            0.0,
         ),
         _numbers("outline_point", "point of all outlines, one after the other"),
         _numbers("corner", "corner of all outlines, one after the other"),
@@ -188,24 +221,26 @@ VARIABLES: Final = {
             ("outline_point",),
             "what the boundary is from this point to the next",
             "0 a pair of roots on the unit circle, 1 a root at z = 1, 2 one at z = -1, -1 no piece",
+            -1,
+            2,
         ),
         _point(CORNER_ALPHA, "corner", "alpha of the corners, where two branches meet"),
         _point(CORNER_BETA, "corner", "beta of the corners, where two branches meet"),
-        _of_slice(OUTLINE_SIZE, "number of outline points", "with the NaN that ends them", "int32"),
-        _of_slice(CORNER_COUNT, "number of corners", "with the NaN that ends them", "int32"),
-        _of_slice(
+        _count(OUTLINE_SIZE, "number of outline points", "with the NaN at their end", inf),
+        _count(CORNER_COUNT, "number of corners", "with the NaN at their end", inf),
+        _count(
             OUTLINE_STATUS,
             "what is known of the outline",
             "0 complete, 1 the stable region is empty, 2 unresolved: do not use it",
-            "int32",
+            2,
         ),
-        _of_slice(SUMMARY[0], "largest stable alpha", "closed form; NaN if none is stable"),
-        _of_slice(SUMMARY[1], "beta of the largest stable alpha", "from the closed form"),
-        _of_slice(SUMMARY[2], "largest stable beta", "closed form; NaN if none is stable"),
-        _of_slice(SUMMARY[3], "area of the stable region", "in the (alpha, beta) plane"),
-        _of_slice(SUMMARY[4], "smallest spectral radius", "over all (alpha, beta)"),
-        _of_slice(SUMMARY[5], "alpha of the smallest spectral radius", "solved for, not gridded"),
-        _of_slice(SUMMARY[6], "beta of the smallest spectral radius", "solved for, not gridded"),
+        _measure(SUMMARY[0], "largest stable alpha", "closed form; NaN if none is stable"),
+        _measure(SUMMARY[1], "beta of the largest stable alpha", "from the closed form"),
+        _measure(SUMMARY[2], "largest stable beta", "closed form; NaN if none is stable"),
+        _measure(SUMMARY[3], "area of the stable region", "in the (alpha, beta) plane"),
+        _measure(SUMMARY[4], "smallest spectral radius", "over all (alpha, beta)"),
+        _measure(SUMMARY[5], "alpha of the smallest spectral radius", "solved for, not gridded"),
+        _measure(SUMMARY[6], "beta of the smallest spectral radius", "solved for, not gridded"),
         _numbers("spec_line", "line of the specification"),
         Variable(
             SPEC,
@@ -242,20 +277,5 @@ STRUNG: Final = {OUTLINE_SIZE: "outline_point", CORNER_COUNT: "corner"}
 """How many of the places along a dimension belong to each slice."""
 
 ALWAYS: Final = frozenset(VARIABLES) - {name for names in PRODUCTS.values() for name in names}
-
-FLAG_VALUES: Final = tuple(int(code) for code in Verdict)
-FLAG_MEANINGS: Final = " ".join(code.name.lower() for code in Verdict)
-
-ROOT_ATTRIBUTES: Final = (
-    "format",
-    "title",
-    "created_by",
-    "source",
-    "symbols",
-    "Conventions",
-    "schema_version",
-)
-ATTRIBUTES: Final = ("long_name", "interpretation", "units", "flag_values", "flag_meanings")
-"""What a file, and each of its datasets, says of itself in words and numbers."""
 
 LONGEST_LINE: Final = 4096  # bytes in a line of the specification

@@ -34,9 +34,8 @@ class AtlasAnswer:
     """What an atlas says about points; four arrays of the broadcast shape of the query.
 
     Attributes:
-        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved, but at nodes of
-            an atlas of schema version 2 that are far from the boundary. UNDECIDED where the atlas
-            cannot decide; NOT_COMPUTED when it holds no verdicts.
+        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved. UNDECIDED where
+            the atlas cannot decide; NOT_COMPUTED when it holds no verdicts.
         spectral_radius: computed at a node, multilinearly interpolated elsewhere; NaN where the
             atlas holds none.
         radius_error: proved bound of the error of ``spectral_radius``; infinite without one.

@@ -1,6 +1,6 @@
 """Answers from an atlas in memory: at a node what it holds, elsewhere only what is proved.
 
-NumPy and h5py alone: no JAX, and nothing else that takes time to import.
+NumPy alone: no JAX, no HDF5, and nothing else that takes time to import.
 """
 
 from collections.abc import Mapping, Sequence
@@ -76,7 +76,7 @@ class Atlas:
 
     def to_xarray(self) -> Any:
         """Return all of it as an xarray.Dataset; RuntimeError where xarray is not installed."""
-        return to_xarray(self.arrays)
+        return to_xarray(self.arrays, self.created_by)
 
     def decided_fraction(self, delay_number: int) -> float:
         """Return the share of the volume at one delay in which a query between nodes is decided."""
@@ -391,7 +391,7 @@ class Atlas:
 def open_atlas(path: str | PathLike[str]) -> Atlas:
     """Load an atlas into memory; all of its bytes are checked.
 
-    An array is unpacked by the first question that needs it.
+    An array over nodes or cells is unpacked by the first question that needs it.
 
     Raises:
         OSError: the file is missing or unreadable.

@@ -2,11 +2,12 @@
 
 from typing import Any
 
-from jaxstab.atlas.format import schema
+from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format.words import attributes_of, head_attributes
 from jaxstab.atlas.read.file import PackedArrays
 
 
-def to_xarray(arrays: PackedArrays) -> Any:
+def to_xarray(arrays: PackedArrays, created_by: str) -> Any:
     """Return the variables of an atlas with named coordinates, as ``xarray.open_dataset`` does.
 
     Raises:
@@ -19,12 +20,13 @@ def to_xarray(arrays: PackedArrays) -> Any:
             "an xarray.Dataset needs xarray: python -m pip install 'jaxstab[xarray]'."
         ) from error
     variables = {
-        name: (
-            schema.VARIABLES[name].dimensions,
-            values,
-            arrays.attributes(name, schema.ATTRIBUTES),
-        )
+        name: (VARIABLES[name].dimensions, values, _said(attributes_of(VARIABLES[name])))
         for name, values in arrays.items()
     }
-    dataset = xarray.Dataset(variables, attrs=arrays.attributes("/", schema.ROOT_ATTRIBUTES))
+    dataset = xarray.Dataset(variables, attrs=head_attributes(created_by))
     return dataset.set_coords(["alpha", "beta"])
+
+
+def _said(attributes: dict[str, Any]) -> dict[str, Any]:
+    """Return attributes without the one that xarray takes for its own."""
+    return {name: value for name, value in attributes.items() if name != "coordinates"}

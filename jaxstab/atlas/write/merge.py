@@ -14,10 +14,12 @@ from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.digest import Chunked, content_digest, digest_of
 from jaxstab.atlas.format.footer import footer_of
 from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format.table import table_text
 from jaxstab.atlas.write.tiles import VALUES_DIGEST, Shards
 from jaxstab.atlas.write.variables import (
     FORMAT_VERSIONS,
     create_variable,
+    places_of,
     write_content_digest,
     write_head,
     write_variable,
@@ -40,12 +42,17 @@ def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
             write_head(file, created_by)
             datasets = _create_variables(file, plan, shards)
             digests = _copy_tiles(datasets, plan, shards, stream)
-            write_content_digest(file, content_digest(_chunked(datasets, digests)))
+            variables = list(_chunked(datasets, digests))
+            write_content_digest(file, content_digest(variables))
+            file.flush()
+            places = {name: places_of(dataset) for name, dataset in datasets.items()}
         stream.check()
         os.ftruncate(descriptor, stream.size)
-        with open(descriptor, "rb", buffering=0, closefd=False) as image:
-            footer = footer_of(image, stream.size)
         os.lseek(descriptor, stream.size, os.SEEK_SET)
+        table = table_text(created_by, variables, places)
+        write_all(descriptor, table)
+        with open(descriptor, "rb", buffering=0, closefd=False) as written:
+            footer = footer_of(written, stream.size + len(table), stream.size)
         write_all(descriptor, footer)
 
 
@@ -131,4 +138,4 @@ def _chunked(datasets: Mapping[str, h5py.Dataset], digests: _Digests) -> Iterato
     for name, dataset in datasets.items():
         whole = digest_of(name, dataset)
         copied = [digest for _, digest in sorted(digests.get(name, {}).items())]
-        yield whole._replace(digests=copied) if copied else whole
+        yield whole._replace(digests=copied or list(whole.digests))

@@ -23,7 +23,7 @@ from jaxstab.atlas.format.digest import values_digest
 from jaxstab.atlas.format.footer import image_of, sealed
 from jaxstab.atlas.format.schema import SCHEMA_VERSION, VARIABLES
 from jaxstab.atlas.format.spec import AtlasSpec
-from jaxstab.atlas.write.variables import FILTERS, FORMAT_VERSIONS
+from jaxstab.atlas.write.variables import FORMAT_VERSIONS, filters_of
 from jaxstab.durable import named_errors, publish
 
 VALUES_DIGEST = "values_sha256"
@@ -70,7 +70,8 @@ def _check(plan: Plan, tile: Tile, name: str, values: NDArray[Any]) -> None:
 def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int]) -> None:
     whole = np.zeros(chunk, values.dtype.newbyteorder("<"))
     whole[tuple(map(slice, values.shape))] = values
-    dataset = file.create_dataset(name, data=whole, chunks=tuple(chunk), **FILTERS)
+    filters = filters_of(VARIABLES[name])
+    dataset = file.create_dataset(name, data=whole, chunks=tuple(chunk), **filters)
     dataset.attrs[VALUES_DIGEST] = np.bytes_(values_digest(values))
 
 

@@ -8,19 +8,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.schema import Variable
+from jaxstab.atlas.format.table import Place
+from jaxstab.atlas.format.words import attributes_of, head_attributes
 
 FORMAT_VERSIONS: Final = ("v110", "v110")
 """Of HDF5: checksums of its own structures, and the other readers know it."""
 
-FILTERS: Final = {
-    "shuffle": True,
-    "compression": "gzip",
-    "compression_opts": 6,
-    "fletcher32": True,
-    "track_times": False,
-}
+_PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": 6}
 
 _LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
 
@@ -28,20 +23,6 @@ _LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
 def write_head(file: h5py.File, created_by: str) -> None:
     """Write what the file says of itself."""
     _write_attributes(file, head_attributes(created_by))
-
-
-def head_attributes(created_by: str) -> dict[str, Any]:
-    """Return what a file says of itself, but for the digest of its values."""
-    return {
-        "format": schema.FORMAT,
-        "title": "Stability of a haptic rendering loop over its dimensionless parameters",
-        "created_by": created_by,
-        "source": "characteristic polynomial of Hulin, Preusche, Hirzinger (2008), eq. (9)",
-        "symbols": "K, B stiffness and damping of the virtual wall; m, b, k mass, damping and "
-        "stiffness of device and hand; T sampling period, t_d delay",
-        "Conventions": "CF-1.8",
-        "schema_version": np.int32(schema.SCHEMA_VERSION),
-    }
 
 
 def write_content_digest(file: h5py.File, digest: str) -> None:
@@ -56,6 +37,11 @@ def write_variable(file: h5py.File, variable: Variable, values: NDArray[Any]) ->
     dataset = create_variable(file, variable, values.shape, (rows, *others), values.dtype)
     dataset[...] = values
     return dataset
+
+
+def filters_of(variable: Variable) -> dict[str, Any]:
+    """Return how the chunks of a variable are stored."""
+    return {"fletcher32": True, "track_times": False} | (_PACKED if variable.is_packed else {})
 
 
 def create_variable(
@@ -75,7 +61,11 @@ def create_variable(
         dtype: of its values.
     """
     dataset = file.create_dataset(
-        variable.name, tuple(shape), dtype.newbyteorder("<"), chunks=tuple(chunk), **FILTERS
+        variable.name,
+        tuple(shape),
+        dtype.newbyteorder("<"),
+        chunks=tuple(chunk),
+        **filters_of(variable),
     )
     _write_attributes(dataset, attributes_of(variable))
     if variable.is_axis:
@@ -86,22 +76,19 @@ def create_variable(
     return dataset
 
 
-def attributes_of(variable: Variable) -> dict[str, Any]:
-    """Return what a dataset says of itself."""
-    attributes: dict[str, Any] = {
-        "long_name": variable.long_name,
-        "interpretation": variable.interpretation,
-    }
-    if variable.dtype.startswith("float"):
-        attributes["units"] = "1"
-    if len(variable.dimensions) == len(schema.NODE) and "alpha_node" in variable.dimensions:
-        attributes["coordinates"] = "alpha beta"
-    if variable.holds_verdicts:
-        attributes["flag_values"] = np.array(schema.FLAG_VALUES, np.int8)
-        attributes["flag_meanings"] = schema.FLAG_MEANINGS
-    return attributes
-
-
 def _write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]) -> None:
     for name, value in attributes.items():
         to.attrs[name] = np.bytes_(value.encode("utf-8")) if isinstance(value, str) else value
+
+
+def places_of(dataset: h5py.Dataset) -> list[Place]:
+    """Return where the chunks of a dataset lie in its file, which was flushed, in their order."""
+    found: dict[tuple[int, ...], Place] = {}
+
+    def note(chunk: Any) -> None:
+        if chunk.filter_mask:
+            raise RuntimeError(f"HDF5 left out a filter of {dataset.name}; use another libhdf5.")
+        found[chunk.chunk_offset] = chunk.byte_offset, chunk.size
+
+    dataset.id.chunk_iter(note)
+    return [place for _, place in sorted(found.items())]

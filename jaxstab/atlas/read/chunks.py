@@ -1,0 +1,118 @@
+"""Arrays out of the chunks of a file, and whether their values may be. No JAX, and no HDF5."""
+
+import zlib
+from collections.abc import Mapping
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from jaxstab.atlas.format import schema
+from jaxstab.atlas.format.digest import values_digest
+from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format.table import Stored, Table, check
+from jaxstab.conventions import AXES
+
+Array = np.ndarray[Any, np.dtype[Any]]
+
+
+class TooLargeError(ValueError):
+    """A file is sound but larger than is read into memory."""
+
+
+def unpacked(data: bytes, stored: Stored) -> Array:
+    """Return an array, read-only; memory is asked for only as far as the file has values.
+
+    Raises:
+        RefusalError: a chunk is not what its digest says, or values are out of their range.
+        TooLargeError: the array is larger than is read into memory.
+    """
+    _check_size(stored)
+    values = np.empty(stored.shape, stored.dtype)
+    chunks = zip(stored.starts(), stored.places, stored.digests, strict=True)
+    for start, (offset, size), digest in chunks:
+        chunk = _chunk(data[offset : offset + size - schema.CHECKSUM_SIZE], stored)
+        place = tuple(slice(i, i + n) for i, n in zip(start, stored.chunk, strict=True))
+        values[place] = chunk[tuple(slice(n) for n in values[place].shape)]
+        check(values_digest(values[place]) == digest)
+    _check_range(stored, values)
+    values.flags.writeable = False
+    return values
+
+
+def _check_size(stored: Stored) -> None:
+    """Refuse what is not read whole, and numbers that hardly anything in the file stands for."""
+    most = schema.LARGEST_ARRAY
+    if not stored.variable.holds_verdicts:
+        expanded = schema.LARGEST_EXPANSION * stored.stored_size
+        most = min(most, max(schema.LARGEST_UNASKED, expanded))
+    if stored.size > most:
+        raise TooLargeError(too_large(stored.size, stored.variable.name, most))
+
+
+def too_large(size: int, what: str, most: int) -> str:
+    """Return the sentence that refuses so many bytes."""
+    return (
+        f"has {size} bytes of {what}, and at most {most} are read into memory; "
+        "read parts of it with h5py or xarray."
+    )
+
+
+def _chunk(stored_bytes: bytes, stored: Stored) -> Array:
+    """Return the values of a chunk; one that has more or fewer than it promised is refused."""
+    dtype, count = stored.dtype, prod(stored.chunk)
+    if not stored.variable.is_packed:
+        return np.frombuffer(stored_bytes, dtype).reshape(stored.chunk)
+    engine = zlib.decompressobj()
+    try:
+        shuffled = engine.decompress(stored_bytes, count * dtype.itemsize)
+        is_whole = (engine.eof or not engine.decompress(engine.unconsumed_tail, 1)) and engine.eof
+    except zlib.error:
+        is_whole, shuffled = False, b""
+    check(is_whole and not engine.unused_data and len(shuffled) == count * dtype.itemsize)
+    planes = np.frombuffer(shuffled, np.uint8).reshape(dtype.itemsize, count)
+    return np.ascontiguousarray(planes.T).view(dtype).reshape(stored.chunk)
+
+
+def _check_range(stored: Stored, values: Array) -> None:
+    variable = stored.variable
+    if variable.dtype == "S":
+        return
+    if variable.has_nan:
+        low, high = (f.reduce(values, axis=None, initial=0.0) for f in (np.fmin, np.fmax))
+    else:
+        low, high = values.min(), values.max()  # NaN where one is
+    check(variable.lowest <= low and high <= variable.highest)
+    if variable.name == schema.ALPHA_LIMITS:
+        for limit in (values[..., :5], values[..., 5:]):
+            slopes, error = limit[..., 1:4], limit[..., 4]
+            check(np.all(np.isfinite(slopes)) and error.min() >= 0.0)
+
+
+def check_axes(arrays: Mapping[str, Array]) -> None:
+    """Refuse axes that do not ascend, or so little that cells between them have no width.
+
+    Raises:
+        RefusalError: as it says.
+    """
+    for name, values in arrays.items():
+        if name in AXES:
+            with np.errstate(all="ignore"):
+                widths = np.diff(values, axis=0)
+            check(np.all(np.isfinite(values)) and np.all(widths > 0))
+        elif VARIABLES[name].is_axis:
+            check(np.array_equal(values, np.arange(values.size)))
+    with np.errstate(all="ignore"):
+        spans = np.array([arrays[name][-1] - arrays[name][0] for name in ("alpha", "beta")])
+        check(np.all(np.isfinite(spans)) and np.all(np.isfinite(1.0 / spans)))
+
+
+def check_counts(arrays: Mapping[str, Array], table: Table) -> None:
+    """Refuse lists that are not as long as their parts together.
+
+    Raises:
+        RefusalError: as it says.
+    """
+    for counts, dimension in schema.STRUNG.items():
+        if counts in arrays:
+            check(int(arrays[counts].sum(dtype=np.int64)) == table.variables[dimension].shape[0])

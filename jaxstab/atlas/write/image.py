@@ -1,0 +1,71 @@
+"""The HDF5 image of an atlas as HDF5 sees it, for those who verify that it is what the table says.
+
+libhdf5 was not made for hostile files: a reader that only asks uses ``read.file``.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import prod
+from pathlib import Path
+
+import h5py
+
+from jaxstab.atlas.format.table import DAMAGED, RefusalError, Stored, Table, check
+from jaxstab.atlas.write.variables import places_of
+
+_FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
+_LONGEST_ATTRIBUTE = 2**16  # bytes
+_TROUBLES = (ValueError, KeyError, TypeError, RuntimeError, OSError, MemoryError)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[h5py.File]:
+    """Open the image of a file of which the table was found right.
+
+    Raises:
+        ValueError: HDF5, or who uses it, cannot go on.
+    """
+    try:
+        with path.open("rb", buffering=0) as stream, h5py.File(stream, "r") as file:
+            yield file
+    except (RefusalError, *_TROUBLES) as error:
+        raise ValueError(f"{path} {DAMAGED}") from error
+
+
+def checked_datasets(file: h5py.File, table: Table) -> dict[str, h5py.Dataset]:
+    """Return the variables by name; they, and nothing else, are stored as the table says.
+
+    Raises:
+        RefusalError: as it says.
+    """
+    check(set(file) == set(table.variables))
+    return {name: _checked_dataset(file, stored) for name, stored in table.variables.items()}
+
+
+def text_of(file: h5py.File, name: str) -> str:
+    """Return an attribute of the root group.
+
+    Raises:
+        RefusalError: it is no text of a moderate length.
+    """
+    identifier = file.attrs.get_id(name)
+    check(identifier.shape == () and identifier.dtype.kind == "S")
+    check(prod(identifier.shape) * identifier.dtype.itemsize <= _LONGEST_ATTRIBUTE)
+    return bytes(file.attrs[name]).decode("utf-8")
+
+
+def _checked_dataset(file: h5py.File, stored: Stored) -> h5py.Dataset:
+    name = stored.variable.name
+    check(isinstance(file.get(name, getlink=True), h5py.HardLink))
+    dataset = file[name]
+    check(isinstance(dataset, h5py.Dataset))
+    layout = dataset.id.get_create_plist()
+    check(layout.get_layout() == h5py.h5d.CHUNKED and layout.get_external_count() == 0)
+    filters = [layout.get_filter(number)[0] for number in range(layout.get_nfilters())]
+    check(len(filters) == len(set(filters)))
+    known = _FILTERS if stored.variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
+    check(set(filters) == known)
+    check(dataset.shape == stored.shape and dataset.chunks == stored.chunk)
+    check(dataset.dtype == stored.dtype and "enum" not in (dataset.dtype.metadata or {}))
+    check(places_of(dataset) == list(stored.places))
+    return dataset

@@ -1,0 +1,207 @@
+"""Files from strangers are refused in a sentence, or answered as what they were made from.
+
+By Python, by C under the sanitizers of addresses and undefined behaviour, and by Octave.
+"""
+
+import shutil
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hostile import Arrays, assembled, hostile_files, mutants
+
+from jaxstab import Atlas, open_atlas
+
+ROOT = Path(__file__).resolve().parents[1]
+GOLDEN = ROOT / "data" / "golden" / "atlas-v4.h5"
+READERS = ROOT / "data" / "readers"
+SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
+OUTSIDE = -1
+CI, CAMPAIGN = 2000, 50_000  # mutants
+MOST_MEMORY = 200 * 2**20  # bytes
+
+Said = tuple[bool, str]
+"""Whether a file was answered, and the codes of points or the words of the refusal."""
+
+
+class Base(NamedTuple):
+    """What hostile files are made from: arrays, points to ask about, and the right answers."""
+
+    arrays: Arrays
+    points: np.ndarray
+    codes: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Base:
+    """A tenth of the cells of the golden atlas: a file of 20 kB."""
+    arrays: Arrays = dict(open_atlas(GOLDEN).arrays)
+    arrays["alpha_limits"] = np.ascontiguousarray(arrays["alpha_limits"][::10])
+    arrays["limit_cell"] = np.arange(4, dtype=np.int32)
+    path = tmp_path_factory.mktemp("base") / "base.h5"
+    path.write_bytes(assembled(arrays))
+    rng = np.random.default_rng(20120412)
+    ends = [(axis.min(), axis.max()) for axis in (arrays[name] for name in ("alpha", "beta"))]
+    sides = [*ends, (0.0, 0.0011), (0.0, 0.016)]
+    points = np.stack([rng.uniform(*side, 300) for side in sides], axis=1)
+    points = np.insert(points, 4, rng.choice([0.0, 1.0, 1.5], 300), axis=1)
+    return Base(arrays, points, codes_of(open_atlas(path), points))
+
+
+def codes_of(atlas: Atlas, points: np.ndarray) -> np.ndarray:
+    """What Python says, with the code of the other readers outside."""
+    answer = atlas.query(*points.T, outside="undecided")
+    inside = atlas.query(*points.T, outside="undecided").status < 4
+    return np.where(inside, answer.verdict, OUTSIDE)
+
+
+def said_by_python(path: Path, points: np.ndarray) -> Said:
+    """As C does, and every array is asked for."""
+    try:
+        atlas = open_atlas(path)
+        arrays = dict(atlas.arrays)
+    except ValueError as refusal:
+        words = str(refusal)
+    else:
+        return True, answered(atlas, arrays, points)
+    assert words.startswith(str(path))
+    assert words.endswith(".")
+    assert words.isprintable()
+    return False, words
+
+
+def answered(atlas: Atlas, arrays: Arrays, points: np.ndarray) -> str:
+    assert atlas.created_by.isprintable()
+    assert set(arrays) == set(atlas.arrays)
+    assert np.all(arrays["alpha_limits"][..., [4, 9]] >= 0.0)
+    return words_of(codes_of(atlas, points))
+
+
+def words_of(codes: np.ndarray) -> str:
+    return "".join(map(str, codes + 1))
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        pytest.skip("there is no C compiler")
+    program = tmp_path_factory.mktemp("c") / "open_many"
+    source = Path(__file__).with_name("open_many.c")
+    include = f"-I{READERS / 'c'}"
+    words = [compiler, "-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", include, str(source)]
+    for options in (SANITIZED, []):  # some compilers have no sanitizers
+        done = subprocess.run([*words, *options, "-lm", "-o", program], capture_output=True)
+        if done.returncode == 0:
+            return program
+    pytest.fail(done.stderr.decode())
+
+
+@pytest.fixture
+def said_by_c(program: Path, base: Base, tmp_path: Path) -> Iterator[Callable[[Path], Said]]:
+    """Ask the reader in C, which must not end before it is told to."""
+    base.points.astype("<f8").tofile(tmp_path / "points")
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([program, tmp_path / "points"], **pipes) as child:
+
+        def ask(path: Path) -> Said:
+            child.stdin.write(f"{path}\n")
+            child.stdin.flush()
+            word, _, rest = child.stdout.readline().rstrip("\n").partition(" ")
+            assert word in ("answered", "refused")
+            return word == "answered", rest
+
+        yield ask
+        child.stdin.close()
+        assert child.wait() == 0
+
+
+def said_by_octave(paths: Sequence[Path], points: np.ndarray, folder: Path) -> list[Said]:
+    program = shutil.which("octave-cli")
+    if program is None:
+        pytest.skip("Octave is not installed")
+    points.astype("<f8").tofile(folder / "points")
+    (folder / "names").write_text("".join(f"{path}\n" for path in paths), encoding="ascii")
+    script = f"""
+        addpath('{READERS / "octave"}');
+        p = fread(fopen('{folder}/points'), [5, Inf], 'double', 'ieee-le');
+        for name = strsplit(strtrim(fileread('{folder}/names')), "\\n")
+          try
+            atlas = jaxstab_query(name{{1}});
+            code = jaxstab_query(atlas, p(1, :), p(2, :), p(3, :), p(4, :), p(5, :));
+            printf('answered %s\\n', sprintf('%d', code + 1));
+          catch problem
+            printf('refused %s %s\\n', problem.identifier, problem.message);
+          end
+        end
+        """
+    words = [program, "--no-gui", "--norc", "--quiet", "--eval", script]
+    done = subprocess.run(words, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    assert done.returncode == 0, done.stderr
+    lines = [line.partition(" ") for line in done.stdout.splitlines()]
+    for word, _, rest in lines:
+        assert word == "answered" or rest.startswith("jaxstab:")
+    return [(word == "answered", rest) for word, _, rest in lines]
+
+
+def test_what_is_not_hostile_is_answered_alike(
+    base: Base, said_by_c: Callable[[Path], Said], tmp_path: Path
+) -> None:
+    """With chunks of whole arrays, and with such as do not fit into them."""
+    for number, chunk in enumerate([(4, 2, 2, 3, 10), (3, 2, 1, 2, 10), (1, 1, 1, 1, 3)]):
+        path = tmp_path / f"{number}.h5"
+        path.write_bytes(assembled(base.arrays, {"alpha_limits": chunk, "alpha": (7, 2)}))
+        expected = True, words_of(base.codes)
+        assert said_by_python(path, base.points) == expected
+        assert said_by_c(path) == expected
+        assert said_by_octave([path], base.points, tmp_path) == [expected]
+    assert set(base.codes) == {-1, 1, 2, 3}
+
+
+def test_no_reader_takes_a_hostile_file_for_an_atlas(
+    base: Base, said_by_c: Callable[[Path], Said], tmp_path: Path
+) -> None:
+    paths = {}
+    for number, (name, (data, by_all)) in enumerate(hostile_files(base.arrays).items()):
+        paths[tmp_path / f"{number}.h5"] = name, by_all
+        (tmp_path / f"{number}.h5").write_bytes(data)
+    octave = said_by_octave([*paths], base.points, tmp_path)
+    right = True, words_of(base.codes)
+    tracemalloc.start()
+    for (path, (name, by_all)), by_octave in zip(paths.items(), octave, strict=True):
+        assert not said_by_python(path, base.points)[0], name
+        for said in (said_by_c(path), by_octave):
+            assert not said[0] or (not by_all and said == right), name
+    assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY
+    tracemalloc.stop()
+
+
+def tally(base: Base, said_by_c: Callable[[Path], Said], path: Path, count: int) -> dict[str, int]:
+    """Ask Python and C about mutants; each is refused, or answered alike by both."""
+    counts = {"tried": 0, "refused": 0, "answered": 0}
+    for data in mutants(base.arrays, np.random.default_rng(20120412), count):
+        path.write_bytes(data)
+        python, c = said_by_python(path, base.points), said_by_c(path)
+        assert not python[0] or python == c, counts
+        counts["tried"] += 1
+        counts["answered" if python[0] else "refused"] += 1
+    return counts
+
+
+def test_mutants_with_right_checksums_are_refused_or_answered_alike(
+    base: Base, said_by_c: Callable[[Path], Said], tmp_path: Path
+) -> None:
+    counts = tally(base, said_by_c, tmp_path / "mutant.h5", CI)
+    assert counts["refused"] > 0.5 * counts["tried"]
+    assert counts["answered"] > 10
+
+
+@pytest.mark.campaign
+def test_many_mutants(base: Base, said_by_c: Callable[[Path], Said], tmp_path: Path) -> None:
+    counts = tally(base, said_by_c, tmp_path / "mutant.h5", CAMPAIGN)
+    sys.stderr.write(f"mutants: {counts}\n")
