@@ -10,10 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from jaxtyping import install_import_hook
+import annotations
 
-# Before the first import of jaxstab: from here on its annotations are checked at every call.
-install_import_hook("jaxstab", "beartype.beartype")
+annotations.install()
 
 import jaxstab  # noqa: E402
 

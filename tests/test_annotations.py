@@ -1,0 +1,134 @@
+"""The quick check of annotations refuses what jaxtyping's own decorator refuses."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from annotations import checked
+from beartype import beartype
+from jaxtyping import Float64, Int64, TypeCheckError, jaxtyped
+
+from jaxstab.region.curve import curve_and_lift
+from jaxstab.scene import WallRegion
+
+Decorator = Callable[[Any], Any]
+
+Pair = Float64[np.ndarray, " pair"]
+ONE, TWO, SINGLE = np.ones(1), np.ones(2), np.ones(2, np.float32)
+
+
+def functions(decorator: Decorator) -> dict[str, Callable[..., Any]]:
+    @decorator
+    def returned(given: Any, like: Pair) -> Pair:
+        return given
+
+    @decorator
+    def counted(indices: Int64[np.ndarray, "*grid"], grid: Float64[np.ndarray, "*grid"]) -> int:
+        return indices.size + grid.size
+
+    @decorator
+    def named(word: str, *numbers: int | float, flag: bool = False) -> "str | None":
+        return word if flag else None
+
+    @decorator
+    def yielded(given: Pair, like: Pair) -> Iterator[Pair]:
+        for _ in given:
+            yield like[:1]
+
+    @decorator
+    def among(sizes: Any, like: Pair) -> int:
+        return sum(len(list(yielded(one, one))) for one in sizes) + like.size
+
+    @decorator
+    @dataclass
+    class Box:
+        low: Pair
+        high: Pair
+
+        @decorator
+        def __add__(self, by: Pair) -> Pair:
+            return self.low + by
+
+        @property
+        @decorator
+        def size(self) -> int:
+            return self.low
+
+        @classmethod
+        @decorator
+        def of(cls, size: int) -> "Box":
+            return cls(np.zeros(size), np.zeros(size))
+
+    return {
+        "returned": returned,
+        "counted": counted,
+        "named": named,
+        "yielded": yielded,
+        "among": among,
+        "made": Box,
+        "added": lambda low, by: Box(low, low) + by,
+        "size": lambda low: Box(low, low).size,
+        "of": Box.of,
+        "within": lambda given: [functions(decorator)["named"](word) for word in given],
+    }
+
+
+RIGHT: list[tuple[Any, ...]] = [
+    ("returned", TWO, TWO),
+    ("counted", np.arange(4).reshape(2, 2), np.ones((2, 2))),
+    ("named", "word", 1, 2.0),
+    ("yielded", TWO, TWO),
+    ("among", [TWO, ONE], np.ones(3)),
+    ("made", TWO, TWO),
+    ("added", TWO, TWO),
+    ("of", 3),
+    ("within", ["a", "b"]),
+]
+WRONG: list[tuple[Any, ...]] = [
+    ("returned", TWO, ONE),
+    ("returned", SINGLE, TWO),
+    ("returned", TWO, SINGLE),
+    ("returned", 1.0, TWO),
+    ("counted", np.arange(4), np.ones((2, 2))),
+    ("counted", np.ones(4), np.ones(4)),
+    ("named", 1),
+    ("named", "word", "1"),
+    ("yielded", TWO, ONE),
+    ("among", [TWO, SINGLE], ONE),
+    ("made", TWO, ONE),
+    ("made", TWO, SINGLE),
+    ("added", TWO, SINGLE),
+    ("size", TWO),
+    ("of", "3"),
+    ("within", ["a", 1]),
+]
+
+
+@pytest.fixture(params=[checked, jaxtyped(typechecker=beartype)], ids=["ours", "jaxtyping's"])
+def decorated(request: pytest.FixtureRequest) -> dict[str, Callable[..., Any]]:
+    return functions(request.param)
+
+
+@pytest.mark.parametrize(("name", "arguments"), [(name, rest) for name, *rest in RIGHT])
+def test_what_is_as_annotated_passes(
+    decorated: dict[str, Callable[..., Any]], name: str, arguments: list[Any]
+) -> None:
+    decorated[name](*arguments)
+
+
+@pytest.mark.parametrize(("name", "arguments"), [(name, rest) for name, *rest in WRONG])
+def test_another_type_dtype_or_size_is_refused(
+    decorated: dict[str, Callable[..., Any]], name: str, arguments: list[Any]
+) -> None:
+    with pytest.raises(TypeCheckError):
+        decorated[name](*arguments)
+
+
+def test_jaxstab_is_checked() -> None:
+    with pytest.raises(TypeCheckError):
+        WallRegion("no loop", None)
+    with pytest.raises(TypeCheckError):
+        WallRegion.in_si_units(None, np.ones((2, 3)))
+    assert hasattr(curve_and_lift, "__wrapped__")
