@@ -78,12 +78,12 @@ def test_where_roots_meet_there_is_no_bound() -> None:
     assert bound[0, 0] > 0.05
 
 
-def test_strips_of_a_large_slice_give_what_the_whole_gives(
+def test_parts_of_a_large_slice_give_what_the_whole_gives(
     monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     nodes = np.linspace(-0.1, 0.7, 8), np.linspace(0.0, 2.0, 6)
     boxes = HandBoxes(*(np.full(1, v) for v in (5e-4, 4e-3, 2e-4, 1e-3)))
     corners = rng.random((2, 2, 8, 6))
     whole = interpolation_errors(*nodes, boxes, 0.0, corners)
-    monkeypatch.setattr("jaxstab.boxes.root_discs._LARGEST_STRIP", 15)
+    monkeypatch.setattr("jaxstab.boxes.root_discs._PAIRS_OF_ROOTS", 135)
     np.testing.assert_array_equal(interpolation_errors(*nodes, boxes, 0.0, corners), whole)

@@ -21,7 +21,6 @@ from jaxstab.point import verdict
 TERMS = ("constant", "per_beta", "per_gamma", "per_delta", "error")
 """A plane over (beta, gamma, delta) and how far from it the true limit can be."""
 
-_MANY_POINTS = 2**12
 _ROUNDING = 1e-14  # of the domain: sums of the terms of a plane
 
 Planes = Float64[np.ndarray, "*column 5"]
@@ -108,23 +107,14 @@ def _gap_verdicts(
     floor, ceiling = _gaps(low, high, widened(domain))
     exists = floor < ceiling
     column, _ = np.nonzero(exists)
-    points = np.column_stack([0.5 * (floor + ceiling)[exists], columns.centre[column]])
+    middle = 0.5 * (floor + ceiling)[exists]
     codes = np.full(exists.shape, NOT_COMPUTED, np.int8)
-    codes[exists] = _verdicts(points, delay)
+    beta, gamma, delta = columns.centre[column].T
+    codes[exists] = verdict(middle, beta, gamma, delta, delay, resolve="exact")
     # What the middle of a column does not see of it
     begins, ends = _gaps(*strips.ends(columns), domain)
     codes[~exists & np.any(begins < ends, axis=0)] = UNDECIDED
     return codes
-
-
-def _verdicts(points: Float64[np.ndarray, "point 4"], delay: float) -> Int8[np.ndarray, " point"]:
-    # A few sizes of long lists: each is compiled.
-    count = len(points)
-    if count > _MANY_POINTS:
-        count = 1 << (count - 1).bit_length()
-    alpha, beta, gamma, delta = np.resize(points, (count, 4)).T
-    codes = np.asarray(verdict(alpha, beta, gamma, delta, delay, resolve="exact"))
-    return codes[: len(points)]
 
 
 def _gaps(

@@ -9,6 +9,7 @@ and arithmetic with models gives models of the results (Taylor models of first o
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -98,7 +99,7 @@ class LinearModel:
         """Say where a real function is proved to be outside of an interval."""
         return (self.high < low) | (self.low > high)
 
-    @property
+    @cached_property
     def _sloped(self) -> Floats:
         return (abs(self.slope) * self.half).sum(axis=0)
 

@@ -50,7 +50,7 @@ _ACCURATE_GAMMA, _ACCURATE_DELTA = 40.0, 10.0
 _CANCELLING_GAMMA = 36.0  # up to _ACCURATE_DELTA
 _ERROR, _STIFF_ERROR, _DAMPED_ERROR = 2.0**-97, 2.0**-66, 2.0**-56
 
-_MANY = 1 << 14  # plants that are worth the two seconds that XLA takes to compile
+_MANY = 1 << 16  # plants that are worth the two seconds that XLA takes to compile
 
 _DUPLICATIONS = 10
 _TERMS = 10

@@ -6,11 +6,11 @@ were given. A grid of five axes needs the memory of its axes, of one chunk and o
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Int64
 
 from jaxstab.arrays import Array, Numbers, is_traced, namespace, tree_map
 from jaxstab.batches import lists
@@ -92,21 +92,21 @@ def over_grid(kernel: Callable[[Array], Result], *parameters: Numbers) -> Result
 
 
 def looked_up(
-    arguments: list[Float64[np.ndarray, "..."]],
-    shape: tuple[int, ...],
-    points: Int64[np.ndarray, " point"],
-) -> list[Float64[np.ndarray, "..."]]:
-    """Return the arguments at flat indices.
+    arguments: Sequence[Any], shape: tuple[int, ...], points: Int64[np.ndarray, " point"]
+) -> list[Any]:
+    """Return arrays, or trees of them, at flat indices of the grid to which they broadcast.
 
     Single numbers stay so and are computed with once; only the first argument is always repeated.
     """
-    place = np.unravel_index(points, shape or (1,))
-    return [
-        argument.reshape(())
-        if number > 0 and argument.size == 1
-        else np.broadcast_to(argument, shape or (1,))[place]
-        for number, argument in enumerate(arguments)
-    ]
+    index = np.unravel_index(points, shape or (1,))
+
+    def repeated(values: Any) -> Any:
+        return np.broadcast_to(values, shape or (1,))[index]
+
+    def kept(values: Any) -> Any:
+        return values.reshape(()) if values.size == 1 else repeated(values)
+
+    return [repeated(arguments[0]), *tree_map(kept, list(arguments[1:]))]
 
 
 def _scattered(

@@ -51,7 +51,7 @@ def fast_radius(parameters: list[Values], shape: tuple[int, ...], delay: float) 
     first, *others = _tries(delay)
     if value.size > _LIST:
         for part, block in _blocks(parameters, shape):
-            value[part], error[part] = _tried(block, delay, first)
+            value[part], error[part] = _tried(_loop(block, delay), delay, first)
     else:
         _try_list(value, error, parameters, np.arange(value.size), delay, first)
     for effort in others:
@@ -69,18 +69,27 @@ def _try_list(
     effort: _Try,
 ) -> None:
     """Write the results at flat indices."""
+    plants = prod(np.broadcast_shapes(*(hand.shape for hand in parameters[2:])))
+    shared = _loop(parameters, delay) if plants <= indices.size else None
     for part, padded in lists(indices, effort.longest_list, _SHORTEST_LIST):
-        listed = looked_up(parameters, value.shape, padded)
-        for result, column in zip((value, error), _tried(listed, delay, effort), strict=True):
+        if shared:
+            loop = Loop(*looked_up(shared, value.shape, padded))
+        else:
+            loop = _loop(looked_up(parameters, value.shape, padded), delay)
+        for result, column in zip((value, error), _tried(loop, delay, effort), strict=True):
             result.flat[part] = column[: part.size]
 
 
-def _tried(parameters: list[Values], delay: float, effort: _Try) -> Answer:
+def _loop(parameters: list[Values], delay: float) -> Loop:
+    """Return loops with their plants, which are computed on the smallest grid that holds them."""
     alpha, beta, gamma, delta = parameters
     fraction = delay % 1.0
     plant = float_plant(gamma, delta, np.float64(fraction), is_fractional=fraction > 0.0)
-    radius = partial(_radius, degree=polynomial_degree(delay), effort=effort)
-    return in_float64(radius, Loop(alpha, beta, gamma, plant))
+    return Loop(alpha, beta, gamma, plant)
+
+
+def _tried(loop: Loop, delay: float, effort: _Try) -> Answer:
+    return in_float64(partial(_radius, degree=polynomial_degree(delay), effort=effort), loop)
 
 
 def _radius(loop: Loop, *, degree: int, effort: _Try) -> tuple[Array, Array]:
