@@ -5,6 +5,7 @@ synchronised. HDF5 cannot be trusted with a full disk (it goes on after an error
 was never written), so it writes to a stream of ours, which keeps the error for us.
 """
 
+import errno
 import io
 import os
 import secrets
@@ -20,27 +21,30 @@ def publish(data: bytes, path: Path) -> None:
     Raises:
         OSError: the folder is missing, read-only or full.
     """
-    with replacing(path, temporary_name(path)) as descriptor:
+    with replacing(path) as descriptor:
         write_all(descriptor, data)
 
 
 @contextmanager
-def replacing(path: Path, temporary: Path) -> Iterator[int]:
+def replacing(path: Path, folder: Path | None = None) -> Iterator[int]:
     """Yield the descriptor of a new file, which takes its place if no error comes up.
 
     Args:
         path: of the file; a former one is replaced.
-        temporary: where the new one is until then, on the same file system.
+        folder: where the new one is until then, on the same file system; without, beside it.
 
     Raises:
-        OSError: the folder is missing, read-only or full.
+        OSError: the folder is missing, read-only or full, or the new file was removed.
     """
+    temporary = (folder or path.parent) / f".{path.name}.{secrets.token_hex(8)}.part"
     with named_errors("write", path):
         descriptor = create(temporary)
         try:
             try:
                 yield descriptor
                 os.fsync(descriptor)
+                if not is_named(descriptor, temporary):
+                    raise OSError(errno.ESTALE, "another process took its temporary file away")
             finally:
                 os.close(descriptor)
             os.replace(temporary, path)
@@ -61,9 +65,12 @@ def named_errors(deed: str, path: Path) -> Iterator[None]:
         raise type(error)(error.errno, f"cannot {deed} {path}: {reason}.") from error
 
 
-def temporary_name(path: Path) -> Path:
-    """Return a name beside the file that no other process uses."""
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+def is_named(descriptor: int, path: Path) -> bool:
+    """Whether an open file is the one that has this name now."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except FileNotFoundError:
+        return False
 
 
 def create(path: Path) -> int:

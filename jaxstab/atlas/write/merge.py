@@ -36,7 +36,7 @@ def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
         OSError: the folder is read-only or full; a former file is still there.
         ValueError: a tile was damaged since it was looked at.
     """
-    with replacing(path, shards.folder / ".atlas.part") as descriptor:
+    with replacing(path, shards.folder) as descriptor:
         stream = PatientStream(descriptor)
         with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
             write_head(file, created_by)

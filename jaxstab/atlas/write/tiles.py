@@ -6,9 +6,9 @@ What is in the folder is what is done: a build that was interrupted goes on from
 import errno
 import hashlib
 import os
-import shutil
+import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,13 @@ from jaxstab.atlas.format.footer import image_of, sealed
 from jaxstab.atlas.format.schema import SCHEMA_VERSION, VARIABLES
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.write.variables import FORMAT_VERSIONS, filters_of
-from jaxstab.durable import named_errors, publish
+from jaxstab.durable import is_named, named_errors, publish, sync_folder
 
 VALUES_DIGEST = "values_sha256"
 _TILE = "tile"
+_LOCK = "lock"
+_BUSY = "another process is building it"
+_ATTEMPTS = 100
 
 
 def build_key(spec: AtlasSpec, created_by: str) -> str:
@@ -107,6 +110,10 @@ class Shards:
         except (OSError, KeyError, ValueError):
             return False
 
+    def has_any(self) -> bool:
+        """Whether the image of any tile is here."""
+        return any(self.folder.glob("*.tile"))
+
     @contextmanager
     def opened(self, tile: Tile) -> Iterator[h5py.File]:
         """Open the image of a tile in memory.
@@ -125,8 +132,17 @@ class Shards:
             yield file
 
     def remove(self) -> None:
-        """Remove the folder with all that is in it."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        """Remove the folder with all that is in it, the lock last: until then it keeps others out.
+
+        Another process may have made a new lock by then, and goes on in the folder.
+        """
+        lock = self.folder / _LOCK
+        with suppress(OSError):
+            for entry in self.folder.iterdir():
+                if entry != lock:
+                    entry.unlink()
+            lock.unlink()
+            self.folder.rmdir()
 
 
 @contextmanager
@@ -136,44 +152,70 @@ def shards_of(path: Path, key: str) -> Iterator[Shards]:
     It stays for the next build of the same atlas unless it is empty, or removed.
 
     Raises:
-        OSError: it cannot be made, there is a folder at the path, or another process builds this
-            atlas.
+        OSError: it cannot be made or locked, there is a folder at the path, or another process
+            builds this atlas.
     """
-    folder = path.with_name(f".{path.name}.{key[:16]}.tiles")
+    shards = Shards(path.with_name(f".{path.name}.{key[:16]}.tiles"), key)
     with named_errors("write", path):
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "there is a folder of this name")
-        folder.mkdir(exist_ok=True)
-        lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o666)
-    shards = Shards(folder, key)
-    with _locked(lock, path):
-        for left_over in folder.glob(".*.part"):
+        lock = _locked(shards)
+    try:  # the system opens the lock when this process ends in whatever way
+        for left_over in shards.folder.glob(".*.part"):
             left_over.unlink()
-        try:
-            yield shards
-        finally:
-            if not any(folder.glob("*.tile")):
-                shards.remove()
-
-
-@contextmanager
-def _locked(lock: int, path: Path) -> Iterator[None]:
-    """Keep other processes out; the system opens the lock when this one ends in whatever way."""
-    try:
-        with named_errors("write", path):
-            if os.name == "posix":
-                _lock(lock)
-        yield
+        yield shards
     finally:
+        if not shards.has_any():
+            shards.remove()
         os.close(lock)
 
 
-def _lock(descriptor: int) -> None:
-    import fcntl
+def _locked(shards: Shards) -> int:
+    """Return the descriptor of the locked file by which the folder of a build is one's own."""
+    for _ in range(_ATTEMPTS):
+        with suppress(FileExistsError):
+            os.mkdir(shards.folder)
+            sync_folder(shards.folder.parent)
+        with suppress(_GoneError):
+            return _lock_in(shards)
+    raise BlockingIOError(errno.EAGAIN, _BUSY)
 
+
+class _GoneError(Exception):
+    """Who had the lock removed the folder in the meantime."""
+
+
+def _lock_in(shards: Shards) -> int:
+    name = shards.folder / _LOCK
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise BlockingIOError(error.errno, "another process is building it") from error
-    except OSError:
-        return  # a file system without locks
+        lock = os.open(name, os.O_RDWR | os.O_CREAT, 0o666)
+    except FileNotFoundError as error:
+        raise _GoneError from error
+    try:
+        _lock(lock)
+        if not is_named(lock, name):
+            raise _GoneError
+    except BaseException as error:
+        os.close(lock)
+        if not isinstance(error, BlockingIOError | _GoneError) and not shards.has_any():
+            shards.remove()
+        raise
+    return lock
+
+
+def _lock(descriptor: int) -> None:
+    """Lock a file, or raise OSError."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError) as error:
+        raise BlockingIOError(error.errno, _BUSY) from error
+    except OSError as error:
+        words = f"its folder cannot be locked ({error.strerror}), so build it elsewhere and copy it"
+        raise OSError(error.errno, words) from error
