@@ -27,7 +27,8 @@ from jaxstab.model import (
 )
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdict.door import verdict
-from jaxstab.tuning.search import Family, Pair, family_of, newton_step, searched
+from jaxstab.tuning.multiple_root import Family, Pair, family_of, newton_step
+from jaxstab.tuning.search import searched
 
 
 class TuningStatus(Status):

@@ -4,9 +4,12 @@ For a pair z = r e^(+-i theta) (theta = 0 or pi: a double real root) both gains 
 p(z) = 0, a linear system. If gains have all roots inside of r, then gains at the edge of the set of
 all such gains have a pair on the circle, at some theta, and no other root is larger. So the set is
 empty if the smallest rest(theta), the largest modulus of the other roots, is above r; and whatever
-it is, max(r, rest) is a radius that gains reach. Both ends of an interval for the smallest radius
-come from each r that is tried: rest is minimised over theta, first on a scan, then around the best
-of its local minima.
+it is, max(r, rest) is a radius that gains reach. A scan minimises rest over theta, then around the
+best of its local minima.
+
+The first guess is a triple real root, all of which are known. A scan of a radius a little below
+tells whether it is the best. If not, the radius is taken down from scan to scan, until a double
+pair next to the best point, or the point itself, stands such a test.
 """
 
 from typing import NamedTuple
@@ -14,59 +17,34 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
-from jaxstab.arrays import Array, constant, namespace
+from jaxstab.arrays import Array
 from jaxstab.model import PlantCoefficients, companion_matrix
+from jaxstab.tuning.multiple_root import (
+    Family,
+    Pair,
+    family_of,
+    multiple_root,
+    triple_roots,
+    value,
+)
 
 TRIPLE_ROOT, DOUBLE_PAIR, SCANNED = 1, 2, 3  # as TuningStatus numbers them
 
 _SMALLEST, _LARGEST = 1e-4, 1.3  # radii that are looked at
 _REAL = 1e-3  # rad: dominant pairs closer to the real axis are taken for real
 _FIRST = 1e-5  # rad: close enough to a double real root
+_NEAR = 1.2  # radii: how large other poles may be where a scan looks at them
 _MINIMA, _POINTS, _ROUNDS = 8, 9, 5  # of the scan that are looked at closer
+_MORE = 4.0  # times what a minimum lost when it was looked at closer
+_STEP = 0.8  # from one radius to the next smaller one that is tried
 _CLOSE = 1.01  # ends of the interval for the radius at which the search becomes local
 _ROWS, _COLUMNS, _ZOOMS = 32, 48, 14
-_NEWTON_STEPS = 24
 _AGREEMENT = 1e-6  # relative, between the scan and the solution of the equations
 _ROOM = 1e-4  # relative, below a radius, where a smaller one is looked for once more
-_ATTEMPTS = 3
+_ATTEMPTS = 4
 _NOISE, _MOST_NOISE = 1e-5, 1e-3  # relative, of a triple pole; of one whose gains lost digits
 
 Angles = Float64[np.ndarray, " angle"]
-
-
-class Family(NamedTuple):
-    """p(z) = base + alpha stiff + beta damp, each with the highest power first."""
-
-    base: Float64[Array, "*grid coefficient"]
-    stiff: Float64[Array, "*grid coefficient"]
-    damp: Float64[Array, "*grid coefficient"]
-
-    def polynomial(self, alpha: Array, beta: Array) -> Float64[Array, "*grid coefficient"]:
-        """Return the coefficients for arrays of gains, on a new last axis."""
-        return self.base + alpha[..., None] * self.stiff + beta[..., None] * self.damp
-
-
-class Pair(NamedTuple):
-    """The gains that put a pair of poles at x +- i y."""
-
-    alpha: Float64[Array, "*grid"]
-    beta: Float64[Array, "*grid"]
-    x: Float64[Array, "*grid"]
-    y: Float64[Array, "*grid"]
-
-
-def family_of(plant: PlantCoefficients, whole_delay: int) -> Family:
-    """Return the polynomials of all walls at a plant, multiplied by z for a whole delay."""
-    xp = namespace(plant)
-    zero, one = xp.zeros_like(plant.d0), xp.ones_like(plant.d0)
-    before, after = [zero] * (whole_delay + 1), [zero] * (whole_delay + 2)
-    fall = plant.difference - plant.n0  # n2 - n1, to all of its digits for a whole delay
-    columns = (
-        [one, plant.d1, plant.d0, *after],
-        [*before, plant.n2, plant.n1, plant.n0, zero],
-        [*before, plant.n2, -fall, plant.n0 - plant.n1, -plant.n0],
-    )
-    return Family(*(xp.stack(column, axis=-1) for column in columns))
 
 
 def searched(plant: PlantCoefficients, whole_delay: int) -> tuple[Array, ...]:
@@ -106,43 +84,81 @@ class _Point(NamedTuple):
 
 def _best(family: Family, angles: Angles) -> tuple[Pair, int]:
     """Return the best pair of a plant; what is found must stand a last scan of all angles."""
-    low, high, point = _interval(family, angles, _SMALLEST, _LARGEST)
-    pair, kind = _local(family, low, high, point)
+    low, (pair, kind) = _SMALLEST, _triple_root(family)
     for _ in range(_ATTEMPTS):
         radius = float(np.hypot(pair.x, pair.y))
-        if _scanned(family, radius * (1.0 - _ROOM), angles).reached >= radius * (1.0 - _AGREEMENT):
-            break
-        low, high, point = _interval(family, angles, 0.9 * low, radius)
-        other, its_kind = _local(family, low, high, point)
+        point = _Point(np.inf, _LARGEST, float(angles[0]))
+        if radius < _LARGEST:
+            point = _scanned(family, radius * (1.0 - _ROOM), angles)
+            if point.reached >= radius * (1.0 - _AGREEMENT):
+                break
+        low, other, its_kind = _descended(family, angles, 0.9 * low, point)
         if np.hypot(other.x, other.y) >= radius:
             break
         pair, kind = other, its_kind
     return pair, kind
 
 
-def _interval(
-    family: Family, angles: Angles, low: float, high: float
-) -> tuple[float, float, _Point]:
-    """Return two radii, the smallest one between them, and the best point that was met."""
-    trial = min(1.0, high)
-    best = _Point(np.inf, high, float(angles[0]))
+def _descended(family: Family, angles: Angles, low: float, best: _Point) -> tuple[float, Pair, int]:
+    """Return a radius below which no pair was found, the best pair above it, and its kind.
+
+    From the best point known, the radius is taken down until no pair is left, faster and faster,
+    and then bisected.
+    """
+    high, step = best.radius, _STEP
     while high > low * _CLOSE:
-        point = _scanned(family, trial, angles)
-        best = min(best, point)
-        if point.reached <= trial * (1.0 + _NOISE):
-            high = trial
-        else:
-            low, high = trial, min(high, point.reached)
-        trial = float(np.sqrt(low * high))
+        trial = min(1.0, max(step * high, float(np.sqrt(low * high))))
         if not low < trial < high:
             break
-    return low, high, best
+        point = _scanned(family, trial, angles)
+        is_better, best = point < best, min(best, point)
+        if point.reached <= trial * (1.0 + _NOISE):
+            high, step = trial, step * step
+            continue
+        low, high = trial, min(high, point.reached)
+        if is_better:
+            pair = multiple_root(family, _pair_at(family, point), is_triple=False)
+            radius = np.hypot(pair.x, pair.y)
+            if low <= radius <= high and pair.y > _REAL * radius and _holds(family, pair):
+                return low, pair, DOUBLE_PAIR
+    return low, *_local(family, low, high, best)
+
+
+def _triple_root(family: Family) -> tuple[Pair, int]:
+    """Return the smallest triple real root without a larger pole; an infinite one for none."""
+    roots = triple_roots(family)
+    sizes, largest = abs(roots.x), _largest_pole(family, roots.alpha, roots.beta)
+    stands = (sizes > _SMALLEST) & (largest <= sizes * (1.0 + _MOST_NOISE))
+    for number in np.argsort(np.where(stands, sizes, np.inf))[: np.sum(stands)]:
+        pair = multiple_root(family, Pair(*(part[number] for part in roots)), is_triple=True)
+        is_same = abs(abs(pair.x) - sizes[number]) <= _AGREEMENT * sizes[number]
+        if is_same and _holds(family, pair):
+            return pair, TRIPLE_ROOT
+    return Pair(*(np.float64(np.inf),) * 4), SCANNED
+
+
+def _holds(family: Family, pair: Pair) -> bool:
+    """Return whether gains have the radius of their pair, but for the noise of a multiple root.
+
+    Gains that miss it by far more are an artefact of digits that were lost.
+    """
+    radius = np.hypot(pair.x, pair.y)
+    gains = np.atleast_1d(pair.alpha), np.atleast_1d(pair.beta)
+    is_reached = _largest_pole(family, *gains)[0] <= radius * (1.0 + _MOST_NOISE)
+    return bool(is_reached and _is_dominant(family, pair, radius * (1.0 + _AGREEMENT)))
 
 
 def _scanned(family: Family, radius: float, angles: Angles) -> _Point:
-    """Return the point of the smallest radius among the pairs on a circle."""
-    reached = _reached(family, radius, angles)
-    padded = np.concatenate([[np.inf], reached, [np.inf]])
+    """Return the point of the smallest radius among the pairs on a circle.
+
+    Poles are computed where others than the pair are not much larger, and next to there.
+    """
+    pairs = _pairs(family, np.full(angles.shape, radius), angles)
+    is_near = np.pad(_is_dominant(family, pairs, np.full(angles.shape, _NEAR * radius)), 1)
+    is_near = is_near[:-2] | is_near[1:-1] | is_near[2:]
+    reached = np.full(angles.shape, np.inf)
+    reached[is_near] = _largest_pole(family, pairs.alpha[is_near], pairs.beta[is_near])
+    padded = np.pad(reached, 1, constant_values=np.inf)
     is_least = (reached <= padded[:-2]) & (reached <= padded[2:]) & np.isfinite(reached)
     minima = np.flatnonzero(is_least)
     if not minima.size:
@@ -150,18 +166,22 @@ def _scanned(family: Family, radius: float, angles: Angles) -> _Point:
     minima = minima[np.argsort(reached[minima])[:_MINIMA]]
     last = reached.size - 1
     left, right = angles[np.maximum(minima - 1, 0)], angles[np.minimum(minima + 1, last)]
-    best = _Point(float(reached[minima[0]]), radius, float(angles[minima[0]]))
-    rows = np.arange(minima.size)
+    former = reached[minima]
+    best = _Point(float(former[0]), radius, float(angles[minima[0]]))
     for _ in range(_ROUNDS):
-        if best.reached <= radius * (1.0 + _NOISE):
+        if best.reached <= radius * (1.0 + _NOISE) or not left.size:
             break
         closer = left[:, None] + (right - left)[:, None] * np.linspace(0.0, 1.0, _POINTS)
         values = _reached(family, radius, closer.ravel()).reshape(closer.shape)
         least = np.argmin(values, axis=1)
-        row = int(np.argmin(values[rows, least]))
-        found = float(values[row, least[row]]), radius, float(closer[row, least[row]])
-        best = min(best, _Point(*found))
+        rows = np.arange(least.size)
+        lowest = values[rows, least]
+        row = int(np.argmin(lowest))
+        best = min(best, _Point(float(lowest[row]), radius, float(closer[row, least[row]])))
+        # What a minimum may still lose is not much more than what it lost.
+        is_open = lowest - _MORE * np.maximum(former - lowest, 0.0) <= best.reached
         left, right = (closer[rows, np.clip(least + side, 0, _POINTS - 1)] for side in (-1, 1))
+        left, right, former = left[is_open], right[is_open], lowest[is_open]
     return best
 
 
@@ -186,32 +206,32 @@ def _largest_pole(family: Family, alpha: Array, beta: Array) -> Array:
 def _local(family: Family, low: float, high: float, point: _Point) -> tuple[Pair, int]:
     """Return the best pair around a point: a multiple root where its equations have one.
 
-    Pairs whose gains do not have their radius, by far more than the noise of a multiple root, are
-    an artefact of digits that were lost: then the point itself is the answer.
+    Elsewhere the answer is the radius that the better gains have, as float64 has them.
     """
     start = _zoomed(family, low, high, point.angle)
     is_triple = bool(np.sin(np.arctan2(start.y, start.x)) < _REAL)
-    solution = _multiple_root(family, start, is_triple)
+    solution = multiple_root(family, start, is_triple)
     radius, scanned = np.hypot(solution.x, solution.y), np.hypot(start.x, start.y)
-    agrees = abs(radius - scanned) <= _AGREEMENT * scanned
-    if agrees and _is_dominant(family, solution, radius * (1.0 + _AGREEMENT)):
-        best, kind = solution, TRIPLE_ROOT if is_triple else DOUBLE_PAIR
-    else:
-        best, kind = start, SCANNED
-    gains = np.atleast_1d(best.alpha), np.atleast_1d(best.beta)
-    if _largest_pole(family, *gains)[0] <= np.hypot(best.x, best.y) * (1.0 + _MOST_NOISE):
-        return best, kind
+    if abs(radius - scanned) <= _AGREEMENT * scanned and _holds(family, solution):
+        return solution, TRIPLE_ROOT if is_triple else DOUBLE_PAIR
+    reached = _largest_pole(family, np.atleast_1d(start.alpha), np.atleast_1d(start.beta))[0]
+    pair, share = start, reached / scanned
+    if not reached <= point.reached:
+        pair, share = _pair_at(family, point), point.reached / point.radius
+    return pair._replace(x=share * pair.x, y=share * pair.y), SCANNED
+
+
+def _pair_at(family: Family, point: _Point) -> Pair:
+    """Return the pair of a point."""
     radius, angle = np.array([point.radius]), np.array([point.angle])
-    met = Pair(*(part[0] for part in _pairs(family, radius, angle)))
-    share = point.reached / point.radius
-    return met._replace(x=share * met.x, y=share * met.y), SCANNED
+    return Pair(*(part[0] for part in _pairs(family, radius, angle)))
 
 
 def _zoomed(family: Family, low: float, high: float, angle: float) -> Pair:
     """Zoom in on the smallest r for which no other root is larger than the pair."""
     width = max(0.05, 0.3 * np.sin(angle))
     box = np.array([np.log(low) - 1e-3, np.log(high) + 1e-12, angle - width, angle + width])
-    best = Pair(*(part[0] for part in _pairs(family, np.array([high]), np.array([angle]))))
+    best = _pair_at(family, _Point(high, high, angle))
     best = best._replace(x=high * np.cos(angle), y=high * np.sin(angle))
     for _ in range(_ZOOMS):
         radii = np.exp(np.linspace(box[0], box[1], _ROWS))[:, None]
@@ -242,7 +262,7 @@ def _pairs(family: Family, radius: Array, angle: Array) -> Pair:
     """Solve p(z) = 0 for the gains; at theta = 0 and pi close enough to the double real root."""
     angle = np.clip(angle, _FIRST, np.pi - _FIRST)
     x, y = radius * np.cos(angle), radius * np.sin(angle)
-    base, stiff, damp = (_value(part, x + 1j * y) for part in family)
+    base, stiff, damp = (value(part, x + 1j * y) for part in family)
     determinant = stiff.real * damp.imag - stiff.imag * damp.real
     alpha = (base.imag * damp.real - base.real * damp.imag) / determinant
     beta = (stiff.imag * base.real - stiff.real * base.imag) / determinant
@@ -269,63 +289,3 @@ def _quotient(coefficients: Array, pair: Pair) -> Array:
         parts.append(part)
         last, before = part, last
     return np.stack(parts, axis=-1)
-
-
-# ------------------------------------------------------------- the equations of a multiple root
-
-
-def _multiple_root(family: Family, start: Pair, is_triple: bool) -> Pair:
-    """Solve for the multiple root; NaN where its equations are singular."""
-    pair = start._replace(y=np.float64(0.0)) if is_triple else start
-    for _ in range(_NEWTON_STEPS):
-        try:
-            step = newton_step(family, pair, np.asarray(is_triple))
-        except np.linalg.LinAlgError:
-            return Pair(*(np.float64(np.nan),) * 4)
-        pair = Pair(*(a + b for a, b in zip(pair, step, strict=True)))
-        size = max(abs(part) for part in pair)
-        if not max(abs(part) for part in step) > 1e-15 * size:
-            break
-    return pair
-
-
-def newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:
-    """Return the step of Newton's method to a triple real root, or to a double complex pair.
-
-    The equations are p = p' = p'' = y = 0 or p = p' = 0, those for alpha, beta, x and y.
-    """
-    xp = namespace(family, pair)
-    z = pair.x + 1j * pair.y
-    whole = family.polynomial(pair.alpha, pair.beta)
-    # The polynomial and its derivatives, and those of its derivatives in alpha and beta.
-    p, stiff, damp = (_taylor(part, z) for part in (whole, family.stiff, family.damp))
-    zero = xp.zeros_like(pair.y)
-
-    def rows(order: int, *, imaginary: bool) -> list[Array]:
-        entries = stiff[order], damp[order], p[order + 1], 1j * p[order + 1], p[order]
-        return [entry.imag if imaginary else entry.real for entry in entries]
-
-    last = [zero, zero, zero, zero + 1.0, pair.y]
-    triple = [*(rows(order, imaginary=False) for order in range(3)), last]
-    double = [rows(order, imaginary=part) for order in range(2) for part in (False, True)]
-    both = [xp.stack([xp.stack(row, axis=-1) for row in one], axis=-2) for one in (triple, double)]
-    system = xp.where(xp.asarray(is_triple)[..., None, None], *both)
-    step = xp.linalg.solve(constant(system[..., :4]), -system[..., 4:])[..., 0]
-    return Pair(*(step[..., part] for part in range(4)))
-
-
-def _taylor(coefficients: Array, z: Array) -> list[Array]:
-    """Return a polynomial and its first three derivatives."""
-    values = []
-    for _ in range(4):
-        values.append(_value(coefficients, z))
-        powers = np.arange(coefficients.shape[-1] - 1, 0, -1)
-        coefficients = coefficients[..., :-1] * powers
-    return values
-
-
-def _value(coefficients: Array, z: Array) -> Array:
-    value = 0.0 * z
-    for power in range(coefficients.shape[-1]):
-        value = value * z + coefficients[..., power]
-    return value

@@ -1,0 +1,133 @@
+"""Multiple roots of p(z): what the best gains are for, as equations that Newton's method solves.
+
+A triple real root solves p = p' = p'' = 0, a double complex pair p = p' = 0, for the gains and z.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.arrays import Array, constant, namespace
+from jaxstab.model import PlantCoefficients
+
+_NEWTON_STEPS = 10
+_FARTHEST = 1.3  # a root beyond has been lost
+_REAL = 1e-3  # relative: imaginary parts of a real root of a polynomial with rounded coefficients
+
+
+class Family(NamedTuple):
+    """p(z) = base + alpha stiff + beta damp, each with the highest power first."""
+
+    base: Float64[Array, "*grid coefficient"]
+    stiff: Float64[Array, "*grid coefficient"]
+    damp: Float64[Array, "*grid coefficient"]
+
+    def polynomial(self, alpha: Array, beta: Array) -> Float64[Array, "*grid coefficient"]:
+        """Return the coefficients for arrays of gains, on a new last axis."""
+        return self.base + alpha[..., None] * self.stiff + beta[..., None] * self.damp
+
+
+class Pair(NamedTuple):
+    """The gains that put a pair of poles at x +- i y."""
+
+    alpha: Float64[Array, "*grid"]
+    beta: Float64[Array, "*grid"]
+    x: Float64[Array, "*grid"]
+    y: Float64[Array, "*grid"]
+
+
+def family_of(plant: PlantCoefficients, whole_delay: int) -> Family:
+    """Return the polynomials of all walls at a plant, multiplied by z for a whole delay."""
+    xp = namespace(plant)
+    zero, one = xp.zeros_like(plant.d0), xp.ones_like(plant.d0)
+    before, after = [zero] * (whole_delay + 1), [zero] * (whole_delay + 2)
+    fall = plant.difference - plant.n0  # n2 - n1, to all of its digits for a whole delay
+    columns = (
+        [one, plant.d1, plant.d0, *after],
+        [*before, plant.n2, plant.n1, plant.n0, zero],
+        [*before, plant.n2, -fall, plant.n0 - plant.n1, -plant.n0],
+    )
+    return Family(*(xp.stack(column, axis=-1) for column in columns))
+
+
+def triple_roots(family: Family) -> Pair:
+    """Return all triple real roots, with y = 0, to the accuracy of the roots of a polynomial.
+
+    The equations are linear in the gains and 1, so that the determinant of the three is a
+    polynomial in z that vanishes at the triple roots of all gains.
+    """
+    base, stiff, damp = map(_derivatives, family)
+    determinant: Array = np.zeros(1)
+    for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        minor = np.convolve(stiff[two], damp[three]), np.convolve(stiff[three], damp[two])
+        determinant = np.polyadd(determinant, np.convolve(base[one], np.polysub(*minor)))
+    roots = np.roots(determinant)
+    z = roots[(abs(roots.imag) < _REAL * abs(roots)) & (abs(roots) < _FARTHEST)].real
+    p, stiff, damp = ([value(part, z) for part in parts[:2]] for parts in (base, stiff, damp))
+    divisor = stiff[0] * damp[1] - stiff[1] * damp[0]
+    alpha = (p[1] * damp[0] - p[0] * damp[1]) / divisor
+    beta = (p[0] * stiff[1] - p[1] * stiff[0]) / divisor
+    return Pair(alpha, beta, z, np.zeros_like(z))
+
+
+def multiple_root(family: Family, start: Pair, is_triple: bool) -> Pair:
+    """Solve for the multiple root; NaN where its equations are singular."""
+    pair = start._replace(y=np.float64(0.0)) if is_triple else start
+    for _ in range(_NEWTON_STEPS):
+        try:
+            step = newton_step(family, pair, np.asarray(is_triple))
+        except np.linalg.LinAlgError:
+            return Pair(*(np.float64(np.nan),) * 4)
+        pair = Pair(*(a + b for a, b in zip(pair, step, strict=True)))
+        size = max(abs(part) for part in pair)
+        if not max(abs(part) for part in step) > 1e-15 * size or abs(pair.x) > _FARTHEST:
+            break
+    return pair
+
+
+def newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:
+    """Return the step of Newton's method to a triple real root, or to a double complex pair.
+
+    The equations are p = p' = p'' = y = 0 or p = p' = 0, those for alpha, beta, x and y.
+    """
+    xp = namespace(family, pair)
+    z = pair.x + 1j * pair.y
+    whole = family.polynomial(pair.alpha, pair.beta)
+    # The polynomial and its derivatives, and those of its derivatives in alpha and beta.
+    p, stiff, damp = (_taylor(part, z) for part in (whole, family.stiff, family.damp))
+    zero = xp.zeros_like(pair.y)
+
+    def rows(order: int, *, imaginary: bool) -> list[Array]:
+        entries = stiff[order], damp[order], p[order + 1], 1j * p[order + 1], p[order]
+        return [entry.imag if imaginary else entry.real for entry in entries]
+
+    last = [zero, zero, zero, zero + 1.0, pair.y]
+    triple = [*(rows(order, imaginary=False) for order in range(3)), last]
+    double = [rows(order, imaginary=part) for order in range(2) for part in (False, True)]
+    both = [xp.stack([xp.stack(row, axis=-1) for row in one], axis=-2) for one in (triple, double)]
+    system = xp.where(xp.asarray(is_triple)[..., None, None], *both)
+    step = xp.linalg.solve(constant(system[..., :4]), -system[..., 4:])[..., 0]
+    return Pair(*(step[..., part] for part in range(4)))
+
+
+def _taylor(coefficients: Array, z: Array) -> list[Array]:
+    """Return the values of a polynomial and its first three derivatives."""
+    return [value(part, z) for part in _derivatives(coefficients)]
+
+
+def _derivatives(coefficients: Array) -> list[Array]:
+    """Return a polynomial and its first three derivatives."""
+    derivatives = [coefficients]
+    for _ in range(3):
+        powers = np.arange(derivatives[-1].shape[-1] - 1, 0, -1)
+        derivatives.append(derivatives[-1][..., :-1] * powers)
+    return derivatives
+
+
+def value(coefficients: Array, z: Array) -> Array:
+    """Return the value of a polynomial."""
+    result = 0.0 * z
+    for power in range(coefficients.shape[-1]):
+        result = result * z + coefficients[..., power]
+    return result
