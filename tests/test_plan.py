@@ -1,5 +1,9 @@
 """A plan says what is computed and why the rest is not; tiles are the same however they are cut."""
 
+import re
+from dataclasses import replace
+from time import process_time
+
 import numpy as np
 import pytest
 from atlases import SMALL, small_contents
@@ -15,11 +19,13 @@ from jaxstab import (
     build_atlas,
     plan_atlas,
     verdict,
+    write_atlas,
 )
 from jaxstab.atlas.compute import products
 from jaxstab.atlas.compute.products import compute_tile
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.write.estimate import estimate_build
 
 ONE_SLICE = {"gamma": [0.001], "delta": [0.015], "products": ["verdict"]}
 
@@ -155,6 +161,24 @@ def test_a_bad_tolerance_is_refused_in_one_sentence(toml: str, says: str) -> Non
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("products", [SMALL.products, ("outline", "summary")], ids=" ".join)
+def test_a_build_takes_about_the_time_and_the_size_that_were_estimated(
+    products: tuple[str, ...], tmp_path
+) -> None:
+    spec = replace(SMALL, products=products)
+    estimate = estimate_build(plan_atlas(spec))
+    begin = process_time()
+    write_atlas(spec, tmp_path / "atlas.h5")
+    seconds, size = process_time() - begin, (tmp_path / "atlas.h5").stat().st_size
+    assert 1 / 3 < estimate.seconds / seconds < 3
+    assert 1 / 2 < estimate.size / size < 2
+    assert re.fullmatch(
+        r"build: about [\d.]+ seconds of CPU time on this machine, and a file of about 0\.[\d]+ MB, "
+        "judged by parts of two tiles",
+        str(estimate),
+    )
+
+
 def test_the_plan_is_printed_by_a_command(tmp_path) -> None:
     from click.testing import CliRunner
 
@@ -171,5 +195,6 @@ def test_the_plan_is_printed_by_a_command(tmp_path) -> None:
     assert answer.exit_code == 0, answer.output
     assert "verdict: 10000 points asked for," in answer.stdout
     assert "between two pieces of the boundary" in answer.stdout
+    assert answer.stdout.splitlines()[-1].startswith("build: about ")
     spec.write_text("gamma = [1, 0]", encoding="utf-8")
     assert CliRunner().invoke(main, ["atlas", "plan", str(spec)]).exit_code == 1

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 import jaxstab
+from jaxstab.cli.process import start_jax
 from jaxstab.conventions import STABLE
 
 if TYPE_CHECKING:
@@ -32,15 +33,13 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
 
     What was interrupted goes on where it ended when the same command is given again.
     """
-    import jax
-
     from jaxstab.atlas import AtlasSpec, write_atlas
     from jaxstab.atlas.read.file import node_count
     from jaxstab.atlas.write.workers import dask_cluster, processes
 
     if workers and scheduler:
         raise click.UsageError("--workers and --scheduler are given; give one of them.")
-    jax.config.update("jax_enable_x64", True)
+    start_jax()
     chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
     where: AbstractContextManager[Executor | None] = nullcontext()
     if workers:
@@ -96,13 +95,14 @@ def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
 @click.command()
 @click.argument("spec", type=Path, required=False)
 def plan(spec: Path | None) -> None:
-    """Print what a build would compute, and why it need not compute the rest."""
-    import jax
-
+    """Print what a build would compute, why it need not compute the rest, and what it will take."""
     from jaxstab.atlas import AtlasSpec, plan_atlas
+    from jaxstab.atlas.write.estimate import estimate_build
 
-    jax.config.update("jax_enable_x64", True)
-    click.echo(plan_atlas(AtlasSpec.from_file(spec) if spec else AtlasSpec()))
+    start_jax()
+    planned = plan_atlas(AtlasSpec.from_file(spec) if spec else AtlasSpec())
+    click.echo(planned)
+    click.echo(estimate_build(planned))
 
 
 @click.command()
@@ -123,11 +123,9 @@ def info(file: Path) -> None:
 )
 def verify(file: Path, sample: int) -> None:
     """Check that an atlas is whole, and right at a random sample of points."""
-    import jax
-
     from jaxstab.atlas.write.verify import verify_atlas
 
-    jax.config.update("jax_enable_x64", True)
+    start_jax()
     passed = True
     for check in verify_atlas(file, sample):
         click.echo(check)
