@@ -173,8 +173,8 @@ def test_a_build_takes_about_the_time_and_the_size_that_were_estimated(
     assert 1 / 3 < estimate.seconds / seconds < 3
     assert 1 / 2 < estimate.size / size < 2
     assert re.fullmatch(
-        r"build: about [\d.]+ seconds of CPU time on this machine, and a file of about 0\.[\d]+ MB, "
-        "judged by parts of two tiles",
+        r"build: about [\d.]+ seconds of CPU time on this machine, and a file of about 0\.[\d]+ "
+        "MB, judged by parts of two tiles",
         str(estimate),
     )
 

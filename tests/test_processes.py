@@ -103,16 +103,11 @@ def test_a_worker_process_that_sets_nothing_answers_plain_numbers_as_this_one() 
 
 
 @pytest.mark.campaign
-def test_a_worker_process_that_sets_nothing_writes_the_same_atlas_or_none(tmp_path: Path) -> None:
+def test_a_worker_process_that_sets_nothing_writes_the_same_atlas(tmp_path: Path) -> None:
     spec = jaxstab.AtlasSpec(
         alpha=[0.0, 0.1], beta=[0.1, 0.2], gamma=[0.0, 0.001], delta=[0.0, 0.015], delay=[0.0]
     )
     jaxstab.write_atlas(spec, tmp_path / "here.h5")
     with processes(1) as executor:
-        written = executor.submit(jaxstab.write_atlas, spec, tmp_path / "there.h5")
-        if error := written.exception():
-            assert isinstance(error, RuntimeError)
-            assert "x64 mode is off: call" in str(error)
-            assert not (tmp_path / "there.h5").exists()
-        else:
-            assert (tmp_path / "there.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
+        executor.submit(jaxstab.write_atlas, spec, tmp_path / "there.h5").result()
+    assert (tmp_path / "there.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()

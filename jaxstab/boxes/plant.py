@@ -96,7 +96,6 @@ def plant_models(hands: HandBoxes, delay: float) -> PlantModels:
 
     Raises:
         ValueError: gamma, delta or delay is outside the range of the model.
-        RuntimeError: JAX's x64 mode is off.
     """
     h_gamma, h_delta = hands.half_gamma, hands.half_delta
     still = np.zeros_like(h_gamma)

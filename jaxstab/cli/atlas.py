@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 import jaxstab
-from jaxstab.cli.process import start_jax
+from jaxstab.cli.options import keep_programs
 from jaxstab.conventions import STABLE
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
 
     if workers and scheduler:
         raise click.UsageError("--workers and --scheduler are given; give one of them.")
-    start_jax()
+    keep_programs()
     chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
     where: AbstractContextManager[Executor | None] = nullcontext()
     if workers:
@@ -99,7 +99,7 @@ def plan(spec: Path | None) -> None:
     from jaxstab.atlas import AtlasSpec, plan_atlas
     from jaxstab.atlas.write.estimate import estimate_build
 
-    start_jax()
+    keep_programs()
     planned = plan_atlas(AtlasSpec.from_file(spec) if spec else AtlasSpec())
     click.echo(planned)
     click.echo(estimate_build(planned))
@@ -125,7 +125,7 @@ def verify(file: Path, sample: int) -> None:
     """Check that an atlas is whole, and right at a random sample of points."""
     from jaxstab.atlas.write.verify import verify_atlas
 
-    start_jax()
+    keep_programs()
     passed = True
     for check in verify_atlas(file, sample):
         click.echo(check)

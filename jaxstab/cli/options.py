@@ -1,9 +1,12 @@
-"""Values of options, checked before anything is computed."""
+"""What commands share: values of options, checked before anything is computed, and the cache."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import click
+
+import jaxstab
 
 
 def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
@@ -24,3 +27,9 @@ def picture_file(_: click.Context, option: click.Parameter, path: Path | None) -
     if path and (path.is_dir() or not path.parent.is_dir()):
         raise click.BadParameter(f"{path} is no file in a folder that exists.", param=option)
     return path
+
+
+def keep_programs() -> None:
+    """Keep what is compiled for the next process of this user."""
+    with suppress(OSError):  # without a cache it only takes longer
+        jaxstab.use_compilation_cache()

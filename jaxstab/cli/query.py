@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxstab
-from jaxstab.cli.process import start_jax
+from jaxstab.cli.options import keep_programs
 from jaxstab.conventions import AXES, Verdict
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def query(
     An option such as --gamma gives the value of a column that the CSV file does not have.
     """
     if exact:
-        start_jax()
+        keep_programs()
     given = {name: value for name, value in point.items() if value is not None}
     points = _read_points(table, given) if table else _one_point(given)
     alpha, beta, gamma, delta, delay = (points[name] for name in AXES)

@@ -1,12 +1,12 @@
 """What a specification means in numbers: the nodes along each axis, for each delay."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.atlas.compute.edge import Plane
-from jaxstab.atlas.compute.tolerance import tolerant_nodes
+from jaxstab.atlas.compute.tolerance import known_region, tolerant_nodes
 from jaxstab.atlas.format.schema import CELL, NODE
 from jaxstab.atlas.format.spec import AtlasSpec, FittedAxis, ToleranceAxis, check_size
 from jaxstab.boxes.columns import TERMS
@@ -61,10 +61,8 @@ def lay_out(spec: AtlasSpec) -> Grid:
     """Return the nodes of a specification, with the fitted axes laid around each stable region.
 
     Raises:
-        ValueError: an axis is to be fitted to a stable region that is empty, or given by a
-            tolerance where no stable region is known; a parameter is too large for the model; or
-            the grid is too large.
-        RuntimeError: JAX's x64 mode is off.
+        ValueError: an axis is fitted to a stable region, or given by a tolerance, and the region is
+            empty or unresolved; a parameter is too large for the model; or the grid is too large.
     """
     gamma, delta = (_plant_axis(spec, name) for name in ("gamma", "delta"))
     delay = np.array(spec.delay)
@@ -110,22 +108,18 @@ def _wall_axes(
 def _stable_box(
     gamma: Float64[np.ndarray, " gamma"], delta: Float64[np.ndarray, " delta"], delay: float
 ) -> tuple[float, tuple[float, float]]:
-    """Return the largest alpha and the range of beta of the stable region, over (gamma, delta).
+    """Return the largest alpha and the range of beta of the stable regions of some hands.
 
-    They are found among sampled points of the boundary: on the curve, and where the lines of a root
-    at 1 and at -1 meet. So this is close, not proved; the margin of the axes covers the rest.
+    Between these hands a region may reach further; the margin of the axes covers that.
     """
-    planes = [
-        Plane(g, d, delay) for g in _thinned(gamma).tolist() for d in _thinned(delta).tolist()
-    ]
-    parts = [part for plane in planes for part in (plane.curve(), plane.corner())]
-    alpha = np.concatenate([part.alpha[part.is_edge] for part in parts])
-    beta = np.concatenate([part.beta[part.is_edge] for part in parts])
-    if np.unique(beta).size < 2:
+    hands = product(_thinned(gamma).tolist(), _thinned(delta).tolist())
+    points = np.concatenate([known_region(*hand, delay).points for hand in hands])
+    if not points.size:
         raise ValueError(
-            f"no stable region was found at delay {delay:g}, so alpha and beta cannot be fitted to "
-            "it; give their nodes."
+            f"no (alpha, beta) is stable at delay {delay:g}, so alpha and beta cannot be fitted; "
+            "give their nodes."
         )
+    alpha, beta = points.T
     return float(alpha.max()), (float(beta.min()), float(beta.max()))
 
 

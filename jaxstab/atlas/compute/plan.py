@@ -183,10 +183,7 @@ def plan_atlas(spec: AtlasSpec) -> Plan:
         ValueError: a parameter is too large for the model, an axis cannot be fitted, or the grid is
             too large.
     """
-    import jax
-
-    with jax.enable_x64(True):  # which the curve of the fitted axes needs
-        return Plan(spec, lay_out(spec))
+    return Plan(spec, lay_out(spec))
 
 
 def _axis_line(plan: Plan, name: str) -> str:

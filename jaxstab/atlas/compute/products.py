@@ -36,7 +36,6 @@ def compute_tile(plan: Plan, tile: Tile) -> Arrays:
 
     Raises:
         ValueError: a parameter is too large for the model.
-        RuntimeError: JAX's x64 mode is off.
     """
     arrays: Arrays = {}
     for chosen in plan.spec.products:

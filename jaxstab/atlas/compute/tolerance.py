@@ -1,16 +1,26 @@
 """As many nodes along gamma or delta as a tolerance needs: where little changes, few."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 from math import ceil
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.atlas.compute.edge import SAMPLES, Edge, Plane
 from jaxstab.atlas.format.spec import ToleranceAxis
+from jaxstab.region import (
+    Branch,
+    RegionStatus,
+    StableRegion,
+    boundary_curve,
+    minus_line,
+    plus_line,
+    stable_region,
+)
 
 _PROBES = 17  # values along the axis at which the boundary is looked at
+_FINENESS = 1e-3  # of outlines, whose extremes are exact
+
+Slice = tuple[float, float, float]
 
 
 def tolerant_nodes(
@@ -18,9 +28,9 @@ def tolerant_nodes(
 ) -> Float64[np.ndarray, " node"]:
     """Return nodes between which the boundary of the stable set moves by the tolerance at most.
 
-    The motion is that of the curve at a fixed angle of the roots on the circle, and of the lines of
-    a real root there, wherever they bound the stable set, in units of its extents. It is added up
-    over even steps along the axis, and the nodes share it equally.
+    The motion is that of the boundary's points at a fixed angle of the roots on the circle, and for
+    a real root at a fixed beta, in units of the set's extents. It is added up over even steps along
+    the axis, and the nodes share it equally.
 
     Args:
         axis: its ends and the tolerance.
@@ -29,48 +39,66 @@ def tolerant_nodes(
         delays: time delays t_d/T.
 
     Raises:
-        ValueError: nowhere along the axis a stable set is found, or a parameter is too large.
+        ValueError: nowhere along the axis a loop is stable, a region is unresolved, or a parameter
+            is too large.
     """
     values = np.linspace(axis.start, axis.stop, _PROBES)
     moved = np.zeros(_PROBES - 1)
     for other in across:
         for delay in delays:
-            planes = [
-                Plane(value, other, delay) if name == "gamma" else Plane(other, value, delay)
+            slices = [
+                (value, other, delay) if name == "gamma" else (other, value, delay)
                 for value in values.tolist()
             ]
-            moved = np.maximum(moved, _motions(planes))
+            moved = np.maximum(moved, _motions(slices))
     passed = np.concatenate([[0.0], np.cumsum(moved)])
     steps = max(1, ceil(passed[-1] / axis.tolerance))
     nodes = np.interp(np.linspace(0.0, passed[-1], steps + 1), passed, values)
     return np.concatenate([[axis.start], nodes[1:-1], [axis.stop]])
 
 
-def _motions(planes: Sequence[Plane]) -> list[float]:
-    """Return how far the boundary moves from each plane to the next."""
-    curves = [plane.curve() for plane in planes]
-    is_edge = np.concatenate([curve.is_edge for curve in curves])
-    if not is_edge.any():
+def known_region(gamma: float, delta: float, delay: float) -> StableRegion:
+    """Return the stable region of a slice, which may be empty.
+
+    Raises:
+        ValueError: it is unresolved, or a parameter is too large for the model.
+    """
+    region = stable_region(gamma, delta, delay, tolerance=_FINENESS)
+    if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(
-            f"no stable set was found at delay {planes[0].delay:g} along an axis that is given by "
+            f"{RegionStatus.UNRESOLVED.words}, at gamma {gamma:g}, delta {delta:g}, "
+            f"delay {delay:g}; no axis can be laid around it, so give its nodes."
+        )
+    return region
+
+
+def _motions(slices: Sequence[Slice]) -> list[float]:
+    """Return how far the boundary moves from each slice to the next."""
+    regions = [known_region(*one) for one in slices]
+    points = np.concatenate([region.points for region in regions])
+    if not points.size:
+        raise ValueError(
+            f"no (alpha, beta) is stable at delay {slices[0][2]:g} along an axis that is given by "
             "a tolerance; give its nodes."
         )
-    beta = np.concatenate([curve.beta for curve in curves])[is_edge]
-    wide = float(np.ptp(np.concatenate([curve.alpha for curve in curves])[is_edge]))
-    rows = np.linspace(beta.min(), beta.max(), SAMPLES)
-    lines = [plane.lines(rows, wide) for plane in planes]
-    extent = wide, float(np.ptp(beta))
-    return [
-        max(_motion(*sides, extent) for sides in zip((a, *b), (c, *d), strict=True))
-        for (a, b), (c, d) in pairwise(zip(curves, lines, strict=True))
-    ]
+    extent = np.ptp(points, axis=0)
+    there = [_motion(*pair, extent) for pair in zip(regions[:-1], slices[1:], strict=True)]
+    back = [_motion(*pair, extent) for pair in zip(regions[1:], slices[:-1], strict=True)]
+    return list(map(max, there, back))
 
 
-def _motion(before: Edge, after: Edge, extent: tuple[float, float]) -> float:
-    """Return how far points move that are on the edge before or after."""
-    known = (before.is_edge | after.is_edge) & np.isfinite(before.alpha) & np.isfinite(after.alpha)
-    way = [
-        np.max(np.abs(one[known] - two[known]), initial=0.0) / size
-        for one, two, size in zip(after[:2], before[:2], extent, strict=True)
-    ]
-    return float(max(way))
+def _motion(region: StableRegion, other: Slice, extent: Float64[np.ndarray, "2"]) -> float:
+    """Return how far the outline's points move to another slice, at their angle or their beta."""
+    points, branch = region.points[:-1], region.branch[:, None]
+    beta = points[:, 1]
+    moved = np.select(
+        [branch == kind for kind in (Branch.CURVE, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)],
+        [
+            np.stack(boundary_curve(region.outline.angles[: beta.size, 0], *other), axis=-1),
+            np.stack([plus_line(beta, *other), beta], axis=-1),
+            np.stack([minus_line(beta, *other), beta], axis=-1),
+        ],
+        np.nan,
+    )
+    way = np.abs(moved - points) / extent
+    return float(np.max(way, where=np.isfinite(way), initial=0.0))

@@ -102,11 +102,17 @@ class AtlasSpec:
         ValueError: a value is out of range, out of order, or the atlas would be too large.
     """
 
-    alpha: ArrayLike | FittedAxis = field(default_factory=partial(FittedAxis, 128))
-    beta: ArrayLike | FittedAxis = field(default_factory=partial(FittedAxis, 112))
-    gamma: ArrayLike | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
-    delta: ArrayLike | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
-    delay: ArrayLike = (0.0, 1.0, 2.0, 3.0)
+    alpha: ArrayLike | tuple[float, ...] | FittedAxis = field(
+        default_factory=partial(FittedAxis, 128)
+    )
+    beta: ArrayLike | tuple[float, ...] | FittedAxis = field(
+        default_factory=partial(FittedAxis, 112)
+    )
+    gamma: ArrayLike | tuple[float, ...] | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
+    delta: ArrayLike | tuple[float, ...] | ToleranceAxis = tuple(
+        np.linspace(0.0, 0.015, 9).tolist()
+    )
+    delay: ArrayLike | tuple[float, ...] = (0.0, 1.0, 2.0, 3.0)
     products: Sequence[str] = (VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS)
     limit_cells: int = 512
     radius_rounding: float | int = 1e-7

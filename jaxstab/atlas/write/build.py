@@ -13,7 +13,6 @@ from jaxstab.atlas.read.atlas import Atlas, open_atlas
 from jaxstab.atlas.write.merge import merge
 from jaxstab.atlas.write.tiles import build_key, shards_of
 from jaxstab.atlas.write.workers import tile_images
-from jaxstab.model import require_x64
 
 Progress = Callable[[int, int], object]
 
@@ -54,18 +53,17 @@ def write_atlas(
         path: of the file.
         progress: called with the number of tiles done and of all tiles, first with those that are
             there already.
-        executor: what computes the tiles, in float64 in each worker; without, this process does.
+        executor: what computes the tiles; without, this process does.
             A tile may be computed twice. An executor of processes must not fork them.
 
     Raises:
         OSError: the folder is missing, read-only or full, or another process builds this atlas; a
             former file is still there.
         ValueError: a parameter is too large for the model, or an axis cannot be fitted.
-        RuntimeError: JAX's x64 mode is off, a worker did not compute in float64, or workers died.
+        RuntimeError: a worker computed what the schema does not allow, or workers died.
 
     Source: the verdicts, the radii and the proofs for cells name theirs.
     """
-    require_x64()
     path = Path(path)
     created_by = f"jaxstab {jaxstab.__version__}"
     with shards_of(path, build_key(spec, created_by)) as shards:

@@ -66,7 +66,7 @@ def _check(plan: Plan, tile: Tile, name: str, values: NDArray[Any]) -> None:
     if values.dtype != dtype or values.shape != shape:
         raise RuntimeError(
             f"{name} was computed as {values.dtype} of shape {values.shape}, not as {dtype} of "
-            f"shape {shape}; look at the worker's JAX and its x64 mode."
+            f"shape {shape}; look at the versions of the worker."
         )
 
 

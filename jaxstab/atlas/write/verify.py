@@ -33,7 +33,6 @@ from jaxstab.atlas.read.file import table_of
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.write.image import checked_datasets, opened, text_of
 from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
-from jaxstab.model import require_x64
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.region import RegionStatus, stable_region
 
@@ -69,12 +68,10 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
 
     Raises:
         OSError: the file is missing or unreadable.
-        RuntimeError: JAX's x64 mode is off.
 
     Source: ``jaxstab.verdict`` with resolve="exact", ``jaxstab.spectral_radius``,
         ``jaxstab.stable_region`` and ``jaxstab.minimize_radius``.
     """
-    require_x64()
     chance = np.random.default_rng(seed)
     path = Path(path)
     try:

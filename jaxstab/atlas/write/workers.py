@@ -9,8 +9,6 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExe
 from contextlib import contextmanager
 from itertools import islice
 
-import jax
-
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.compute.products import compute_tile
 from jaxstab.atlas.write.tiles import encode_tile
@@ -49,13 +47,12 @@ def tile_images(
 
 
 def tile_image(plan: Plan, tile: Tile, key: str) -> bytes:
-    """Compute a tile, in float64 whatever the process was set to, and return its image.
+    """Compute a tile and return its image.
 
     Raises:
         RuntimeError: a result is not in the precision of the schema.
     """
-    with jax.enable_x64(True):
-        return encode_tile(plan, tile, key, compute_tile(plan, tile))
+    return encode_tile(plan, tile, key, compute_tile(plan, tile))
 
 
 @contextmanager
