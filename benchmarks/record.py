@@ -21,7 +21,6 @@ PACKAGES = (
     "jaxlib",
     "numpy",
     "scipy",
-    "optimistix",
     "contourpy",
     "control",
     "h5py",

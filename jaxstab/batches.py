@@ -182,23 +182,6 @@ def _users_cache() -> Path:
     return (Path(home) if home else Path.home() / ".cache") / "jaxstab"
 
 
-def in_batches(size: int, function: Callable[..., Result], *arrays: Any) -> Result:
-    """Call a compiled function on the rows of NumPy arrays in batches of one size.
-
-    So it is compiled once, whatever their number, which is at least one: the last row fills the
-    last batch up. The results are NumPy arrays of as many rows.
-    """
-    count = len(arrays[0])
-    rows = np.minimum(np.arange(count + -count % size), count - 1).reshape(-1, size)
-    parts = [function(*(array[batch] for array in arrays)) for batch in rows]
-
-    def joined(*leaves: Any) -> Any:
-        return np.concatenate([np.asarray(leaf) for leaf in leaves])[:count]
-
-    result: Result = tree_map(joined, *parts)
-    return result
-
-
 def on_host(
     function: Callable[..., Result], *arrays: Array, shape: tuple[int, ...], like: Any
 ) -> Result:

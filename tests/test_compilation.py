@@ -19,12 +19,12 @@ import jaxstab
 
 TESTS = Path(__file__).parent
 
-# A whole set of curves, many slices at once: these ask JAX for everything.
-BY_JAX = {"region_outline", "trace_boundary"}
+# A whole set of curves, many slices at once: it asks JAX for everything.
+BY_JAX = {"region_outline"}
 CONVERTED = set(COMPUTING_CALLS) - BY_JAX
 
-# No JAX array can be given to them: they take a HapticLoop and a HandRange alone.
-WITHOUT_ARRAYS = {"optimal_gains", "robust_limit", "wall_limits"}
+# No JAX array can be given to them: they take names, numbers, a HapticLoop and a HandRange.
+WITHOUT_ARRAYS = {"optimal_gains", "robust_limit", "trace_boundary", "wall_limits"}
 
 WITHOUT_JAX = """
 import json, sys
@@ -97,7 +97,7 @@ def test_the_exceptions_are_names_of_functions_that_compute() -> None:
 PROGRAMS = {
     "spectral_radius": (10, 0),
     "boundary_curve": (0, 0),
-    "trace_boundary": (7, 0),
+    "trace_boundary": (0, 0),
     "verdict": (4, 3),
     "write_atlas": (6, 3),
 }

@@ -57,8 +57,8 @@ def motion(gamma: Array, delta: Array, time: Array) -> Motion:
 
 def _doublings(gamma: Array, delta: Array) -> int:
     """Return how often to double the time in which no plant moves by more than about 1/4."""
-    rate = 4.0 * np.max(np.sqrt(np.abs(gamma)) + np.abs(delta), initial=0.25)
-    return min(ceil(log2(rate)), _DOUBLINGS)
+    rates = 4.0 * (np.sqrt(np.abs(gamma)) + np.abs(delta))
+    return ceil(log2(np.max(np.fmin(rates, 2.0**_DOUBLINGS), initial=1.0)))
 
 
 class QuickPlant(NamedTuple):
@@ -116,7 +116,7 @@ def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
     late = full.velocity * (1.0 - gamma * n2) - early * (1.0 - gamma * full.position)
     d1, d0 = gamma * full.position - 1.0 - kept, xp.exp(-delta)
     slopes = (full.velocity, kept, early, late)
-    errors = (_LOST * (2.0 + xp.sqrt(gamma)), xp.full_like(n1, 4.0 * _LOST))
+    errors = (_LOST * (2.0 + xp.sqrt(abs(gamma))), xp.full_like(n1, 4.0 * _LOST))
     return QuickPlant(d1, d0, n2, n1, n0, total, *slopes, *errors)
 
 

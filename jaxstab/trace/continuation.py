@@ -5,130 +5,129 @@ hold (``circle_equations``), on the branch of a real root Re g = 0 and theta = 0
 the tangent is corrected in the plane across it, so folds in x or y are nothing special.
 """
 
-from functools import partial
 from math import pi
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Array
-from jaxstab.batches import in_batches
 from jaxstab.boxes.circle import circle_equations, quick_slice
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, slice_coefficients
 from jaxstab.trace.plane import Monomials
 
 Vector = Float64[np.ndarray, " 3"]
+Points = Float64[np.ndarray, "points 3"]
+Turns = Float64[np.ndarray, "*points"]
 
 _CONVERGED = 1e-9  # of the unit cube: the last Newton step, which the next one squares
+_MOST_STEPS = 13
+_DIFFERENCE = 2.0**-17  # of the unit cube: derivatives are then good to about 1e-10
 _STRAIGHT = 0.985  # cosine between tangents: grow the step
 _BENT = 0.94  # shrink it
 _SHORTEST = 1e-7
 _ON_FACE = 1e-12
 _MOST_POINTS = 20_000
-_BATCH = 256  # points polished at once: one size, compiled once
 
 
 class Corrected(NamedTuple):
-    """A point, whether Newton's method converged, and the unit tangent."""
+    """Points, whether Newton's method converged, and the unit tangents."""
 
-    position: Array
-    converged: Array
-    tangent: Array
+    position: Points
+    converged: Bool[np.ndarray, " points"]
+    tangent: Points
 
 
 class Path(NamedTuple):
     """Points along a branch, their residuals, and how the branch goes on at its two ends."""
 
-    points: Float64[np.ndarray, "points 3"]
+    points: Points
     residual: Float64[np.ndarray, " points"]
     stalled: tuple[bool, bool]
 
 
-def _equations(u: Array, plane: Monomials, branch: Array) -> Array:
-    """Return the two equations of a branch."""
-    _, _, gamma, delta, delay = plane.parameters(u[:2])
-    return _equations_on(quick_slice(gamma, delta, delay), u, plane, branch)
+class _Equations(NamedTuple):
+    """The two equations of a branch at points: values and derivatives by u."""
+
+    value: Float64[np.ndarray, "2 points"]
+    rows: Float64[np.ndarray, "2 points 3"]
+
+    @property
+    def tangent(self) -> Points:
+        """The unit tangents of the branch."""
+        along = _cross(*self.rows)
+        unit: Points = along / np.sqrt(np.sum(along**2, axis=-1, keepdims=True))
+        return unit
 
 
-def _equations_on(c: SliceCoefficients, u: Array, plane: Monomials, branch: Array) -> Array:
-    alpha, beta, *_ = plane.parameters(u[:2])
-    end = jnp.where(branch == Branch.Z_PLUS_ONE, 0.0, 1.0)
-    pair = branch == Branch.CURVE
-    theta = pi * jnp.where(pair, u[2], end)
-    real, imaginary = circle_equations(c, alpha, beta, theta)
-    return jnp.stack([real, jnp.where(pair, imaginary, u[2] - end)])
+def _cross(one: Points, other: Points) -> Points:
+    following, last = [1, 2, 0], [2, 0, 1]
+    product: Points = one[:, following] * other[:, last] - one[:, last] * other[:, following]
+    return product
 
 
-def _correct(
-    start: Array, normal: Array, anchor: Array, plane: Monomials, branch: Array
+def _equations(u: Points, plane: Monomials, branch: Branch) -> _Equations:
+    """Return the equations, their derivatives by central differences."""
+    shift = _DIFFERENCE * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    moved = u + shift[:, None]
+    alpha, beta, *plant = plane.parameters(moved[..., :2])
+    value = _values(quick_slice(*plant), alpha, beta, moved[..., 2], branch)
+    rows = (value[:, 1:4] - value[:, 4:]) / (2.0 * _DIFFERENCE)
+    return _Equations(value[:, 0], rows.swapaxes(1, 2))
+
+
+def _values(
+    c: SliceCoefficients, alpha: Turns, beta: Turns, turn: Turns, branch: Branch
+) -> Float64[np.ndarray, "2 *points"]:
+    """Return the equations at gains and theta / pi."""
+    if branch == Branch.CURVE:
+        return np.stack(circle_equations(c, alpha, beta, pi * turn))
+    end = 0.0 if branch == Branch.Z_PLUS_ONE else 1.0
+    real, _ = circle_equations(c, alpha, beta, np.full_like(alpha, pi * end))
+    return np.stack([real, turn - end])
+
+
+def correct(
+    start: Points, normal: Points, anchor: Points, plane: Monomials, branch: Branch
 ) -> Corrected:
-    """Solve for the point of a branch in the plane through ``anchor`` across ``normal``."""
-
-    def equations(u: Array, _: None = None) -> Array:
-        across = jnp.dot(normal, u - anchor)
-        return jnp.append(_equations(u, plane, branch), across)
-
-    solver: optimistix.Newton[Array, Array, None] = optimistix.Newton(rtol=1e-10, atol=1e-10)
-    solution: optimistix.Solution[Array, None]
-    solution = optimistix.root_find(equations, solver, start, max_steps=12, throw=False)
-    jacobian = jax.jacfwd(equations)(solution.value)
-    move = jnp.linalg.solve(jacobian, equations(solution.value))
-    position = solution.value - move
-    tangent = jnp.cross(jacobian[0], jacobian[1])
-    return Corrected(
-        position,
-        jnp.max(jnp.abs(move)) < _CONVERGED,
-        tangent / jnp.linalg.norm(tangent),
-    )
+    """Solve for the points of a branch in the planes through ``anchor`` across ``normal``."""
+    position = start
+    with np.errstate(all="ignore"):  # what diverges is infinite or NaN
+        for _ in range(_MOST_STEPS):
+            (one, other), (row, last) = equations = _equations(position, plane, branch)
+            across = np.sum(normal * (position - anchor), axis=-1)
+            # Cramer's rule
+            sides = _cross(last, normal), _cross(normal, row), _cross(row, last)
+            parts = zip((one, other, across), sides, strict=True)
+            volume = np.sum(normal * sides[2], axis=-1)
+            move = sum(value[:, None] * side for value, side in parts) / volume[:, None]
+            position = position - move
+            size = np.max(np.abs(move), axis=-1)
+            if not np.any(size > 0.1 * _CONVERGED):
+                break
+        return Corrected(position, size < _CONVERGED, equations.tangent)
 
 
-correct = jax.jit(_correct)
-
-
-@jax.jit
-@partial(jax.vmap, in_axes=(0, None, None))
-def project(start: Array, plane: Monomials, branch: Array) -> Corrected:
+def project(start: Points, plane: Monomials, branch: Branch) -> Corrected:
     """Bring points near a branch onto it, across the tangent that they would have on it."""
-    rows = jax.jacfwd(_equations)(start, plane, branch)
-    tangent = jnp.cross(rows[0], rows[1])
-    return _correct(start, tangent / jnp.linalg.norm(tangent), start, plane, branch)
+    with np.errstate(all="ignore"):
+        tangent = _equations(start, plane, branch).tangent
+    return correct(start, tangent, start, plane, branch)
 
 
 def polish(
-    points: Float64[np.ndarray, "points 3"], plane: Monomials, branch: Branch
-) -> tuple[Float64[np.ndarray, "points 3"], Float64[np.ndarray, " points"]]:
+    points: Points, plane: Monomials, branch: Branch
+) -> tuple[Points, Float64[np.ndarray, " points"]]:
     """Correct points once more with plant coefficients of full accuracy; also return |g| there."""
-    residual = np.zeros(len(points))
-    for _ in range(2):
-        points, residual = in_batches(_BATCH, partial(_polished, plane, branch), points)
-    return points, residual
-
-
-def _polished(plane: Monomials, branch: Branch, points: Array) -> tuple[Array, Array]:
-    return _polish_step(points, _accurate_slices(points, plane), plane, np.float64(branch))
-
-
-def _accurate_slices(points: Array, plane: Monomials) -> SliceCoefficients:
-    _, _, gamma, delta, delay = plane.parameters(points[:, :2])
-    gamma, delta, delay = (np.maximum(value, 0.0) for value in (gamma, delta, delay))
-    return slice_coefficients(gamma, delta, delay, np.ones(len(points)))
-
-
-@jax.jit
-@partial(jax.vmap, in_axes=(0, 0, None, None))
-def _polish_step(
-    u: Array, c: SliceCoefficients, plane: Monomials, branch: Array
-) -> tuple[Array, Array]:
-    """One Newton step of least length; the residual is the one before the step."""
-    value = _equations_on(c, u, plane, branch)
-    rows = jax.jacfwd(_equations)(u, plane, branch)
-    move = rows.T @ jnp.linalg.solve(rows @ rows.T, value)
-    return u - move, jnp.linalg.norm(value)
+    for _ in range(2):  # steps of least length; the residual is the one before the last
+        alpha, beta, *plant = plane.parameters(points[:, :2])
+        gamma, delta, delay = (np.maximum(value, 0.0) for value in plant)
+        c = slice_coefficients(gamma, delta, delay, np.ones(len(points)))
+        value = _values(c, alpha, beta, points[:, 2], branch).T[..., None]
+        rows = np.moveaxis(_equations(points, plane, branch).rows, 0, 1)
+        across = np.swapaxes(rows, 1, 2)
+        points = points - (across @ np.linalg.solve(rows @ across, value))[..., 0]
+    return points, np.linalg.norm(value[..., 0], axis=1)
 
 
 def follow(start: Corrected, plane: Monomials, branch: Branch, longest: float) -> Path:
@@ -148,41 +147,45 @@ def follow(start: Corrected, plane: Monomials, branch: Branch, longest: float) -
 
 
 class _Walk(NamedTuple):
-    points: Float64[np.ndarray, "points 3"]
+    points: Points
     stalled: bool
     closed: bool
 
 
 def _walk(start: Corrected, sign: float, plane: Monomials, branch: Branch, longest: float) -> _Walk:
-    code = np.float64(branch)
-    here, tangent = np.asarray(start.position), sign * np.asarray(start.tangent)
+    here, tangent = start.position[0], sign * start.tangent[0]
     first, first_tangent = here, tangent
     points = [here]
     step, stalled, closed, inside = longest / 4, False, False, True
     while inside and not closed and not stalled and len(points) < _MOST_POINTS:
         guess = here + step * tangent
-        found = correct(guess, tangent, guess, plane, code)
-        there, along = np.asarray(found.position), np.asarray(found.tangent)
-        cosine = float(along @ tangent)
-        usable = bool(found.converged) and np.linalg.norm(there - here) < 2 * step
-        if not usable or abs(cosine) < _BENT:
+        found = _corrected(guess, tangent, guess, plane, branch)
+        cosine = 0.0 if found is None else float(found[1] @ tangent)
+        usable = found is not None and np.linalg.norm(found[0] - here) < 2 * step
+        face = None
+        if found is not None and usable and abs(cosine) >= _BENT:
+            face = _first_face(here, found[0])
+            if face is not None:
+                found = _land(here, found[0], face, plane, branch)
+        if found is None or not usable or abs(cosine) < _BENT:
             step /= 2
             stalled = step < _SHORTEST
             continue
-        face = _first_face(here, there)
-        if face is not None:
-            landing = _land(here, there, face, plane, code)
-            if landing is None:
-                step /= 2
-                stalled = step < _SHORTEST
-                continue
-            found, inside = landing, False
-            there = np.asarray(found.position)
+        inside = face is None
+        there, along = found
         closed = inside and len(points) > 2 and _passes(first, first_tangent, here, there)
         here, tangent = (first, tangent) if closed else (there, np.copysign(1.0, cosine) * along)
         points.append(here)
         step = min(longest, 1.5 * step) if abs(cosine) > _STRAIGHT else step
     return _Walk(np.stack(points), stalled, closed)
+
+
+def _corrected(
+    start: Vector, normal: Vector, anchor: Vector, plane: Monomials, branch: Branch
+) -> tuple[Vector, Vector] | None:
+    """Return one corrected point and the tangent there, or None if the method did not converge."""
+    found = correct(start[None], normal[None], anchor[None], plane, branch)
+    return (found.position[0], found.tangent[0]) if found.converged[0] else None
 
 
 def _first_face(here: Vector, there: Vector) -> tuple[int, float] | None:
@@ -196,14 +199,15 @@ def _first_face(here: Vector, there: Vector) -> tuple[int, float] | None:
 
 
 def _land(
-    here: Vector, there: Vector, face: tuple[int, float], plane: Monomials, branch: np.float64
-) -> Corrected | None:
+    here: Vector, there: Vector, face: tuple[int, float], plane: Monomials, branch: Branch
+) -> tuple[Vector, Vector] | None:
     axis, value = face
     part = (value - here[axis]) / (there[axis] - here[axis])
     normal = np.eye(3)[axis]
-    landing = correct(here + part * (there - here), normal, value * normal, plane, branch)
-    near = np.linalg.norm(np.asarray(landing.position) - here) < 2 * np.linalg.norm(there - here)
-    return landing if bool(landing.converged) and near else None
+    landing = _corrected(here + part * (there - here), normal, value * normal, plane, branch)
+    if landing is None or np.linalg.norm(landing[0] - here) >= 2 * np.linalg.norm(there - here):
+        return None
+    return landing
 
 
 def _passes(first: Vector, first_tangent: Vector, here: Vector, there: Vector) -> bool:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, namespace
 from jaxstab.conventions import AXES
 from jaxstab.model import HapticLoop
 from jaxstab.numbers import checked_number
@@ -33,22 +32,21 @@ Window = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Monomials(NamedTuple):
-    """The five parameters factor x^i y^j over a window: arrays, so that all planes compile once."""
+    """The five parameters factor x^i y^j over a window."""
 
-    factor: Array  # (5,)
-    powers: Array  # (5, 2), of -1, 0, 1, 2
-    lower: Array  # (2,)
-    width: Array  # (2,)
+    factor: Float64[np.ndarray, " 5"]
+    powers: Float64[np.ndarray, "5 2"]  # -1, 0, 1 or 2
+    lower: Float64[np.ndarray, " 2"]
+    width: Float64[np.ndarray, " 2"]
 
-    def parameters(self, position: Array) -> Array:
+    def parameters(
+        self, position: Float64[np.ndarray, "*points 2"]
+    ) -> Float64[np.ndarray, "5 *points"]:
         """Return the parameters at positions (..., 2) in the window's unit square: (5, ...)."""
-        point = self.lower + self.width * position
-        x, y = (point[..., axis] for axis in (0, 1))
-        rows = [
-            self.factor[row] * _power(x, self.powers[row, 0]) * _power(y, self.powers[row, 1])
-            for row in range(len(AXES))
-        ]
-        return namespace(rows).stack(rows)
+        x, y = np.moveaxis(self.lower + self.width * position, -1, 0)
+        table = np.column_stack([self.factor, self.powers]).T
+        factor, of_x, of_y = table.reshape(3, -1, *[1] * x.ndim)
+        return np.asarray(factor * x**of_x * y**of_y)
 
 
 def monomials(plane: tuple[str, str], window: Window, fixed: Mapping[str, float]) -> Monomials:
@@ -116,14 +114,6 @@ def _check_names(plane: tuple[str, str], fixed: Mapping[str, float]) -> None:
 def _check_value(name: str, value: float) -> None:
     least = -inf if name in SIGNED else 0.0
     checked_number(name, value, least, is_open=name in POSITIVE)
-
-
-def _power(base: Array, exponent: Array) -> Array:
-    """Return base^exponent for an exponent of -1, 0, 1 or 2; differentiable, at base 0 too."""
-    xp = namespace(base, exponent)
-    inverse = 1.0 / xp.where(exponent < 0.0, base, 1.0)
-    positive = xp.where(exponent == 0.0, 1.0, xp.where(exponent == 1.0, base, base * base))
-    return xp.where(exponent < 0.0, inverse, positive)
 
 
 def corner_ranges(

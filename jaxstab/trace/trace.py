@@ -12,28 +12,23 @@ of the trace or of an unresolved box.
 
 from dataclasses import dataclass, field
 from math import pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.batches import in_batches
 from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops
 from jaxstab.conventions import Status
 from jaxstab.model import HapticLoop, characteristic_polynomial, companion_matrix
 from jaxstab.numbers import checked_number
 from jaxstab.region.corners import Branch
+from jaxstab.trace.continuation import Corrected, Path, follow, project
 from jaxstab.trace.plane import Monomials, Window, corner_ranges, loop_quantities, monomials
-
-if TYPE_CHECKING:  # it imports JAX and optimistix
-    from jaxstab.trace.continuation import Path
 
 Cloud = Float64[np.ndarray, "points 3"]
 
 _COVER = 1.0  # resolutions: a box this near to a traced point is explained by it
 _REFINEMENTS = 4  # each to a quarter of the size before
-_BATCH = 64
 _ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are double roots)
 
 
@@ -111,13 +106,10 @@ def trace_boundary(
             name: value for name, value in loop_quantities(loop).items() if name not in plane
         } | fixed
     scene = monomials(plane, window, fixed)
-    import jax
-
     tracer = _Tracer(scene, resolution)
-    with jax.enable_x64(True):
-        for branch, low, high in ((Branch.Z_PLUS_ONE, 0.0, 0.0), (Branch.Z_MINUS_ONE, 1.0, 1.0)):
-            tracer.search(branch, low, high)
-        tracer.search(Branch.CURVE, 0.0, 1.0)
+    for branch, low, high in ((Branch.Z_PLUS_ONE, 0.0, 0.0), (Branch.Z_MINUS_ONE, 1.0, 1.0)):
+        tracer.search(branch, low, high)
+    tracer.search(Branch.CURVE, 0.0, 1.0)
     return _gathered(plane, scene, tracer)
 
 
@@ -151,19 +143,17 @@ class _Tracer:
         """Follow the branches that start in boxes; return the boxes that none explains."""
         if not len(boxes.center):
             return boxes
-        from jaxstab.trace.continuation import Corrected, follow, project
-
         bound = _COVER * self.resolution
-        code = np.float64(branch)
-        starts = in_batches(_BATCH, lambda center: project(center, self.scene, code), boxes.center)
+        starts = project(boxes.center, self.scene, branch)
         inside = np.all((starts.position >= 0.0) & (starts.position <= 1.0), axis=1)
-        for number in np.flatnonzero(starts.converged & inside):
-            start = Corrected(*(column[number] for column in starts))
-            if self._explained(start.position[None])[0]:
-                continue
-            if np.any(np.linalg.norm(boxes.center - start.position, axis=1) < bound):
+        is_open = starts.converged & inside & ~self._explained(starts.position)
+        for number in range(len(is_open)):
+            start = Corrected(*(column[number : number + 1] for column in starts))
+            away = boxes.center - start.position
+            if is_open[number] and np.any(np.linalg.norm(away, axis=1) < bound):
                 path = follow(start, self.scene, branch, self.resolution)
                 self.paths.append((branch, path))
+                is_open &= ~self._explained(starts.position)
         return boxes.select(~self._explained(boxes.center))
 
     def _explained(self, centers: Cloud) -> Bool[np.ndarray, " points"]:
