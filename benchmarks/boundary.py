@@ -108,7 +108,7 @@ def _traced(exact: ExactSlice, resolution: float) -> Outline:
 
 
 def _closed_form(delay: float, points: int) -> jax.Array:
-    region = region_outline(GAMMA, DELTA, delay, points=points)
+    region = region_outline(jax.numpy.asarray(GAMMA), DELTA, delay, points=points)
     return region.outline.vertices
 
 

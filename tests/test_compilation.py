@@ -19,10 +19,6 @@ import jaxstab
 
 TESTS = Path(__file__).parent
 
-# A whole set of curves, many slices at once: it asks JAX for everything.
-BY_JAX = {"region_outline"}
-CONVERTED = set(COMPUTING_CALLS) - BY_JAX
-
 # No JAX array can be given to them: they take names, numbers, a HapticLoop and a HandRange.
 WITHOUT_ARRAYS = {"optimal_gains", "robust_limit", "trace_boundary", "wall_limits"}
 
@@ -64,21 +60,21 @@ def printed_by(script: str, *words: str, **environment: str) -> Any:
 
 @cache
 def without_jax() -> dict[str, str]:
-    return printed_by(WITHOUT_JAX, *sorted(CONVERTED))
+    return printed_by(WITHOUT_JAX, *sorted(COMPUTING_CALLS))
 
 
 @cache
 def in_single_precision() -> dict[str, str]:
-    return printed_by(IN_SINGLE_PRECISION, *sorted(CONVERTED), JAX_ENABLE_X64="0")
+    return printed_by(IN_SINGLE_PRECISION, *sorted(COMPUTING_CALLS), JAX_ENABLE_X64="0")
 
 
-@pytest.mark.parametrize("name", sorted(CONVERTED))
+@pytest.mark.parametrize("name", sorted(COMPUTING_CALLS))
 def test_plain_numbers_are_answered_without_jax_as_with_it(name: str) -> None:
     assert "JAX was asked for" not in without_jax()[name]
     assert without_jax()[name] == outcome(name)
 
 
-@pytest.mark.parametrize("name", sorted(CONVERTED - WITHOUT_ARRAYS))
+@pytest.mark.parametrize("name", sorted(COMPUTING_CALLS.keys() - WITHOUT_ARRAYS))
 def test_jax_arrays_are_refused_without_x64(name: str) -> None:
     kind, _, message = in_single_precision()[name].partition(": ")
     assert kind == "RuntimeError"
@@ -87,7 +83,7 @@ def test_jax_arrays_are_refused_without_x64(name: str) -> None:
 
 
 def test_the_exceptions_are_names_of_functions_that_compute() -> None:
-    assert set(COMPUTING_CALLS) >= BY_JAX | WITHOUT_ARRAYS
+    assert set(COMPUTING_CALLS) >= WITHOUT_ARRAYS
 
 
 # --------------------------------------------------------------------------- numbers of programs

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from math import log, sqrt
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -302,18 +303,6 @@ def test_lines_beside_the_region_have_no_limits() -> None:
     assert np.all(np.isnan(region.beta_limits(0.2)))
 
 
-def test_many_slices_at_once_are_the_single_ones() -> None:
-    gamma, delta = jnp.asarray([1e-3, 0.1, 0.3]), jnp.asarray([0.015, 0.0, 0.2])
-    batch = jax.vmap(lambda g, d: region_outline(g, d, 1.0))(gamma, delta)
-    assert batch.outline.vertices.shape == (3, 256, 2)
-    np.testing.assert_array_equal(batch.status, RegionStatus.COMPLETE)
-    for index in range(3):
-        single = stable_region(float(gamma[index]), float(delta[index]), 1.0)
-        np.testing.assert_allclose(batch.max_alpha[index], single.max_alpha, rtol=1e-13)
-        found = batch.outline.corners[index][: len(single.corners)]
-        np.testing.assert_allclose(found, single.corners, rtol=1e-13)
-
-
 # The same quantities from 50-digit arithmetic: a corner, a limit, the largest alpha.
 DELAY, ROW = 1.0, 0.3
 
@@ -353,36 +342,79 @@ def angle_near(alpha: float, beta: float, gamma: float, delta: float) -> float:
     return float(theta[np.argmin(np.hypot(curve[0] - alpha, curve[1] - beta))])
 
 
-def quantities(gamma: jax.Array, delta: jax.Array) -> jax.Array:
+def quantities(gamma: jax.Array, delta: jax.Array) -> tuple[jax.Array, StableRegion]:
+    """The beta of the corner at the end of the curve, a limit of alpha, the largest alpha."""
     region = region_outline(gamma, delta, DELAY)
     end_of_curve = region.outline.corners[1, 1]
-    return jnp.stack([end_of_curve, region.alpha_limits(ROW)[1], region.max_alpha[0]])
+    return jnp.stack([end_of_curve, region.alpha_limits(ROW)[1], region.max_alpha[0]]), region
 
 
-def test_corners_limits_and_the_largest_alpha_are_differentiable() -> None:
-    place, step = (0.05, 0.1), mpf(10) ** -15
-    values = quantities(*map(jnp.asarray, place))
-    slopes = np.stack(jax.jacfwd(quantities, argnums=(0, 1))(*map(jnp.asarray, place)))
-    region = stable_region(*place, DELAY)
-    points = [(-place[0], float(values[0])), (float(values[1]), ROW), tuple(region.max_alpha)]
-    exact: list[Callable[[mpf, mpf, float], mpf]] = [exact_corner, exact_limit, exact_largest]
-    for index, (function, point) in enumerate(zip(exact, points, strict=True)):
-        guess = angle_near(*map(float, point), *place)
-        value = function(mpf(place[0]), mpf(place[1]), guess)
-        assert abs(mpf(float(values[index])) - value) < 1e-13
-        for argument, moved in enumerate(((step, 0), (0, step))):
-            ahead = function(mpf(place[0]) + moved[0], mpf(place[1]) + moved[1], guess)
-            assert abs(slopes[argument, index] - float((ahead - value) / step)) < 1e-9
+class Many(NamedTuple):
+    """Of some slices: quantities, their slopes (slice, quantity, gamma or delta), and regions."""
+
+    values: np.ndarray
+    slopes: np.ndarray
+    regions: StableRegion
 
 
+PLACES = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
+
+
+@pytest.fixture(scope="module")
+def many() -> Many:
+    """One program for all that is asked of JAX: it takes long to compile."""
+
+    def values_and_region(place: jax.Array) -> tuple[jax.Array, Any]:
+        values, region = quantities(*place)
+        return values, (values, region)
+
+    slopes_and_more = jax.vmap(jax.jacfwd(values_and_region, has_aux=True))
+    slopes, (values, regions) = jax.jit(slopes_and_more)(jnp.asarray(PLACES))
+    return Many(np.asarray(values), np.asarray(slopes), regions)
+
+
+def test_many_slices_at_once_are_the_single_ones(many: Many) -> None:
+    batch = many.regions
+    assert batch.outline.vertices.shape == (len(PLACES), 256, 2)
+    np.testing.assert_array_equal(batch.status, RegionStatus.COMPLETE)
+    for index, place in enumerate(PLACES):
+        single = stable_region(*place, DELAY)
+        np.testing.assert_allclose(batch.max_alpha[index], single.max_alpha, rtol=1e-13)
+        found = batch.outline.corners[index][: len(single.corners)]
+        np.testing.assert_allclose(found, single.corners, rtol=1e-13)
+
+
+def test_corners_limits_and_the_largest_alpha_are_differentiable(many: Many) -> None:
+    step = mpf(10) ** -15
+    for place, values, slopes in zip(PLACES, many.values, many.slopes, strict=True):
+        region = stable_region(*place, DELAY)
+        points = [(-place[0], float(values[0])), (float(values[1]), ROW), tuple(region.max_alpha)]
+        exact: list[Callable[[mpf, mpf, float], mpf]] = [exact_corner, exact_limit, exact_largest]
+        for index, (function, point) in enumerate(zip(exact, points, strict=True)):
+            guess = angle_near(*map(float, point), *place)
+            value = function(mpf(place[0]), mpf(place[1]), guess)
+            assert abs(mpf(float(values[index])) - value) < 1e-13
+            for argument, moved in enumerate(((step, 0), (0, step))):
+                ahead = function(mpf(place[0]) + moved[0], mpf(place[1]) + moved[1], guess)
+                assert abs(slopes[index, argument] - float((ahead - value) / step)) < 1e-9
+
+
+def largest_alpha(gamma: jax.Array) -> jax.Array:
+    return region_outline(gamma, 0.1, DELAY).max_alpha[0]
+
+
+def test_the_derivative_can_be_taken_in_reverse() -> None:
+    """It is traced, and not compiled, which takes long."""
+    (slope,) = jax.make_jaxpr(jax.grad(largest_alpha))(0.05).out_avals
+    assert slope.shape == ()
+
+
+@pytest.mark.campaign
 def test_reverse_mode_gives_the_derivative_too() -> None:
-    def largest(gamma: jax.Array) -> jax.Array:
-        return region_outline(gamma, 0.1, DELAY).max_alpha[0]
-
     step = 1e-15
     guess = angle_near(*map(float, stable_region(0.05, 0.1, DELAY).max_alpha), 0.05, 0.1)
     start, ahead = (exact_largest(mpf(0.05) + h, mpf(0.1), guess) for h in (0, mpf(step)))
-    slope = jax.grad(largest)(jnp.asarray(0.05))
+    slope = jax.jit(jax.grad(largest_alpha))(jnp.asarray(0.05))
     assert float(slope) == pytest.approx(float((ahead - start) / mpf(step)), abs=1e-9)
 
 

@@ -57,9 +57,9 @@ class RegionStatus(Status):
 class StableRegion:
     """The gains (alpha, beta) for which all roots of p(z) lie inside of a circle about 0.
 
-    ``stable_region`` makes one of NumPy arrays; ``region_outline`` makes one of JAX arrays, or many
-    under ``jax.vmap``, in compiled code. Limits, ``contains``, ``distance`` and ``area`` are those
-    of the exact boundary, not of the polygon; JAX arrays in give JAX arrays out.
+    ``stable_region`` makes one of NumPy arrays; ``region_outline`` makes one in arrays of fixed
+    sizes, also of JAX, or many under ``jax.vmap``. Limits, ``contains``, ``distance`` and ``area``
+    are those of the exact boundary, not of the polygon; JAX arrays in give JAX arrays out.
 
     Attributes:
         coefficients: what the exact boundary is made of.
@@ -255,7 +255,7 @@ def region_outline(
     slots: int = 4,
     fineness: int = 1,
 ) -> StableRegion:
-    """Return the stable set in compiled code of fixed sizes, for jit, vmap and derivatives.
+    """Return the stable set in arrays of fixed sizes, for jit, vmap and derivatives.
 
     Unlike ``stable_region`` it neither searches for crossings nor refines: check the status of each
     lane. A cut into the set may lie between two angles of the scan; then a test of every fourth
@@ -271,26 +271,24 @@ def region_outline(
         fineness: how often the steps of the scan are divided.
 
     Returns:
-        StableRegion of JAX arrays of fixed sizes. ``max_alpha``, ``max_beta``, ``outline`` and the
-        limits are differentiable once in gamma, delta and radius.
+        StableRegion of arrays of fixed sizes, of JAX where an argument is. There ``max_alpha``,
+        ``max_beta``, ``outline`` and the limits are differentiable once in gamma, delta and radius.
 
     Raises:
         ValueError: a concrete argument is outside its range, or ``points`` is too small.
         TypeError: the delay is traced, or a count is no whole number.
-        RuntimeError: JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
     """
-    import jax.numpy as jnp
-
+    require_x64(gamma, delta, radius)
     slots, fineness = checked_count("slots", slots, 1), checked_count("fineness", fineness, 1)
     least = 2 * extra_vertices(slots)
     if checked_count("points", points, 0) < least:
         raise ValueError(f"points is {points}; give at least {least} for {slots} slots.")
     length = _length(float(checked_delay(delay)))
-    angles = jnp.asarray(scan_angles(length, fineness))
-    require_x64(angles)
     c = slice_coefficients(gamma, delta, delay, radius)
+    angles = namespace(c).asarray(scan_angles(length, fineness))
     pieces = _pieces(c, angles, length=length, slots=slots)
     return _region(c, pieces, points=points, length=length)
 
