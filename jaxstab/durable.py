@@ -9,6 +9,7 @@ import errno
 import io
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -34,25 +35,47 @@ def replacing(path: Path, folder: Path | None = None) -> Iterator[int]:
         folder: where the new one is until then, on the same file system; without, beside it.
 
     Raises:
-        OSError: the folder is missing, read-only or full, or the new file was removed.
+        OSError: the folder is missing, read-only or full, the path is none of a file, or the new
+            file was removed.
     """
-    temporary = (folder or path.parent) / f".{path.name}.{secrets.token_hex(8)}.part"
     with named_errors("write", path):
+        target, mode = target_of(path)
+        temporary = (folder or target.parent) / f".{target.name}.{secrets.token_hex(8)}.part"
         descriptor = create(temporary)
         try:
             try:
+                if mode is not None and hasattr(os, "fchmod"):
+                    os.fchmod(descriptor, mode)
                 yield descriptor
                 os.fsync(descriptor)
                 if not is_named(descriptor, temporary):
                     raise OSError(errno.ESTALE, "another process took its temporary file away")
             finally:
                 os.close(descriptor)
-            os.replace(temporary, path)
+            os.replace(temporary, target)
         except BaseException:
             with suppress(OSError):
                 temporary.unlink()
             raise
-        sync_folder(path.parent)
+        sync_folder(target.parent)
+
+
+def target_of(path: Path) -> tuple[Path, int | None]:
+    """Return where a file is written, behind symbolic links, and the mode of the one that is there.
+
+    Raises:
+        OSError: a folder, or something else that is no file, is there.
+    """
+    target = Path(os.path.realpath(path))
+    try:
+        status = target.stat()
+    except FileNotFoundError:
+        return target, None
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "there is a folder of this name")
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "it is a device, a pipe or a socket, not a file")
+    return target, stat.S_IMODE(status.st_mode)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ The sentence has the name, the value and what is allowed. Tracers pass: their va
 import sys
 from collections.abc import Mapping
 from math import inf
+from reprlib import repr as shortened
 from typing import Any
 
 import numpy as np
@@ -53,12 +54,14 @@ def checked(
     """
     if is_traced(value):
         return value
+    if isinstance(value, np.ma.MaskedArray):
+        raise TypeError(f"{name} is a masked array; give what is not masked as plain numbers.")
     try:
         numbers = np.asarray(value)
     except ValueError as error:  # rows of different lengths
-        raise TypeError(f"{name} is {value!r}; give real numbers.") from error
+        raise TypeError(f"{name} is {shortened(value)}; give real numbers.") from error
     if numbers.dtype.kind not in "iuf":
-        raise TypeError(f"{name} is {value!r}; give real numbers.")
+        raise TypeError(f"{name} is {shortened(value)}; give real numbers.")
     floats = numbers.astype(np.float64)
     too_low = floats <= low if is_open else floats < low
     wrong = too_low | (floats > high) | ~np.isfinite(floats)

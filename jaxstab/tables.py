@@ -3,6 +3,7 @@
 Whatever is wrong is said in one sentence: the key, its value and what is allowed.
 """
 
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
@@ -17,6 +18,8 @@ Made = TypeVar("Made", bound="Table")
 Check = Callable[[Any], Any]
 """It returns a value as it is kept, or raises a ValueError that says what is allowed."""
 
+_LONG_KEY = re.compile(r"(?:\.[^.,=\n]{1,64}){100}")
+
 
 def read_table(path: str | PathLike[str]) -> dict[str, Any]:
     """Read a TOML file as it is.
@@ -26,15 +29,30 @@ def read_table(path: str | PathLike[str]) -> dict[str, Any]:
         ValueError: it is not TOML.
     """
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        data = Path(path).read_bytes()
+        text = data.decode("utf-8-sig")
     except OSError as error:
         raise OSError(error.errno, f"cannot read {path}: {error.strerror}.") from error
     except UnicodeDecodeError as error:
-        raise ValueError(
-            f"{path}: byte {error.start} is no UTF-8; save the file as UTF-8 text."
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: this is not TOML: {error}.") from error
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ValueError(f"{path}: line {line} is no UTF-8; save the file as such text.") from error
+    return parsed(text, f"{path}: ")
+
+
+def parsed(text: str, source: str = "") -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises:
+        ValueError: it is not TOML, or nested too deep; the sentence begins with the source.
+    """
+    try:
+        if _LONG_KEY.search(text):  # tomllib's time is the square of a key's parts
+            raise RecursionError
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(f"{source}it is nested too deep; give tables fewer levels.") from None
+    except ValueError as error:
+        raise ValueError(f"{source}this is not TOML: {error}.") from error
 
 
 def key(check: Check, default: Any = MISSING) -> Any:

@@ -6,6 +6,7 @@ from atlases import small_atlas, small_contents
 
 from jaxstab import AXES, STABLE, UNDECIDED, UNSTABLE, Atlas, QueryStatus, stable_region, verdict
 from jaxstab.atlas.read import file
+from jaxstab.atlas.read.answer import checked_range
 
 DELAYS = (0.0, 1.5)
 
@@ -121,6 +122,20 @@ def test_the_worst_of_many_hands_decides(atlas: Atlas, rng: np.random.Generator)
 )
 def test_questions_that_cannot_be_answered_are_refused(atlas: Atlas, ask, words: str) -> None:
     with pytest.raises(ValueError, match="^" + words):
+        ask(atlas)
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda _: checked_range("gamma", np.int8(0)), "gamma is np.int8.0.; give its lowest"),
+        (lambda _: checked_range("gamma", (0.0, 0.1, 0.2)), "gamma is .0.0, 0.1, 0.2.; give its"),
+        (lambda a: a.query(np.ma.array([0.1], mask=[1]), 0.1, 0, 0, 0), "alpha is a masked array"),
+        (lambda a: a.verdict(0.1, 0.1, 0, 0, 10**400), "delay is 10000.*; give real numbers"),
+    ],
+)
+def test_what_is_no_number_is_refused_by_its_name(atlas: Atlas, ask, words: str) -> None:
+    with pytest.raises(TypeError, match="^" + words):
         ask(atlas)
 
 

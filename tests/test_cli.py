@@ -13,6 +13,7 @@ from atlases import SMALL_TOML, write_small
 from click.testing import CliRunner, Result
 
 import jaxstab
+from jaxstab import durable
 from jaxstab.cli.main import main
 
 POINT = ["--alpha", "0.1", "--beta", "0.5", "--gamma", "0.0005", "--delta", "0.01", "--delay", "0"]
@@ -152,6 +153,9 @@ BAD_QUERIES = {
     "an empty table": ("", ["--csv", "-"], 1),
     "a misspelt column": ("alfa,beta,gamma,delta,delay\n", ["--csv", "-"], 1),
     "a column twice": (CSV, ["--csv", "-", "--alpha", "1"], 1),
+    "two columns of a name": ("alpha," + CSV + "0,0,0.1,0,0,0\n", ["--csv", "-"], 1),
+    "a long cell": (CSV + "1" * 200_000 + ",0.1,0,0,0\n", ["--csv", "-"], 1),
+    "commands to the terminal": ("\x1b]0;title\x07," + CSV[6:], ["--csv", "-"], 1),
     "a word in a table": (CSV + "0,0.1,0,zero,0\n", ["--csv", "-"], 1),
     "a short row": (CSV + "0,0.1,0\n", ["--csv", "-"], 1),
     "NaN": (CSV + "0,0.1,0,nan,0\n", ["--csv", "-"], 1),
@@ -165,6 +169,99 @@ def test_a_bad_query_is_one_sentence(name: str, path: Path) -> None:
     answer = run("atlas", "query", path, *arguments, stdin=stdin)
     assert (answer.exit_code, answer.stdout) == (code, "")
     assert_one_sentence(answer.stderr)
+
+
+def test_bytes_that_are_no_text_are_named_by_file_and_line(path: Path, tmp_path: Path) -> None:
+    table, spec = tmp_path / "points.csv", tmp_path / "spec.toml"
+    table.write_bytes(CSV.encode() + b"0,0.1,0,0,0\n\xff,0.1,0,0,0\n")
+    spec.write_bytes(b"gamma = [0]\ndelta = \xff\n")
+    for answer, place in (
+        (run("atlas", "query", path, "--csv", table), f"line 3 of {table}"),
+        (run("scene", spec), f"{spec}: line 2"),
+    ):
+        assert (answer.exit_code > 0, answer.stdout) == (True, "")
+        assert_one_sentence(answer.stderr)
+        assert place in answer.stderr
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 6000 + "]" * 6000, ".".join("a" * 100_000) + " = 1", "a = " + "9" * 5000],
+    ids=["nested", "dots", "digits"],
+)
+def test_a_monstrous_toml_is_one_sentence(text: str, tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text(f"a = {text}" if text[0] == "[" else text)
+    answer = run("scene", tmp_path / "bad.toml")
+    assert (answer.exit_code, answer.stdout) == (2, "")
+    assert_one_sentence(answer.stderr)
+    assert "bad.toml" in answer.stderr
+
+
+def test_a_table_where_a_number_should_be_is_named_by_its_key(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(
+        "[device]\npreset = 'omega'\n[controller]\nsample_time = 0.001\n"
+        "[wanted]\nstiffness = { a = 1 }\n"
+    )
+    answer = run("scene", tmp_path / "s.toml")
+    assert "s.toml: wanted.stiffness is {'a': 1}; give a finite number" in answer.stderr
+
+
+def test_stdout_that_is_full_or_closed_is_one_sentence(path: Path) -> None:
+    words = [sys.executable, "-c", START, "atlas"]
+    for command, where, reason in (
+        (["query", str(path), *POINT], "> /dev/full", "No space left"),
+        (["info", str(path)], ">&-", "stdout is closed"),
+    ):
+        done = subprocess.run(
+            ["sh", "-c", f'"$@" {where}', "sh", *words, *command], capture_output=True, text=True
+        )
+        assert done.returncode == 1
+        assert_one_sentence(done.stderr)
+        assert reason in done.stderr
+
+
+@pytest.mark.parametrize("place", ["", ".", "/dev/null", "pipe.png", "folder.png"])
+def test_an_output_that_is_no_file_is_refused_before_the_work(
+    place: str, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe.png")
+    (tmp_path / "folder.png").mkdir()
+    for command in (
+        ["region", "--gamma", "0", "--delta", "0"],
+        ["atlas", "plot", path],
+        ["atlas", "build"],
+    ):
+        answer = run(*command, "-o", place)
+        assert (answer.exit_code > 0, answer.stdout) == (True, "")
+        assert_one_sentence(answer.stderr)
+    assert sorted(entry.name for entry in tmp_path.iterdir() if entry != path) == [
+        "folder.png",
+        "pipe.png",
+    ]
+
+
+def test_a_picture_has_the_format_of_its_name(path: Path) -> None:
+    for name in ("picture", "picture.jpg", "picture.svg"):
+        answer = run("atlas", "plot", path, "-o", name)
+        assert (answer.exit_code, "end" in answer.stderr) == (2, True)
+
+
+def test_a_file_is_written_behind_its_link_and_keeps_its_mode(tmp_path: Path) -> None:
+    target, link = tmp_path / "there" / "file", tmp_path / "link"
+    target.parent.mkdir()
+    link.symlink_to(target)
+    durable.publish(b"first", link)
+    assert link.is_symlink()
+    target.chmod(0o640)
+    durable.publish(b"second", link)
+    assert (target.read_bytes(), target.stat().st_mode & 0o777) == (b"second", 0o640)
+    assert [entry.name for entry in target.parent.iterdir()] == ["file"]
+
+
+def test_an_empty_address_is_no_address() -> None:
+    answer = run("atlas", "build", "--scheduler", "")
+    assert (answer.exit_code, "--scheduler is empty" in answer.stderr) == (2, True)
 
 
 @pytest.mark.parametrize("command", ["info", "query", "plot"])

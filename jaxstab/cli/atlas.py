@@ -37,8 +37,10 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
     from jaxstab.atlas.read.file import node_count
     from jaxstab.atlas.write.workers import dask_cluster, processes
 
-    if workers and scheduler:
+    if workers and scheduler is not None:
         raise click.UsageError("--workers and --scheduler are given; give one of them.")
+    if scheduler == "":
+        raise click.UsageError("--scheduler is empty; give an address such as tcp://10.0.0.1:8786.")
     keep_programs()
     chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
     where: AbstractContextManager[Executor | None] = nullcontext()

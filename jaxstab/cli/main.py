@@ -1,8 +1,10 @@
 """The command line. JAX, matplotlib and rich are imported inside the commands that need them."""
 
+import os
 import sys
+from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -18,29 +20,43 @@ class OneSentence(click.Group):
 
     def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run a command; see click.Command.main."""
-        run = partial(super().main, *args, standalone_mode=False, **extra)
+        run: Callable[[], object] = partial(super().main, *args, standalone_mode=False, **extra)
         if not standalone_mode:
             return run()
         try:
-            code: object = run()
+            stdout: Any = sys.stdout
+            if stdout is None:
+                raise OSError("stdout is closed; redirect it to a file, or to /dev/null.")
+            code = run()
+            stdout.flush()
         except click.ClickException as error:
             words = error.format_message()
-            click.echo(words if words.startswith("Usage:") else f"jaxstab: {words}", err=True)
-            sys.exit(error.exit_code)
+            _fail(words if words.startswith("Usage:") else f"jaxstab: {words}", error.exit_code)
         except click.Abort:
-            click.echo("jaxstab: interrupted; nothing was written.", err=True)
-            sys.exit(130)
+            _fail("jaxstab: interrupted; nothing was written.", 130)
         except BrokenPipeError:  # the reader of our output has enough
             sys.stderr.close()
             sys.exit(1)
         except OSError as error:
             named = f"{error.filename}: {error.strerror}." if error.filename else error.strerror
-            click.echo(f"jaxstab: {named or error}", err=True)
-            sys.exit(1)
+            _fail(f"jaxstab: {named or error}")
         except (ValueError, TypeError, RuntimeError, MemoryError) as error:
-            click.echo(f"jaxstab: {str(error) or 'there is not enough memory.'}", err=True)
-            sys.exit(1)
+            _fail(f"jaxstab: {str(error) or 'there is not enough memory.'}")
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(words: str, code: int = 1) -> NoReturn:
+    """End with a sentence on stderr, in which nothing commands the terminal."""
+    click.echo(
+        "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in words), err=True
+    )
+    try:
+        sys.stdout.flush()
+    except AttributeError:  # it is closed
+        pass
+    except OSError:  # what could not be written is not tried again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)
 
 
 @click.group(cls=OneSentence)

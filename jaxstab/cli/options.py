@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 import jaxstab
+from jaxstab.durable import target_of
 
 
 def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
@@ -21,10 +22,16 @@ def number_or_range(_: click.Context, option: click.Parameter, text: str | None)
 
 
 def picture_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
-    """Return the name of a picture."""
-    if path and path.suffix not in (".png", ".svg"):
+    """Return the name of a picture, of which the end is its format."""
+    if path is None:
+        return None
+    if path.suffix not in (".png", ".svg"):
         raise click.BadParameter(f"{path} ends in neither .png nor .svg.", param=option)
-    if path and (path.is_dir() or not path.parent.is_dir()):
+    try:
+        folder = target_of(path)[0].parent
+    except OSError as error:
+        raise click.BadParameter(f"cannot write {path}: {error.strerror}.", param=option) from error
+    if not folder.is_dir():
         raise click.BadParameter(f"{path} is no file in a folder that exists.", param=option)
     return path
 
@@ -33,3 +40,11 @@ def keep_programs() -> None:
     """Keep what is compiled for the next process of this user."""
     with suppress(OSError):  # without a cache it only takes longer
         jaxstab.use_compilation_cache()
+
+
+def png_file(context: click.Context, option: click.Parameter, path: Path) -> Path:
+    """Return the name of a picture that can only be a PNG."""
+    if path.suffix == ".svg":
+        raise click.BadParameter(f"{path} does not end in .png.", param=option)
+    picture_file(context, option, path)
+    return path

@@ -1,6 +1,7 @@
 """The commands that ask an atlas and draw it."""
 
 import csv
+import io
 import json
 import math
 import sys
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxstab
-from jaxstab.cli.options import keep_programs
+from jaxstab.cli.options import keep_programs, png_file
 from jaxstab.conventions import AXES, Verdict
 
 if TYPE_CHECKING:
@@ -69,7 +70,9 @@ def query(
 
 @click.command()
 @click.argument("file", type=Path)
-@click.option("-o", "--output", type=Path, required=True, help="PNG file to write.")
+@click.option(
+    "-o", "--output", type=Path, required=True, callback=png_file, help="PNG file to write."
+)
 @click.option("--gamma", type=float, help="Physical stiffness; without, the smallest.")
 @click.option("--delta", type=float, help="Physical damping; without, the smallest.")
 @click.option("--delay", type=float, multiple=True, help="May be repeated; without, all.")
@@ -101,27 +104,45 @@ def _one_point(given: dict[str, float]) -> dict[str, list[float]]:
 
 def _read_points(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
     """Return the columns of a CSV file, and those that the options fill in."""
-    if str(table) == "-":
-        return _parsed(sys.stdin, "stdin", given)
+    source = "stdin" if str(table) == "-" else str(table)
     try:
-        with table.open(encoding="utf-8-sig", newline="") as stream:
-            return _parsed(stream, str(table), given)
+        data = sys.stdin.buffer.read() if source == "stdin" else table.read_bytes()
+        text = data.decode("utf-8-sig")
     except OSError as error:
-        raise OSError(error.errno, f"cannot read {table}: {error.strerror}.") from error
+        raise OSError(error.errno, f"cannot read {source}: {error.strerror}.") from error
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ValueError(f"line {line} of {source} is no UTF-8; save it as such text.") from error
+    return _parsed(_rows(text, source), source, given)
 
 
-def _parsed(stream: Iterable[str], source: str, given: dict[str, float]) -> dict[str, list[float]]:
-    lines = csv.reader(stream)
-    header = [name.strip() for name in next(lines, [])]
+def _rows(text: str, source: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield where each row is, and its cells."""
+    lines = csv.reader(io.StringIO(text, newline=""))
+    try:
+        for row in lines:
+            yield f"line {lines.line_num} of {source}", row
+    except csv.Error as error:
+        raise ValueError(f"line {lines.line_num} of {source} is no CSV: {error}.") from error
+
+
+def _parsed(
+    rows: Iterator[tuple[str, list[str]]], source: str, given: dict[str, float]
+) -> dict[str, list[float]]:
+    header = [name.strip() for name in next(rows, ("", []))[1]]
     columns = {name: header.index(name) for name in AXES if name in header}
+    twice = [name for name in columns if header.count(name) > 1]
+    if twice:
+        raise ValueError(f"{twice[0]} is the name of two columns of {source}; give one of them.")
     both = sorted(columns.keys() & given.keys())
     if both:
         raise ValueError(f"{both[0]} is a column of {source} and an option; give one of them.")
-    _check_complete(columns.keys() | given.keys(), f"{source} has the columns {', '.join(header)}")
+    _check_complete(
+        columns.keys() | given.keys(), f"{source} has the columns {', '.join(header)[:200]}"
+    )
     points: dict[str, list[float]] = {name: [] for name in AXES}
-    for row in lines:
+    for where, row in rows:
         if row:
-            where = f"line {lines.line_num} of {source}"
             for name in AXES:
                 value = _cell(row, columns[name], name, where) if name in columns else given[name]
                 points[name].append(value)
@@ -133,7 +154,7 @@ def _cell(row: list[str], column: int, name: str, where: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ValueError(f"{name} is {text!r} in {where}; give a number.") from None
+        raise ValueError(f"{name} is {text[:200]!r} in {where}; give a number.") from None
 
 
 def _check_complete(known: Iterable[str], remedy: str) -> None:

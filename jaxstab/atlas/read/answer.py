@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,6 +82,16 @@ def check_inside(name: str, values: Floats, low: float, high: float, at: str = "
             f"{float(low)!r} to {float(high)!r}{at}; ask inside of it, or set "
             "outside to 'undecided'."
         )
+
+
+def checked_range(name: str, ends: Any) -> Floats:
+    """Return the lowest and the highest value of a range, or raise TypeError or ValueError."""
+    values = np.asarray(checked(name, ends), np.float64)
+    if values.shape != (2,):
+        raise TypeError(f"{name} is {ends!r}; give its lowest and its highest value.")
+    if values[0] > values[1]:
+        raise ValueError(f"{name} is {ends!r}; give its lowest and its highest value.")
+    return values
 
 
 def settle(where: Mapping[str, Floats], answer: AtlasAnswer) -> None:

@@ -3,7 +3,7 @@
 NumPy alone: no JAX, no HDF5, and nothing else that takes time to import.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -20,18 +20,19 @@ from jaxstab.atlas.read.answer import (
     QueryStatus,
     all_checked,
     check_inside,
+    checked_range,
     no_answer,
     settle,
 )
-from jaxstab.atlas.read.cells import Integers, Place, decided_share, picked
+from jaxstab.atlas.read.cells import decided_share
 from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
+from jaxstab.atlas.read.points import answer_at_delay, find_outside, nodes_of
 from jaxstab.atlas.read.xarray_view import to_xarray
-from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
-from jaxstab.numbers import checked_word
+from jaxstab.conventions import AXES, UNDECIDED
+from jaxstab.numbers import checked_number, checked_word
 
 Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Range = tuple[float, float]
 Outside = Literal["error", "undecided"]
 
@@ -67,12 +68,7 @@ class Atlas:
 
     def nodes(self, delay_number: int) -> dict[str, Floats]:
         """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``."""
-        return {
-            "alpha": self.arrays["alpha"][:, delay_number],
-            "beta": self.arrays["beta"][:, delay_number],
-            "gamma": self.arrays["gamma"],
-            "delta": self.arrays["delta"],
-        }
+        return nodes_of(self.arrays, delay_number)
 
     def to_xarray(self) -> Any:
         """Return all of it as an xarray.Dataset; RuntimeError where xarray is not installed."""
@@ -127,13 +123,13 @@ class Atlas:
         shape = points[0].shape
         answer = no_answer(points[0].size, has_verdicts=self._has_verdicts)
         where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
-        self._find_outside(where, answer.status, refuse=outside == "error")
-        for number, delay_node in enumerate(self.delays):
-            here = np.flatnonzero(
-                (where["delay"] == delay_node) & (answer.status != QueryStatus.OUTSIDE)
-            )
+        find_outside(self.arrays, where, answer.status, refuse=outside == "error")
+        inside = answer.status != QueryStatus.OUTSIDE
+        for number, node in enumerate(self.delays.tolist()):
+            here = np.flatnonzero(inside & (where["delay"] == node))
             if here.size:
-                self._answer_at_delay(number, where, here, answer)
+                table = self._tables.get(node)
+                answer_at_delay(self.arrays, number, table, where, here, answer)
         if exact:
             settle(where, answer)
         return answer.reshaped(shape)
@@ -319,73 +315,10 @@ class Atlas:
     def _asked_over(
         self, alpha: float | None, beta: float, gamma: Range, delta: Range, delay: float
     ) -> LimitTable:
-        given: dict[str, Numbers] = {
-            "beta": beta,
-            "gamma": np.asarray(gamma),
-            "delta": np.asarray(delta),
-        }
-        table, _ = self._asked(delay, **given | ({} if alpha is None else {"alpha": alpha}))
-        for name, ends in (("gamma", gamma), ("delta", delta)):
-            if ends[0] > ends[1]:
-                raise ValueError(f"{name} is {ends!r}; give its lowest and its highest value.")
-        return table
-
-    def _find_outside(
-        self, where: Mapping[str, Floats], status: NDArray[np.int8], *, refuse: bool
-    ) -> None:
-        """Mark points outside of the atlas, or refuse the first."""
-
-        def check(name: str, nodes: Floats, members: Mask, at: str = "") -> None:
-            if refuse:
-                check_inside(name, where[name][members], nodes[0], nodes[-1], at)
-            status[members & ~((where[name] >= nodes[0]) & (where[name] <= nodes[-1]))] = (
-                QueryStatus.OUTSIDE
-            )
-
-        everywhere = np.ones(status.shape, bool)
-        for name in ("gamma", "delta", "delay"):
-            check(name, self.arrays[name], everywhere)
-        for number, delay in enumerate(self.delays):
-            members = where["delay"] == delay
-            for name in ("alpha", "beta"):
-                nodes = self.arrays[name][:, number]
-                check(name, nodes, members, f" at delay {float(delay):g}")
-
-    def _answer_at_delay(
-        self, number: int, where: Mapping[str, Floats], here: Integers, answer: AtlasAnswer
-    ) -> None:
-        """Fill in the answer for the points numbered ``here``, all at one delay and inside."""
-        place = Place.of([(nodes, where[name][here]) for name, nodes in self.nodes(number).items()])
-        status = np.where(place.at_node, QueryStatus.NODE, QueryStatus.UNDECIDED_CELL)
-        if self._has_verdicts:
-            codes = self._between_nodes(number, where, here, place)
-            proved = ~place.at_node & ((codes == STABLE) | (codes == UNSTABLE))
-            status[proved] = QueryStatus.CELL
-            left = place.at_node & (codes == UNDECIDED)
-            if schema.VERDICT in self.arrays and left.any():
-                nodes = self.arrays[schema.VERDICT][..., number]
-                codes[left] = picked(nodes, place.node, left)
-            answer.verdict[here] = codes
-        if schema.SPECTRAL_RADIUS in self.arrays:
-            radius = self.arrays[schema.SPECTRAL_RADIUS][..., number]
-            answer.spectral_radius[here] = place.interpolated(radius)
-            for name, numbers, members in (
-                (schema.RADIUS_ERROR, place.node, place.at_node),
-                (schema.CELL_RADIUS_ERROR, place.cell, ~place.at_node),
-            ):
-                if members.any():
-                    error = self.arrays[name][..., number]
-                    answer.radius_error[here[members]] = picked(error, numbers, members)
-        answer.status[here] = status
-
-    def _between_nodes(
-        self, number: int, where: Mapping[str, Floats], here: Integers, place: Place
-    ) -> NDArray[np.int8]:
-        table = self._tables.get(float(self.delays[number]))
-        if table is None:
-            codes: NDArray[np.int8] = self.arrays[schema.CELL_VERDICT][..., number][place.cell]
-            return codes
-        return table.verdicts(*(where[name][here] for name in ("alpha", "beta", "gamma", "delta")))
+        ranges = {"gamma": checked_range("gamma", gamma), "delta": checked_range("delta", delta)}
+        walls = {"beta": beta} | ({} if alpha is None else {"alpha": alpha})
+        numbers = {name: checked_number(name, value) for name, value in walls.items()}
+        return self._asked(delay, **ranges, **numbers)[0]
 
 
 def open_atlas(path: str | PathLike[str]) -> Atlas:

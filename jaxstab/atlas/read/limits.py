@@ -17,6 +17,7 @@ Integers = NDArray[np.intp]
 Range = tuple[float, float]
 
 _CHUNK = 2**13  # points: their columns stay in the cache
+_ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
 
 
 class AlphaLimits(NamedTuple):
@@ -127,6 +128,7 @@ class LimitTable:
         rows: Integers = along_gamma * self._steps[1] + along_delta
         return rows
 
+    @_ignoring
     def max_alpha(self, gamma: Floats, delta: Floats) -> MaxAlpha:
         """Return the largest stable alpha for hands inside of the table, arrays of one length."""
         edges = np.arange(self._cells + 1) / self._per_beta + self._beta
@@ -144,6 +146,7 @@ class LimitTable:
                 found[:, point] = top.flat[best], sides.flat[best], bound
         return MaxAlpha(*found)
 
+    @_ignoring
     def decided_share(self, gamma: Floats, delta: Floats) -> float:
         """Return the share of the table's volume that is decided, by the middles of the columns.
 
@@ -165,6 +168,7 @@ class LimitTable:
         weights = np.multiply.outer(np.ones(self._cells), np.multiply.outer(*spans)).ravel()
         return float(1.0 - np.average(open_height, weights=weights) / (high - low))
 
+    @_ignoring
     def common_limits(self, beta: float, gamma: Range, delta: Range) -> tuple[float, float]:
         """Return between which alphas all hands of a box are proved stable; empty if it is so."""
         at = self._limits_over(beta, gamma, delta)
@@ -197,6 +201,7 @@ class LimitTable:
         return _at(np.tile(columns.T, 4), np.full_like(at_gamma, beta), at_gamma, at_delta)
 
 
+@_ignoring
 def _at(columns: Floats, beta: Floats, gamma: Floats, delta: Floats) -> AlphaLimits:
     """Return the limits of columns, (10, point), at points."""
     limits = []
@@ -206,6 +211,7 @@ def _at(columns: Floats, beta: Floats, gamma: Floats, delta: Floats) -> AlphaLim
     return AlphaLimits(*limits)
 
 
+@_ignoring
 def _codes(alpha: Floats, limits: AlphaLimits) -> NDArray[np.int8]:
     lower, lower_error, upper, upper_error = limits
     is_unstable = (alpha < lower - lower_error) | (alpha > upper + upper_error)

@@ -24,7 +24,7 @@ from jaxstab.atlas.format.footer import image_of, sealed
 from jaxstab.atlas.format.schema import SCHEMA_VERSION, VARIABLES
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.write.variables import FORMAT_VERSIONS, filters_of
-from jaxstab.durable import is_named, named_errors, publish, sync_folder
+from jaxstab.durable import is_named, named_errors, publish, sync_folder, target_of
 
 VALUES_DIGEST = "values_sha256"
 _TILE = "tile"
@@ -152,13 +152,12 @@ def shards_of(path: Path, key: str) -> Iterator[Shards]:
     It stays for the next build of the same atlas unless it is empty, or removed.
 
     Raises:
-        OSError: it cannot be made or locked, there is a folder at the path, or another process
-            builds this atlas.
+        OSError: it cannot be made or locked, there is no file at the path but something else, or
+            another process builds this atlas.
     """
-    shards = Shards(path.with_name(f".{path.name}.{key[:16]}.tiles"), key)
     with named_errors("write", path):
-        if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, "there is a folder of this name")
+        target, _ = target_of(path)
+        shards = Shards(target.with_name(f".{target.name}.{key[:16]}.tiles"), key)
         lock = _locked(shards)
     try:  # the system opens the lock when this process ends in whatever way
         for left_over in shards.folder.glob(".*.part"):
