@@ -31,8 +31,10 @@ from .criteria import passive_region as passive_region
 from .criteria import region_facts as region_facts
 from .criteria import resolved_region as resolved_region
 from .criteria import routh_hurwitz_condition as routh_hurwitz_condition
+from .model import Filter as Filter
 from .model import HapticLoop as HapticLoop
 from .model import PlantCoefficients as PlantCoefficients
+from .model import Velocity as Velocity
 from .model import characteristic_polynomial as characteristic_polynomial
 from .model import companion_matrix as companion_matrix
 from .model import plant_coefficients as plant_coefficients

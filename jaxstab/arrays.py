@@ -44,6 +44,11 @@ def is_traced(value: object) -> bool:
     return is_jax(value) and isinstance(value, sys.modules["jax"].core.Tracer)
 
 
+def is_any_traced(*trees: object) -> bool:
+    """Return whether a leaf of nested values is known to JAX's transformations alone."""
+    return "jax" in sys.modules and any(is_traced(leaf) for tree in trees for leaf in leaves(tree))
+
+
 def namespace(*values: object) -> Any:
     """Return ``jax.numpy`` if a leaf of the values is a JAX array or a tracer, else ``numpy``."""
     if _unregistered and hasattr(sys.modules.get("jax"), "Array"):  # JAX is loaded by now

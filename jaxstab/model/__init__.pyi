@@ -1,4 +1,6 @@
 from .double_double import DoubleDouble as DoubleDouble
+from .filters import Filter as Filter
+from .filters import Velocity as Velocity
 from .parameters import HapticLoop as HapticLoop
 from .parameters import checked_delay as checked_delay
 from .parameters import checked_delta as checked_delta

@@ -5,9 +5,11 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, namespace, tree_map
+from jaxstab.arrays import Array, Numbers, float_arrays, is_any_traced, namespace, tree_map
 from jaxstab.batches import compiled
 from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.linear_loop import filtered_loop
 from jaxstab.model.parameters import (
     checked_delay,
     checked_delta,
@@ -21,7 +23,7 @@ _MANY = 1 << 15  # polynomials that are worth compiling for
 
 
 def polynomial_degree(delay: Numbers) -> int:
-    """Return the degree of p(z), of its longest one for an array of delays.
+    """Return the degree of p(z) without filters, of its longest one for an array of delays.
 
     It is 3 + d for a whole delay and 4 + floor(d) for a fractional one.
 
@@ -35,7 +37,14 @@ def polynomial_degree(delay: Numbers) -> int:
 
 
 def characteristic_polynomial(
-    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+    alpha: Numbers,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> Float64[Array, "*grid coefficient"]:
     """Return the coefficients of p(z), monic, highest power first.
 
@@ -53,14 +62,18 @@ def characteristic_polynomial(
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, concrete. Polynomials of unlike degree in one array
             are multiplied by powers of z (zeros at the end): their other roots stay.
+        velocity: the velocity estimator in units of one sample; None for the difference over one
+            sample, the wall of the paper.
+        position: the position filter in units of one sample; None for none.
 
     Returns:
-        Array of shape (*grid, degree + 1), degree = polynomial_degree(delay); differentiable in
-        alpha, beta, gamma and delta.
+        Array of shape (*grid, degree + 1), differentiable in alpha, beta, gamma, delta, and in the
+        cut-offs and factors of filters. Without filters the degree is 3 + ceil(delay).
 
     Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced.
+        ValueError: a concrete argument is outside its range, infinite or NaN, or a filter does not
+            go with a sampling period of 1.
+        TypeError: the delay is traced, or an array of delays meets filters and traced arguments.
         RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) divided by -2 c1 gamma.
@@ -68,8 +81,12 @@ def characteristic_polynomial(
     require_x64(alpha, beta, gamma, delta)
     delay = checked_delay(delay)
     whole_part = np.floor(delay)
-    plant = plant_pairs(checked_gamma(gamma), checked_delta(delta), delay - whole_part)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
+    hand = checked_gamma(gamma), checked_delta(delta)
+    filters = given_filters(velocity, position)
+    if filters:
+        return _filtered_polynomials((*gains, *hand), delay, filters)
+    plant = plant_pairs(*hand, delay - whole_part)
     degree = polynomial_degree(delay)
     return _polynomial(gains[0], gains[1], plant, whole_part, degree=degree)
 
@@ -126,6 +143,52 @@ def _polynomial(
             column = column + denominator[power]
         columns.append(xp.broadcast_to(column.rounded(), grid))
     return xp.stack(columns, axis=-1)
+
+
+def _filtered_polynomials(
+    point: tuple[Array, ...], delay: Float64[np.ndarray, "*grid"], filters: Filters
+) -> Array:
+    """Return p(z) with filters, one form after the other where the delays have several."""
+    twice = np.floor(delay) + np.ceil(delay)
+    forms = np.unique(twice)
+    if forms.size == 1:
+        whole = int(forms[0] // 2)
+        fraction = delay - whole if forms[0] % 2 else 0.0
+        alpha, beta, *hand = point
+        return _filtered_polynomial(alpha, beta, hand, fraction, filters, whole_delay=whole)
+    if is_any_traced(point, filters):
+        raise TypeError("filters take an array of delays with concrete arguments only.")
+    grid = np.broadcast_shapes(delay.shape, *(np.shape(value) for value in point))
+    arguments = [np.broadcast_to(np.asarray(value), grid) for value in (*point, delay)]
+    members = [np.broadcast_to(twice == form, grid) for form in forms]
+    parts = []
+    for chosen in members:
+        *listed, delays = (argument[chosen] for argument in arguments)
+        parts.append(_filtered_polynomials(tuple(listed), delays, filters))
+    result = np.zeros((*grid, max(part.shape[-1] for part in parts)))
+    for chosen, part in zip(members, parts, strict=True):
+        result[chosen, : part.shape[-1]] = part
+    return namespace(point).asarray(result)
+
+
+@compiled(static=["whole_delay"])
+def _filtered_polynomial(
+    alpha: Array,
+    beta: Array,
+    hand: list[Array],
+    fraction: Array | float,
+    filters: Filters,
+    *,
+    whole_delay: int,
+) -> Array:
+    gamma, delta = hand
+    loop = filtered_loop(gamma, delta, whole_delay, fraction, filters)
+    columns = [
+        (base + (stiff * alpha + damp * beta)).rounded()
+        for base, stiff, damp in zip(loop.base, loop.stiffness, loop.damping, strict=True)
+    ]
+    xp = namespace(columns)
+    return xp.stack(xp.broadcast_arrays(*columns), axis=-1)
 
 
 def _times_wall(alpha: Array, beta: Array, plant: PlantPairs) -> tuple[DoubleDouble, ...]:

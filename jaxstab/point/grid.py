@@ -7,14 +7,16 @@ were given. A grid of five axes needs the memory of its axes, of one chunk and o
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Int64
 
-from jaxstab.arrays import Array, Numbers, is_traced, namespace, tree_map
+from jaxstab.arrays import Array, Numbers, is_any_traced, namespace, tree_map
 from jaxstab.batches import lists
 from jaxstab.model import characteristic_polynomial, checked_delay, require_x64
+from jaxstab.model.filters import Filter, Velocity
 from jaxstab.numbers import checked_count
 
 CHUNK = 2**15
@@ -66,7 +68,12 @@ def sweep(
     )
 
 
-def over_grid(kernel: Callable[[Array], Result], *parameters: Numbers) -> Result:
+def over_grid(
+    kernel: Callable[[Array], Result],
+    *parameters: Numbers,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> Result:
     """Apply a kernel of coefficients (point, degree + 1) to every point of a grid.
 
     The results' arrays have the point first; where further axes are longer for a higher degree, the
@@ -75,8 +82,9 @@ def over_grid(kernel: Callable[[Array], Result], *parameters: Numbers) -> Result
     alpha, beta, gamma, delta, delay = parameters
     require_x64(*parameters)
     delay = checked_delay(delay)
-    if any(map(is_traced, parameters)):
-        return kernel(characteristic_polynomial(alpha, beta, gamma, delta, delay))
+    polynomial = partial(characteristic_polynomial, velocity=velocity, position=position)
+    if is_any_traced(parameters, velocity, position):
+        return kernel(polynomial(alpha, beta, gamma, delta, delay))
     arguments = [np.asarray(value, np.float64) for value in parameters]
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     degrees = np.broadcast_to(np.ceil(delay), shape)
@@ -84,7 +92,7 @@ def over_grid(kernel: Callable[[Array], Result], *parameters: Numbers) -> Result
     parts, results = [], []
     for part, padded in (pair for some in members for pair in lists(some, CHUNK)):
         listed = looked_up(arguments, shape, padded if part.size >= MANY else part)
-        whole = kernel(characteristic_polynomial(*listed))
+        whole = kernel(polynomial(*listed))
         parts.append(part)
         results.append(tree_map(lambda array, count=part.size: array[:count], whole))
     xp = namespace(parameters)

@@ -6,13 +6,21 @@ from jaxtyping import Complex128, Float64
 from jaxstab.arrays import Array, Numbers, namespace
 from jaxstab.batches import compiled
 from jaxstab.model import companion_matrix
+from jaxstab.model.filters import Filter, Velocity
 from jaxstab.point.grid import MANY, over_grid
 
 _HUGE = 2.0**400
 
 
 def closed_loop_poles(
-    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+    alpha: Numbers,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> Complex128[Array, "*grid degree"]:
     """Return the poles of the closed loop, the eigenvalues of the companion matrix of p(z).
 
@@ -22,6 +30,8 @@ def closed_loop_poles(
         gamma: physical stiffness k T^2/m in [0, 1e4].
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, concrete.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
 
     Returns:
         Array of shape (*grid, degree), the largest modulus first. For an array of delays, a loop of
@@ -39,7 +49,8 @@ def closed_loop_poles(
         >>> abs(jaxstab.closed_loop_poles(0.1, 0.2, 0.0, 0.015, 1.0)).max()
         0.9382...
     """
-    return over_grid(companion_poles, alpha, beta, gamma, delta, delay)
+    point = alpha, beta, gamma, delta, delay
+    return over_grid(companion_poles, *point, velocity=velocity, position=position)
 
 
 @compiled(many=MANY)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, constant, is_traced, namespace, tree_map
+from jaxstab.arrays import Array, Numbers, constant, is_any_traced, namespace, tree_map
 from jaxstab.batches import compiled
 from jaxstab.conventions import RadiusStatus
 from jaxstab.model import (
@@ -18,14 +18,17 @@ from jaxstab.model import (
     polynomial_degree,
     require_x64,
 )
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.numbers import checked_word
 from jaxstab.point.grid import looked_up, over_grid
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius.bound import radius_error
+from jaxstab.point.radius.dense import filtered_radius, traced_radius_error
 from jaxstab.point.radius.dominance import distance_of_dominant, modulus
 from jaxstab.point.radius.dominant_root import Complex, Loop, newton
 from jaxstab.point.radius.fast_radius import LONGEST_DELAY, TOLERANCE, fast_radius
 from jaxstab.point.verdict.loop import float_plant, is_plant_lost
+from jaxstab.point.verdict.points import Points
 
 _MANY = 1 << 14  # points of one delay from which on XLA looks for dominant roots
 _LIST = 1 << 12  # points whose companion matrices are made at once
@@ -53,6 +56,8 @@ def spectral_radius(
     delay: Numbers,
     *,
     method: str = "fast",
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> SpectralRadius:
     """Return the largest modulus of a closed-loop pole with a proved error bound.
 
@@ -64,7 +69,10 @@ def spectral_radius(
         delay: time delay t_d/T >= 0 in samples, concrete.
         method: "fast" finds and proves the dominant root, without eigenvalues for many points of
             one delay up to 64, by XLA; "companion" takes the companion matrix and a ladder of
-            verdicts for all. Inside jit, vmap and grad it is always the companion matrix.
+            verdicts for all. Inside jit, vmap and grad, and with filters, it is always the
+            companion matrix.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
 
     Returns:
         SpectralRadius of arrays of the broadcast shape, in JAX if an argument is: ``value``;
@@ -89,8 +97,9 @@ def spectral_radius(
     checked_word("method", method, ("fast", "companion"))
     arguments = alpha, beta, gamma, delta, delay
     require_x64(*arguments)
-    if any(map(is_traced, arguments)):
-        return _traced_radius(*arguments)
+    filters = given_filters(velocity, position)
+    if is_any_traced(arguments, filters):
+        return _traced_radius(*arguments, filters=filters)
     checked_arguments = (
         checked_gain("alpha", alpha),
         checked_gain("beta", beta),
@@ -99,7 +108,10 @@ def spectral_radius(
         checked_delay(delay),
     )
     points = [np.asarray(value, np.float64) for value in checked_arguments]
-    value, error = _concrete_radius(points, is_fast=method == "fast")
+    if filters:
+        value, error = filtered_radius(Points(*points), filters)
+    else:
+        value, error = _concrete_radius(points, is_fast=method == "fast")
     xp = namespace(arguments)
     return tree_map(xp.asarray, _believed(value, error, points[2], points[3]))
 
@@ -164,16 +176,18 @@ def _polished(parameters: list[Values], delay: float, root: Values) -> tuple[Val
     return modulus(closer), distance_of_dominant(closer, loop, degree=degree)
 
 
-def _traced_radius(*arguments: Numbers) -> SpectralRadius:
-    radius = over_grid(_companion_radius, *arguments)
-    return _believed(*radius, *arguments[2:4])
+def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
+    velocity, position = filters or (None, None)
+    bound = traced_radius_error if filters else radius_error
 
+    def radius(coefficients: Array) -> tuple[Array, Array]:
+        from jaxstab.point.radius.derivative import largest_modulus
 
-def _companion_radius(coefficients: Array) -> tuple[Array, Array]:
-    from jaxstab.point.radius.derivative import largest_modulus
+        value = largest_modulus(coefficients)
+        return value, bound(*constant((coefficients, value)))
 
-    value = largest_modulus(coefficients)
-    return value, radius_error(*constant((coefficients, value)))
+    both = over_grid(radius, *arguments, velocity=velocity, position=position)
+    return _believed(*both, *arguments[2:4])
 
 
 @compiled()

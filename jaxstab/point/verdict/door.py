@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Int8
 
-from jaxstab.arrays import Array, Numbers, is_traced, namespace
+from jaxstab.arrays import Array, Numbers, is_any_traced, namespace
 from jaxstab.batches import compiled, lists, over_tiles
 from jaxstab.conventions import UNDECIDED, UNSTABLE, Verdict
 from jaxstab.model import (
@@ -22,7 +22,9 @@ from jaxstab.model import (
     checked_gamma,
     require_x64,
 )
+from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.point.grid import looked_up
+from jaxstab.point.verdict.filtered import filtered_verdict, traced_filtered_verdict
 from jaxstab.point.verdict.loop import (
     HIGHEST_UNROLLED,
     float_plant,
@@ -47,6 +49,8 @@ def verdict(
     delay: Numbers,
     *,
     resolve: str | None = None,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> Int8[Array, "*grid"]:
     """Prove for every point whether all roots of p(z) lie inside the unit circle.
 
@@ -63,6 +67,10 @@ def verdict(
         resolve: "exact" repeats the recursion in double-double where float64 leaves a point
             UNDECIDED, and then looks for a root that is certainly outside; all arguments must be
             concrete, as for an array of delays.
+        velocity: the velocity estimator in units of one sample; None for the difference over one
+            sample, the wall of the paper.
+        position: the position filter in units of one sample; None for none. With an estimator or a
+            filter double-double is tried wherever float64 leaves a point UNDECIDED.
 
     Returns:
         int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED; in JAX if an
@@ -79,29 +87,44 @@ def verdict(
     Example:
         >>> jaxstab.verdict([0.1, 1.5], 0.2, 0.0, 0.015, 1.0)
         array([1, 2], dtype=int8)
+        >>> window = jaxstab.Velocity.difference(samples=20)
+        >>> jaxstab.verdict(0.1, 0.2, 0.0, 0.015, 1.0, velocity=window)
+        array(2, dtype=int8)
     """
     if resolve not in (None, "exact"):
         raise ValueError(f'resolve is {resolve!r}; give "exact" or None.')
     require_x64(alpha, beta, gamma, delta, delay)
+    filters = given_filters(velocity, position)
     delays = checked_delay(delay)
     gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
     point = (*gains, checked_gamma(gamma), checked_delta(delta))
     xp = namespace(point, delay)
-    if resolve is None and delays.size == 1:
+    if filters and delays.size == 1 and is_any_traced(point, filters):
+        return traced_filtered_verdict(point, delays.item(), filters)
+    if not filters and resolve is None and delays.size == 1:
         form = Form.of(delays.item())
         arrays = [xp.asarray(value, xp.float64) for value in point]
         codes = _float_verdict(arrays, xp.asarray(delays % 1.0), form)
         shape = np.broadcast_shapes(delays.shape, *(array.shape for array in arrays))
         return xp.array(xp.broadcast_to(codes, shape))
-    if any(map(is_traced, point)):
+    if is_any_traced(point):
         raise TypeError("verdict takes traced arguments with one delay and without resolve only.")
     points = Points(*(np.asarray(value, np.float64) for value in (*point, delays)))
+    if filters:
+        return xp.asarray(filtered_verdict(points, filters))
     codes = _grouped_verdict(points)
     return xp.asarray(codes if resolve is None else _resolved(codes, points))
 
 
 def is_stable(
-    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+    alpha: Numbers,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> Bool[Array, "*grid"]:
     """Return True where all poles are proved to lie inside the unit circle.
 
@@ -114,6 +137,8 @@ def is_stable(
         gamma: physical stiffness k T^2/m in [0, 1e4].
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, concrete.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
@@ -126,7 +151,8 @@ def is_stable(
         >>> jaxstab.is_stable(0.1, 0.2, 0.0, 0.015, 1.0)
         True
     """
-    return verdict(alpha, beta, gamma, delta, delay) == Verdict.STABLE
+    point = alpha, beta, gamma, delta, delay
+    return verdict(*point, velocity=velocity, position=position) == Verdict.STABLE
 
 
 def _float_verdict(point: list[Array], fraction: Array, form: Form) -> Array:

@@ -1,0 +1,122 @@
+"""Loops with an estimator and a filter: p(z) in balls, from the definitions of the filters.
+
+A filter is written out here by its difference equation, as two lists of exact numbers, and the
+loop's polynomial is multiplied by python-flint. Parameters that jaxstab rounds to float64 (the pole
+of a low pass, the warped frequency and the sines of Butterworth's filter) are rounded here, too.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import flint
+
+from benchmarks import truth
+from benchmarks.truth.balls import ExactPlant, true_code
+
+Rational = tuple[flint.fmpq_poly, flint.fmpq_poly]  # numerator and denominator, in powers of z
+
+
+def exact(value: float) -> flint.fmpq:
+    """The binary number that a float holds."""
+    return flint.fmpq(*value.as_integer_ratio())
+
+
+def rational(numerator: Sequence[flint.fmpq], denominator: Sequence[flint.fmpq]) -> Rational:
+    """A transfer function by its coefficients, highest power first."""
+    return flint.fmpq_poly(list(numerator)[::-1]), flint.fmpq_poly(list(denominator)[::-1])
+
+
+def times(*factors: Rational) -> Rational:
+    """The product of transfer functions, nothing cancelled."""
+    above, below = flint.fmpq_poly([1]), flint.fmpq_poly([1])
+    for numerator, denominator in factors:
+        above, below = above * numerator, below * denominator
+    return above, below
+
+
+def difference(samples: int) -> Rational:
+    """(1 - z^-n) / n."""
+    zeros = [flint.fmpq(0)] * (samples - 1)
+    return rational(
+        [flint.fmpq(1), *zeros, flint.fmpq(-1)], [flint.fmpq(samples), *zeros, flint.fmpq(0)]
+    )
+
+
+def average(samples: int) -> Rational:
+    """(1 + ... + z^(1-n)) / n."""
+    zeros = [flint.fmpq(0)] * (samples - 1)
+    return rational([flint.fmpq(1)] * samples, [flint.fmpq(samples), *zeros])
+
+
+def exponential(factor: float) -> Rational:
+    """y = (1 - a) y_before + a x."""
+    a = exact(factor)
+    return rational([a, flint.fmpq(0)], [flint.fmpq(1), a - 1])
+
+
+def low_pass(cutoff: float, order: int) -> Rational:
+    """Poles at exp(-2 pi f), gain 1 at rest."""
+    pole = exact(math.exp(-2.0 * math.pi * cutoff))
+    return times(*[rational([1 - pole, flint.fmpq(0)], [flint.fmpq(1), -pole])] * order)
+
+
+def butterworth(cutoff: float, order: int) -> Rational:
+    """The analogue prototype in s, s = (z - 1) / (z + 1)."""
+    w = exact(math.tan(math.pi * cutoff))
+    minus, plus = flint.fmpq_poly([-1, 1]), flint.fmpq_poly([1, 1])
+    factors = []
+    for k in range(order // 2):
+        sine = exact(math.sin(math.pi * (2 * k + 1) / (2 * order)))
+        below = minus * minus + 2 * w * sine * minus * plus + w * w * plus * plus
+        factors.append((w * w * plus * plus, below))
+    if order % 2:
+        factors.append((w * plus, minus + w * plus))
+    return times(*factors)
+
+
+@dataclass(frozen=True)
+class FilteredLoop:
+    """A hand, a delay, an estimator of T times the velocity, and a position filter."""
+
+    gamma: float
+    delta: float
+    delay: float
+    velocity: Rational
+    position: Rational
+
+    def polynomial(self, alpha: float, beta: float, bits: int = 1400) -> list[flint.arb]:
+        """p(z), highest power first, not divided by what cancels."""
+        whole, _ = truth.split_delay(self.delay)
+        plant = ExactPlant.of(self.gamma, self.delta, self.delay, bits)
+        with flint.ctx.workprec(bits):
+            denominator = flint.arb_poly([plant.d0, plant.d1, 1])
+            numerator = flint.arb_poly([plant.n0, plant.n1, plant.n2])
+            (nv, dv), (np_, dp) = (
+                tuple(map(flint.arb_poly, pair)) for pair in (self.velocity, self.position)
+            )
+            lag = flint.arb_poly([0] * (whole + 1) + [1])
+            wall = flint.arb(alpha) * np_ * dv + flint.arb(beta) * nv * dp
+            p = lag * denominator * dp * dv + numerator * wall
+            coefficients = [p[k] for k in range(p.degree(), -1, -1)]
+            return [value / coefficients[0] for value in coefficients]
+
+    def code(self, alpha: float, beta: float) -> int:
+        """The verdict, by certified roots."""
+        return true_code(_without_zeros(self.polynomial(alpha, beta)))
+
+    def radius(self, alpha: float, beta: float) -> flint.arb:
+        """The spectral radius in a ball."""
+        coefficients = _without_zeros(self.polynomial(alpha, beta))
+        with flint.ctx.workprec(600):
+            roots = truth.isolated_roots(coefficients, flint.arb(2) ** -200)
+            if roots is None:
+                raise truth.NotCertain(f"roots not told apart at {(alpha, beta)} of {self}")
+            moduli = [abs(root) for root in roots]
+            return max(moduli, key=lambda modulus: float(modulus.mid()))
+
+
+def _without_zeros(coefficients: list[flint.arb]) -> list[flint.arb]:
+    """Drop the roots at 0: exact zeros at the end."""
+    last = max(index for index, value in enumerate(coefficients) if value != 0)
+    return coefficients[: last + 1]

@@ -1,0 +1,299 @@
+"""Velocity estimators and position filters: what real controllers put between encoder and wall."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import reduce
+from math import inf
+from typing import Any
+
+from jaxstab.arrays import Numbers, is_jax, pytree
+from jaxstab.model.sections import (
+    HIGHEST_ORDER,
+    Average,
+    Butterworth,
+    Differentiator,
+    Exponential,
+    LowPass,
+    Rational,
+    Section,
+)
+from jaxstab.model.transfer import UNIT, Transfer
+from jaxstab.numbers import checked_count, checked_number, require_x64
+
+_NO_REST = 4.0 * 2.0**-53  # of the numerator's size, per coefficient: V(1) as good as zero
+
+
+@pytree
+@dataclass(frozen=True)
+class Filter:
+    """A linear filter of the sampled position: a chain of sections, in the order of the product.
+
+    Make one with ``average``, ``low_pass``, ``butterworth``, ``exponential`` or
+    ``transfer_function``; ``*`` chains filters. All have gain 1 at z = 1, but for a transfer
+    function, whose gain is what its coefficients give.
+
+    Example:
+        >>> str(jaxstab.Filter.low_pass(100.0) * jaxstab.Filter.average(samples=4))
+        'a low pass at 100 Hz of order 1, a window of 4 samples'
+    """
+
+    sections: tuple[Section, ...] = ()
+
+    @classmethod
+    def average(cls, samples: int | None = None, *, window: float | None = None) -> "Filter":
+        """Return the mean of the last samples: (1 + 1/z + ... + z^(1-n)) / n.
+
+        Args:
+            samples: n, from 1 to 41.
+            window: n times the sampling period, in s, in place of ``samples``.
+
+        Raises:
+            TypeError: not exactly one of the two is given, or it is no number of its kind.
+            ValueError: it is out of range; a window that is no whole number of samples is refused
+                where the sampling period is known.
+        """
+        if (samples is None) == (window is None):
+            raise TypeError("give samples or window, and not both.")
+        if samples is not None:
+            samples = checked_count("samples", samples, 1, HIGHEST_ORDER + 1)
+        if window is not None:
+            window = checked_number("window", window, 0.0, is_open=True, unit="s")
+        return cls((Average(samples, window),))
+
+    @classmethod
+    def low_pass(cls, cutoff: Numbers, order: int = 1) -> "Filter":
+        """Return first-order low passes in a row, each ((1 - q) z / (z - q)), q = exp(-2 pi f T).
+
+        Args:
+            cutoff: f in Hz, > 0.
+            order: how many, from 1 to 40.
+
+        Raises:
+            TypeError: the cut-off is no number, or the order no whole one.
+            ValueError: one of them is out of range.
+        """
+        return cls((LowPass(_positive("cutoff", cutoff), _checked_order(order)),))
+
+    @classmethod
+    def butterworth(cls, cutoff: Numbers, order: int) -> "Filter":
+        """Return Butterworth's low pass by the bilinear transform, its cut-off prewarped.
+
+        Args:
+            cutoff: f in Hz, below half of the sampling rate.
+            order: from 1 to 40.
+
+        Raises:
+            TypeError: the cut-off is no number, or the order no whole one.
+            ValueError: one of them is out of range; a cut-off above half of the sampling rate is
+                refused where that is known.
+
+        Source: Butterworth (1930); the transfer function is that of ``scipy.signal.butter``.
+        """
+        return cls((Butterworth(_positive("cutoff", cutoff), _checked_order(order)),))
+
+    @classmethod
+    def exponential(cls, factor: Numbers) -> "Filter":
+        """Return exponential smoothing: y_k = y_(k-1) + factor (x_k - y_(k-1)).
+
+        Args:
+            factor: in (0, 1]; 1 filters nothing.
+
+        Raises:
+            TypeError: the factor is no number.
+            ValueError: it is out of range.
+        """
+        return cls((Exponential(_positive("factor", factor, 1.0)),))
+
+    @classmethod
+    def transfer_function(
+        cls, numerator: Sequence[float], denominator: Sequence[float]
+    ) -> "Filter":
+        """Return a filter by its transfer function in z.
+
+        Args:
+            numerator: coefficients, highest power of z first.
+            denominator: the same; of a higher degree than the numerator or of the same.
+
+        Raises:
+            TypeError: the coefficients are no numbers.
+            ValueError: the filter is not proper, not stable, zero, or of an order above 40.
+        """
+        return cls((Rational(*_checked_rational(numerator, denominator)),))
+
+    def __mul__(self, other: "Filter") -> "Filter":
+        if not isinstance(other, Filter):
+            return NotImplemented
+        return Filter(self.sections + other.sections)
+
+    def __str__(self) -> str:
+        return ", ".join(map(str, self.sections)) or "no filter"
+
+    def transfer(self, sample_time: float = 1.0) -> Transfer:
+        """Return the transfer function for a sampling period in s.
+
+        Raises:
+            ValueError: a section does not go with that period, or the order is above 40.
+            RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
+        """
+        require_x64(*(value for section in self.sections for value in vars(section).values()))
+        whole = reduce(Transfer.times, (s.transfer(sample_time) for s in self.sections), UNIT)
+        if whole.order > HIGHEST_ORDER:
+            raise ValueError(
+                f"the filter ({self}) is of order {whole.order}; give one of order "
+                f"{HIGHEST_ORDER} at most."
+            )
+        return whole
+
+
+@pytree
+@dataclass(frozen=True)
+class Velocity:
+    """How a controller estimates the velocity from sampled positions: (1 - 1/z)/T, then a filter.
+
+    Make one with ``difference``, ``low_pass``, ``butterworth``, ``exponential`` or
+    ``transfer_function``; ``*`` with a ``Filter`` smooths it further.
+
+    Example:
+        >>> str(jaxstab.Velocity.difference(samples=20) * jaxstab.Filter.low_pass(100.0))
+        'the difference over a window of 20 samples, a low pass at 100 Hz of order 1'
+    """
+
+    filter: Filter = Filter()
+
+    @classmethod
+    def difference(cls, samples: int | None = None, *, window: float | None = None) -> "Velocity":
+        """Return the difference over a window: (x_k - x_(k-n)) / (n T).
+
+        Args:
+            samples: n, from 1 to 40; 1 is the wall of the paper.
+            window: n T in s, in place of ``samples``; 15 ms in CHAI3D.
+
+        Raises:
+            TypeError: not exactly one of the two is given, or it is no number of its kind.
+            ValueError: it is out of range; a window that is no whole number of samples is refused
+                where the sampling period is known.
+        """
+        return cls(Filter.average(samples, window=window))
+
+    @classmethod
+    def low_pass(cls, cutoff: Numbers, order: int = 1) -> "Velocity":
+        """Return the one-sample difference behind first-order low passes: ``Filter.low_pass``."""
+        return cls(Filter.low_pass(cutoff, order))
+
+    @classmethod
+    def butterworth(cls, cutoff: Numbers, order: int) -> "Velocity":
+        """Return the one-sample difference behind Butterworth's filter: ``Filter.butterworth``."""
+        return cls(Filter.butterworth(cutoff, order))
+
+    @classmethod
+    def exponential(cls, factor: Numbers) -> "Velocity":
+        """Return the one-sample difference, smoothed: ``Filter.exponential``."""
+        return cls(Filter.exponential(factor))
+
+    @classmethod
+    def transfer_function(
+        cls, numerator: Sequence[float], denominator: Sequence[float]
+    ) -> "Velocity":
+        """Return an estimator by its transfer function V(z) in 1/s.
+
+        Args:
+            numerator: coefficients, highest power of z first. Their sum is 0 up to rounding, for a
+                velocity is 0 at rest; the last one counts as minus the sum of the others.
+            denominator: the same; of a higher degree than the numerator or of the same.
+
+        Raises:
+            TypeError: the coefficients are no numbers.
+            ValueError: the filter is not proper, not stable, zero, of an order above 40, or does
+                not differentiate: V(1) is not 0.
+        """
+        above, below = _checked_rational(numerator, denominator)
+        rest = abs(float(sum(map(Fraction, above))))
+        if len(above) < 2 or rest > _NO_REST * len(above) * sum(map(abs, above)):
+            raise ValueError(
+                f"numerator is {list(above)}: its sum, V(1) in z, is {rest:.3g}, but a "
+                "velocity is 0 at rest; give one whose coefficients sum to 0."
+            )
+        return cls(Filter((Differentiator(above, below),)))
+
+    def __mul__(self, other: Filter) -> "Velocity":
+        if not isinstance(other, Filter):
+            return NotImplemented
+        return Velocity(self.filter * other)
+
+    def __str__(self) -> str:
+        first, *others = self.filter.sections or (Average(1, None),)
+        if isinstance(first, Average):
+            return ", ".join([f"the difference over {first}", *map(str, others)])
+        if isinstance(first, Differentiator):
+            return str(self.filter)
+        return f"the difference over one sample, {self.filter}"
+
+
+Filters = tuple[Velocity, Filter]
+
+
+def given_filters(velocity: Any, position: Any) -> Filters | None:
+    """Return the estimator and the filter of a loop, None for the one-sample difference alone.
+
+    Raises:
+        TypeError: one of them is not of its class.
+    """
+    for name, value, kind in (("velocity", velocity, Velocity), ("position", position, Filter)):
+        if value is not None and not isinstance(value, kind):
+            raise TypeError(f"{name} is {value!r}; give a jaxstab.{kind.__name__}.")
+    velocity, position = velocity or Velocity(), position or Filter()
+    is_plain = velocity in (Velocity(), Velocity.difference(samples=1)) and position == Filter()
+    return None if is_plain else (velocity, position)
+
+
+# --------------------------------------------------------------------------------------- checks
+
+
+def _positive(name: str, value: Numbers, high: float = inf) -> Numbers:
+    if is_jax(value):
+        return value
+    return checked_number(name, value, 0.0, high, is_open=True)
+
+
+def _checked_order(order: int) -> int:
+    return checked_count("order", order, 1, HIGHEST_ORDER)
+
+
+def _checked_rational(
+    numerator: Sequence[float], denominator: Sequence[float]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    above, below = _coefficients("numerator", numerator), _coefficients("denominator", denominator)
+    if len(above) > len(below):
+        raise ValueError(
+            f"numerator has degree {len(above) - 1} in z and denominator {len(below) - 1}; a "
+            "filter that runs is proper: give a denominator of at least the same degree."
+        )
+    if len(below) - 1 > HIGHEST_ORDER:
+        raise ValueError(f"denominator has degree {len(below) - 1}; give {HIGHEST_ORDER} at most.")
+    if not _has_roots_inside(below):
+        raise ValueError(
+            f"denominator is {list(below)}: not all of its roots in z are inside the unit circle; "
+            "give a stable filter, in powers of z, not of s or 1/z."
+        )
+    return above, below
+
+
+def _coefficients(name: str, values: Sequence[float]) -> tuple[float, ...]:
+    numbers = [checked_number(name, value) for value in values]
+    while numbers and numbers[0] == 0.0:
+        numbers.pop(0)
+    if not numbers:
+        raise ValueError(f"{name} is {list(values)}; give at least one coefficient that is not 0.")
+    return tuple(numbers)
+
+
+def _has_roots_inside(denominator: tuple[float, ...]) -> bool:
+    """Tell exactly whether all roots are inside the unit circle (Schur 1917, Cohn 1922)."""
+    falling = list(map(Fraction, denominator))
+    while len(falling) > 1:
+        ratio = falling[-1] / falling[0]
+        if abs(ratio) >= 1:
+            return False
+        falling = [a - ratio * b for a, b in zip(falling[:-1], falling[:0:-1], strict=True)]
+    return True

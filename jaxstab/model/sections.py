@@ -1,0 +1,212 @@
+"""The sections that filters are made of, each with its transfer function for a sampling period.
+
+The numbers that a section computes from its parameters, such as exp(-2 pi f T), are rounded to
+float64 first: what is proved holds for the filter that software with these numbers runs.
+"""
+
+from dataclasses import dataclass, field
+from functools import reduce
+from itertools import accumulate
+from math import floor, pi
+from typing import Any
+
+import numpy as np
+
+from jaxstab.arrays import Array, Numbers, is_jax, is_traced, namespace, pytree
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.transfer import ONE, Polynomial, Transfer
+from jaxstab.numbers import checked_count
+
+HIGHEST_ORDER = 40
+_WHOLE = 1e-9  # of a sample: windows closer to a whole number of samples are that number
+
+
+def _fixed() -> Any:
+    """Return a field of a pytree that is no array."""
+    return field(metadata={"static": True})
+
+
+@pytree
+@dataclass(frozen=True)
+class Average:
+    """The mean of the last samples of a window, given in samples or in seconds."""
+
+    samples: int | None = _fixed()
+    window: float | None = _fixed()
+
+    def __str__(self) -> str:
+        window = f"{self.window:g} s" if self.samples is None else f"{self.samples} samples"
+        return f"a window of {window}"
+
+    def length(self, sample_time: float) -> int:
+        """Return the window in samples."""
+        return self.samples or _whole_samples(float(self.window or 0.0), sample_time)
+
+    def transfer(self, sample_time: float) -> Transfer:
+        """Return the transfer function for a sampling period in s."""
+        count = self.length(sample_time)
+        part = DoubleDouble.of(1.0) / float(count)
+        return Transfer.of((part,) * count, ONE, count - 1)
+
+
+@pytree
+@dataclass(frozen=True)
+class LowPass:
+    """First-order low passes in a row, each with its pole at exp(-2 pi f T)."""
+
+    cutoff: Numbers
+    order: int = _fixed()
+
+    def __str__(self) -> str:
+        return f"a low pass at {shown(self.cutoff)} Hz of order {self.order}"
+
+    def transfer(self, sample_time: float) -> Transfer:
+        """Return the transfer function for a sampling period in s."""
+        exponent = -2.0 * pi * self.cutoff * sample_time
+        pole = _float(namespace(exponent).exp(exponent))
+        if not is_traced(pole) and not 0.0 < pole < 1.0:
+            raise ValueError(
+                f"cutoff is {shown(self.cutoff)}; with a sampling period of {sample_time:g} s it "
+                "leaves no filter in float64: give one closer to 1 / period."
+            )
+        return _first_orders(pole, DoubleDouble.of(1.0) - pole, self.order)
+
+
+@pytree
+@dataclass(frozen=True)
+class Exponential:
+    """y_k = y_(k-1) + factor (x_k - y_(k-1))."""
+
+    factor: Numbers
+
+    def __str__(self) -> str:
+        return f"exponential smoothing by {shown(self.factor)}"
+
+    def transfer(self, sample_time: float) -> Transfer:
+        """Return the transfer function for a sampling period in s."""
+        factor = DoubleDouble.of(_float(self.factor))
+        pole = DoubleDouble.of(1.0) - factor
+        return Transfer.of((factor,), (DoubleDouble.of(1.0), -pole), -1)
+
+
+@pytree
+@dataclass(frozen=True)
+class Butterworth:
+    """The bilinear transform of Butterworth's low pass, with its cut-off prewarped."""
+
+    cutoff: Numbers
+    order: int = _fixed()
+
+    def __str__(self) -> str:
+        return f"a Butterworth filter at {shown(self.cutoff)} Hz of order {self.order}"
+
+    def transfer(self, sample_time: float) -> Transfer:
+        """Return the transfer function for a sampling period in s."""
+        if not is_traced(self.cutoff) and self.cutoff * sample_time >= 0.5:
+            raise ValueError(
+                f"cutoff is {shown(self.cutoff)}; give one below half of the sampling rate, "
+                f"{0.5 / sample_time:g} Hz."
+            )
+        angle = pi * self.cutoff * sample_time
+        warped = _float(namespace(angle).tan(angle))
+        sections = [
+            _quadratic(warped, float(np.sin(pi * (2 * k + 1) / (2 * self.order))))
+            for k in range(self.order // 2)
+        ]
+        if self.order % 2:
+            sections.append(_bilinear_lag(warped))
+        return reduce(Transfer.times, sections)
+
+
+@pytree
+@dataclass(frozen=True)
+class Rational:
+    """A transfer function in z by its coefficients, highest power first."""
+
+    numerator: tuple[float, ...] = _fixed()
+    denominator: tuple[float, ...] = _fixed()
+
+    def __str__(self) -> str:
+        return f"a transfer function of order {len(self.denominator) - 1}"
+
+    def transfer(self, sample_time: float) -> Transfer:
+        """Return the transfer function for a sampling period in s."""
+        return _monic(tuple(map(DoubleDouble.of, self.numerator)), self.denominator)
+
+
+@pytree
+@dataclass(frozen=True)
+class Differentiator(Rational):
+    """A transfer function V(z) in 1/s with V(1) = 0, less one difference: T V(z) z / (z - 1)."""
+
+    def transfer(self, sample_time: float) -> Transfer:
+        """Return the transfer function for a sampling period in s."""
+        steps = accumulate(map(DoubleDouble.of, self.numerator[:-1]), DoubleDouble.__add__)
+        numerator = tuple(step * float(sample_time) for step in steps)
+        return _delayed(_monic(numerator, self.denominator), -1)
+
+
+Section = Any  # one of the classes above
+
+
+def _first_orders(pole: Array, gain: DoubleDouble, order: int) -> Transfer:
+    one = Transfer.of((gain,), (DoubleDouble.of(1.0), -DoubleDouble.of(pole)), -1)
+    return reduce(Transfer.times, [one] * order)
+
+
+def _quadratic(warped: Array, sine: float) -> Transfer:
+    """Return w^2 / (s^2 + 2 w sine s + w^2) at s = (z - 1) / (z + 1)."""
+    square = DoubleDouble.of(warped) * warped
+    damping = (DoubleDouble.of(warped) * sine).scaled(2.0)
+    first = square + 1.0 + damping
+    gain = square / first
+    middle = (square - 1.0).scaled(2.0) / first
+    return Transfer.of(
+        (gain, gain.scaled(2.0), gain),
+        (DoubleDouble.of(1.0), middle, (square + 1.0 - damping) / first),
+        0,
+    )
+
+
+def _bilinear_lag(warped: Array) -> Transfer:
+    """Return w / (s + w) at s = (z - 1) / (z + 1)."""
+    width = DoubleDouble.of(warped)
+    gain = width / (width + 1.0)
+    return Transfer.of((gain, gain), (DoubleDouble.of(1.0), (width - 1.0) / (width + 1.0)), 0)
+
+
+def _monic(numerator: Polynomial, denominator: tuple[float, ...]) -> Transfer:
+    """Return a quotient of polynomials, powers of z taken out of both."""
+    zeros = next(k for k, one in enumerate(reversed(numerator)) if one.hi != 0.0)
+    poles = next(k for k, one in enumerate(reversed(denominator)) if one != 0.0)
+    first = denominator[0]
+    above = tuple(one / first for one in numerator[: len(numerator) - zeros])
+    below = tuple(DoubleDouble.of(one) / first for one in denominator[: len(denominator) - poles])
+    return Transfer.of(above, below, poles - zeros)
+
+
+def _delayed(transfer: Transfer, samples: int) -> Transfer:
+    return transfer._replace(lag=transfer.lag + samples)
+
+
+def _float(value: Numbers) -> Array:
+    """Return a JAX value as it is, and any other number as a Python float."""
+    return value if is_jax(value) else float(value)
+
+
+def shown(value: Numbers) -> str:
+    """Return a number as a person would write it."""
+    return "a traced value" if is_traced(value) else f"{float(value):g}"
+
+
+def _whole_samples(window: float, sample_time: float) -> int:
+    samples = window / sample_time
+    nearest = round(samples)
+    if abs(samples - nearest) > _WHOLE * samples:
+        below, above = floor(samples), floor(samples) + 1
+        choice = " or ".join(f"{k * sample_time:g} s ({k} samples)" for k in (below, above) if k)
+        raise ValueError(
+            f"window is {window:g} s, {samples:g} sampling periods; give a whole number of them: "
+            f"{choice}."
+        )
+    return checked_count("the window in samples", nearest, 1, HIGHEST_ORDER + 1)

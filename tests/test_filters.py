@@ -1,0 +1,309 @@
+"""Velocity estimators and position filters: transfer functions, and loops with them.
+
+The truth: ``scipy.signal`` for filters, certified roots of a polynomial that python-flint makes of
+the filters' difference equations, and a loop that is simulated sample by sample.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import flint
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.signal
+
+import jaxstab
+from benchmarks.truth import filtered as truth
+from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
+from jaxstab.model.filters import given_filters
+from jaxstab.model.linear_loop import _values
+
+# Each estimator beside T V(z), each filter beside P(z), by the truth.
+ESTIMATORS: dict[str, tuple[Velocity, truth.Rational]] = {
+    "window 20": (Velocity.difference(samples=20), truth.difference(20)),
+    "low pass": (
+        Velocity.low_pass(0.05, 2),
+        truth.times(truth.difference(1), truth.low_pass(0.05, 2)),
+    ),
+    "Butterworth": (
+        Velocity.butterworth(0.1, 5),
+        truth.times(truth.difference(1), truth.butterworth(0.1, 5)),
+    ),
+    "chain": (
+        Velocity.difference(samples=3) * Filter.exponential(0.25) * Filter.average(samples=2),
+        truth.times(truth.difference(3), truth.exponential(0.25), truth.average(2)),
+    ),
+    "transfer function": (
+        Velocity.transfer_function([0.75, -0.5, -0.25], [1.0, -0.5, 0.0]),
+        truth.rational(
+            [flint.fmpq(3, 4), flint.fmpq(-1, 2), flint.fmpq(-1, 4)],
+            [flint.fmpq(1), flint.fmpq(-1, 2), flint.fmpq(0)],
+        ),
+    ),
+}
+FILTERS: dict[str, tuple[Filter, truth.Rational]] = {
+    "no filter": (Filter(), truth.average(1)),
+    "low pass": (Filter.low_pass(0.2), truth.low_pass(0.2, 1)),
+}
+PLANTS = [(0.0, 0.0, 1.0), (1e-3, 1e-2, 0.0), (1e-3, 1e-2, 2.5)]
+
+# The largest alpha of the component that holds small gains, and its beta; gamma = delta = 0.
+LARGEST = [
+    (Velocity.difference(samples=2), 0.0, 6.0 - 4.0 * np.sqrt(2.0), 0.4852813742386),
+    (Velocity.difference(samples=2), 1.0, 0.09788910377032, 0.3159942848707),
+    (Velocity.difference(samples=2), 1.5, 0.06568923480709, 0.2697155418987),
+    (Velocity.difference(samples=20), 1.0, 0.008041674306427, 0.05169812538961),
+    (Velocity.difference(samples=20), 2.0, 0.005847257730416, 0.05135450537624),
+    (Velocity.low_pass(0.1), 0.0, 0.2652125792438, 0.630408236116),
+    (Velocity.low_pass(0.1), 1.0, 0.07279642895231, 0.2943419901774),
+]
+# Points of islands, beside the component that holds small gains: window, delay, alpha, beta.
+ISLANDS = [
+    (10, 0.0, 0.2734, -0.704),
+    (20, 0.0, 0.0678, -0.316),
+    (20, 0.0, 0.1151, 0.681),
+    (20, 1.0, 0.0687, -0.381),
+]
+
+
+def frequency_response(filter_: Filter, frequency: float, sample_time: float) -> complex:
+    transfer = filter_.transfer(sample_time)
+    z = np.exp(2j * np.pi * frequency * sample_time)
+    above, below = (np.polyval([c.rounded() for c in one], z) for one in transfer[:2])
+    return complex(above / below * z**-transfer.lag)
+
+
+@pytest.mark.parametrize("order", [1, 2, 5, 8])
+def test_butterworth_is_that_of_scipy(order: int) -> None:
+    sos = scipy.signal.butter(order, 80.0, fs=1000.0, output="sos")
+    filter_ = Filter.butterworth(80.0, order)
+    for frequency in (0.0, 3.0, 80.0, 333.0):
+        _, (expected,) = scipy.signal.sosfreqz(sos, [frequency], fs=1000.0)
+        np.testing.assert_allclose(frequency_response(filter_, frequency, 1e-3), expected, 1e-11)
+
+
+@pytest.mark.parametrize(
+    ("filter_", "above", "below"),
+    [
+        (Filter.average(samples=4), [0.25] * 4, [1.0]),
+        (Filter.average(window=4e-3), [0.25] * 4, [1.0]),
+        (Filter.exponential(0.3), [0.3], [1.0, -0.7]),
+        (Filter.low_pass(50.0), [1.0 - np.exp(-0.1 * np.pi)], [1.0, -np.exp(-0.1 * np.pi)]),
+        (Filter.transfer_function([2.0, 0.0, 1.0], [1.0, 0.5, 0.0]), [2.0, 0.0, 1.0], [1.0, 0.5]),
+    ],
+)
+def test_filters_by_their_difference_equations(
+    filter_: Filter, above: list[float], below: list[float]
+) -> None:
+    for frequency in (0.0, 30.0, 444.0):
+        _, (expected,) = scipy.signal.freqz(above, below, [frequency], fs=1000.0)
+        np.testing.assert_allclose(frequency_response(filter_, frequency, 1e-3), expected, 1e-13)
+
+
+@pytest.mark.parametrize("filter_", [Filter.low_pass(1.0, 3), Filter.butterworth(1.0, 4)])
+def test_the_gain_at_rest_is_one_although_the_cut_off_is_low(filter_: Filter) -> None:
+    above, below = (sum(c.hi + c.lo for c in one) for one in filter_.transfer(1e-4)[:2])
+    assert above / below == pytest.approx(1.0, abs=1e-2)  # sums of float64; pairs know better
+    numerator, denominator = _values(filter_.transfer(1e-4), 1.0)
+    assert (numerator.value / denominator.value).rounded() == pytest.approx(1.0, abs=1e-13)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("position", FILTERS)
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_verdicts_and_radii_against_certified_roots(
+    estimator: str, position: str, plant: tuple[float, float, float]
+) -> None:
+    (velocity, v), (smoother, p) = ESTIMATORS[estimator], FILTERS[position]
+    loop = truth.FilteredLoop(*plant, v, p)
+    rng = np.random.default_rng(len(estimator) + int(10 * plant[2]))
+    alpha, beta = rng.uniform(-0.01, 0.08, 6), rng.uniform(-0.1, 0.3, 6)
+    filters: dict[str, Any] = {"velocity": velocity, "position": smoother}
+    codes = jaxstab.verdict(alpha, beta, *plant, **filters)
+    assert codes.tolist() == [loop.code(*wall) for wall in zip(alpha, beta, strict=True)]
+    radius = jaxstab.spectral_radius(alpha, beta, *plant, **filters)
+    assert np.all(radius.error < 1e-13)
+    for wall, value, error in zip(zip(alpha, beta, strict=True), *radius[:2], strict=True):
+        assert abs(loop.radius(*wall) - flint.arb(float(value))) <= float(error)
+
+
+@pytest.mark.parametrize(("velocity", "delay", "alpha", "beta"), LARGEST)
+def test_the_largest_stiffness_of_known_estimators(
+    velocity: Velocity, delay: float, alpha: float, beta: float
+) -> None:
+    walls = alpha * np.array([1.0 - 1e-9, 1.0 + 1e-9])
+    assert jaxstab.verdict(walls, beta, 0.0, 0.0, delay, velocity=velocity).tolist() == [
+        STABLE,
+        UNSTABLE,
+    ]
+    around = beta * (1.0 + np.linspace(-1e-2, 1e-2, 21))
+    codes = jaxstab.verdict(walls[1], around, 0.0, 0.0, delay, velocity=velocity)
+    assert np.all(codes == UNSTABLE)
+
+
+@pytest.mark.parametrize(("samples", "delay", "alpha", "beta"), ISLANDS)
+def test_islands_are_stable_and_cut_off_from_small_gains(
+    samples: int, delay: float, alpha: float, beta: float
+) -> None:
+    window = Velocity.difference(samples=samples)
+    shares = np.linspace(0.01, 1.0, 100)
+    codes = jaxstab.verdict(alpha * shares, beta * shares, 0.0, 0.0, delay, velocity=window)
+    assert codes[-1] == STABLE
+    assert UNSTABLE in codes
+
+
+def bisected(function: Callable[[float], int], low: float, high: float) -> float:
+    """Where codes change from STABLE to another."""
+    while high - low > 1e-15 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if function(middle) == STABLE else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_only_walls_next_to_the_boundary_are_undecided(estimator: str) -> None:
+    velocity, v = ESTIMATORS[estimator]
+    plant = (1e-4, 2e-3, 1.0)
+    beta = 0.04
+    edge = bisected(
+        lambda alpha: int(jaxstab.verdict(alpha, beta, *plant, velocity=velocity)), 0.0, 1.0
+    )
+    walls = edge * (1.0 + np.array([-1e-9, -1e-11, 1e-11, 1e-9]))
+    codes = jaxstab.verdict(walls, beta, *plant, velocity=velocity)
+    loop = truth.FilteredLoop(*plant, v, truth.average(1))
+    assert codes.tolist() == [loop.code(alpha, beta) for alpha in walls]
+    assert UNDECIDED not in codes
+
+
+def test_a_window_of_one_sample_is_the_loop_of_the_paper() -> None:
+    walls = np.linspace(-0.1, 0.8, 50)[:, None], np.linspace(-0.2, 2.0, 40)
+    for function in (jaxstab.verdict, jaxstab.spectral_radius, jaxstab.closed_loop_poles):
+        plain = function(*walls, 1e-3, 1e-2, 0.5)
+        window = function(*walls, 1e-3, 1e-2, 0.5, velocity=Velocity.difference(samples=1))
+        for one, other in zip(np.atleast_1d(plain), np.atleast_1d(window), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("delays", [[0.0, 1.0, 2.5], [[0.5], [1.5]]])
+def test_arrays_of_delays_answer_as_single_ones(delays: Any) -> None:
+    velocity = Velocity.low_pass(0.1)
+    delays = np.array(delays)
+    alpha = np.array([0.02, 0.3, -0.1])
+    together = jaxstab.verdict(alpha, 0.2, 1e-3, 1e-2, delays, velocity=velocity)
+    radii = jaxstab.spectral_radius(alpha, 0.2, 1e-3, 1e-2, delays, velocity=velocity)
+    grid = np.broadcast_arrays(alpha, delays)
+    for index in np.ndindex(together.shape):
+        one = grid[0][index], 0.2, 1e-3, 1e-2, grid[1][index]
+        assert together[index] == jaxstab.verdict(*one, velocity=velocity)
+        alone = jaxstab.spectral_radius(*one, velocity=velocity)
+        assert abs(radii.value[index] - alone.value) <= radii.error[index] + alone.error
+
+
+def simulated_growth(
+    filter_: tuple[list[float], list[float]], alpha: float, beta: float, delay: int
+) -> float:
+    """Growth per sample of a mass with a wall, far from its start, by scipy alone."""
+    transition = scipy.linalg.expm([[0.0, 1.0, 0.0], [-1e-3, -1e-2, 1.0], [0.0, 0.0, 0.0]])
+    state, memory = np.array([1.0, 0.0]), np.zeros(max(map(len, filter_)) - 1)
+    waiting, sizes = [0.0] * delay, []
+    for _ in range(4000):
+        velocity, memory = scipy.signal.lfilter(*filter_, [state[0]], zi=memory)
+        waiting.append(-(alpha * state[0] + beta * velocity[0]))
+        state = transition[:2, :2] @ state + transition[:2, 2] * waiting.pop(0)
+        sizes.append(np.hypot(*state))
+    return float((np.max(sizes[3000:]) / np.max(sizes[1000:2000])) ** (1.0 / 2000.0))
+
+
+@pytest.mark.parametrize(
+    ("velocity", "filter_"),
+    [
+        (Velocity.difference(samples=5), ([0.2, 0.0, 0.0, 0.0, 0.0, -0.2], [1.0])),
+        (Velocity.exponential(0.2), ([0.2, -0.2], [1.0, -0.8])),
+    ],
+)
+@pytest.mark.parametrize("alpha", [0.01, 0.05])
+def test_radii_are_the_growth_of_a_simulated_loop(
+    velocity: Velocity, filter_: tuple[list[float], list[float]], alpha: float
+) -> None:
+    growth = simulated_growth(filter_, alpha, 0.1, 1)
+    radius = jaxstab.spectral_radius(alpha, 0.1, 1e-3, 1e-2, 1.0, velocity=velocity)
+    assert growth == pytest.approx(float(radius.value), abs=5e-4)
+
+
+def test_derivatives_of_the_radius_against_differences_of_balls() -> None:
+    wall, plant, step = (0.02, 0.1), (1e-3, 1e-2, 1.0), 2.0**-40
+
+    def radius(factor: float) -> Any:
+        velocity = Velocity.exponential(factor)
+        return jaxstab.spectral_radius(*wall, *plant, velocity=velocity).value
+
+    def true_radius(factor: float) -> flint.arb:
+        estimator = truth.times(truth.difference(1), truth.exponential(factor))
+        return truth.FilteredLoop(*plant, estimator, truth.average(1)).radius(*wall)
+
+    difference = float((true_radius(0.25 + step) - true_radius(0.25 - step)) / (2.0 * step))
+    assert jax.grad(radius)(0.25) == pytest.approx(difference, rel=1e-10)
+
+    def of_cutoff(cutoff: float) -> Any:
+        return jaxstab.spectral_radius(*wall, *plant, velocity=Velocity.low_pass(cutoff)).value
+
+    cutoff = -np.log(0.75) / (2.0 * np.pi)  # the same filter
+    slope = difference * 2.0 * np.pi * 0.75  # d factor / d cutoff
+    assert jax.grad(of_cutoff)(cutoff) == pytest.approx(slope, rel=1e-9)
+
+
+def test_jax_arrays_and_transformations_answer_as_numpy_does() -> None:
+    alpha = np.linspace(-0.01, 0.1, 7)
+    rest: tuple[float, ...] = (0.05, 1e-3, 1e-2, 1.5)
+    velocity, position = Velocity.difference(samples=4), Filter.low_pass(0.2)
+    plain = jaxstab.verdict(alpha, *rest, velocity=velocity, position=position)
+
+    def code(alpha: Any) -> Any:
+        return jaxstab.verdict(alpha, *rest, velocity=velocity, position=position)
+
+    given = code(jnp.asarray(alpha))
+    assert isinstance(given, jax.Array)
+    np.testing.assert_array_equal(given, plain)
+    np.testing.assert_array_equal(jax.jit(jax.vmap(code))(jnp.asarray(alpha)), plain)
+
+
+def test_grids_that_go_through_xla_answer_as_few_points_do() -> None:
+    alpha, beta = np.linspace(-0.002, 0.01, 120)[:, None], np.linspace(-0.02, 0.1, 100)
+    velocity = Velocity.difference(samples=20)
+    many = jaxstab.verdict(alpha, beta, 1e-6, 1e-4, 1.0, velocity=velocity)
+    for row in (0, 30, 77):
+        few = jaxstab.verdict(alpha[row], beta, 1e-6, 1e-4, 1.0, velocity=velocity)
+        np.testing.assert_array_equal(many[row], few)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Filter.average(), "samples or window"),
+        (lambda: Filter.average(3, window=0.1), "samples or window"),
+        (lambda: Filter.average(0), "samples is 0"),
+        (lambda: Filter.low_pass(-1.0), "cutoff is -1.0"),
+        (lambda: Filter.low_pass("10 Hz"), "cutoff is '10 Hz'"),
+        (lambda: Filter.low_pass(1.0, 0), "order is 0"),
+        (lambda: Filter.low_pass(1e9).transfer(1.0), "closer to 1 / period"),
+        (lambda: Filter.butterworth(600.0, 2).transfer(1e-3), "below half of the sampling rate"),
+        (lambda: Filter.exponential(1.5), "factor is 1.5"),
+        (lambda: Filter.average(window=15.5e-3).transfer(1e-3), r"0.015 s \(15 .* 0.016 s \(16"),
+        (lambda: Filter.transfer_function([1.0, 2.0, 3.0], [1.0, 0.5]), "proper"),
+        (lambda: Filter.transfer_function([1.0], [1.0, -1.0]), "inside the unit circle"),
+        (lambda: Filter.transfer_function([0.0], [1.0, 0.5]), "not 0"),
+        (lambda: Filter.transfer_function([1.0], [float("nan")]), "denominator is nan"),
+        (lambda: Filter.transfer_function([1.0], [1.0] + [0.0] * 41), "degree 41"),
+        (lambda: (Filter.low_pass(0.1, 40) * Filter.low_pass(0.1)).transfer(), "order 41"),
+        (lambda: Velocity.transfer_function([1.0, -0.9], [1.0, 0.0]), "0 at rest"),
+        (lambda: Velocity.transfer_function([1.0], [1.0, 0.0]), "0 at rest"),
+        (lambda: given_filters(20, None), "give a jaxstab.Velocity"),
+        (lambda: given_filters(None, Velocity()), "give a jaxstab.Filter"),
+    ],
+)
+def test_what_is_no_filter_is_refused_in_one_sentence(make: Callable[[], Any], words: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=words):
+        make()
