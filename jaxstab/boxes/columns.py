@@ -10,7 +10,7 @@ stable set; where strips meet, or more than one gap is stable, what lies between
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int8, Int64
+from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
@@ -136,58 +136,91 @@ def _limits(
 ) -> tuple[Planes, Planes]:
     """Return the strips below and above the stable gap of each column.
 
-    A strip hides what is in it unless it parts two unstable gaps and does not fold.
+    Where others hide what is in them, both limits are the flat span of all that may be stable.
     """
     is_stable = codes == STABLE
     first, count = np.argmax(is_stable, axis=1), is_stable.sum(axis=1)
+    last = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
     low, high = strips.ends(columns)
+    is_seen = np.any((high >= asked.alpha[0]) & (low <= asked.alpha[1]), axis=0)
+    hiding = is_seen & _may_hide(strips, codes)
     number = np.arange(strips.centre.shape[1])
     beside = (number == first[:, None]) | (number == first[:, None] - 1)
-    between_unstable = (codes[:, :-1] == UNSTABLE) & (codes[:, 1:] == UNSTABLE)
-    is_seen = np.any((high >= asked.alpha[0]) & (low <= asked.alpha[1]), axis=0)
-    hiding = is_seen & (strips.folds | ~between_unstable) & ~((count == 1)[:, None] & beside)
+    hiding &= ~((count == 1)[:, None] & beside)
     hides = hiding.any(axis=1) | (count > 1)
-    # The span of all that may be stable
-    last = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
     spanned = (number >= first[:, None] - 1) & (number <= last[:, None]) & (count > 0)[:, None]
     some = (spanned | hiding) & hides[:, None]
     low = np.min(low, axis=(0, 2), where=some, initial=np.inf)
     high = np.max(high, axis=(0, 2), where=some, initial=-np.inf)
-    is_open = (count > 0) & ((first == 0) | np.isnan(_taken(strips.centre, last)))
+    is_open = (count > 0) & ((first == 0) | np.isnan(_of_strip(strips.centre, last)))
     lost = np.any(codes == UNDECIDED, axis=1) | np.any(strips.error == np.inf, axis=1)
     lost |= hides & is_open
     low, high = (np.where(hides & ~lost, end, 0.0) for end in (low, high))
-    planes = []
+    span = _flat(0.5 * (low + high), 0.5 * (high - low))
+    unknown = _flat(np.zeros_like(low), np.full_like(low, np.inf))
+    limits = []
     for strip, outermost in ((first - 1, -np.inf), (first, np.inf)):
-        centre, slope, error = (_taken(part, strip) for part in strips[:3])
-        open_end = np.isnan(centre) | (count == 0)
-        centre = np.where(open_end, np.where(count == 0, np.inf, outermost), centre)
-        slope, error = np.where(open_end[:, None], 0.0, slope), np.where(open_end, 0.0, error)
-        centre = np.where(hides, 0.5 * (low + high), centre)
-        slope, error = (
-            np.where(hides[:, None], 0.0, slope),
-            np.where(hides, 0.5 * (high - low), error),
+        limit = _ends_at(strips, strip, outermost, count > 0)
+        limit = limit.replaced(hides, span).replaced(lost, unknown)
+        limits.append(_planes(limit, columns))
+    return limits[0], limits[1]
+
+
+def _may_hide(
+    strips: Strips, codes: Int8[np.ndarray, "column gap"]
+) -> Bool[np.ndarray, "column strip"]:
+    """Say which strips may hide stable alphas: not those between unstable gaps that do not fold."""
+    between_unstable = (codes[:, :-1] == UNSTABLE) & (codes[:, 1:] == UNSTABLE)
+    hides: Bool[np.ndarray, "column strip"] = strips.folds | ~between_unstable
+    return hides
+
+
+class _Limits(NamedTuple):
+    """One limit of each column: a plane by its value at the centre, its slopes and its error."""
+
+    centre: Float64[np.ndarray, " column"]
+    slope: Float64[np.ndarray, "column 3"]
+    error: Float64[np.ndarray, " column"]
+
+    def replaced(self, where: Bool[np.ndarray, " column"], others: "_Limits") -> "_Limits":
+        """Return other limits in some columns."""
+        return _Limits(
+            *(
+                np.where(where.reshape(-1, *[1] * (mine.ndim - 1)), other, mine)
+                for mine, other in zip(self, others, strict=True)
+            )
         )
-        centre, slope = np.where(lost, 0.0, centre), np.where(lost[:, None], 0.0, slope)
-        planes.append(_planes(centre, slope, np.where(lost, np.inf, error), columns))
-    return planes[0], planes[1]
 
 
-def _taken(part: np.ndarray, strip: Int64[np.ndarray, " column"]) -> np.ndarray:
+def _flat(centre: Float64[np.ndarray, " column"], error: Float64[np.ndarray, " column"]) -> _Limits:
+    return _Limits(centre, np.zeros((centre.size, 3)), error)
+
+
+def _ends_at(
+    strips: Strips,
+    strip: Int64[np.ndarray, " column"],
+    outermost: float,
+    is_known: Bool[np.ndarray, " column"],
+) -> _Limits:
+    """Return one strip of each column, infinite where there is none or nothing is stable."""
+    centre, slope, error = (_of_strip(part, strip) for part in strips[:3])
+    open_end = np.isnan(centre) | ~is_known
+    centre = np.where(open_end, np.where(is_known, outermost, np.inf), centre)
+    slope, error = np.where(open_end[:, None], 0.0, slope), np.where(open_end, 0.0, error)
+    return _Limits(centre, slope, error)
+
+
+def _of_strip(part: np.ndarray, strip: Int64[np.ndarray, " column"]) -> np.ndarray:
     """Return what is said of one strip of each column; NaN where there is no such strip."""
     count = part.shape[1]
     some = part[np.arange(strip.size), np.clip(strip, 0, count - 1)]
     outside = (strip < 0) | (strip >= count)
-    taken: np.ndarray = np.where(outside.reshape(-1, *[1] * (some.ndim - 1)), np.nan, some)
-    return taken
+    value: np.ndarray = np.where(outside.reshape(-1, *[1] * (some.ndim - 1)), np.nan, some)
+    return value
 
 
-def _planes(
-    centre: Float64[np.ndarray, " column"],
-    slope: Float64[np.ndarray, "column 3"],
-    error: Float64[np.ndarray, " column"],
-    columns: Columns,
-) -> Planes:
+def _planes(limits: _Limits, columns: Columns) -> Planes:
+    centre, slope, error = limits
     constant = centre - np.sum(slope * columns.centre, axis=1)
     size = np.abs(centre) + 2.0 * np.sum(np.abs(slope * columns.centre), axis=1)
     error = error + _ROUNDING * np.where(np.isfinite(size), size, 0.0)

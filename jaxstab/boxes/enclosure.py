@@ -161,48 +161,67 @@ def _curve(plant: PlantModels, turns: int, intervals: _Intervals) -> _Curve:
     first, last = intervals.first, intervals.last
     theta, half_theta = 0.5 * (first + last), 0.5 * (last - first) * (1.0 + _ROUNDING)
     plant = plant.some(intervals.box).beside(half_theta[None])
-    half = plant.gamma.half
-
-    def waves(order: Int64[np.ndarray, " term"], weight: Int64[np.ndarray, " term"]) -> Moving:
-        """Return the sum of weight cos(order theta)."""
-        phase, factor = np.multiply.outer(theta, order), weight.astype(float)
-        even = [np.cos(phase) @ (factor * order**k) for k in (0, 2)]
-        odd = [np.sin(phase) @ (factor * order**k) for k in (1,)]
-        bends = [float(np.sum(np.abs(factor) * np.abs(order) ** k)) for k in range(4)]
-        lost = pi * (bends[0] + bends[1] + bends[2])
-        value = _of_theta(even[0], -odd[0], bends[2], lost, half)
-        return Moving(value, _of_theta(-odd[0], -even[1], bends[3], lost, half))
-
-    one = np.array([1])
-    lag = np.arange(turns)
-    cos_turns = waves(turns * one, one)
-    sines = np.arange(turns - 1, -turns, -2)
-    sine_ratio = waves(sines, np.ones_like(sines))  # sin(m theta) / sin(theta)
-    lag_ratio = waves(lag, np.where(lag > 0, 2, 1) * (turns - lag))
-    # ... (1 - cos(m theta)) / (1 - cos(theta))
-    sine = np.sin(theta)
-    h = Moving(
-        _of_theta(2.0 * np.sin(0.5 * theta) ** 2, sine, 1.0, 1.0, half),
-        _of_theta(sine, np.cos(theta), 1.0, 1.0, half),
-    )
+    waves = _waves(theta, turns, plant.gamma.half)
+    h, rest = waves.h, 2.0 - waves.h
 
     kappa, eps = plant.d0 + 1.0, 1.0 - plant.d0
     sigma, nu = plant.n2 + plant.n0, plant.n2 - plant.n0
     d, q = h * -kappa + plant.gamma * plant.sum, h * -sigma + plant.sum
-    rest = 2.0 - h
     sine_square = h * rest
     real, slope = d * q + sine_square * (eps * nu), q * eps - d * nu
     square = q * q + sine_square * (nu * nu)
     over_square = square.reciprocal()
-    square_beta = -(sine_ratio * real + cos_turns * slope)
+    square_beta = -(waves.sine_ratio * real + waves.cos_turns * slope)
     beta = square_beta * over_square
     lift = over_square * (
         q * (kappa - plant.gamma * sigma)
-        + rest * (sine_ratio * slope + nu * (plant.gamma * nu - eps))
-        + lag_ratio * real
+        + rest * (waves.sine_ratio * slope + nu * (plant.gamma * nu - eps))
+        + waves.lag_ratio * real
     )
     lift = lift - beta
     return _Curve(h * lift - plant.gamma, beta, square_beta, square, lift)
+
+
+class _Waves(NamedTuple):
+    """Functions of theta alone, for m turns of z^m."""
+
+    h: Moving  # 1 - cos(theta)
+    cos_turns: Moving  # cos(m theta)
+    sine_ratio: Moving  # sin(m theta) / sin(theta)
+    lag_ratio: Moving  # (1 - cos(m theta)) / (1 - cos(theta))
+
+
+def _waves(theta: Patch, turns: int, half: Float64[np.ndarray, "3 patch"]) -> _Waves:
+    lag = np.arange(turns)
+    sines = np.arange(turns - 1, -turns, -2)
+    sine = np.sin(theta)
+    return _Waves(
+        Moving(
+            _of_theta(2.0 * np.sin(0.5 * theta) ** 2, sine, 1.0, 1.0, half),
+            _of_theta(sine, np.cos(theta), 1.0, 1.0, half),
+        ),
+        _cosines(theta, np.array([turns]), np.array([1]), half),
+        _cosines(theta, sines, np.ones_like(sines), half),
+        _cosines(theta, lag, np.where(lag > 0, 2, 1) * (turns - lag), half),
+    )
+
+
+def _cosines(
+    theta: Patch,
+    order: Int64[np.ndarray, " term"],
+    weight: Int64[np.ndarray, " term"],
+    half: Float64[np.ndarray, "3 patch"],
+) -> Moving:
+    """Return the sum of weight cos(order theta)."""
+    phase, factor = np.multiply.outer(theta, order), weight.astype(float)
+    cosine, sine = np.cos(phase), np.sin(phase)
+    value, slope, bend = cosine @ factor, sine @ (factor * order), cosine @ (factor * order**2)
+    bends = [float(np.sum(np.abs(factor) * np.abs(order) ** k)) for k in range(4)]
+    lost = pi * (bends[0] + bends[1] + bends[2])
+    return Moving(
+        _of_theta(value, -slope, bends[2], lost, half),
+        _of_theta(-slope, -bend, bends[3], lost, half),
+    )
 
 
 def _of_theta(

@@ -102,34 +102,46 @@ def _real_power(x: Array, exponent: int) -> Array:
 def _deflated(
     t: Complex, is_real: Array, radius: Array, distance: Array, loop: Loop, degree: int
 ) -> tuple[list[Array], Array]:
-    """Return Q(radius z), highest power first, and a bound of the l1 norm of its error.
-
-    The coefficients obey b_j = c_j + s b_(j-1) - q b_(j-2), where s and q are sum and product of
-    the root and its conjugate, on the circle of radius 1 now. What goes wrong in one b_j goes on
-    with factors (sin k theta / sin theta) of at most k.
-    """
-    xp = namespace(t, loop)
+    """Return Q(radius z), highest power first, and a bound of the l1 norm of its error."""
     inverse = 1.0 / radius
-    plant = loop.plant
-    coefficients = loop.coefficients(degree)[::-1]
     powers = [inverse]
     for _ in range(degree - 1):
         powers.append(powers[-1] * inverse)
+    rest = _divided(t, is_real, inverse, powers, loop, degree)
+    return rest, _error_of_division(rest, powers, distance, loop, degree)
+
+
+def _divided(
+    t: Complex, is_real: Array, inverse: Array, powers: list[Array], loop: Loop, degree: int
+) -> list[Array]:
+    """Return the quotient of p by the root and its conjugate, on the circle of radius 1 now.
+
+    With s and q their sum and product, b_j = c_j + s b_(j-1) - q b_(j-2).
+    """
+    xp = namespace(t, loop)
+    coefficients = loop.coefficients(degree)[::-1]
     twice = xp.where(is_real, xp.sign(t.re + 1.0), 2.0 * (t.re + 1.0) * inverse)
     product = xp.where(is_real, 0.0, 1.0)
     is_unrolled = xp is np or degree <= _HIGHEST_UNROLLED
     divided = _quotient if is_unrolled else _rolled_quotient
     rest = divided(coefficients[:-1], powers[:-1], twice, product)
     rest[-1] = xp.where(is_real, rest[-1], 0.0)
+    return rest
 
+
+def _error_of_division(
+    rest: list[Array], powers: list[Array], distance: Array, loop: Loop, degree: int
+) -> Array:
+    """Bound the l1 norm of the quotient's error, as after lemma R2."""
+    plant = loop.plant
     terms = 1.0 + (1.0 + abs(plant.d1)) * powers[0] + (1.0 + plant.d0) * powers[1]
     for stiff, damp, power in zip(plant.stiff, plant.damp, powers[::-1], strict=False):
         wall = (abs(stiff) + plant.sum) * abs(loop.alpha)
         terms = terms + power * (wall + (abs(damp) + 2.0 * plant.sum) * abs(loop.beta))
-    moved = distance * inverse + 8.0 * FLOAT_UNIT
+    moved = distance * powers[0] + 8.0 * FLOAT_UNIT
     once = (2.0 * degree + 16.0) * FLOAT_UNIT * terms + 4.0 * moved * _size_sum(rest)
-    grown = degree * (degree + 1.0) * once
-    return rest, xp.where(degree * moved < 0.5, grown, xp.inf)
+    xp = namespace(moved)
+    return xp.where(degree * moved < 0.5, degree * (degree + 1.0) * once, xp.inf)
 
 
 def _quotient(

@@ -20,7 +20,7 @@ Sources: Schur (1917), Cohn (1922); Jury (1964), Theory and Application of the z
 
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import Generic, NamedTuple, TypeVar, cast
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -75,17 +75,7 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
             chain = _step(chain, unit)
     else:
         chain = _steps(chain, unit, degree - 4)
-    # The last step, from a cubic b0 z^3 + b1 z^2 + b2 z + b3 to u0 - u2 of the quadratic.
-    head, tail = chain.head, chain.tail
-    b0 = chain.gap + head[1]
-    b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
-    b3 = tail[0] + head[2] if len(head) > 2 else tail[0]
-    ratio = b3 if is_cubic else b3 / b0
-    modulus = size(ratio)
-    gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
-    sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
-    error = chain.error + modulus * (chain.error + chain.head_error + 4.0 * unit * sizes)
-    error = error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2]))
+    gap, error, modulus = _last_gap(chain, unit, is_monic=is_cubic)
     is_clear = size(gap) > (SAFETY * (degree - 1)) * error
     is_clear = is_clear & chain.regular & (modulus != 1.0)
     is_inside = chain.inside & (modulus < 1.0) & (leading(gap) > 0.0)
@@ -98,6 +88,23 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
     return xp.where(real_outside | chain.outside, UNSTABLE, codes).astype(np.int8)
 
 
+def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Array]:
+    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last |K|.
+
+    The step from a cubic b0 z^3 + b1 z^2 + b2 z + b3.
+    """
+    head, tail = chain.head, chain.tail
+    b0 = chain.gap + head[1]
+    b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
+    b3 = tail[0] + head[2] if len(head) > 2 else tail[0]
+    ratio = b3 if is_monic else b3 / b0
+    modulus = size(ratio)
+    gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
+    sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
+    error = chain.error + modulus * (chain.error + chain.head_error + 4.0 * unit * sizes)
+    return gap, error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2])), modulus
+
+
 def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
     xp = namespace(chain, count)
     start = tree_map(lambda value: xp.broadcast_to(value, xp.shape(chain.error)), chain)
@@ -105,14 +112,34 @@ def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
 
 
 def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Number]:
-    """Lower the degree by one, and bound what exact steps with the same K could differ by."""
-    gap, head, tail = chain.gap, chain.head, chain.tail
-    first = gap + head[1]
+    """Lower the degree by one."""
+    head, tail = chain.head, chain.tail
+    first = chain.gap + head[1]
     ratio = tail[0] if is_monic else tree_map(kept, tail[0] / first)
     modulus = size(ratio)
     lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
+    pairs = list(zip_longest(head, tail[1:]))
+    bounds = _bounds_after(chain, first, modulus, unit)
+    return Chain(
+        gap=chain.gap - ratio * lowered,
+        head=tuple(_minus(u, ratio, v) for u, v in pairs),
+        tail=tuple(_minus(v, ratio, u) for u, v in pairs),
+        inside=chain.inside & (modulus < 1.0),
+        regular=chain.regular & (modulus != 1.0),
+        **bounds,
+    )
+
+
+def _bounds_after(
+    chain: Chain[Number], first: Number, modulus: Array, unit: float
+) -> dict[str, Any]:
+    """Bound what exact steps could differ by after one more: with the same K, and with the exact K.
+
+    Lemma V3 has the terms of the errors, lemma V6 those of the drift.
+    """
+    head, tail = chain.head, chain.tail
     sizes = size(first) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
-    small = size(gap) + size_sum(tail[1:])
+    small = size(chain.gap) + size_sum(tail[1:])
     carried = chain.error + chain.head_error + 4.0 * unit * sizes
     # Where v_i = 0, u_i stays and is not rounded.
     touched = list(zip(head[:2], tail[1:3], (1.0, 2.0), strict=False))
@@ -121,18 +148,12 @@ def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Nu
     if drift is not None:
         outside = outside | (size(tail[0]) - size(first) > 4.0 * drift)
         drift = drifted(drift, modulus, size(first), sizes + small, unit)
-    pairs = list(zip_longest(head, tail[1:]))
-    return Chain(
-        gap=gap - ratio * lowered,
-        head=tuple(_minus(u, ratio, v) for u, v in pairs),
-        tail=tuple(_minus(v, ratio, u) for u, v in pairs),
-        head_error=chain.head_error + 2.0 * modulus * chain.error + unit * rounded,
-        error=chain.error + modulus * carried + unit * small,
-        inside=chain.inside & (modulus < 1.0),
-        regular=chain.regular & (modulus != 1.0),
-        outside=outside,
-        drift=drift,
-    )
+    return {
+        "head_error": chain.head_error + 2.0 * modulus * chain.error + unit * rounded,
+        "error": chain.error + modulus * carried + unit * small,
+        "outside": outside,
+        "drift": drift,
+    }
 
 
 def drifted(drift: Array, modulus: Array, first: Array, total: Array, unit: float) -> Array:
