@@ -19,6 +19,7 @@ import h5py
 import jax
 import numpy as np
 import pytest
+from counts import note
 from hostile import retold, sub
 
 import jaxstab
@@ -235,6 +236,7 @@ def test_four_builders_at_once_publish_one_whole_file(
     assert (done, others) == (rounds, 0)
     assert successes + refusals == 4 * rounds
     assert successes >= rounds
+    note("four builders at once", rounds=done, built=successes, refused=refusals, torn=others)
 
 
 @pytest.mark.usefixtures("computed")
@@ -246,6 +248,7 @@ def test_a_builder_that_stands_still_anywhere_tears_nothing(
     assert stops > 60 // step
     assert others == 0
     assert min(successes, refusals) > 0
+    note("stops of a builder", stops=stops, built=successes, refused=refusals, torn=others)
 
 
 def test_the_digest_of_the_content_is_that_of_its_description(whole: bytes) -> None:
@@ -327,6 +330,7 @@ def test_a_full_disk_leaves_the_former_file_and_the_tiles_that_are_done(
             assert {entry.suffix for entry in folder.iterdir()} <= {".tile", ""}
     assert told == [(error, 1)] * after
     assert after > 20
+    note(f"writes that failed with {errno.errorcode[error]}", tried=after, torn=0)
     assert path.read_bytes() == whole
     assert entries(tmp_path) == ["a.h5"]
 
@@ -416,6 +420,7 @@ def test_after_a_death_at_any_call_there_is_the_old_file_or_the_new_one_and_a_bu
             break
     assert after > 60
     assert found == {FORMER, whole}
+    note("deaths at each call of the system", tried=after, torn=0)
 
 
 @pytest.mark.campaign
@@ -435,6 +440,7 @@ def test_kill_9_at_any_time_leaves_the_old_file_or_the_new_one(
     former, new = map(int, campaign.stdout.split())
     assert former + new == kills
     assert min(former, new) > 0
+    note("kills at random", tried=kills, former_file=former, new_file=new, torn=0)
 
 
 # ------------------------------------------------------------------------------------- file systems

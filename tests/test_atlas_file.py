@@ -1,5 +1,7 @@
 """Files: what is written is read; what is damaged, foreign or hostile is refused in a sentence."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
@@ -370,6 +372,29 @@ def test_threads_that_ask_for_an_array_first_share_it(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
         found = list(pool.map(atlas.arrays.__getitem__, names))
     assert all(values is atlas.arrays[name] for name, values in zip(names, found, strict=True))
+
+
+def test_a_fork_while_threads_unpack_can_read_on(tmp_path: Path) -> None:
+    """In a process of its own: JAX has threads in this one."""
+    path = write_small(tmp_path)
+    script = f"""
+import os, threading
+from jaxstab import open_atlas
+def unpack():
+    for _ in range(200):
+        dict(open_atlas({str(path)!r}).arrays)
+threads = [threading.Thread(target=unpack) for _ in range(2)]
+for thread in threads: thread.start()
+for _ in range(20):
+    child = os.fork()
+    if child == 0:
+        dict(open_atlas({str(path)!r}).arrays)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+os._exit(0)
+"""
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", script], timeout=100, check=False)
+    assert done.returncode == 0
 
 
 def test_what_is_too_large_is_refused_and_the_rest_answers(

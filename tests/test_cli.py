@@ -1,6 +1,7 @@
 """The commands, as a user meets them."""
 
 import csv
+import hashlib
 import json
 import os
 import struct
@@ -262,6 +263,62 @@ def test_a_file_is_written_behind_its_link_and_keeps_its_mode(tmp_path: Path) ->
 def test_an_empty_address_is_no_address() -> None:
     answer = run("atlas", "build", "--scheduler", "")
     assert (answer.exit_code, "--scheduler is empty" in answer.stderr) == (2, True)
+
+
+def test_what_takes_long_is_shown_on_a_terminal(tmp_path: Path) -> None:
+    reader, terminal = os.openpty()
+    words = [sys.executable, "-c", START, "region", "--gamma", "0", "--delta", "0"]
+    with os.fdopen(reader, "rb") as shown:
+        done = subprocess.run(words, stderr=terminal, stdout=subprocess.PIPE, text=True)
+        os.close(terminal)
+        assert b"region of a loop with 0 samples of delay" in os.read(shown.fileno(), 10**4)
+    assert (done.returncode, "largest alpha" in done.stdout) == (0, True)
+
+
+def test_a_file_of_a_stranger_is_read_in_a_process_with_limits(path: Path) -> None:
+    query = ["atlas", "query", path, *POINT]
+    assert run_process(*query, "--untrusted").stdout == run_process(*query).stdout
+    path.write_bytes(path.read_bytes()[:-1])
+    refused = run_process(*query, "--untrusted")
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert_one_sentence(refused.stderr)
+    limits = (
+        "import resource, jaxstab.cli.main as m; from jaxstab.cli import untrusted;"
+        "names = ['AS', 'CPU', 'CORE'];"
+        "m.main = lambda **_: print(*[resource.getrlimit(getattr(resource, 'RLIMIT_' + n))[1]"
+        " for n in names]); untrusted.main()"
+    )
+    said = subprocess.run([sys.executable, "-c", limits], capture_output=True, text=True)
+    assert said.stdout.split() == [str(4 * 2**30), "300", "0"]
+
+
+@pytest.mark.parametrize("code", [-11, subprocess.TimeoutExpired("a child", 600)])
+def test_a_process_that_a_file_ends_is_one_sentence(
+    code: int | Exception, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ended(*_: object, **__: object) -> subprocess.CompletedProcess[str]:
+        if isinstance(code, Exception):
+            raise code
+        return subprocess.CompletedProcess([], code)
+
+    monkeypatch.setattr(subprocess, "run", ended)
+    answer = run("atlas", "info", path, "--untrusted")
+    assert (answer.exit_code, answer.stdout) == (1, "")
+    assert_one_sentence(answer.stderr)
+    assert "do not use it" in answer.stderr
+
+
+@pytest.mark.parametrize("command", ["info", "query", "verify"])
+def test_a_file_without_the_expected_digest_is_not_parsed(command: str, path: Path) -> None:
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    options = {"query": POINT, "verify": ["--sample", "1"]}.get(command, [])
+    right = run("atlas", command, path, *options, "--expect-sha256", digest.upper())
+    assert right.exit_code == 0, right.stderr
+    path.write_bytes(b"anything")
+    answer = run("atlas", command, path, *options, "--expect-sha256", digest)
+    assert (answer.exit_code, answer.stdout) == (1, "")
+    assert_one_sentence(answer.stderr)
+    assert "not the expected one" in answer.stderr
 
 
 @pytest.mark.parametrize("command", ["info", "query", "plot"])

@@ -5,7 +5,6 @@ By Python, by C under the sanitizers of addresses and undefined behaviour, and b
 
 import shutil
 import subprocess
-import sys
 import tracemalloc
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from counts import note
 from hostile import Arrays, assembled, hostile_files, mutants
 
 from jaxstab import Atlas, open_atlas
@@ -204,4 +204,4 @@ def test_mutants_with_right_checksums_are_refused_or_answered_alike(
 @pytest.mark.campaign
 def test_many_mutants(base: Base, said_by_c: Callable[[Path], Said], tmp_path: Path) -> None:
     counts = tally(base, said_by_c, tmp_path / "mutant.h5", CAMPAIGN)
-    sys.stderr.write(f"mutants: {counts}\n")
+    note("mutants with right checksums, through Python and C", **counts)

@@ -12,6 +12,7 @@ import click
 
 import jaxstab
 from jaxstab.cli.options import keep_programs
+from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import STABLE
 
 if TYPE_CHECKING:
@@ -109,6 +110,7 @@ def plan(spec: Path | None) -> None:
 
 @click.command()
 @click.argument("file", type=Path)
+@careful
 def info(file: Path) -> None:
     """Print what an atlas holds, and a line to query it."""
     click.echo(_described(jaxstab.open_atlas(file), file))
@@ -123,6 +125,7 @@ def info(file: Path) -> None:
     show_default=True,
     help="About how many points of each kind are computed again.",
 )
+@careful
 def verify(file: Path, sample: int) -> None:
     """Check that an atlas is whole, and right at a random sample of points."""
     from jaxstab.atlas.write.verify import verify_atlas

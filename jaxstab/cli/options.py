@@ -1,6 +1,8 @@
 """What commands share: values of options, checked before anything is computed, and the cache."""
 
-from contextlib import suppress
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -48,3 +50,15 @@ def png_file(context: click.Context, option: click.Parameter, path: Path) -> Pat
         raise click.BadParameter(f"{path} does not end in .png.", param=option)
     picture_file(context, option, path)
     return path
+
+
+@contextmanager
+def at_work(words: str) -> Iterator[None]:
+    """Show on a terminal what is computed, until it is done."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(words):
+        yield

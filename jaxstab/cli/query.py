@@ -13,6 +13,7 @@ import click
 
 import jaxstab
 from jaxstab.cli.options import keep_programs, png_file
+from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import AXES, Verdict
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ def _axis_options(command: Any) -> Any:
     help="Refuse points outside of the atlas, or answer that they are undecided.",
 )
 @click.option("--exact", is_flag=True, help="Compute the verdicts that the atlas leaves open.")
+@careful
 def query(
     file: Path,
     table: Path | None,

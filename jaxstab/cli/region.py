@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from jaxstab.cli.options import picture_file
+from jaxstab.cli.options import at_work, picture_file
 
 _FIGURES = range(4, 11)
 _DIGITS = 10
@@ -44,7 +44,8 @@ def region(
     """Measure the stable region in the (alpha, beta) plane, and draw it."""
     from jaxstab.criteria import region_facts
 
-    facts = region_facts(gamma, delta, delay, radius)
+    with at_work(f"region of a loop with {delay:g} samples of delay"):
+        facts = region_facts(gamma, delta, delay, radius)
     if output:
         from jaxstab.durable import publish
         from jaxstab.pictures.region import region_figure

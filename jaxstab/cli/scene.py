@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxstab.cli.options import number_or_range, picture_file
+from jaxstab.cli.options import at_work, number_or_range, picture_file
 
 if TYPE_CHECKING:
     from jaxstab.scene import Answer, Check, Scene
@@ -178,7 +178,10 @@ _FUNCTIONS = {
 def _computed(scene: "Scene", name: str) -> Any:
     import jaxstab.scene
 
-    with _refused():
+    with (
+        _refused(),
+        at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay"),
+    ):
         return getattr(jaxstab.scene, _FUNCTIONS[name])(scene)
 
 
