@@ -26,4 +26,5 @@ def rows(lines: list[str]) -> list[str]:
 
 
 if __name__ == "__main__":
-    print("\n".join(rows(Path(sys.argv[1]).read_text(encoding="utf-8").splitlines())))
+    noted = Path(sys.argv[1]).read_text(encoding="utf-8").splitlines()
+    sys.stdout.write("\n".join(rows(noted)) + "\n")

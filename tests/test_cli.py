@@ -1,7 +1,6 @@
 """The commands, as a user meets them."""
 
 import csv
-import hashlib
 import json
 import os
 import struct
@@ -11,13 +10,10 @@ from pathlib import Path
 
 import pytest
 from atlases import SMALL_TOML, write_small
-from click.testing import CliRunner, Result
+from commands import POINT, START, assert_one_sentence, run, run_process
 
 import jaxstab
-from jaxstab import durable
-from jaxstab.cli.main import main
 
-POINT = ["--alpha", "0.1", "--beta", "0.5", "--gamma", "0.0005", "--delta", "0.01", "--delay", "0"]
 SMALLEST_TOML = """
 products = ["verdict"]
 alpha = [0.1, 0.2]
@@ -26,26 +22,6 @@ gamma = [0, 0.001]
 delta = [0, 0.01]
 delay = [0]
 """
-START = "import sys; from jaxstab.cli.main import main; main()"
-
-
-def run(*arguments: str | Path, stdin: str = "") -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments], input=stdin)
-
-
-def run_process(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", START, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
-def assert_one_sentence(stderr: str) -> None:
-    assert stderr.startswith("jaxstab: ")
-    assert stderr.count("\n") == 1
-    assert "Traceback" not in stderr
 
 
 @pytest.fixture
@@ -170,155 +146,6 @@ def test_a_bad_query_is_one_sentence(name: str, path: Path) -> None:
     answer = run("atlas", "query", path, *arguments, stdin=stdin)
     assert (answer.exit_code, answer.stdout) == (code, "")
     assert_one_sentence(answer.stderr)
-
-
-def test_bytes_that_are_no_text_are_named_by_file_and_line(path: Path, tmp_path: Path) -> None:
-    table, spec = tmp_path / "points.csv", tmp_path / "spec.toml"
-    table.write_bytes(CSV.encode() + b"0,0.1,0,0,0\n\xff,0.1,0,0,0\n")
-    spec.write_bytes(b"gamma = [0]\ndelta = \xff\n")
-    for answer, place in (
-        (run("atlas", "query", path, "--csv", table), f"line 3 of {table}"),
-        (run("scene", spec), f"{spec}: line 2"),
-    ):
-        assert (answer.exit_code > 0, answer.stdout) == (True, "")
-        assert_one_sentence(answer.stderr)
-        assert place in answer.stderr
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["[" * 6000 + "]" * 6000, ".".join("a" * 100_000) + " = 1", "a = " + "9" * 5000],
-    ids=["nested", "dots", "digits"],
-)
-def test_a_monstrous_toml_is_one_sentence(text: str, tmp_path: Path) -> None:
-    (tmp_path / "bad.toml").write_text(f"a = {text}" if text[0] == "[" else text)
-    answer = run("scene", tmp_path / "bad.toml")
-    assert (answer.exit_code, answer.stdout) == (2, "")
-    assert_one_sentence(answer.stderr)
-    assert "bad.toml" in answer.stderr
-
-
-def test_a_table_where_a_number_should_be_is_named_by_its_key(tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(
-        "[device]\npreset = 'omega'\n[controller]\nsample_time = 0.001\n"
-        "[wanted]\nstiffness = { a = 1 }\n"
-    )
-    answer = run("scene", tmp_path / "s.toml")
-    assert "s.toml: wanted.stiffness is {'a': 1}; give a finite number" in answer.stderr
-
-
-def test_stdout_that_is_full_or_closed_is_one_sentence(path: Path) -> None:
-    words = [sys.executable, "-c", START, "atlas"]
-    for command, where, reason in (
-        (["query", str(path), *POINT], "> /dev/full", "No space left"),
-        (["info", str(path)], ">&-", "stdout is closed"),
-    ):
-        done = subprocess.run(
-            ["sh", "-c", f'"$@" {where}', "sh", *words, *command], capture_output=True, text=True
-        )
-        assert done.returncode == 1
-        assert_one_sentence(done.stderr)
-        assert reason in done.stderr
-
-
-@pytest.mark.parametrize("place", ["", ".", "/dev/null", "pipe.png", "folder.png"])
-def test_an_output_that_is_no_file_is_refused_before_the_work(
-    place: str, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    os.mkfifo("pipe.png")
-    (tmp_path / "folder.png").mkdir()
-    for command in (
-        ["region", "--gamma", "0", "--delta", "0"],
-        ["atlas", "plot", path],
-        ["atlas", "build"],
-    ):
-        answer = run(*command, "-o", place)
-        assert (answer.exit_code > 0, answer.stdout) == (True, "")
-        assert_one_sentence(answer.stderr)
-    assert sorted(entry.name for entry in tmp_path.iterdir() if entry != path) == [
-        "folder.png",
-        "pipe.png",
-    ]
-
-
-def test_a_picture_has_the_format_of_its_name(path: Path) -> None:
-    for name in ("picture", "picture.jpg", "picture.svg"):
-        answer = run("atlas", "plot", path, "-o", name)
-        assert (answer.exit_code, "end" in answer.stderr) == (2, True)
-
-
-def test_a_file_is_written_behind_its_link_and_keeps_its_mode(tmp_path: Path) -> None:
-    target, link = tmp_path / "there" / "file", tmp_path / "link"
-    target.parent.mkdir()
-    link.symlink_to(target)
-    durable.publish(b"first", link)
-    assert link.is_symlink()
-    target.chmod(0o640)
-    durable.publish(b"second", link)
-    assert (target.read_bytes(), target.stat().st_mode & 0o777) == (b"second", 0o640)
-    assert [entry.name for entry in target.parent.iterdir()] == ["file"]
-
-
-def test_an_empty_address_is_no_address() -> None:
-    answer = run("atlas", "build", "--scheduler", "")
-    assert (answer.exit_code, "--scheduler is empty" in answer.stderr) == (2, True)
-
-
-def test_what_takes_long_is_shown_on_a_terminal(tmp_path: Path) -> None:
-    reader, terminal = os.openpty()
-    words = [sys.executable, "-c", START, "region", "--gamma", "0", "--delta", "0"]
-    with os.fdopen(reader, "rb") as shown:
-        done = subprocess.run(words, stderr=terminal, stdout=subprocess.PIPE, text=True)
-        os.close(terminal)
-        assert b"region of a loop with 0 samples of delay" in os.read(shown.fileno(), 10**4)
-    assert (done.returncode, "largest alpha" in done.stdout) == (0, True)
-
-
-def test_a_file_of_a_stranger_is_read_in_a_process_with_limits(path: Path) -> None:
-    query = ["atlas", "query", path, *POINT]
-    assert run_process(*query, "--untrusted").stdout == run_process(*query).stdout
-    path.write_bytes(path.read_bytes()[:-1])
-    refused = run_process(*query, "--untrusted")
-    assert (refused.returncode, refused.stdout) == (1, "")
-    assert_one_sentence(refused.stderr)
-    limits = (
-        "import resource, jaxstab.cli.main as m; from jaxstab.cli import untrusted;"
-        "names = ['AS', 'CPU', 'CORE'];"
-        "m.main = lambda **_: print(*[resource.getrlimit(getattr(resource, 'RLIMIT_' + n))[1]"
-        " for n in names]); untrusted.main()"
-    )
-    said = subprocess.run([sys.executable, "-c", limits], capture_output=True, text=True)
-    assert said.stdout.split() == [str(4 * 2**30), "300", "0"]
-
-
-@pytest.mark.parametrize("code", [-11, subprocess.TimeoutExpired("a child", 600)])
-def test_a_process_that_a_file_ends_is_one_sentence(
-    code: int | Exception, path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def ended(*_: object, **__: object) -> subprocess.CompletedProcess[str]:
-        if isinstance(code, Exception):
-            raise code
-        return subprocess.CompletedProcess([], code)
-
-    monkeypatch.setattr(subprocess, "run", ended)
-    answer = run("atlas", "info", path, "--untrusted")
-    assert (answer.exit_code, answer.stdout) == (1, "")
-    assert_one_sentence(answer.stderr)
-    assert "do not use it" in answer.stderr
-
-
-@pytest.mark.parametrize("command", ["info", "query", "verify"])
-def test_a_file_without_the_expected_digest_is_not_parsed(command: str, path: Path) -> None:
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    options = {"query": POINT, "verify": ["--sample", "1"]}.get(command, [])
-    right = run("atlas", command, path, *options, "--expect-sha256", digest.upper())
-    assert right.exit_code == 0, right.stderr
-    path.write_bytes(b"anything")
-    answer = run("atlas", command, path, *options, "--expect-sha256", digest)
-    assert (answer.exit_code, answer.stdout) == (1, "")
-    assert_one_sentence(answer.stderr)
-    assert "not the expected one" in answer.stderr
 
 
 @pytest.mark.parametrize("command", ["info", "query", "plot"])

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from counts import note
 from hostile import Arrays, assembled, hostile_files, mutants
+from hostile_images import IMAGES, with_another_image
 
 from jaxstab import Atlas, open_atlas
 
@@ -179,6 +180,20 @@ def test_no_reader_takes_a_hostile_file_for_an_atlas(
             assert not said[0] or (not by_all and said == right), name
     assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY
     tracemalloc.stop()
+
+
+def test_no_reader_is_misled_by_a_hostile_image(
+    base: Base, said_by_c: Callable[[Path], Said], tmp_path: Path
+) -> None:
+    """The image is not looked at: a chunk is what its digest says, or the file is refused."""
+    whole, paths = GOLDEN.read_bytes(), []
+    for number, edit in enumerate(IMAGES.values()):
+        paths.append(tmp_path / f"{number}.h5")
+        paths[-1].write_bytes(with_another_image(whole, edit))
+    right = True, words_of(codes_of(open_atlas(GOLDEN), base.points))
+    for path, by_octave in zip(paths, said_by_octave(paths, base.points, tmp_path), strict=True):
+        for said in (said_by_python(path, base.points), said_by_c(path), by_octave):
+            assert not said[0] or said == right
 
 
 def tally(base: Base, said_by_c: Callable[[Path], Said], path: Path, count: int) -> dict[str, int]:

@@ -153,6 +153,7 @@ def _stored(shapes: str, places: str) -> Stored:
     check(chunks == len(words) - 3 == len(where))
     check(all(map(_DIGEST.fullmatch, words[3:])))
     stored = Stored(variable, _dtype(variable, words[0]), shape, chunk, words[3:], _places(where))
+    check(not variable.is_packed or prod(chunk) <= schema.LARGEST_SLICE)
     raw = prod(chunk) * stored.dtype.itemsize
     for _, size in stored.places:
         values = size - schema.CHECKSUM_SIZE

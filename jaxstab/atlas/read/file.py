@@ -25,7 +25,7 @@ from jaxstab.atlas.read.chunks import (
     too_large,
     unpacked,
 )
-from jaxstab.durable import named_errors
+from jaxstab.durable import named_errors, target_of
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def table_of(path: Path) -> Table:
     """
     with (
         named_errors("read", path),
-        path.open("rb", buffering=0) as stream,
+        _opened(path) as stream,
         _told_of(path),
     ):
         return _table_in(stream)
@@ -121,12 +121,18 @@ def node_count(path: Path) -> int:
 
 
 def _bytes_of(path: Path) -> bytes:
-    with named_errors("read", path), path.open("rb") as stream:
+    with named_errors("read", path), _opened(path) as stream:
         size = stream.seek(0, io.SEEK_END)
         if size > schema.LARGEST_ARRAY:
             raise TooLargeError(f"{path} {too_large(size, 'file', schema.LARGEST_ARRAY)}")
         stream.seek(0)
-        return stream.read(size)
+        return stream.readall()
+
+
+def _opened(path: Path) -> io.FileIO:
+    """Open a file; what is none is refused before it is waited for."""
+    target_of(path)
+    return path.open("rb", buffering=0)
 
 
 def _table_in(stream: io.FileIO | io.BytesIO) -> Table:

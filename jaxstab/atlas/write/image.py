@@ -15,7 +15,15 @@ from jaxstab.atlas.write.variables import places_of
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 _LONGEST_ATTRIBUTE = 2**16  # bytes
-_TROUBLES = (ValueError, KeyError, TypeError, RuntimeError, OSError, MemoryError)
+_TROUBLES = (
+    ValueError,
+    LookupError,
+    TypeError,
+    ArithmeticError,
+    RuntimeError,
+    OSError,
+    MemoryError,
+)
 
 
 @contextmanager

@@ -1,0 +1,31 @@
+"""Commands, run as a user runs them, and what is expected of every failure."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from click.testing import CliRunner, Result
+
+from jaxstab.cli.main import main
+
+POINT = ["--alpha", "0.1", "--beta", "0.5", "--gamma", "0.0005", "--delta", "0.01", "--delay", "0"]
+START = "import sys; from jaxstab.cli.main import main; main()"
+
+
+def run(*arguments: str | Path, stdin: str = "") -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments], input=stdin)
+
+
+def run_process(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", START, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def assert_one_sentence(stderr: str) -> None:
+    assert stderr.startswith("jaxstab: ")
+    assert stderr.count("\n") == 1
+    assert "Traceback" not in stderr
