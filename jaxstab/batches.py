@@ -9,7 +9,7 @@ XLA compiles for each shape; so what others give is padded here, to few shapes.
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from math import prod
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -29,7 +29,11 @@ _WIDE: dict[str, Any] = {
 
 
 def compiled(
-    *, static: Sequence[str] = (), many: int | float = np.inf, wide: bool = False
+    *,
+    static: Sequence[str] = (),
+    many: int | float = np.inf,
+    wide: bool = False,
+    pointwise: bool = False,
 ) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
     """Let XLA answer for JAX arrays, and for ``many`` points and more; NumPy for the rest.
 
@@ -37,6 +41,8 @@ def compiled(
         static: names of arguments that are compiled in, to be given by keyword.
         many: size of the grid of NumPy arguments from which on XLA answers, as NumPy arrays.
         wide: ask for the widest vectors of the CPU, for plain arithmetic on many points.
+        pointwise: each point of the grid is computed on its own, so grids of NumPy arrays are
+            filled up to one of few sizes.
     """
 
     def decorate(kernel: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -60,6 +66,8 @@ def compiled(
             if many == np.inf or _size(given) < many:
                 with np.errstate(all="ignore"):  # as XLA does: NaN and infinity are answers
                     return kernel(*arguments, **options)
+            if pointwise:
+                return on_few_sizes(partial(program(wide), **options), *arguments)
             return in_float64(program(wide), *arguments, **options)
 
         return call
@@ -89,6 +97,33 @@ def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any)
         arrays = tree_map(lambda leaf: leaf if np.ndim(leaf) == 0 else jnp.asarray(leaf), arguments)
         result: Result = tree_map(np.asarray, function(*arrays, **options))
     return result
+
+
+def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
+    """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out.
+
+    Each axis is filled up with its last points to a length of five binary digits, which is at most
+    6 % more; so grids of new sizes are rarely compiled anew.
+    """
+    shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
+    filled = [_few_digits(length) for length in shape]
+
+    def fill(leaf: Any) -> Any:
+        for axis, length in enumerate(np.shape(leaf), start=-np.ndim(leaf)):
+            if 1 < length < filled[axis]:
+                rest = leaf.take(range(2 * length - filled[axis], length), axis)
+                leaf = np.concatenate([leaf, rest], axis)
+        return leaf
+
+    def cut(leaf: np.ndarray) -> np.ndarray:
+        return leaf[tuple(slice(length) for length in shape[len(shape) - leaf.ndim :])]
+
+    return tree_map(cut, in_float64(function, *tree_map(fill, arguments)))
+
+
+def _few_digits(length: int) -> int:
+    step = 1 << max(0, length.bit_length() - 5)
+    return -(-length // step) * step
 
 
 def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) -> Result:

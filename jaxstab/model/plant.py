@@ -186,7 +186,7 @@ def may_cancel(gamma: Numbers, delta: Numbers) -> Array:
     return (xp.asarray(gamma) > _CANCELLING_GAMMA) & (xp.asarray(delta) <= _ACCURATE_DELTA)
 
 
-@compiled(static=["whole"], many=_MANY)
+@compiled(static=["whole"], many=_MANY, pointwise=True)
 def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) -> PlantPairs:
     xp = namespace(gamma, delta, fraction)
     full = DoubleDouble.of(filled(fraction, 1.0))

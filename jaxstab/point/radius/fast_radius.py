@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxstab.arrays import Array
-from jaxstab.batches import in_float64, lists
+from jaxstab.batches import lists, on_few_sizes
 from jaxstab.model import polynomial_degree
 from jaxstab.point.grid import looked_up
 from jaxstab.point.radius.dominance import distance_of_dominant, modulus
@@ -89,7 +89,7 @@ def _loop(parameters: list[Values], delay: float) -> Loop:
 
 
 def _tried(loop: Loop, delay: float, effort: _Try) -> Answer:
-    return in_float64(partial(_radius, degree=polynomial_degree(delay), effort=effort), loop)
+    return on_few_sizes(partial(_radius, degree=polynomial_degree(delay), effort=effort), loop)
 
 
 def _radius(loop: Loop, *, degree: int, effort: _Try) -> tuple[Array, Array]:

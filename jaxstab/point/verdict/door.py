@@ -168,13 +168,13 @@ def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
     return _long_codes(arguments, degree)
 
 
-@compiled(static=["degree"], many=_MANY, wide=True)
+@compiled(static=["degree"], many=_MANY, wide=True, pointwise=True)
 def _short_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
     codes = partial(loop_codes, unit=FLOAT_UNIT, degree=degree)
     return codes(*arguments) if degree <= 4 else over_tiles(codes, arguments)
 
 
-@compiled(many=_MANY, wide=True)
+@compiled(many=_MANY, wide=True, pointwise=True)
 def _long_codes(arguments: tuple[Any, ...], degree: int | Array) -> Array:
     return over_tiles(partial(loop_codes, unit=FLOAT_UNIT, degree=degree), arguments)
 
