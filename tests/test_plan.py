@@ -151,7 +151,7 @@ def test_a_tolerance_sets_the_number_of_nodes_and_what_moves_between_them(name: 
         ("gamma = {start = -1, stop = 0, tolerance = 0.1}", "start of an axis is -1.0"),
         ("gamma = {start = 0, stop = 'a', tolerance = 0.1}", "stop of gamma is 'a'"),
         ("gamma = {start = 0, tolerance = 0.1}", "or start, stop and tolerance"),
-        ("alpha = {start = 0, stop = 1, tolerance = 0.1}", "no 'tolerance'"),
+        ("alpha = {start = 0, stop = 1, tolerance = 0.1}", "alpha.tolerance is unknown"),
     ],
 )
 def test_a_bad_tolerance_is_refused_in_one_sentence(toml: str, says: str) -> None:

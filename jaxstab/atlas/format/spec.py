@@ -1,15 +1,12 @@
 """What an atlas shall hold: its axes and its products, checked where they are written down."""
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
 from functools import partial
 from itertools import pairwise
 from os import PathLike
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +21,9 @@ from jaxstab.atlas.format.schema import (
 )
 from jaxstab.conventions import AXES
 from jaxstab.numbers import checked_count, checked_number, checked_word
+from jaxstab.tables import check_keys, parsed, read_table
+
+Nodes: TypeAlias = ArrayLike | tuple[float, ...]
 
 LARGEST_DELAY = 100.0
 FEWEST_FITTED = 8
@@ -102,17 +102,11 @@ class AtlasSpec:
         ValueError: a value is out of range, out of order, or the atlas would be too large.
     """
 
-    alpha: ArrayLike | tuple[float, ...] | FittedAxis = field(
-        default_factory=partial(FittedAxis, 128)
-    )
-    beta: ArrayLike | tuple[float, ...] | FittedAxis = field(
-        default_factory=partial(FittedAxis, 112)
-    )
-    gamma: ArrayLike | tuple[float, ...] | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
-    delta: ArrayLike | tuple[float, ...] | ToleranceAxis = tuple(
-        np.linspace(0.0, 0.015, 9).tolist()
-    )
-    delay: ArrayLike | tuple[float, ...] = (0.0, 1.0, 2.0, 3.0)
+    alpha: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 128))
+    beta: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 112))
+    gamma: Nodes | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
+    delta: Nodes | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
+    delay: Nodes = (0.0, 1.0, 2.0, 3.0)
     products: Sequence[str] = (VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS)
     limit_cells: int = 512
     radius_rounding: float | int = 1e-7
@@ -135,8 +129,9 @@ class AtlasSpec:
             OSError: the file cannot be read.
             TypeError, ValueError: as for ``from_toml``, with the name of the file.
         """
+        table = read_table(path)
         try:
-            return cls.from_toml(Path(path).read_text(encoding="utf-8"))
+            return cls._from_table(table)
         except (TypeError, ValueError) as error:
             raise type(error)(f"{path}: {error}") from error
 
@@ -152,11 +147,11 @@ class AtlasSpec:
             ValueError: the text is no TOML, or has an unknown name or a bad value.
             TypeError: a value is of the wrong kind.
         """
-        try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"this is not TOML: {error}.") from error
-        _check_names("a specification", table, [entry.name for entry in fields(cls)])
+        return cls._from_table(parsed(text))
+
+    @classmethod
+    def _from_table(cls, table: dict[str, Any]) -> "AtlasSpec":
+        check_keys("", table, [entry.name for entry in fields(cls)])
         axes: dict[str, Any] = {name: _axis_of(name, table[name]) for name in AXES if name in table}
         return cls(**(table | axes))
 
@@ -197,7 +192,7 @@ def _axis_of(name: str, entry: Any) -> Any:
     if not isinstance(entry, Mapping):
         return entry
     allowed = ["values", *_RANGE, *_ENTRIES.get(_LAID_OUT.get(name, object), [])]
-    _check_names(f"axis {name}", entry, allowed)
+    check_keys(name, entry, allowed)
     if set(entry) == {"fitted"}:
         return FittedAxis(entry["fitted"])
     if set(entry) == {"values"}:
@@ -245,18 +240,10 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
 def _checked_products(products: Any) -> tuple[str, ...]:
     if isinstance(products, str) or not isinstance(products, Sequence):
         raise TypeError(f"products is {products!r}; give a list of names.")
-    _check_names("products", products, list(PRODUCTS))
+    check_keys("products", map(str, products), list(PRODUCTS))
     if not products:
         raise ValueError(f"products is empty; give at least one of {', '.join(PRODUCTS)}.")
     return tuple(name for name in PRODUCTS if name in products)
-
-
-def _check_names(where: str, names: Any, allowed: Sequence[str]) -> None:
-    for name in names:
-        if name not in allowed:
-            near = get_close_matches(str(name), allowed, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(allowed)}."
-            raise ValueError(f"{where} has no {name!r}; {hint}")
 
 
 def _toml(value: Any) -> str:
