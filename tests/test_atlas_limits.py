@@ -25,11 +25,11 @@ def random_points(atlas: Atlas, delay: float, count: int, rng: np.random.Generat
 def test_verdicts_by_limits_are_those_of_the_certified_recursion(
     atlas: Atlas, delay: float, rng: np.random.Generator
 ) -> None:
-    points = random_points(atlas, delay, 20_000, rng)
+    points = random_points(atlas, delay, 100_000, rng)
     answered = atlas.verdict(*points, delay)
     computed = np.asarray(verdict(*points, delay, resolve="exact"))
     decided = answered != UNDECIDED
-    assert decided.mean() > 0.997
+    assert decided.mean() > 0.9965  # 0.99704 of the box at delay 1.5
     np.testing.assert_array_equal(answered[decided], computed[decided])
 
 
