@@ -1,11 +1,8 @@
 """How long the sampled loop rings: settling in the time domain, with the tail proved.
 
-The deviation from rest follows s -> A s. Let the samples be cut into stretches of W, and let M of
-them be looked at: their first states s_0, s_W, ..., none larger than S, and every position. With
-rho = |A^(MW)| < 1 and G no less than |A^i| for i < W, any later state is A^i (A^(MW))^(q+1) s_(jW)
-for an i < W, a j < M and a q >= 0, so none is larger than G rho S. Once this is within the level
-the loop has settled, and the last position outside was among those looked at. M is doubled until
-then: one product of matrices doubles the states, one squares the power of A. No eigenvalue is
+The deviation from rest follows s -> A s. Stretches of samples are looked at, twice as many each
+time, until a power of A proves that no later state leaves the tolerance (lemmas M1 and M2 of
+docs/proofs.md). One product of matrices doubles the states, one squares the power; no eigenvalue is
 needed, and multiple roots do no harm.
 """
 
@@ -32,6 +29,7 @@ _LEAST_STIFFNESS = 1e-12  # keeps the scales of a loop without any stiffness fin
 _STRETCH = 32  # samples, a power of two
 _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 _ROUNDING = 2.0**-53
+_SAFETY = 1.001  # the bounds themselves are rounded (lemma M2)
 
 
 class SettlingStatus(Status):
@@ -97,7 +95,8 @@ def settling_samples(
         TypeError: the delay is traced, or the horizon is not a whole number.
         RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
-    Source: the loop of eqs. (1)-(5); 2 % settling is what later papers of the same authors use.
+    Source: the loop of eqs. (1)-(5); 2 % settling is what later papers of the same authors use;
+    lemmas M1 and M2 of docs/proofs.md.
     """
     require_x64(alpha, beta, gamma, delta)
     level = checked_level(level, excitation)
@@ -287,8 +286,9 @@ class _Search(NamedTuple):
 
     def bound(self) -> Float64[np.ndarray, " loop"]:
         """Return a bound of all states after those looked at; infinite if none is proved."""
-        contraction = _norm(self.power) + self.error
-        return np.where(contraction < 1.0, self.growth * contraction * self.largest, np.inf)
+        contraction = _SAFETY * (_norm(self.power) + self.error)
+        bound = _SAFETY * self.growth * contraction * self.largest
+        return np.where(contraction < 1.0, bound, np.inf)
 
     def chosen(self, which: Any) -> "_Search":
         """Return the search of some of the loops."""
