@@ -34,7 +34,7 @@ def stored(name: str, values: Array, chunk: tuple[int, ...]) -> bytes:
     data = whole.tobytes()
     if schema.VARIABLES[name].is_packed:
         planes = np.frombuffer(data, np.uint8).reshape(-1, values.dtype.itemsize)
-        data = zlib.compress(planes.T.tobytes())
+        data = zlib.compress(planes.T.tobytes(), 1)
     return data + bytes(4)
 
 
@@ -215,17 +215,54 @@ WORDS: dict[str, Callable[[str], str]] = {
 """What the readers of limits alone do not look at."""
 
 
-def bomb(base: Arrays) -> bytes:
-    """A megabyte that would become a gigabyte of radii."""
-    arrays = dict(base)
-    size = 2**28
-    data = assembled(arrays)
-    image, table = parted(data)
-    zeros = zlib.compressobj()
-    packed = b"".join(zeros.compress(bytes(2**20)) for _ in range(size // 2**20)) + zeros.flush()
+def long_tables(base: Arrays) -> dict[str, bytes]:
+    """Tables of megabytes that would become hundreds of them in lists of words."""
+    image, table = parted(assembled(base))
+    return {
+        "many lines": footer.sealed(image, table + b"\n" * 10**7),
+        "many blocks": footer.sealed(image, table.replace(b"\n\n", b"\n" * 10**7, 1)),
+        "many words": retold(
+            assembled(base), sub(r"(\nalpha_limits) (?=\d+\+)", r"\1" + " 1" * 10**6)
+        ),
+        "many lengths": retold(
+            assembled(base), sub("alpha_limits <f8 ", f"alpha_limits <f8 {'1x' * 10**6}")
+        ),
+        "many digests": retold(
+            assembled(base), sub(r"(alpha_limits <f8 \S+ \S+)", r"\1" + " a" * 10**6)
+        ),
+    }
+
+
+def longer_stream(base: Arrays) -> bytes:
+    """A chunk of radii that goes on for 64 MB when it is inflated."""
+    image, table = parted(assembled(base))
+    packed = zlib.compress(bytes(2**26), 1)
     place = f"{len(image)}+{len(packed) + 4}"
     text = re.sub(r"(\nspectral_radius )\d+\+\d+", rf"\g<1>{place}", table.decode())
     return footer.sealed(image + packed + bytes(4), text.encode())
+
+
+def bomb(base: Arrays) -> bytes:
+    """A megabyte that promises 218 MB of radii, and has them: zeros."""
+    sizes = {"alpha": 2048, "beta": 2048, "gamma": 13, "delta": 1, "delay": 1}
+    arrays = dict(base)
+    for name, size in sizes.items():
+        nodes = np.arange(size) / 100.0
+        is_wall = name in ("alpha", "beta")
+        arrays[name] = nodes[:, None] if is_wall else nodes
+        for number in (f"{name}_node", f"{name}_cell"):
+            if number in arrays:
+                count = max(size - number.endswith("cell"), 1)
+                arrays[number] = np.arange(count, dtype=np.int32)
+    for name in (schema.VERDICT, schema.CELL_VERDICT, "limit_cell", "limit_term", "alpha_limits"):
+        del arrays[name]
+    cells = tuple(max(size - 1, 1) for size in [*sizes.values()][:4])
+    shapes = [tuple(sizes.values())] * 2 + [(*cells, 1)]
+    chunks = {}
+    for name, shape in zip(schema.PRODUCTS[schema.SPECTRAL_RADIUS], shapes, strict=True):
+        arrays[name] = np.broadcast_to(np.float32(0.0), shape)
+        chunks[name] = (*shape[:2], 1, 1, 1)
+    return assembled(arrays, chunks)
 
 
 def wrong_content(data: bytes) -> bytes:
@@ -245,7 +282,9 @@ def hostile_files(base: Arrays) -> dict[str, tuple[bytes, bool]]:
     for tables, by_all in ((TABLES, True), (WORDS, False)):
         files |= {name: (retold(whole, edit), by_all) for name, edit in tables.items()}
     files["a wrong content_sha256"] = wrong_content(whole), True
-    files["a bomb"] = bomb(base), False
+    files["a bomb"] = bomb(base), True
+    files["a longer stream"] = longer_stream(base), False
+    files |= {name: (data, False) for name, data in long_tables(base).items()}
     return files
 
 

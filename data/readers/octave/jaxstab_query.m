@@ -160,11 +160,15 @@ function [image, head, shapes, places] = table_of(file)
     refuse_damaged(file);
   end
   extent = double(bytes(count + (9:16))) * (256 .^ (0:7))';
-  if extent > count || any(bytes(extent + 1:count) > 127)
+  if extent > count
+    refuse_damaged(file);
+  end
+  table = bytes(extent + 1:count);
+  if any(table > 127) || sum(table == 10) > 200
     refuse_damaged(file);
   end
   image = bytes(1:extent);
-  blocks = regexp(char(bytes(extent + 1:count)), '\n\n', 'split');
+  blocks = regexp(char(table), '\n\n', 'split');
   head = [blocks{1}, sprintf('\n')];
   if numel(blocks) == 3
     shapes = [blocks{2}, sprintf('\n')];
@@ -190,17 +194,20 @@ function [values, is_read] = array_of(image, shapes, places, name, rank)
   end
   whole = [fliplr(sscanf(line{1}, '%fx')'), 1];
   part = [fliplr(sscanf(line{2}, '%fx')'), 1];
-  digests = regexp(line{3}, ' ', 'split');
-  ranges = sscanf(where{1}, ' %f+%f', [2, Inf]);
   along = ceil(whole ./ part);
+  chunks = prod(along);
   size_of_chunk = 8 * prod(part) + 4;
-  if any(part > whole) || prod(along) ~= numel(digests) || prod(along) ~= size(ranges, 2) || ...
-     any(ranges(2, :) ~= size_of_chunk) || any(sum(ranges, 1) > numel(image)) || ...
-     prod(along) * size_of_chunk > numel(image)
+  if any(part > whole) || chunks * size_of_chunk > numel(image) || ...
+     numel(line{3}) ~= 65 * chunks - 1 || sum(where{1} == ' ') ~= chunks
+    return
+  end
+  digests = reshape([line{3}, ' '], 65, [])';
+  ranges = sscanf(where{1}, ' %f+%f', [2, Inf]);
+  if any(ranges(2, :) ~= size_of_chunk) || any(sum(ranges, 1) > numel(image))
     return
   end
   values = zeros(whole);
-  for n = 1:numel(digests)
+  for n = 1:chunks
     rest = n - 1;
     for i = 1:numel(whole)
       start = mod(rest, along(i)) * part(i);
@@ -211,7 +218,7 @@ function [values, is_read] = array_of(image, shapes, places, name, rank)
     bytes = image(ranges(1, n) + (1:size_of_chunk - 4));
     chunk = reshape(typecast(bytes, 'double'), part);
     chunk = chunk(inside{:});
-    if ~strcmp(sprintf('%02x', sha256(char(typecast(chunk(:)', 'uint8')))), digests{n})
+    if ~strcmp(sprintf('%02x', sha256(char(typecast(chunk(:)', 'uint8')))), digests(n, 1:64))
       return
     end
     values(place{:}) = chunk;

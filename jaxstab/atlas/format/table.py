@@ -28,8 +28,14 @@ from jaxstab.atlas.format.schema import VARIABLES, Variable
 
 _TITLE = re.compile(rb"jaxstab atlas (\d{1,9})\n")
 _HEAD = re.compile(r"jaxstab atlas \d+\nmade by ([ -~]{1,200})\ncontent ([0-9a-f]{64})")
-_LENGTH = re.compile(r"[1-9]\d{0,11}|0")
-_DIGEST = re.compile(r"[0-9a-f]{64}")
+_LENGTH = r"[1-9]\d{0,11}"
+_SHAPE = rf"({_LENGTH}(?:x{_LENGTH}){{0,4}})"
+_LINE = re.compile(rf"(\w{{1,40}}) (\S{{2,8}}) {_SHAPE} {_SHAPE} ([0-9a-f ]+)")
+_WHERE = re.compile(r"(\w{1,40}) ([0-9+ ]+)")
+_PLACE = re.compile(r"(\d{1,12})\+(\d{1,12})")
+_TEXT = re.compile(r"\|S([1-9]\d{0,5})")
+_DIGITS = 64  # of a digest
+_MOST_LINES = 5 + 2 * len(VARIABLES)
 
 Place = tuple[int, int]  # offset and size in bytes
 
@@ -113,14 +119,14 @@ def read_table(text: bytes, image_size: int) -> Table:
         RefusalError: it is not as the schema says, or of another version of it.
     """
     _check_version(text)
-    check(text.isascii() and text.endswith(b"\n"))
+    check(text.isascii() and text.endswith(b"\n") and text.count(b"\n") <= _MOST_LINES)
     blocks = text.decode("ascii")[:-1].split("\n\n")
     head = _HEAD.fullmatch(blocks[0])
     if head is None or len(blocks) != 3:
         raise RefusalError(DAMAGED)
-    shapes, places = (block.split("\n") for block in blocks[1:])
-    check(len(shapes) == len(places) and content_digest(shapes) == head[2])
-    stored = [_stored(*lines) for lines in zip(shapes, places, strict=True)]
+    lines, where = (block.split("\n") for block in blocks[1:])
+    check(len(lines) == len(where) and content_digest(lines) == head[2])
+    stored = [_stored(*pair) for pair in zip(lines, where, strict=True)]
     _check_together(stored, image_size)
     return Table({one.variable.name: one for one in stored}, head[1], head[2])
 
@@ -140,26 +146,33 @@ def _check_version(text: bytes) -> None:
         )
 
 
-def _stored(shapes: str, places: str) -> Stored:
-    """Return what two lines say of a variable."""
-    name, *words = shapes.split(" ")
-    again, *where = places.split(" ")
-    check(name == again and name in VARIABLES and len(words) > 3)
+def _stored(line: str, where: str) -> Stored:
+    """Return what two lines say of a variable; they are as long as its chunks are many."""
+    found, there = _LINE.fullmatch(line), _WHERE.fullmatch(where)
+    if found is None or there is None:
+        raise RefusalError(DAMAGED)
+    name, dtype, shape, chunk = found[1], found[2], _lengths(found[3]), _lengths(found[4])
+    check(name == there[1] and name in VARIABLES)
     variable = VARIABLES[name]
-    shape, chunk = _numbers(words[1], "x"), _numbers(words[2], "x")
     check(len(shape) == len(chunk) == len(variable.dimensions))
-    check(all(0 < part <= whole for part, whole in zip(chunk, shape, strict=True)))
+    check(all(part <= whole for part, whole in zip(chunk, shape, strict=True)))
     chunks = prod(-(-whole // part) for part, whole in zip(chunk, shape, strict=True))
-    check(chunks == len(words) - 3 == len(where))
-    check(all(map(_DIGEST.fullmatch, words[3:])))
-    stored = Stored(variable, _dtype(variable, words[0]), shape, chunk, words[3:], _places(where))
-    check(not variable.is_packed or prod(chunk) <= schema.LARGEST_SLICE)
-    raw = prod(chunk) * stored.dtype.itemsize
-    for _, size in stored.places:
-        values = size - schema.CHECKSUM_SIZE
-        fits = 0 < raw <= values * schema.BEST_COMPRESSION if variable.is_packed else values == raw
-        check(fits)
+    check(chunks - 1 == found[5].count(" ") == there[2].count(" "))
+    digests = found[5].split(" ")
+    check(all(len(digest) == _DIGITS for digest in digests))
+    stored = Stored(variable, _dtype(variable, dtype), shape, chunk, digests, _places(there[2]))
+    _check_sizes(stored)
     return stored
+
+
+def _check_sizes(stored: Stored) -> None:
+    """Refuse chunks that are larger than those of a slice, or than their bytes can stand for."""
+    is_packed, values = stored.variable.is_packed, prod(stored.chunk)
+    check(not is_packed or values <= schema.LARGEST_SLICE)
+    raw = values * stored.dtype.itemsize
+    for _, size in stored.places:
+        packed = size - schema.CHECKSUM_SIZE
+        check(raw <= packed * schema.BEST_COMPRESSION if is_packed else raw == packed)
 
 
 def _dtype(variable: Variable, word: str) -> np.dtype[Any]:
@@ -167,24 +180,19 @@ def _dtype(variable: Variable, word: str) -> np.dtype[Any]:
         dtype = np.dtype(variable.dtype).newbyteorder("<")
         check(word == dtype.str)
         return dtype
-    check(word.startswith("|S") and _LENGTH.fullmatch(word[2:]))
-    check(0 < int(word[2:]) <= schema.LONGEST_LINE)
+    found = _TEXT.fullmatch(word)
+    check(found and int(found[1]) <= schema.LONGEST_LINE)
     return np.dtype(word)
 
 
-def _numbers(text: str, mark: str) -> tuple[int, ...]:
-    words = text.split(mark)
-    check(all(map(_LENGTH.fullmatch, words)))
-    return tuple(map(int, words))
+def _lengths(text: str) -> tuple[int, ...]:
+    return tuple(map(int, text.split("x")))
 
 
-def _places(words: Sequence[str]) -> list[Place]:
-    places = []
-    for word in words:
-        numbers = _numbers(word, "+")
-        check(len(numbers) == 2)
-        places.append((numbers[0], numbers[1]))
-    return places
+def _places(text: str) -> list[Place]:
+    places = [_PLACE.fullmatch(word) for word in text.split(" ")]
+    check(all(places))
+    return [(int(place[1]), int(place[2])) for place in places if place]
 
 
 def _check_together(variables: Sequence[Stored], image_size: int) -> None:
