@@ -30,14 +30,14 @@ class Scales(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """Newton's steps of angles to corners of each Branch, and the mismatch there; (branch, end).
+    """Newton's steps of angles to corners, and the mismatches there, one array for each Branch.
 
     ``partner`` is the step of the second angle, at which the curve meets itself.
     """
 
-    steps: Array
+    steps: tuple[Array, ...]
     partner: Array
-    mismatch: Array
+    mismatches: tuple[Array, ...]
 
 
 def scales(c: SliceCoefficients, alpha: Array, beta: Array, theta: Array) -> Scales:
@@ -54,7 +54,7 @@ def nearest_branch(c: SliceCoefficients, angles: Array, scale: Scales) -> Array:
     It is the one that Newton's method says is nearest, were the end a corner of this kind.
     """
     xp = namespace(c, angles)
-    steps = _newton_steps(c, angles, scale).steps
+    steps = xp.stack(_newton_steps(c, angles, scale).steps)
     return xp.argmin(xp.nan_to_num(abs(steps), nan=xp.inf), axis=0)
 
 
@@ -72,9 +72,10 @@ def solved_corners(
     def newton(slice_: SliceCoefficients, angles: Array) -> tuple[Array, Array]:
         """Return the steps of pairs of angles to a corner, and how far they are from it."""
         every = _newton_steps(slice_, angles, scale)
-        of_branch = branch == xp.arange(len(Branch))[:, None]
-        step, gap = (xp.sum(xp.where(of_branch, x, 0.0), axis=0) for x in (every.steps, every[2]))
-        return xp.stack([step, xp.where(branch == Branch.CURVE, every.partner, 0.0)]), gap
+        step, gap, partner = 0.0, 0.0, xp.where(is_of[0], every.partner, 0.0)
+        for is_it, its_step, its_gap in zip(is_of, every.steps, every.mismatches, strict=True):
+            step, gap = xp.where(is_it, its_step, step), xp.where(is_it, its_gap, gap)
+        return xp.stack([step, partner]), gap
 
     def is_open(state: tuple[Array, Array, Array]) -> Array:
         count, _, moved = state
@@ -87,6 +88,7 @@ def solved_corners(
         return count + 1, here - steps, abs(steps) > _TOLERANCE * (1.0 + abs(here))
 
     known = constant(c)
+    is_of = [branch == each for each in Branch]
     start = (xp.asarray(0), angles, xp.ones(angles.shape, bool))
     here = constant(repeat_while(is_open, step, start)[1])
     steps, mismatch = newton(c, here)  # one more has the derivative in the slice
@@ -114,23 +116,22 @@ def _newton_steps(c: SliceCoefficients, angles: Array, scale: Scales) -> _Steps:
     """Return the steps from angles (2, end) to corners: the second row is for curve with curve."""
     xp = namespace(c, angles)
 
-    def values(angles: Array) -> Array:
+    def values(angles: Array) -> tuple[Array, ...]:
         alpha, beta, lift = curve_and_lift(c, angles)
-        margin = minus_margin(c, alpha, beta) / (1.0 + xp.cos(angles))
-        return xp.stack(
-            [alpha * scale.points, beta * scale.points, lift * scale.lift, margin * scale.margin]
+        margin = minus_margin(c, alpha[0], beta[0]) / (1.0 + xp.cos(angles[0]))
+        return (
+            alpha * scale.points,
+            beta * scale.points,
+            lift[0] * scale.lift,
+            margin * scale.margin,
         )
 
     (alpha, beta, lift, margin), slopes = with_slope(values, angles)
-    slopes = constant(slopes)
-    first, second = steps_to_meeting(alpha, beta, slopes[0], slopes[1])
+    alpha_slope, beta_slope, lift_slope, margin_slope = constant(slopes)
+    first, second = steps_to_meeting(alpha, beta, alpha_slope, beta_slope)
     gap = xp.maximum(abs(alpha[0] - alpha[1]), abs(beta[0] - beta[1]))
-    to_lines = [
-        value[0] / nonzero(slope[0], np.inf)
-        for value, slope in zip((lift, margin), slopes[2:], strict=True)
-    ]
     return _Steps(  # in the order of Branch
-        steps=xp.stack([first, *to_lines]),
+        steps=(first, lift / nonzero(lift_slope, np.inf), margin / nonzero(margin_slope, np.inf)),
         partner=second,
-        mismatch=xp.stack([gap, abs(lift[0]), abs(margin[0])]),
+        mismatches=(gap, abs(lift), abs(margin)),
     )

@@ -336,12 +336,10 @@ class _Circle(NamedTuple):
 
 
 def _circle(turns: Array, half: Array) -> _Circle:
-    xp = namespace(turns, half)
-    if xp is np and np.ndim(turns) == 0:
-        angles = np.multiply.outer(np.array([1.0, turns]), half)
+    if namespace(turns, half) is np and np.ndim(turns) == 0:  # fewer calls
+        sine, cosine, sinc = sines(np.multiply.outer(np.array([1.0, turns]), half))
     else:
-        angles = xp.stack(xp.broadcast_arrays(half, turns * half))
-    sine, cosine, sinc = sines(angles)
+        sine, cosine, sinc = zip(sines(half, are_small=True), sines(turns * half), strict=True)
     near, far = 2.0 * sine[0] ** 2, 2.0 * cosine[0] ** 2
     half_ratio = turns * sinc[1] / sinc[0]
     return _Circle(

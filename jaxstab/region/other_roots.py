@@ -6,7 +6,7 @@ inside of the circle: p divided by that pair is put to the test of Schur and Coh
 
 import numpy as np
 
-from jaxstab.arrays import Array, namespace, repeat, scan
+from jaxstab.arrays import Array, namespace, repeat, scan, stored
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift, lines_crossing
 
 _REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
@@ -27,7 +27,7 @@ def others_inside(c: SliceCoefficients, theta: Array, length: int, within: float
         parts = np.array_split(theta, -(-theta.size * length // _AT_ONCE))
         return np.concatenate([others_inside(c, part, length, within) for part in parts])
     shrunk = within ** -xp.arange(float(length)).reshape(-1, *(1 for _ in theta.shape))
-    return _all_inside(other_roots(c, theta, length) * shrunk)
+    return _all_inside(stored(other_roots(c, theta, length) * shrunk))
 
 
 def lines_crossing_is_stable(c: SliceCoefficients, length: int) -> Array:
@@ -41,7 +41,7 @@ def other_roots(c: SliceCoefficients, theta: Array, length: int) -> Array:
 
     There are ``length`` of them, the last ones zeros: roots at 0 are inside of any circle.
     """
-    wall = curve_and_lift(c, theta)[:2]
+    wall = stored(curve_and_lift(c, theta)[:2])
     return _quotient(c, wall, 2.0 * namespace(c, theta).cos(theta), 1.0, length)
 
 

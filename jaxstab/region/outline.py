@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxstab.arrays import Array, constant, first_indices, kept, namespace, scan, tree_map
+from jaxstab.arrays import Array, constant, first_indices, kept, namespace, scan, stored, tree_map
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import (
     SliceCoefficients,
@@ -79,8 +79,7 @@ def polygon(
     slots = len(pieces.exists)
     order, loop = _sequence(pieces)
     pieces = tree_map(lambda x: x[order] if x.ndim else x, pieces)
-    # Barriers keep XLA from computing the curve again in every place that reads it.
-    nodes, tangents = map(kept, _survey(c, pieces, _nodes(points)))
+    nodes, tangents = stored(_survey(c, pieces, _nodes(points)))
     extremes, fits = _turning_points(c, pieces, nodes, tangents, slots)
     ends, closes = _ends(pieces, loop)
     extra = _together(*ends, extremes)

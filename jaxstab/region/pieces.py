@@ -164,15 +164,18 @@ def _narrowed(inside: Callable[[Array], Array], outer: Array, inner: Array) -> t
     rounds, parts = _NARROWING["numpy" if xp is np else "jax"]
     if xp is np and np.max(abs(outer - inner)) <= _SLACK:
         return outer, inner
-    shares = (xp.arange(1, parts) / parts)[:, None]
+    steps = xp.arange(1.0, parts)[:, None]
 
     def divided(ends: Array) -> Array:
         outer, inner = ends
-        between = outer + (inner - outer) * shares
-        failed = xp.cumprod(~inside(between), axis=0)  # up to the first that passes
-        ladder = xp.concatenate([outer[None], between, inner[None]])
-        last = xp.sum(failed, axis=0)[None]
-        return xp.concatenate([xp.take_along_axis(ladder, last + step, axis=0) for step in (0, 1)])
+
+        def ladder(step: Array) -> Array:
+            return outer + (inner - outer) * (step / parts)
+
+        failed = xp.cumprod(~inside(ladder(steps)), axis=0)  # up to the first that passes
+        last = xp.sum(failed, axis=0)
+        beyond = xp.where(last == parts - 1, inner, ladder(last + 1.0))
+        return xp.stack([ladder(1.0 * last), beyond])
 
     return tuple(repeat(rounds, divided, kept(xp.stack([outer, inner]))))
 

@@ -6,7 +6,7 @@ from math import ceil, sqrt
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, pytree
+from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, pytree, stored
 from jaxstab.batches import compiled
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
@@ -287,7 +287,7 @@ def region_outline(
     if checked_count("points", points, 0) < least:
         raise ValueError(f"points is {points}; give at least {least} for {slots} slots.")
     length = _length(float(checked_delay(delay)))
-    c = slice_coefficients(gamma, delta, delay, radius)
+    c = stored(slice_coefficients(gamma, delta, delay, radius))
     angles = namespace(c).asarray(scan_angles(length, fineness))
     pieces = _pieces(c, angles, length=length, slots=slots)
     return _region(c, pieces, points=points, length=length)

@@ -6,9 +6,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Array, constant, namespace, repeat_while
+from jaxstab.arrays import Array, constant, namespace, repeat_while, stored, tree_map
 
 Parameters = TypeVar("Parameters")
+Values = TypeVar("Values")
 _State = tuple[Array, ...]
 
 _STEPS = 60  # bisection alone would take 53 from any bracket of like ends
@@ -17,18 +18,21 @@ _ENOUGH = 1e-10  # of a step of the secant method: what is left after it is belo
 _COMPLEX_STEP = 2.0**-300  # its square is nothing beside any number
 
 
-def with_slope(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-    """Return the values of an elementwise, analytic function and their derivatives.
+def with_slope(function: Callable[[Array], Values], x: Array) -> tuple[Values, Values]:
+    """Return the values of elementwise, analytic functions and their derivatives.
 
     Source: Squire and Trapp, Using complex variables to estimate derivatives (SIAM Review, 1998).
     """
     if namespace(x) is np:
         moved = function(x + 1j * _COMPLEX_STEP)
-        return moved.real, moved.imag / _COMPLEX_STEP
+        return (
+            tree_map(lambda value: value.real, moved),
+            tree_map(lambda value: value.imag / _COMPLEX_STEP, moved),
+        )
     import jax
 
-    value, slope = jax.jvp(function, (x,), (namespace(x).ones_like(x),))
-    return value, slope
+    both: tuple[Values, Values] = jax.jvp(function, (x,), (namespace(x).ones_like(x),))
+    return both
 
 
 def nonzero(divisor: Array, instead: float) -> Array:
@@ -66,7 +70,7 @@ def bracketed_root(
 
 def _search(function: Callable[[Array], Array], lower: Array, upper: Array) -> Array:
     xp = namespace(lower, upper)
-    at_lower, at_upper = function(lower), function(upper)
+    at_lower, at_upper = stored((function(lower), function(upper)))
     sign = xp.sign(at_upper)
     rise = at_upper - at_lower
     share = xp.where(at_lower * at_upper < 0.0, -at_lower / nonzero(rise, 1.0), 0.5)
@@ -81,7 +85,7 @@ def _search(function: Callable[[Array], Array], lower: Array, upper: Array) -> A
 
     def narrowed(state: _State) -> _State:
         count, low, high, x, last, at_last, moving = state
-        value = function(x)
+        value = stored(function(x))
         above = value * sign > 0.0
         low, high = xp.where(above, low, x), xp.where(above, x, high)
         following = x - value * (x - last) / (value - at_last)  # NaN or infinite: bisected

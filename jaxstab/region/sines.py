@@ -14,14 +14,15 @@ _SMALL, _SMALL_TERMS = 0.3, 6  # the first terms of the same are enough up to th
 _QUARTER_TURN = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18)
 
 
-def sines(x: Array) -> tuple[Array, Array, Array]:
+def sines(x: Array, *, are_small: bool = False) -> tuple[Array, Array, Array]:
     """Return sin(x), cos(x) and sin(x) / x for x >= 0, also at 0, with derivatives of all digits.
 
-    A quotient would lose those of sin(x) / x next to 0, so there it is a series.
+    A quotient would lose those of sin(x) / x next to 0, so there it is a series. ``are_small`` says
+    that all x are at most pi/4, which saves time in XLA.
     """
     xp = namespace(x)
     if xp is not np:
-        return _sines_of_vectors(x)
+        return _sines_of_small(x) if are_small else _sines_of_vectors(x)
     sine, cosine = np.sin(x.real), np.cos(x.real)
     if np.iscomplexobj(x):  # a complex step: real to first order
         sine, cosine = sine + 1j * (x.imag * cosine), cosine - 1j * (x.imag * sine)
@@ -40,15 +41,19 @@ def _sines_of_vectors(x: Array) -> tuple[Array, Array, Array]:
     rest = x
     for part in _QUARTER_TURN:
         rest = rest - quarters * part
-    square = rest**2
-    sinc = _series(_SINC, square)
-    sine, cosine = rest * sinc, _series(_COSINE, square)
+    sine, cosine, sinc = _sines_of_small(rest)
     odd = quarters % 2.0 == 1.0
     sine, cosine = xp.where(odd, cosine, sine), xp.where(odd, -sine, cosine)
     sign = xp.where(quarters % 4.0 >= 2.0, -1.0, 1.0)
     sine, cosine = sign * sine, sign * cosine
     first = quarters == 0.0
     return sine, cosine, xp.where(first, sinc, sine / xp.where(first, 1.0, x))
+
+
+def _sines_of_small(x: Array) -> tuple[Array, Array, Array]:
+    square = x**2
+    sinc = _series(_SINC, square)
+    return x * sinc, _series(_COSINE, square), sinc
 
 
 def _series(coefficients: tuple[float, ...], x: Array) -> Array:
