@@ -15,13 +15,15 @@ from jaxstab import (
     AtlasSpec,
     FittedAxis,
     QueryStatus,
+    RegionStatus,
     ToleranceAxis,
     build_atlas,
     plan_atlas,
+    stable_region,
     verdict,
     write_atlas,
 )
-from jaxstab.atlas.compute import products
+from jaxstab.atlas.compute import products, tolerance
 from jaxstab.atlas.compute.products import compute_tile
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.schema import VARIABLES
@@ -141,6 +143,30 @@ def test_a_tolerance_sets_the_number_of_nodes_and_what_moves_between_them(name: 
         ]
         motion = np.abs(np.diff(np.array(edge, float), axis=0)) / [0.14447, 0.66]
         assert motion.max() < 0.002 * 1.3
+
+
+@pytest.mark.parametrize("fitted", [True, False])
+@pytest.mark.parametrize(
+    ("status", "says"),
+    [
+        (RegionStatus.EMPTY, "no (alpha, beta) is stable at delay 1"),
+        (RegionStatus.UNRESOLVED, "delta 0, delay 1 (the boundary was not resolved: nothing is"),
+    ],
+)
+def test_an_axis_is_laid_around_a_region_that_is_known(
+    status: RegionStatus, says: str, fitted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    empty = replace(stable_region(np.pi**2, 0.0, 1.0), status=np.array(status))
+    assert stable_region(np.pi**2, 0.0, 1.0).is_empty
+    monkeypatch.setattr(tolerance, "stable_region", lambda *_, **__: empty)
+    axes = (
+        {"gamma": [1.0]}
+        if fitted
+        else {"gamma": ToleranceAxis(0, 1, 0.1), "alpha": [0.0, 1.0], "beta": [0.0, 1.0]}
+    )
+    with pytest.raises(ValueError, match=re.escape(says)) as caught:
+        plan_atlas(AtlasSpec(delta=[0.0], delay=[1.0], **axes))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ def _stable_box(
 
     Between these hands a region may reach further; the margin of the axes covers that.
     """
-    hands = product(_thinned(gamma).tolist(), _thinned(delta).tolist())
+    hands = product(_thinned(gamma), _thinned(delta))
     points = np.concatenate([known_region(*hand, delay).points for hand in hands])
     if not points.size:
         raise ValueError(
@@ -123,10 +123,10 @@ def _stable_box(
     return float(alpha.max()), (float(beta.min()), float(beta.max()))
 
 
-def _thinned(nodes: Float64[np.ndarray, " node"]) -> Float64[np.ndarray, " some"]:
+def _thinned(nodes: Float64[np.ndarray, " node"]) -> list[float]:
     count = min(nodes.size, _MOST_SLICES)
-    some: np.ndarray = nodes[np.linspace(0, nodes.size - 1, count).round().astype(int)]
-    return some
+    chosen: list[float] = nodes[np.linspace(0, nodes.size - 1, count).round().astype(int)].tolist()
+    return chosen
 
 
 def _fitted_alpha(

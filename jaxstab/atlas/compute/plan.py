@@ -101,7 +101,7 @@ class Plan:
         ]
 
     def numbers(self, dimension: str, tile: Tile) -> range:
-        """Return which places along a dimension of the schema are in a tile."""
+        """Return which indices along a dimension of the schema are in a tile."""
         count = self.grid.lengths[dimension]
         one = {"gamma": tile.gamma, "delay": tile.delay}
         inside = {name: range(number, number + 1) for name, number in one.items()}

@@ -83,8 +83,7 @@ def _radii(plan: Plan, tile: Tile) -> Arrays:
             grid.delta[deltas],
             grid.delay[tile.delay],
         )
-        found = np.asarray(radius.value), np.asarray(radius.error)
-        columns.append(_rounded(*found, plan.spec.radius_rounding))
+        columns.append(_rounded(radius.value, radius.error, plan.spec.radius_rounding))
     value, error = (np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True))
     cells = np.zeros(plan.shape(CELL_RADIUS_ERROR, tile), np.float32)
     for number, sides in enumerate(_sides(plan, tile)):

@@ -66,8 +66,8 @@ def known_region(gamma: float, delta: float, delay: float) -> StableRegion:
     region = stable_region(gamma, delta, delay, tolerance=_FINENESS)
     if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(
-            f"{RegionStatus.UNRESOLVED.words}, at gamma {gamma:g}, delta {delta:g}, "
-            f"delay {delay:g}; no axis can be laid around it, so give its nodes."
+            f"no axis can be laid around the region at gamma {gamma:g}, delta {delta:g}, delay "
+            f"{delay:g} ({RegionStatus.UNRESOLVED.words}); give its nodes."
         )
     return region
 

@@ -39,7 +39,7 @@ def node_verdicts(
     hand, j, i = np.nonzero(codes == UNDECIDED)
     if hand.size:
         point = alpha[i], beta[j], gamma[hand], delta[hand]
-        codes[hand, j, i] = np.asarray(verdict(*point, delay, resolve="exact"))
+        codes[hand, j, i] = verdict(*point, delay, resolve="exact")
     return codes.swapaxes(1, 2)
 
 
@@ -90,7 +90,7 @@ def _codes(
 def _filled(
     ends: Int64[np.ndarray, "box column end"], codes: Int8[np.ndarray, "box column gap"], count: int
 ) -> Int8[np.ndarray, "box column count"]:
-    """Return the code of each gap from its first place to its last; between gaps UNDECIDED."""
+    """Return the code of each gap from its first index to its last; between gaps UNDECIDED."""
     ends = np.maximum.accumulate(ends, axis=-1)  # a gap that holds nothing begins where it ends
     lengths = np.diff(ends, axis=-1, prepend=0, append=count)
     runs = np.full(lengths.shape, UNDECIDED, np.int8)
