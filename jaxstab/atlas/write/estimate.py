@@ -14,7 +14,7 @@ from jaxstab.atlas.write.workers import tile_image
 
 _RADII = 2**16  # that are computed at most, unless two columns hold more
 _FILE = 30_000  # bytes of a file whose arrays are empty
-_WITHOUT_CELLS = 0.5  # of the work of a tile: at the last of several gammas no cells begin
+_WITHOUT_CELLS = 0.4  # of the work of a tile: at the last of several hands no cells begin
 
 
 class Estimate(NamedTuple):
@@ -41,12 +41,15 @@ def estimate_build(plan: Plan) -> Estimate:
     Raises:
         ValueError: as for a build.
     """
-    gammas, delays = plan.grid.gamma.size, plan.grid.delay.size
+    delays = plan.grid.delay.size
     parts = [_measured(plan, index) for index in sorted({0, delays - 1})]
     start, seconds, size = np.mean(parts, axis=0).tolist()
-    incomplete = 1 / gammas if gammas > 1 else 0.0
-    tiles = len(plan.tiles) * (1.0 - _WITHOUT_CELLS * incomplete)
+    tiles = sum(1.0 if _has_cells(plan, tile) else _WITHOUT_CELLS for tile in plan.tiles)
     return Estimate(start * delays + seconds * tiles, _FILE + size * tiles)
+
+
+def _has_cells(plan: Plan, tile: Tile) -> bool:
+    return all(plan.numbers(name, tile) for name in ("gamma_cell", "delta_cell"))
 
 
 def _measured(plan: Plan, delay: int) -> tuple[float, float, float]:
