@@ -126,6 +126,9 @@ VALUES: dict[str, Edit] = {
     "too wide a beta": become(
         "beta", lambda v: np.stack([v[0] - 1.5e308, *v[1:-1], v[-1] + 1.5e308])
     ),
+    "a thin beta": become(
+        "beta", lambda v: np.arange(len(v))[:, None] * np.full((1, v.shape[1]), 1e-302)
+    ),
     "too thin a beta": become(
         "beta", lambda v: np.arange(len(v))[:, None] * np.full((1, v.shape[1]), 5e-324)
     ),

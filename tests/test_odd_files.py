@@ -10,7 +10,7 @@ import pytest
 from atlases import write_small
 from commands import POINT, START, assert_one_sentence, run, run_process
 
-from jaxstab import durable
+from jaxstab import STABLE, AtlasSpec, build_atlas, durable
 
 CSV = "alpha,beta,gamma,delta,delay\n"
 
@@ -44,6 +44,23 @@ def test_a_monstrous_toml_is_one_sentence(text: str, tmp_path: Path) -> None:
     assert (answer.exit_code, answer.stdout) == (2, "")
     assert_one_sentence(answer.stderr)
     assert "bad.toml" in answer.stderr
+
+
+def test_axes_without_width_are_refused_and_hands_next_to_each_other_are_not(
+    tmp_path: Path,
+) -> None:
+    walls = {"alpha": "[0.0, 0.1]", "beta": "[0.1, 0.2]"}
+    hands = "gamma = [0.0, 5e-324]\ndelta = [0.0]\ndelay = [0.0]\nlimit_cells = 4\n"
+    for name in walls:
+        lines = (f"{key} = {v}" for key, v in (walls | {name: "[0.0, 5e-324]"}).items())
+        (tmp_path / "thin.toml").write_text(hands + "\n".join(lines))
+        answer = run("atlas", "build", "--spec", tmp_path / "thin.toml", "-o", tmp_path / "a.h5")
+        assert (answer.exit_code, answer.stdout) == (1, "")
+        assert f"axis {name} ends 5e-324 after it begins" in answer.stderr
+    spec = AtlasSpec.from_toml(
+        hands + "products = ['alpha_limits']\n" + "\n".join(f"{k} = {v}" for k, v in walls.items())
+    )
+    assert build_atlas(spec, tmp_path / "a.h5").verdict(0.1, 0.15, 5e-324, 0.0, 0.0) == STABLE
 
 
 def test_a_table_where_a_number_should_be_is_named_by_its_key(tmp_path: Path) -> None:

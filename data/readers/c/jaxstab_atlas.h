@@ -176,7 +176,7 @@ enum {
 static inline int jaxstab_spans_(const double *nodes, size_t count, size_t columns, size_t column)
 {
     const double span = nodes[(count - 1) * columns + column] - nodes[column];
-    return isfinite(span) && isfinite(1.0 / span);
+    return isfinite(span) && span >= 1e-300;
 }
 
 /* Whether constants are numbers or infinite, slopes finite, and errors not negative. */

@@ -137,7 +137,7 @@ function yes = may_be(atlas, terms)
     span = axis{1}(:, end) - axis{1}(:, 1);
     yes = yes && size(axis{1}, 1) == delays && size(axis{1}, 2) > 1 && ...
           all(isfinite(axis{1}(:))) && all(all(diff(axis{1}, 1, 2) > 0)) && ...
-          all(isfinite([span; 1 ./ span]));
+          all(isfinite(span)) && all(span >= 1e-300);
   end
   if yes
     slopes = atlas.planes([2:4, 7:9], :);

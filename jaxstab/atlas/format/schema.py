@@ -26,6 +26,7 @@ LARGEST_ARRAY: Final = 2**31  # bytes that are read into memory at once
 LARGEST_ATLAS: Final = 2**38  # nodes
 LARGEST_SLICE: Final = 2**22  # nodes along alpha and beta
 LARGEST_DELAY: Final = 100.0
+LEAST_SPAN: Final = 1e-300  # of alpha and beta: cells to it do not overflow
 
 VERDICT: Final = "verdict"
 CELL_VERDICT: Final = "cell_verdict"

@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
     LARGEST_ATLAS,
+    LARGEST_DELAY,
     LARGEST_SLICE,
+    LEAST_SPAN,
     PRODUCTS,
     SPECTRAL_RADIUS,
     VERDICT,
@@ -25,7 +27,6 @@ from jaxstab.tables import check_keys, parsed, read_table
 
 Nodes: TypeAlias = ArrayLike | tuple[float, ...]
 
-LARGEST_DELAY = 100.0
 FEWEST_FITTED = 8
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
 _RANGE = ("start", "stop", "count", "spacing")
@@ -234,6 +235,8 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
             raise ValueError(
                 f"axis {name} has {right} after {left}; give ascending values, each once."
             )
+    if name in limits and nodes[-1] - nodes[0] < LEAST_SPAN:
+        raise ValueError(f"axis {name} ends {nodes[-1] - nodes[0]} after it begins; give it width.")
     return nodes
 
 

@@ -90,7 +90,7 @@ def _check_range(stored: Stored, values: Array) -> None:
 
 
 def check_axes(arrays: Mapping[str, Array]) -> None:
-    """Refuse axes that do not ascend, or so little that cells between them have no width.
+    """Refuse axes that do not ascend, or so little or so far that cells have no width.
 
     Raises:
         RefusalError: as it says.
@@ -102,9 +102,10 @@ def check_axes(arrays: Mapping[str, Array]) -> None:
             check(np.all(np.isfinite(values)) and np.all(widths > 0))
         elif VARIABLES[name].is_axis:
             check(np.array_equal(values, np.arange(values.size)))
-    with np.errstate(all="ignore"):
-        spans = np.array([arrays[name][-1] - arrays[name][0] for name in ("alpha", "beta")])
-        check(np.all(np.isfinite(spans)) and np.all(np.isfinite(1.0 / spans)))
+    for name in ("alpha", "beta"):
+        with np.errstate(over="ignore"):
+            spans = arrays[name][-1] - arrays[name][0]
+        check(spans.min() >= schema.LEAST_SPAN and spans.max() < np.inf)
 
 
 def check_counts(arrays: Mapping[str, Array], table: Table) -> None:

@@ -30,11 +30,10 @@ from jaxstab.durable import named_errors, target_of
 
 @dataclass(frozen=True)
 class Contents:
-    """What an atlas file holds: arrays by the names of the schema, who made it, and a digest."""
+    """What an atlas file holds: arrays by the names of the schema, and who made it."""
 
     arrays: "PackedArrays"
     created_by: str
-    content_digest: str
 
 
 class PackedArrays(Mapping[str, Array]):
@@ -92,7 +91,7 @@ def read(path: Path) -> Contents:
     with _told_of(path):
         check_axes(plain)
         check_counts(plain, table)
-    return Contents(arrays, table.created_by, table.content_digest)
+    return Contents(arrays, table.created_by)
 
 
 def table_of(path: Path) -> Table:
