@@ -25,6 +25,7 @@ BENCHMARKS = (
     "verdicts",
     "criteria",
     "tuning",
+    "ranges",
     "stress",
 )
 

@@ -271,11 +271,21 @@ def _tuning(rows: list[Row]) -> Figure:
     return figure
 
 
+def _ranges(rows: list[Row]) -> Figure:
+    figure, axes = _panels(1, 2, "Margins and limits, by certified root counts")
+    for panel, row in zip(axes[0], rows, strict=True):
+        columns = [name for name in ("wrong", "short", "judged") if name in row]
+        panel.barh(columns, [row[name] for name in columns])
+        panel.set(xscale="symlog", xlabel=row["section"].replace("_", " "))
+    return figure
+
+
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "latency": _latency,
     "boundary": _boundary,
     "criteria": _criteria,
     "tuning": _tuning,
+    "ranges": _ranges,
     "regions": _regions,
     "queries": _queries,
     "answers": _answers,

@@ -11,9 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.__main__ import BENCHMARKS
+from benchmarks.ranges import is_limit_wrong, judged_margins
+from jaxstab import HandRange, HapticLoop
+from jaxstab.ranges import robust_limit
+from jaxstab.ranges.first_crossings import first_crossings
 
 pytestmark = pytest.mark.campaign
 
@@ -140,6 +145,7 @@ def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, An
     assert {row["wrong"] for row in rows("regions", method="stable_region")} == {0}
     for row in rows("tuning"):
         assert row["beaten"] == row["region_below"] == row["not_reached"] == row["missed"] == 0
+    assert {row["wrong"] for row in rows("ranges")} == {0}
 
 
 def test_a_filled_slice_is_that_of_its_nodes(rows: Callable[..., list[dict[str, Any]]]) -> None:
@@ -186,3 +192,22 @@ def test_stress_finds_no_wrong_certified_answer_and_names_its_worst_loops(
             assert row["wrong"] == 0, row["worst_wrong"]
             assert row["share_of_bound"] <= 1.0, row["worst_share_of_bound"]
     assert any(row["wrong"] for row in rows("stress", method="eq. (9) as printed"))
+
+
+WALL = (0.003, 0.02, 0.0, 0.015, 1.5)
+LOOP = HapticLoop(device_mass=1.0, device_damping=0.5432825400259356, sample_time=1.0, delay=0.5)
+HANDS = HandRange((0.0, 2.683572731924306), (0.0, 11.00056392632787), (0.0, 0.5129250179766981))
+
+
+def test_the_judges_of_ranges_find_margins_and_limits_that_are_false(
+    rng: np.random.Generator,
+) -> None:
+    """A margin 13 % short, and a limit 2.4 times too low: both were once answers."""
+    steps = first_crossings(np.array([WALL]))[0][1::2]
+    assert judged_margins(WALL, steps)[1:] == (0, 0, 0.0)
+    assert judged_margins(WALL, 0.87 * steps).short == 5
+    assert judged_margins(WALL, 1.01 * steps).wrong == 5
+    answer = robust_limit(LOOP, HANDS)
+    assert not is_limit_wrong(LOOP, HANDS, answer, rng)
+    assert is_limit_wrong(LOOP, HANDS, answer._replace(limit=0.2757, is_proved=False), rng)
+    assert is_limit_wrong(LOOP, HANDS, answer._replace(stiffness=1.05 * answer.limit), rng)

@@ -1,0 +1,194 @@
+"""Margins and ranges of hands, at random and hostile loops, against certified root counts.
+
+Hands are haptic ones, stiff and undamped ones, and ones next to multiples of the Nyquist frequency;
+delays are whole and fractional; walls lie anywhere in the stable region, half of them next to its
+boundary. A margin is ``wrong`` where a wall within it is unstable, and ``short`` where the wall is
+stable a millionth of the way farther, unless that moves p(z) by less than 1e-12 of its terms for
+each sample of delay; ``shortest`` is the largest share of the way that was missing. A limit is
+``wrong`` where the proved wall is unstable for a hand, or where a stiffer wall is stable for all.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from time import process_time
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks import truth
+from benchmarks.record import Row
+from jaxstab.conventions import Verdict
+from jaxstab.model import HapticLoop, characteristic_polynomial, companion_matrix
+from jaxstab.ranges import HandRange, RobustLimit, robust_limit, worst_hand
+from jaxstab.ranges.first_crossings import WAYS, first_crossings
+from jaxstab.region import RegionStatus, stable_region
+
+_WALLS, _SMALL_WALLS = 400, 6
+_RANGES, _SMALL_RANGES = 40, 2
+_PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged
+_FARTHER = (1e-6, 1e-4, 1e-2, 0.13)
+_ROUNDING = 1e-12
+_FARTHEST = 20.0  # a way without an end is judged so far
+_HANDS, _FEW = 200, 6  # of a range, for which a proved wall and many stiffer ones are looked at
+_STIFFER = 1.0 + np.geomspace(1e-3, 4.0, 24)
+_DAMPINGS = np.linspace(-1.0, 3.0, 81)  # in units of m/T
+_CLEAR = 1e-6  # a radius that is as much below 1
+_LIKELY = 4  # stiffer walls of a range that are judged
+
+Wall = tuple[float, ...]
+
+
+def rows(small: bool) -> Iterator[Row]:
+    rng = np.random.default_rng(20121)
+    yield _margins(rng, _SMALL_WALLS if small else _WALLS)
+    yield _limits(rng, _SMALL_RANGES if small else _RANGES)
+
+
+class Judged(NamedTuple):
+    """How many margins of a wall were judged, are too long, too short, and by which share."""
+
+    judged: int
+    wrong: int
+    short: int
+    shortest: float
+
+
+def judged_margins(wall: Wall, steps: np.ndarray) -> Judged:
+    """Judge the steps of a wall, one for each of ``WAYS``."""
+    wrong, missing = 0, []
+    for (axis, sign), step in zip(WAYS, steps, strict=True):
+        way = sign * min(abs(step), _FARTHEST)
+        wrong += sum(not _is_stable(wall, axis, part * way) for part in _PARTS)
+        if np.isfinite(step):
+            seen = [part for part in _FARTHER if part * abs(step) > _hidden(wall, axis)]
+            still = [part for part in seen if _is_stable(wall, axis, (1.0 + part) * step)]
+            missing.append(max(still, default=0.0))
+    count = len(WAYS) * len(_PARTS)
+    return Judged(count, wrong, int(np.count_nonzero(missing)), max(missing, default=0.0))
+
+
+def is_limit_wrong(
+    loop: HapticLoop, hands: HandRange, answer: RobustLimit, rng: np.random.Generator
+) -> bool:
+    """Whether a hand refutes the proved wall, or a wall the limit."""
+    choices = [[*ends, rng.uniform(*ends)] for ends in hands for _ in range(_HANDS)]
+    drawn = np.array([rng.choice(ends) for ends in choices]).reshape(3, -1).T
+    sample = [answer.loop, *(_held(loop, hand) for hand in drawn)]
+    if answer.is_proved:
+        gains = np.array([[answer.stiffness]]), np.array([answer.damping])
+        one = sample[int(np.argmax([_radii(one, *gains).item() for one in sample]))]
+        wall = one.alpha(answer.stiffness), one.beta(answer.damping)
+        if not _is_stable((*wall, one.gamma, one.delta, one.delay_samples)):
+            return True
+    if not answer.limit > 0.0:
+        return False
+    stiffness, damping = answer.limit * _STIFFER[:, None], loop.damping(_DAMPINGS)
+    corners = np.unique(np.stack(np.meshgrid(*hands), axis=-1).reshape(-1, 3), axis=0)
+    few = [*sample[:_FEW], *(_held(loop, corner) for corner in corners)]
+    radii = np.max([_radii(one, stiffness, damping) for one in few], axis=0)
+    likely = np.argsort(radii, axis=None)[:_LIKELY]
+    for row, column in zip(*np.unravel_index(likely, radii.shape), strict=True):
+        if radii[row, column] < 1.0 - _CLEAR:
+            wall = float(stiffness[row, 0]), float(damping[column])
+            if worst_hand(loop, hands, *wall).verdict == Verdict.STABLE:
+                return True
+    return False
+
+
+def _row(name: str, error: float, seconds: list[float], **extra: int | float) -> Row:
+    return {
+        "section": name,
+        "method": name,
+        "delay": 8.0,
+        "points": 1,
+        "repeats": len(seconds),
+        "seconds": float(np.median(seconds)),
+        "seconds_quartiles": np.quantile(seconds, (0.25, 0.75)).tolist(),
+        "error": error,
+        "error_measure": "share of answers that are wrong, by certified root counts",
+        **extra,
+    }
+
+
+def _margins(rng: np.random.Generator, count: int) -> Row:
+    seconds: list[float] = []
+    tallies: list[Judged] = []
+    while len(tallies) < count:
+        wall = _random_wall(rng)
+        start = process_time()
+        code, *found = first_crossings(np.array([wall]))[0]
+        seconds.append(process_time() - start)
+        if code == Verdict.STABLE:
+            tallies.append(judged_margins(wall, np.array(found[::2])))
+    judged, wrong, short = (sum(column) for column in list(zip(*tallies, strict=True))[:3])
+    shortest = max(tally.shortest for tally in tallies)
+    counts = {"judged": judged, "wrong": wrong, "short": short, "shortest": shortest}
+    return _row("margins", wrong / judged, seconds, **counts)
+
+
+def _limits(rng: np.random.Generator, count: int) -> Row:
+    seconds, wrong, proved = [], 0, 0
+    for _ in range(count):
+        loop, hands = _random_range(rng)
+        start = process_time()
+        answer = robust_limit(loop, hands)
+        seconds.append(process_time() - start)
+        proved += answer.is_proved
+        wrong += is_limit_wrong(loop, hands, answer, rng)
+    return _row("robust_limit", wrong / count, seconds, judged=count, wrong=wrong, proved=proved)
+
+
+def _is_stable(point: Wall, axis: int = 0, step: float = 0.0) -> bool:
+    """Whether no root is outside; where that cannot be told, on the circle, it is not stable."""
+    moved = [value + step * (number == axis) for number, value in enumerate(point)]
+    return truth.unstable_count(*map(float, moved)) == 0
+
+
+def _hidden(wall: Wall, axis: int) -> float:
+    """The change of one quantity that rounding may hide."""
+    alpha, beta, gamma, delta, delay = wall
+    plant = truth.sampled_plant(gamma, delta, delay % 1.0)
+    size = float(sum(abs(part) for part in (plant.n2, plant.n1, plant.n0)))
+    force = size * (abs(alpha) + 2.0 * abs(beta))
+    slope = (size, 2.0 * size, 0.0, 0.0, max(force, 1e-300))[axis]
+    return _ROUNDING * (1.0 + delay) * (4.0 + force) / slope
+
+
+def _radii(loop: HapticLoop, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    plant = loop.gamma, loop.delta, loop.delay_samples
+    walls = characteristic_polynomial(loop.alpha(stiffness), loop.beta(damping), *plant)
+    return np.abs(np.linalg.eigvals(companion_matrix(walls))).max(axis=-1)
+
+
+def _random_wall(rng: np.random.Generator) -> Wall:
+    """A loop with a wall in its stable region, or near the region's boundary."""
+    nyquist = (np.pi * rng.integers(1, 5)) ** 2
+    hands = 10 ** rng.uniform(-6, 0), nyquist * rng.uniform(0.99, 1.01), rng.uniform(0, 20)
+    gamma = float(rng.choice(hands))
+    delta = float(rng.choice([10 ** rng.uniform(-4, 0), rng.uniform(0, 2)]))
+    delay = float(rng.choice([rng.integers(0, 8), rng.uniform(0, 8)]))
+    region = stable_region(gamma, delta, delay)
+    edge = region.points[np.isfinite(region.points[:, 0])]
+    if region.status != RegionStatus.COMPLETE or len(edge) < 2:
+        return _random_wall(rng)
+    one, other = edge[rng.integers(len(edge), size=2)]
+    part = rng.choice([rng.uniform(), 10 ** rng.uniform(-9, -1)])
+    alpha, beta = one + part * (other - one)
+    return float(alpha), float(beta), gamma, delta, delay
+
+
+def _random_range(rng: np.random.Generator) -> tuple[HapticLoop, HandRange]:
+    loop = HapticLoop(
+        device_mass=1.0,
+        device_damping=float(10 ** rng.uniform(-2, 0)),
+        sample_time=1.0,
+        delay=float(rng.choice([0.0, 0.5, 1.0, rng.uniform(0, 3)])),
+    )
+    stiffest = rng.choice([10 ** rng.uniform(-3, 0), rng.uniform(1, 12)])
+    ends = rng.uniform(0, 3), stiffest, rng.uniform(0, 1)
+    return loop, HandRange(*((0.0, float(end * rng.integers(0, 2))) for end in ends))
+
+
+def _held(loop: HapticLoop, hand: np.ndarray | list[float]) -> HapticLoop:
+    mass, stiffness, damping = map(float, hand)
+    return replace(loop, hand_mass=mass, hand_stiffness=stiffness, hand_damping=damping)
