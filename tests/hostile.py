@@ -8,6 +8,7 @@ import hashlib
 import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -25,6 +26,13 @@ def chunks_of(values: Array, chunk: tuple[int, ...]) -> Iterator[Array]:
     steps = (range(0, n, step) for n, step in zip(values.shape, chunk, strict=True))
     for start in product(*steps):
         yield values[tuple(slice(i, i + n) for i, n in zip(start, chunk, strict=True))]
+
+
+@cache
+def zeros(name: str, dtype: str, shape: tuple[int, ...]) -> tuple[bytes, str]:
+    """The bytes of a chunk of nothing but zeros, and their digest."""
+    values = np.zeros(shape, dtype)
+    return stored(name, values, shape), values_digest(values)
 
 
 def stored(name: str, values: Array, chunk: tuple[int, ...]) -> bytes:
@@ -48,11 +56,15 @@ def assembled(
     for name, values in arrays.items():
         chunk = (chunks or {}).get(name, values.shape)
         where: list[Place] = []
+        digests = []
         for part in chunks_of(values, chunk):
-            data = stored(name, part, chunk)
+            if any(part.strides) or part.shape != chunk:
+                data, digest = stored(name, part, chunk), values_digest(part)
+            else:  # zeros that take no memory
+                data, digest = zeros(name, part.dtype.str, chunk)
             where.append((len(image), len(data)))
+            digests.append(digest)
             image += data
-        digests = [values_digest(part) for part in chunks_of(values, chunk)]
         variables.append(Chunked(name, values.dtype, values.shape, chunk, digests))
         places[name] = where
     return footer.sealed(image, table_text(made_by, variables, places))
