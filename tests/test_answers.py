@@ -291,10 +291,11 @@ def test_printed_limits_are_rounded_inwards(delay: str) -> None:
         point = (end * 1e-5, 7e-2, 123e-5, 1.5e-2, float(delay) * 1e3)
         assert verdict(*point) in (Verdict.STABLE, Verdict.UNDECIDED)
     design = [*scene[:-2], "--stiffness", "1000"]
+    shown, found = dict(printed("design", *design)), answered("design", *design)
     for quantity in ("sample time", "delay"):
-        least = dict(printed("design", *design))[f"largest {quantity}"]
+        least = shown[f"largest {quantity}"]
         key = quantity.replace(" ", "_")
-        most = answered("design", *design)[key][f"largest_{key}"]
+        most = found[key][f"largest_{key}"]
         assert 0.999 * most < number(least) / 1e3 <= most * (1 + 1e-10)
 
 

@@ -106,6 +106,11 @@ def test_every_computing_function_is_in_the_table_of_calls() -> None:
     assert computing == set(COMPUTING_CALLS)
 
 
+def test_tests_import_no_tests() -> None:
+    texts = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("*.py")}
+    assert [n for n, text in texts.items() if re.search(r"(?m)^(from|import) test_", text)] == []
+
+
 def test_no_file_is_longer_than_a_reader_likes() -> None:
     lengths = {
         path.relative_to(ROOT).as_posix(): len(path.read_text(encoding="utf-8").splitlines())

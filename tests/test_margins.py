@@ -214,7 +214,8 @@ def test_the_distance_is_the_way_to_the_nearest_point_of_the_closed_form() -> No
 
 def test_the_distance_shrinks_towards_the_nearest_point() -> None:
     walls = np.array([[0.6, 0.8], [0.2, 0.3], [0.001, 0.8]])
-    slopes = jax.vmap(jax.grad(lambda wall: jaxstab.boundary_distance(FREE, *wall)))(walls)
+    slope = jax.grad(lambda wall: jaxstab.boundary_distance(FREE, *wall))
+    slopes = jax.jit(jax.vmap(slope))(walls)
     np.testing.assert_allclose(np.hypot(*slopes.T), 1.0, rtol=1e-14)
     distance = jaxstab.boundary_distance(FREE, *walls.T)
     alpha, beta = (walls - np.asarray(distance)[:, None] * slopes).T

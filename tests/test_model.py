@@ -204,32 +204,24 @@ class TestPlantCoefficients:
         computed = jaxstab.plant_coefficients(gamma, delta)
         assert_right(computed, [truth.plant(g, d) for g, d in slices])
 
-    @pytest.mark.parametrize("delay", [0.0, 0.3])
-    def test_derivatives_are_right_where_eq_9_has_none(self, delay: float) -> None:
+    @pytest.mark.parametrize(
+        ("mode", "delay"),
+        [
+            ("forwards", 0.3),
+            ("backwards", 0.0),
+            pytest.param("forwards", 0.0, marks=pytest.mark.campaign),
+            pytest.param("backwards", 0.3, marks=pytest.mark.campaign),
+        ],
+    )
+    def test_derivatives_are_right_where_eq_9_has_none(self, mode: str, delay: float) -> None:
         slices = [(0.0, 0.0), (1e-300, 1e-300), (1e-12, 0.0), (0.25, 1.0), (0.0, 1.0)]
         slices += [(PI**2, 0.0), (1e-3, 0.015), (25.0, 10.0), (np.nextafter(0.25, 1), 1.0)]
-        gamma, delta = np.array(slices).T
-        tangents = [
-            jax.jvp(lambda g, d: jaxstab.plant_coefficients(g, d, delay), (gamma, delta), tangent)[
-                1
-            ]
-            for tangent in (
-                (np.ones_like(gamma), np.zeros_like(delta)),
-                (np.zeros_like(gamma), np.ones_like(delta)),
-            )
-        ]
+        slopes = plant_slopes(mode, delay, *np.array(slices).T)
         for number, point in enumerate(slices):
-            for variable, tangent in enumerate(tangents):
-                computed = [float(field[number]) for field in tangent[:7]]
+            for variable in (0, 1):
+                computed = slopes[variable, :7, number]
                 exact = np.array(plant_derivatives(point, variable, delay), float)
                 np.testing.assert_allclose(computed, exact, rtol=1e-13, atol=1e-16)
-
-    def test_reverse_mode_agrees_with_forward_mode(self) -> None:
-        for point in [(0.0, 0.0), (0.25, 1.0)]:
-            function = lambda g, d: jnp.stack(jaxstab.plant_coefficients(g, d))  # noqa: E731
-            forward = jax.jacfwd(function, (0, 1))(*point)
-            backward = jax.jacrev(function, (0, 1))(*point)
-            np.testing.assert_allclose(backward, forward, rtol=1e-14, atol=1e-16)
 
     def test_a_whole_delay_is_the_limit_of_fractional_ones(self) -> None:
         tiny = 2.0**-40
@@ -281,6 +273,26 @@ class TestPlantCoefficients:
     def test_refuses_a_traced_delay(self) -> None:
         with pytest.raises(TypeError, match="concrete"):
             jax.jit(lambda delay: jaxstab.plant_coefficients(0.0, 0.0, delay))(1.0)
+
+
+def plant_slopes(mode: str, delay: float, gammas: np.ndarray, deltas: np.ndarray) -> np.ndarray:
+    """The derivatives (gamma or delta, field, slice) of the plant's coefficients, by JAX."""
+
+    def fields(gamma: jax.Array, delta: jax.Array) -> jax.Array:
+        return jnp.stack(jaxstab.plant_coefficients(gamma, delta, delay))
+
+    @jax.jit
+    def forwards(*plant: jax.Array) -> jax.Array:
+        units = jnp.eye(2)[:, :, None] * jnp.ones_like(plant[0])
+        return jax.vmap(lambda unit: jax.jvp(fields, plant, tuple(unit))[1])(units)
+
+    @jax.jit
+    def backwards(*plant: jax.Array) -> jax.Array:
+        found, pull = jax.vjp(fields, *plant)
+        units = jnp.eye(len(found))[:, :, None] * jnp.ones_like(plant[0])
+        return jnp.stack(jax.vmap(pull)(units))
+
+    return np.asarray({"forwards": forwards, "backwards": backwards}[mode](gammas, deltas))
 
 
 def plant_derivatives(point: tuple[float, float], variable: int, fraction: float) -> list[mpf]:
@@ -335,15 +347,14 @@ class TestCharacteristicPolynomial:
         np.testing.assert_allclose(below, whole, atol=1e-12)
         np.testing.assert_allclose(above, np.append(whole, 0.0), atol=1e-12)
 
-    @pytest.mark.parametrize("delay", [0, 1.6])
+    @pytest.mark.parametrize("delay", [0, pytest.param(1.6, marks=pytest.mark.campaign)])
     def test_jit_vmap_and_grad_work(self, delay: float) -> None:
         point = (0.1, 0.2, 0.3, 0.4)
         function = lambda a, b, g, d: jaxstab.characteristic_polynomial(a, b, g, d, delay)  # noqa: E731
-        direct = function(*point)
-        np.testing.assert_allclose(jax.jit(function)(*point), direct, rtol=1e-15)
-        batch = jax.vmap(function, in_axes=(0, None, None, None))(jnp.array([0.1, 0.5]), *point[1:])
-        np.testing.assert_allclose(batch[0], direct, rtol=1e-15)
-        check_grads(jax.jit(function), point, order=1, modes=["fwd"], rtol=1e-6, atol=1e-6)
+        mapped = jax.jit(jax.vmap(function, in_axes=(0, None, None, None)))
+        several = (jnp.array([0.1, 0.5]), *point[1:])
+        np.testing.assert_allclose(mapped(*several)[0], function(*point), rtol=1e-15)
+        check_grads(mapped, several, order=1, modes=["fwd"], rtol=1e-6, atol=1e-6)
 
     @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e200])
     def test_refuses_gains_that_are_no_numbers(self, value: float) -> None:

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 import pytest
 from mpmath import mp
-from test_response import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
 
 import jaxstab
 from benchmarks import truth
+from benchmarks.truth.march import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
 from jaxstab import HapticLoop, SettlingStatus
 
 LONG = 4000  # samples, enough for every loop below to come to rest

@@ -102,7 +102,7 @@ class TestSpectralRadius:
         error = float(radius.error[2, 0, 1, 1, 1])
         assert lower - error <= float(radius.value[2, 0, 1, 1, 1]) <= upper + error
 
-    @pytest.mark.parametrize("delay", [0, 1.5])
+    @pytest.mark.parametrize("delay", [0, pytest.param(1.5, marks=pytest.mark.campaign)])
     def test_gradient_is_the_motion_of_the_dominant_root(self, delay: float) -> None:
         function = lambda *scene: jaxstab.spectral_radius(*scene, delay).value  # noqa: E731
         gradient = jax.grad(function, argnums=(0, 1, 2, 3))(*SCENE)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import scipy.optimize
 from mpmath import mp, mpf
-from test_response import HELD, PHANTOM
 
 import jaxstab
 from benchmarks import truth
+from benchmarks.truth.march import HELD, PHANTOM
 from jaxstab import TuningStatus
 
 LEAST_RADII = (0.587401, 0.752114, 0.824656, 0.864687, 0.889931, 0.907271)  # gamma = delta = 0
@@ -106,8 +106,8 @@ class TestMinimizeRadius:
         best = jaxstab.minimize_radius(*plant)
         assert int(best.status) == TuningStatus.SCANNED
         assert "scan" in TuningStatus(int(best.status)).words
-        slope = jax.grad(lambda gamma: jaxstab.minimize_radius(gamma, *plant[1:]).value)(plant[0])
-        assert math.isnan(slope)
+        slopes = jax.jacfwd(lambda g: jaxstab.minimize_radius(g, *plant[1:])[:3])(plant[0])
+        assert all(math.isnan(slope) for slope in slopes)
 
     def test_at_half_the_sampling_rate_no_gains_are_stable(self) -> None:
         """gamma = pi^2, delta = 0: a pole at z = -1 for every delay (sec. VIII of the paper)."""
@@ -161,7 +161,15 @@ class TestMinimizeRadius:
         assert set(np.unique(best.status)) == {TuningStatus.TRIPLE_ROOT, TuningStatus.DOUBLE_PAIR}
         assert float(best.value[0, 0]) == pytest.approx(LEAST_RADII[1], abs=5e-7)
 
-    @pytest.mark.parametrize(("plant", "angle"), [(TRIPLE_ROOTS[1], 0.0), DOUBLE_PAIRS[0]])
+    @pytest.mark.parametrize(
+        ("plant", "angle"),
+        [
+            (TRIPLE_ROOTS[2], 0.0),  # of one delay, for which all is compiled
+            DOUBLE_PAIRS[1],
+            pytest.param(TRIPLE_ROOTS[1], 0.0, marks=pytest.mark.campaign),
+            pytest.param(*DOUBLE_PAIRS[0], marks=pytest.mark.campaign),
+        ],
+    )
     def test_derivative_is_the_motion_of_the_multiple_root(
         self, plant: Plant, angle: float
     ) -> None:
@@ -174,8 +182,18 @@ class TestMinimizeRadius:
         )
         for slope, low, high in zip(slopes, below, above, strict=True):
             assert float(slope) == pytest.approx(float((high - low) / (2 * step)), rel=1e-9)
-        backwards = jax.grad(lambda g: jaxstab.minimize_radius(g, delta, delay).value)(gamma)
-        assert float(backwards) == pytest.approx(float(slopes[2]), rel=1e-12)
+
+    @pytest.mark.campaign
+    @pytest.mark.parametrize("plant", [TRIPLE_ROOTS[1], DOUBLE_PAIRS[0][0]])
+    def test_derivative_is_the_same_backwards(self, plant: Plant) -> None:
+        smallest = lambda gamma: jaxstab.minimize_radius(gamma, *plant[1:]).value  # noqa: E731
+        backwards, forwards = jax.grad(smallest)(plant[0]), jax.jacfwd(smallest)(plant[0])
+        assert float(backwards) == pytest.approx(float(forwards), rel=1e-12)
+
+    def test_derivative_can_be_taken_backwards(self) -> None:
+        """It is traced, and not compiled, which takes long."""
+        smallest = lambda gamma: jaxstab.minimize_radius(gamma, 0.1, 1.0).value  # noqa: E731
+        assert jax.make_jaxpr(jax.grad(smallest))(1e-3).out_avals[0].shape == ()
 
     def test_needs_less_than_half_of_the_largest_stable_stiffness(self) -> None:
         for delay, largest in enumerate(LARGEST_ALPHAS):

@@ -4,6 +4,7 @@
 - ``balls``: plants and verdicts in balls of python-flint, for many points of one plant;
 - ``near_boundary``: points close to the boundary, to be judged;
 - ``slices``: the boundary of one slice, all pieces, and distances from it;
+- ``march``: device, hand and wall on a fine grid of time, and loops to move;
 - ``validity``: where the error of the linear condition first rises through a level;
 - ``problems``: the registry of loops that are hard to compute;
 - ``judge``: what each method says of many loops, against the truth.
