@@ -1,7 +1,6 @@
 """A build ends in the old file, the new file or a refusal, and goes on where the last one ended."""
 
 import errno
-import fcntl
 import hashlib
 import itertools
 import os
@@ -19,11 +18,12 @@ import h5py
 import jax
 import numpy as np
 import pytest
+from builds import FORMER, KEY, TINY, entries, tiny_images, tiny_plan
 from counts import note
 from hostile import retold, sub
 
 import jaxstab
-from jaxstab import AtlasSpec, durable, open_atlas, plan_atlas, write_atlas
+from jaxstab import durable, open_atlas, write_atlas
 from jaxstab.atlas.compute import products
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.schema import VARIABLES
@@ -31,25 +31,18 @@ from jaxstab.atlas.write import build
 from jaxstab.atlas.write.tiles import shards_of
 from jaxstab.atlas.write.workers import tile_image
 
-KEY = "0" * 64
-TINY = AtlasSpec(
-    alpha=[0.0, 0.1, 0.2], beta=[0.1, 0.2], gamma=[0.0, 0.001], delta=[0.015], delay=[0.0, 1.0],
-    products=["verdict"],
-)  # fmt: skip
-FORMER = b"the former file"
 LONG = pytest.mark.campaign
 KILLS = Path(__file__).with_name("killed_builds.py")
-RIVALS = Path(__file__).with_name("rival_builds.py")
 
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return plan_atlas(TINY)
+    return tiny_plan()
 
 
 @pytest.fixture(scope="module")
-def images(plan: Plan) -> dict[Tile, bytes]:
-    return {tile: tile_image(plan, tile, KEY) for tile in plan.tiles}
+def images() -> dict[Tile, bytes]:
+    return tiny_images()
 
 
 @pytest.fixture
@@ -74,10 +67,6 @@ def whole(computed: list[Tile], tmp_path_factory: pytest.TempPathFactory) -> byt
     write_atlas(TINY, path)
     computed.clear()
     return path.read_bytes()
-
-
-def entries(folder: Path) -> list[str]:
-    return sorted(entry.name for entry in folder.iterdir())
 
 
 def stop_after(count: int) -> Callable[[int, int], None]:
@@ -149,106 +138,6 @@ def test_a_tile_of_another_place_or_build_is_not_taken(
     write_atlas(TINY, path)
     assert computed == [first, *plan.tiles[2:]]
     assert path.read_bytes() == whole
-
-
-def test_two_processes_do_not_build_one_atlas_at_a_time(tmp_path: Path) -> None:
-    path = tmp_path / "a.h5"
-    with (
-        shards_of(path, KEY),
-        pytest.raises(BlockingIOError, match="another process"),
-        shards_of(path, KEY),
-    ):
-        pass
-    assert entries(tmp_path) == []
-
-
-@pytest.mark.usefixtures("computed")
-@pytest.mark.parametrize("error", [errno.ENOLCK, errno.ENOSYS, errno.EIO])
-def test_where_nothing_can_be_locked_the_build_is_refused(
-    error: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> None:
-        raise OSError(error, os.strerror(error))
-
-    monkeypatch.setattr(fcntl, "flock", fail)
-    with pytest.raises(
-        OSError, match=r"cannot write .*cannot be locked .*elsewhere and copy it\.$"
-    ):
-        write_atlas(TINY, tmp_path / "a.h5")
-    assert entries(tmp_path) == []
-
-
-def test_a_lock_that_was_removed_before_it_was_had_locks_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As when another build ends between open and flock."""
-    path, flock, opened = tmp_path / "a.h5", fcntl.flock, []
-
-    def late(descriptor: int, how: int) -> None:
-        opened.append(descriptor)
-        if len(opened) == 1:
-            next(tmp_path.glob(".*/lock")).unlink()
-        flock(descriptor, how)
-
-    monkeypatch.setattr(fcntl, "flock", late)
-    with (
-        shards_of(path, KEY),
-        pytest.raises(BlockingIOError, match="another process"),
-        shards_of(path, KEY),
-    ):
-        pass
-    assert len(opened) == 3
-    assert entries(tmp_path) == []
-
-
-def test_a_temporary_file_that_was_taken_away_is_not_published(tmp_path: Path) -> None:
-    path = tmp_path / "a"
-    path.write_bytes(FORMER)
-    writing = durable.replacing(path)
-    os.write(writing.__enter__(), b"new")
-    part = next(tmp_path.glob(".*.part"))
-    part.unlink()
-    part.write_bytes(b"of another")
-    with pytest.raises(OSError, match=r"cannot write .*another process took its temporary file"):
-        writing.__exit__(None, None, None)
-    assert path.read_bytes() == FORMER
-
-
-def rivals(folder: Path, whole: bytes, images: dict[Tile, bytes], *words: str) -> list[int]:
-    """Rounds, successes, refusals, and whatever else there was, of builders that meet."""
-    done = subprocess.run(
-        [sys.executable, str(RIVALS), str(folder / "a.h5"), *words],
-        input=pickle.dumps((TINY, KEY, images, whole)),
-        env=os.environ | {"JAX_ENABLE_X64": "1"},
-        capture_output=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr.decode()
-    return [*map(int, done.stdout.split())]
-
-
-@pytest.mark.usefixtures("computed")
-@pytest.mark.parametrize("rounds", [50, pytest.param(1000, marks=LONG)])
-def test_four_builders_at_once_publish_one_whole_file(
-    rounds: int, whole: bytes, images: dict[Tile, bytes], tmp_path: Path
-) -> None:
-    done, successes, refusals, others = rivals(tmp_path, whole, images, "together", str(rounds))
-    assert (done, others) == (rounds, 0)
-    assert successes + refusals == 4 * rounds
-    assert successes >= rounds
-    note("four builders at once", rounds=done, built=successes, refused=refusals, torn=others)
-
-
-@pytest.mark.usefixtures("computed")
-@pytest.mark.parametrize("step", [7, pytest.param(1, marks=LONG)])
-def test_a_builder_that_stands_still_anywhere_tears_nothing(
-    step: int, whole: bytes, images: dict[Tile, bytes], tmp_path: Path
-) -> None:
-    stops, successes, refusals, others = rivals(tmp_path, whole, images, "stopped", str(step))
-    assert stops > 60 // step
-    assert others == 0
-    assert min(successes, refusals) > 0
-    note("stops of a builder", stops=stops, built=successes, refused=refusals, torn=others)
 
 
 def test_the_digest_of_the_content_is_that_of_its_description(whole: bytes) -> None:
