@@ -63,6 +63,20 @@ def test_axes_without_width_are_refused_and_hands_next_to_each_other_are_not(
     assert build_atlas(spec, tmp_path / "a.h5").verdict(0.1, 0.15, 5e-324, 0.0, 0.0) == STABLE
 
 
+def test_limits_that_no_file_holds_are_refused_before_the_work(tmp_path: Path) -> None:
+    deltas = ", ".join(map(str, range(64)))
+    (tmp_path / "many.toml").write_text(
+        "alpha = [0, 1]\nbeta = [0, 1]\ngamma = [0]\ndelay = [0]\nlimit_cells = 4194304\n"
+        f"delta = [{deltas}]\nproducts = ['alpha_limits']\n"
+    )
+    output = tmp_path / "a.h5"
+    for command in (["plan"], ["build", "-o", output, "--spec"]):
+        answer = run("atlas", *command, tmp_path / "many.toml")
+        assert "alpha_limits takes 21139292160 bytes in a tile" in answer.stderr
+        assert_one_sentence(answer.stderr)
+    assert not output.exists()
+
+
 def test_a_table_where_a_number_should_be_is_named_by_its_key(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(
         "[device]\npreset = 'omega'\n[controller]\nsample_time = 0.001\n"

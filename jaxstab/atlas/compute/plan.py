@@ -13,6 +13,7 @@ from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
     CELL_RADIUS_ERROR,
     CELL_VERDICT,
+    LARGEST_ARRAY,
     PRODUCTS,
     SPECTRAL_RADIUS,
     VARIABLES,
@@ -180,10 +181,15 @@ def plan_atlas(spec: AtlasSpec) -> Plan:
     """Decide what to compute for a specification; ``print`` it to see.
 
     Raises:
-        ValueError: a parameter is too large for the model, an axis cannot be fitted, or the grid is
-            too large.
+        ValueError: a parameter is too large for the model, an axis cannot be fitted, or the grid or
+            the limits of alpha in a tile are too large.
     """
-    return Plan(spec, lay_out(spec))
+    plan = Plan(spec, lay_out(spec))
+    for name in plan.variables:
+        size = prod(plan.chunk(name)) * np.dtype(VARIABLES[name].dtype).itemsize
+        if size > LARGEST_ARRAY:
+            raise ValueError(f"{name} takes {size} bytes in a tile; give fewer limit_cells.")
+    return plan
 
 
 def _axis_line(plan: Plan, name: str) -> str:
