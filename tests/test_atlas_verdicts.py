@@ -247,7 +247,7 @@ def cells_of(
     return cell_verdicts(alpha, beta, hands, delay)[0]
 
 
-@pytest.mark.parametrize("count", [10, pytest.param(40, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("count", [6, pytest.param(40, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("delay", CELL_DELAYS)
 @pytest.mark.parametrize(("gamma", "delta"), CELLS)
 def test_a_proved_cell_has_its_verdict_at_each_of_its_points(
@@ -287,12 +287,13 @@ def points_of_cell(
     yield tuple(float(rng.uniform(*side)) for side in box)
 
 
+@pytest.mark.parametrize("count", [20, pytest.param(40, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("delay", CELL_DELAYS)
 def test_a_cell_that_holds_a_point_of_the_boundary_is_never_proved_stable(
-    delay: float, rng: np.random.Generator
+    delay: float, count: int, rng: np.random.Generator
 ) -> None:
     """Nor unstable, but below alpha = -gamma, where the curve bounds nothing."""
-    for theta in rng.uniform(1e-4, 3.14, 40):
+    for theta in rng.uniform(1e-4, 3.14, count):
         hand = rng.uniform(0, 0.001), rng.uniform(0, 0.015)
         gains = [float(gain) for gain in truth.boundary_point(theta, *hand, delay)]
         width = 10.0 ** rng.uniform(-9, -1, 4)

@@ -208,7 +208,7 @@ def _refused() -> Iterator[None]:
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     """Return the tables of a file with the options in place of its values."""
-    places = {
+    keys = {
         "device": ("device", "preset"),
         "mass": ("device", "mass"),
         "damping": ("device", "damping"),
@@ -224,7 +224,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     }
     merged = {"device": {}, "controller": {}} | table
     options = {option: value for option, value in given.items() if value is not None}
-    sections = {section for option, (section, _) in places.items() if option in options}
+    sections = {section for option, (section, _) in keys.items() if option in options}
     if options.get("wall"):
         sections.add("walls")
     if any(not isinstance(merged.get(section, {}), dict) for section in sections):
@@ -232,7 +232,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     if "delay" in options or "delay_samples" in options:  # in place of one in either unit
         kept = merged["controller"].items()
         merged["controller"] = {key: value for key, value in kept if "delay" not in key}
-    for option, (section, key) in places.items():
+    for option, (section, key) in keys.items():
         if option in options:
             merged[section] = merged.get(section, {}) | {key: options[option]}
     walls = {}

@@ -49,7 +49,6 @@ def paper_figure(number: int) -> Figure:
 
     Raises:
         ValueError: there is no such figure.
-        RuntimeError: JAX's x64 mode is off.
 
     Source: Figs. 4 to 10 of Hulin, Preusche, Hirzinger (2008).
     """

@@ -29,7 +29,6 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
 
     Raises:
         ValueError: an argument is outside its range, or the region is empty or unresolved.
-        RuntimeError: JAX's x64 mode is off.
 
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
     """

@@ -52,7 +52,7 @@ def sweep(
 
     Raises:
         ValueError: ``chunk`` is below 1, or the shapes do not broadcast; else as the function.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: Table I for the parameters.
     """

@@ -40,7 +40,7 @@ def closed_loop_poles(
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
         TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9); each pole is an exact root of a polynomial within a few ulp of p(z) (backward
     error), so a root of multiplicity k is only good to about ulp^(1/k).

@@ -31,7 +31,7 @@ from jaxstab.scene.answers import (
     Time,
 )
 from jaxstab.scene.limits import HeldBy, held_by
-from jaxstab.scene.loops import Gains, corner_loops, hands_of, loop_of, walls_of
+from jaxstab.scene.loops import Gains, corner_loops, hands_of, loop_of, point_of, walls_of
 from jaxstab.scene.scene import Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
@@ -149,7 +149,7 @@ def _checked(
         code, loop, hand = worst.verdict, worst.loop, held_by(worst.loop)
         loops = list(dict.fromkeys([loop, *corner_loops(loop, hands)]))
     else:
-        code = Verdict(int(verdict(*_point(loop, gains))))
+        code = Verdict(int(verdict(*point_of(loop, gains))))
     measures: dict[str, Callable[[], Answer]] = {
         "margins": lambda: _margins(loops, gains),
         "distance": lambda: Distance(float(boundary_distance(loop, *gains))),
@@ -161,14 +161,9 @@ def _checked(
     return WallCheck(*gains, code, hand, **measured)  # type: ignore[arg-type]
 
 
-def _point(loop: HapticLoop, gains: Gains) -> tuple[float, ...]:
-    alpha, beta = loop.alpha(gains.stiffness), loop.beta(gains.damping)
-    return alpha, beta, loop.gamma, loop.delta, loop.delay_samples
-
-
 def _margins(loops: list[HapticLoop], gains: Gains) -> Margins:
     """Return the least margins over some loops of one sample time and delay."""
-    points = np.array([_point(loop, gains) for loop in loops]).T
+    points = np.array([point_of(loop, gains) for loop in loops]).T
     found = dimensionless_margins(*points)
     mass = np.array([loop.mass for loop in loops])
     # NaN, of a hand with which the wall is not stable, goes through.
@@ -194,7 +189,7 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
 
 
 def _radius(loop: HapticLoop, gains: Gains) -> Radius:
-    found = spectral_radius(*_point(loop, gains))
+    found = spectral_radius(*point_of(loop, gains))
     return Radius(float(found.value), float(found.error))
 
 

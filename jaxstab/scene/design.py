@@ -80,23 +80,14 @@ def design_loop(scene: Scene) -> Design:
 
     period = loop.sample_time
     shortest = max(period / _FACTOR, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0)
+    longest = _FACTOR * period
     return Design(
         stiffness=wanted,
         now_allowed_stiffness=wall_region(loop).stiffest.stiffness,
-        sample_time=LargestSampleTime(
-            *_largest(sampled, wanted, period, shortest, _FACTOR * period)
-        ),
+        sample_time=LargestSampleTime(*_largest(sampled, wanted, period, shortest, longest)),
         delay=LargestDelay(*_largest(delayed, wanted, period, 0.0, _MOST_SAMPLES * period)),
         hand=LOWEST_HAND if hands_of(scene) else None,
     )
-
-
-class _Largest(NamedTuple):
-    """The largest value of a quantity, the damping there, and what is known of it."""
-
-    value: float
-    damping: float | None
-    status: DesignStatus
 
 
 def _largest(
@@ -105,20 +96,23 @@ def _largest(
     start: float,
     lowest: float,
     highest: float,
-) -> _Largest:
-    """Return the largest value of a quantity whose loop allows the wanted stiffness."""
+) -> tuple[float, float | None, DesignStatus]:
+    """Return the largest value of a quantity whose loop allows the wanted stiffness.
+
+    With it come the damping there, and what is known of it.
+    """
 
     def spare(value: float) -> float:
         return wall_region(loop_at(value)).stiffest.stiffness / wanted - 1.0
 
     low, high = _bracket(spare, start, lowest, highest)
     if not low.spare >= 0.0:
-        return _Largest(nan, None, DesignStatus.NONE)
+        return nan, None, DesignStatus.NONE
     if high.spare >= 0.0:
         found, status = high.value, DesignStatus.LONGEST_TRIED
     else:
         found, status = _last_with_spare(spare, low, high), DesignStatus.FOUND
-    return _Largest(found, wall_region(loop_at(found)).stiffest.damping, status)
+    return found, wall_region(loop_at(found)).stiffest.damping, status
 
 
 class _Trial(NamedTuple):

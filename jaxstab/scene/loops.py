@@ -133,6 +133,12 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
     return {name: Gains(wall.stiffness, wall.damping) for name, wall in scene.walls.items()}
 
 
+def point_of(loop: HapticLoop, gains: Gains) -> tuple[float, float, float, float, float]:
+    """Return the five numbers of a loop with a wall."""
+    alpha, beta = loop.alpha(gains.stiffness), loop.beta(gains.damping)
+    return alpha, beta, loop.gamma, loop.delta, loop.delay_samples
+
+
 def corner_loops(loop: HapticLoop, hands: HandRange) -> list[HapticLoop]:
     """Return the loop with each hand at the corners of a range.
 

@@ -193,8 +193,8 @@ def _walls(table: Any) -> dict[str, Wall]:
     walls = table if isinstance(table, Mapping) else {"": table}
     for name, wall in walls.items():
         if not isinstance(wall, Mapping):
-            place = f"walls.{name}".rstrip(".")
-            raise ValueError(f"{place} is {wall!r}; give a table [walls.NAME] for each wall.")
+            key_name = f"walls.{name}".rstrip(".")
+            raise ValueError(f"{key_name} is {wall!r}; give a table [walls.NAME] for each wall.")
     return {name: Wall.from_table(wall, f"walls.{name}") for name, wall in walls.items()}
 
 

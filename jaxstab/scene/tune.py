@@ -12,7 +12,7 @@ from jaxstab.ranges import HandRange, worst_hand
 from jaxstab.scene.answers import Answer, Bound, Damping, Number, Stiffness, rounded_gain
 from jaxstab.scene.check import SettlingTime, settled
 from jaxstab.scene.limits import LOWEST_HAND
-from jaxstab.scene.loops import Gains, hands_of, loop_of, wall_region
+from jaxstab.scene.loops import Gains, hands_of, loop_of, point_of, wall_region
 from jaxstab.scene.scene import Scene
 from jaxstab.tuning import TuningStatus, optimal_gains
 
@@ -111,6 +111,5 @@ def _best(
 
 def _reached(loop: HapticLoop, gains: Gains) -> tuple[float, float, float]:
     """Return the spectral radius, the bound of its error, and the settling time to 2 %."""
-    alpha, beta = loop.alpha(gains.stiffness), loop.beta(gains.damping)
-    radius = spectral_radius(alpha, beta, loop.gamma, loop.delta, loop.delay_samples)
+    radius = spectral_radius(*point_of(loop, gains))
     return float(radius.value), float(radius.error), settled(settling_time(loop, *gains))

@@ -86,7 +86,7 @@ def spectral_radius(
         ValueError: a concrete argument is outside its range, infinite or NaN, or the method is
             unknown.
         TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9); sec. V of the paper for its use.
 

@@ -54,9 +54,9 @@ def _rolled_power(coefficients: list[Column], doublings: int) -> list[Column]:
     dense = jnp.stack([jnp.broadcast_to(0.0 if c is None else c, shape) for c in coefficients])
     low = sum(c is not None for c in coefficients[:-2])  # of p; between them and two are zeros
 
-    def added(square: Array, place: Array, columns: Array) -> Array:
-        before = lax.dynamic_slice_in_dim(square, place, len(columns))
-        return lax.dynamic_update_slice_in_dim(square, before + columns, place, 0)
+    def added(square: Array, index: Array, columns: Array) -> Array:
+        before = lax.dynamic_slice_in_dim(square, index, len(columns))
+        return lax.dynamic_update_slice_in_dim(square, before + columns, index, 0)
 
     def squared(remainder: Array, divisor: Array) -> Array:
         def multiplied(power: Array, square: Array) -> Array:
@@ -88,8 +88,8 @@ def _samples(remainder: list[Column], coefficients: list[Column]) -> list[Array]
     for turn in range(4):
         sample = remainder[degree - 1 - turn] if turn < degree else None
         for before, value in enumerate(samples):
-            place = degree - turn + before
-            sample = _minus(sample, value, coefficients[place]) if place >= 0 else sample
+            index = degree - turn + before
+            sample = _minus(sample, value, coefficients[index]) if index >= 0 else sample
         assert sample is not None
         samples.append(sample)
     return samples
@@ -109,9 +109,9 @@ def _squared(remainder: list[Column], coefficients: list[Column]) -> list[Column
             square[power] = _plus_product(square[power], middle, middle)
     for power in range(2 * degree - 2, degree - 1, -1):
         top = square[power]
-        for place, coefficient in enumerate(coefficients, start=power - degree):
-            square[place] = (
-                square[place] if top is None else _minus(square[place], top, coefficient)
+        for index, coefficient in enumerate(coefficients, start=power - degree):
+            square[index] = (
+                square[index] if top is None else _minus(square[index], top, coefficient)
             )
     return square[:degree]
 

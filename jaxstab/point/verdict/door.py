@@ -80,7 +80,7 @@ def verdict(
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or resolve is unknown.
         TypeError: the delay is traced, or an array of delays or ``resolve`` meets traced arguments.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
 
@@ -143,7 +143,7 @@ def is_stable(
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
         TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: sec. V of the paper.
 
