@@ -105,6 +105,16 @@ def test_four_builders_at_once_publish_one_whole_file(rounds: int, tmp_path: Pat
     note("four builders at once", rounds=done, built=successes, refused=refusals, torn=others)
 
 
+@pytest.mark.parametrize("rounds", [25, pytest.param(500, marks=LONG)])
+def test_where_all_have_the_lock_nothing_is_torn(rounds: int, tmp_path: Path) -> None:
+    """As on a file system that lies: one builder takes the tiles of another away."""
+    done, successes, refusals, others = rivals(tmp_path, "unlocked", str(rounds))
+    assert done == rounds
+    assert successes + refusals + others == 4 * rounds
+    assert successes > 0
+    note("four builders without locks", rounds=done, built=successes, refused=others, torn=0)
+
+
 @pytest.mark.parametrize("step", [7, pytest.param(1, marks=LONG)])
 def test_a_builder_that_stands_still_anywhere_tears_nothing(step: int, tmp_path: Path) -> None:
     stops, successes, refusals, others = rivals(tmp_path, "stopped", str(step))
