@@ -18,20 +18,21 @@ docs/proofs.md.
 """
 
 from dataclasses import dataclass, field
-from math import floor, pi, sqrt
+from math import floor, sqrt
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Numbers
-from jaxstab.criteria.cosine_series import largest_value
+from jaxstab.criteria.cosine_series import largest_value, series_values
 from jaxstab.model import checked_delay, checked_delta, checked_gain, require_x64
 from jaxstab.numbers import checked_number
 
 Points = Float64[np.ndarray, "points 2"]
+Needs = Float64[np.ndarray, " points"]  # dampings
 
 _MARGIN = 1e-12  # by which an outline is pulled in, so that rounding does not spoil its proof
-_FEWEST_DIRECTIONS = 3  # the two ends of the edge alpha = 0 and one on the other side
+_FIRST_DIRECTIONS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])  # two ends of an edge, beyond
 _CHUNK = 4096  # points tested at once
 
 
@@ -66,9 +67,8 @@ class PassiveRegion:
         for start in range(0, len(flat), _CHUNK):
             chunk = slice(start, start + _CHUNK)
             points = flat[chunk] / (self.delta or 1.0)
-            inside[chunk] &= (
-                largest_value(_series(points, np.ones(len(points)), self.delay)).bound < 1
-            )
+            weights = _weights(points, np.ones(len(points)), self.delay)
+            inside[chunk] &= largest_value(weights, _basis(self.delay)).bound < 1
         return inside.reshape(grid.shape[:-1])
 
 
@@ -104,72 +104,75 @@ def passive_region(
     tolerance = checked_number("tolerance", tolerance, 1e-8)
     if delta == 0.0:
         return PassiveRegion(delta, delay, tolerance, np.zeros((0, 2)))
-    angles = np.linspace(-pi / 2, pi / 2, _FEWEST_DIRECTIONS)
-    points = _boundary_points(angles, delay)
-    is_open = np.ones(len(angles) - 1, bool)
+    points = _boundary_points(_FIRST_DIRECTIONS, delay)
+    is_open = np.ones(len(points) - 1, bool)
     while is_open.any():
         chords = np.flatnonzero(is_open)
-        middles = 0.5 * (angles[chords] + angles[chords + 1])
-        found = _boundary_points(middles, delay)
-        bulges = _distance(found, points[chords], points[chords + 1]) > 0.5 * tolerance
+        start, end = points[chords], points[chords + 1]
+        # Over the middle of a chord a convex arc is at least half as high as anywhere.
+        found = _boundary_points(0.5 * (start + end), delay)
+        bulges = _distance(found, start, end) > 0.5 * tolerance
         is_open[chords] = bulges
         indices = chords[bulges] + 1
-        angles = np.insert(angles, indices, middles[bulges])
         points = np.insert(points, indices, found[bulges], axis=0)
         is_open = np.insert(is_open, indices, True)
     return PassiveRegion(delta, delay, tolerance, delta * points)
 
 
-def _boundary_points(angles: Float64[np.ndarray, " points"], delay: float) -> Points:
+def _boundary_points(directions: Points, delay: float) -> Points:
     """Return the boundary points of the region of delta = 1 in these directions from the origin."""
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    directions[np.abs(directions) < 1e-15] = 0.0
-    fraction = delay - floor(delay)
-    need = largest_value(_series(directions, np.full(len(angles), np.inf), delay)).value
-    need = np.maximum(need, 0.5 * sqrt(fraction * (1 - fraction)) * np.abs(directions[:, 0]))
-    # The damping that one theta needs grows to the one that all need (Newton: from below, convex).
-    for _ in range(60):
-        theta = largest_value(_series(directions, need, delay)).theta
-        raised = np.maximum(need, _need_at(theta, directions, delay))
-        done = np.all(raised <= need * (1 + 1e-15))
-        need = raised
-        if done:
-            break
+    directions = directions / np.hypot(*directions.T)[:, None]
+    basis, fraction = _basis(delay), delay - floor(delay)
+    need = largest_value(directions, basis[:2]).value
+    if fraction:
+        need = np.maximum(need, 0.5 * sqrt(fraction * (1 - fraction)) * np.abs(directions[:, 0]))
+        need = _raised(need, directions, delay)
     points: Points = directions / (need * (1 + _MARGIN))[:, None]
     return points
 
 
-def _need_at(
-    theta: Float64[np.ndarray, " points"], directions: Points, delay: float
-) -> Float64[np.ndarray, " points"]:
-    """Return the damping that makes the wall passive at one theta."""
-    fraction = delay - floor(delay)
-    order = np.arange(floor(delay) + 3)
-    plain = _series(directions, np.full(len(theta), np.inf), delay)
-    real = np.sum(plain * np.cos(theta[:, None] * order), axis=-1)
-    alpha, beta = directions.T
-    wall = alpha**2 + 4 * beta * (alpha + beta) * np.sin(theta / 2) ** 2
-    need: Float64[np.ndarray, " points"]
-    need = 0.5 * (real + np.sqrt(real**2 + fraction * (1 - fraction) * wall))
+def _raised(need: Needs, directions: Points, delay: float) -> Needs:
+    """Return the damping that all thetas need, from one that a theta needs.
+
+    Newton's method, from below on a convex function.
+    """
+    for _ in range(60):
+        theta = largest_value(_weights(directions, need, delay), _basis(delay)).theta
+        raised = np.maximum(need, _need_at(theta, directions, delay))
+        if np.all(raised <= need * (1 + 1e-15)):
+            return raised
+        need = raised
     return need
 
 
-def _series(
-    walls: Points, delta: Float64[np.ndarray, " points"], delay: float
-) -> Float64[np.ndarray, "points term"]:
-    """Return R + f (1 - f) |H|^2 / (4 delta) as cosine series; without the last term for inf."""
+def _need_at(theta: Float64[np.ndarray, " points"], directions: Points, delay: float) -> Needs:
+    """Return the damping that makes the wall passive at one theta."""
+    fraction = delay - floor(delay)
+    real = series_values(directions @ _basis(delay)[:2], theta)[0]
+    alpha, beta = directions.T
+    wall = alpha**2 + 4 * beta * (alpha + beta) * np.sin(theta / 2) ** 2
+    need: Needs = 0.5 * (real + np.sqrt(real**2 + fraction * (1 - fraction) * wall))
+    return need
+
+
+def _basis(delay: float) -> Float64[np.ndarray, "4 term"]:
+    """Return R of alpha = 1 and of beta = 1, 1 and cos(theta), as cosine series."""
     whole = floor(delay)
     fraction = delay - whole
+    basis = np.zeros((4, whole + 3))
+    basis[0, : whole + 2] = [0.5, *[1.0] * whole, fraction]
+    basis[1, whole + 1 :] = fraction - 1.0, -fraction
+    basis[2, 0] = basis[3, 1] = 1.0
+    return basis
+
+
+def _weights(walls: Points, delta: Needs, delay: float) -> Float64[np.ndarray, "points 4"]:
+    """Return R + f (1 - f) |H|^2 / (4 delta) as sums of the basis."""
+    fraction = delay - floor(delay)
     alpha, beta = walls.T
     fold = fraction * (1 - fraction) / (4 * delta)
-    series = np.zeros((len(walls), whole + 3))
-    series[:, 0] = 0.5 * alpha
-    series[:, 1 : whole + 1] = alpha[:, None]
-    series[:, whole + 1] = fraction * alpha - (1 - fraction) * beta
-    series[:, whole + 2] = -fraction * beta
-    series[:, 0] += fold * ((alpha + beta) ** 2 + beta**2)
-    series[:, 1] -= 2 * fold * beta * (alpha + beta)
-    return series
+    still, moving = (alpha + beta) ** 2 + beta**2, -2 * beta * (alpha + beta)
+    return np.stack([alpha, beta, fold * still, fold * moving], axis=-1)
 
 
 def _distance(point: Points, start: Points, end: Points) -> Float64[np.ndarray, " points"]:
