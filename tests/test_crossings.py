@@ -27,7 +27,7 @@ Place = tuple[float, float, float]
 
 def found(place: Place) -> np.ndarray:
     length = int(place[2]) + 3
-    return crossings(slice_coefficients(*place), scan_angles(length, 1))
+    return crossings(slice_coefficients(*place), scan_angles(length, 1), length)
 
 
 def sizes_of_roots(theta: np.ndarray, place: Place) -> np.ndarray:

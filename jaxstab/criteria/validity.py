@@ -142,7 +142,12 @@ def _answers(question: _Question) -> LinearValidity:
     ones = np.ones_like(question.delay)
     slices = slice_coefficients(question.gamma, question.delta, question.delay, ones)
     owners = question.select(changes.owner)
-    curve = _Curve(owners, SliceCoefficients(*(np.asarray(part)[changes.owner] for part in slices)))
+    curve = _Curve(
+        owners,
+        SliceCoefficients(
+            *(np.asarray(part)[changes.owner] for part in slices if part is not None)
+        ),
+    )
     theta = _solved(curve, series.coefficients[changes.owner], changes)
     alpha, beta, height = curve.point(theta)
     # Left of the line z = 1 the error rises where its numerator falls.

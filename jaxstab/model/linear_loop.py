@@ -9,7 +9,6 @@ up to powers of z. All coefficients are formed in pairs of float64, with bounds 
 (lemma V8 of docs/proofs.md).
 """
 
-from functools import reduce
 from typing import NamedTuple
 
 from jaxstab.arrays import Array, namespace
@@ -184,7 +183,6 @@ def _at_minus_one(
 
 def _values(transfer: Transfer, z: float) -> tuple[Bounded, Bounded]:
     """Return numerator and denominator at z = 1 or -1."""
-    both = zip(transfer[:2], transfer.sizes, strict=True)
-    horner = [(reduce(lambda value, c: value * z + c, one), size) for one, size in both]
-    (above, size), (below, size_below) = horner
-    return Bounded(above, _LOST * size), Bounded(below, _LOST * size_below)
+    both = zip(transfer.at(z), transfer.sizes, strict=True)
+    above, below = (Bounded(value, _LOST * size) for value, size in both)
+    return above, below

@@ -36,6 +36,11 @@ class Transfer(NamedTuple):
             (self.sizes[0] * other.sizes[0], self.sizes[1] * other.sizes[1]),
         )
 
+    def at(self, z: float) -> tuple[DoubleDouble, DoubleDouble]:
+        """Return numerator and denominator at z."""
+        above, below = (reduce(lambda value, c: value * z + c, one) for one in self[:2])
+        return above, below
+
     @property
     def order(self) -> int:
         """The number of its poles, those at z = 0 included."""

@@ -13,6 +13,8 @@ from jaxtyping import Float64, Int
 
 from jaxstab.region.corners import steps_to_meeting
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift, minus_margin
+from jaxstab.region.filtered_curve import FilteredCurve, may_be_stable
+from jaxstab.region.other_roots import others_inside
 from jaxstab.region.roots import bracketed_root, with_slope
 from jaxstab.region.scan import Angles
 
@@ -20,6 +22,7 @@ _AT_ONCE = 1 << 20  # pairs of boxes that are held in memory
 _NEWTON_STEPS = 24  # where two parts all but touch each step halves what is left
 _BEYOND = 0.5  # how far Newton's method may leave a part, as a share of it
 _ARRIVED = 1e-3  # the last step, and the least distance of two angles that meet; likewise
+_NEARLY_STABLE = 1.1  # of the circle: with filters parts with roots farther out bound nothing
 _SETTLED = 1e-9  # a step that small is the last one; likewise
 _CLOSE = 1e-6  # crossings closer to each other are one
 _STARTS = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])  # of two parts: one end of each
@@ -30,14 +33,19 @@ Slopes = Float64[np.ndarray, "2 angle"]
 
 
 @np.errstate(all="ignore")
-def crossings(c: SliceCoefficients, angles: Angles) -> Angles:
+def crossings(c: SliceCoefficients, angles: Angles, length: int) -> Angles:
     """Return the angles, in order, at which the curve of a scan meets itself or a line."""
     values, slopes = with_slope(lambda theta: _values(c, theta), angles)
     controls = _control_points(angles, values, slopes)
+    if c.filtered is not None:
+        is_near = others_inside(c, angles, length, within=_NEARLY_STABLE)
+        is_near &= may_be_stable(c.filtered, *values[:2])
+        is_far = ~(is_near[1:] | is_near[:-1])
+        controls[..., is_far | _spans_a_pole(c.filtered, angles)] = np.nan  # touches nothing
     of_curve = _self_crossings(c, angles, controls[:, :2], slopes[:2])
     of_lines = _line_crossings(c, angles, controls[:, 2:], slopes[2:])
     every = np.sort(np.concatenate([of_curve, of_lines]))
-    return every[np.diff(every, prepend=-1.0) > _CLOSE]
+    return every[np.diff(every, prepend=-np.inf) > _CLOSE]
 
 
 def _values(c: SliceCoefficients, theta: np.ndarray) -> np.ndarray:
@@ -53,6 +61,14 @@ def _control_points(
     here, there = values[:, :-1], values[:, 1:]
     third = np.diff(angles) / 3.0
     return np.stack([here, here + third * slopes[:, :-1], there - third * slopes[:, 1:], there])
+
+
+def _spans_a_pole(curve: FilteredCurve, angles: Angles) -> np.ndarray:
+    """Return which parts have a pole between their ends, or angles of the other orientation."""
+    poles = np.sort(curve.poles[0])
+    number = np.searchsorted(poles, np.abs(angles)) * np.sign(angles)
+    spans: np.ndarray = (np.diff(number) != 0) | (np.diff(np.sign(angles)) != 0)
+    return spans
 
 
 # ---------------------------------------------------------------------------- of two parts

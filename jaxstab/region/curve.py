@@ -33,8 +33,15 @@ from jaxstab.arrays import (
 from jaxstab.batches import compiled
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import Filters
 from jaxstab.model.plant import PlantPairs, plant_pairs
 from jaxstab.numbers import checked
+from jaxstab.region.filtered_curve import (
+    FilteredCurve,
+    estimate_at_one,
+    filtered_curve,
+    filtered_point,
+)
 from jaxstab.region.sines import sines
 
 _CLOSE, _FAR = 1e-9, 4.0  # of the distance of a pole from the circle: closer is as close
@@ -46,7 +53,8 @@ class SliceCoefficients(NamedTuple):
     """What the boundary in one (alpha, beta) plane is made of; arrays of the slice's shape.
 
     ``radius`` is r, ``turns`` is m, ``gain`` is r^m; ``ratio`` is D(r)/N(r), which is gamma for
-    r = 1; ``den_plus`` is D(r)/r and ``den_minus`` is D(-r)/r, likewise for the numerator N.
+    r = 1; ``den_plus`` is D(r)/r and ``den_minus`` is D(-r)/r, likewise for the numerator N. With
+    an estimator or a position filter the curve is that of ``filtered``.
     """
 
     radius: Array
@@ -61,6 +69,7 @@ class SliceCoefficients(NamedTuple):
     den_minus: Array
     num_plus: Array
     num_minus: Array
+    filtered: FilteredCurve | None = None
 
 
 def boundary_curve(
@@ -140,19 +149,10 @@ def minus_line(
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = -radius.
 
-    Args:
-        beta: wall damping B T/m, any shape; like all arguments it broadcasts.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
-        radius: modulus of the root in (0, 1].
+    Arguments and errors are those of ``plus_line``.
 
     Returns:
         alpha of the broadcast shape; infinite where N(-radius) = 0 (delta = 0 and a whole delay).
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = -radius.
     """
@@ -183,6 +183,28 @@ def slice_coefficients(
         return _slice_coefficients(gamma, size, turns, plant)
     single = _slice_coefficients(float(gamma), float(size), float(turns), tree_map(float, plant))
     return tree_map(np.float64, single)
+
+
+def filtered_coefficients(
+    gamma: float, delta: float, delay: float, filters: Filters
+) -> SliceCoefficients:
+    """Return the coefficients of the boundary of one slice with filters, for radius 1."""
+    whole, fraction = divmod(delay, 1.0)
+    curve = filtered_curve(gamma, delta, int(whole), fraction, filters)
+    (den_plus, num_plus, *_), (den_minus, num_minus, *_) = curve.plus.at_one, curve.minus.at_one
+    one, sign = np.float64(1.0), np.sign(den_minus) if den_minus else 1.0
+    return SliceCoefficients(
+        radius=one,
+        turns=np.float64(0.0 if curve.minus.sign > 0.0 else 1.0),
+        gain=one,
+        ratio=den_plus / num_plus,
+        **dict.fromkeys(("kappa", "eps", "sigma", "nu"), np.float64(np.nan)),
+        den_plus=den_plus,
+        num_plus=num_plus,
+        den_minus=sign * den_minus,
+        num_minus=sign * num_minus,
+        filtered=curve,
+    )
 
 
 @compiled(many=_MANY)
@@ -234,7 +256,9 @@ def minus_offset(c: SliceCoefficients) -> Array:
 
 
 def minus_slope(c: SliceCoefficients) -> Array:
-    """Return 1 + 1/r."""
+    """Return 1 + 1/r, or what an estimator makes of z = -1."""
+    if c.filtered is not None:
+        return np.float64(estimate_at_one(c.filtered.minus))
     return (c.radius + 1.0) / c.radius
 
 
@@ -245,7 +269,8 @@ def minus_margin(c: SliceCoefficients, alpha: Array, beta: Array) -> Array:
 
 def lines_crossing(c: SliceCoefficients) -> tuple[Array, Array]:
     """Return (alpha, beta) where the lines of a real root at r and at -r cross."""
-    beta = (minus_offset(c) - plus_offset(c)) * c.radius / 2.0
+    with np.errstate(all="ignore"):  # an estimator may make them parallel
+        beta = (minus_offset(c) - plus_offset(c)) / (minus_slope(c) - plus_slope(c))
     return plus_offset(c) - plus_slope(c) * beta, beta
 
 
@@ -260,6 +285,9 @@ def poles(c: SliceCoefficients) -> tuple[Array, Array]:
     There the curve flies off: close to a zero it changes in steps as short as the distance, which
     is the modulus of the logarithm of |z| / r.
     """
+    if c.filtered is not None:
+        angles, distances = c.filtered.poles
+        return np.concatenate([angles, -angles]), np.tile(distances, 2)
     xp = namespace(c)
     first, last = 0.5 * (c.sigma + c.nu), 0.5 * (c.sigma - c.nu)
     middle = c.num_plus - c.sigma
@@ -294,6 +322,8 @@ def curve_and_lift(
     The third value vanishes where the curve crosses the line z = r, but not where it starts on it.
     Analytic in theta, so that NumPy takes derivatives by a complex step (``with_slope``).
     """
+    if c.filtered is not None:
+        return filtered_point(c.filtered, theta, low)
     xp = namespace(c, theta)
     upper = xp.real(theta) > pi / 2
     # XLA would otherwise add the two parts of pi first.

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxstab.arrays import Array, namespace, repeat, scan, stored
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift, lines_crossing
+from jaxstab.region.filtered_curve import filtered_quotient
 
 _REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
 _MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
@@ -49,6 +50,8 @@ def _quotient(
     c: SliceCoefficients, wall: tuple[Array, Array], total: Array, product: float, length: int
 ) -> Array:
     """Divide p(r zeta) by zeta^2 - total zeta + product, of two roots that the wall has."""
+    if c.filtered is not None:
+        return filtered_quotient(c.filtered, wall, total, product, length)
     xp = namespace(c, wall)
     alpha, beta = wall
     unit = c.gain * c.radius

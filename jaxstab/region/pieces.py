@@ -48,14 +48,17 @@ class Pieces(NamedTuple):
 
 
 class _Ends(NamedTuple):
-    """The ends of all pieces, first the begins, then the ends; ``pinned`` ones are at 0 or pi.
+    """The ends of all pieces, first the begins, then the ends.
 
-    ``outer`` and ``inner`` fail and pass the test of the other roots; ``rough`` lies between them
-    and ``points`` (2, end) are the curve's there.
+    ``pinned`` ones are at a ``limit`` of the angles, 0 or +-pi, on a ``line``. ``outer`` and
+    ``inner`` fail and pass the test of the other roots; ``rough`` lies between them and ``points``
+    (2, end) are the curve's there.
     """
 
     exists: Array
     pinned: Array
+    limit: Array
+    line: Array
     outer: Array
     inner: Array
     rough: Array
@@ -89,10 +92,9 @@ def find_pieces(
     known = constant(c)
     ends, fits = _found_ends(known, angles, length, slots)
     slots = len(ends.exists) // 2
-    lines = xp.repeat(xp.asarray([Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE]), slots)
     to_join, _, _ = _joined(ends, ends.exists & ~ends.pinned)
     met = nearest_branch(known, to_join, ends.scale)
-    branch = xp.where(ends.exists, xp.where(ends.pinned, lines, met), NO_BRANCH)
+    branch = xp.where(ends.exists, xp.where(ends.pinned, ends.line, met), NO_BRANCH)
     to_join, following, preceding = _joined(ends, branch == Branch.CURVE)
     theta, low, is_solved = _solved(c, ends, branch, to_join)
 
@@ -144,18 +146,23 @@ def _found_ends(
     slots = max(int(count), 1) if slots is None else slots
     begins, ends = first_indices(is_begin, slots), first_indices(is_end, slots)
     exists = xp.tile(begins < len(angles), 2)
-    pinned = xp.concatenate([begins == 0, ends == len(angles) - 1])
+    first = xp.sum(angles < 0.0)  # negative angles, of filters, begin at -pi
+    at_zero = begins == first
+    pinned = xp.concatenate([at_zero | (begins == 0), ends == len(angles) - 1])
+    limit = xp.concatenate([xp.where(at_zero, 0.0, -xp.pi), xp.full(slots, xp.pi)])
+    line = xp.where(limit == 0.0, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)
     # Both ends of all pieces are solved in one batch.
     padded = xp.concatenate([xp.zeros(1), angles, xp.full(1, xp.pi)])
+    neighbours = padded[xp.minimum(xp.concatenate([begins, ends + 2]), len(angles) + 1)]
     outer, inner = _narrowed(
         inside,
-        padded[xp.minimum(xp.concatenate([begins, ends + 2]), len(angles) + 1)],
+        xp.where(pinned, limit, neighbours),
         padded[xp.concatenate([begins, ends]) + 1],
     )
     rough = xp.where(exists, 0.5 * (outer + inner), 1.0)
     points = kept(xp.stack(curve_and_lift(c, rough)[:2]))
     scale = scales(c, points[0], points[1], rough)
-    return _Ends(exists, pinned, outer, inner, rough, points, scale), count <= slots
+    return _Ends(exists, pinned, limit, line, outer, inner, rough, points, scale), count <= slots
 
 
 def _narrowed(inside: Callable[[Array], Array], outer: Array, inner: Array) -> tuple[Array, Array]:
@@ -206,8 +213,7 @@ def _solved(
     )
     is_solved = ends.pinned | (is_solved & is_between)
     theta, low = xp.where(is_solved, theta, ends.rough), xp.where(is_solved, low, 0.0)
-    limits = xp.repeat(xp.asarray([0.0, xp.pi]), len(theta) // 2)
-    theta, low = xp.where(ends.pinned, limits, theta), xp.where(ends.pinned, 0.0, low)
+    theta, low = xp.where(ends.pinned, ends.limit, theta), xp.where(ends.pinned, 0.0, low)
     return theta.reshape(2, -1), low.reshape(2, -1), is_solved.reshape(2, -1)
 
 

@@ -10,27 +10,19 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, p
 from jaxstab.batches import compiled
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, refuses_loops
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import measures
-from jaxstab.region.crossings import crossings
-from jaxstab.region.curve import SliceCoefficients, slice_coefficients
+from jaxstab.region.components import components_of, holds_small_gains
+from jaxstab.region.curve import SliceCoefficients, filtered_coefficients, slice_coefficients
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import Pieces, find_pieces
 from jaxstab.region.scan import (
-    Angles,
-    are_among,
-    closer_angles,
-    nearly_stable,
     scan_angles,
-    suspects,
 )
+from jaxstab.region.search import coefficient_count, refined_pieces
 
-# Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
-# the circle there. The last ones take the angles of the best chances only.
-_SCANS = ((1, 24, 1e-4), (4, 192, 1e-4), (16, 768, 1e-4), (64, 1536, 1e-7))
-_EMPTY_FINENESS = 4
-_ROUNDS = 8
 LONGEST_DELAY = 500.0  # samples: the work grows as the third power
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
@@ -106,6 +98,33 @@ class StableRegion:
         corners: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
         corners = np.asarray(self.outline.corners) + 0.0
         return corners[np.isfinite(corners[:, 0])]
+
+    @property
+    def components(self) -> list["StableRegion"]:
+        """The connected parts of the region: first the one that holds small gains, then by area.
+
+        Estimators cut islands off. All are there whose boundary the scan of the curve found, as
+        for the region itself.
+        """
+        if int(self.outline.size) == 0:
+            return []
+        outlines = components_of(self.coefficients, self.outline)
+        return [_of_outline(self.coefficients, outline) for outline in outlines]
+
+    @property
+    def main(self) -> "StableRegion | None":
+        """The component that holds small positive gains: what turning gains up from 0 reaches.
+
+        None where small positive gains are not stable.
+        """
+        first = next(iter(self.components), None)
+        holds = first is not None and holds_small_gains(first.coefficients, first.outline)
+        return first if holds else None
+
+    @property
+    def islands(self) -> list["StableRegion"]:
+        """The components that turning gains up from 0 does not reach, the largest first."""
+        return self.components[self.main is not None :]
 
     @property
     def loops(self) -> int:
@@ -207,6 +226,9 @@ def stable_region(
     delay: Numbers,
     radius: Numbers = 1.0,
     tolerance: Numbers = 1e-6,
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> StableRegion:
     """Return the set of all (alpha, beta) with every root of p(z) inside of a circle.
 
@@ -222,6 +244,9 @@ def stable_region(
         radius: the circle's radius in (0, 1]: 1 for stability, less for a decay rate.
         tolerance: largest distance between the polygon and the boundary, as a share of the
             region's diameter, > 1e-10.
+        velocity: the velocity estimator in units of one sample; None for the difference over one
+            sample, the wall of the paper. The radius is 1 with it.
+        position: the position filter in units of one sample; None for none.
 
     Returns:
         StableRegion of NumPy arrays, with its status. An empty region is an answer, not an error.
@@ -242,7 +267,11 @@ def stable_region(
         checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples"),
         checked_number("radius", radius, 0.0, 1.0, is_open=True),
     )
-    return _stable_region(*plant, checked_number("tolerance", tolerance, _FINEST, is_open=True))
+    smallest = checked_number("tolerance", tolerance, _FINEST, is_open=True)
+    filters = given_filters(velocity, position)
+    if filters and plant[3] != 1.0:
+        raise ValueError(f"radius is {plant[3]:g}; with a filter only 1 is answered.")
+    return _stable_region(*plant, smallest, filters)
 
 
 def region_outline(
@@ -286,7 +315,7 @@ def region_outline(
     least = 2 * extra_vertices(slots)
     if checked_count("points", points, 0) < least:
         raise ValueError(f"points is {points}; give at least {least} for {slots} slots.")
-    length = _length(float(checked_delay(delay)))
+    length = coefficient_count(float(checked_delay(delay)))
     c = stored(slice_coefficients(gamma, delta, delay, radius))
     angles = namespace(c).asarray(scan_angles(length, fineness))
     pieces = _pieces(c, angles, length=length, slots=slots)
@@ -295,10 +324,18 @@ def region_outline(
 
 @compiled()
 def _stable_region(
-    gamma: float, delta: float, delay: float, radius: float, tolerance: float
+    gamma: float,
+    delta: float,
+    delay: float,
+    radius: float,
+    tolerance: float,
+    filters: Filters | None,
 ) -> StableRegion:
-    c = slice_coefficients(gamma, delta, delay, radius)
-    pieces = _refined_pieces(c, delay, may_be_empty=delta == 0.0 or radius < 1.0)
+    if filters:
+        c = filtered_coefficients(gamma, delta, delay, filters)
+    else:
+        c = slice_coefficients(gamma, delta, delay, radius)
+    pieces = refined_pieces(c, delay, may_be_empty=delta == 0.0 or radius < 1.0)
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)
     region = _region(c, pieces, points=points)
@@ -309,50 +346,8 @@ def _stable_region(
     return region
 
 
-def _refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Pieces:
-    """Return pieces that close to loops and at whose ends nothing more hides.
-
-    With damping the loop without a wall is stable: an empty answer is then a scan too coarse. Where
-    even the finest scan is not enough, ``resolved`` of the pieces is False.
-    """
-    length = _length(delay)
-    closer = crossings(c, scan_angles(length, 1))
-    for fineness, most, outside in _SCANS:
-        scan = scan_angles(length, fineness)
-        pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
-        if is_settled:
-            return pieces
-        if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.exists[0]:
-            return pieces
-    return pieces._replace(resolved=np.bool_(False))
-
-
-def _settled_pieces(
-    c: SliceCoefficients, scan: Angles, closer: Angles, most: int, outside: float, length: int
-) -> tuple[Pieces, Angles, bool]:
-    """Look closer at more and more angles, until no new one shows; return whether all is resolved.
-
-    Beside the pieces, the angles looked at are returned.
-    """
-    closer = nearly_stable(c, closer, outside, length=length)
-    for _ in range(_ROUNDS):
-        pieces = find_pieces(c, closer_angles(scan, closer[:most]), length=length)
-        if not pieces.exists[0]:
-            return pieces, closer, False
-        known, closer = closer, suspects(c, pieces, closer, outside, length=length)
-        is_all = are_among(closer, known)
-        if is_all or len(closer) > most:
-            return pieces, closer, is_all and len(closer) <= most and bool(pieces.resolved)
-    return pieces, closer, False
-
-
 def _enough_points(wanted: float, fewest: int) -> int:
     return max(fewest, min(ceil(wanted), _MOST_POINTS))
-
-
-def _length(delay: float) -> int:
-    """Return how many coefficients the polynomials of the other roots have."""
-    return int(delay) + 3
 
 
 _pieces = compiled(static=("length", "slots"))(find_pieces)
@@ -362,10 +357,13 @@ _pieces = compiled(static=("length", "slots"))(find_pieces)
 def _region(
     c: SliceCoefficients, pieces: Pieces, *, points: int, length: int | None = None
 ) -> StableRegion:
-    xp = namespace(c, pieces)
-    outline = polygon(c, pieces, points, length)
+    return _of_outline(c, polygon(c, pieces, points, length))
+
+
+def _of_outline(c: SliceCoefficients, outline: Outline) -> StableRegion:
+    xp = namespace(c, outline)
     largest = xp.argmax(xp.nan_to_num(outline.vertices, nan=-xp.inf), axis=0)
-    known = xp.where(xp.any(pieces.exists), RegionStatus.COMPLETE, RegionStatus.EMPTY)
+    known = xp.where(outline.size > 0, RegionStatus.COMPLETE, RegionStatus.EMPTY)
     status = xp.where(outline.resolved, known, RegionStatus.UNRESOLVED)
     return StableRegion(
         coefficients=c,

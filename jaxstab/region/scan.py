@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from jaxstab.model import companion_matrix
 from jaxstab.region.curve import SliceCoefficients
+from jaxstab.region.filtered_curve import is_oriented
 from jaxstab.region.other_roots import other_roots, others_inside
 from jaxstab.region.pieces import Pieces
 
@@ -36,11 +37,28 @@ def scan_angles(length: int, fineness: int) -> Angles:
     return angles
 
 
-def closer_angles(angles: Angles, centers: Angles) -> Angles:
+def slice_angles(c: SliceCoefficients, length: int, fineness: int) -> Angles:
+    """Return the angles of a scan for a slice: with filters closer to the poles of the curve.
+
+    They have the sign of Im V: see ``filtered_curve``.
+    """
+    angles = scan_angles(length, fineness)
+    if c.filtered is None:
+        return angles
+    offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
+    around = c.filtered.poles[0][:, None] + np.concatenate([-offsets, offsets])
+    inner = around[(around > angles[0]) & (around < angles[-1])]
+    angles = np.sort(np.concatenate([angles, inner]))
+    return np.sort(np.where(is_oriented(c.filtered, angles), angles, -angles))
+
+
+def closer_angles(c: SliceCoefficients, angles: Angles, centers: Angles) -> Angles:
     """Return the angles of a scan with more of them around some centers."""
     offsets = np.geomspace(_CLOSEST, np.max(np.diff(angles)), _OFFSETS)
     around = centers[:, None] + np.concatenate([-offsets, offsets])
     closer: Angles = np.clip(around.ravel(), angles[0], angles[-1])
+    if c.filtered is not None:
+        closer = closer[is_oriented(c.filtered, closer)]
     return np.sort(np.concatenate([angles, closer]))
 
 
@@ -53,16 +71,19 @@ def suspects(
     there, or close.
     """
     ends = np.concatenate([pieces.begin, pieces.end])
-    corners = ends[np.tile(pieces.exists, 2) & (ends > 0.0) & (ends < np.pi)]
+    size = np.abs(ends)
+    corners = ends[np.tile(pieces.exists, 2) & (size > 0.0) & (size < np.pi)]
     others = other_roots(c, corners, length)
     partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
+    if c.filtered is not None:
+        partners = np.where(is_oriented(c.filtered, partners), partners, -partners)
     return nearly_stable(c, np.concatenate([known, corners, partners]), outside, length=length)
 
 
 def nearly_stable(c: SliceCoefficients, angles: Angles, outside: float, *, length: int) -> Angles:
     """Return those angles, in order, at which no other root is farther than that outside."""
     angles = np.sort(angles)
-    angles = angles[np.diff(angles, prepend=-1.0) > _CLOSEST]
+    angles = angles[np.diff(angles, prepend=-np.inf) > _CLOSEST]
     chosen: Angles = angles[others_inside(c, angles, length, within=1.0 + outside)]
     return chosen
 

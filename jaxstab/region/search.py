@@ -1,0 +1,65 @@
+"""The search for the pieces of one slice: finer and finer, until they close to loops."""
+
+import numpy as np
+
+from jaxstab.region.crossings import crossings
+from jaxstab.region.curve import SliceCoefficients
+from jaxstab.region.pieces import Pieces, find_pieces
+from jaxstab.region.scan import (
+    Angles,
+    are_among,
+    closer_angles,
+    nearly_stable,
+    slice_angles,
+    suspects,
+)
+
+# Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
+# the circle there. The last ones take the angles of the best chances only.
+_SCANS = ((1, 24, 1e-4), (4, 192, 1e-4), (16, 768, 1e-4), (64, 1536, 1e-7))
+_FILTERED_SCANS = 2  # with filters: what these leave open the others do, too, in minutes
+_EMPTY_FINENESS = 4
+_ROUNDS = 8
+
+
+def refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Pieces:
+    """Return pieces that close to loops and at whose ends nothing more hides.
+
+    With damping the loop without a wall is stable: an empty answer is then a scan too coarse. Where
+    even the finest scan is not enough, ``resolved`` of the pieces is False.
+    """
+    length = coefficient_count(delay) if c.filtered is None else c.filtered.parts.shape[1] - 2
+    closer = crossings(c, slice_angles(c, length, 1), length)
+    scans = _SCANS if c.filtered is None else _SCANS[:_FILTERED_SCANS]
+    for fineness, most, outside in scans:
+        scan = slice_angles(c, length, fineness)
+        pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
+        if is_settled:
+            return pieces
+        if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.exists[0]:
+            return pieces
+    return pieces._replace(resolved=np.bool_(False))
+
+
+def _settled_pieces(
+    c: SliceCoefficients, scan: Angles, closer: Angles, most: int, outside: float, length: int
+) -> tuple[Pieces, Angles, bool]:
+    """Look closer at more and more angles, until no new one shows; return whether all is resolved.
+
+    Beside the pieces, the angles looked at are returned.
+    """
+    closer = nearly_stable(c, closer, outside, length=length)
+    for _ in range(_ROUNDS):
+        pieces = find_pieces(c, closer_angles(c, scan, closer[:most]), length=length)
+        if not pieces.exists[0]:
+            return pieces, closer, False
+        known, closer = closer, suspects(c, pieces, closer, outside, length=length)
+        is_all = are_among(closer, known)
+        if is_all or len(closer) > most:
+            return pieces, closer, is_all and len(closer) <= most and bool(pieces.resolved)
+    return pieces, closer, False
+
+
+def coefficient_count(delay: float) -> int:
+    """Return how many coefficients the polynomials of the other roots have."""
+    return int(delay) + 3
