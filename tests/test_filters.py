@@ -307,3 +307,110 @@ def test_grids_that_go_through_xla_answer_as_few_points_do() -> None:
 def test_what_is_no_filter_is_refused_in_one_sentence(make: Callable[[], Any], words: str) -> None:
     with pytest.raises((ValueError, TypeError), match=words):
         make()
+
+
+# ------------------------------------------------------------------------------------- regions
+
+# The areas of the components, that of small gains first (from dense grids, to their digits).
+COMPONENTS = [
+    (Velocity.difference(samples=2), 0.0, [0.3015]),
+    (Velocity.difference(samples=10), 0.0, [0.0104, 0.0208]),
+    (Velocity.difference(samples=20), 0.0, [0.0018, 0.0083, 0.0015]),
+    (Velocity.difference(samples=20), 1.0, [0.00099, 0.00042]),
+]
+
+
+@pytest.mark.parametrize(("velocity", "delay", "areas"), COMPONENTS)
+def test_regions_have_their_islands(velocity: Velocity, delay: float, areas: list[float]) -> None:
+    region = jaxstab.stable_region(0.0, 0.0, delay, velocity=velocity)
+    assert [float(one.area) for one in region.components] == pytest.approx(areas, rel=0.03)
+    assert region.main is not None
+    assert float(region.main.area) == float(region.components[0].area)
+    assert len(region.islands) == len(areas) - 1
+    assert sum(len(one.corners) for one in region.components) == len(region.corners)
+    assert float(region.area) == pytest.approx(sum(float(one.area) for one in region.components))
+
+
+@pytest.mark.parametrize(("samples", "delay", "alpha", "beta"), ISLANDS)
+def test_points_of_islands_are_in_one_island(
+    samples: int, delay: float, alpha: float, beta: float
+) -> None:
+    velocity = Velocity.difference(samples=samples)
+    region = jaxstab.stable_region(0.0, 0.0, delay, velocity=velocity)
+    assert region.contains(alpha, beta)
+    assert [bool(island.contains(alpha, beta)) for island in region.islands].count(True) == 1
+    assert region.main is not None
+    assert not region.main.contains(alpha, beta)
+
+
+@pytest.mark.parametrize(("velocity", "delay", "alpha", "beta"), LARGEST)
+def test_the_main_component_has_the_known_largest_stiffness(
+    velocity: Velocity, delay: float, alpha: float, beta: float
+) -> None:
+    region = jaxstab.stable_region(0.0, 0.0, delay, velocity=velocity)
+    assert region.main is not None
+    np.testing.assert_allclose(region.main.max_alpha, [alpha, beta], rtol=1e-11)
+
+
+@pytest.mark.parametrize("position", FILTERS)
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("plant", [(0.0, 0.0, 1.0), (1e-3, 1e-2, 2.5)])
+def test_regions_agree_with_certified_verdicts(
+    estimator: str, position: str, plant: tuple[float, float, float]
+) -> None:
+    filters: dict[str, Any] = {
+        "velocity": ESTIMATORS[estimator][0],
+        "position": FILTERS[position][0],
+    }
+    region = jaxstab.stable_region(*plant, **filters)
+    assert region.status == jaxstab.RegionStatus.COMPLETE
+    rng = np.random.default_rng(7)
+    low, high = region.points.min(axis=0), region.points.max(axis=0)
+    size = high - low
+    edges = rng.integers(len(region.points), size=100)
+    near = region.points[edges] + size * rng.normal(size=(100, 2)) * 10.0 ** rng.uniform(
+        -6.0, -1.0, (100, 1)
+    )
+    far = 0.5 * (low + high) + size * rng.normal(size=(200, 2)) * 10.0 ** rng.uniform(
+        -1.0, 2.0, (200, 1)
+    )
+    alpha, beta = np.concatenate([near, far]).T
+    codes = jaxstab.verdict(alpha, beta, *plant, **filters)
+    inside = region.contains(alpha, beta)
+    assert not np.any(inside & (codes == UNSTABLE))
+    assert not np.any(~inside & (codes == STABLE))
+    assert np.sum(codes == UNDECIDED) == 0
+
+
+def test_corners_of_filtered_regions_have_roots_on_the_circle_and_none_outside() -> None:
+    velocity, v = ESTIMATORS["window 20"]
+    loop = truth.FilteredLoop(1e-3, 1e-2, 1.0, v, truth.average(1))
+    corners = jaxstab.stable_region(1e-3, 1e-2, 1.0, velocity=velocity).corners
+    for alpha, beta in corners:
+        coefficients = [float(c.mid()) for c in loop.polynomial(float(alpha), float(beta))]
+        moduli = np.abs(np.roots(coefficients))
+        # Three, or two at z = 1, where the curve begins on the line of a real root.
+        assert np.sum(np.abs(moduli - 1.0) < 1e-6) >= (2 if alpha < -1e-3 + 1e-9 else 3)
+        assert np.max(moduli) < 1.0 + 1e-6
+
+
+def test_a_window_of_one_sample_has_the_region_of_the_paper() -> None:
+    plain = jaxstab.stable_region(1e-3, 1e-2, 0.5)
+    window = jaxstab.stable_region(1e-3, 1e-2, 0.5, velocity=Velocity.difference(samples=1))
+    np.testing.assert_array_equal(plain.points, window.points)
+    assert len(plain.components) == 1
+    assert not plain.islands
+
+
+def test_a_region_that_is_not_resolved_claims_nothing() -> None:
+    velocity = Velocity.butterworth(0.02, 8)
+    region = jaxstab.stable_region(1e-3, 1e-2, 1.0, velocity=velocity)
+    assert region.status == jaxstab.RegionStatus.UNRESOLVED
+    assert region.components == []
+    assert region.main is None
+    assert not region.contains(1e-6, 1e-4)
+
+
+def test_filters_have_regions_of_stability_alone() -> None:
+    with pytest.raises(ValueError, match=r"radius is 0\.9; with a filter only 1"):
+        jaxstab.stable_region(0.0, 0.0, 1.0, 0.9, velocity=Velocity.difference(samples=2))

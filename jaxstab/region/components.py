@@ -36,8 +36,8 @@ def holds_small_gains(c: SliceCoefficients, outline: Outline) -> bool:
 
 def _loops(outline: Outline) -> list[Outline]:
     size = int(outline.size)
-    breaks = np.flatnonzero(outline.branches[: size - 1] == NO_BRANCH)
-    ends = zip([0, *(breaks + 1)], [*breaks, size - 1], strict=True)
+    breaks = np.flatnonzero(outline.branches[: size - 1] == NO_BRANCH).tolist()
+    ends = zip([0, *(last + 1 for last in breaks)], [*breaks, size - 1], strict=True)
     return [_part(outline, first, last) for first, last in ends]
 
 

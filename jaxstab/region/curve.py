@@ -149,10 +149,12 @@ def minus_line(
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = -radius.
 
-    Arguments and errors are those of ``plus_line``.
+    Args: those of ``plus_line``.
 
     Returns:
         alpha of the broadcast shape; infinite where N(-radius) = 0 (delta = 0 and a whole delay).
+
+    Raises: as ``plus_line``.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = -radius.
     """

@@ -147,9 +147,7 @@ def _rounded(polynomial: Polynomial) -> Angles:
 
 def _in_floats(plant: SampledPlant) -> SampledPlant:
     """Return a plant of Python floats, with which double-double is several times faster."""
-    return SampledPlant(
-        *(part if isinstance(part, int) else tree_map(float, part) for part in plant)
-    )
+    return tree_map(float, plant)._replace(lag=plant.lag)
 
 
 def _poles(above: Angles, below: Angles, numerator: Angles) -> Float64[np.ndarray, "2 pole"]:
