@@ -23,7 +23,7 @@ from jaxstab import (
     build_atlas,
     open_atlas,
 )
-from jaxstab.atlas.compute.layout import lay_out
+from jaxstab.atlas.compute.layout import Grid, lay_out
 
 TRIANGLE = AtlasSpec(
     alpha=FittedAxis(16),
@@ -61,10 +61,16 @@ def true_verdict(point: tuple[float, ...]) -> int | None:
 # --------------------------------------------------------------------------------------------- axes
 
 
+@pytest.fixture(scope="module")
+def grid() -> Grid:
+    return lay_out(AtlasSpec(alpha=FittedAxis(40), beta=FittedAxis(40)))
+
+
 @pytest.mark.parametrize("number", [0, 1, 2, 3])
-def test_the_fitted_axes_hold_the_stable_region_of_each_delay_closely(number: int) -> None:
+def test_the_fitted_axes_hold_the_stable_region_of_each_delay_closely(
+    number: int, grid: Grid
+) -> None:
     """Against the closed-form extent of the region without damping, and random search outside."""
-    grid = lay_out(AtlasSpec(alpha=FittedAxis(40), beta=FittedAxis(40)))
     largest = [12 - 8 * 2**0.5, 0.14447, 0.06243, 0.03478][number]
     alpha, beta = grid.alpha[:, number], grid.beta[:, number]
     assert 1.02 * largest < alpha[-1] < 1.25 * largest

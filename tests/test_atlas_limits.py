@@ -9,6 +9,7 @@ from jaxstab.atlas.read import file
 from jaxstab.atlas.read.answer import checked_range
 
 DELAYS = (0.0, 1.5)
+FEW = 20_000  # points that NumPy computes
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +28,10 @@ def test_verdicts_by_limits_are_those_of_the_certified_recursion(
 ) -> None:
     points = random_points(atlas, delay, 100_000, rng)
     answered = atlas.verdict(*points, delay)
-    computed = np.asarray(verdict(*points, delay, resolve="exact"))
+    assert np.mean(answered != UNDECIDED) > 0.9965  # 0.99704 of the box at delay 1.5
+    some = [values[:FEW] for values in points]
+    answered, computed = answered[:FEW], verdict(*some, delay, resolve="exact")
     decided = answered != UNDECIDED
-    assert decided.mean() > 0.9965  # 0.99704 of the box at delay 1.5
     np.testing.assert_array_equal(answered[decided], computed[decided])
 
 
@@ -46,7 +48,7 @@ def test_one_point_and_many_are_answered_alike(atlas: Atlas, rng: np.random.Gene
 
 def test_every_edge_of_a_cell_belongs_to_it(atlas: Atlas) -> None:
     nodes = atlas.nodes(0)
-    beta = np.linspace(nodes["beta"][0], nodes["beta"][-1], 513)
+    beta = np.linspace(nodes["beta"][0], nodes["beta"][-1], 193)
     points = np.meshgrid(nodes["alpha"], beta, nodes["gamma"], nodes["delta"])
     answered = atlas.verdict(*points, 0.0)
     assert np.mean(answered == UNDECIDED) < 0.05  # alpha = -gamma is an edge of the region
