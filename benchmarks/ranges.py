@@ -3,9 +3,9 @@
 Hands are haptic ones, stiff and undamped ones, and ones next to multiples of the Nyquist frequency;
 delays are whole and fractional; walls lie anywhere in the stable region, half of them next to its
 boundary. A margin is ``wrong`` where a wall within it is unstable, and ``short`` where the wall is
-stable a millionth of the way farther, unless that moves p(z) by less than 1e-12 of its terms for
-each sample of delay; ``shortest`` is the largest share of the way that was missing. A limit is
-``wrong`` where the proved wall is unstable for a hand, or where a stiffer wall is stable for all.
+stable farther by a millionth of the way and more, p(z) on the circle being larger than 1e-12 of its
+terms for each sample of delay; ``shortest`` is the largest share of the way that was missing. A
+limit is ``wrong`` where the proved wall is unstable for a hand, or a stiffer one stable for all.
 """
 
 from collections.abc import Iterator
@@ -59,10 +59,7 @@ def judged_margins(wall: Wall, steps: np.ndarray) -> Judged:
     for (axis, sign), step in zip(WAYS, steps, strict=True):
         way = sign * min(abs(step), _FARTHEST)
         wrong += sum(not _is_stable(wall, axis, part * way) for part in _PARTS)
-        if np.isfinite(step):
-            seen = [part for part in _FARTHER if part * abs(step) > _hidden(wall, axis)]
-            still = [part for part in seen if _is_stable(wall, axis, (1.0 + part) * step)]
-            missing.append(max(still, default=0.0))
+        missing.append(_missing(wall, axis, step) if 0.0 < abs(step) < np.inf else 0.0)
     count = len(WAYS) * len(_PARTS)
     return Judged(count, wrong, int(np.count_nonzero(missing)), max(missing, default=0.0))
 
@@ -144,14 +141,28 @@ def _is_stable(point: Wall, axis: int = 0, step: float = 0.0) -> bool:
     return truth.unstable_count(*map(float, moved)) == 0
 
 
-def _hidden(wall: Wall, axis: int) -> float:
-    """The change of one quantity that rounding may hide."""
-    alpha, beta, gamma, delta, delay = wall
-    plant = truth.sampled_plant(gamma, delta, delay % 1.0)
-    size = float(sum(abs(part) for part in (plant.n2, plant.n1, plant.n0)))
-    force = size * (abs(alpha) + 2.0 * abs(beta))
-    slope = (size, 2.0 * size, 0.0, 0.0, max(force, 1e-300))[axis]
-    return _ROUNDING * (1.0 + delay) * (4.0 + force) / slope
+def _missing(wall: Wall, axis: int, step: float) -> float:
+    """The largest share of the way by which it could be longer, if rounding does not hide it."""
+    missing = 0.0
+    for part in _FARTHER:
+        if not _is_stable(wall, axis, (1.0 + part) * step):
+            break
+        farther = [v + (1.0 + part) * step * (n == axis) for n, v in enumerate(wall)]
+        if _smallest_on_circle(farther) > _ROUNDING * (1.0 + wall[-1]):
+            missing = part
+    return missing
+
+
+def _smallest_on_circle(point: list[float]) -> float:
+    """The smallest |p(z)| on the circle, in terms of the largest coefficient."""
+    coefficients = np.array([float(part) for part in truth.polynomial(*point)])
+    low, high = 0.0, np.pi
+    for _ in range(5):
+        theta = np.linspace(low, high, 2001)
+        values = np.abs(np.polyval(coefficients, np.exp(1j * theta)))
+        best, width = theta[np.argmin(values)], (high - low) / 500
+        low, high = max(best - width, 0.0), min(best + width, np.pi)
+    return float(values.min() / np.abs(coefficients).max())
 
 
 def _radii(loop: HapticLoop, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:

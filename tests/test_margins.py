@@ -289,3 +289,16 @@ def test_a_short_way_is_bracketed_as_tightly_as_rounding_allows() -> None:
 def test_bad_input_is_refused_by_name(call: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         call()
+
+
+def test_a_delay_that_only_comes_near_the_circle_is_told_from_one_that_meets_it() -> None:
+    """Critical angles look possible here until they are paved finely."""
+    found = jaxstab.dimensionless_margins(
+        1.7227216180065996,
+        -0.877380055459924,
+        9.809468907757546,
+        0.008939127392511253,
+        3.196294952593754,
+    )
+    assert found.verdict == Verdict.STABLE
+    assert found.extra_delay == np.inf

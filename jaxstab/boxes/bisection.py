@@ -27,7 +27,12 @@ class Extent(NamedTuple):
 
     center: Loops
     radius: Loops
-    by_axis: list[Loops]
+    by_axis: Float64[np.ndarray, "axis 6 boxes"]
+
+    @classmethod
+    def of(cls, center: Loops, by_axis: Float64[np.ndarray, "axis 6 boxes"]) -> "Extent":
+        """Return the extent of boxes whose radius is the sum of the parts."""
+        return cls(center, Loops(*by_axis.sum(axis=0)), by_axis)
 
 
 class Paving(NamedTuple):
@@ -58,9 +63,7 @@ def pave(
         divisible = boxes.half > smallest
         kept.append(boxes.select(~exclusion.free & ~divisible.any(axis=1)))
         going = ~exclusion.free & divisible.any(axis=1)
-        share = np.stack(
-            [np.sum(exclusion.slopes * np.stack(part), axis=0) for part in span.by_axis], axis=-1
-        )
+        share = np.sum(exclusion.slopes * span.by_axis, axis=1).T
         axis = np.argmax(np.where(divisible, share, -1.0), axis=1)[going]
         boxes = _halved(boxes.select(going), axis)
     return Paving(_joined(kept), finished=True)

@@ -10,7 +10,7 @@ from math import inf, nan, pi
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops, exclude_any_delay
@@ -34,7 +34,8 @@ _PIECES = 2  # boxes along a gain at first
 _FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
 _DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
 _DELAY_ANGLES, _FRACTIONS = 256, 4  # boxes at first, for half a turn and for a sample
-_SMALLEST = np.array([0.0, 2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
+_COARSE = np.array([0.0, 2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
+_FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 2000  # such boxes of a wall at once
 _TOUCHING = 1e-9
 _LONGER = 4.0  # each stretch of delay than the one before
@@ -116,7 +117,7 @@ def _all_angles(walls: Walls, shape: tuple[int, ...]) -> Parts:
 
 
 def _along_delay(walls: Walls) -> _Crossings:
-    angles = _critical_angles(walls)
+    angles = _critical_angles(walls, np.arange(len(walls)), _COARSE)
     begin, angle = np.zeros(len(walls)), np.full(len(walls), nan)
     # Within one turn of the phase at a critical angle a root meets the circle.
     highest = np.full(len(walls), -inf)
@@ -136,16 +137,21 @@ def _along_delay(walls: Walls) -> _Crossings:
         part = np.where(is_found, roots.low, 0.0)
         step = np.where(is_found, begin + length * part * _SAFE, step)
         angle = np.where(is_found, roots.theta / pi, angle)
+        is_open &= ~is_found & (begin + length < MOST_DELAY)
+        if not begin.any() and is_open.any():
+            angles = _critical_angles(walls, np.flatnonzero(is_open), _FINE)
+            is_open &= np.isin(np.arange(len(walls)), angles.line)
         begin, stretch = begin + length, _LONGER * stretch
-        is_open &= ~is_found & (begin < MOST_DELAY)
     return _Crossings(step, angle)
 
 
-def _critical_angles(walls: Walls) -> Parts:
-    """Return the angles at which some delay may put a root on the circle, t over all of it."""
-    boxes = _angles_and_fractions(len(walls))
-    extent, most = partial(_at_any_delay, walls), _MOST_ANGLES * len(walls)
-    left, _ = pave(boxes, _SMALLEST, extent, most, exclude_any_delay)
+def _critical_angles(
+    walls: Walls, numbers: Int64[np.ndarray, " some"], smallest: Float64[np.ndarray, "3"]
+) -> Parts:
+    """Return the angles at which some delay may put a root of some walls on the circle."""
+    boxes = _angles_and_fractions(numbers)
+    extent, most = partial(_at_any_delay, walls), _MOST_ANGLES * len(numbers)
+    left, _ = pave(boxes, smallest, extent, most, exclude_any_delay)
     wall = left.center[:, 0].astype(np.int64)
     middle, half = pi * left.center[:, 2], pi * left.half[:, 2]
     low, high = middle - half, middle + half
@@ -161,10 +167,10 @@ def _critical_angles(walls: Walls) -> Parts:
     return Parts(wall[is_start], *np.stack([whole, ends], axis=1))
 
 
-def _angles_and_fractions(walls: int) -> Boxes:
+def _angles_and_fractions(numbers: Int64[np.ndarray, " some"]) -> Boxes:
     """Return boxes of the number of the wall, the fraction of the delay, and theta / pi."""
     fractions, angles = ((np.arange(n) + 0.5) / n for n in (_FRACTIONS, _DELAY_ANGLES))
-    center = np.stack(np.meshgrid(np.arange(walls), fractions, angles, indexing="ij"), axis=-1)
+    center = np.stack(np.meshgrid(numbers, fractions, angles, indexing="ij"), axis=-1)
     center = center.reshape(-1, 3)
     return Boxes(center, np.full_like(center, [0.0, 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES]))
 
@@ -172,16 +178,9 @@ def _angles_and_fractions(walls: int) -> Boxes:
 def _at_any_delay(walls: Walls, boxes: Boxes) -> Extent:
     wall, fraction, angle = boxes.center.T
     alpha, beta, gamma, delta, _ = walls[wall.astype(np.int64)].T
-    still, by_delay, by_theta = boxes.half.T * [[0.0], [1.0], [pi]]
-    return Extent(
-        Loops(alpha, beta, gamma, delta, fraction, pi * angle),
-        Loops(still, still, still, still, by_delay, by_theta),
-        [
-            Loops(still, still, still, still, still, still),
-            Loops(still, still, still, still, by_delay, still),
-            Loops(still, still, still, still, still, by_theta),
-        ],
-    )
+    by_axis = np.zeros((3, 6, wall.size))
+    by_axis[1, 4], by_axis[2, 5] = boxes.half.T[1], pi * boxes.half.T[2]
+    return Extent.of(Loops(alpha, beta, gamma, delta, fraction, pi * angle), by_axis)
 
 
 def _in_pieces(angles: Parts, length: Column) -> Parts:

@@ -104,35 +104,21 @@ def _unproved(loop: HapticLoop, hands: HandRange, stiffness: float, damping: flo
     def extent(boxes: Boxes) -> Extent:
         light, spring, damper, theta = boxes.center.T
         by_light, by_spring, by_damper, turn = boxes.half.T
-        still = np.zeros_like(light)
+        per_mass = np.stack(
+            np.broadcast_arrays(
+                stiffness * period**2, damping * period, spring * period**2, (own + damper) * period
+            )
+        )
+        alpha, beta, gamma, delta = per_mass * light
+        delay = np.full_like(light, loop.delay_samples)
+        center = Loops(alpha, beta, gamma, delta, delay, theta)
         # Exact centers; radii cover the product of two intervals.
-        center = Loops(
-            stiffness * period**2 * light,
-            damping * period * light,
-            spring * period**2 * light,
-            (own + damper) * period * light,
-            np.full_like(light, loop.delay_samples),
-            theta,
-        )
-        along_light = Loops(
-            abs(stiffness) * period**2 * by_light,
-            abs(damping) * period * by_light,
-            spring * period**2 * by_light,
-            (own + damper) * period * by_light,
-            still,
-            still,
-        )
-        most = light + by_light
-        along_spring = Loops(still, still, most * period**2 * by_spring, still, still, still)
-        along_damper = Loops(still, still, still, most * period * by_damper, still, still)
-        parts = [
-            along_light,
-            along_spring,
-            along_damper,
-            Loops(still, still, still, still, still, turn),
-        ]
-        radius = Loops(*np.sum([np.stack(part) for part in parts], axis=0))
-        return Extent(center, radius, parts)
+        by_axis = np.zeros((4, 6, light.size))
+        by_axis[0, :4] = np.abs(per_mass) * by_light
+        by_axis[1, 2] = (light + by_light) * period**2 * by_spring
+        by_axis[2, 3] = (light + by_light) * period * by_damper
+        by_axis[3, 5] = turn
+        return Extent.of(center, by_axis)
 
     boxes = Boxes(ranges.mean(axis=1)[None], 0.5 * np.ptp(ranges, axis=1)[None])
     left = pave(boxes, _SMALLEST * np.ptp(ranges, axis=1), extent).boxes.center[:, :3]

@@ -23,8 +23,10 @@ class Margins(NamedTuple):
     """What a wall has left; NaN throughout for a wall that is not proved stable.
 
     All numbers are proved: so far the wall stays stable. They fall short of the first root on the
-    circle by at most about 1e-9 of the way there, or by what rounding hides: changes that move p(z)
-    on the circle by less than about 1e-13 of its largest term, per sample of delay, are not seen.
+    circle by at most about 1e-9 of the way there, or by what rounding hides: p(z) that is somewhere
+    on the circle below about 1e-13 of its largest term, per sample of delay, is not told from 0. A
+    few extra delays of tens of samples fall short by more: of a wall at which roots stay next to
+    the circle at nearly all angles the search is given up.
 
     Attributes:
         verdict: certified codes of ``Verdict``.

@@ -235,8 +235,8 @@ def _pulled_in(outline: Points, tolerance: float) -> Points:
 def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: float) -> Hands:
     """Return some hands at which walls between start and end could not be proved; none is a proof.
 
-    The axes of the boxes: the place on the edge in [-1, 1], gamma, delta, theta, then the edge
-    itself (its middle and half its length in alpha and beta), which is not divided.
+    The axes of the boxes: from -1 to 1 along the edge, gamma, delta, theta, then the edge itself
+    (its middle and half its length in alpha and beta), which is not divided.
     """
     count = len(start)
     middle, reach = 0.5 * (start + end), 0.5 * (end - start)
@@ -247,22 +247,14 @@ def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: flo
     half[np.all(reach == 0.0, axis=1), 0] = 0.0
 
     def extent(boxes: Boxes) -> Extent:
-        place, stiffness, damping, theta, alpha, beta, along, up = boxes.center.T
-        walls = (alpha + place * along, beta + place * up)
-        still = np.zeros_like(place)
-        shift, by_gamma, by_delta, by_theta = boxes.half.T[:4]
-        by_place = (np.abs(along) * shift, np.abs(up) * shift)
-        return Extent(
-            Loops(*walls, stiffness, damping, np.full_like(place, delay), theta),
-            Loops(*by_place, by_gamma, by_delta, still, by_theta),
-            [
-                Loops(*by_place, still, still, still, still),
-                Loops(still, still, by_gamma, still, still, still),
-                Loops(still, still, still, by_delta, still, still),
-                Loops(still, still, still, still, still, by_theta),
-                *([Loops(still, still, still, still, still, still)] * 4),
-            ],
-        )
+        shift, stiffness, damping, theta, alpha, beta, along, up = boxes.center.T
+        walls = (alpha + shift * along, beta + shift * up)
+        by_shift, by_gamma, by_delta, by_theta = boxes.half.T[:4]
+        by_axis = np.zeros((8, 6, theta.size))
+        by_axis[0, :2] = np.abs(along) * by_shift, np.abs(up) * by_shift
+        by_axis[1, 2], by_axis[2, 3], by_axis[3, 5] = by_gamma, by_delta, by_theta
+        center = Loops(*walls, stiffness, damping, np.full_like(theta, delay), theta)
+        return Extent.of(center, by_axis)
 
     smallest = _SMALLEST * np.concatenate([np.ptp(ranges, axis=1), np.ones(4)])
     paving = pave(Boxes(center, half), smallest, extent)
@@ -275,10 +267,5 @@ def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: flo
 
 def _walls_and_hands(
     walls: Points, hands: Hands
-) -> tuple[
-    Float64[np.ndarray, "points 1"],
-    Float64[np.ndarray, "points 1"],
-    Float64[np.ndarray, " hands"],
-    Float64[np.ndarray, " hands"],
-]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return walls[:, :1], walls[:, 1:], hands[:, 0], hands[:, 1]

@@ -168,13 +168,10 @@ class _Tracer:
     def _extent(self, boxes: Boxes) -> Extent:
         middle, radius, by_axis = corner_ranges(self.scene, boxes.center[:, :2], boxes.half[:, :2])
         theta, turn = pi * boxes.center[:, 2:].T, pi * boxes.half[:, 2:].T
-        parts = [np.concatenate([part, np.zeros_like(turn)]) for part in by_axis]
-        parts.append(np.concatenate([np.zeros_like(radius), turn]))
-        return Extent(
-            Loops(*np.concatenate([middle, theta])),
-            Loops(*np.concatenate([radius, turn])),
-            [Loops(*part) for part in parts],
-        )
+        parts = np.zeros((3, 6, turn.size))
+        parts[:2, :5], parts[2, 5] = by_axis, turn
+        center, radius = (np.concatenate(part) for part in ((middle, theta), (radius, turn)))
+        return Extent(Loops(*center), Loops(*radius), parts)
 
 
 def _gathered(plane: tuple[str, str], scene: Monomials, tracer: _Tracer) -> BoundaryTrace:
