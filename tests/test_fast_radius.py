@@ -150,7 +150,8 @@ class TestFastRadius:
     def test_agrees_with_the_eigenvalues_within_the_errors(
         self, rng: np.random.Generator, delay: float
     ) -> None:
-        scene = *gains_around_the_stable_set(rng, delay, 40), 0.3, 0.1, delay
+        plant = np.full(60, 0.3), np.full(60, 0.1)  # in arrays, as above: it is compiled once
+        scene = *gains_around_the_stable_set(rng, delay, 60), *plant, delay
         fast = jaxstab.spectral_radius(*scene)
         companion = jaxstab.spectral_radius(*scene, method="companion")
         assert (np.abs(fast.value - companion.value) <= fast.error + companion.error).all()
