@@ -1,5 +1,6 @@
 """The closed form of the boundary against 50-digit truth, its limits and its derivatives."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -9,6 +10,8 @@ from mpmath import mp, mpf
 
 from benchmarks import truth
 from jaxstab.region import boundary_curve, minus_line, plus_line
+from jaxstab.region.curve import curve_point, poles, slice_coefficients
+from jaxstab.region.roots import with_slope
 
 ACCURACY = 1e-13
 ROUNDING = 2.0**-52
@@ -146,6 +149,25 @@ def test_the_derivatives_are_those_of_the_truth(
             ahead = truth.boundary_point(*there)[of_alpha_or_beta]
             exact = (ahead - truth.boundary_point(*place)[of_alpha_or_beta]) / step
             assert abs(mpf(float(slope)) - exact) < 1e-11 * (1 + abs(exact))
+
+
+@np.errstate(divide="ignore")
+def test_slopes_in_numpy_are_within_1e_12_of_the_truth(rng: np.random.Generator) -> None:
+    theta, slices = random_angles(rng, 300), random_slices(rng, 300)
+    step = mpf(10) ** -20
+    for angle, *slice_ in np.stack([theta, *slices], axis=-1).tolist():
+        c = slice_coefficients(*slice_)
+        slopes = np.stack(with_slope(partial(curve_point, c), np.array([angle]))[1])[:, 0]
+        here = truth.boundary_point(angle, *slice_)
+        ahead = truth.boundary_point(mpf(angle) + step, *slice_)
+        exact = [(a - b) / step for a, b in zip(ahead, here, strict=True)]
+        error = max(
+            abs(mpf(one) - other) for one, other in zip(slopes.tolist(), exact, strict=True)
+        )
+        # Next to a pole slopes are sums that cancel: of the curve over the distance of the pole.
+        nearest = min(np.hypot(angle - pole, apart) for pole, apart in zip(*poles(c), strict=True))
+        distance = mp.hypot(here[0] + mpf(slice_[0]), here[1])
+        assert error < 1e-12 * (mp.hypot(*exact) + distance / min(1.0, nearest)), (angle, slice_)
 
 
 @pytest.mark.parametrize("delay", [1.5, pytest.param(1.0, marks=pytest.mark.campaign)])
