@@ -302,3 +302,21 @@ def test_a_delay_that_only_comes_near_the_circle_is_told_from_one_that_meets_it(
     )
     assert found.verdict == Verdict.STABLE
     assert found.extra_delay == np.inf
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        (-3.6599263379287876, 1.8194673457277168, 3.7019235432174624, 1.4440244882234141, 3.0),
+        (9.707536145731787, -4.91944322742736, 9.840570312421415, 0.0037304467172956696, 0.0),
+        (369.7211138622218, -7.56240229292237, 159.28013528001637, 0.729674728754703, 2.0),
+    ],
+)
+def test_the_delay_of_walls_with_critical_angles_down_to_zero_may_grow(
+    wall: tuple[float, ...],
+) -> None:
+    """A first stretch of 1024 samples had too many boxes, and none of the delay was proved."""
+    extra = float(jaxstab.dimensionless_margins(*wall).extra_delay)
+    assert extra > 0.01
+    assert truth.unstable_count(*wall[:4], wall[4] + extra * (1.0 - 1e-6)) == 0
+    assert truth.unstable_count(*wall[:4], wall[4] + extra * (1.0 + 1e-6)) != 0

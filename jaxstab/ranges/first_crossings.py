@@ -119,9 +119,9 @@ def _all_angles(walls: Walls, shape: tuple[int, ...]) -> Parts:
 def _along_delay(walls: Walls) -> _Crossings:
     angles = _critical_angles(walls, np.arange(len(walls)), _COARSE)
     begin, angle = np.zeros(len(walls)), np.full(len(walls), nan)
-    # Within one turn of the phase at a critical angle a root meets the circle.
+    # Within one turn of the phase at a critical angle a root meets the circle: about so long.
     highest = np.full(len(walls), -inf)
-    np.maximum.at(highest, angles.line, angles.low[1])
+    np.maximum.at(highest, angles.line, angles.high[1])
     stretch = np.where(highest > 0.0, 2.0 * pi / np.where(highest > 0.0, highest, 1.0), MOST_DELAY)
     step = np.full(len(walls), inf)
     is_open = highest > -inf
