@@ -23,7 +23,7 @@ def resolved_region(
 
     Raises:
         ValueError: an argument is outside its range, or there is no such region.
-        RuntimeError: an argument is a JAX array, and x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: sec. V of Hulin, Preusche, Hirzinger (2008).
     """

@@ -21,7 +21,7 @@ def linear_alpha_limit(beta: Numbers, delta: Numbers, delay: Numbers) -> Float64
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eqs. (22) and (23) of Hulin, Preusche, Hirzinger (2008).
     """
@@ -46,7 +46,7 @@ def linear_condition(
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eqs. (19), (22) and (23) of Hulin, Preusche, Hirzinger (2008).
     """
@@ -71,7 +71,7 @@ def linear_error(
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (24) of Hulin, Preusche, Hirzinger (2008).
     """

@@ -23,7 +23,7 @@ def routh_hurwitz_condition(
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eqs. (17)-(21) of Hulin, Preusche, Hirzinger (2008).
     """

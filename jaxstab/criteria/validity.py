@@ -105,7 +105,7 @@ def linear_validity(
     Raises:
         TypeError: an argument is traced or not made of numbers.
         ValueError: an argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Example:
         >>> point = linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)

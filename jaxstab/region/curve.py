@@ -99,7 +99,7 @@ def boundary_curve(
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) solved for (alpha, beta).
     """
@@ -129,7 +129,7 @@ def plus_line(
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = radius.
     """

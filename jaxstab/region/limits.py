@@ -76,7 +76,7 @@ def stiffness_limits(loop: HapticLoop, damping: Numbers) -> Float64[Array, "*gri
 
     Raises:
         ValueError: a damping is infinite or NaN, or a parameter of the loop is out of range.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
     """
@@ -97,7 +97,7 @@ def damping_limits(loop: HapticLoop, stiffness: Numbers) -> Float64[Array, "*gri
 
     Raises:
         ValueError: a stiffness is infinite or NaN, or a parameter of the loop is out of range.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
     """
@@ -123,7 +123,7 @@ def boundary_distance(
 
     Raises:
         ValueError: a gain is infinite or NaN, or a parameter of the loop is out of range.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
     """
