@@ -43,7 +43,7 @@ def dominant_mode(
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
         TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: the poles of eq. (9); z = exp(s T).
     """
@@ -68,7 +68,7 @@ def dominant_oscillation(loop: HapticLoop, stiffness: Numbers, damping: Numbers)
 
     Raises:
         ValueError: a gain is infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: as ``dominant_mode``; Table I.
     """

@@ -65,7 +65,7 @@ def simulate(
 
     Raises:
         ValueError: a gain is infinite or NaN, nothing moves the device, or a count is too small.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eqs. (1)-(5) and Fig. 2 of Hulin, Preusche, Hirzinger (2008); Remark 1.
     """

@@ -93,7 +93,7 @@ def settling_samples(
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or the excitation is unknown.
         TypeError: the delay is traced, or the horizon is not a whole number.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: the loop of eqs. (1)-(5); 2 % settling is what later papers of the same authors use;
     lemmas M1 and M2 of docs/proofs.md.
@@ -144,7 +144,7 @@ def settling_time(
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or the excitation is unknown.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: the loop of eqs. (1)-(5), Table I.
     """

@@ -61,7 +61,7 @@ def margins(loop: HapticLoop, stiffness: Numbers, damping: Numbers) -> Margins:
 
     Raises:
         ValueError: a gain is infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle.
 
@@ -100,7 +100,7 @@ def dimensionless_margins(
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle.
     """

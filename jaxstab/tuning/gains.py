@@ -83,7 +83,7 @@ def optimal_gains(
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
         TypeError: an argument is not one number.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9); settling as in later papers of the same authors.
     """
@@ -128,7 +128,7 @@ def minimize_radius_damping(alpha: float, gamma: float, delta: float, delay: flo
     Raises:
         ValueError: an argument is outside its range, infinite or NaN.
         TypeError: an argument is not one number.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9).
     """
@@ -177,7 +177,7 @@ def minimize_settling(
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
         TypeError: an argument is not one number.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: the loop of eqs. (1)-(5); settling as in later papers of the same authors.
     """

@@ -75,7 +75,7 @@ def minimize_radius(gamma: Numbers, delta: Numbers, delay: Numbers) -> OptimalGa
     Raises:
         ValueError: an argument is outside its range, infinite or NaN.
         TypeError: the delay is traced or an array.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) for the poles; the theorem of Blondel et al. (2012), IEEE TAC 57(12).
     """
