@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from math import log, sqrt
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -349,44 +348,30 @@ def quantities(gamma: jax.Array, delta: jax.Array) -> tuple[jax.Array, StableReg
     return jnp.stack([end_of_curve, region.alpha_limits(ROW)[1], region.max_alpha[0]]), region
 
 
-class Many(NamedTuple):
-    """Of some slices: quantities, their slopes (slice, quantity, gamma or delta), and regions."""
-
-    values: np.ndarray
-    slopes: np.ndarray
-    regions: StableRegion
-
-
-PLACES = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
-
-
-@pytest.fixture(scope="module")
-def many() -> Many:
-    """One program for all that is asked of JAX: it takes long to compile."""
-
-    def values_and_region(place: jax.Array) -> tuple[jax.Array, Any]:
-        values, region = quantities(*place)
-        return values, (values, region)
-
-    slopes_and_more = jax.vmap(jax.jacfwd(values_and_region, has_aux=True))
-    slopes, (values, regions) = jax.jit(slopes_and_more)(jnp.asarray(PLACES))
-    return Many(np.asarray(values), np.asarray(slopes), regions)
-
-
-def test_many_slices_at_once_are_the_single_ones(many: Many) -> None:
-    batch = many.regions
-    assert batch.outline.vertices.shape == (len(PLACES), 256, 2)
+def test_many_slices_at_once_are_the_single_ones() -> None:
+    places = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
+    batch = jax.vmap(lambda place: region_outline(*place, DELAY))(jnp.asarray(places))
+    assert batch.outline.vertices.shape == (len(places), 256, 2)
     np.testing.assert_array_equal(batch.status, RegionStatus.COMPLETE)
-    for index, place in enumerate(PLACES):
+    for index, place in enumerate(places):
         single = stable_region(*place, DELAY)
         np.testing.assert_allclose(batch.max_alpha[index], single.max_alpha, rtol=1e-13)
         found = batch.outline.corners[index][: len(single.corners)]
         np.testing.assert_allclose(found, single.corners, rtol=1e-13)
 
 
-def test_corners_limits_and_the_largest_alpha_are_differentiable(many: Many) -> None:
+def test_corners_limits_and_the_largest_alpha_are_differentiable() -> None:
+    """Eagerly, in several programs: all in one takes 2 GB to compile."""
+
+    def values_twice(*place: jax.Array) -> tuple[jax.Array, jax.Array]:
+        values, _ = quantities(*place)
+        return values, values
+
     step = mpf(10) ** -15
-    for place, values, slopes in zip(PLACES, many.values, many.slopes, strict=True):
+    differentiated = jax.jacfwd(values_twice, argnums=(0, 1), has_aux=True)
+    for place in [(0.05, 0.1), (1e-3, 0.015)]:
+        by_both, values = differentiated(*map(jnp.asarray, place))
+        slopes = np.stack(by_both, axis=1)
         region = stable_region(*place, DELAY)
         points = [(-place[0], float(values[0])), (float(values[1]), ROW), tuple(region.max_alpha)]
         exact: list[Callable[[mpf, mpf, float], mpf]] = [exact_corner, exact_limit, exact_largest]
