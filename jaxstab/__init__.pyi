@@ -11,6 +11,7 @@ from .atlas import ToleranceAxis as ToleranceAxis
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
 from .atlas import plan_atlas as plan_atlas
+from .atlas import upgrade_atlas as upgrade_atlas
 from .atlas import write_atlas as write_atlas
 from .batches import use_compilation_cache as use_compilation_cache
 from .conventions import AXES as AXES

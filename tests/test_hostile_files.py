@@ -19,7 +19,7 @@ from hostile_images import IMAGES, with_another_image
 from jaxstab import Atlas, open_atlas
 
 ROOT = Path(__file__).resolve().parents[1]
-GOLDEN = ROOT / "data" / "golden" / "atlas-v4.h5"
+GOLDEN = ROOT / "data" / "golden" / "atlas-v3.h5"
 READERS = ROOT / "data" / "readers"
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 OUTSIDE = -1
@@ -49,8 +49,8 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Base:
     rng = np.random.default_rng(20120412)
     ends = [(axis.min(), axis.max()) for axis in (arrays[name] for name in ("alpha", "beta"))]
     sides = [*ends, (0.0, 0.0011), (0.0, 0.016)]
-    points = np.stack([rng.uniform(*side, 300) for side in sides], axis=1)
-    points = np.insert(points, 4, rng.choice([0.0, 1.0, 1.5], 300), axis=1)
+    points = np.stack([rng.uniform(*side, 1500) for side in sides], axis=1)
+    points = np.insert(points, 4, rng.choice([0.0, 1.0, 1.5], 1500), axis=1)
     return Base(arrays, points, codes_of(open_atlas(path), points))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hostile import assembled, retold, sub
 
+import jaxstab
 from benchmarks import truth
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Atlas, AtlasSpec, QueryStatus, open_atlas
 from jaxstab.atlas.format import footer
@@ -21,7 +22,8 @@ from jaxstab.atlas.read.file import table_of
 from jaxstab.atlas.write.image import checked_datasets, opened, text_of
 
 DATA = Path(__file__).resolve().parents[1] / "data"
-GOLDEN = DATA / "golden" / "atlas-v4.h5"
+GOLDEN = DATA / "golden" / "atlas-v3.h5"
+OLD = DATA / "golden" / "atlas-v2.h5"
 OUTSIDE = -1
 CASES = 500  # points of each kind at each delay
 NO_NUMBER = (np.nan, np.inf, -np.inf, 1e300, -1e300)
@@ -34,9 +36,19 @@ class Answers(NamedTuple):
     limits: np.ndarray  # (point, 4)
 
 
+@pytest.fixture(scope="module", params=["version 3", "version 2, upgraded"])
+def golden(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The golden files that all readers answer from."""
+    if request.param == "version 3":
+        return GOLDEN
+    path = tmp_path_factory.mktemp("upgraded") / "atlas.h5"
+    jaxstab.upgrade_atlas(OLD, path)
+    return path
+
+
 @pytest.fixture(scope="module")
-def atlas() -> Atlas:
-    return open_atlas(GOLDEN)
+def atlas(golden: Path) -> Atlas:
+    return open_atlas(golden)
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +105,12 @@ def test_the_points_are_of_all_kinds(expected: Answers) -> None:
         assert np.mean(expected.codes == code) > 0.04
 
 
-def test_the_golden_atlas_is_read_today(atlas: Atlas, rng: np.random.Generator) -> None:
+def test_the_golden_atlas_is_read_today(
+    golden: Path, atlas: Atlas, rng: np.random.Generator
+) -> None:
     assert AtlasSpec.from_toml(atlas.spec) == AtlasSpec.from_file(GOLDEN.with_suffix(".toml"))
-    with opened(GOLDEN) as file:
-        datasets = checked_datasets(file, table_of(GOLDEN))
+    with opened(golden) as file:
+        datasets = checked_datasets(file, table_of(golden))
         values = [digest_of(name, data) for name, data in datasets.items()]
         assert content_digest(values) == text_of(file, "content_sha256")
     for delay in atlas.delays.tolist():
@@ -137,10 +151,12 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return program
 
 
-def test_c_answers_as_python_does(program: Path, points: np.ndarray, expected: Answers) -> None:
-    codes = run(program, GOLDEN, points=points)
+def test_c_answers_as_python_does(
+    golden: Path, program: Path, points: np.ndarray, expected: Answers
+) -> None:
+    codes = run(program, golden, points=points)
     np.testing.assert_array_equal(np.fromstring(codes.stdout, int, sep=" "), expected.codes)
-    limits = run(program, GOLDEN, "--limits", points=points[:, 1:])
+    limits = run(program, golden, "--limits", points=points[:, 1:])
     said = np.array(limits.stdout.split(), float).reshape(-1, 4)
     np.testing.assert_array_equal(said, expected.limits)
 
@@ -175,8 +191,8 @@ def refused_files(folder: Path) -> Iterator[tuple[Path, str]]:
         ("empty", b"", damage),
         ("truncated", whole[:-1], damage),
         ("without-footer", whole[:-48], damage),
-        ("older", footer.sealed(bytes(1000)), "has another schema version than 4, or none"),
-        ("newer", retold(whole, sub("atlas 4", "atlas 5")), "has another schema version than 4"),
+        ("older", footer.sealed(bytes(1000)), "has another schema version than 3, or none"),
+        ("newer", retold(whole, sub("atlas 3", "atlas 4")), "has another schema version than 3"),
         ("without-limits", edited("alpha_limits", "limit_cell", "limit_term"), "holds no limits"),
         ("without-gamma", edited("gamma"), damage),
     ):
@@ -203,11 +219,11 @@ def octave(script: str) -> str:
 
 
 def test_octave_answers_as_python_does(
-    tmp_path: Path, points: np.ndarray, expected: Answers
+    golden: Path, tmp_path: Path, points: np.ndarray, expected: Answers
 ) -> None:
     points.astype("<f8").tofile(tmp_path / "points")
     octave(f"""
-        atlas = jaxstab_query('{GOLDEN}');
+        atlas = jaxstab_query('{golden}');
         p = fread(fopen('{tmp_path}/points'), [5, Inf], 'double', 'ieee-le');
         [code, low, low_error, high, high_error] = ...
             jaxstab_query(atlas, p(1, :), p(2, :), p(3, :), p(4, :), p(5, :));
@@ -239,10 +255,10 @@ def test_octave_keeps_the_shape_of_points_and_says_what_is_wrong(tmp_path: Path)
         assert str(path) in line
 
 
-def test_xarray_finds_named_coordinates(atlas: Atlas) -> None:
+def test_xarray_finds_named_coordinates(golden: Path, atlas: Atlas) -> None:
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
-    with xarray.open_dataset(GOLDEN, engine="h5netcdf") as dataset:
+    with xarray.open_dataset(golden, engine="h5netcdf") as dataset:
         assert {"alpha", "beta", "gamma", "delta", "delay"} <= set(dataset.coords)
         assert set(dataset.data_vars) == set(atlas.arrays) - set(dataset.coords)
         for gamma, delta, delay in product(*(atlas.arrays[n].tolist() for n in SLICE)):
@@ -257,10 +273,10 @@ def test_xarray_finds_named_coordinates(atlas: Atlas) -> None:
         assert dataset.verdict.attrs["flag_meanings"].split()[STABLE] == "stable"
 
 
-def test_an_atlas_in_memory_is_the_same_dataset(atlas: Atlas) -> None:
+def test_an_atlas_in_memory_is_the_same_dataset(golden: Path, atlas: Atlas) -> None:
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
-    with xarray.open_dataset(GOLDEN, engine="h5netcdf") as dataset:
+    with xarray.open_dataset(golden, engine="h5netcdf") as dataset:
         del dataset.attrs["content_sha256"]
         xarray.testing.assert_identical(atlas.to_xarray(), dataset)
 

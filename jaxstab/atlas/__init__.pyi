@@ -12,5 +12,6 @@ from .read.limits import MaxAlpha as MaxAlpha
 from .read.outline import AtlasOutline as AtlasOutline
 from .write.build import build_atlas as build_atlas
 from .write.build import write_atlas as write_atlas
+from .write.version2 import upgrade_atlas as upgrade_atlas
 
 __all__: list[str]

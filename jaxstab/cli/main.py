@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import click
 
 import jaxstab
-from jaxstab.cli.atlas import build, info, plan, verify
+from jaxstab.cli.atlas import build, info, plan, upgrade, verify
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import check, design, limits, scene, tune
@@ -74,5 +74,5 @@ def atlas() -> None:
     """Plan, build, inspect, verify, ask and plot atlases: stability over a grid, in one file."""
 
 
-for _command in (build, plan, info, verify, query, plot):
+for _command in (build, upgrade, plan, info, verify, query, plot):
     atlas.add_command(_command)

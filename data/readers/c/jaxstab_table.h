@@ -172,8 +172,8 @@ static inline double *jaxstab_read_(jaxstab_file_ *file, size_t length, const ch
 static inline const char *jaxstab_parse_(char *text, size_t length, char *blocks[3])
 {
     const char *head = text;
-    if (!jaxstab_take_(&head, "jaxstab atlas 4\n"))
-        return "has another schema version than 4, or none; use another reader, or build it again.";
+    if (!jaxstab_take_(&head, "jaxstab atlas 3\n"))
+        return "has another schema version than 3, or none; use another reader, or build it again.";
     blocks[0] = text;
     for (int i = 1; i < 3; i++) {
         char *end = strstr(blocks[i - 1], "\n\n");

@@ -92,8 +92,8 @@ end
 
 function atlas = opened(file)
   [image, head, shapes, places] = table_of(file);
-  if isempty(regexp(head, '^jaxstab atlas 4\n', 'once'))
-    error('jaxstab:version', ['%s has another schema version than 4, or none; use another ', ...
+  if isempty(regexp(head, '^jaxstab atlas 3\n', 'once'))
+    error('jaxstab:version', ['%s has another schema version than 3, or none; use another ', ...
                               'reader, or build it again.'], file);
   elseif isempty(strfind(head, [sprintf('\ncontent '), sprintf('%02x', sha256(shapes))]))
     refuse_damaged(file);
@@ -173,7 +173,7 @@ function [image, head, shapes, places] = table_of(file)
   if numel(blocks) == 3
     shapes = [blocks{2}, sprintf('\n')];
     places = blocks{3};
-  elseif isempty(regexp(head, '^jaxstab atlas 4\n', 'once'))
+  elseif isempty(regexp(head, '^jaxstab atlas 3\n', 'once'))
     [shapes, places] = deal('');
   else
     refuse_damaged(file);

@@ -12,7 +12,7 @@ from typing import Final
 from jaxstab.conventions import Verdict
 
 FORMAT: Final = "jaxstab atlas"
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 3
 
 FOOTER_MAGIC: Final = b"jaxstab\n"
 """At the end: these 8 bytes, the length of the image (uint64, little endian), and the SHA-256 (32

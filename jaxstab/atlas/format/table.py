@@ -2,7 +2,7 @@
 
 It is ASCII text after the HDF5 image, in three blocks with an empty line between them:
 
-    jaxstab atlas 4
+    jaxstab atlas 3
     made by PROGRAM
     content SHA-256 of the second block with the end of its last line
 
@@ -137,7 +137,7 @@ def _check_version(text: bytes) -> None:
     if found is None:
         raise RefusalError(
             f"has no table of schema version {schema.SCHEMA_VERSION}: it is no atlas, or of an "
-            "older jaxstab; build it again."
+            "older jaxstab; build it again or, if you trust it, try jaxstab atlas upgrade."
         )
     if int(found[1]) != schema.SCHEMA_VERSION:
         raise RefusalError(

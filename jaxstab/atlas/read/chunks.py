@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.digest import values_digest
-from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format.schema import VARIABLES, Variable
 from jaxstab.atlas.format.table import Stored, Table, check
 from jaxstab.conventions import AXES
 
@@ -35,7 +35,7 @@ def unpacked(data: bytes, stored: Stored) -> Array:
         place = tuple(slice(i, i + n) for i, n in zip(start, stored.chunk, strict=True))
         values[place] = chunk[tuple(slice(n) for n in values[place].shape)]
         check(values_digest(values[place]) == digest)
-    _check_range(stored, values)
+    check_values(stored.variable, values)
     values.flags.writeable = False
     return values
 
@@ -74,8 +74,12 @@ def _chunk(stored_bytes: bytes, stored: Stored) -> Array:
     return np.ascontiguousarray(planes.T).view(dtype).reshape(stored.chunk)
 
 
-def _check_range(stored: Stored, values: Array) -> None:
-    variable = stored.variable
+def check_values(variable: Variable, values: Array) -> None:
+    """Refuse values out of the range of their variable.
+
+    Raises:
+        RefusalError: as it says.
+    """
     if variable.dtype == "S":
         return
     if variable.has_nan:
