@@ -49,9 +49,15 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Base:
     rng = np.random.default_rng(20120412)
     ends = [(axis.min(), axis.max()) for axis in (arrays[name] for name in ("alpha", "beta"))]
     sides = [*ends, (0.0, 0.0011), (0.0, 0.016)]
-    points = np.stack([rng.uniform(*side, 1500) for side in sides], axis=1)
-    points = np.insert(points, 4, rng.choice([0.0, 1.0, 1.5], 1500), axis=1)
-    return Base(arrays, points, codes_of(open_atlas(path), points))
+    points = np.stack([rng.uniform(*side, 300) for side in sides], axis=1)
+    points = np.insert(points, 4, rng.choice([0.0, 1.0, 1.5], 300), axis=1)
+    atlas = open_atlas(path)
+    on_limits = points[codes_of(atlas, points) != OUTSIDE][:100].copy()
+    for point in on_limits:
+        upper = atlas.alpha_limits(*map(float, point[1:])).upper
+        point[0] = upper if np.isfinite(upper) else point[0]
+    points = np.concatenate([points, on_limits])
+    return Base(arrays, points, codes_of(atlas, points))
 
 
 def codes_of(atlas: Atlas, points: np.ndarray) -> np.ndarray:
