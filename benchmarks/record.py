@@ -21,6 +21,7 @@ PACKAGES = (
     "jaxlib",
     "numpy",
     "scipy",
+    "optimistix",
     "contourpy",
     "control",
     "h5py",
