@@ -208,7 +208,7 @@ class TestPlantCoefficients:
         ("mode", "delay"),
         [
             ("forwards", 0.3),
-            ("backwards", 0.0),
+            pytest.param("backwards", 0.0, marks=pytest.mark.campaign),
             pytest.param("forwards", 0.0, marks=pytest.mark.campaign),
             pytest.param("backwards", 0.3, marks=pytest.mark.campaign),
         ],

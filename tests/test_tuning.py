@@ -106,6 +106,10 @@ class TestMinimizeRadius:
         best = jaxstab.minimize_radius(*plant)
         assert int(best.status) == TuningStatus.SCANNED
         assert "scan" in TuningStatus(int(best.status)).words
+
+    @pytest.mark.campaign
+    def test_what_a_scan_found_has_no_slopes(self) -> None:
+        plant = (10.601024803602744, 0.0, 0.5)
         slopes = jax.jacfwd(lambda g: jaxstab.minimize_radius(g, *plant[1:])[:3])(plant[0])
         assert all(math.isnan(slope) for slope in slopes)
 
