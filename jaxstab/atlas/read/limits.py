@@ -155,7 +155,10 @@ class LimitTable:
             delta: nodes of delta.
         """
         beta = (np.arange(self._cells) + 0.5) / self._per_beta + self._beta
-        spans = [np.diff(nodes) if nodes.size > 1 else np.ones(1) for nodes in (gamma, delta)]
+        spans = [  # shares, for products of tiny spans are 0
+            np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1)
+            for nodes in (gamma, delta)
+        ]
         middles = [
             0.5 * (nodes[1:] + nodes[:-1]) if nodes.size > 1 else nodes for nodes in (gamma, delta)
         ]
