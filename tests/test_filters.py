@@ -289,6 +289,14 @@ def test_grids_that_go_through_xla_answer_as_few_points_do() -> None:
         np.testing.assert_array_equal(many[row], few)
 
 
+def test_arrays_of_delays_refuse_traced_filters_in_one_sentence() -> None:
+    def code(cutoff: Any) -> Any:
+        return jaxstab.verdict(0.1, 0.1, 0.0, 0.0, [0.0, 1.0], velocity=Velocity.low_pass(cutoff))
+
+    with pytest.raises(TypeError, match="traced arguments with one delay"):
+        jax.jit(code)(0.1)
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [

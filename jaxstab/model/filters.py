@@ -239,6 +239,8 @@ def given_filters(velocity: Any, position: Any) -> Filters | None:
     Raises:
         TypeError: one of them is not of its class.
     """
+    if velocity is None and position is None:
+        return None
     for name, value, kind in (("velocity", velocity, Velocity), ("position", position, Filter)):
         if value is not None and not isinstance(value, kind):
             raise TypeError(f"{name} is {value!r}; give a jaxstab.{kind.__name__}.")

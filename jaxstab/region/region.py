@@ -117,14 +117,13 @@ class StableRegion:
 
         None where small positive gains are not stable.
         """
-        first = next(iter(self.components), None)
-        holds = first is not None and holds_small_gains(first.coefficients, first.outline)
-        return first if holds else None
+        return next(filter(_holds_small_gains, self.components[:1]), None)
 
     @property
     def islands(self) -> list["StableRegion"]:
         """The components that turning gains up from 0 does not reach, the largest first."""
-        return self.components[self.main is not None :]
+        components = self.components
+        return components[any(map(_holds_small_gains, components[:1])) :]
 
     @property
     def loops(self) -> int:
@@ -235,7 +234,8 @@ def stable_region(
     Every corner is where the curve crosses itself or a line: all crossings are searched for, and
     the scan of the boundary is refined around them until its pieces close to loops. What may be
     missed are crossings where the curve bends more, between two angles of the first scan, than a
-    cubic with the same ends and tangents.
+    cubic with the same ends and tangents; with filters, parts of it at which another root is beyond
+    1.1 are not searched, and islands are found by the scan alone.
 
     Args:
         gamma: physical stiffness k T^2/m in [0, 1e4], a number like all arguments.
@@ -372,6 +372,10 @@ def _of_outline(c: SliceCoefficients, outline: Outline) -> StableRegion:
         max_alpha=outline.vertices[largest[0]] + 0.0,  # no -0
         max_beta=outline.vertices[largest[1]] + 0.0,
     )
+
+
+def _holds_small_gains(component: StableRegion) -> bool:
+    return holds_small_gains(component.coefficients, component.outline)
 
 
 def _turns(coordinate: Float64[np.ndarray, " point"]) -> int:

@@ -107,7 +107,7 @@ def verdict(
         codes = _float_verdict(arrays, xp.asarray(delays % 1.0), form)
         shape = np.broadcast_shapes(delays.shape, *(array.shape for array in arrays))
         return xp.array(xp.broadcast_to(codes, shape))
-    if is_any_traced(point):
+    if is_any_traced(point, filters):
         raise TypeError("verdict takes traced arguments with one delay and without resolve only.")
     points = Points(*(np.asarray(value, np.float64) for value in (*point, delays)))
     if filters:
