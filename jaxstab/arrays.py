@@ -8,7 +8,7 @@ spelled unlike a Python loop.
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import field, fields, is_dataclass
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -102,6 +102,11 @@ def pytree(cls: Class) -> Class:
     if "jax" in sys.modules:
         _register()
     return cls
+
+
+def fixed() -> Any:
+    """Return a field of a pytree that is no array."""
+    return field(metadata={"static": True})
 
 
 def _register() -> None:

@@ -1,6 +1,7 @@
 """The motion of device, hand and wall on a grid finer than the sampling period, by scipy."""
 
 import numpy as np
+import scipy.linalg
 import scipy.signal
 
 from jaxstab import HapticLoop
@@ -43,4 +44,70 @@ def march_on_a_fine_grid(
         states.append(state)
         forces.append(acting)
         state = phi @ state + gain[:, 0] * (acting + push)
+    return np.array(states), np.array(forces)
+
+
+Taps = tuple[list[float], list[float]]  # a difference equation as ``scipy.signal.lfilter`` takes it
+
+
+def difference_taps(samples: int) -> Taps:
+    """(x_k - x_(k-n)) / n."""
+    zeros = [0.0] * (samples - 1)
+    return [1.0 / samples, *zeros, -1.0 / samples], [1.0, *zeros, 0.0]
+
+
+def low_pass_taps(cutoff: float) -> Taps:
+    """One pole at exp(-2 pi f)."""
+    pole = float(np.exp(-2.0 * np.pi * cutoff))
+    return [1.0 - pole, 0.0], [1.0, -pole]
+
+
+def butterworth_taps(cutoff: float, order: int) -> list[Taps]:
+    """Butterworth's filter as scipy's sections of second order."""
+    sections = scipy.signal.butter(order, cutoff, fs=1.0, output="sos")
+    return [(row[:3].tolist(), row[3:].tolist()) for row in sections]
+
+
+def march_through_filters(
+    plant: tuple[float, float, float],
+    wall: tuple[float, float],
+    velocity: list[Taps],
+    position: list[Taps],
+    samples: int,
+    *,
+    push: float = 0.0,
+    start: tuple[float, float] = (0.0, 0.0),
+    unilateral: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sampled states and forces of (gamma, delta, delay) at (alpha, beta), filters by lfilter.
+
+    The device stood where it starts before time 0.
+    """
+    gamma, delta, delay = plant
+    whole, fraction = divmod(delay, 1.0)
+    rates = np.array([[0.0, 1.0, 0.0], [-gamma, -delta, 1.0], [0.0, 0.0, 0.0]])
+    early, late = (scipy.linalg.expm(rates * t)[:2] for t in (fraction, 1.0 - fraction))
+    memories = []
+    for chain in (velocity, position):
+        value, memory = start[0], []
+        for above, below in chain:
+            memory.append(scipy.signal.lfilter_zi(above, below) * value)
+            value *= sum(above) / sum(below)
+        memories.append(memory)
+    state, queue, acting, states, forces = np.array(start), [0.0] * int(whole), 0.0, [], []
+    for _ in range(samples):
+        outputs = []
+        for chain, memory in zip((velocity, position), memories, strict=True):
+            value = state[:1]
+            for number, taps in enumerate(chain):
+                value, memory[number] = scipy.signal.lfilter(*taps, value, zi=memory[number])
+            outputs.append(float(value[0]))
+        force = -(wall[0] * outputs[1] + wall[1] * outputs[0])
+        queue.append(force * (state[0] > 0.0) if unilateral else force)
+        states.append(state)
+        arriving = queue.pop(0)
+        forces.append(acting if fraction else arriving)
+        state = early @ [*state, acting + push]
+        state = late @ [*state, arriving + push]
+        acting = arriving
     return np.array(states), np.array(forces)

@@ -136,14 +136,23 @@ class Filter:
             ValueError: a section does not go with that period, or the order is above 40.
             RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
         """
-        require_x64(*(value for section in self.sections for value in vars(section).values()))
-        whole = reduce(Transfer.times, (s.transfer(sample_time) for s in self.sections), UNIT)
+        whole = reduce(Transfer.times, self.stages(sample_time), UNIT)
         if whole.order > HIGHEST_ORDER:
             raise ValueError(
                 f"the filter ({self}) is of order {whole.order}; give one of order "
                 f"{HIGHEST_ORDER} at most."
             )
         return whole
+
+    def stages(self, sample_time: float = 1.0) -> list[Transfer]:
+        """Return the transfer functions of low orders whose product ``transfer`` is.
+
+        Raises:
+            ValueError: a section does not go with that period.
+            RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
+        """
+        require_x64(*(value for section in self.sections for value in vars(section).values()))
+        return [stage for section in self.sections for stage in section.stages(sample_time)]
 
 
 @pytree
@@ -215,6 +224,18 @@ class Velocity:
                 "velocity is 0 at rest; give one whose coefficients sum to 0."
             )
         return cls(Filter((Differentiator(above, below),)))
+
+    def stages(self, sample_time: float = 1.0) -> tuple[int, list[Transfer]]:
+        """Return a number of samples n, and transfer functions behind (1 - z^-n) / n.
+
+        Raises:
+            ValueError: a section does not go with that period.
+            RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
+        """
+        first, *others = self.filter.sections or (Average(1, None),)
+        if isinstance(first, Average):
+            return first.length(sample_time), Filter(tuple(others)).stages(sample_time)
+        return 1, self.filter.stages(sample_time)
 
     def __mul__(self, other: Filter) -> "Velocity":
         if not isinstance(other, Filter):

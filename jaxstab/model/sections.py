@@ -1,18 +1,20 @@
-"""The sections that filters are made of, each with its transfer function for a sampling period.
+"""The sections that filters are made of, each as a chain of transfer functions for a period.
+
+A chain has the lowest orders that there are: the loop's polynomial takes their product, and a loop
+in the time domain runs one after the other, which loses no digits to poles close to each other.
 
 The numbers that a section computes from its parameters, such as exp(-2 pi f T), are rounded to
 float64 first: what is proved holds for the filter that software with these numbers runs.
 """
 
-from dataclasses import dataclass, field
-from functools import reduce
+from dataclasses import dataclass
 from itertools import accumulate
 from math import floor, pi
 from typing import Any
 
 import numpy as np
 
-from jaxstab.arrays import Array, Numbers, is_jax, is_traced, namespace, pytree
+from jaxstab.arrays import Array, Numbers, fixed, is_jax, is_traced, namespace, pytree
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.transfer import ONE, Polynomial, Transfer
 from jaxstab.numbers import checked_count
@@ -21,18 +23,13 @@ HIGHEST_ORDER = 40
 _WHOLE = 1e-9  # of a sample: windows closer to a whole number of samples are that number
 
 
-def _fixed() -> Any:
-    """Return a field of a pytree that is no array."""
-    return field(metadata={"static": True})
-
-
 @pytree
 @dataclass(frozen=True)
 class Average:
     """The mean of the last samples of a window, given in samples or in seconds."""
 
-    samples: int | None = _fixed()
-    window: float | None = _fixed()
+    samples: int | None = fixed()
+    window: float | None = fixed()
 
     def __str__(self) -> str:
         window = f"{self.window:g} s" if self.samples is None else f"{self.samples} samples"
@@ -42,11 +39,11 @@ class Average:
         """Return the window in samples."""
         return self.samples or _whole_samples(float(self.window or 0.0), sample_time)
 
-    def transfer(self, sample_time: float) -> Transfer:
-        """Return the transfer function for a sampling period in s."""
+    def stages(self, sample_time: float) -> list[Transfer]:
+        """Return the transfer functions for a sampling period in s, whose product this is."""
         count = self.length(sample_time)
         part = DoubleDouble.of(1.0) / float(count)
-        return Transfer.of((part,) * count, ONE, count - 1)
+        return [Transfer.of((part,) * count, ONE, count - 1)]
 
 
 @pytree
@@ -55,13 +52,13 @@ class LowPass:
     """First-order low passes in a row, each with its pole at exp(-2 pi f T)."""
 
     cutoff: Numbers
-    order: int = _fixed()
+    order: int = fixed()
 
     def __str__(self) -> str:
         return f"a low pass at {shown(self.cutoff)} Hz of order {self.order}"
 
-    def transfer(self, sample_time: float) -> Transfer:
-        """Return the transfer function for a sampling period in s."""
+    def stages(self, sample_time: float) -> list[Transfer]:
+        """Return the transfer functions for a sampling period in s, whose product this is."""
         exponent = -2.0 * pi * self.cutoff * sample_time
         pole = _float(namespace(exponent).exp(exponent))
         if not is_traced(pole) and not 0.0 < pole < 1.0:
@@ -69,7 +66,9 @@ class LowPass:
                 f"cutoff is {shown(self.cutoff)}; with a sampling period of {sample_time:g} s it "
                 "leaves no filter in float64: give one closer to 1 / period."
             )
-        return _first_orders(pole, DoubleDouble.of(1.0) - pole, self.order)
+        gain = DoubleDouble.of(1.0) - pole
+        one = Transfer.of((gain,), (DoubleDouble.of(1.0), -DoubleDouble.of(pole)), -1)
+        return [one] * self.order
 
 
 @pytree
@@ -82,11 +81,11 @@ class Exponential:
     def __str__(self) -> str:
         return f"exponential smoothing by {shown(self.factor)}"
 
-    def transfer(self, sample_time: float) -> Transfer:
-        """Return the transfer function for a sampling period in s."""
+    def stages(self, sample_time: float) -> list[Transfer]:
+        """Return the transfer functions for a sampling period in s, whose product this is."""
         factor = DoubleDouble.of(_float(self.factor))
         pole = DoubleDouble.of(1.0) - factor
-        return Transfer.of((factor,), (DoubleDouble.of(1.0), -pole), -1)
+        return [Transfer.of((factor,), (DoubleDouble.of(1.0), -pole), -1)]
 
 
 @pytree
@@ -95,13 +94,13 @@ class Butterworth:
     """The bilinear transform of Butterworth's low pass, with its cut-off prewarped."""
 
     cutoff: Numbers
-    order: int = _fixed()
+    order: int = fixed()
 
     def __str__(self) -> str:
         return f"a Butterworth filter at {shown(self.cutoff)} Hz of order {self.order}"
 
-    def transfer(self, sample_time: float) -> Transfer:
-        """Return the transfer function for a sampling period in s."""
+    def stages(self, sample_time: float) -> list[Transfer]:
+        """Return the transfer functions for a sampling period in s, whose product this is."""
         if not is_traced(self.cutoff) and self.cutoff * sample_time >= 0.5:
             raise ValueError(
                 f"cutoff is {shown(self.cutoff)}; give one below half of the sampling rate, "
@@ -115,7 +114,7 @@ class Butterworth:
         ]
         if self.order % 2:
             sections.append(_bilinear_lag(warped))
-        return reduce(Transfer.times, sections)
+        return sections
 
 
 @pytree
@@ -123,15 +122,15 @@ class Butterworth:
 class Rational:
     """A transfer function in z by its coefficients, highest power first."""
 
-    numerator: tuple[float, ...] = _fixed()
-    denominator: tuple[float, ...] = _fixed()
+    numerator: tuple[float, ...] = fixed()
+    denominator: tuple[float, ...] = fixed()
 
     def __str__(self) -> str:
         return f"a transfer function of order {len(self.denominator) - 1}"
 
-    def transfer(self, sample_time: float) -> Transfer:
-        """Return the transfer function for a sampling period in s."""
-        return _monic(tuple(map(DoubleDouble.of, self.numerator)), self.denominator)
+    def stages(self, sample_time: float) -> list[Transfer]:
+        """Return the transfer functions for a sampling period in s, whose product this is."""
+        return [_monic(tuple(map(DoubleDouble.of, self.numerator)), self.denominator)]
 
 
 @pytree
@@ -139,19 +138,14 @@ class Rational:
 class Differentiator(Rational):
     """A transfer function V(z) in 1/s with V(1) = 0, less one difference: T V(z) z / (z - 1)."""
 
-    def transfer(self, sample_time: float) -> Transfer:
-        """Return the transfer function for a sampling period in s."""
+    def stages(self, sample_time: float) -> list[Transfer]:
+        """Return the transfer functions for a sampling period in s, whose product this is."""
         steps = accumulate(map(DoubleDouble.of, self.numerator[:-1]), DoubleDouble.__add__)
         numerator = tuple(step * float(sample_time) for step in steps)
-        return _delayed(_monic(numerator, self.denominator), -1)
+        return [_delayed(_monic(numerator, self.denominator), -1)]
 
 
 Section = Any  # one of the classes above
-
-
-def _first_orders(pole: Array, gain: DoubleDouble, order: int) -> Transfer:
-    one = Transfer.of((gain,), (DoubleDouble.of(1.0), -DoubleDouble.of(pole)), -1)
-    return reduce(Transfer.times, [one] * order)
 
 
 def _quadratic(warped: Array, sine: float) -> Transfer:

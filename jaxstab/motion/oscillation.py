@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.model import HapticLoop, checked_gain, require_x64
+from jaxstab.model.filters import Filter, Velocity
 from jaxstab.point.poles import closed_loop_poles
 
 
@@ -23,7 +24,14 @@ class Oscillation(NamedTuple):
 
 
 def dominant_mode(
-    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+    alpha: Numbers,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> Oscillation:
     """Return damping ratio and frequency of the slowest pole z = exp(s), in samples.
 
@@ -36,6 +44,8 @@ def dominant_mode(
         gamma: physical stiffness k T^2/m in [0, 1e4].
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, concrete.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
 
     Returns:
         Oscillation of arrays of the broadcast shape.
@@ -48,7 +58,8 @@ def dominant_mode(
     Source: the poles of eq. (9); z = exp(s T).
     """
     require_x64(alpha, beta, gamma, delta)
-    poles = closed_loop_poles(alpha, beta, gamma, delta, delay)
+    point = alpha, beta, gamma, delta, delay
+    poles = closed_loop_poles(*point, velocity=velocity, position=position)
     xp, pole = namespace(poles), poles[..., 0]
     with np.errstate(all="ignore"):  # a pole at 0 or at 1
         decay, frequency = -xp.log(abs(pole)), abs(xp.angle(pole))

@@ -13,10 +13,12 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float64, Int, Int8
 
-from jaxstab.arrays import Array, Numbers, float_arrays, namespace
+from jaxstab.arrays import Array, Numbers, float_arrays, is_any_traced, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import HapticLoop, checked_delay, checked_gain, require_x64
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.motion.controller import PLAIN, Bank, Controller, bank_of
 from jaxstab.motion.response import propagator
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdict.door import verdict
@@ -61,6 +63,8 @@ def settling_samples(
     *,
     excitation: Excitation = "force",
     horizon: int = HORIZON,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> Settling:
     """Count the samples until the position stays within a tolerance of its final value.
 
@@ -69,8 +73,8 @@ def settling_samples(
     device moves between samples too, but is not looked at there. Two excitations are known:
 
     - "force": the hand begins to push with a constant force at sample 0, on a device at rest. The
-      tolerance is level times the final displacement F/(K + k): the settling time of a step
-      response.
+      tolerance is level times the final displacement F/(K + k), K times P(1) where a position
+      filter has another gain than 1: the settling time of a step response.
     - "impact": the device hits the wall with some velocity at sample 0, and nothing else pushes it.
       The tolerance is level times the largest sampled excursion, around 0.
 
@@ -84,6 +88,8 @@ def settling_samples(
         excitation: "force" or "impact".
         horizon: samples, rounded up to a power of two, after which a loop that is not proved to
             have settled is given up.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
 
     Returns:
         Settling with ``value`` in samples and ``status``, a SettlingStatus. That the loop stays
@@ -92,7 +98,7 @@ def settling_samples(
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or the excitation is unknown.
-        TypeError: the delay is traced, or the horizon is not a whole number.
+        TypeError: the delay or a filter is traced, or the horizon is not a whole number.
         RuntimeError: JAX arrays are given without x64.
 
     Source: the loop of eqs. (1)-(5); 2 % settling is what later papers of the same authors use;
@@ -102,13 +108,16 @@ def settling_samples(
     level = checked_level(level, excitation)
     checked_count("horizon", horizon, 1)
     delay = checked_delay(delay)
+    filters = given_filters(velocity, position)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     propagate = propagator(gamma, delta, delay % 1.0, np.ones(1))[..., 0, :, :4]
     xp = namespace(gains, propagate)
     grid = xp.broadcast_shapes(*map(np.shape, gains), propagate.shape[:-2], delay.shape)
     entries = [propagate[..., row, column] for row in (0, 1) for column in range(4)]
-    search = partial(_settle, level=level, excitation=excitation, horizon=horizon)
-    is_unstable = xp.asarray(verdict(alpha, beta, gamma, delta, delay) == Verdict.UNSTABLE)
+    bank = bank_for(filters)
+    search = partial(_settle, bank=bank, level=level, excitation=excitation, horizon=horizon)
+    codes = verdict(alpha, beta, gamma, delta, delay, velocity=velocity, position=position)
+    is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
     lanes = *gains, *entries, np.floor(delay), ~is_unstable
     first = on_host(search, *lanes, shape=grid, like=np.float64)
     unsettled = xp.where(is_unstable, SettlingStatus.UNSTABLE, SettlingStatus.NOT_SETTLED)
@@ -169,12 +178,28 @@ def checked_level(level: Any, excitation: str) -> float:
     return level
 
 
+def bank_for(filters: Filters | None) -> Bank:
+    """Return the matrices of an estimator and a filter in units of one sample.
+
+    Raises:
+        TypeError: a filter is traced.
+    """
+    if filters is None:
+        return PLAIN
+    if is_any_traced(filters):
+        raise TypeError(
+            "settling is searched for outside of JAX: give filters of concrete numbers, not traced."
+        )
+    return bank_of(Controller.of(filters))
+
+
 class Loops(NamedTuple):
     """Loops side by side that have one whole part of their delays: s -> A s, from s_0 on.
 
-    The state: position, its difference to the last sample, velocity, the acting force, and those on
-    their way, the next one to arrive first. It is given in units in which an undamped oscillation
-    is nearly a rotation; that of the position is the final displacement, or velocity.
+    The state: position, its difference to the last sample, velocity, the acting force, those on
+    their way, the next one to arrive first, and what the filters remember. It is given in units in
+    which an undamped oscillation is nearly a rotation; that of the position is the final
+    displacement, or velocity.
     """
 
     transition: Matrices
@@ -187,29 +212,35 @@ def loops_of(
     entries: Float64[np.ndarray, "8 loop"],
     whole_delay: int,
     excitation: str,
+    bank: Bank = PLAIN,
 ) -> Loops:
     """Return the loops of gains and of the entries (2, 4) of their propagators."""
-    size = 4 + whole_delay
+    last = 3 + whole_delay  # of the forces on their way
+    size = last + 1 + len(bank.steps)
+    known = [0, 1, *range(last + 1, size)]  # position, its difference, what filters remember
+    stiffness, damping = bank.outputs
     step = np.zeros((alpha.size, size, size))
     rows = np.moveaxis(entries.reshape(2, 4, -1), -1, 0)
-    force = np.zeros((alpha.size, size))
-    force[:, 0], force[:, 1] = -alpha, -beta
-    step[:, range(3, size - 1), range(4, size)] = 1.0
-    step[:, -1] = force
+    step[:, range(3, last), range(4, last + 1)] = 1.0
+    step[:, last, known] = -(alpha[:, None] * stiffness + beta[:, None] * damping)
     motion = np.zeros((alpha.size, 2, size))
     motion[:, :, [0, 2, 3]] = rows[:, :, :3]
     motion += rows[:, :, 3:] * step[:, 3:4]  # the force that arrives is the next one to act
     step[:, [0, 2]] = motion
     step[:, 1] = motion[:, 0]
     step[:, 1, 0] -= 1.0
+    step[:, last + 1 :, known] = bank.steps
     rate = np.sqrt(np.abs(alpha) + np.abs(entries[4]) + _LEAST_STIFFNESS)
     units = np.ones((alpha.size, size))
-    units[:, 1:] = rate[:, None]
+    units[:, 1 : last + 1] = rate[:, None]
+    units[:, last + 1 :] = np.where(bank.is_velocity, rate[:, None], 1.0)
     start = np.zeros((alpha.size, size))
     if excitation == "impact":
         start[:, 2] = 1.0
     else:
-        start[:, 0], start[:, 3:] = -1.0, alpha[:, None]
+        gain = stiffness @ np.array([1.0, 0.0, *bank.at_rest])
+        start[:, 0], start[:, 3 : last + 1] = -1.0, gain * alpha[:, None]
+        start[:, last + 1 :] = -bank.at_rest
     transition = step * units[:, None, :] / units[:, :, None]
     return Loops(transition, (start / units)[..., None])
 
@@ -308,7 +339,7 @@ def _squared(power: Matrices, error: np.ndarray) -> tuple[Matrices, np.ndarray]:
 
 
 def _settle(
-    *lanes: Array, level: float, excitation: str, horizon: int
+    *lanes: Array, bank: Bank, level: float, excitation: str, horizon: int
 ) -> Float64[np.ndarray, "*grid"]:
     """Return the first sample since when all are inside the tolerance; NaN if none is proved.
 
@@ -319,10 +350,12 @@ def _settle(
     first = np.full(alpha.shape, np.nan)
     for whole in np.unique(whole_delay):
         together = np.flatnonzero((whole_delay == whole) & is_hopeful)
-        count = max(1, _NUMBERS // ((4 + int(whole)) ** 2 * _STRETCH))
+        size = 4 + int(whole) + len(bank.steps)
+        count = max(1, _NUMBERS // (size**2 * _STRETCH))
         for begin in range(0, together.size, count):
             some = together[begin : begin + count]
-            loops = loops_of(alpha[some], beta[some], entries[:, some], int(whole), excitation)
+            gains = alpha[some], beta[some]
+            loops = loops_of(*gains, entries[:, some], int(whole), excitation, bank)
             with np.errstate(all="ignore"):  # what grows overflows, and is never proved
                 first[some] = _first_samples(loops, level, horizon, excitation == "impact")
     return first.reshape(lanes[0].shape)
