@@ -39,7 +39,7 @@ class TestSimulate:
         self, loop: HapticLoop, stiffness: float, damping: float
     ) -> None:
         response = jaxstab.simulate(
-            loop, stiffness, damping, samples=60, force=2.0, velocity=0.1, between=FINE - 1
+            loop, stiffness, damping, samples=60, force=2.0, initial_velocity=0.1, between=FINE - 1
         )
         states, forces = march_on_a_fine_grid(
             loop, stiffness, damping, 60, 2.0, np.array([0.0, 0.1])
@@ -57,14 +57,16 @@ class TestSimulate:
     def test_an_impact_obeys_the_recurrence_of_the_characteristic_polynomial(
         self, loop: HapticLoop, stiffness: float, damping: float
     ) -> None:
-        position = np.asarray(jaxstab.simulate(loop, stiffness, damping, velocity=1.0).position)
+        position = np.asarray(
+            jaxstab.simulate(loop, stiffness, damping, initial_velocity=1.0).position
+        )
         scene = loop.alpha(stiffness), loop.beta(damping), loop.gamma, loop.delta
         coefficients = np.array(truth.polynomial(*scene, loop.delay_samples), float)
         recurrence = np.convolve(position, coefficients, mode="valid")
         assert np.abs(recurrence).max() < 1e-13 * np.abs(position).max()
 
     def test_an_unstable_loop_grows_as_its_spectral_radius(self) -> None:
-        response = jaxstab.simulate(PHANTOM, 20_000.0, 200.0, samples=400, velocity=0.01)
+        response = jaxstab.simulate(PHANTOM, 20_000.0, 200.0, samples=400, initial_velocity=0.01)
         scene = PHANTOM.alpha(20_000.0), PHANTOM.beta(200.0), PHANTOM.gamma, PHANTOM.delta
         radius = float(truth.spectral_radius(*scene, 0)[0])
         assert radius > 1
@@ -79,13 +81,13 @@ class TestSimulate:
         assert abs(float(response.velocity[-1])) < 1e-12
 
     def test_a_displaced_device_returns(self) -> None:
-        response = jaxstab.simulate(PHANTOM, 10_000.0, 30.0, samples=300, position=1e-3)
+        response = jaxstab.simulate(PHANTOM, 10_000.0, 30.0, samples=300, initial_position=1e-3)
         assert float(response.position[0]) == 1e-3
         assert abs(float(response.position[-1])) < 1e-9
 
     def test_walls_and_excitations_broadcast(self) -> None:
         walls, speeds = np.array([[1_000.0], [5_000.0]]), np.array([0.1, 0.2, 0.4])
-        response = jaxstab.simulate(PHANTOM, walls, 10.0, samples=30, velocity=speeds)
+        response = jaxstab.simulate(PHANTOM, walls, 10.0, samples=30, initial_velocity=speeds)
         assert response.position.shape == response.force.shape == (2, 3, 30)
         assert response.time.shape == (30,)
         np.testing.assert_allclose(response.position[:, 2], 4 * response.position[:, 0], rtol=1e-12)
@@ -93,7 +95,7 @@ class TestSimulate:
 
     def test_of_jax_arrays_is_that_of_numpy(self) -> None:
         walls = np.array([2_000.0, 3_000.0])
-        options = {"samples": 30, "velocity": 0.1, "between": 2, "unilateral": True}
+        options = {"samples": 30, "initial_velocity": 0.1, "between": 2, "unilateral": True}
         plain = jaxstab.simulate(HELD, walls, 30.0, **options)
         compiled = jaxstab.simulate(HELD, jax.numpy.asarray(walls), 30.0, **options)
         assert all(isinstance(field, np.ndarray) for field in plain)
@@ -114,9 +116,9 @@ class TestSimulate:
         ("arguments", "message"),
         [
             ({}, "nothing moves"),
-            ({"velocity": 0.1, "samples": 0}, "samples is 0"),
-            ({"velocity": 0.1, "between": -1}, "between is -1"),
-            ({"velocity": np.nan}, "velocity is nan"),
+            ({"initial_velocity": 0.1, "samples": 0}, "samples is 0"),
+            ({"initial_velocity": 0.1, "between": -1}, "between is -1"),
+            ({"initial_velocity": np.nan}, "initial_velocity is nan"),
         ],
     )
     def test_refuses(self, arguments: dict[str, float], message: str) -> None:
@@ -126,13 +128,13 @@ class TestSimulate:
     @pytest.mark.parametrize("gain", [np.nan, np.inf])
     def test_refuses_a_gain_that_is_not_finite(self, gain: float) -> None:
         with pytest.raises(ValueError, match="stiffness is"):
-            jaxstab.simulate(PHANTOM, gain, 10.0, velocity=0.1)
+            jaxstab.simulate(PHANTOM, gain, 10.0, initial_velocity=0.1)
 
 
 class TestUnilateralWall:
     def test_a_device_that_stays_inside_does_not_notice(self) -> None:
         """Remark 1: the hand pushes hard enough, so the position never leaves the wall."""
-        arguments = {"samples": 150, "force": 5.0, "velocity": 0.05}
+        arguments = {"samples": 150, "force": 5.0, "initial_velocity": 0.05}
         one, both = (
             jaxstab.simulate(PHANTOM, 10_000.0, 30.0, unilateral=side, **arguments)
             for side in (True, False)
@@ -143,7 +145,7 @@ class TestUnilateralWall:
     def test_a_bouncing_device_flies_freely(self) -> None:
         free = HapticLoop(device_mass=0.1, device_damping=0.0, sample_time=1e-3)
         response = jaxstab.simulate(
-            free, 10_000.0, 30.0, samples=200, velocity=0.5, unilateral=True, between=1
+            free, 10_000.0, 30.0, samples=200, initial_velocity=0.5, unilateral=True, between=1
         )
         outside = np.flatnonzero(np.asarray(response.position) < 0)
         assert outside.size

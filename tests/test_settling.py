@@ -152,7 +152,9 @@ class TestSettling:
             push = jaxstab.simulate(
                 loop, *wall, samples=LONG, force=wall[0] + loop.hand_stiffness
             ).position
-            hit = np.asarray(jaxstab.simulate(loop, *wall, samples=LONG, velocity=1.0).position)
+            hit = np.asarray(
+                jaxstab.simulate(loop, *wall, samples=LONG, initial_velocity=1.0).position
+            )
             expected = {
                 "force": settled_since(np.asarray(push), 1.0, level),
                 "impact": settled_since(hit, 0.0, level * np.abs(hit).max()),

@@ -13,6 +13,7 @@ from jaxtyping import Float64
 from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, repeat_and_keep
 from jaxstab.batches import compiled
 from jaxstab.model import HapticLoop, checked_gain, plant_transition, require_x64
+from jaxstab.motion.controller import Controller
 from jaxstab.numbers import checked, checked_count
 
 
@@ -36,8 +37,8 @@ def simulate(
     *,
     samples: int = 200,
     force: Numbers = 0.0,
-    velocity: Numbers = 0.0,
-    position: Numbers = 0.0,
+    initial_velocity: Numbers = 0.0,
+    initial_position: Numbers = 0.0,
     between: int = 0,
     unilateral: bool = False,
 ) -> Response:
@@ -53,8 +54,8 @@ def simulate(
         damping: B of the wall in N s/m.
         samples: how many samples to simulate, from time 0 on.
         force: a step in N, from time 0 on: the hand begins to push.
-        velocity: in m/s at time 0: an impact on the wall, or a blow of this times the mass.
-        position: in m at time 0, the penetration if positive.
+        initial_velocity: in m/s at time 0: an impact on the wall, or a blow of this times the mass.
+        initial_position: in m at time 0, the penetration if positive.
         between: how many equidistant points to return between two samples.
         unilateral: the wall pushes or pulls only while the sampled position is positive (Remark 1);
             otherwise it holds the device from both sides, as in the rest of the paper.
@@ -69,7 +70,7 @@ def simulate(
 
     Source: eqs. (1)-(5) and Fig. 2 of Hulin, Preusche, Hirzinger (2008); Remark 1.
     """
-    require_x64(stiffness, damping, force, velocity, position)
+    require_x64(stiffness, damping, force, initial_velocity, initial_position)
     checked_count("samples", samples, 1)
     checked_count("between", between, 0)
     period = loop.sample_time
@@ -77,8 +78,8 @@ def simulate(
         loop.alpha(checked_gain("stiffness", stiffness)),
         loop.beta(checked_gain("damping", damping)),
         checked("force", force) * (period**2 / loop.mass),
-        checked("position", position),
-        checked("velocity", velocity) * period,
+        checked("initial_position", initial_position),
+        checked("initial_velocity", initial_velocity) * period,
     )
     _require_excitation(*values[2:])
     whole, fraction = divmod(loop.delay_samples, 1.0)
@@ -88,6 +89,7 @@ def simulate(
         walls,
         _propagator_of_one(loop.gamma, loop.delta, fraction, tuple(offsets.tolist())),
         offsets[:-1] < fraction,
+        None,
         samples=samples,
         whole_delay=int(whole),
         unilateral=unilateral,
@@ -127,6 +129,7 @@ def _simulate(
     walls: list[Array],
     propagate: Array,
     early: Array,
+    controller: Controller | None,
     *,
     samples: int,
     whole_delay: int,
@@ -144,21 +147,27 @@ def _simulate(
         walls = [wall.item() for wall in walls]
     alpha, beta, push, position, velocity = walls
 
-    # The state: position, velocity, the position at the last sample, the force at the end of the
-    # last hold, and the forces on their way, the next one to arrive first. NumPy and Python are
-    # quick with plain tuples.
+    # The state: position, velocity, what the controller remembers (the position at the last sample,
+    # or what filters do), the force at the end of the last hold, and the forces on their way, the
+    # next one to arrive first. NumPy and Python are quick with plain tuples.
     def step(state: Any) -> tuple[tuple[Any, ...], tuple[Array, ...]]:
-        x, v, previous, acting, waiting = state
-        force = -(alpha * x + beta * (x - previous))
+        x, v, memory, acting, waiting = state
+        if controller is None:
+            force = -(alpha * x + beta * (x - memory))
+            memory = x
+        else:
+            filtered, difference, memory = controller.step(x, memory)
+            force = -(alpha * filtered + beta * difference)
         if unilateral:
             force = force * (x > 0.0)
         line: tuple[Array, ...] = (*waiting, force)
         arriving = line[0]
         moved = [a * x + b * v + c * acting + d * arriving + e * push for a, b, c, d, e in rows]
-        return (*moved, x, arriving, line[1:]), (x, v, acting, arriving, push)
+        return (*moved, memory, arriving, line[1:]), (x, v, acting, arriving, push)
 
     rest = 0.0 * position
-    start = (position, velocity, position, rest, (rest,) * whole_delay)
+    memory = position if controller is None else controller.at_rest(position)
+    start = (position, velocity, memory, rest, (rest,) * whole_delay)
     _, history = repeat_and_keep(samples, step, start)
     causes = xp.stack([xp.moveaxis(xp.asarray(cause), 0, -1) for cause in history])
     paths = xp.einsum("ork,k...s->r...so", propagate[:-1], causes)
@@ -170,5 +179,6 @@ def _simulate(
 def _require_excitation(*causes: Array) -> None:
     if not any(is_traced(cause) or np.any(cause) for cause in causes):
         raise ValueError(
-            "force, velocity and position are all 0, so nothing moves: give at least one of them."
+            "force, initial_velocity and initial_position are all 0, so nothing moves: give at least "
+            "one of them."
         )
