@@ -179,6 +179,6 @@ def _simulate(
 def _require_excitation(*causes: Array) -> None:
     if not any(is_traced(cause) or np.any(cause) for cause in causes):
         raise ValueError(
-            "force, initial_velocity and initial_position are all 0, so nothing moves: give at least "
-            "one of them."
+            "force, initial_velocity and initial_position are all 0, so nothing moves: give one of "
+            "them another value."
         )
