@@ -109,13 +109,13 @@ def _questions() -> list[Question]:
             f"print(float(jaxstab.stable_region({three}).max_alpha[0]))"
         ), _judge_largest, "outline"),
         Question("margins", 2.0, _python(
-            f"print(loop.alpha(float(jaxstab.margins(loop, {_WALL}).stiffness[1])))"
+            f"print(loop.alpha(float(loop.margins({_WALL}).stiffness[1])))"
         ), _judge_margin, "margins"),
         Question("wall_limits", 2.0, _python(
-            "print(loop.alpha(float(jaxstab.wall_limits(loop).stiffness)))"
+            "print(loop.alpha(float(loop.limits().stiffness)))"
         ), _judge_largest, "largest_alpha"),
         Question("optimal_gains", 3.0, _python(
-            "best = jaxstab.optimal_gains(loop, 'radius')\n"
+            "best = loop.tune('radius')\n"
             "print(best.radius, loop.alpha(best.stiffness), loop.beta(best.damping))"
         ), _judge_best, "best_gains"),
         Question("robust_region", 4.0, _python(

@@ -19,7 +19,7 @@ from benchmarks import truth
 from benchmarks.record import Row
 from jaxstab.conventions import Verdict
 from jaxstab.model import HapticLoop, characteristic_polynomial, companion_matrix
-from jaxstab.ranges import HandRange, RobustLimit, robust_limit, worst_hand
+from jaxstab.ranges import HandRange, RobustLimit
 from jaxstab.ranges.first_crossings import WAYS, first_crossings
 from jaxstab.region import RegionStatus, stable_region
 
@@ -87,7 +87,7 @@ def is_limit_wrong(
     for row, column in zip(*np.unravel_index(likely, radii.shape), strict=True):
         if radii[row, column] < 1.0 - _CLEAR:
             wall = float(stiffness[row, 0]), float(damping[column])
-            if worst_hand(loop, hands, *wall).verdict == Verdict.STABLE:
+            if loop.worst_hand(hands, *wall).verdict == Verdict.STABLE:
                 return True
     return False
 
@@ -128,7 +128,7 @@ def _limits(rng: np.random.Generator, count: int) -> Row:
     for _ in range(count):
         loop, hands = _random_range(rng)
         start = process_time()
-        answer = robust_limit(loop, hands)
+        answer = loop.robust_limit(hands)
         seconds.append(process_time() - start)
         proved += answer.is_proved
         wrong += is_limit_wrong(loop, hands, answer, rng)

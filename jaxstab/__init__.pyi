@@ -32,8 +32,12 @@ from .criteria import passive_region as passive_region
 from .criteria import region_facts as region_facts
 from .criteria import resolved_region as resolved_region
 from .criteria import routh_hurwitz_condition as routh_hurwitz_condition
+from .loop import Gains as Gains
+from .loop import HapticLoop as HapticLoop
+from .loop import OptimalWall as OptimalWall
+from .loop import WallLimits as WallLimits
+from .loop import WallRegion as WallRegion
 from .model import Filter as Filter
-from .model import HapticLoop as HapticLoop
 from .model import PlantCoefficients as PlantCoefficients
 from .model import Velocity as Velocity
 from .model import characteristic_polynomial as characteristic_polynomial
@@ -44,10 +48,7 @@ from .motion import Response as Response
 from .motion import Settling as Settling
 from .motion import SettlingStatus as SettlingStatus
 from .motion import dominant_mode as dominant_mode
-from .motion import dominant_oscillation as dominant_oscillation
 from .motion import settling_samples as settling_samples
-from .motion import settling_time as settling_time
-from .motion import simulate as simulate
 from .point import SpectralRadius as SpectralRadius
 from .point import closed_loop_poles as closed_loop_poles
 from .point import is_stable as is_stable
@@ -60,34 +61,24 @@ from .ranges import RobustLimit as RobustLimit
 from .ranges import RobustRegion as RobustRegion
 from .ranges import RobustStatus as RobustStatus
 from .ranges import WorstHand as WorstHand
-from .ranges import dimensionless_margins as dimensionless_margins
 from .ranges import margins as margins
-from .ranges import robust_limit as robust_limit
 from .ranges import robust_region as robust_region
-from .ranges import worst_hand as worst_hand
 from .region import Branch as Branch
 from .region import RegionStatus as RegionStatus
 from .region import StableRegion as StableRegion
-from .region import WallLimits as WallLimits
 from .region import boundary_curve as boundary_curve
-from .region import boundary_distance as boundary_distance
-from .region import damping_limits as damping_limits
 from .region import minus_line as minus_line
 from .region import plus_line as plus_line
 from .region import region_outline as region_outline
 from .region import stable_region as stable_region
-from .region import stiffness_limits as stiffness_limits
-from .region import wall_limits as wall_limits
 from .trace import BoundaryTrace as BoundaryTrace
 from .trace import TraceStatus as TraceStatus
 from .trace import trace_boundary as trace_boundary
 from .tuning import OptimalGains as OptimalGains
-from .tuning import OptimalWall as OptimalWall
 from .tuning import TuningStatus as TuningStatus
 from .tuning import minimize_radius as minimize_radius
 from .tuning import minimize_radius_damping as minimize_radius_damping
 from .tuning import minimize_settling as minimize_settling
-from .tuning import optimal_gains as optimal_gains
 
 __version__: str
 __all__: list[str]

@@ -1,4 +1,4 @@
-"""One good call of each public function that computes, and what it answers as a text.
+"""One good call of each public function or method that computes, and what it answers as a text.
 
 A call is a list of arguments, with a dict of keywords at its end where there are some; "loop" is
 for a HapticLoop, "hands" for a HandRange, "function" for one that a sweep calls.
@@ -6,6 +6,7 @@ for a HapticLoop, "hands" for a HandRange, "function" for one that a sweep calls
 
 import sys
 from collections.abc import Callable, Iterator
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -27,23 +28,12 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "is_stable": [0.1, 0.2, 0.001, 0.015, 1.0],
     "sweep": ["function", 0.1, 0.2, 0.001, 0.015, 1.0],
     "verdict": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "simulate": ["loop", 1000.0, 10.0, {"force": 1.0}],
     "settling_samples": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "settling_time": ["loop", 1000.0, 10.0],
     "dominant_mode": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "dominant_oscillation": ["loop", 1000.0, 10.0],
     "minimize_radius": [0.001, 0.015, 1.0],
     "minimize_radius_damping": [0.1, 0.001, 0.015, 1.0],
     "minimize_settling": [0.001, 0.015, 1.0],
-    "optimal_gains": ["loop"],
-    "wall_limits": ["loop"],
-    "stiffness_limits": ["loop", 10.0],
-    "damping_limits": ["loop", 1000.0],
-    "boundary_distance": ["loop", 1000.0, 10.0],
-    "margins": ["loop", 1000.0, 10.0],
-    "dimensionless_margins": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "worst_hand": ["loop", "hands", 1000.0, 10.0],
-    "robust_limit": ["loop", "hands"],
+    "margins": [0.1, 0.2, 0.001, 0.015, 1.0],
     "linear_alpha_limit": [0.2, 0.015, 1.0],
     "linear_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
     "linear_error": [0.1, 0.2, 0.001, 0.015, 1.0],
@@ -58,6 +48,22 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
         ((0.0, 1.0), (0.0, 1.0)),
         {"alpha": 0.1, "beta": 0.2, "delay": 1.0},
     ],
+    "HapticLoop.verdict": ["loop", 1000.0, 10.0],
+    "HapticLoop.is_stable": ["loop", 1000.0, 10.0],
+    "HapticLoop.spectral_radius": ["loop", 1000.0, 10.0],
+    "HapticLoop.poles": ["loop", 1000.0, 10.0],
+    "HapticLoop.margins": ["loop", 1000.0, 10.0],
+    "HapticLoop.settling_time": ["loop", 1000.0, 10.0],
+    "HapticLoop.oscillation": ["loop", 1000.0, 10.0],
+    "HapticLoop.simulate": ["loop", 1000.0, 10.0, {"force": 1.0}],
+    "HapticLoop.region": ["loop"],
+    "HapticLoop.limits": ["loop"],
+    "HapticLoop.stiffness_limits": ["loop", 10.0],
+    "HapticLoop.damping_limits": ["loop", 1000.0],
+    "HapticLoop.boundary_distance": ["loop", 1000.0, 10.0],
+    "HapticLoop.tune": ["loop"],
+    "HapticLoop.worst_hand": ["loop", "hands", 1000.0, 10.0],
+    "HapticLoop.robust_limit": ["loop", "hands"],
 }
 
 
@@ -85,7 +91,7 @@ def outcome(name: str, array: Callable[[Any], Any] | None = None) -> str:
         if array is not None:
             given = [array(value) if _are_numbers(value) else value for value in given]
         options = given.pop() if isinstance(given[-1], dict) else {}
-        return as_text(getattr(jaxstab, name)(*given, **options))
+        return as_text(attrgetter(name)(jaxstab)(*given, **options))
     except Exception as error:  # noqa: BLE001
         return f"{type(error).__name__}: {error}"
 

@@ -10,8 +10,8 @@ from annotations import checked
 from beartype import beartype
 from jaxtyping import Float64, Int64, TypeCheckError, jaxtyped
 
+from jaxstab.loop import WallRegion
 from jaxstab.region.curve import curve_and_lift
-from jaxstab.scene import WallRegion
 
 Decorator = Callable[[Any], Any]
 

@@ -12,9 +12,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from benchmarks import truth
+from jaxstab import HapticLoop
 from jaxstab.cli.main import main
 from jaxstab.conventions import Verdict
-from jaxstab.model import HapticLoop
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.scene import EXAMPLE, Scene, check_walls, scene_limits

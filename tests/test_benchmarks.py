@@ -17,7 +17,6 @@ import pytest
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.ranges import is_limit_wrong, judged_margins
 from jaxstab import HandRange, HapticLoop
-from jaxstab.ranges import robust_limit
 from jaxstab.ranges.first_crossings import first_crossings
 
 pytestmark = pytest.mark.campaign
@@ -207,7 +206,7 @@ def test_the_judges_of_ranges_find_margins_and_limits_that_are_false(
     assert judged_margins(WALL, steps)[1:] == (0, 0, 0.0)
     assert judged_margins(WALL, 0.87 * steps).short == 5
     assert judged_margins(WALL, 1.01 * steps).wrong == 5
-    answer = robust_limit(LOOP, HANDS)
+    answer = LOOP.robust_limit(HANDS)
     assert not is_limit_wrong(LOOP, HANDS, answer, rng)
     assert is_limit_wrong(LOOP, HANDS, answer._replace(limit=0.2757, is_proved=False), rng)
     assert is_limit_wrong(LOOP, HANDS, answer._replace(stiffness=1.05 * answer.limit), rng)

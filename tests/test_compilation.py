@@ -20,7 +20,10 @@ import jaxstab
 TESTS = Path(__file__).parent
 
 # No JAX array can be given to them: they take names, numbers, a HapticLoop and a HandRange.
-WITHOUT_ARRAYS = {"optimal_gains", "robust_limit", "trace_boundary", "wall_limits"}
+WITHOUT_ARRAYS = {
+    "trace_boundary",
+    *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
+}
 
 WITHOUT_JAX = """
 import json, sys

@@ -30,7 +30,7 @@ def is_stable(alpha: float, beta: float, loop: HapticLoop) -> bool:
 def test_the_largest_damping_is_not_missed_between_two_angles() -> None:
     loop = loop_of(10.157332213034863, 0.00267301090318457, 15.788241242160241)
     assert is_stable(-9.74824021756067, 4.853085545023148, loop)
-    best = jaxstab.wall_limits(loop)
+    best = loop.limits()
     assert best.status == RegionStatus.COMPLETE
     assert best.damping == pytest.approx(5.0573, abs=5e-5)
     for share, stable in ((1 - 1e-6, True), (1 + 1e-6, False)):
@@ -42,7 +42,7 @@ def test_the_largest_damping_is_not_missed_between_two_angles() -> None:
 def test_thin_intervals_of_damping_are_found() -> None:
     loop = loop_of(2.891596916647083e-05, 0.0012064263375737682, 14.225407632632395)
     stiffness = 0.0024356861671512276
-    low, high = jaxstab.damping_limits(loop, stiffness)
+    low, high = loop.damping_limits(stiffness)
     width = high - low
     assert 0.0608 < low < high < 0.06125
     for damping, stable in (
@@ -57,10 +57,10 @@ def test_thin_intervals_of_damping_are_found() -> None:
 def test_a_region_that_is_not_resolved_says_so_and_gives_no_numbers() -> None:
     loop = loop_of(9.86962156939937, 0.0, 12.857742738867492)
     assert is_stable(-3.735280306113643, 1.86764828052154, loop)
-    best = jaxstab.wall_limits(loop)
+    best = loop.limits()
     assert best.status == RegionStatus.UNRESOLVED
     assert np.isnan(best[:4]).all()
-    assert np.isnan(jaxstab.boundary_distance(loop, -3.7, 1.8))
+    assert np.isnan(loop.boundary_distance(-3.7, 1.8))
 
 
 def dense_boundary(region: StableRegion, place: tuple[float, ...]) -> np.ndarray:
@@ -121,7 +121,7 @@ def test_the_distance_of_an_unstable_wall_is_the_way_to_the_stable_ones() -> Non
     """A pair of roots crosses the circle 0.000255 away, but others stay outside there."""
     place = (11.405564355911224, 1.5592429629386233e-06, 8.243292912477305)
     wall = np.array([12.273777225929214, -5.663227002875532])
-    distance = float(jaxstab.boundary_distance(loop_of(*place), *wall))
+    distance = float(loop_of(*place).boundary_distance(*wall))
     boundary = dense_boundary(stable_region(*place), place)
     assert distance == pytest.approx(-distance_to(boundary, wall), rel=1e-4)
     theta = np.linspace(0, np.pi, 200_001)[1:-1]
@@ -133,8 +133,8 @@ def test_the_distance_of_an_unstable_wall_is_the_way_to_the_stable_ones() -> Non
 
 def test_limits_of_a_loop_are_differentiable_in_the_wall() -> None:
     loop = loop_of(0.05, 0.1, 1.0)
-    slope = jax.grad(lambda damping: jaxstab.stiffness_limits(loop, damping)[1])(0.3)
-    ahead, behind = (jaxstab.stiffness_limits(loop, 0.3 + h)[1] for h in (1e-6, -1e-6))
+    slope = jax.grad(lambda damping: loop.stiffness_limits(damping)[1])(0.3)
+    ahead, behind = (loop.stiffness_limits(0.3 + h)[1] for h in (1e-6, -1e-6))
     assert float(slope) == pytest.approx((ahead - behind) / 2e-6, rel=1e-6)
 
 
@@ -177,8 +177,8 @@ def test_regions_and_limits_do_not_import_jax() -> None:
         "region = jaxstab.stable_region(1e-3, 0.015, 1.5)\n"
         "region.area, region.contains(0.1, [0.2, 0.3]), region.distance(0.1, 0.2)\n"
         "region.alpha_limits(0.3), region.beta_limits(0.1), region.rows_are_intervals\n"
-        "jaxstab.wall_limits(loop), jaxstab.stiffness_limits(loop, np.arange(9.0))\n"
-        "jaxstab.boundary_distance(loop, 10.0, 1.0), jaxstab.boundary_curve(1.0, 0.1, 0.1, 1.5)\n"
+        "loop.limits(), loop.stiffness_limits(np.arange(9.0))\n"
+        "loop.boundary_distance(10.0, 1.0), jaxstab.boundary_curve(1.0, 0.1, 0.1, 1.5)\n"
         "assert 'jax' not in sys.modules\n"
     )
     run([sys.executable, "-c", program], check=True, timeout=60)

@@ -27,7 +27,7 @@ def true_radius(loop: HapticLoop, stiffness: float, damping: float, delay: float
 
 
 def test_the_largest_stiffness_without_delay_is_the_known_one() -> None:
-    found = jaxstab.wall_limits(FREE)
+    found = FREE.limits()
     assert found.stiffness == pytest.approx(12.0 - 8.0 * np.sqrt(2.0), rel=1e-12)
     assert found.at_damping == pytest.approx(2.0 * np.sqrt(2.0) - 2.0, rel=1e-6)
     assert found.damping == pytest.approx(2.0, rel=1e-9)
@@ -38,22 +38,22 @@ def test_the_largest_stiffness_with_whole_delays_is_the_known_one(
     delay: float, stiffness: float
 ) -> None:
     loop = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0, delay=delay)
-    assert jaxstab.wall_limits(loop).stiffness == pytest.approx(stiffness, abs=5e-6)
+    assert loop.limits().stiffness == pytest.approx(stiffness, abs=5e-6)
 
 
 def test_limits_on_lines_are_those_of_the_closed_form() -> None:
     dampings = np.array([0.1, 0.5, 1.9])
-    limits = jaxstab.stiffness_limits(FREE, dampings)
+    limits = FREE.stiffness_limits(dampings)
     np.testing.assert_allclose(limits[:, 0], 0.0, atol=1e-15)
     np.testing.assert_allclose(limits[:, 1], most_stiffness(dampings), rtol=1e-12)
-    assert np.isnan(jaxstab.stiffness_limits(FREE, 2.5)).all()
+    assert np.isnan(FREE.stiffness_limits(2.5)).all()
     np.testing.assert_allclose(
-        most_stiffness(jaxstab.damping_limits(FREE, np.array([0.3, 0.6]))), [[0.3, 0.3], [0.6, 0.6]]
+        most_stiffness(FREE.damping_limits(np.array([0.3, 0.6]))), [[0.3, 0.3], [0.6, 0.6]]
     )
 
 
 def test_margins_reach_to_the_closed_form() -> None:
-    found = jaxstab.margins(FREE, 0.2, 0.8)
+    found = FREE.margins(0.2, 0.8)
     assert found.verdict == Verdict.STABLE
     assert found.stiffness[0] == pytest.approx(0.0, abs=1e-8)
     assert found.stiffness[1] == pytest.approx(most_stiffness(0.8), rel=1e-8)
@@ -63,7 +63,7 @@ def test_margins_reach_to_the_closed_form() -> None:
 
 
 def test_margins_never_promise_more_than_there_is() -> None:
-    found = jaxstab.margins(FREE, 0.2, 0.8)
+    found = FREE.margins(0.2, 0.8)
     assert found.stiffness[1] <= most_stiffness(0.8)
     assert found.damping[1] <= max(np.roots([2.0, 0.2 - 4.0, 0.4]))
 
@@ -72,7 +72,7 @@ def test_margins_never_promise_more_than_there_is() -> None:
 def test_the_delay_may_grow_to_the_first_crossing_of_a_root_fractions_included(
     wall: tuple[float, float],
 ) -> None:
-    found = jaxstab.margins(PHANTOM, *wall)
+    found = PHANTOM.margins(*wall)
     least = PHANTOM.delay_samples + float(found.extra_delay) / PHANTOM.sample_time
     assert true_radius(PHANTOM, *wall, least * (1.0 - 1e-7)) < 1.0
     assert true_radius(PHANTOM, *wall, least * (1.0 + 1e-7)) > 1.0
@@ -81,18 +81,18 @@ def test_the_delay_may_grow_to_the_first_crossing_of_a_root_fractions_included(
 
 
 def test_a_loop_that_no_delay_upsets_has_all_of_it_to_spare() -> None:
-    assert jaxstab.margins(PHANTOM, 0.0, 0.0).verdict == Verdict.UNDECIDED
+    assert PHANTOM.margins(0.0, 0.0).verdict == Verdict.UNDECIDED
     held = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, hand_stiffness=500.0)
-    assert jaxstab.margins(held, 1.0, 0.1).extra_delay == np.inf
+    assert held.margins(1.0, 0.1).extra_delay == np.inf
     stiff = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, hand_stiffness=987e3)
-    assert jaxstab.margins(stiff, 2000.0, 0.2).extra_delay == np.inf
+    assert stiff.margins(2000.0, 0.2).extra_delay == np.inf
     for delay in np.random.default_rng(3).uniform(0.0, 60.0, 12):
         assert true_radius(stiff, 2000.0, 0.2, float(delay)) < 1.0
 
 
 def test_a_long_delay_may_grow_by_more_than_a_hundred_samples_to_its_crossing() -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=0.1005)
-    extra = float(jaxstab.margins(loop, 10.0, 0.5).extra_delay)
+    extra = float(loop.margins(10.0, 0.5).extra_delay)
     least = (loop.delay + extra) / loop.sample_time
     assert least > 200.0
     for delay, side in ((least - 1e-5, 1), (least + 1e-5, -1)):
@@ -102,13 +102,13 @@ def test_a_long_delay_may_grow_by_more_than_a_hundred_samples_to_its_crossing() 
 
 
 def test_an_unstable_wall_has_no_margins() -> None:
-    found = jaxstab.margins(FREE, np.array([0.9, -0.1]), 0.8)
+    found = FREE.margins(np.array([0.9, -0.1]), 0.8)
     assert (found.verdict == Verdict.UNSTABLE).all()
     assert all(np.isnan(field).all() for field in found[1:])
 
 
 def test_a_gain_of_zero_may_be_multiplied_by_anything() -> None:
-    found = jaxstab.margins(PHANTOM, 300.0, 0.0)
+    found = PHANTOM.margins(300.0, 0.0)
     assert found.verdict == Verdict.STABLE
     assert found.damping_gain == np.inf
 
@@ -124,7 +124,7 @@ AXES_OF_STEPS = (0, 0, 1, 1, 4)
 
 def steps(*point: Any) -> list[Any]:
     """The five ways from a wall to instability: in alpha and beta down and up, in delay."""
-    found = jaxstab.dimensionless_margins(*point)
+    found = jaxstab.margins(*point)
     alphas, betas = found.stiffness - point[0], found.damping - point[1]
     return [alphas[0], alphas[1], betas[0], betas[1], found.extra_delay]
 
@@ -171,13 +171,13 @@ def test_margins_move_with_the_loop_as_50_digit_differences_say(
 
 def test_margins_map_and_differentiate_backwards_as_they_do_one_by_one() -> None:
     walls = np.array([300.0, 500.0])
-    alone = [jaxstab.margins(PHANTOM, wall, 2.0) for wall in walls]
-    extra = jaxstab.margins(PHANTOM, walls, 2.0).extra_delay
+    alone = [PHANTOM.margins(wall, 2.0) for wall in walls]
+    extra = PHANTOM.margins(walls, 2.0).extra_delay
     together = [float(one.extra_delay) for one in alone]
     np.testing.assert_allclose(extra, together, rtol=1e-13)
 
     def delay_and_gains(wall: Any) -> list[Any]:
-        found = jaxstab.margins(PHANTOM, wall, 2.0)
+        found = PHANTOM.margins(wall, 2.0)
         return [found.extra_delay, found.damping[1], found.stiffness_gain]
 
     forwards = np.asarray(jax.vmap(jax.jacfwd(delay_and_gains))(walls))
@@ -190,14 +190,14 @@ def test_margins_map_and_differentiate_backwards_as_they_do_one_by_one() -> None
 def test_the_derivative_of_no_margin_is_no_number() -> None:
     held = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, hand_stiffness=500.0)
     for loop, wall in ((held, 1.0), (FREE, 0.9)):
-        extra = jax.grad(lambda wall, loop=loop: jaxstab.margins(loop, wall, 0.1).extra_delay)
+        extra = jax.grad(lambda wall, loop=loop: loop.margins(wall, 0.1).extra_delay)
         assert np.isnan(extra(wall))
 
 
 def test_margins_go_through_jit_and_do_not_need_jax() -> None:
-    alone = jaxstab.margins(PHANTOM, 300.0, 2.0)
+    alone = PHANTOM.margins(300.0, 2.0)
     assert all(isinstance(part, np.ndarray | np.number) for part in alone)
-    compiled = jax.jit(lambda wall: jaxstab.margins(PHANTOM, wall, 2.0))(300.0)
+    compiled = jax.jit(lambda wall: PHANTOM.margins(wall, 2.0))(300.0)
     for one, other in zip(alone, compiled, strict=True):
         assert isinstance(other, jax.Array)
         np.testing.assert_allclose(one, other, rtol=1e-15)
@@ -207,17 +207,17 @@ def test_the_distance_is_the_way_to_the_nearest_point_of_the_closed_form() -> No
     beta = np.linspace(1e-6, 2.0, 200_001)
     for alpha, own in ((0.3, 0.8), (0.2, 0.3), (0.001, 0.8)):
         edge = np.hypot(most_stiffness(beta) - alpha, beta - own).min()
-        distance = float(jaxstab.boundary_distance(FREE, alpha, own))
+        distance = float(FREE.boundary_distance(alpha, own))
         assert distance == pytest.approx(min(edge, alpha), rel=1e-7)
-    assert jaxstab.boundary_distance(FREE, 0.9, 0.8) < 0.0
+    assert FREE.boundary_distance(0.9, 0.8) < 0.0
 
 
 def test_the_distance_shrinks_towards_the_nearest_point() -> None:
     walls = np.array([[0.6, 0.8], [0.2, 0.3], [0.001, 0.8]])
-    slope = jax.grad(lambda wall: jaxstab.boundary_distance(FREE, *wall))
+    slope = jax.grad(lambda wall: FREE.boundary_distance(*wall))
     slopes = jax.jit(jax.vmap(slope))(walls)
     np.testing.assert_allclose(np.hypot(*slopes.T), 1.0, rtol=1e-14)
-    distance = jaxstab.boundary_distance(FREE, *walls.T)
+    distance = FREE.boundary_distance(*walls.T)
     alpha, beta = (walls - np.asarray(distance)[:, None] * slopes).T
     np.testing.assert_allclose((alpha - most_stiffness(beta))[:2], 0.0, atol=1e-9)
     np.testing.assert_allclose(alpha[2], 0.0, atol=1e-15)
@@ -225,8 +225,8 @@ def test_the_distance_shrinks_towards_the_nearest_point() -> None:
 
 def test_a_wall_is_proved_for_every_hand_of_a_range() -> None:
     hands = HandRange(mass=(0.0, 0.3), stiffness=(0.0, 200.0), damping=(1.0, 1.0))
-    assert jaxstab.worst_hand(PHANTOM, hands, 300.0, 2.0).verdict == Verdict.STABLE
-    unstable = jaxstab.worst_hand(PHANTOM, hands, 20000.0, 34.0)
+    assert PHANTOM.worst_hand(hands, 300.0, 2.0).verdict == Verdict.STABLE
+    unstable = PHANTOM.worst_hand(hands, 20000.0, 34.0)
     assert unstable.verdict == Verdict.UNSTABLE
     radius = true_radius(unstable.loop, 20000.0, 34.0, PHANTOM.delay_samples)
     assert radius == pytest.approx(unstable.radius, rel=1e-12)
@@ -236,7 +236,7 @@ def test_a_wall_is_proved_for_every_hand_of_a_range() -> None:
 def test_the_stiffest_wall_for_all_hands_is_proved_and_lies_beyond_the_passive_limit() -> None:
     # Sec. VIII: the device collides with anything from nothing to Nyquist frequency.
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-    found = jaxstab.robust_limit(loop, HandRange(stiffness=(0.0, 987e3)))
+    found = loop.robust_limit(HandRange(stiffness=(0.0, 987e3)))
     assert found.is_proved
     assert found.stiffness > 2.0 * loop.device_damping / loop.sample_time
     rng = np.random.default_rng(8)
@@ -257,12 +257,12 @@ def test_the_limit_for_all_hands_is_not_below_a_wall_proved_for_all_of_them() ->
         damping=(0.0, 0.5129250179766981),
     )
     wall = (0.6579517982867333, 0.17279470191737856)  # some hands have islands, and two peaks
-    assert jaxstab.worst_hand(loop, hands, *wall).verdict == Verdict.STABLE
-    found = jaxstab.robust_limit(loop, hands)
+    assert loop.worst_hand(hands, *wall).verdict == Verdict.STABLE
+    found = loop.robust_limit(hands)
     assert found.is_proved
     assert wall[0] <= found.limit <= 0.7
     assert 0.6 < found.stiffness < found.limit
-    assert jaxstab.worst_hand(loop, hands, found.stiffness, found.damping).verdict == Verdict.STABLE
+    assert loop.worst_hand(hands, found.stiffness, found.damping).verdict == Verdict.STABLE
 
 
 def test_a_short_way_is_bracketed_as_tightly_as_rounding_allows() -> None:
@@ -278,10 +278,10 @@ def test_a_short_way_is_bracketed_as_tightly_as_rounding_allows() -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: jaxstab.margins(FREE, np.nan, 1.0), "stiffness is nan"),
-        (lambda: jaxstab.stiffness_limits(FREE, np.inf), "damping is inf"),
+        (lambda: FREE.margins(np.nan, 1.0), "stiffness is nan"),
+        (lambda: FREE.stiffness_limits(np.inf), "damping is inf"),
         (
-            lambda: jaxstab.worst_hand(FREE, HandRange(mass=(2.0, 1.0)), 1.0, 1.0),
+            lambda: FREE.worst_hand(HandRange(mass=(2.0, 1.0)), 1.0, 1.0),
             r"hands.mass is \(2.0, 1.0\)",
         ),
     ],
@@ -293,7 +293,7 @@ def test_bad_input_is_refused_by_name(call: Any, words: str) -> None:
 
 def test_a_delay_that_only_comes_near_the_circle_is_told_from_one_that_meets_it() -> None:
     """Critical angles look possible here until they are paved finely."""
-    found = jaxstab.dimensionless_margins(
+    found = jaxstab.margins(
         1.7227216180065996,
         -0.877380055459924,
         9.809468907757546,
@@ -316,7 +316,7 @@ def test_the_delay_of_walls_with_critical_angles_down_to_zero_may_grow(
     wall: tuple[float, ...],
 ) -> None:
     """A first stretch of 1024 samples had too many boxes, and none of the delay was proved."""
-    extra = float(jaxstab.dimensionless_margins(*wall).extra_delay)
+    extra = float(jaxstab.margins(*wall).extra_delay)
     assert extra > 0.01
     assert truth.unstable_count(*wall[:4], wall[4] + extra * (1.0 - 1e-6)) == 0
     assert truth.unstable_count(*wall[:4], wall[4] + extra * (1.0 + 1e-6)) != 0

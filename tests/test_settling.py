@@ -41,7 +41,7 @@ class TestSettling:
             "impact": settled_since(hit, 0.0, level * np.abs(hit).max()),
         }
         for excitation, samples in expected.items():
-            found = jaxstab.settling_time(loop, stiffness, damping, level, excitation=excitation)
+            found = loop.settling_time(stiffness, damping, level=level, excitation=excitation)
             assert int(found.status) == SettlingStatus.SETTLED
             assert float(found.value) == pytest.approx(samples * loop.sample_time, rel=1e-14)
 
@@ -70,7 +70,7 @@ class TestSettling:
                 sample_time=1.0,
                 delay=delay,
             )
-            response = jaxstab.simulate(alone, 0.004, betas[:, 0], samples=800, force=0.005)
+            response = alone.simulate(0.004, betas[:, 0], samples=800, force=0.005)
             for row, position in enumerate(np.asarray(response.position)):
                 assert float(together.value[row, column]) == settled_since(position, 1.0, 0.02)
 
@@ -95,12 +95,12 @@ class TestSettling:
         assert (np.asarray(found.status)[~stable] == SettlingStatus.UNSTABLE).all()
 
     def test_of_an_unstable_loop_is_infinite_and_says_so(self) -> None:
-        found = jaxstab.settling_time(PHANTOM, 20_000.0, 300.0)
+        found = PHANTOM.settling_time(20_000.0, 300.0)
         assert math.isinf(found.value)
         assert SettlingStatus(int(found.status)).words == "the loop is unstable and never settles"
 
     def test_beyond_the_horizon_is_not_a_number_and_says_so(self) -> None:
-        found = jaxstab.settling_time(PHANTOM, 20.0, 0.0, horizon=64)
+        found = PHANTOM.settling_time(20.0, 0.0, horizon=64)
         assert math.isnan(found.value)
         assert int(found.status) == SettlingStatus.NOT_SETTLED
         assert "horizon" in SettlingStatus(int(found.status)).words
@@ -120,7 +120,7 @@ class TestSettling:
         for stiffness, damping in walls:
             states, _ = march_on_a_fine_grid(loop, stiffness, damping, LONG, stiffness, np.zeros(2))
             expected = settled_since(states[::FINE, 0], 1.0, 0.02)
-            found = jaxstab.settling_time(loop, stiffness, damping)
+            found = loop.settling_time(stiffness, damping)
             assert int(found.status) == SettlingStatus.SETTLED
             assert float(found.value) == pytest.approx(expected * 1e-3, rel=1e-14)
 
@@ -149,18 +149,14 @@ class TestSettling:
             slow = 1 + loop.delay
             wall = 0.2 * rng.uniform() / slow**2, 0.6 * rng.uniform() / slow
             level = rng.choice([0.01, 0.02, 0.1])
-            push = jaxstab.simulate(
-                loop, *wall, samples=LONG, force=wall[0] + loop.hand_stiffness
-            ).position
-            hit = np.asarray(
-                jaxstab.simulate(loop, *wall, samples=LONG, initial_velocity=1.0).position
-            )
+            push = loop.simulate(*wall, samples=LONG, force=wall[0] + loop.hand_stiffness).position
+            hit = np.asarray(loop.simulate(*wall, samples=LONG, initial_velocity=1.0).position)
             expected = {
                 "force": settled_since(np.asarray(push), 1.0, level),
                 "impact": settled_since(hit, 0.0, level * np.abs(hit).max()),
             }
             for excitation, samples in expected.items():
-                found = jaxstab.settling_time(loop, *wall, level, excitation=excitation)
+                found = loop.settling_time(*wall, level=level, excitation=excitation)
                 if int(found.status) == SettlingStatus.SETTLED:
                     assert samples == LONG or float(found.value) == samples
                     settled += 1
@@ -183,8 +179,8 @@ class TestSettling:
         mapped = jax.vmap(lambda a: jaxstab.settling_samples(a, 0.3, 0.0, 0.0, 0).value)(alphas)
         np.testing.assert_array_equal(direct, mapped)
         walls = np.array([2_000.0, 20_000.0])
-        direct = jaxstab.settling_time(PHANTOM, walls, 20.0).value
-        mapped = jax.vmap(lambda wall: jaxstab.settling_time(PHANTOM, wall, 20.0).value)(walls)
+        direct = PHANTOM.settling_time(walls, 20.0).value
+        mapped = jax.vmap(lambda wall: PHANTOM.settling_time(wall, 20.0).value)(walls)
         np.testing.assert_array_equal(direct, mapped)
 
     @pytest.mark.parametrize(
@@ -229,7 +225,7 @@ class TestDominantMode:
             sample_time=1e-3,
             delay=5e-4,
         )
-        mode = jaxstab.dominant_oscillation(loop, 0.0, 0.0)
+        mode = loop.oscillation(0.0, 0.0)
         ratio = 2.0 / (2 * math.sqrt(200.0 * 0.5))
         assert float(mode.damping_ratio) == pytest.approx(ratio, rel=1e-10)
         hertz = math.sqrt(400.0 * (1 - ratio**2)) / (2 * math.pi)

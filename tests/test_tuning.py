@@ -299,7 +299,7 @@ class TestMinimizeSettling:
 
 class TestOptimalGains:
     def test_for_the_radius_are_those_of_the_dimensionless_loop(self) -> None:
-        wall = jaxstab.optimal_gains(HELD, "radius")
+        wall = HELD.tune("radius")
         best = jaxstab.minimize_radius(HELD.gamma, HELD.delta, 1.75)
         assert HELD.alpha(wall.stiffness) == pytest.approx(float(best.alpha), rel=1e-14)
         assert HELD.beta(wall.damping) == pytest.approx(float(best.beta), rel=1e-14)
@@ -307,24 +307,24 @@ class TestOptimalGains:
         assert wall.status == TuningStatus.TRIPLE_ROOT
 
     def test_for_settling_beat_those_for_the_radius(self) -> None:
-        quick, damped = (jaxstab.optimal_gains(PHANTOM, goal) for goal in ("settling", "radius"))
+        quick, damped = (PHANTOM.tune(goal) for goal in ("settling", "radius"))
         assert quick.settling_time < damped.settling_time
         assert quick.radius > damped.radius
-        response = jaxstab.simulate(
-            PHANTOM, quick.stiffness, quick.damping, samples=100, force=quick.stiffness
+        response = PHANTOM.simulate(
+            quick.stiffness, quick.damping, samples=100, force=quick.stiffness
         )
         outside = np.abs(np.asarray(response.position) - 1) > 0.02
         assert np.flatnonzero(outside)[-1] + 1 == round(quick.settling_time / PHANTOM.sample_time)
 
     def test_keep_a_given_stiffness(self) -> None:
         for goal in ("radius", "settling"):
-            wall = jaxstab.optimal_gains(PHANTOM, goal, stiffness=5_000.0)
+            wall = PHANTOM.tune(goal, stiffness=5_000.0)
             assert wall.stiffness == pytest.approx(5_000.0, rel=1e-14)
             assert wall.radius < 1
 
     def test_have_the_radius_that_they_are_given_with(self) -> None:
         for goal in ("radius", "settling"):
-            wall = jaxstab.optimal_gains(PHANTOM, goal)
+            wall = PHANTOM.tune(goal)
             gains = PHANTOM.alpha(wall.stiffness), PHANTOM.beta(wall.damping)
             low, high = truth.spectral_radius(*gains, PHANTOM.gamma, PHANTOM.delta, 0.0)
             assert low - wall.radius_error <= wall.radius <= high + wall.radius_error
@@ -332,7 +332,7 @@ class TestOptimalGains:
 
     def test_of_six_digits_miss_the_smallest_radius_by_far(self) -> None:
         """As the docstring says: the sixth digit of a gain is worth 0.004 of the radius here."""
-        wall = jaxstab.optimal_gains(PHANTOM, "radius")
+        wall = PHANTOM.tune("radius")
         gains = (float(f"{gain:.6g}") for gain in (wall.stiffness, wall.damping))
         alpha, beta = (
             scale(gain) for scale, gain in zip((PHANTOM.alpha, PHANTOM.beta), gains, strict=True)
@@ -342,4 +342,4 @@ class TestOptimalGains:
 
     def test_refuse_an_unknown_goal(self) -> None:
         with pytest.raises((ValueError, TypeError), match="goal"):
-            jaxstab.optimal_gains(PHANTOM, "beauty")
+            PHANTOM.tune("beauty")

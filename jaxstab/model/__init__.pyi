@@ -1,7 +1,7 @@
 from .double_double import DoubleDouble as DoubleDouble
 from .filters import Filter as Filter
 from .filters import Velocity as Velocity
-from .parameters import HapticLoop as HapticLoop
+from .loop import LoopParameters as LoopParameters
 from .parameters import checked_delay as checked_delay
 from .parameters import checked_delta as checked_delta
 from .parameters import checked_gain as checked_gain

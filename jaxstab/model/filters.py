@@ -129,7 +129,16 @@ class Filter:
     def __str__(self) -> str:
         return ", ".join(map(str, self.sections)) or "no filter"
 
-    def transfer(self, sample_time: float = 1.0) -> Transfer:
+    def per_sample(self, sample_time: Numbers) -> "Filter":
+        """Return the filter in units of a sampling period in s, as five-number functions take it.
+
+        Raises:
+            ValueError: a section does not go with that period.
+            TypeError: the period is traced, and a window is given in s.
+        """
+        return Filter(tuple(section.per_sample(sample_time) for section in self.sections))
+
+    def transfer(self, sample_time: Numbers = 1.0) -> Transfer:
         """Return the transfer function for a sampling period in s.
 
         Raises:
@@ -144,7 +153,7 @@ class Filter:
             )
         return whole
 
-    def stages(self, sample_time: float = 1.0) -> list[Transfer]:
+    def stages(self, sample_time: Numbers = 1.0) -> list[Transfer]:
         """Return the transfer functions of low orders whose product ``transfer`` is.
 
         Raises:
@@ -152,7 +161,8 @@ class Filter:
             RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
         """
         require_x64(*(value for section in self.sections for value in vars(section).values()))
-        return [stage for section in self.sections for stage in section.stages(sample_time)]
+        sections = self.per_sample(sample_time).sections
+        return [stage for section in sections for stage in section.stages()]
 
 
 @pytree
@@ -225,16 +235,20 @@ class Velocity:
             )
         return cls(Filter((Differentiator(above, below),)))
 
-    def stages(self, sample_time: float = 1.0) -> tuple[int, list[Transfer]]:
+    def per_sample(self, sample_time: Numbers) -> "Velocity":
+        """Return the estimator in units of a sampling period: ``Filter.per_sample``."""
+        return Velocity(self.filter.per_sample(sample_time))
+
+    def stages(self, sample_time: Numbers = 1.0) -> tuple[int, list[Transfer]]:
         """Return a number of samples n, and transfer functions behind (1 - z^-n) / n.
 
         Raises:
             ValueError: a section does not go with that period.
             RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
         """
-        first, *others = self.filter.sections or (Average(1, None),)
+        first, *others = self.filter.per_sample(sample_time).sections or (Average(1, None),)
         if isinstance(first, Average):
-            return first.length(sample_time), Filter(tuple(others)).stages(sample_time)
+            return first.length, Filter(tuple(others)).stages()
         return 1, self.filter.stages(sample_time)
 
     def __mul__(self, other: Filter) -> "Velocity":

@@ -1,13 +1,15 @@
-"""The sections that filters are made of, each as a chain of transfer functions for a period.
+"""The sections that filters are made of, each as a chain of transfer functions.
 
-A chain has the lowest orders that there are: the loop's polynomial takes their product, and a loop
-in the time domain runs one after the other, which loses no digits to poles close to each other.
+A section in SI units (a window in s, a cut-off in Hz, a velocity in 1/s) becomes one in units of a
+sampling period by ``per_sample``. Its chain has the lowest orders that there are: the loop's
+polynomial takes their product, and a loop in the time domain runs one after the other, which loses
+no digits to poles close to each other.
 
 The numbers that a section computes from its parameters, such as exp(-2 pi f T), are rounded to
 float64 first: what is proved holds for the filter that software with these numbers runs.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from math import floor, pi
 from typing import Any
@@ -35,13 +37,18 @@ class Average:
         window = f"{self.window:g} s" if self.samples is None else f"{self.samples} samples"
         return f"a window of {window}"
 
-    def length(self, sample_time: float) -> int:
-        """Return the window in samples."""
-        return self.samples or _whole_samples(float(self.window or 0.0), sample_time)
+    def per_sample(self, sample_time: Numbers) -> "Average":
+        """Return the section in units of a sampling period in s."""
+        return Average(self.samples or _whole_samples(self.window, sample_time), None)
 
-    def stages(self, sample_time: float) -> list[Transfer]:
-        """Return the transfer functions for a sampling period in s, whose product this is."""
-        count = self.length(sample_time)
+    @property
+    def length(self) -> int:
+        """The window of a section in units of one sample."""
+        return self.samples or _whole_samples(self.window, 1.0)
+
+    def stages(self) -> list[Transfer]:
+        """Return the transfer functions, in units of one sample, whose product this is."""
+        count = self.length
         part = DoubleDouble.of(1.0) / float(count)
         return [Transfer.of((part,) * count, ONE, count - 1)]
 
@@ -57,15 +64,26 @@ class LowPass:
     def __str__(self) -> str:
         return f"a low pass at {shown(self.cutoff)} Hz of order {self.order}"
 
-    def stages(self, sample_time: float) -> list[Transfer]:
-        """Return the transfer functions for a sampling period in s, whose product this is."""
-        exponent = -2.0 * pi * self.cutoff * sample_time
-        pole = _float(namespace(exponent).exp(exponent))
+    def per_sample(self, sample_time: Numbers) -> "LowPass":
+        """Return the section in units of a sampling period in s."""
+        section = LowPass(self.cutoff * sample_time, self.order)
+        pole = section.pole
         if not is_traced(pole) and not 0.0 < pole < 1.0:
             raise ValueError(
-                f"cutoff is {shown(self.cutoff)}; with a sampling period of {sample_time:g} s it "
-                "leaves no filter in float64: give one closer to 1 / period."
+                f"cutoff is {shown(self.cutoff)}; with a sampling period of {shown(sample_time)} s "
+                "it leaves no filter in float64: give one closer to 1 / period."
             )
+        return section
+
+    @property
+    def pole(self) -> Array:
+        """The pole of a section in units of one sample."""
+        exponent = -2.0 * pi * self.cutoff
+        return _float(namespace(exponent).exp(exponent))
+
+    def stages(self) -> list[Transfer]:
+        """Return the transfer functions, in units of one sample, whose product this is."""
+        pole = self.pole
         gain = DoubleDouble.of(1.0) - pole
         one = Transfer.of((gain,), (DoubleDouble.of(1.0), -DoubleDouble.of(pole)), -1)
         return [one] * self.order
@@ -81,8 +99,13 @@ class Exponential:
     def __str__(self) -> str:
         return f"exponential smoothing by {shown(self.factor)}"
 
-    def stages(self, sample_time: float) -> list[Transfer]:
-        """Return the transfer functions for a sampling period in s, whose product this is."""
+    def per_sample(self, sample_time: Numbers) -> "Exponential":
+        """Return the section, which has no units."""
+        del sample_time
+        return self
+
+    def stages(self) -> list[Transfer]:
+        """Return the transfer functions, in units of one sample, whose product this is."""
         factor = DoubleDouble.of(_float(self.factor))
         pole = DoubleDouble.of(1.0) - factor
         return [Transfer.of((factor,), (DoubleDouble.of(1.0), -pole), -1)]
@@ -99,14 +122,19 @@ class Butterworth:
     def __str__(self) -> str:
         return f"a Butterworth filter at {shown(self.cutoff)} Hz of order {self.order}"
 
-    def stages(self, sample_time: float) -> list[Transfer]:
-        """Return the transfer functions for a sampling period in s, whose product this is."""
-        if not is_traced(self.cutoff) and self.cutoff * sample_time >= 0.5:
+    def per_sample(self, sample_time: Numbers) -> "Butterworth":
+        """Return the section in units of a sampling period in s."""
+        section = Butterworth(self.cutoff * sample_time, self.order)
+        if not is_traced(section.cutoff) and section.cutoff >= 0.5:
             raise ValueError(
                 f"cutoff is {shown(self.cutoff)}; give one below half of the sampling rate, "
                 f"{0.5 / sample_time:g} Hz."
             )
-        angle = pi * self.cutoff * sample_time
+        return section
+
+    def stages(self) -> list[Transfer]:
+        """Return the transfer functions, in units of one sample, whose product this is."""
+        angle = pi * self.cutoff
         warped = _float(namespace(angle).tan(angle))
         sections = [
             _quadratic(warped, float(np.sin(pi * (2 * k + 1) / (2 * self.order))))
@@ -128,20 +156,31 @@ class Rational:
     def __str__(self) -> str:
         return f"a transfer function of order {len(self.denominator) - 1}"
 
-    def stages(self, sample_time: float) -> list[Transfer]:
-        """Return the transfer functions for a sampling period in s, whose product this is."""
+    def per_sample(self, sample_time: Numbers) -> "Rational":
+        """Return the section, which has no units."""
+        del sample_time
+        return self
+
+    def stages(self) -> list[Transfer]:
+        """Return the transfer functions, in units of one sample, whose product this is."""
         return [_monic(tuple(map(DoubleDouble.of, self.numerator)), self.denominator)]
 
 
 @pytree
 @dataclass(frozen=True)
 class Differentiator(Rational):
-    """A transfer function V(z) in 1/s with V(1) = 0, less one difference: T V(z) z / (z - 1)."""
+    """A transfer function V(z) with V(1) = 0, less one difference: period V(z) z / (z - 1)."""
 
-    def stages(self, sample_time: float) -> list[Transfer]:
-        """Return the transfer functions for a sampling period in s, whose product this is."""
+    period: Numbers = 1.0
+
+    def per_sample(self, sample_time: Numbers) -> "Differentiator":
+        """Return the section of V(z) in 1/s in units of a sampling period in s."""
+        return replace(self, period=self.period * sample_time)
+
+    def stages(self) -> list[Transfer]:
+        """Return the transfer functions, in units of one sample, whose product this is."""
         steps = accumulate(map(DoubleDouble.of, self.numerator[:-1]), DoubleDouble.__add__)
-        numerator = tuple(step * float(sample_time) for step in steps)
+        numerator = tuple(step * _float(self.period) for step in steps)
         return [_delayed(_monic(numerator, self.denominator), -1)]
 
 
@@ -193,8 +232,11 @@ def shown(value: Numbers) -> str:
     return "a traced value" if is_traced(value) else f"{float(value):g}"
 
 
-def _whole_samples(window: float, sample_time: float) -> int:
-    samples = window / sample_time
+def _whole_samples(window: float | None, sample_time: Numbers) -> int:
+    if is_traced(sample_time):
+        raise TypeError("sample_time is traced beside a window in s; give the window in samples.")
+    window = window or 0.0
+    samples = window / float(sample_time)
     nearest = round(samples)
     if abs(samples - nearest) > _WHOLE * samples:
         below, above = floor(samples), floor(samples) + 1

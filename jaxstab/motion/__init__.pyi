@@ -1,11 +1,9 @@
 from .oscillation import Oscillation as Oscillation
 from .oscillation import dominant_mode as dominant_mode
-from .oscillation import dominant_oscillation as dominant_oscillation
 from .response import Response as Response
 from .response import simulate as simulate
 from .settling import Settling as Settling
 from .settling import SettlingStatus as SettlingStatus
 from .settling import settling_samples as settling_samples
-from .settling import settling_time as settling_time
 
 __all__: list[str]

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, namespace
-from jaxstab.model import HapticLoop, checked_gain, require_x64
+from jaxstab.arrays import Array, Numbers, namespace
+from jaxstab.model import require_x64
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.point.poles import closed_loop_poles
 
@@ -64,28 +64,3 @@ def dominant_mode(
     with np.errstate(all="ignore"):  # a pole at 0 or at 1
         decay, frequency = -xp.log(abs(pole)), abs(xp.angle(pole))
         return Oscillation(decay / xp.hypot(decay, frequency), frequency)
-
-
-def dominant_oscillation(loop: HapticLoop, stiffness: Numbers, damping: Numbers) -> Oscillation:
-    """Return damping ratio and frequency in Hz of the slowest mode of a device at a wall.
-
-    Args:
-        loop: device, hand, sample time and delay.
-        stiffness: K of the wall in N/m, any shape; broadcasts with the damping.
-        damping: B of the wall in N s/m.
-
-    Returns:
-        Oscillation of arrays of the broadcast shape, the frequency in Hz.
-
-    Raises:
-        ValueError: a gain is infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: as ``dominant_mode``; Table I.
-    """
-    require_x64(stiffness, damping)
-    gains = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
-    stiff, damp = float_arrays(*gains)
-    plant = loop.gamma, loop.delta, loop.delay_samples
-    mode = dominant_mode(loop.alpha(stiff), loop.beta(damp), *plant)
-    return Oscillation(mode.damping_ratio, mode.frequency / (2.0 * np.pi * loop.sample_time))

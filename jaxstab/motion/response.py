@@ -12,7 +12,8 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, repeat_and_keep
 from jaxstab.batches import compiled
-from jaxstab.model import HapticLoop, checked_gain, plant_transition, require_x64
+from jaxstab.model import LoopParameters, checked_gain, plant_transition, require_x64
+from jaxstab.model.filters import given_filters
 from jaxstab.motion.controller import Controller
 from jaxstab.numbers import checked, checked_count
 
@@ -31,7 +32,7 @@ class Response(NamedTuple):
 
 
 def simulate(
-    loop: HapticLoop,
+    loop: LoopParameters,
     stiffness: Numbers,
     damping: Numbers,
     *,
@@ -42,34 +43,7 @@ def simulate(
     between: int = 0,
     unilateral: bool = False,
 ) -> Response:
-    """Simulate a device, held by a hand, against a virtual wall at position 0.
-
-    Mass, damper and the hand's spring move in continuous time. At every sample the wall computes
-    -K x - B (x - previous x)/T; this force acts after the delay and is held for one sample. Before
-    time 0 the device stood where it starts, and no force was on its way.
-
-    Args:
-        loop: device, hand, sample time and delay (any real number).
-        stiffness: K of the wall in N/m, any shape; broadcasts with the four other arrays.
-        damping: B of the wall in N s/m.
-        samples: how many samples to simulate, from time 0 on.
-        force: a step in N, from time 0 on: the hand begins to push.
-        initial_velocity: in m/s at time 0: an impact on the wall, or a blow of this times the mass.
-        initial_position: in m at time 0, the penetration if positive.
-        between: how many equidistant points to return between two samples.
-        unilateral: the wall pushes or pulls only while the sampled position is positive (Remark 1);
-            otherwise it holds the device from both sides, as in the rest of the paper.
-
-    Returns:
-        Response at samples * (between + 1) times; exact up to rounding at each of them, and
-        differentiable in all arrays.
-
-    Raises:
-        ValueError: a gain is infinite or NaN, nothing moves the device, or a count is too small.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: eqs. (1)-(5) and Fig. 2 of Hulin, Preusche, Hirzinger (2008); Remark 1.
-    """
+    """Simulate a device, held by a hand, against a virtual wall: ``HapticLoop.simulate``."""
     require_x64(stiffness, damping, force, initial_velocity, initial_position)
     checked_count("samples", samples, 1)
     checked_count("between", between, 0)
@@ -82,6 +56,7 @@ def simulate(
         checked("initial_velocity", initial_velocity) * period,
     )
     _require_excitation(*values[2:])
+    filters = given_filters(**loop.filters)
     whole, fraction = divmod(loop.delay_samples, 1.0)
     offsets = np.arange(between + 2) / (between + 1)
     walls = list(namespace(values).broadcast_arrays(*values))
@@ -89,7 +64,7 @@ def simulate(
         walls,
         _propagator_of_one(loop.gamma, loop.delta, fraction, tuple(offsets.tolist())),
         offsets[:-1] < fraction,
-        None,
+        None if filters is None else Controller.of(filters),
         samples=samples,
         whole_delay=int(whole),
         unilateral=unilateral,

@@ -16,7 +16,7 @@ from jaxtyping import Float64, Int, Int8
 from jaxstab.arrays import Array, Numbers, float_arrays, is_any_traced, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
-from jaxstab.model import HapticLoop, checked_delay, checked_gain, require_x64
+from jaxstab.model import checked_delay, checked_gain, require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.motion.controller import PLAIN, Bank, Controller, bank_of
 from jaxstab.motion.response import propagator
@@ -123,46 +123,6 @@ def settling_samples(
     unsettled = xp.where(is_unstable, SettlingStatus.UNSTABLE, SettlingStatus.NOT_SETTLED)
     status = xp.where(xp.isfinite(first), SettlingStatus.SETTLED, unsettled)
     return Settling(xp.where(is_unstable, np.inf, first), status.astype(np.int8))
-
-
-def settling_time(
-    loop: HapticLoop,
-    stiffness: Numbers,
-    damping: Numbers,
-    level: float = 0.02,
-    *,
-    excitation: Excitation = "force",
-    horizon: int = HORIZON,
-) -> Settling:
-    """Return the time in s until the position stays within a tolerance of its final value.
-
-    It is ``settling_samples`` times the sample time; see there for tolerance and excitations.
-    Goes through jit and vmap. A count of samples jumps between constants, so it has no derivative:
-    that of ``spectral_radius`` tells how the decay changes.
-
-    Args:
-        loop: device, hand, sample time and delay.
-        stiffness: K of the wall in N/m, any shape; broadcasts with the damping.
-        damping: B of the wall in N s/m.
-        level: the tolerance, between 0 and 1; 0.02 is the usual one.
-        excitation: "force", a constant push, or "impact", a velocity at the wall.
-        horizon: samples after which a loop that is not proved to have settled is given up.
-
-    Returns:
-        Settling with ``value`` in s and ``status``, a SettlingStatus.
-
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or the excitation is unknown.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: the loop of eqs. (1)-(5), Table I.
-    """
-    require_x64(stiffness, damping)
-    gains = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
-    stiff, damp = float_arrays(*gains)
-    scene = loop.alpha(stiff), loop.beta(damp), loop.gamma, loop.delta, loop.delay_samples
-    samples = settling_samples(*scene, level, excitation=excitation, horizon=horizon)
-    return Settling(samples.value * loop.sample_time, samples.status)
 
 
 def checked_level(level: Any, excitation: str) -> float:

@@ -9,16 +9,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from jaxstab.criteria import passive_region
-from jaxstab.model import HapticLoop
-from jaxstab.motion import settling_time
+from jaxstab.loop import HapticLoop, WallRegion
 from jaxstab.pictures.region import closed_outline
 from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, RED, SKY
 from jaxstab.pictures.walls import draw_responses, draw_walls, name_walls
 from jaxstab.scene.answers import Quantity
 from jaxstab.scene.check import Check
-from jaxstab.scene.loops import WallRegion, corner_loops, hands_of, loop_of, wall_region
+from jaxstab.scene.loops import corner_loops, hands_of, loop_of, wall_region
 from jaxstab.scene.scene import Scene
-from jaxstab.tuning import TuningStatus, optimal_gains
+from jaxstab.tuning import TuningStatus
 
 _HEIGHT = 4.6  # inches
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
@@ -54,7 +53,7 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     """
     loop, walls = loop_of(scene), checked.walls if checked else {}
     region = wall_region(loop)
-    if region.region.is_empty:
+    if region.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
     parts = [part for part in (_common(scene, loop), _passive(loop)) if len(part.outline)]
     is_small = [(np.ptp(part.outline, axis=0) < _SEEN * np.array(region.extent)) for part in parts]
@@ -66,8 +65,8 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
     _set_window(panels[0], np.concatenate([region.outline, gains, np.zeros((1, 2))]))
-    _draw_settling(panels[0], region)
-    _draw_best(panels[0], region)
+    _draw_settling(panels[0], loop, region)
+    _draw_best(panels[0], loop, region)
     panels[0].set_title("stable walls, and how long they take to settle")
     planes = [panels[0]]
     if small:
@@ -120,7 +119,7 @@ def _common_outline(loops: list[HapticLoop]) -> Floats:
     """Return the walls that are stable for each of some loops, row by row of B."""
     regions = [wall_region(loop) for loop in loops]
     nothing = np.zeros((0, 2))
-    if any(region.region.is_empty for region in regions):
+    if any(region.is_empty for region in regions):
         return nothing
     low = max(region.outline[:, 1].min() for region in regions)
     high = min(region.outline[:, 1].max() for region in regions)
@@ -186,11 +185,11 @@ def _draw_parts(panel: Axes, loop: HapticLoop, parts: list[_Part]) -> None:
     panel.plot(linear, damping, "--", color=RED, lw=1.4, label="linear rule")
 
 
-def _draw_best(panel: Axes, region: WallRegion) -> None:
+def _draw_best(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     stiffest = f"stiffest: {_LARGEST.words(region.stiffest.stiffness)}"
     damping = _DAMPING.words(region.stiffest.damping)
     panel.plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"{stiffest}, {damping}")
-    fastest = optimal_gains(region.loop, "settling")
+    fastest = loop.tune("settling")
     if fastest.status == TuningStatus.NO_STABLE_GAINS:
         return
     gains = f"{_STIFFNESS.words(fastest.stiffness)}, {_DAMPING.words(fastest.damping)}"
@@ -206,11 +205,11 @@ def _draw_best(panel: Axes, region: WallRegion) -> None:
     )
 
 
-def _draw_settling(panel: Axes, region: WallRegion) -> None:
+def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     """Draw lines of equal settling time to 2 %, in ms."""
     low, high = region.outline.min(axis=0), region.outline.max(axis=0)
     stiffness, damping = np.linspace(low, high, _COLUMNS).T
-    found = settling_time(region.loop, stiffness[None, :], damping[:, None], horizon=_HORIZON)
+    found = loop.settling_time(stiffness[None, :], damping[:, None], horizon=_HORIZON)
     times = np.where(np.isfinite(found.value), 1e3 * np.asarray(found.value), np.nan)
     if np.isnan(times).all():
         return

@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import Bbox
 
 from jaxstab.conventions import Verdict
-from jaxstab.model import HapticLoop
-from jaxstab.motion import simulate
+from jaxstab.loop import HapticLoop
 from jaxstab.pictures.style import BLACK, BLUE, RED
 from jaxstab.scene.answers import in_words
 from jaxstab.scene.check import WallCheck
@@ -97,8 +96,8 @@ def draw_responses(panel: Axes, loop: HapticLoop, checked: Walls) -> None:
     samples = int(np.clip(longest / loop.sample_time, _FEWEST, _MOST))
     for name, wall in checked.items():
         held = _held(loop, wall.worst_hand)
-        response = simulate(
-            held, wall.stiffness, wall.damping, samples=samples, force=1.0, between=_MOST // samples
+        response = held.simulate(
+            wall.stiffness, wall.damping, samples=samples, force=1.0, between=_MOST // samples
         )
         relative = np.asarray(response.position) * (wall.stiffness + held.hand_stiffness)
         gone = np.logical_or.accumulate(np.abs(relative) > _GONE)

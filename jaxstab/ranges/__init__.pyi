@@ -2,7 +2,6 @@ from .hands import HandRange as HandRange
 from .hands import WorstHand as WorstHand
 from .hands import worst_hand as worst_hand
 from .margins import Margins as Margins
-from .margins import dimensionless_margins as dimensionless_margins
 from .margins import margins as margins
 from .robust_limit import RobustLimit as RobustLimit
 from .robust_limit import robust_limit as robust_limit

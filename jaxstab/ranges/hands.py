@@ -9,7 +9,7 @@ stability is enough (lemma B6 of docs/proofs.md).
 from dataclasses import replace
 from itertools import product
 from math import pi, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -17,10 +17,11 @@ from jaxtyping import Float64
 from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops
 from jaxstab.conventions import UNDECIDED, Verdict
-from jaxstab.model import HapticLoop
+from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked_number
 from jaxstab.point import spectral_radius, verdict
 
+Loop = TypeVar("Loop", bound=LoopParameters)
 Range = tuple[float, float]
 Hands = Float64[np.ndarray, "hands 3"]
 Column = Float64[np.ndarray, " hands"]
@@ -46,28 +47,12 @@ class WorstHand(NamedTuple):
     """
 
     verdict: Verdict
-    loop: HapticLoop
+    loop: Any  # of the class of the given one
     radius: float
 
 
-def worst_hand(loop: HapticLoop, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
-    """Return whether a wall is stable for every hand of a range, and the worst of them.
-
-    Args:
-        loop: device, sample time and delay; its hand is replaced by those of the range.
-        hands: the range of hands.
-        stiffness: K of the wall in N/m.
-        damping: B of the wall in N s/m.
-
-    Returns:
-        WorstHand; UNDECIDED where all sampled hands are stable but not all others could be proved.
-
-    Raises:
-        TypeError: a gain is not one real number.
-        ValueError: a gain is infinite or NaN, or a range is out of order.
-
-    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B6 of docs/proofs.md.
-    """
+def worst_hand(loop: Loop, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
+    """Return whether a wall is stable for every hand of a range: ``HapticLoop.worst_hand``."""
     wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
     checked_range(hands)
     worst = _worst_of(loop, spread_hands(hands, _SAMPLES), *wall)
@@ -80,7 +65,7 @@ def worst_hand(loop: HapticLoop, hands: HandRange, stiffness: float, damping: fl
     return among if among.verdict == Verdict.UNSTABLE else among._replace(verdict=UNDECIDED)
 
 
-def _worst_of(loop: HapticLoop, hands: Hands, stiffness: float, damping: float) -> WorstHand:
+def _worst_of(loop: Loop, hands: Hands, stiffness: float, damping: float) -> WorstHand:
     """Return the verdict on the worst of some hands; of too many, of some of them."""
     count = min(len(hands), _MOST)
     some = hands[np.arange(count) * len(hands) // count]
@@ -92,7 +77,7 @@ def _worst_of(loop: HapticLoop, hands: Hands, stiffness: float, damping: float) 
     return WorstHand(Verdict(int(codes[worst])), held(loop, some[worst]), float(radii[worst]))
 
 
-def _unproved(loop: HapticLoop, hands: HandRange, stiffness: float, damping: float) -> Hands:
+def _unproved(loop: LoopParameters, hands: HandRange, stiffness: float, damping: float) -> Hands:
     """Return hands at which a root on the circle could not be excluded; none is a proof.
 
     The axes of the boxes: 1/m, k, b of the hand, theta.
@@ -136,7 +121,7 @@ def spread_hands(hands: HandRange, count: int) -> Hands:
 
 
 def _dimensionless(
-    loop: HapticLoop, hands: Hands, stiffness: float, damping: float
+    loop: LoopParameters, hands: Hands, stiffness: float, damping: float
 ) -> tuple[Column, Column, Column, Column]:
     mass, spring, damper = hands.T
     per_force = loop.sample_time**2 / (loop.device_mass + mass)
@@ -145,7 +130,7 @@ def _dimensionless(
     return stiffness * per_force, damping * per_speed, spring * per_force, friction * per_speed
 
 
-def held(loop: HapticLoop, hand: Float64[np.ndarray, " 3"]) -> HapticLoop:
+def held(loop: Loop, hand: Float64[np.ndarray, " 3"]) -> Loop:
     """Return the loop with a hand of (mass, stiffness, damping)."""
     mass, stiffness, damping = (float(value) for value in hand)
     return replace(loop, hand_mass=mass, hand_stiffness=stiffness, hand_damping=damping)

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, float_arrays, is_jax, namespace
-from jaxstab.model import HapticLoop, checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model.loop import refuses_loops
 from jaxstab.numbers import checked
 from jaxstab.ranges.first_crossings import MOST_DELAY as MOST_DELAY
 from jaxstab.ranges.first_crossings import WAYS, first_crossings
@@ -46,40 +47,8 @@ class Margins(NamedTuple):
     extra_delay: Float64[Array, "*grid"]
 
 
-def margins(loop: HapticLoop, stiffness: Numbers, damping: Numbers) -> Margins:
-    """Return how far stiffness, damping and delay of a loop at a wall may change, each alone.
-
-    It is ``dimensionless_margins`` in SI units; see there for JAX.
-
-    Args:
-        loop: device, hand, sample time and delay.
-        stiffness: K of the wall in N/m, any shape; broadcasts with the damping.
-        damping: B of the wall in N s/m.
-
-    Returns:
-        Margins in N/m, N s/m and s.
-
-    Raises:
-        ValueError: a gain is infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle.
-
-    Example:
-        >>> loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1.5e-3)
-        >>> float(margins(loop, 300.0, 2.0).stiffness_gain)
-    """
-    alpha = loop.alpha(checked_gain("stiffness", stiffness))
-    beta = loop.beta(checked_gain("damping", damping))
-    found = dimensionless_margins(alpha, beta, loop.gamma, loop.delta, loop.delay_samples)
-    return found._replace(
-        stiffness=loop.stiffness(found.stiffness),
-        damping=loop.damping(found.damping),
-        extra_delay=loop.sample_time * found.extra_delay,
-    )
-
-
-def dimensionless_margins(
+@refuses_loops("margins(K, B)")
+def margins(
     alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> Margins:
     """Return how far alpha, beta and delay of a loop may change, each alone, before it is unstable.

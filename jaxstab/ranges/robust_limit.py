@@ -8,7 +8,7 @@ again. A wall a little below is then proved for all hands (``worst_hand``).
 """
 
 from math import nan
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -17,8 +17,7 @@ from jaxstab.boxes.columns import column_gaps
 from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.conventions import Verdict
-from jaxstab.model import HapticLoop
-from jaxstab.ranges.hands import HandRange, checked_range, held, spread_hands, worst_hand
+from jaxstab.ranges.hands import HandRange, Loop, checked_range, held, spread_hands, worst_hand
 from jaxstab.region import RegionStatus, stable_region
 
 _COLUMNS = 64
@@ -50,23 +49,11 @@ class RobustLimit(NamedTuple):
     damping: float
     is_proved: bool
     limit: float
-    loop: HapticLoop
+    loop: Any  # of the class of the given one
 
 
-def robust_limit(loop: HapticLoop, hands: HandRange) -> RobustLimit:
-    """Return the largest stiffness, and its damping, that every hand of a range allows.
-
-    The corners of the range, and hands at which a proof failed, give the limit.
-
-    Args:
-        loop: device, sample time and delay; its hand is replaced by those of the range.
-        hands: the range of hands.
-
-    Raises:
-        ValueError: a range is out of order.
-
-    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
-    """
+def robust_limit(loop: Loop, hands: HandRange) -> RobustLimit:
+    """Return the largest stiffness that every hand of a range allows: ``HapticLoop``."""
     checked_range(hands)
     loops = [held(loop, hand) for hand in spread_hands(hands, 2)]
     for attempt in range(_ATTEMPTS):
@@ -101,7 +88,7 @@ class _Gaps(NamedTuple):
     hand: np.ndarray  # (gap,)
 
 
-def _common_limit(loops: list[HapticLoop], pull: float) -> RobustLimit:
+def _common_limit(loops: list[Loop], pull: float) -> RobustLimit:
     """Return the stiffest wall that some loops allow, pulled down by a share of its stiffness."""
     nothing = RobustLimit(nan, nan, False, nan, loops[0])
     domain = _common_domain(loops)
@@ -144,7 +131,7 @@ def _common_limit(loops: list[HapticLoop], pull: float) -> RobustLimit:
     return RobustLimit(pulled, damping, False, limit, setter)
 
 
-def _common_domain(loops: list[HapticLoop]) -> Domain | None:
+def _common_domain(loops: list[Loop]) -> Domain | None:
     """Return the span of stiffness and damping that all stable regions share, in SI units."""
     low, high = np.full(2, -np.inf), np.full(2, np.inf)
     for loop in loops:
@@ -162,14 +149,12 @@ def _common_domain(loops: list[HapticLoop]) -> Domain | None:
     return Domain((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
 
 
-def _judged(
-    loops: list[HapticLoop], edges: Float64[np.ndarray, " edge"], domain: Domain
-) -> _Columns:
+def _judged(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain) -> _Columns:
     gaps = _gaps(loops, edges, domain)
     return _Columns(edges[:-1], edges[1:], *_not_unstable(gaps), *_stable(gaps, len(loops)))
 
 
-def _gaps(loops: list[HapticLoop], edges: Float64[np.ndarray, " edge"], domain: Domain) -> _Gaps:
+def _gaps(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain) -> _Gaps:
     parts = []
     for loop in loops:
         hand = HandBoxes(*(np.array([v]) for v in (loop.gamma, loop.delta, 0.0, 0.0)))

@@ -2,11 +2,6 @@ from .corners import Branch as Branch
 from .curve import boundary_curve as boundary_curve
 from .curve import minus_line as minus_line
 from .curve import plus_line as plus_line
-from .limits import WallLimits as WallLimits
-from .limits import boundary_distance as boundary_distance
-from .limits import damping_limits as damping_limits
-from .limits import stiffness_limits as stiffness_limits
-from .limits import wall_limits as wall_limits
 from .region import RegionStatus as RegionStatus
 from .region import StableRegion as StableRegion
 from .region import region_outline as region_outline

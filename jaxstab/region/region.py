@@ -11,7 +11,8 @@ from jaxstab.batches import compiled
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
-from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, refuses_loops
+from jaxstab.model.loop import refuses_loops
+from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import measures
 from jaxstab.region.components import components_of, holds_small_gains
@@ -218,7 +219,7 @@ class StableRegion:
         return measures.distance(self.coefficients, self.outline, *points)
 
 
-@refuses_loops
+@refuses_loops("region()")
 def stable_region(
     gamma: Numbers,
     delta: Numbers,

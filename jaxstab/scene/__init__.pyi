@@ -9,7 +9,6 @@ from .design import design_loop as design_loop
 from .example import EXAMPLE as EXAMPLE
 from .limits import Limits as Limits
 from .limits import scene_limits as scene_limits
-from .loops import WallRegion as WallRegion
 from .loops import corner_loops as corner_loops
 from .loops import hands_of as hands_of
 from .loops import loop_of as loop_of

@@ -10,14 +10,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.conventions import Verdict
-from jaxstab.model import HapticLoop
+from jaxstab.loop import Gains, HapticLoop
 from jaxstab.motion import Settling as MotionSettling
-from jaxstab.motion import SettlingStatus, dominant_oscillation, settling_time
+from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
-from jaxstab.point import spectral_radius, verdict
-from jaxstab.ranges import HandRange, dimensionless_margins, worst_hand
+from jaxstab.ranges import HandRange, margins
 from jaxstab.ranges.margins import MOST_DELAY
-from jaxstab.region import boundary_distance
 from jaxstab.scene.answers import (
     Answer,
     Bound,
@@ -31,7 +29,7 @@ from jaxstab.scene.answers import (
     Time,
 )
 from jaxstab.scene.limits import HeldBy, held_by
-from jaxstab.scene.loops import Gains, corner_loops, hands_of, loop_of, point_of, walls_of
+from jaxstab.scene.loops import corner_loops, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
@@ -145,14 +143,14 @@ def _checked(
 ) -> WallCheck:
     loops, hand = [loop], None
     if hands:
-        worst = worst_hand(loop, hands, *gains)
+        worst = loop.worst_hand(hands, *gains)
         code, loop, hand = worst.verdict, worst.loop, held_by(worst.loop)
         loops = list(dict.fromkeys([loop, *corner_loops(loop, hands)]))
     else:
-        code = Verdict(int(verdict(*point_of(loop, gains))))
+        code = Verdict(int(loop.verdict(*gains)))
     measures: dict[str, Callable[[], Answer]] = {
         "margins": lambda: _margins(loops, gains),
-        "distance": lambda: Distance(float(boundary_distance(loop, *gains))),
+        "distance": lambda: Distance(float(loop.boundary_distance(*gains))),
         "radius": lambda: _radius(loop, gains),
         "settling": lambda: _settling(loop, gains),
         "oscillation": lambda: _oscillation(loop, gains),
@@ -163,8 +161,8 @@ def _checked(
 
 def _margins(loops: list[HapticLoop], gains: Gains) -> Margins:
     """Return the least margins over some loops of one sample time and delay."""
-    points = np.array([point_of(loop, gains) for loop in loops]).T
-    found = dimensionless_margins(*points)
+    points = [(loop.alpha(gains[0]), loop.beta(gains[1]), *loop.slice) for loop in loops]
+    found = margins(*np.array(points).T)
     mass = np.array([loop.mass for loop in loops])
     # NaN, of a hand with which the wall is not stable, goes through.
     period = loops[0].sample_time
@@ -189,12 +187,12 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
 
 
 def _radius(loop: HapticLoop, gains: Gains) -> Radius:
-    found = spectral_radius(*point_of(loop, gains))
+    found = loop.spectral_radius(*gains)
     return Radius(float(found.value), float(found.error))
 
 
 def _settling(loop: HapticLoop, gains: Gains) -> Settling:
-    two, five = (settling_time(loop, *gains, level, horizon=_HORIZON) for level in (0.02, 0.05))
+    two, five = (loop.settling_time(*gains, level=k, horizon=_HORIZON) for k in (0.02, 0.05))
     status = SettlingStatus(int(two.status))
     return Settling(settled(two), settled(five), status)
 
@@ -208,5 +206,5 @@ def settled(found: MotionSettling) -> float:
 
 
 def _oscillation(loop: HapticLoop, gains: Gains) -> Oscillation:
-    mode = dominant_oscillation(loop, *gains)
+    mode = loop.oscillation(*gains)
     return Oscillation(float(mode.damping_ratio), float(mode.frequency))

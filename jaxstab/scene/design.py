@@ -6,7 +6,7 @@ from math import isfinite, nan
 from typing import NamedTuple
 
 from jaxstab.conventions import Status
-from jaxstab.model import HapticLoop
+from jaxstab.loop import HapticLoop
 from jaxstab.scene.answers import Answer, Damping, LargestStiffness, LargestTime, Stiffness
 from jaxstab.scene.limits import LOWEST_HAND
 from jaxstab.scene.loops import hands_of, loop_of, wall_region

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from jaxstab.criteria import linear_alpha_limit, passive_region
-from jaxstab.model import HapticLoop
-from jaxstab.ranges import HandRange, robust_limit
+from jaxstab.loop import HapticLoop, WallRegion
+from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import (
     Answer,
     Damping,
@@ -16,7 +16,7 @@ from jaxstab.scene.answers import (
     StiffnessBound,
     StiffnessLimits,
 )
-from jaxstab.scene.loops import WallRegion, hands_of, loop_of, wall_region, walls_of
+from jaxstab.scene.loops import hands_of, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 LOWEST_HAND = "at its lowest values, where nothing else is said"
@@ -105,15 +105,17 @@ def scene_limits(scene: Scene) -> Limits:
     region = wall_region(loop)
     stiffest, most_damped = region.stiffest, region.most_damped
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
-    is_empty = region.region.is_empty
+    is_empty = region.is_empty
     return Limits(
         best=StiffestWall(*stiffest),
         most_damped=MostDampedWall(most_damped.damping, most_damped.stiffness),
         passive=_passive(loop),
         linear_rule=None if is_empty else _linear_rule(loop, stiffest.damping),
-        at_given_damping=None if damping is None else _at_damping(region, damping),
+        at_given_damping=None if damping is None else _at_damping(loop, region, damping),
         at_given_stiffness=None if stiffness is None else _at_stiffness(region, stiffness),
-        walls={f"wall {name}": _around(region, *wall) for name, wall in walls_of(scene).items()},
+        walls={
+            f"wall {name}": _around(loop, region, *gains) for name, gains in walls_of(scene).items()
+        },
         hand=LOWEST_HAND if hands else None,
         all_hands=_for_all(loop, hands) if hands else None,
     )
@@ -135,9 +137,9 @@ def _linear_rule(loop: HapticLoop, damping: float) -> StiffestWall:
     return StiffestWall(loop.stiffness(float(limit)), damping)
 
 
-def _at_damping(region: WallRegion, damping: float) -> StiffnessesAtDamping:
+def _at_damping(loop: HapticLoop, region: WallRegion, damping: float) -> StiffnessesAtDamping:
     low, high = region.stiffness_limits(damping).tolist()
-    rule = _linear_rule(region.loop, damping).largest_stiffness
+    rule = _linear_rule(loop, damping).largest_stiffness
     return StiffnessesAtDamping(damping, (low, high), rule)
 
 
@@ -146,14 +148,14 @@ def _at_stiffness(region: WallRegion, stiffness: float) -> DampingsAtStiffness:
     return DampingsAtStiffness(stiffness, (low, high))
 
 
-def _around(region: WallRegion, stiffness: float, damping: float) -> AroundWall:
+def _around(loop: HapticLoop, region: WallRegion, stiffness: float, damping: float) -> AroundWall:
     return AroundWall(
-        **vars(_at_damping(region, damping)), **vars(_at_stiffness(region, stiffness))
+        **vars(_at_damping(loop, region, damping)), **vars(_at_stiffness(region, stiffness))
     )
 
 
 def _for_all(loop: HapticLoop, hands: HandRange) -> AllHands:
-    found = robust_limit(loop, hands)
+    found = loop.robust_limit(hands)
     return AllHands(
         largest_stiffness=found.stiffness,
         at_damping=found.damping,

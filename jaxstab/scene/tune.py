@@ -5,16 +5,14 @@ from functools import partial
 from typing import Literal
 
 from jaxstab.conventions import Verdict
-from jaxstab.model import HapticLoop
-from jaxstab.motion import settling_time
-from jaxstab.point import spectral_radius
-from jaxstab.ranges import HandRange, worst_hand
+from jaxstab.loop import Gains, HapticLoop
+from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import Answer, Bound, Damping, Number, Stiffness, rounded_gain
 from jaxstab.scene.check import SettlingTime, settled
 from jaxstab.scene.limits import LOWEST_HAND
-from jaxstab.scene.loops import Gains, hands_of, loop_of, point_of, wall_region
+from jaxstab.scene.loops import hands_of, loop_of, wall_region
 from jaxstab.scene.scene import Scene
-from jaxstab.tuning import TuningStatus, optimal_gains
+from jaxstab.tuning import TuningStatus
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ def _best(
     goal: Literal["radius", "settling"],
     stiffness: float | None = None,
 ) -> BestWall:
-    best = optimal_gains(loop, goal, stiffness=stiffness)
+    best = loop.tune(goal, stiffness=stiffness)
     if best.status == TuningStatus.NO_STABLE_GAINS:
         return BestWall(None, None, None, best.status, None)
     gains = Gains(best.stiffness, best.damping)
@@ -105,11 +103,11 @@ def _best(
         RoundedWall(*rounded, *_reached(loop, rounded)),
         best.stiffness / wall_region(loop).stiffest.stiffness,
         best.status,
-        worst_hand(loop, hands, *rounded).verdict if hands else None,
+        loop.worst_hand(hands, *rounded).verdict if hands else None,
     )
 
 
 def _reached(loop: HapticLoop, gains: Gains) -> tuple[float, float, float]:
     """Return the spectral radius, the bound of its error, and the settling time to 2 %."""
-    radius = spectral_radius(*point_of(loop, gains))
-    return float(radius.value), float(radius.error), settled(settling_time(loop, *gains))
+    radius = loop.spectral_radius(*gains)
+    return float(radius.value), float(radius.error), settled(loop.settling_time(*gains))

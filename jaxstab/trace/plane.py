@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.conventions import AXES
-from jaxstab.model import HapticLoop
+from jaxstab.model import LoopParameters
 from jaxstab.numbers import checked_number
 
 PHYSICAL = {  # Table I: powers of the quantities in each parameter
@@ -82,7 +82,7 @@ def _table(plane: tuple[str, str]) -> dict[str, dict[str, int]]:
     return DIMENSIONLESS if set(plane) <= set(DIMENSIONLESS) else PHYSICAL
 
 
-def loop_quantities(loop: HapticLoop) -> dict[str, float]:
+def loop_quantities(loop: LoopParameters) -> dict[str, float]:
     """Return the physical quantities of a loop under the names used here."""
     return {
         "mass": loop.mass,

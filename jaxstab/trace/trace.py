@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float64, Int8, Int64
 from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops
 from jaxstab.conventions import Status
-from jaxstab.model import HapticLoop, characteristic_polynomial, companion_matrix
+from jaxstab.model import LoopParameters, characteristic_polynomial, companion_matrix
 from jaxstab.numbers import checked_number
 from jaxstab.region.corners import Branch
 from jaxstab.trace.continuation import Corrected, Path, follow, project
@@ -73,7 +73,7 @@ def trace_boundary(
     plane: tuple[str, str],
     window: Window,
     *,
-    loop: HapticLoop | None = None,
+    loop: LoopParameters | None = None,
     resolution: int | float = 1 / 64,
     **fixed: float,
 ) -> BoundaryTrace:

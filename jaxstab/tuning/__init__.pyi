@@ -1,7 +1,5 @@
-from .gains import OptimalWall as OptimalWall
 from .gains import minimize_radius_damping as minimize_radius_damping
 from .gains import minimize_settling as minimize_settling
-from .gains import optimal_gains as optimal_gains
 from .radius import OptimalGains as OptimalGains
 from .radius import TuningStatus as TuningStatus
 from .radius import minimize_radius as minimize_radius

@@ -10,14 +10,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite
-from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
-from jaxstab.model import HapticLoop, checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.motion.response import propagator
 from jaxstab.motion.settling import (
     Excitation,
@@ -26,7 +25,7 @@ from jaxstab.motion.settling import (
     positions,
     settling_samples,
 )
-from jaxstab.numbers import checked_number, checked_word
+from jaxstab.numbers import checked_number
 from jaxstab.point.radius.door import spectral_radius
 from jaxstab.point.verdict.door import verdict
 from jaxstab.tuning.radius import OptimalGains, TuningStatus, minimize_radius
@@ -39,75 +38,6 @@ _NEIGHBOURS = 4  # steps of a grid to which the next one zooms in
 _ZOOMS = 12
 _NUMBERS = 1 << 20  # of an array that walls side by side fill, about
 _DAMPINGS = np.geomspace(1e-7, 1e2, 600)  # of either sign, tried where the stiffness is given
-
-
-class OptimalWall(NamedTuple):
-    """The best wall in SI units, and what just these gains reach.
-
-    The spectral radius of the gains as they are given is ``radius``, to ``radius_error``, proved.
-    """
-
-    stiffness: float
-    damping: float
-    radius: float
-    radius_error: float
-    settling_time: float
-    status: TuningStatus
-
-
-def optimal_gains(
-    loop: HapticLoop,
-    goal: Literal["radius", "settling"] = "settling",
-    *,
-    stiffness: float | None = None,
-    level: float = 0.02,
-    excitation: Excitation = "force",
-) -> OptimalWall:
-    """Return the wall (K, B) that comes to rest fastest, or the best B for a given K.
-
-    A search for one loop, without vmap or derivatives; ``minimize_radius`` has both over gamma and
-    delta. The best gains for the radius are sensitive: next to a triple pole the radius grows with
-    the cube root of a change, so gains of six digits may miss the smallest one by 0.01.
-
-    Args:
-        loop: device, hand, sample time and delay.
-        goal: "radius", the smallest spectral radius, or "settling", the smallest settling time.
-        stiffness: K in N/m if it is given; only the damping is then chosen.
-        level: half width of the band of the settling time, between 0 and 1.
-        excitation: what the settling time refers to, see ``settling_samples``.
-
-    Returns:
-        OptimalWall: stiffness in N/m, damping in N s/m, spectral radius per sample with its bound,
-        settling time in s (infinite without a stable wall), and a TuningStatus.
-
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
-        TypeError: an argument is not one number.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: eq. (9); settling as in later papers of the same authors.
-    """
-    checked_word("goal", goal, ("radius", "settling"))
-    level = checked_level(level, excitation)
-    plant = (loop.gamma, loop.delta, loop.delay_samples)
-    alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness))
-    if goal == "settling":
-        best = minimize_settling(*plant, level, alpha=alpha, excitation=excitation)
-    elif alpha is None:
-        best = minimize_radius(*plant)
-    else:
-        best = minimize_radius_damping(alpha, *plant)
-    gains = loop.stiffness(float(best.alpha)), loop.damping(float(best.beta))
-    scene = float(best.alpha), float(best.beta), *plant
-    radius = spectral_radius(*scene)
-    settling = settling_samples(*scene, level, excitation=excitation).value
-    return OptimalWall(
-        *gains,
-        float(radius.value),
-        float(radius.error),
-        float(settling) * loop.sample_time,
-        TuningStatus(int(best.status)),
-    )
 
 
 def minimize_radius_damping(alpha: float, gamma: float, delta: float, delay: float) -> OptimalGains:

@@ -1,0 +1,229 @@
+"""The haptic loop: one value in SI units, its answers as methods."""
+
+from typing import Literal
+
+from jaxtyping import Float64
+
+from jaxstab import ranges
+from jaxstab.arrays import Array, Numbers
+from jaxstab.loop.region import WallLimits, WallRegion, wall_region
+from jaxstab.loop.tune import OptimalWall, optimal_wall
+from jaxstab.loop.walls import LoopWithWalls
+from jaxstab.motion.settling import Excitation
+from jaxstab.ranges import HandRange, RobustLimit, WorstHand
+
+
+class HapticLoop(LoopWithWalls):
+    """A haptic device held by a hand, and the sampled loop that renders a virtual wall on it.
+
+    At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
+    there is a filter, and B times the estimated velocity. What is asked of the loop are methods:
+    of a wall (K, B) ``verdict``, ``is_stable``, ``spectral_radius``, ``poles``, ``margins``,
+    ``settling_time``, ``oscillation``, ``simulate``; of all walls ``region``, ``limits``,
+    ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; of all hands
+    ``worst_hand``, ``robust_limit``. Every field but the last two is a finite number in SI units.
+
+    Source: eqs. (1) and (12), Table I.
+
+    Args:
+        device_mass: effective mass of the device at the handle in kg, > 0.
+        device_damping: physical damping of the device in N s/m, >= 0.
+        sample_time: sampling period T in s, > 0.
+        hand_mass: mass of the hand and arm in kg, >= 0.
+        hand_damping: damping of the hand in N s/m, >= 0.
+        hand_stiffness: stiffness of the hand in N/m, >= 0.
+        delay: time delay t_d of the loop in s, >= 0, beside the half sample of the hold.
+        velocity: how the controller estimates the velocity, windows in samples or s, cut-offs in
+            Hz; None for the difference over one sample, the wall of the paper.
+        position: how the controller filters the position; None for no filter.
+
+    Raises:
+        TypeError: a value is not a real number, or not of its class.
+        ValueError: a value is NaN, infinite or outside its range; a window is no whole number of
+            samples, or a filter does not go with the sampling period.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(
+        ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
+        ...     velocity=jaxstab.Velocity.difference(window=0.02),
+        ... )
+        >>> round(loop.limits().stiffness)
+        2035
+    """
+
+    def region(self, *, tolerance: float = 1e-6) -> WallRegion:
+        """Return the set of all stable walls, in its connected parts.
+
+        Args:
+            tolerance: largest distance between the outline and the boundary, as a share of the
+                region's diameter, > 1e-10. All else is of the exact boundary.
+
+        Returns:
+            WallRegion of NumPy arrays, with its status.
+
+        Raises:
+            ValueError: the dimensionless parameters are out of range, or the delay is longer than
+                500 samples.
+
+        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition; see
+        ``jaxstab.stable_region``.
+        """
+        return wall_region(self, tolerance)
+
+    def limits(self) -> WallLimits:
+        """Return the largest stiffness and the largest damping that the loop allows.
+
+        They are those of the walls that are reached by turning gains up from 0, and after them
+        those of islands, which are not.
+
+        Raises:
+            ValueError: the dimensionless parameters are out of range, or the delay is longer than
+                500 samples.
+
+        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(loop.limits().damping, 3)
+            202.009
+        """
+        return self.region().limits()
+
+    def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
+        """Return the least and the largest stable stiffness at given dampings.
+
+        Args:
+            damping: B in N s/m, any shape.
+
+        Returns:
+            Array (*grid, 2) in N/m, of the walls that are reached by turning gains up from 0 where
+            there are such. NaN where no stiffness is stable, and everywhere for a loop whose region
+            is UNRESOLVED. Of several intervals it is the one that reaches farthest. JAX arrays and
+            tracers in give JAX arrays, differentiable, out.
+
+        Raises:
+            ValueError: a damping is infinite or NaN, or a parameter of the loop is out of range.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+        """
+        return self._reachable().stiffness_limits(damping)
+
+    def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
+        """Return the least and the largest stable damping at given stiffnesses.
+
+        Args:
+            stiffness: K in N/m, any shape.
+
+        Returns:
+            Array (*grid, 2) in N s/m; all as for ``stiffness_limits``.
+
+        Raises:
+            ValueError: a stiffness is infinite or NaN, or a parameter of the loop is out of range.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+        """
+        return self._reachable().damping_limits(stiffness)
+
+    def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
+        """Return how far walls are from the edge of the stable set, in the (alpha, beta) plane.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+
+        Returns:
+            The Euclidean distance to the nearest limit of the stable set in units of alpha and
+            beta, positive for a stable wall. For an unstable wall it is negative, and the way that
+            leads to the nearest stable walls: roots that cross the circle on the way without that
+            all the others are inside do not count. It is -inf where no wall is stable and NaN for a
+            loop whose region is UNRESOLVED. JAX arrays and tracers of gains give JAX arrays,
+            differentiable once in them.
+
+        Raises:
+            ValueError: a gain is infinite or NaN, or a parameter of the loop is out of range.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+        """
+        return self.region().distance(stiffness, damping)
+
+    def tune(
+        self,
+        goal: Literal["radius", "settling"] = "settling",
+        *,
+        stiffness: float | None = None,
+        level: float = 0.02,
+        excitation: Excitation = "force",
+    ) -> OptimalWall:
+        """Return the wall (K, B) that comes to rest fastest, or the best B for a given K.
+
+        A search for one loop, without vmap or derivatives; ``jaxstab.minimize_radius`` has both
+        over gamma and delta. The best gains for the radius are sensitive: next to a triple pole the
+        radius grows with the cube root of a change, so gains of six digits may miss the smallest
+        one by 0.01.
+
+        Args:
+            goal: "radius", the smallest spectral radius, or "settling", the smallest settling time.
+            stiffness: K in N/m if it is given; only the damping is then chosen.
+            level: half width of the band of the settling time, between 0 and 1.
+            excitation: what the settling time refers to, see ``jaxstab.settling_samples``.
+
+        Returns:
+            OptimalWall: stiffness in N/m, damping in N s/m, spectral radius per sample with its
+            bound, settling time in s (infinite without a stable wall), and a TuningStatus.
+
+        Raises:
+            ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
+            TypeError: an argument is not one number.
+            NotImplementedError: the loop has an estimator or a filter.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: eq. (9); settling as in later papers of the same authors.
+        """
+        self._refuse_filters("tune")
+        return optimal_wall(self, goal, stiffness, level, excitation)
+
+    def worst_hand(self, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
+        """Return whether a wall is stable for every hand of a range, and the worst of them.
+
+        Args:
+            hands: the range of hands, which replace the hand of the loop.
+            stiffness: K in N/m.
+            damping: B in N s/m.
+
+        Returns:
+            WorstHand; UNDECIDED where all sampled hands are stable but not all others could be
+            proved.
+
+        Raises:
+            TypeError: a gain is not one real number.
+            ValueError: a gain is infinite or NaN, or a range is out of order.
+            NotImplementedError: the loop has an estimator or a filter.
+
+        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B6 of docs/proofs.md.
+        """
+        self._refuse_filters("worst_hand")
+        return ranges.worst_hand(self, hands, stiffness, damping)
+
+    def robust_limit(self, hands: HandRange) -> RobustLimit:
+        """Return the largest stiffness, and its damping, that every hand of a range allows.
+
+        The corners of the range, and hands at which a proof failed, give the limit.
+
+        Args:
+            hands: the range of hands, which replace the hand of the loop.
+
+        Raises:
+            ValueError: a range is out of order.
+            NotImplementedError: the loop has an estimator or a filter.
+
+        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
+        """
+        self._refuse_filters("robust_limit")
+        return ranges.robust_limit(self, hands)
+
+    def _reachable(self) -> WallRegion:
+        region = self.region()
+        return region.main or region

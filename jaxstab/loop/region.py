@@ -1,0 +1,195 @@
+"""The stable walls of a loop in SI units: its stable region, scaled, and asked in N/m and N s/m."""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from jaxstab.arrays import Array, Numbers, float_arrays, is_jax
+from jaxstab.model import LoopParameters, checked_gain, require_x64
+from jaxstab.numbers import without_noise
+from jaxstab.region import RegionStatus, StableRegion, measures, stable_region
+
+_REMEMBERED = 64  # regions
+
+
+class Gains(NamedTuple):
+    """A wall: stiffness K in N/m and damping B in N s/m."""
+
+    stiffness: float
+    damping: float
+
+
+class WallLimits(NamedTuple):
+    """The stiffest and the most damped stable wall, in SI units; NaN where no wall is stable.
+
+    All are limits: stable walls come as close as one likes. They are those of the walls that are
+    reached by turning gains up from 0. Where small gains are not stable, ``is_reachable`` is False
+    and the limits are those of all stable walls.
+
+    Attributes:
+        stiffness: the largest stable K in N/m.
+        at_damping: the B in N s/m at which it is reached.
+        damping: the largest stable B in N s/m.
+        at_stiffness: the K in N/m at which it is reached.
+        status: of the region; of an UNRESOLVED one all four are NaN, though walls may be stable.
+        is_reachable: whether turning gains up from 0 reaches the walls.
+        islands: the same of each set of stable walls that turning gains up does not reach.
+    """
+
+    stiffness: float
+    at_damping: float
+    damping: float
+    at_stiffness: float
+    status: RegionStatus
+    is_reachable: bool
+    islands: tuple["WallLimits", ...] = ()
+
+
+@dataclass(frozen=True)
+class WallRegion:
+    """The stable walls of a loop: its exact stable region, in N/m and N s/m.
+
+    ``HapticLoop.region`` makes one. Every number is NaN where no wall is stable, and where the
+    region is UNRESOLVED. JAX arrays in give JAX arrays out.
+
+    Attributes:
+        loop: the loop.
+        region: the same set in the (alpha, beta) plane.
+    """
+
+    loop: LoopParameters
+    region: StableRegion
+
+    @property
+    def status(self) -> RegionStatus:
+        """What is known of the region."""
+        return RegionStatus(int(self.region.status))
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no wall is stable."""
+        return self.region.is_empty
+
+    @cached_property
+    def outline(self) -> Float64[np.ndarray, "point 2"]:
+        """The outline as points (K, B), counter-clockwise and closed; one loop after the other."""
+        return self.in_si_units(self.region.points)
+
+    @property
+    def corners(self) -> Float64[np.ndarray, "corner 2"]:
+        """The points (K, B) where two branches of the boundary meet."""
+        return self.in_si_units(self.region.corners)
+
+    @cached_property
+    def extent(self) -> Gains:
+        """How far the region reaches from end to end, in K and in B."""
+        if not len(self.outline):
+            return Gains(np.nan, np.nan)
+        return Gains(*(float(size) for size in np.ptp(self.outline, axis=0)))
+
+    @cached_property
+    def stiffest(self) -> Gains:
+        """The point of the largest K."""
+        return self._gains(self.region.max_alpha)
+
+    @cached_property
+    def most_damped(self) -> Gains:
+        """The point of the largest B."""
+        return self._gains(self.region.max_beta)
+
+    @property
+    def area(self) -> float:
+        """The area in N/m times N s/m; holes are taken off."""
+        return float(self.region.area) * self.loop.stiffness(1.0) * self.loop.damping(1.0)
+
+    @cached_property
+    def components(self) -> list["WallRegion"]:
+        """The connected parts: first the one that holds small gains, then islands by their area."""
+        if self.region.loops <= 1:
+            return [self] * self.region.loops
+        return [WallRegion(self.loop, component) for component in self.region.components]
+
+    @cached_property
+    def main(self) -> "WallRegion | None":
+        """What turning gains up from 0 reaches; None where small gains are not stable."""
+        return next((part for part in self.components[:1] if part._holds_small_gains), None)
+
+    @property
+    def islands(self) -> list["WallRegion"]:
+        """The components that are not reachable by turning gains up from 0, the largest first."""
+        return self.components[self.main is not None :]
+
+    @property
+    def _holds_small_gains(self) -> bool:
+        return self.region.main is not None
+
+    def limits(self) -> WallLimits:
+        """Return the stiffest and the most damped wall, and those of each island."""
+        islands = self.islands if len(self.components) > 1 else []
+        limits = tuple(island._limits(is_reachable=False) for island in islands)
+        return (self.main or self)._limits(is_reachable=self.main is not None, islands=limits)
+
+    def _limits(self, *, is_reachable: bool, islands: tuple[WallLimits, ...] = ()) -> WallLimits:
+        most = self.most_damped
+        own = *self.stiffest, most.damping, most.stiffness, self.status
+        return WallLimits(*own, is_reachable, islands)
+
+    def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
+        """Return the least and the largest stable K at dampings B in N s/m.
+
+        NaN where none is stable. Of several intervals it is the one that reaches farthest.
+        """
+        (rows,) = float_arrays(self.loop.beta(checked_gain("damping", damping)))
+        limits = self.loop.stiffness(self._last_interval(rows, axis=1))
+        return limits if is_jax(limits) else without_noise(limits, self.extent.stiffness)
+
+    def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
+        """Return the least and the largest stable B at stiffnesses K in N/m.
+
+        NaN where none is stable. Of several intervals it is the one that reaches farthest.
+        """
+        (columns,) = float_arrays(self.loop.alpha(checked_gain("stiffness", stiffness)))
+        limits = self.loop.damping(self._last_interval(columns, axis=0))
+        return limits if is_jax(limits) else without_noise(limits, self.extent.damping)
+
+    def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
+        """Return whether walls (K, B) lie inside of the exact boundary; all False if UNRESOLVED."""
+        return self.region.contains(*self._points(stiffness, damping))
+
+    def distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
+        """Return the Euclidean distance of walls to the boundary in units of alpha and beta.
+
+        It is positive inside and negative outside, -inf for an empty region.
+        """
+        return self.region.distance(*self._points(stiffness, damping))
+
+    def in_si_units(self, points: Float64[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 2"]:
+        """Return points (alpha, beta) as (K, B)."""
+        return points * np.array([self.loop.stiffness(1.0), self.loop.damping(1.0)])
+
+    def _points(self, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
+        require_x64(stiffness, damping)
+        alpha = self.loop.alpha(checked_gain("stiffness", stiffness))
+        return alpha, self.loop.beta(checked_gain("damping", damping))
+
+    def _gains(self, point: Numbers) -> Gains:
+        exact = self.in_si_units(np.asarray(point))
+        return Gains(
+            *(float(without_noise(*pair)) for pair in zip(exact, self.extent, strict=True))
+        )
+
+    def _last_interval(self, values: Array, axis: int) -> Array:
+        region = self.region
+        return measures.limits(
+            region.coefficients, region.outline, values, axis=axis, outermost=False
+        )
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
+    """Return the stable walls of a loop; the last ones asked for are remembered."""
+    region = stable_region(*loop.slice, tolerance=tolerance, **loop.filters)
+    return WallRegion(loop, region)

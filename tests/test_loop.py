@@ -1,0 +1,294 @@
+"""The haptic loop in SI units: its answers are those of independent truths, and of its parts."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from numpy.linalg import eigvals
+
+import jaxstab
+from benchmarks.truth.march import (
+    Taps,
+    butterworth_taps,
+    difference_taps,
+    low_pass_taps,
+    march_through_filters,
+)
+from jaxstab import Filter, HapticLoop, RegionStatus, Velocity, Verdict
+
+OMEGA = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
+WINDOW = replace(OMEGA, velocity=Velocity.difference(samples=20))
+HELD = HapticLoop(
+    device_mass=0.2, device_damping=0.1, hand_mass=0.3, hand_damping=3.0, hand_stiffness=150.0,
+    sample_time=2e-3, delay=3.5e-3,
+)  # fmt: skip
+
+CHAI3D = (5000.0, 30.0)  # the wall of its examples, in N/m and N s/m
+
+
+def transition(window: int, stiffness: float, damping: float) -> np.ndarray:
+    """One sample of OMEGA with a window, from its differential equation: force one sample late."""
+    m, b, T = 0.25, 0.1, 1e-3
+    decay = np.exp(-b * T / m)
+    coast, push = (1.0 - decay) * m / b, (1.0 - decay) / b
+    A = np.zeros((window + 3, window + 3))
+    A[0, :3] = 1.0, coast, (T - coast) / b
+    A[1, 1:3] = decay, push
+    A[2, 0] = -(stiffness + damping / (window * T))
+    A[2, window + 2] += damping / (window * T)
+    A[3, 0] = 1.0
+    A[range(4, window + 3), range(3, window + 2)] = 1.0
+    return A
+
+
+def radius(window: int, stiffness: float, damping: float) -> float:
+    return float(np.abs(eigvals(transition(window, stiffness, damping))).max())
+
+
+# --------------------------------------------------------------------------------------- facts
+
+
+@pytest.mark.parametrize(("window", "limit"), [(1, 36168.3), (15, 3041.3), (20, 2034.6)])
+def test_the_largest_stiffness_of_an_omega_like_device(window: int, limit: float) -> None:
+    found = replace(OMEGA, velocity=Velocity.difference(samples=window)).limits()
+    assert found.stiffness == pytest.approx(limit, abs=0.1)
+    assert found.is_reachable
+    assert radius(window, found.stiffness * (1 - 1e-6), found.at_damping) < 1.0
+    for damping in found.at_damping * np.linspace(0.8, 1.2, 41):
+        assert radius(window, found.stiffness * (1 + 1e-6), damping) > 1.0
+
+
+def test_the_wall_of_chai3d_is_unstable_with_its_window() -> None:
+    found = WINDOW.spectral_radius(*CHAI3D)
+    assert WINDOW.verdict(*CHAI3D) == Verdict.UNSTABLE
+    assert float(found.value) == pytest.approx(1.0235, abs=5e-5)
+    assert abs(float(found.value) - radius(20, *CHAI3D)) < 1e-12
+    assert OMEGA.is_stable(*CHAI3D)
+    assert OMEGA.margins(*CHAI3D).stiffness_gain == pytest.approx(3.47, abs=5e-3)
+
+
+def test_islands_are_named_as_not_reachable() -> None:
+    loop = replace(WINDOW, delay=0.0)
+    region, limits = loop.region(), loop.limits()
+    assert region.main is not None
+    assert limits.stiffness < 4000.0
+    assert limits.is_reachable
+    assert len(limits.islands) == len(region.islands) == len(region.components) - 1 == 2
+    assert not any(island.is_reachable for island in limits.islands)
+    assert region.contains(29000.0, 175.0)
+    assert not region.main.contains(29000.0, 175.0)
+    assert any(island.contains(29000.0, 175.0) for island in region.islands)
+    assert float(loop.spectral_radius(29000.0, 175.0).value) == pytest.approx(0.99459, abs=5e-6)
+    assert float(loop.spectral_radius(15000.0, 175.0).value) == pytest.approx(1.03776, abs=5e-6)
+    assert np.isnan(loop.stiffness_limits(175.0)).all()  # only an island is there
+    low, high = region.islands[0].stiffness_limits(175.0)
+    assert np.isnan(low) or loop.is_stable(0.5 * (low + high), 175.0)
+
+
+# ----------------------------------------------------------------- one loop, in SI units and not
+
+
+def walls_of(loop: HapticLoop, count: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(4)
+    most = loop.limits()
+    return (
+        most.stiffness * rng.uniform(-0.1, 1.3, count), most.damping * rng.uniform(-0.1, 1.3, count)
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("loop", [OMEGA, HELD, replace(HELD, delay=0.0)])
+@pytest.mark.parametrize(
+    "velocity", [Velocity.difference(samples=1), Velocity.difference(window=1.0), Velocity()]
+)
+def test_a_window_of_one_sample_is_bit_for_bit_the_plain_loop(
+    loop: HapticLoop, velocity: Velocity
+) -> None:
+    if velocity == Velocity.difference(window=1.0):
+        velocity = Velocity.difference(window=loop.sample_time)
+    own = replace(loop, velocity=velocity, position=Filter())
+    walls = walls_of(loop, 300)
+    assert np.array_equal(own.verdict(*walls), loop.verdict(*walls))
+    for mine, plain in zip(own.spectral_radius(*walls), loop.spectral_radius(*walls), strict=True):
+        assert np.array_equal(mine, plain)
+    assert np.array_equal(own.poles(*walls), loop.poles(*walls))
+    assert np.array_equal(own.region().outline, loop.region().outline)
+    assert own.limits() == loop.limits()
+
+
+def test_answers_are_those_of_the_five_numbers() -> None:
+    stiffness, damping = walls_of(WINDOW, 40)
+    five = WINDOW.alpha(stiffness), WINDOW.beta(damping), WINDOW.gamma, WINDOW.delta, 1.0
+    own = {"velocity": Velocity.difference(samples=20)}
+    assert np.array_equal(WINDOW.verdict(stiffness, damping), jaxstab.verdict(*five, **own))
+    assert np.array_equal(WINDOW.poles(stiffness, damping), jaxstab.closed_loop_poles(*five, **own))
+    settling = WINDOW.settling_time(stiffness, damping, horizon=4096)
+    samples = jaxstab.settling_samples(*five, horizon=4096, **own)
+    assert np.array_equal(settling.value, samples.value * 1e-3, equal_nan=True)
+    mode = WINDOW.oscillation(stiffness, damping)
+    plain = jaxstab.dominant_mode(*five, **own)
+    assert np.array_equal(mode.frequency, plain.frequency / (2e-3 * np.pi))
+
+
+def test_arrays_broadcast() -> None:
+    stiffness, damping = np.linspace(100.0, 3000.0, 4)[:, None], np.linspace(1.0, 20.0, 3)
+    assert WINDOW.verdict(stiffness, damping).shape == (4, 3)
+    assert WINDOW.spectral_radius(stiffness, damping).value.shape == (4, 3)
+    assert OMEGA.margins(stiffness, damping).stiffness.shape == (4, 3, 2)
+    assert WINDOW.simulate(stiffness, damping, force=1.0, samples=7).position.shape == (4, 3, 7)
+    assert WINDOW.region().contains(stiffness, damping).shape == (4, 3)
+    assert WINDOW.stiffness_limits(damping).shape == (3, 2)
+
+
+def test_the_dense_case_goes_through_jit_and_vmap() -> None:
+    stiffness, damping = (jax.numpy.asarray(gains) for gains in walls_of(WINDOW, 50))
+    plain = WINDOW.verdict(np.asarray(stiffness), np.asarray(damping))
+    compiled = jax.jit(WINDOW.verdict)(stiffness, damping)
+    mapped = jax.jit(jax.vmap(WINDOW.verdict))(stiffness, damping)
+    assert isinstance(compiled, jax.Array)
+    decided = np.asarray(compiled) != Verdict.UNDECIDED
+    assert decided.mean() > 0.9
+    np.testing.assert_array_equal(np.asarray(compiled)[decided], plain[decided])
+    np.testing.assert_array_equal(mapped, compiled)
+
+
+# ------------------------------------------------------------------- units of filters, and motion
+
+SI_FILTERS: dict[str, tuple[dict[str, Any], list[Taps], list[Taps]]] = {
+    "window in s": ({"velocity": Velocity.difference(window=0.02)}, [difference_taps(10)], []),
+    "low pass in Hz": (
+        {"velocity": Velocity.low_pass(40.0, 2), "position": Filter.low_pass(150.0)},
+        [difference_taps(1), low_pass_taps(0.08), low_pass_taps(0.08)],
+        [low_pass_taps(0.3)],
+    ),
+    "Butterworth in Hz": (
+        {"velocity": Velocity.butterworth(50.0, 3)},
+        [difference_taps(1), *butterworth_taps(0.1, 3)],
+        [],
+    ),
+    "exponential": (
+        {"velocity": Velocity.exponential(0.25)},
+        [difference_taps(1), ([0.25, 0.0], [1.0, -0.75])],
+        [],
+    ),
+    "transfer function in 1/s": (
+        {"velocity": Velocity.transfer_function([375.0, -250.0, -125.0], [1.0, -0.5, 0.0])},
+        [([0.75, -0.5, -0.25], [1.0, -0.5, 0.0])],
+        [],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SI_FILTERS)
+def test_a_simulated_loop_moves_as_lfilter_has_it(case: str) -> None:
+    filters, velocity, position = SI_FILTERS[case]
+    loop = replace(HELD, **filters)  # T = 2 ms
+    wall = (400.0, 4.0)
+    response = loop.simulate(*wall, samples=300, initial_velocity=0.1)
+    states, _ = march_through_filters(
+        loop.slice, (loop.alpha(wall[0]), loop.beta(wall[1])), velocity, position, 300,
+        start=(0.0, 0.1 * loop.sample_time),
+    )  # fmt: skip
+    size = np.abs(states[:, 0]).max()
+    np.testing.assert_allclose(response.position, states[:, 0], atol=1e-10 * size)
+    decay = np.abs(states[150:, 0]).max() / np.abs(states[:150, 0]).max()
+    assert (decay < 1.0) == bool(loop.is_stable(*wall))
+
+
+# --------------------------------------------------------------------------- islands and regions
+
+
+def test_a_region_is_asked_in_si_units() -> None:
+    region, whole = HELD.region(), jaxstab.stable_region(*HELD.slice)
+    scale = np.array([HELD.stiffness(1.0), HELD.damping(1.0)])
+    assert region.status == RegionStatus.COMPLETE
+    np.testing.assert_array_equal(region.outline, whole.points * scale)
+    np.testing.assert_array_equal(region.corners, whole.corners * scale)
+    assert region.area == pytest.approx(float(whole.area) * scale.prod(), rel=1e-14)
+    assert region.components == [region]
+    assert region.main is region
+    assert region.islands == []
+    low, high = region.stiffness_limits(region.stiffest.damping * 0.5)
+    assert region.contains(0.5 * (low + high), region.stiffest.damping * 0.5)
+    assert not region.contains(high * (1 + 1e-9), region.stiffest.damping * 0.5)
+    np.testing.assert_allclose(
+        region.stiffness_limits(region.stiffest.damping)[1], region.stiffest[0]
+    )
+    assert region.distance(*np.array(region.stiffest) / 2) > 0.0
+    assert HELD.region() is region  # remembered
+
+
+def test_a_coarser_outline_has_fewer_points_and_the_same_limits() -> None:
+    coarse = HELD.region(tolerance=1e-3)
+    assert len(coarse.outline) < len(HELD.region().outline)
+    np.testing.assert_allclose(coarse.stiffest, HELD.region().stiffest, rtol=1e-9)
+
+
+# ------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("filters", "message"),
+    [
+        ({"velocity": Velocity.difference(window=15.5e-3)}, r"0.015 s \(15 .* 0.016 s \(16"),
+        ({"velocity": Velocity.butterworth(600.0, 2)}, "below half of the sampling rate, 500 Hz"),
+        ({"position": Filter.low_pass(1e9)}, "closer to 1 / period"),
+        ({"position": Filter.low_pass(10.0, 40) * Filter.low_pass(10.0)}, "order 41"),
+    ],
+)
+def test_a_filter_that_does_not_go_with_the_period_is_refused_at_birth(
+    filters: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        replace(OMEGA, **filters)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_estimator_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"velocity is 20; give a jaxstab.Velocity"):
+        replace(OMEGA, velocity=20)
+    with pytest.raises(TypeError, match=r"give a jaxstab.Filter"):
+        replace(OMEGA, position=Velocity.difference(samples=20))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: OMEGA.verdict(np.nan, 1.0), "stiffness is nan"),
+        (lambda: OMEGA.poles(1.0, np.inf), "damping is inf"),
+        (lambda: OMEGA.region().contains(1.0, np.nan), "damping is nan"),
+        (lambda: replace(OMEGA, delay=0.6).limits(), "500 samples"),
+    ],
+)
+def test_bad_gains_are_refused(call: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_beyond_the_wall_nothing_is_positional() -> None:
+    with pytest.raises(TypeError):
+        OMEGA.settling_time(1000.0, 10.0, 0.05)  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        OMEGA.simulate(1000.0, 10.0, 100)  # type: ignore[misc]
+
+
+def test_functions_of_five_numbers_name_the_method() -> None:
+    with pytest.raises(TypeError, match=r"loop.region\(\)"):
+        jaxstab.stable_region(OMEGA, 0.0, 1.0)
+    with pytest.raises(TypeError, match=r"loop.margins\(K, B\)"):
+        jaxstab.margins(OMEGA, 1000.0, 10.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: WINDOW.margins(1000.0, 10.0),
+        lambda: WINDOW.tune(),
+        lambda: WINDOW.robust_limit(jaxstab.HandRange()),
+        lambda: WINDOW.worst_hand(jaxstab.HandRange(), 1000.0, 10.0),
+    ],
+)
+def test_what_takes_no_estimator_yet_says_so(call: Any) -> None:
+    with pytest.raises(NotImplementedError, match="velocity estimator"):
+        call()
