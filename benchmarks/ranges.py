@@ -18,7 +18,8 @@ import numpy as np
 from benchmarks import truth
 from benchmarks.record import Row
 from jaxstab.conventions import Verdict
-from jaxstab.model import HapticLoop, characteristic_polynomial, companion_matrix
+from jaxstab.loop import HapticLoop
+from jaxstab.model import characteristic_polynomial, companion_matrix
 from jaxstab.ranges import HandRange, RobustLimit
 from jaxstab.ranges.first_crossings import WAYS, first_crossings
 from jaxstab.region import RegionStatus, stable_region

@@ -57,7 +57,7 @@ def computes(value: object) -> bool:
 def computing_methods() -> set[str]:
     """The answers of a loop."""
     loop = jaxstab.HapticLoop
-    own = {name for name in dir(loop) if computes(getattr(loop, name)) and name[0] != "_"}
+    own = {name for name in dir(loop) if name[0] != "_" and computes(getattr(loop, name))}
     return {f"HapticLoop.{name}" for name in own - CONVERSIONS}
 
 

@@ -142,6 +142,7 @@ class WallRegion:
 
         NaN where none is stable. Of several intervals it is the one that reaches farthest.
         """
+        require_x64(damping)
         (rows,) = float_arrays(self.loop.beta(checked_gain("damping", damping)))
         limits = self.loop.stiffness(self._last_interval(rows, axis=1))
         return limits if is_jax(limits) else without_noise(limits, self.extent.stiffness)
@@ -151,6 +152,7 @@ class WallRegion:
 
         NaN where none is stable. Of several intervals it is the one that reaches farthest.
         """
+        require_x64(stiffness)
         (columns,) = float_arrays(self.loop.alpha(checked_gain("stiffness", stiffness)))
         limits = self.loop.damping(self._last_interval(columns, axis=0))
         return limits if is_jax(limits) else without_noise(limits, self.extent.damping)
