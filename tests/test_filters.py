@@ -407,6 +407,22 @@ def test_regions_agree_with_certified_verdicts(
     assert np.sum(codes == UNDECIDED) == 0
 
 
+@pytest.mark.parametrize("samples", [2, 4])
+@pytest.mark.parametrize("plant", [(1e-3, 1e-2, 0.0), (1e-3, 1e-2, 0.5)])
+def test_regions_where_the_position_filter_is_zero_at_the_nyquist_frequency(
+    samples: int, plant: tuple[float, float, float]
+) -> None:
+    # The line of a real root at -1 is one of constant beta then.
+    filters: dict[str, Any] = {"position": Filter.average(samples)}
+    region = jaxstab.stable_region(*plant, **filters)
+    assert region.status == jaxstab.RegionStatus.COMPLETE
+    rng = np.random.default_rng(1)
+    alpha, beta = rng.uniform(-0.5, 2.0, 2000), rng.uniform(-1.0, 4.0, 2000)
+    codes = jaxstab.verdict(alpha, beta, *plant, **filters)
+    np.testing.assert_array_equal(region.contains(alpha, beta), codes == STABLE)
+    assert STABLE in codes
+
+
 def test_corners_of_filtered_regions_have_roots_on_the_circle_and_none_outside() -> None:
     velocity, v = ESTIMATORS["window 20"]
     loop = truth.FilteredLoop(1e-3, 1e-2, 1.0, v, truth.average(1))

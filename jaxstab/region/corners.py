@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxstab.arrays import Array, constant, kept, namespace, repeat_while
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift, minus_margin, plus_offset
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift, plus_offset
+from jaxstab.region.lines import minus_margin
 from jaxstab.region.roots import nonzero, with_slope
 
 _STEPS = 16
@@ -44,7 +45,10 @@ def scales(c: SliceCoefficients, alpha: Array, beta: Array, theta: Array) -> Sca
     """Return the scales of the mismatches at points of the curve."""
     cosine = namespace(theta).cos(theta)
     size = abs(alpha) + abs(beta) + abs(plus_offset(c))
-    margin = abs(c.gain * c.den_minus) + abs(c.num_minus) * size
+    slope = abs(c.num_minus)
+    if c.filtered is not None:
+        slope = slope + abs(c.filtered.at_minus_one[2])
+    margin = abs(c.gain * c.den_minus) + slope * size
     return Scales(1.0 / size, (1.0 - cosine) / size, (1.0 + cosine) / margin)
 
 

@@ -12,8 +12,10 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from jaxstab.region.corners import steps_to_meeting
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift, minus_margin
-from jaxstab.region.filtered_curve import FilteredCurve, may_be_stable
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift
+from jaxstab.region.filtered_curve import FilteredCurve
+from jaxstab.region.filtered_points import may_be_stable
+from jaxstab.region.lines import minus_margin
 from jaxstab.region.other_roots import others_inside
 from jaxstab.region.roots import bracketed_root, with_slope
 from jaxstab.region.scan import Angles

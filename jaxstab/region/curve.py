@@ -36,12 +36,8 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.plant import PlantPairs, plant_pairs
 from jaxstab.numbers import checked
-from jaxstab.region.filtered_curve import (
-    FilteredCurve,
-    estimate_at_one,
-    filtered_curve,
-    filtered_point,
-)
+from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve
+from jaxstab.region.filtered_points import filtered_point
 from jaxstab.region.sines import sines
 
 _CLOSE, _FAR = 1e-9, 4.0  # of the distance of a pole from the circle: closer is as close
@@ -193,18 +189,18 @@ def filtered_coefficients(
     """Return the coefficients of the boundary of one slice with filters, for radius 1."""
     whole, fraction = divmod(delay, 1.0)
     curve = filtered_curve(gamma, delta, int(whole), fraction, filters)
-    (den_plus, num_plus, *_), (den_minus, num_minus, *_) = curve.plus.at_one, curve.minus.at_one
-    one, sign = np.float64(1.0), np.sign(den_minus) if den_minus else 1.0
+    (den_plus, num_plus, *_), (den_minus, num_minus, _) = curve.plus.at_one, curve.at_minus_one
+    one = np.float64(1.0)
     return SliceCoefficients(
         radius=one,
-        turns=np.float64(0.0 if curve.minus.sign > 0.0 else 1.0),
+        turns=np.float64(0.0),
         gain=one,
         ratio=den_plus / num_plus,
         **dict.fromkeys(("kappa", "eps", "sigma", "nu"), np.float64(np.nan)),
         den_plus=den_plus,
         num_plus=num_plus,
-        den_minus=sign * den_minus,
-        num_minus=sign * num_minus,
+        den_minus=den_minus,
+        num_minus=num_minus,
         filtered=curve,
     )
 
@@ -258,22 +254,8 @@ def minus_offset(c: SliceCoefficients) -> Array:
 
 
 def minus_slope(c: SliceCoefficients) -> Array:
-    """Return 1 + 1/r, or what an estimator makes of z = -1."""
-    if c.filtered is not None:
-        return np.float64(estimate_at_one(c.filtered.minus))
+    """Return 1 + 1/r."""
     return (c.radius + 1.0) / c.radius
-
-
-def minus_margin(c: SliceCoefficients, alpha: Array, beta: Array) -> Array:
-    """Return p(-r) / r^2 up to the sign that it has inside of the stable set, which is plus."""
-    return c.gain * c.den_minus + parity(c) * c.num_minus * (alpha + minus_slope(c) * beta)
-
-
-def lines_crossing(c: SliceCoefficients) -> tuple[Array, Array]:
-    """Return (alpha, beta) where the lines of a real root at r and at -r cross."""
-    with np.errstate(all="ignore"):  # an estimator may make them parallel
-        beta = (minus_offset(c) - plus_offset(c)) / (minus_slope(c) - plus_slope(c))
-    return plus_offset(c) - plus_slope(c) * beta, beta
 
 
 def parity(c: SliceCoefficients) -> Array:

@@ -7,8 +7,9 @@ inside of the circle: p divided by that pair is put to the test of Schur and Coh
 import numpy as np
 
 from jaxstab.arrays import Array, namespace, repeat, scan, stored
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift, lines_crossing
-from jaxstab.region.filtered_curve import filtered_quotient
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift
+from jaxstab.region.filtered_points import filtered_quotient
+from jaxstab.region.lines import lines_crossing
 
 _REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
 _MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle

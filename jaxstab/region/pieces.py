@@ -17,7 +17,8 @@ import numpy as np
 
 from jaxstab.arrays import Array, constant, first_indices, kept, namespace, repeat
 from jaxstab.region.corners import Branch, Scales, nearest_branch, scales, solved_corners
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift, lines_crossing, parity
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift
+from jaxstab.region.lines import along_lines, lines_crossing, lines_turn
 from jaxstab.region.other_roots import lines_crossing_is_stable, others_inside
 
 _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
@@ -103,13 +104,13 @@ def find_pieces(
     )
     begin_branch, end_branch = branch[:slots], branch[slots:]
     exists = ends.exists[:slots]
-    height = kept(curve_and_lift(known, xp.stack([begin, end]))[1])
-    links = _linked(known, exists, height, begin_branch, end_branch, following)
+    walls = kept(xp.stack(curve_and_lift(known, xp.stack([begin, end]))[:2]))
+    links = _linked(known, exists, walls, begin_branch, end_branch, following)
     number = xp.arange(slots)
     is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == number)
     follows = exists[:, None] & (links.successor[:, None] == number)
     is_closed = (
-        xp.all(xp.isfinite(height), axis=0)
+        xp.all(xp.isfinite(walls[1]), axis=0)
         & ((end_branch != Branch.CURVE) | is_mutual)
         & links.exists
         & (xp.sum(follows, axis=0) == 1)
@@ -223,28 +224,26 @@ def _solved(
 def _linked(
     c: SliceCoefficients,
     exists: Array,
-    height: Array,
+    walls: Array,
     begin_branch: Array,
     end_branch: Array,
     following: Array,
 ) -> _Links:
     """Return what follows each piece.
 
-    ``height`` is the beta of the begins and of the ends. With the stable set on the left, beta
-    falls along z = r where N(r) > 0, and likewise z = -r.
+    ``walls`` are alpha and beta of the begins and of the ends.
     """
-    xp = namespace(c, height)
-    exits, entries = height
-    plus_way, minus_way = -xp.sign(c.num_plus), -xp.sign(parity(c) * c.num_minus)
+    xp = namespace(c, walls)
+    plus, minus = along_lines(c, *walls)
+    plus_start, minus_start = along_lines(c, *lines_crossing(c))
     from_plus = end_branch == Branch.Z_PLUS_ONE
-    way = xp.where(from_plus, plus_way, minus_way)
-    other_way = xp.where(from_plus, minus_way, plus_way)
-    ahead = way[:, None] * (exits[None, :] - entries[:, None])
+    exits = xp.where(from_plus[:, None], plus[0], minus[0])
+    ahead = exits - xp.where(from_plus, plus[1], minus[1])[:, None]
     here = exists & (begin_branch == end_branch[:, None]) & (ahead > 0.0)
     # Along this line the boundary may run into the other one, and not come from there.
-    runs_in = (plus_way * minus_way > 0.0) == from_plus
+    runs_in = lines_turn(c) * xp.where(from_plus, 1.0, -1.0) > 0.0
     other_line = xp.where(from_plus, Branch.Z_MINUS_ONE, Branch.Z_PLUS_ONE)
-    around = other_way[:, None] * (exits[None, :] - lines_crossing(c)[1])
+    around = xp.where(from_plus[:, None], minus[0] - minus_start, plus[0] - plus_start)
     there = exists & (begin_branch == other_line[:, None]) & (around > 0.0) & runs_in[:, None]
     straight = xp.any(here, axis=1)
     distance = xp.where(

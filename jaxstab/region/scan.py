@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from jaxstab.model import companion_matrix
 from jaxstab.region.curve import SliceCoefficients
-from jaxstab.region.filtered_curve import is_oriented
+from jaxstab.region.filtered_points import is_oriented
 from jaxstab.region.other_roots import other_roots, others_inside
 from jaxstab.region.pieces import Pieces
 

@@ -1,0 +1,230 @@
+"""Points and slopes of the boundary of a loop with filters, and the other roots there. NumPy only.
+
+See ``filtered_curve`` for the form that is evaluated. Formulas are written once, for arrays and for
+arrays with slopes.
+"""
+
+from dataclasses import dataclass
+from math import comb
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Complex128
+
+from jaxstab.arrays import PI_REST, Array
+from jaxstab.region.filtered_curve import Angles, FilteredCurve, Half
+
+Values = Any  # an array, or a Dual
+_TINY = 1e-100  # in place of the angle 0, where quotients of sines have a limit
+
+
+@dataclass(frozen=True, slots=True)
+class Dual:
+    """Numbers with their slopes in an angle; what stands to the right of a sign may have none."""
+
+    value: Array
+    slope: Array
+
+    def __add__(self, other: Values) -> "Dual":
+        if isinstance(other, Dual):
+            return Dual(self.value + other.value, self.slope + other.slope)
+        return Dual(self.value + other, self.slope)
+
+    def __sub__(self, other: Values) -> "Dual":
+        if isinstance(other, Dual):
+            return Dual(self.value - other.value, self.slope - other.slope)
+        return Dual(self.value - other, self.slope)
+
+    def __mul__(self, other: Values) -> "Dual":
+        if isinstance(other, Dual):
+            slope = self.slope * other.value + self.value * other.slope
+            return Dual(self.value * other.value, slope)
+        return Dual(self.value * other, self.slope * other)
+
+    def __truediv__(self, other: Values) -> "Dual":
+        if isinstance(other, Dual):
+            value = self.value / other.value
+            return Dual(value, (self.slope - value * other.slope) / other.value)
+        return Dual(self.value / other, self.slope / other)
+
+    @property
+    def real(self) -> "Dual":
+        """The real parts."""
+        return Dual(self.value.real, self.slope.real)
+
+    @property
+    def imag(self) -> "Dual":
+        """The imaginary parts."""
+        return Dual(self.value.imag, self.slope.imag)
+
+
+def filtered_point(
+    curve: FilteredCurve, theta: Array, low: Array | float
+) -> tuple[Array, Array, Array]:
+    """Return alpha, beta and (alpha - W(1)) / (1 - cos th) at angles, which may be negative.
+
+    ``low`` is what rounding took from the angles. A complex step of theta (``with_slope``) adds the
+    slopes.
+    """
+    theta, low = np.broadcast_arrays(np.asarray(theta), low)
+    flat, rest = theta.ravel(), low.ravel()
+    turned = np.where(flat.real < 0.0, -1.0, 1.0)
+    size, rest = flat.real * turned, rest.real * turned
+    upper = size > np.pi / 2
+    u = np.where(upper, (np.pi - size) + (PI_REST - rest), size + rest)
+    u = np.where(u == 0.0, _TINY, u)
+    if not np.iscomplexobj(theta):
+        gains = _gains(curve, upper, u, with_slopes=False)
+        alpha, beta, lift = (one.reshape(theta.shape) for one in gains)
+        return alpha, beta, lift
+    step = 1j * flat.imag * np.where(upper, -turned, turned)
+    gains = _gains(curve, upper, u, with_slopes=True)
+    alpha, beta, lift = ((one.value + step * one.slope).reshape(theta.shape) for one in gains)
+    return alpha, beta, lift
+
+
+def _gains(
+    curve: FilteredCurve, upper: Array, u: Array, *, with_slopes: bool
+) -> tuple[Values, Values, Values]:
+    """Return alpha, beta and the lift, by the angles u of zeta on one half of the circle each."""
+    d, n, y, rise, fall = _rows(curve, upper, u, with_slopes=with_slopes)
+    plant_one, estimate_one, n_one, y_one, sign = _constants(curve, upper)
+    sine, cosine = _sinusoids(0.5, u, with_slopes=with_slopes)
+    plant = (_geometric(curve.lag, u, with_slopes=with_slopes) * d * n_one + fall) / n
+    plant = plant * (-sign / n_one)
+    estimate = rise / y / y_one
+    tangent = sine / cosine
+    beta = (plant.real - tangent * plant.imag) / (estimate.real - tangent * estimate.imag)
+    swing = beta * estimate.imag - plant.imag
+    alpha = tangent * swing * 2.0 + plant_one - beta * estimate_one
+    if curve.minus.is_far:  # alpha Y + beta X = W Y, without the division by s
+        turned = _turn(curve.lag, u, with_slopes=with_slopes) * d / n * y * -sign
+        determinant = _cross(y, rise)
+        alpha = _where(upper, _cross(turned, rise) / determinant, alpha)
+        beta = _where(upper, _cross(y, turned) / determinant, beta)
+    far_lift = (alpha - curve.plus.plant) / (cosine * cosine * 2.0)
+    return alpha, beta, _where(upper, far_lift, swing / (sine * cosine))
+
+
+def _constants(curve: FilteredCurve, upper: Array) -> list[Array]:
+    """Return W, V, N and Y at zeta = 1 and the sign of z^w there, of the half of each angle.
+
+    Where W is infinite nobody needs them.
+    """
+    columns = [
+        [0.0, 0.0, 1.0, 1.0, half.sign]
+        if half.is_far
+        else [half.plant, half.estimate, half.at_one[1], half.at_one[2], half.sign]
+        for half in (curve.minus, curve.plus)
+    ]
+    return [np.where(upper, *pair) for pair in zip(*columns, strict=True)]
+
+
+def _rows(curve: FilteredCurve, upper: Array, u: Array, *, with_slopes: bool) -> list[Values]:
+    """Return the rows of the halves at zeta = e^(iu), in the powers that have smaller terms."""
+    values = np.empty((1 + with_slopes, 5, len(u)), complex)
+    for half, chosen in ((curve.plus, ~upper), (curve.minus, upper)):
+        values[..., chosen] = _row_values(half, u[chosen], with_slopes=with_slopes)
+    return [Dual(*pair) for pair in zip(*values, strict=True)] if with_slopes else list(values[0])
+
+
+def _row_values(half: Half, u: Array, *, with_slopes: bool) -> Complex128[np.ndarray, "_ 5 angle"]:
+    zeta = np.exp(1j * u)
+    size = 2.0 * np.sin(0.5 * u)
+    count = half.straight.shape[1]
+    straight, shifted = _powers(zeta, count), _powers(1j * size * np.exp(0.5j * u), count)
+    is_close = size < half.close[:, None]
+    values = np.where(is_close, _product(half.shifted, shifted), _product(half.straight, straight))
+    if not with_slopes:
+        return np.stack([values])
+    order = np.arange(float(count))
+    slopes = np.where(
+        is_close,
+        _product(half.shifted[:, 1:] * order[1:], shifted[:-1]) * zeta,
+        _product(half.straight * order, straight),
+    )
+    return np.stack([values, 1j * slopes])
+
+
+def _product(matrix: Array, columns: Complex128[np.ndarray, "power angle"]) -> Array:
+    """Return a real matrix times a complex one, which NumPy would make of two complex ones."""
+    product: Array = (matrix @ columns.view(float)).view(complex)
+    return product
+
+
+def _powers(number: Array, count: int) -> Complex128[np.ndarray, "power angle"]:
+    """Return the powers 0 ... count - 1."""
+    powers = np.empty((count, len(number)), complex)
+    powers[0], powers[1:] = 1.0, number
+    return np.cumprod(powers, axis=0, out=powers)
+
+
+def _sinusoids(factor: float, u: Array, *, with_slopes: bool) -> tuple[Values, Values]:
+    """Return sine and cosine of a multiple of angles."""
+    sine, cosine = np.sin(factor * u), np.cos(factor * u)
+    if not with_slopes:
+        return sine, cosine
+    return Dual(sine, factor * cosine), Dual(cosine, -factor * sine)
+
+
+def _turn(factor: float, u: Array, *, with_slopes: bool) -> Values:
+    """Return e^(i factor u)."""
+    turn = np.exp(1j * factor * u)
+    return Dual(turn, 1j * factor * turn) if with_slopes else turn
+
+
+def _geometric(count: float, u: Array, *, with_slopes: bool) -> Values:
+    """Return 1 + zeta + ... + zeta^(count - 1)."""
+    sine, _ = _sinusoids(0.5, u, with_slopes=with_slopes)
+    whole, _ = _sinusoids(0.5 * count, u, with_slopes=with_slopes)
+    return _turn(0.5 * (count - 1.0), u, with_slopes=with_slopes) * (whole / sine)
+
+
+def _cross(one: Values, other: Values) -> Values:
+    """Return the imaginary part of other times the conjugate of one."""
+    return one.real * other.imag - one.imag * other.real
+
+
+def _where(mask: Array, one: Values, other: Values) -> Values:
+    if isinstance(one, Dual):
+        value = np.where(mask, one.value, other.value)
+        return Dual(value, np.where(mask, one.slope, other.slope))
+    return np.where(mask, one, other)
+
+
+def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle"]:
+    """Return where the sign of angles is that of Im V: the stable side is the left one."""
+    size = np.abs(theta)
+    upper = size > np.pi / 2
+    folded = np.where(upper, np.pi - size, size)
+    _, _, y, rise, _ = _rows(curve, upper, folded, with_slopes=False)
+    _, estimate_one, _, y_one, _ = _constants(curve, upper)
+    step = 2j * np.sin(0.5 * folded) * np.exp(0.5j * folded)
+    near = step * rise / y_one + estimate_one * y
+    rise = _where(upper & curve.minus.is_far, rise, near)
+    is_left: np.ndarray = ((_cross(y, rise) > 0.0) != upper) == (theta > 0.0)
+    return is_left
+
+
+def may_be_stable(curve: FilteredCurve, alpha: Array, beta: Array) -> Bool[np.ndarray, " wall"]:
+    """Return False where a coefficient of p is above that of any stable polynomial: binomial."""
+    base, stiffness, damping = curve.parts[:, :, None]
+    degree = len(base) - 1
+    largest = np.array([comb(degree, k) for k in range(degree + 1)], float)[:, None]
+    fits: np.ndarray = np.all(abs(base + stiffness * alpha + damping * beta) <= largest, axis=0)
+    return fits
+
+
+def filtered_quotient(
+    curve: FilteredCurve, wall: tuple[Array, Array], total: Array, product: float, length: int
+) -> Array:
+    """Divide p(zeta) of a wall by zeta^2 - total zeta + product, of two roots that the wall has."""
+    alpha, beta = wall
+    base, stiffness, damping = curve.parts
+    before, last = np.zeros_like(total), np.zeros_like(total)
+    quotient = []
+    for k in range(length):
+        coefficient = base[k] + (stiffness[k] * alpha + damping[k] * beta)
+        before, last = last, coefficient + total * last - product * before
+        quotient.append(last)
+    return np.stack(quotient)
