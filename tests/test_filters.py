@@ -17,9 +17,12 @@ import scipy.signal
 
 import jaxstab
 from benchmarks.truth import filtered as truth
+from benchmarks.truth.random_loops import hostile_walls, random_loop
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
 from jaxstab.model.filters import given_filters
-from jaxstab.model.linear_loop import _values
+from jaxstab.model.linear_loop import _values, filtered_loop
+from jaxstab.point.verdict.dense import dense_codes, rounded_loop, without_zeros
+from jaxstab.point.verdict.recursion import FLOAT_UNIT
 
 # Each estimator beside T V(z), each filter beside P(z), by the truth.
 ESTIMATORS: dict[str, tuple[Velocity, truth.Rational]] = {
@@ -176,6 +179,35 @@ def test_only_walls_next_to_the_boundary_are_undecided(estimator: str) -> None:
     loop = truth.FilteredLoop(*plant, v, truth.average(1))
     assert codes.tolist() == [loop.code(alpha, beta) for alpha in walls]
     assert UNDECIDED not in codes
+
+
+def test_hostile_walls_of_random_loops_against_balls() -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(25):
+        loop = random_loop(rng)
+        balls = loop.truth.balls()
+        alpha, beta = hostile_walls(rng, balls, 40).T
+        filters = {"velocity": loop.velocity, "position": loop.position}
+        codes = jaxstab.verdict(alpha, beta, *loop.plant, **filters)
+        for wall in zip(alpha.tolist(), beta.tolist(), codes.tolist(), strict=True):
+            is_stable = balls.is_stable(*wall[:2])
+            if is_stable is not None and wall[2] != UNDECIDED:
+                assert is_stable == (wall[2] == STABLE), (str(loop), wall)
+
+
+@pytest.mark.parametrize(("samples", "delay"), [(20, 1.0), (12, 2.5), (2, 12.0), (30, 0.0)])
+def test_zeros_left_out_change_no_verdict(samples: int, delay: float) -> None:
+    filters = given_filters(Velocity.difference(samples=samples), None)
+    loop = filtered_loop(1e-3, 1e-2, int(delay), delay % 1.0, filters)
+    short = without_zeros(loop)
+    assert len(short.base) < len(loop.base)
+    alpha, beta = np.random.default_rng(3).normal(scale=0.1, size=(2, 500))
+    codes = [
+        dense_codes(alpha, beta, rounded_loop(one), unit=FLOAT_UNIT, degree=loop.degree)
+        for one in (loop, short)
+    ]
+    np.testing.assert_array_equal(*codes)
+    assert set(codes[0].tolist()) == {STABLE, UNSTABLE}
 
 
 def test_a_window_of_one_sample_is_the_loop_of_the_paper() -> None:

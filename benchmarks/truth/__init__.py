@@ -2,6 +2,8 @@
 
 - ``loop``: 50 digits of the plant, the polynomial, its roots and its boundary, for any loop;
 - ``balls``: plants and verdicts in balls of python-flint, for many points of one plant;
+- ``filtered``: loops with an estimator and a filter, from difference equations;
+- ``random_loops``: such loops at random, and walls next to their boundary;
 - ``near_boundary``: points close to the boundary, to be judged;
 - ``slices``: the boundary of one slice, all pieces, and distances from it;
 - ``march``: device, hand and wall on a fine grid of time, and loops to move;

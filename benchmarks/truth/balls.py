@@ -85,3 +85,49 @@ def code_of(moduli: list[flint.arb]) -> int:
     if any(modulus > 1 for modulus in moduli):
         return UNSTABLE
     return STABLE if all(modulus < 1 for modulus in moduli) else UNDECIDED
+
+
+def are_roots_inside(coefficients: list[flint.arb]) -> bool | None:
+    """Whether all roots of a real polynomial lie inside the unit circle; None where balls are wide.
+
+    Quicker than its roots: the criterion of Schur and Cohn in ball arithmetic.
+    """
+    p = coefficients
+    while len(p) > 1:
+        if p[-1] == 0:  # a root at 0
+            p = p[:-1]
+            continue
+        reflection = p[-1] / p[0]
+        if abs(reflection) > 1:
+            return False
+        if not abs(reflection) < 1:
+            return None
+        p = [a - reflection * b for a, b in zip(p[:-1], p[:0:-1], strict=True)]
+    return True
+
+
+class BallLoop(NamedTuple):
+    """p(z) = base + alpha stiffness + beta damping in balls of so many bits, for many walls.
+
+    The coefficients lie lowest power first, and that of the highest power of base is 1.
+    """
+
+    base: flint.arb_poly
+    stiffness: flint.arb_poly
+    damping: flint.arb_poly
+    bits: int
+
+    def polynomial(self, alpha: float, beta: float) -> list[flint.arb]:
+        """p(z), highest power first."""
+        with flint.ctx.workprec(self.bits):
+            p = self.base + flint.arb(alpha) * self.stiffness + flint.arb(beta) * self.damping
+            return [p[k] for k in range(self.base.degree(), -1, -1)]
+
+    def is_stable(self, alpha: float, beta: float, radius: float = 1.0) -> bool | None:
+        """Whether all roots lie inside the circle of a radius; None where the balls do not tell."""
+        p = self.polynomial(alpha, beta)
+        with flint.ctx.workprec(self.bits):
+            if radius != 1.0:
+                inverse = 1 / flint.arb(radius)
+                p = [value * inverse**k for k, value in enumerate(p)]
+            return are_roots_inside(p)

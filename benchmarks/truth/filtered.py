@@ -5,14 +5,14 @@ loop's polynomial is multiplied by python-flint. Parameters that jaxstab rounds 
 of a low pass, the warped frequency and the sines of Butterworth's filter) are rounded here, too.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import flint
+import numpy as np
 
 from benchmarks import truth
-from benchmarks.truth.balls import ExactPlant, true_code
+from benchmarks.truth.balls import BallLoop, ExactPlant, true_code
 
 Rational = tuple[flint.fmpq_poly, flint.fmpq_poly]  # numerator and denominator, in powers of z
 
@@ -57,17 +57,17 @@ def exponential(factor: float) -> Rational:
 
 def low_pass(cutoff: float, order: int) -> Rational:
     """Poles at exp(-2 pi f), gain 1 at rest."""
-    pole = exact(math.exp(-2.0 * math.pi * cutoff))
+    pole = exact(float(np.exp(-2.0 * np.pi * cutoff)))
     return times(*[rational([1 - pole, flint.fmpq(0)], [flint.fmpq(1), -pole])] * order)
 
 
 def butterworth(cutoff: float, order: int) -> Rational:
     """The analogue prototype in s, s = (z - 1) / (z + 1)."""
-    w = exact(math.tan(math.pi * cutoff))
+    w = exact(float(np.tan(np.pi * cutoff)))
     minus, plus = flint.fmpq_poly([-1, 1]), flint.fmpq_poly([1, 1])
     factors = []
     for k in range(order // 2):
-        sine = exact(math.sin(math.pi * (2 * k + 1) / (2 * order)))
+        sine = exact(float(np.sin(np.pi * (2 * k + 1) / (2 * order))))
         below = minus * minus + 2 * w * sine * minus * plus + w * w * plus * plus
         factors.append((w * w * plus * plus, below))
     if order % 2:
@@ -85,8 +85,8 @@ class FilteredLoop:
     velocity: Rational
     position: Rational
 
-    def polynomial(self, alpha: float, beta: float, bits: int = 1400) -> list[flint.arb]:
-        """p(z), highest power first, not divided by what cancels."""
+    def balls(self, bits: int = 1400) -> BallLoop:
+        """p(z) for all walls, not divided by what cancels."""
         whole, _ = truth.split_delay(self.delay)
         plant = ExactPlant.of(self.gamma, self.delta, self.delay, bits)
         with flint.ctx.workprec(bits):
@@ -95,11 +95,14 @@ class FilteredLoop:
             (nv, dv), (np_, dp) = (
                 tuple(map(flint.arb_poly, pair)) for pair in (self.velocity, self.position)
             )
-            lag = flint.arb_poly([0] * (whole + 1) + [1])
-            wall = flint.arb(alpha) * np_ * dv + flint.arb(beta) * nv * dp
-            p = lag * denominator * dp * dv + numerator * wall
-            coefficients = [p[k] for k in range(p.degree(), -1, -1)]
-            return [value / coefficients[0] for value in coefficients]
+            base = flint.arb_poly([0] * (whole + 1) + [1]) * denominator * dp * dv
+            leading = base[base.degree()]
+            parts = base, numerator * np_ * dv, numerator * nv * dp
+            return BallLoop(*(part * (1 / leading) for part in parts), bits)
+
+    def polynomial(self, alpha: float, beta: float, bits: int = 1400) -> list[flint.arb]:
+        """p(z), highest power first, not divided by what cancels."""
+        return self.balls(bits).polynomial(alpha, beta)
 
     def code(self, alpha: float, beta: float) -> int:
         """The verdict, by certified roots."""

@@ -137,4 +137,4 @@ def _scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float)
         (leading(reduce(operator.add, terms)), lost + degree * unit * sizes)
         for terms in (scaled, signed)
     ]
-    return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), lost, ends, unit)
+    return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), lost, ends, unit, degree)

@@ -1,30 +1,37 @@
 """Certified verdicts of polynomials without a special form: loops with estimators and filters.
 
-The steps of Schur and Cohn on all coefficients, in O(degree^2) operations. What is proved follows
-from the same lemmas as for the loop of the paper: V2 to V6 of docs/proofs.md, with V8 for what is
-lost in forming p(z).
+The steps of Schur and Cohn on all coefficients, in O(degree^2) operations; where only the first and
+the last ones are not 0, as with windows and long delays, on those alone (lemma V9 of
+docs/proofs.md). What is proved follows from the same lemmas as for the loop of the paper: V2 to V6,
+with V8 for what is lost in forming p(z).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Generic
 
 import numpy as np
 
-from jaxstab.arrays import Array, kept, namespace, pytree, repeat, tree_map
+from jaxstab.arrays import Array, is_any_traced, kept, namespace, pytree, repeat, tree_map
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import DoubleDouble
 from jaxstab.model.linear_loop import Affine, LinearLoop
 from jaxstab.point.verdict.recursion import SAFETY, UNDERFLOW, Number, drifted, leading, size
 
+_PAYS = 2.5  # degree over the length of an end from which on steps on the ends are less work
+
 
 @pytree
 @dataclass(frozen=True)
 class _State(Generic[Number]):
-    """A polynomial and its reverse, coefficients first, with what is known of the steps so far."""
+    """Both ends of a polynomial, coefficients first, with what is known of the steps so far.
+
+    The ends are either as long as the polynomial, each of them all of it, or too short to meet.
+    """
 
     falling: Number  # highest power first; beyond the degree there is noise that is not read
-    rising: Number
+    rising: Number  # lowest power first
     error: Array  # l1 norm of all errors of the coefficients
     inside: Array  # every |K| < 1 so far
     regular: Array  # no |K| = 1 so far
@@ -32,32 +39,61 @@ class _State(Generic[Number]):
     drift: Array  # of each coefficient from exact steps
 
 
-def dense_codes(alpha: Number, beta: Number, loop: LinearLoop, *, unit: float) -> Array:
+def dense_codes(
+    alpha: Number, beta: Number, loop: LinearLoop, *, unit: float, degree: int
+) -> Array:
     """Return the codes of walls, computed in numbers of the given unit roundoff.
 
-    The loop's numbers are float64 where alpha and beta are, or pairs.
+    The loop's numbers are float64 where alpha and beta are, or pairs. Its degree is told, for
+    coefficients may be left out (``without_zeros``).
     """
     ends = [_affine(end, alpha, beta, unit) for end in (loop.at_one, loop.at_minus_one)]
-    return polynomial_codes(*loop_coefficients(alpha, beta, loop, unit), ends, unit)
+    return polynomial_codes(*loop_coefficients(alpha, beta, loop, unit), ends, unit, degree)
+
+
+def without_zeros(loop: LinearLoop) -> LinearLoop:
+    """Leave out the coefficients in the middle of p(z) that are 0 whatever the gains are.
+
+    As many are left at the end as at the beginning, less one. Nothing is left out where that would
+    not pay, nor where a transformation of JAX hides the numbers.
+    """
+    if is_any_traced(loop):
+        return loop
+    last = loop.degree
+    width = (last + 3) // 2
+    while width > 3 and not any(
+        np.any(part[index].hi) for part in loop[:3] for index in (width - 1, last + 2 - width)
+    ):
+        width -= 1
+    if _PAYS * width > last:
+        return loop
+    base, stiffness, damping = (part[:width] + part[last + 2 - width :] for part in loop[:3])
+    return loop._replace(base=base, stiffness=stiffness, damping=damping)
 
 
 def polynomial_codes(
-    coefficients: Number, error: Array, ends: Sequence[tuple[Array, Array]], unit: float
+    coefficients: Number,
+    error: Array,
+    ends: Sequence[tuple[Array, Array]],
+    unit: float,
+    degree: int,
 ) -> Array:
     """Return the codes of monic polynomials.
 
     Args:
-        coefficients: on the first axis, highest power first.
+        coefficients: on the first axis, highest power first; either all of them, or an odd number,
+            the middle one of them the last before a gap of zeros.
         error: bound of the sum of their errors.
         ends: p(1) and (-1)^n p(-1) up to positive factors, each with a bound of its error.
         unit: roundoff of the numbers.
+        degree: of the polynomials, at least 3.
     """
     xp = namespace(coefficients, error, ends)
-    degree = len(leading(coefficients)) - 1
     shape = error.shape
+    given = len(leading(coefficients))
+    width = given if given > degree else (given + 1) // 2
     state = _State(
-        coefficients,
-        tree_map(lambda values: values[::-1], coefficients),
+        *_ends(coefficients, width),
         error,
         inside=xp.ones(shape, bool),
         regular=xp.ones(shape, bool),
@@ -65,8 +101,11 @@ def polynomial_codes(
         drift=error + 4.0 * unit,
     )
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
-    large = xp.sum(size(coefficients), axis=0) - error > 8.0 * 2.0**degree
-    state = repeat(degree - 2, lambda before: _step(before, unit), state)
+    large = _sum(coefficients) - error > 8.0 * 2.0**degree
+    if width < given:
+        apart = partial(_step, unit=unit, is_apart=True)
+        state = _joined(repeat(degree + 1 - width, apart, state), unit)
+    state = repeat(width - 3, partial(_step, unit=unit), state)
     gap = leading(part_of(state.falling, 0) - part_of(state.falling, 2))
     is_clear = (abs(gap) > (SAFETY * (degree - 1)) * state.error) & state.regular
     real_outside, no_real = large, is_clear
@@ -122,14 +161,50 @@ def _affine(parts: Affine, alpha: Number, beta: Number, unit: float) -> tuple[Ar
     return leading(value), SAFETY * (errors + 4.0 * unit * sizes + underflow)
 
 
-def _step(state: _State[Number], unit: float) -> _State[Number]:
-    """Lower the degree by one, and bound what exact steps with the same K could differ by."""
+def _ends(coefficients: Number, width: int) -> tuple[Number, Number]:
+    """Return the first coefficients, and the last ones from the last on, then zeros."""
+    xp = namespace(coefficients)
+
+    def rising(values: Array) -> Array:
+        last = values[::-1][:width]
+        return (
+            last if width == len(values) else xp.concatenate([last[:-1], xp.zeros_like(last[:1])])
+        )
+
+    return tree_map(lambda values: values[:width], coefficients), tree_map(rising, coefficients)
+
+
+def _joined(state: _State[Number], unit: float) -> _State[Number]:
+    """Return the polynomial of a degree so low that its two ends overlap (lemma V9)."""
     xp = namespace(state)
+    rest = tree_map(lambda values: values[-2::-1], state.rising)
+    sums = tree_map(lambda values: values[1:], state.falling) + rest
+    falling = tree_map(
+        lambda first, others: xp.concatenate([first[:1], others]), state.falling, sums
+    )
+    rounded = unit * _sum(state.falling, state.rising)
+    return replace(
+        state,
+        falling=falling,
+        rising=tree_map(lambda values: values[::-1], falling),
+        error=state.error + rounded,
+        drift=2.0 * state.drift + rounded,
+    )
+
+
+def _sum(*numbers: Number) -> Array:
+    """Return the sum of the moduli."""
+    xp = namespace(numbers)
+    return sum(xp.sum(size(number), axis=0) for number in numbers)
+
+
+def _step(state: _State[Number], unit: float, *, is_apart: bool = False) -> _State[Number]:
+    """Lower the degree by one, and bound what exact steps with the same K could differ by."""
     falling, rising = state.falling, state.rising
     first, last = part_of(falling, 0), part_of(rising, 0)
     ratio = tree_map(kept, last / first)
     modulus = size(ratio)
-    total = xp.sum(size(falling), axis=0)
+    total = _sum(falling, rising) if is_apart else _sum(falling)
     outside = state.outside | (size(last) - size(first) > 4.0 * state.drift)
     return _State(
         falling=falling - rising * ratio,
