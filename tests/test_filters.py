@@ -183,11 +183,11 @@ def test_only_walls_next_to_the_boundary_are_undecided(estimator: str) -> None:
 
 def test_hostile_walls_of_random_loops_against_balls() -> None:
     rng = np.random.default_rng(11)
-    for _ in range(25):
+    for _ in range(12):
         loop = random_loop(rng)
         balls = loop.truth.balls()
         alpha, beta = hostile_walls(rng, balls, 40).T
-        filters = {"velocity": loop.velocity, "position": loop.position}
+        filters: dict[str, Any] = {"velocity": loop.velocity, "position": loop.position}
         codes = jaxstab.verdict(alpha, beta, *loop.plant, **filters)
         for wall in zip(alpha.tolist(), beta.tolist(), codes.tolist(), strict=True):
             is_stable = balls.is_stable(*wall[:2])
@@ -198,6 +198,7 @@ def test_hostile_walls_of_random_loops_against_balls() -> None:
 @pytest.mark.parametrize(("samples", "delay"), [(20, 1.0), (12, 2.5), (2, 12.0), (30, 0.0)])
 def test_zeros_left_out_change_no_verdict(samples: int, delay: float) -> None:
     filters = given_filters(Velocity.difference(samples=samples), None)
+    assert filters is not None
     loop = filtered_loop(1e-3, 1e-2, int(delay), delay % 1.0, filters)
     short = without_zeros(loop)
     assert len(short.base) < len(loop.base)

@@ -46,7 +46,7 @@ def filtered_verdict(points: Points, filters: Filters) -> Int8[np.ndarray, "*gri
         for start in range(0, still_open.size, _PAIRS):
             part = still_open[start : start + _PAIRS]
             chosen = gathered((points.alpha, points.beta, loop), points.shape, part)
-            codes.flat[part] = _pair_codes(*chosen, degree)
+            codes.flat[part] = _pair_codes(*chosen, degree=degree)
     return codes
 
 
@@ -66,7 +66,7 @@ def _float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: int) ->
 
 
 def _pair_codes(
-    alpha: Array, beta: Array, loop: LinearLoop, degree: int
+    alpha: Array, beta: Array, loop: LinearLoop, *, degree: int
 ) -> Int8[np.ndarray, " point"]:
     gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
     with np.errstate(all="ignore"):
