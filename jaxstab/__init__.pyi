@@ -37,7 +37,10 @@ from .loop import HapticLoop as HapticLoop
 from .loop import OptimalWall as OptimalWall
 from .loop import WallLimits as WallLimits
 from .loop import WallRegion as WallRegion
+from .model import Device as Device
 from .model import Filter as Filter
+from .model import Hand as Hand
+from .model import Mode as Mode
 from .model import PlantCoefficients as PlantCoefficients
 from .model import Velocity as Velocity
 from .model import characteristic_polynomial as characteristic_polynomial

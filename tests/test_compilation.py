@@ -30,7 +30,7 @@ import json, sys
 
 class NoJax:
     def find_spec(self, name, *_):
-        if name.partition(".")[0] in ("jax", "jaxlib"):
+        if name.partition(".")[0] in ("jax", "jaxlib", "flint"):  # flint is for general devices
             raise ImportError("JAX was asked for")
 
 sys.meta_path.insert(0, NoJax())

@@ -1,6 +1,7 @@
 """What is true of a loop, by routes that share no code with jaxstab; tests and benchmarks ask it.
 
 - ``loop``: 50 digits of the plant, the polynomial, its roots and its boundary, for any loop;
+- ``filtered``: loops with estimators and filters, ``devices``: with any linear device and hand;
 - ``balls``: plants and verdicts in balls of python-flint, for many points of one plant;
 - ``filtered``: loops with an estimator and a filter, from difference equations;
 - ``random_loops``: such loops at random, and walls next to their boundary;

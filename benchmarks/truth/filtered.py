@@ -110,13 +110,17 @@ class FilteredLoop:
 
     def radius(self, alpha: float, beta: float) -> flint.arb:
         """The spectral radius in a ball."""
-        coefficients = _without_zeros(self.polynomial(alpha, beta))
-        with flint.ctx.workprec(600):
-            roots = truth.isolated_roots(coefficients, flint.arb(2) ** -200)
-            if roots is None:
-                raise truth.NotCertain(f"roots not told apart at {(alpha, beta)} of {self}")
-            moduli = [abs(root) for root in roots]
-            return max(moduli, key=lambda modulus: float(modulus.mid()))
+        return largest_modulus(_without_zeros(self.polynomial(alpha, beta)))
+
+
+def largest_modulus(coefficients: list[flint.arb]) -> flint.arb:
+    """The largest modulus of a root in a ball."""
+    with flint.ctx.workprec(600):
+        roots = truth.isolated_roots(coefficients, flint.arb(2) ** -200)
+        if roots is None:
+            raise truth.NotCertain(f"roots of {coefficients} are not told apart")
+        moduli = [abs(root) for root in roots]
+        return max(moduli, key=lambda modulus: float(modulus.mid()))
 
 
 def _without_zeros(coefficients: list[flint.arb]) -> list[flint.arb]:

@@ -1,3 +1,6 @@
+from .device import Device as Device
+from .device import Hand as Hand
+from .device import Mode as Mode
 from .double_double import DoubleDouble as DoubleDouble
 from .filters import Filter as Filter
 from .filters import Velocity as Velocity

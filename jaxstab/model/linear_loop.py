@@ -53,6 +53,8 @@ class SampledPlant(NamedTuple):
     errors: bounds of the errors of the coefficients of N and D, summed.
     at_one: N(1) and D(1) up to a common positive factor.
     at_minus_one: N(-1) and D(-1).
+    shifted: N(z), D(z), N(-z) and D(-z) by their coefficients in powers of z - 1, where they are
+        known to more digits than sums of the coefficients are.
     """
 
     numerator: Polynomial
@@ -61,6 +63,7 @@ class SampledPlant(NamedTuple):
     errors: tuple[Array, Array]
     at_one: tuple[Bounded, Bounded]
     at_minus_one: tuple[Bounded, Bounded]
+    shifted: tuple[Polynomial, Polynomial, Polynomial, Polynomial] | None = None
 
 
 class LinearLoop(NamedTuple):

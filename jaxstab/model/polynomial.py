@@ -9,7 +9,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_any_traced, namespac
 from jaxstab.batches import compiled
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
-from jaxstab.model.linear_loop import filtered_loop
+from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import (
     checked_delay,
     checked_delta,
@@ -182,7 +182,13 @@ def _filtered_polynomial(
     whole_delay: int,
 ) -> Array:
     gamma, delta = hand
-    loop = filtered_loop(gamma, delta, whole_delay, fraction, filters)
+    return loop_polynomial(alpha, beta, filtered_loop(gamma, delta, whole_delay, fraction, filters))
+
+
+def loop_polynomial(
+    alpha: Array, beta: Array, loop: LinearLoop
+) -> Float64[Array, "*grid coefficient"]:
+    """Return p(z) of walls of one loop, summed in pairs and rounded once; for numbers unchecked."""
     columns = [
         (base + (stiff * alpha + damp * beta)).rounded()
         for base, stiff, damp in zip(loop.base, loop.stiffness, loop.damping, strict=True)

@@ -36,6 +36,13 @@ class Transfer(NamedTuple):
             (self.sizes[0] * other.sizes[0], self.sizes[1] * other.sizes[1]),
         )
 
+    def scaled(self, factor: DoubleDouble) -> "Transfer":
+        """Return a multiple."""
+        numerator = tuple(coefficient * factor for coefficient in self.numerator)
+        return self._replace(
+            numerator=numerator, sizes=(self.sizes[0] * abs(factor.hi), self.sizes[1])
+        )
+
     def at(self, z: float) -> tuple[DoubleDouble, DoubleDouble]:
         """Return numerator and denominator at z."""
         above, below = (reduce(lambda value, c: value * z + c, one) for one in self[:2])

@@ -7,6 +7,8 @@ from jaxstab.arrays import Array, Numbers, namespace
 from jaxstab.batches import compiled
 from jaxstab.model import companion_matrix
 from jaxstab.model.filters import Filter, Velocity
+from jaxstab.model.linear_loop import LinearLoop
+from jaxstab.model.polynomial import loop_polynomial
 from jaxstab.point.grid import MANY, over_grid
 
 _HUGE = 2.0**400
@@ -51,6 +53,20 @@ def closed_loop_poles(
     """
     point = alpha, beta, gamma, delta, delay
     return over_grid(companion_poles, *point, velocity=velocity, position=position)
+
+
+def linear_poles(alpha: Array, beta: Array, loop: LinearLoop) -> Complex128[Array, "*grid degree"]:
+    """Return the poles of walls of one loop, with any device, estimator and filter.
+
+    Args:
+        alpha: float64, any shape; it broadcasts with beta and with the loop.
+        beta: likewise.
+        loop: what base + alpha stiffness + beta damping is; walls and loops may be traced.
+
+    Returns:
+        Array of shape (*grid, degree), the largest modulus first.
+    """
+    return companion_poles(loop_polynomial(alpha, beta, loop))
 
 
 @compiled(many=MANY)

@@ -1,4 +1,4 @@
-"""Spectral radii of loops with estimators and filters, and a bound of the error of each.
+"""Spectral radii of any linear loops, and a bound of the error of each.
 
 The dominant eigenvalue of the companion matrix is corrected by Newton's method with a residual in
 double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V8 of docs/proofs.md).
@@ -6,18 +6,20 @@ double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V8 of
 
 import operator
 from functools import reduce
+from math import prod
 from typing import Any
 
 import numpy as np
 
-from jaxstab.arrays import Array, namespace, repeat_while, tree_map
+from jaxstab.arrays import Array, leaves, namespace, repeat_while, tree_map
 from jaxstab.batches import compiled
 from jaxstab.conventions import STABLE, UNSTABLE
 from jaxstab.model import DoubleDouble
 from jaxstab.model.filters import Filters
+from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.verdict.dense import loop_coefficients, part_of, polynomial_codes
-from jaxstab.point.verdict.filtered import filtered_loops
+from jaxstab.point.verdict.linear import filtered_loops
 from jaxstab.point.verdict.points import Points, gathered
 from jaxstab.point.verdict.recursion import (
     FLOAT_UNIT,
@@ -36,20 +38,44 @@ _LIST = 1 << 11  # points at once
 Values = np.ndarray[Any, np.dtype[Any]]
 
 
+def linear_radius(alpha: Values, beta: Values, loop: LinearLoop) -> tuple[Values, Values]:
+    """Return the spectral radii of walls of one loop and bounds of their errors.
+
+    Args:
+        alpha: float64, any shape; it broadcasts with beta and with the loop.
+        beta: likewise.
+        loop: what base + alpha stiffness + beta damping is.
+
+    Returns:
+        Radii and bounds, which are infinite where none holds.
+    """
+    shape = np.broadcast_shapes(*(np.shape(leaf) for leaf in leaves((alpha, beta, loop))))
+    every = np.arange(prod(shape))
+    return _listed_radii((alpha, beta, loop), shape, every)
+
+
 def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
     """Return the spectral radii of points and bounds of their errors, infinite where none holds."""
     value, error = np.zeros(points.shape), np.full(points.shape, np.inf)
     for form, indices in points.groups(np.full(points.shape, True)):
-        loop = filtered_loops(points, form, filters)
-        for start in range(0, indices.size, _LIST):
-            part = indices[start : start + _LIST]
-            alpha, beta, loops = gathered((points.alpha, points.beta, loop), points.shape, part)
-            gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
-            with np.errstate(all="ignore"):
-                coefficients, lost = loop_coefficients(*gains, loops, PAIR_UNIT)
-                value.flat[part] = _dominant_modulus(coefficients)
-                bound = dense_radius_error(coefficients, lost, value.flat[part], unit=PAIR_UNIT)
-            error.flat[part] = bound
+        walls = points.alpha, points.beta, filtered_loops(points, form, filters)
+        value.flat[indices], error.flat[indices] = _listed_radii(walls, points.shape, indices)
+    return value, error
+
+
+def _listed_radii(
+    walls: tuple[Values, Values, LinearLoop], shape: tuple[int, ...], indices: Values
+) -> tuple[Values, Values]:
+    """Return radii and bounds at flat indices of a grid."""
+    value, error = np.zeros(indices.size), np.full(indices.size, np.inf)
+    for start in range(0, indices.size, _LIST):
+        part = slice(start, start + _LIST)
+        alpha, beta, loops = gathered(walls, shape, indices[part])
+        gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
+        with np.errstate(all="ignore"):
+            coefficients, lost = loop_coefficients(*gains, loops, PAIR_UNIT)
+            value[part] = _dominant_modulus(coefficients)
+            error[part] = dense_radius_error(coefficients, lost, value[part], unit=PAIR_UNIT)
     return value, error
 
 

@@ -1,5 +1,7 @@
 """The spectral radius of the closed loop, each with a proved bound of its error."""
 
+from collections.abc import Callable
+from functools import partial
 from math import prod
 from typing import Any, NamedTuple
 
@@ -19,11 +21,13 @@ from jaxstab.model import (
     require_x64,
 )
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.linear_loop import LinearLoop
+from jaxstab.model.polynomial import loop_polynomial
 from jaxstab.numbers import checked_word
 from jaxstab.point.grid import looked_up, over_grid
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius.bound import radius_error
-from jaxstab.point.radius.dense import filtered_radius, traced_radius_error
+from jaxstab.point.radius.dense import filtered_radius, linear_radius, traced_radius_error
 from jaxstab.point.radius.dominance import distance_of_dominant, modulus
 from jaxstab.point.radius.dominant_root import Complex, Loop, newton
 from jaxstab.point.radius.fast_radius import LONGEST_DELAY, TOLERANCE, fast_radius
@@ -116,6 +120,23 @@ def spectral_radius(
     return tree_map(xp.asarray, _believed(value, error, points[2], points[3]))
 
 
+def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
+    """Return the spectral radii of walls of one loop, with any device, estimator and filter.
+
+    Args:
+        alpha: float64, any shape; it broadcasts with beta and with the loop.
+        beta: likewise.
+        loop: what base + alpha stiffness + beta damping is; walls and loops may be traced.
+    """
+    if is_any_traced(alpha, beta, loop):
+        both = _traced_radius_of(loop_polynomial(alpha, beta, loop), traced_radius_error)
+    else:
+        xp = namespace(alpha, beta, loop)
+        walls = tree_map(np.asarray, (alpha, beta, loop))
+        both = tree_map(xp.asarray, linear_radius(*walls))
+    return _with_status(*both)
+
+
 def _concrete_radius(points: list[Values], *, is_fast: bool) -> tuple[Values, Values]:
     *parameters, delay = points
     shape = np.broadcast_shapes(*(values.shape for values in points))
@@ -180,14 +201,18 @@ def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadi
     velocity, position = filters or (None, None)
     bound = traced_radius_error if filters else radius_error
 
-    def radius(coefficients: Array) -> tuple[Array, Array]:
-        from jaxstab.point.radius.derivative import largest_modulus
-
-        value = largest_modulus(coefficients)
-        return value, bound(*constant((coefficients, value)))
-
+    radius = partial(_traced_radius_of, bound=bound)
     both = over_grid(radius, *arguments, velocity=velocity, position=position)
     return _believed(*both, *arguments[2:4])
+
+
+def _traced_radius_of(
+    coefficients: Array, bound: Callable[[Array, Array], Array]
+) -> tuple[Array, Array]:
+    from jaxstab.point.radius.derivative import largest_modulus
+
+    value = largest_modulus(coefficients)
+    return value, bound(*constant((coefficients, value)))
 
 
 @compiled()
@@ -197,5 +222,10 @@ def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> Spectra
     is_damped, is_lost = delta > _DAMPED, is_plant_lost(gamma, delta)
     if xp is not np or np.any(is_damped) or np.any(is_lost):
         error = xp.where(is_lost | (is_damped & (value < _SMALL_RADIUS)), xp.inf, error)
+    return _with_status(value, error)
+
+
+def _with_status(value: Array, error: Array) -> SpectralRadius:
+    xp = namespace(value, error)
     known, unknown = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
     return SpectralRadius(value, error, xp.where(xp.isfinite(error), known, unknown))

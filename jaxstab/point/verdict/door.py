@@ -24,7 +24,7 @@ from jaxstab.model import (
 )
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.point.grid import looked_up
-from jaxstab.point.verdict.filtered import filtered_verdict, traced_filtered_verdict
+from jaxstab.point.verdict.linear import filtered_verdict, traced_filtered_verdict
 from jaxstab.point.verdict.loop import (
     HIGHEST_UNROLLED,
     float_plant,

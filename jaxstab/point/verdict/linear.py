@@ -1,4 +1,4 @@
-"""Certified verdicts of loops with a velocity estimator and a position filter."""
+"""Certified verdicts of any linear loop: of any device, velocity estimator and position filter."""
 
 from functools import partial
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int8
 
-from jaxstab.arrays import Array, namespace, tree_map
+from jaxstab.arrays import Array, is_any_traced, namespace, tree_map
 from jaxstab.batches import compiled, over_tiles
 from jaxstab.conventions import UNDECIDED
 from jaxstab.model import DoubleDouble
@@ -21,6 +21,29 @@ _TILE = 512  # points whose polynomials stay in the cache
 _PAIRS = 1 << 11  # points at once in double-double
 
 
+def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "*grid"]:
+    """Return the codes of walls of one loop: float64 before pairs.
+
+    Args:
+        alpha: float64, any shape; it broadcasts with beta and with the loop.
+        beta: likewise.
+        loop: what base + alpha stiffness + beta damping is. Traced walls and loops are answered in
+            float64 alone.
+    """
+    degree = loop.degree
+    if is_any_traced(alpha, beta, loop):
+        return _float_codes(alpha, beta, rounded_loop(loop), degree=degree)
+    xp = namespace(alpha, beta, loop)
+    alpha, beta, loop = tree_map(np.asarray, (alpha, beta, without_zeros(loop)))
+    codes = np.array(_float_codes(alpha, beta, rounded_loop(loop), degree=degree))
+    still_open = np.flatnonzero(codes == UNDECIDED)
+    for start in range(0, still_open.size, _PAIRS):
+        part = still_open[start : start + _PAIRS]
+        chosen = gathered((alpha, beta, loop), codes.shape, part)
+        codes.flat[part] = _pair_codes(*chosen, degree=degree)
+    return xp.asarray(codes)
+
+
 def traced_filtered_verdict(
     point: tuple[Array, Array, Array, Array], delay: float, filters: Filters
 ) -> Int8[Array, "*grid"]:
@@ -31,22 +54,14 @@ def traced_filtered_verdict(
 
 
 def filtered_verdict(points: Points, filters: Filters) -> Int8[np.ndarray, "*grid"]:
-    """Return the codes of points, each delay at the degree of its own, float64 before pairs."""
+    """Return the codes of points of one mass, each delay at the degree of its own."""
     codes = np.zeros(points.shape, np.int8)
     for form, indices in points.groups(np.full(points.shape, True)):
-        loop = filtered_loops(points, form, filters)
-        degree, loop = loop.degree, without_zeros(loop)
-        rounded = (points.alpha, points.beta, rounded_loop(loop))
+        walls = points.alpha, points.beta, filtered_loops(points, form, filters)
         if indices.size == codes.size:  # a grid of one delay is not taken apart
-            codes[...] = _float_codes(*rounded, degree=degree)
+            codes[...] = linear_verdict(*walls)
         else:
-            chosen = gathered(rounded, points.shape, indices)
-            codes.flat[indices] = _float_codes(*chosen, degree=degree)
-        still_open = indices[codes.flat[indices] == UNDECIDED]
-        for start in range(0, still_open.size, _PAIRS):
-            part = still_open[start : start + _PAIRS]
-            chosen = gathered((points.alpha, points.beta, loop), points.shape, part)
-            codes.flat[part] = _pair_codes(*chosen, degree=degree)
+            codes.flat[indices] = linear_verdict(*gathered(walls, points.shape, indices))
     return codes
 
 

@@ -1,0 +1,256 @@
+"""General linear devices: what a wall's force moves, and what of it the encoder shows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Complex128
+
+from jaxstab.model.device.control import coefficients_of, matrices_of
+from jaxstab.model.device.hand import Hand
+from jaxstab.model.device.parts import (
+    Coefficients,
+    MassSpringDamper,
+    Mode,
+    Modes,
+    StateSpace,
+    TransferFunction,
+    checked_compliance,
+    checked_state_space,
+    checked_transfer_function,
+)
+from jaxstab.model.device.rational import Rational, balls_of, polynomial, turn
+from jaxstab.numbers import checked_number
+
+_POLE_BITS, _POLE_DIGITS = 1024, 200  # of the computation, and behind the point of a pole
+
+
+@dataclass(frozen=True)
+class Device:
+    """A haptic device as a linear system in SI units: the force in N moves the position in m.
+
+    Make one with ``mass_spring_damper``, ``modes``, ``transfer_function``, ``state_space`` or
+    ``from_control``; ``held_by`` puts a hand to it, ``with_actuator`` a motor that takes time:
+
+        wall's force --> [actuator] --> (+) --> [device] --+--> position, to the encoder
+                                         ^                 |
+                                         +--- -Z(s) <------+   hands
+
+    Motor, encoder and hands meet the device at one point, the handle; give a state space of the
+    whole where they do not. A device may be unstable or marginal without a wall (``stability``).
+    The numbers are taken for exact: what is computed of the device has bounds of its errors.
+
+    Example:
+        >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
+        >>> device = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
+        >>> print(device.with_actuator(200.0).held_by(arm.with_grip(2000.0, 4.0)))
+        0.25 kg, 0.1 N s/m; an actuator of 200 Hz; a hand of 1 kg, 5 N s/m, 300 N/m behind a grip
+        of 4 N s/m, 2000 N/m
+    """
+
+    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace
+    hands: tuple[Hand, ...] = ()
+    bandwidths: tuple[float, ...] = ()
+
+    @classmethod
+    def mass_spring_damper(
+        cls, mass: float, damping: float = 0.0, stiffness: float = 0.0
+    ) -> "Device":
+        """Return a device of one mass.
+
+        Args:
+            mass: at the handle in kg, > 0.
+            damping: to the ground in N s/m, >= 0.
+            stiffness: to the ground in N/m, >= 0.
+
+        Raises:
+            TypeError: a value is no real number.
+            ValueError: a value is out of range.
+        """
+        return cls(
+            MassSpringDamper(
+                checked_number("mass", mass, 0.0, is_open=True, unit="kg"),
+                checked_number("damping", damping, 0.0, unit="N s/m"),
+                checked_number("stiffness", stiffness, 0.0, unit="N/m"),
+            )
+        )
+
+    @classmethod
+    def modes(
+        cls, modes: Sequence[Mode], *, mass: float | None = None, damping: float = 0.0
+    ) -> "Device":
+        """Return a device of a rigid body and of vibration modes, whose displacements add up.
+
+        Args:
+            modes: the vibration modes.
+            mass: of the rigid body in kg, > 0; None for a structure that is fixed to the ground.
+            damping: of the rigid body in N s/m, >= 0.
+
+        Raises:
+            TypeError: a mode is no Mode, or a value no real number.
+            ValueError: a value is out of range, or there is neither a mode nor a mass.
+
+        Example:
+            >>> mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+            >>> print(jaxstab.Device.modes([mode], mass=0.25, damping=0.1))
+            0.25 kg, 0.1 N s/m with modes at 80 Hz
+        """
+        for mode in modes:
+            if not isinstance(mode, Mode):
+                raise TypeError(f"modes has {mode!r}; give jaxstab.Mode(...) for each mode.")
+        if mass is None and not modes:
+            raise ValueError("modes is empty and mass is None; give at least one of them.")
+        if mass is not None:
+            mass = checked_number("mass", mass, 0.0, is_open=True, unit="kg")
+        damping = checked_number("damping", damping, 0.0, unit="N s/m")
+        if mass is None and damping:
+            raise ValueError(f"damping is {damping:g} N s/m, of no mass; give mass, too.")
+        return cls(Modes(mass, damping, tuple(modes)))._checked()
+
+    @classmethod
+    def transfer_function(cls, numerator: Coefficients, denominator: Coefficients) -> "Device":
+        """Return a device by its transfer function in s, position over force, in m/N.
+
+        Args:
+            numerator: coefficients in s, highest power first.
+            denominator: the same, of a higher degree, up to 40; [m, b, k] below [1] is a
+                mass-spring-damper.
+
+        Raises:
+            TypeError: the coefficients are no numbers.
+            ValueError: a polynomial is 0, or the degrees do not fit.
+        """
+        what = "position over force is strictly proper, a force moves a device, in time"
+        return cls(checked_transfer_function(numerator, denominator, -1, what))._checked()
+
+    @classmethod
+    def state_space(cls, A: Any, B: Any, C: Any) -> "Device":
+        """Return a device by x' = A x + B u with the force u in N and the position C x in m.
+
+        States that the force does not move or that the position does not show are left out, found
+        exactly in the numbers as they are given; one that grows by itself is refused.
+
+        Args:
+            A: of shape (n, n), n from 1 to 40.
+            B: of shape (n, 1) or (n,).
+            C: of shape (1, n) or (n,).
+
+        Raises:
+            TypeError: a matrix is not made of real numbers.
+            ValueError: the shapes do not fit, the position never moves, or something hidden grows.
+        """
+        return cls(checked_state_space(A, B, C))._checked()
+
+    @classmethod
+    def from_control(cls, system: Any) -> "Device":
+        """Return a device from a continuous-time system of python-control or ``scipy.signal``.
+
+        Args:
+            system: a TransferFunction, StateSpace or (scipy's) ZerosPolesGain of one force in N and
+                one position in m, in s.
+
+        Raises:
+            TypeError: the system is of another kind.
+            ValueError: it is sampled (in z), not strictly proper, or has more inputs or outputs.
+        """
+        matrices = matrices_of(system)
+        return (
+            cls.state_space(*matrices)
+            if matrices
+            else cls.transfer_function(*coefficients_of(system))
+        )
+
+    def held_by(self, hand: Hand) -> "Device":
+        """Return the device with a hand at its handle: G / (1 + G Z), G without the actuators.
+
+        Hands that hold a device together add up their forces.
+
+        Raises:
+            TypeError: the hand is no Hand.
+            ValueError: the hand and the device cancel out, or are of an order above 40.
+        """
+        if not isinstance(hand, Hand):
+            raise TypeError(f"hand is {hand!r}; give a jaxstab.Hand.")
+        return replace(self, hands=(*self.hands, hand))._checked()
+
+    def with_actuator(self, bandwidth: float) -> "Device":
+        """Return the device behind an actuator: w / (s + w), w = 2 pi bandwidth, of the force.
+
+        It delays the wall's force, not that of a hand; several of them follow one another.
+
+        Args:
+            bandwidth: at which the force is 3 dB too weak, in Hz, > 0.
+
+        Raises:
+            TypeError: the bandwidth is no real number.
+            ValueError: it is out of range.
+        """
+        bandwidth = checked_number("bandwidth", bandwidth, 0.0, is_open=True, unit="Hz")
+        return replace(self, bandwidths=(*self.bandwidths, bandwidth))._checked()
+
+    def compliance(self) -> Rational:
+        """Return position over the wall's force in exact numbers, without a common factor."""
+        return _compliance(self)
+
+    def handle_compliance(self) -> Rational:
+        """Return position over a force at the handle, where no actuator is, in exact numbers."""
+        return _compliance(replace(self, bandwidths=()))
+
+    def poles(self) -> Complex128[np.ndarray, " pole"]:
+        """Return the poles without a wall in rad/s, each as often as it counts, rightmost first.
+
+        Each is the nearest complex float64, or next to it.
+        """
+        balls = [ball for ball, count in _pole_balls(self) for _ in range(count)]
+        numbers = np.array([complex(float(ball.real), _imaginary(ball)) for ball in balls])
+        return numbers[np.argsort(-numbers.real, kind="stable")]
+
+    @property
+    def stability(self) -> str:
+        """What the device does without a wall: "stable", "marginal" or "unstable".
+
+        A free mass is marginal. Poles within 1e-60 rad/s of the imaginary axis count as on it.
+        """
+        parts = [ball.real for ball, _ in _pole_balls(self)]
+        if any(part > 0 for part in parts):
+            return "unstable"
+        return "stable" if all(part < 0 for part in parts) else "marginal"
+
+    def _checked(self) -> "Device":
+        self.compliance()
+        return self
+
+    def __str__(self) -> str:
+        actuators = [f"an actuator of {bandwidth:g} Hz" for bandwidth in self.bandwidths]
+        return "; ".join([str(self.mechanism), *actuators, *map(str, self.hands)])
+
+
+@lru_cache(maxsize=256)
+def _compliance(device: Device) -> Rational:
+    function = checked_compliance(device.mechanism.compliance(), f"the device ({device.mechanism})")
+    for hand in device.hands:
+        function = function.held_by(hand.dynamic_stiffness())
+    for bandwidth in device.bandwidths:
+        w = turn(bandwidth)
+        function = function.times(Rational(w, polynomial([1.0, 0.0]) + w))
+    return checked_compliance(function, f"the device ({device})")
+
+
+def _imaginary(ball: Any) -> float:
+    return 0.0 if ball.imag.contains(0) else float(ball.imag)
+
+
+@lru_cache(maxsize=256)
+def _pole_balls(device: Device) -> list[tuple[Any, int]]:
+    """Return the poles in balls, each with its multiplicity."""
+    import flint
+
+    _, factors = device.compliance().denominator.factor_squarefree()
+    with flint.ctx.workprec(_POLE_BITS):
+        return [
+            (root, count)
+            for factor, count in factors
+            for root in flint.acb_poly(balls_of(factor)).roots(tol=flint.arb(2) ** -_POLE_DIGITS)
+        ]

@@ -1,0 +1,259 @@
+"""The linear systems that devices and hands are described by, each as an exact function of s."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxstab.model.device.rational import (
+    Rational,
+    degree_of,
+    exact,
+    polynomial,
+    rational,
+    turn,
+)
+from jaxstab.numbers import checked, checked_number
+
+if TYPE_CHECKING:
+    from flint import fmpq_mpoly
+
+HIGHEST_ORDER = 40
+Coefficients = Sequence[float] | Sequence[int] | np.ndarray[Any, np.dtype[Any]]
+
+_IN_S = "in s, highest power first"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """A vibration mode as a modal analysis gives it.
+
+    Its share of the displacement is 1 / (m s^2 + 2 zeta m w s + m w^2) times the force.
+
+    Args:
+        frequency: w / (2 pi) in Hz, > 0.
+        damping_ratio: zeta, >= 0; 0.01 is 1 % of critical damping.
+        modal_mass: m in kg; negative where the mode moves motor and encoder against each other.
+
+    Raises:
+        TypeError: a value is no real number.
+        ValueError: a value is out of range.
+
+    Example:
+        >>> jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+        Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+    """
+
+    frequency: float
+    damping_ratio: float
+    modal_mass: float
+
+    def __post_init__(self) -> None:
+        checked_number("frequency", self.frequency, 0.0, is_open=True, unit="Hz")
+        checked_number("damping_ratio", self.damping_ratio, 0.0)
+        if checked_number("modal_mass", self.modal_mass) == 0.0:
+            raise ValueError("modal_mass is 0.0; give the mass in kg that the mode moves.")
+
+    def compliance(self) -> Rational:
+        """Return displacement over force."""
+        mass, damping = exact(float(self.modal_mass)), 2 * exact(float(self.damping_ratio))
+        s, w = polynomial([1.0, 0.0]), turn(float(self.frequency))
+        return Rational(polynomial([1.0]), mass * (s * s + damping * w * s + w * w))
+
+
+@dataclass(frozen=True)
+class MassSpringDamper:
+    """A mass on a spring and a damper."""
+
+    mass: float
+    damping: float
+    stiffness: float
+
+    def __str__(self) -> str:
+        parts = [f"{self.mass:g} kg", f"{self.damping:g} N s/m", f"{self.stiffness:g} N/m"]
+        return ", ".join(part for part in parts if not part.startswith("0 ")) or "nothing"
+
+    def dynamic_stiffness(self) -> Rational:
+        """Return force over displacement."""
+        return rational([self.mass, self.damping, self.stiffness], [1.0])
+
+    def compliance(self) -> Rational:
+        """Return displacement over force."""
+        return rational([1.0], [self.mass, self.damping, self.stiffness])
+
+
+@dataclass(frozen=True)
+class Modes:
+    """The sum of a rigid body, where there is one, and of vibration modes."""
+
+    mass: float | None
+    damping: float
+    modes: tuple[Mode, ...]
+
+    def __str__(self) -> str:
+        body = [] if self.mass is None else [str(MassSpringDamper(self.mass, self.damping, 0.0))]
+        return " with ".join(
+            [*body, f"modes at {', '.join(f'{m.frequency:g}' for m in self.modes)} Hz"]
+        )
+
+    def compliance(self) -> Rational:
+        """Return displacement over force."""
+        shares = [mode.compliance() for mode in self.modes]
+        if self.mass is not None:
+            shares.append(MassSpringDamper(self.mass, self.damping, 0.0).compliance())
+        total = shares[0]
+        for share in shares[1:]:
+            total = total.plus(share)
+        return total
+
+
+@dataclass(frozen=True)
+class TransferFunction:
+    """A quotient of polynomials in s, highest power first."""
+
+    numerator: tuple[float, ...]
+    denominator: tuple[float, ...]
+
+    def __str__(self) -> str:
+        return f"a transfer function in s of order {len(self.denominator) - 1}"
+
+    def dynamic_stiffness(self) -> Rational:
+        """Return the function itself, of a hand."""
+        return rational(self.numerator, self.denominator)
+
+    def compliance(self) -> Rational:
+        """Return the function itself, of a device."""
+        return rational(self.numerator, self.denominator)
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """The position C x of x' = A x + B u, u the force."""
+
+    a: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+    c: tuple[float, ...]
+
+    def __str__(self) -> str:
+        return f"a state space of order {len(self.b)}"
+
+    def compliance(self) -> Rational:
+        """Return C (s - A)^-1 B: det(s - A + B C) over det(s - A), less 1."""
+        from flint import fmpq_mat
+
+        a = [[exact(value) for value in row] for row in self.a]
+        b, c = ([exact(value) for value in one] for one in (self.b, self.c))
+        closed = [
+            [x - y * z for x, z in zip(row, c, strict=True)] for row, y in zip(a, b, strict=True)
+        ]
+        without, within = (_characteristic(fmpq_mat(matrix)) for matrix in (a, closed))
+        return Rational(within - without, without)
+
+
+def _characteristic(matrix: Any) -> "fmpq_mpoly":
+    return polynomial(matrix.charpoly().coeffs()[::-1])
+
+
+# --------------------------------------------------------------------------------------- checks
+
+
+def checked_transfer_function(
+    numerator: Coefficients, denominator: Coefficients, excess: int, what: str
+) -> TransferFunction:
+    """Return a transfer function whose numerator's degree exceeds the other by ``excess`` at most.
+
+    Raises:
+        TypeError: the coefficients are no numbers.
+        ValueError: one of the polynomials is 0, or the degrees do not fit.
+    """
+    above, below = _coefficients("numerator", numerator), _coefficients("denominator", denominator)
+    if len(above) - len(below) > excess:
+        raise ValueError(
+            f"numerator has degree {len(above) - 1} in s and denominator {len(below) - 1}; {what}: "
+            f"give coefficients {_IN_S}, not in z."
+        )
+    if len(below) - 1 > HIGHEST_ORDER:
+        raise ValueError(
+            f"denominator has degree {len(below) - 1} in s; give {HIGHEST_ORDER} at most."
+        )
+    return TransferFunction(above, below)
+
+
+def _coefficients(name: str, values: Coefficients) -> tuple[float, ...]:
+    numbers = [checked_number(name, value) for value in _row(name, values)]
+    while numbers and numbers[0] == 0.0:
+        numbers.pop(0)
+    if not numbers:
+        raise ValueError(
+            f"{name} is {[float(v) for v in values]}; give coefficients {_IN_S}, not all of them 0."
+        )
+    return tuple(numbers)
+
+
+def _row(name: str, values: Coefficients) -> list[Any]:
+    try:
+        return list(np.atleast_1d(values))
+    except ValueError as error:
+        raise TypeError(f"{name} is {values!r}; give coefficients {_IN_S}.") from error
+
+
+def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
+    """Return a state space of one force and one position.
+
+    Raises:
+        TypeError: a matrix is not made of real numbers.
+        ValueError: the shapes do not fit, or there are too many states.
+    """
+    matrices = [np.asarray(checked(name, one)) for name, one in zip("ABC", (a, b, c), strict=True)]
+    order = matrices[0].shape[0] if matrices[0].ndim == 2 else 0
+    shapes = ((order, order),), ((order,), (order, 1)), ((order,), (1, order))
+    for name, matrix, allowed in zip("ABC", matrices, shapes, strict=True):
+        if not order or matrix.shape not in allowed:
+            raise ValueError(
+                f"{name} has shape {matrix.shape}; a state space in s of one force and one "
+                "position has A of (n, n), B of (n, 1) and C of (1, n)."
+            )
+    if order > HIGHEST_ORDER:
+        raise ValueError(f"A has {order} states; give {HIGHEST_ORDER} at most.")
+    rows = [[float(value) for value in matrix.reshape(order, -1).ravel()] for matrix in matrices]
+    first = tuple(tuple(rows[0][k : k + order]) for k in range(0, order * order, order))
+    return StateSpace(first, tuple(rows[1]), tuple(rows[2]))
+
+
+def checked_compliance(function: Rational, what: str) -> Rational:
+    """Return a strictly proper function of s without its common factor.
+
+    Raises:
+        ValueError: it is 0, not strictly proper, of too high an order, or hides what grows.
+    """
+    if degree_of(function.denominator) < 0 or degree_of(function.numerator) < 0:
+        raise ValueError(
+            f"{what} has the transfer function 0 or no finite one in s; give what a force moves."
+        )
+    reduced, common = function.reduced()
+    above, below = reduced.degrees
+    if above >= below:
+        raise ValueError(
+            f"{what} has degree {above} over {below} in s; position over force is strictly proper: "
+            "a force moves a device, in time."
+        )
+    if below > HIGHEST_ORDER:
+        raise ValueError(f"{what} is of order {below} in s; give {HIGHEST_ORDER} at most.")
+    if _grows(common):
+        raise ValueError(
+            f"{what} has a part that grows by itself and that the position does not show, a common "
+            "factor of its transfer function in s: leave it out, or show it."
+        )
+    return reduced
+
+
+def _grows(common: "fmpq_mpoly") -> bool:
+    """Return whether a factor has a root in the right half plane; one with pi never has."""
+    from flint import fmpq_poly
+
+    if any(power_of_pi for _, power_of_pi in common.monoms()):
+        return False  # the denominator of a mode
+    rising = [common[power, 0] for power in range(degree_of(common) + 1)]
+    roots: list[Any] = fmpq_poly(rising).complex_roots()  # each with how often it counts
+    return any(root.real > 0 for root, _ in roots)

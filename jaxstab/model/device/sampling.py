@@ -1,0 +1,293 @@
+"""A device behind a zero-order hold and a delay: N(z) and D(z) in pairs, with proved bounds.
+
+In time units of the sampling period T position over force is n(s)/d(s), d monic. With its companion
+form (A, B, C), exp of [[A, B], [0, 0]] over 1 - f and over f, in balls of python-flint, is how the
+state moves and what a held force adds to it, and so
+
+    G(z) = z^-w N(z) / D(z),     D(z) = det(z - exp(A))
+
+(lemma V10 of docs/proofs.md). The precision is raised until all coefficients, in powers of z, of
+z - 1 and of z + 1, are known to more digits than pairs of float64 have.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import isfinite, ldexp
+from typing import TYPE_CHECKING, NamedTuple
+
+from jaxstab.model.device.device import Device
+from jaxstab.model.device.rational import Rational, balls_of, exact
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import Filter, Filters, Velocity
+from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_loop
+from jaxstab.model.transfer import Polynomial, Transfer
+from jaxstab.numbers import checked_number
+
+if TYPE_CHECKING:
+    from flint import arb, arb_mat, arb_poly
+
+_FIRST_BITS, _MOST_BITS = 256, 1 << 14
+_WANTED_BITS = 112  # of each coefficient: pairs have 107
+_NOTHING = 2.0**-400  # of the size of all: a coefficient that small may be 0
+_MOST_BINARY_DIGITS = 900  # of a unit: products of numbers in it are float64 still
+_ROUNDED_UP = 1.0 + 2.0**-50
+
+
+@dataclass(frozen=True)
+class SampledDevice:
+    """A device as a sampled controller meets it, for gains in powers of two of SI units.
+
+    Attributes:
+        plant: N(z) and D(z), of one number each; N is what alpha multiplies.
+        sample_time: T in s.
+        stiffness_unit: a power of two in m/N: alpha is K stiffness_unit, without rounding.
+        damping_unit: a power of two in m/(N s): beta is B damping_unit, without rounding.
+    """
+
+    plant: SampledPlant
+    sample_time: float
+    stiffness_unit: float
+    damping_unit: float
+
+    def transfers(self, filters: Filters | None = None) -> tuple[Transfer, Transfer]:
+        """Return what ``linear_loop`` takes: V(z), for beta, less its difference, and P(z).
+
+        Without filters that is the difference over one sample.
+        """
+        velocity, position = filters or (Velocity(), Filter())
+        estimator = velocity.filter.transfer(self.sample_time)
+        unit = DoubleDouble.of(
+            self.stiffness_unit / self.damping_unit
+        )  # the power of two next to T
+        return estimator.scaled(unit / self.sample_time), position.transfer(self.sample_time)
+
+    def loop(self, filters: Filters | None = None) -> LinearLoop:
+        """Return p(z) as base + alpha stiffness + beta damping; see ``transfers``."""
+        return linear_loop(self.plant, *self.transfers(filters))
+
+
+def sampled_device(device: Device, sample_time: float, delay: float) -> SampledDevice:
+    """Return a device behind a zero-order hold and a delay.
+
+    Args:
+        device: the device with its hands and actuators.
+        sample_time: T in s, > 0.
+        delay: in samples, whole or fractional, >= 0.
+
+    Raises:
+        TypeError: a number is none.
+        ValueError: a number is out of range, or the device moves by more or less within a sample
+            than float64 can say.
+
+    Source: the modified z-transform; Van Loan (1978) for the exponential.
+    """
+    period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
+    return _sampled(device, period, checked_number("delay", delay, 0.0, unit="samples"))
+
+
+class _Balls(NamedTuple):
+    """N(z) and D(z) in balls, and the same in powers of z - 1 and of z + 1."""
+
+    straight: "tuple[arb_poly, arb_poly]"
+    about_one: "tuple[arb_poly, arb_poly]"
+    about_minus_one: "tuple[arb_poly, arb_poly]"
+
+    @property
+    def are_known(self) -> bool:
+        """Whether each coefficient is known to the digits that are wanted, or next to 0."""
+        return all(_is_known(polynomial) for pair in self for polynomial in pair)
+
+
+@lru_cache(maxsize=64)
+def _sampled(device: Device, sample_time: float, delay: float) -> SampledDevice:
+    import flint
+
+    whole, fraction = divmod(delay, 1.0)
+    bits = _FIRST_BITS
+    while True:
+        with flint.ctx.workprec(bits):
+            balls = _balls(device.compliance(), sample_time, fraction)
+            if balls.are_known or bits >= _MOST_BITS:
+                unit = _binary_digits(sum(map(abs, balls.straight[0].coeffs()), flint.arb(0)))
+                plant = _rounded(balls, unit, lag=int(whole) + (fraction > 0.0))
+                break
+        bits *= 2
+    period = _binary_digits(flint.arb(sample_time))
+    if max(abs(unit), abs(unit - period)) > _MOST_BINARY_DIGITS or not _is_finite(plant):
+        raise ValueError(
+            f"the device ({device}) moves by about 2^{unit} m per N within a sampling period of "
+            f"{sample_time:g} s; give SI units, and no pole so unstable that float64 ends."
+        )
+    return SampledDevice(plant, sample_time, ldexp(1.0, unit), ldexp(1.0, unit - period))
+
+
+def _balls(compliance: Rational, sample_time: float, fraction: float) -> _Balls:
+    import flint
+
+    above, below = in_samples(compliance, sample_time)
+    numerator, denominator = _of_samples(above, below, fraction)
+    zeros = next(power for power in range(len(below)) if below[power] != 0)
+    zeros_above = 1 if above[0] == 0 else 0
+    plus, minus = flint.arb_poly([1, 1]), flint.arb_poly([-1, 1])
+    return _Balls(
+        (numerator, denominator),
+        (_without(numerator(plus), zeros_above), _without(denominator(plus), zeros)),
+        (numerator(minus), denominator(minus)),
+    )
+
+
+def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], list["arb"]]:
+    """Return numerator and monic denominator, lowest power first, with T as the unit of time.
+
+    A coefficient that is 0 is the exact 0.
+    """
+    import flint
+
+    period = flint.arb(exact(sample_time))
+    above, below = map(balls_of, compliance)
+    degree = len(below) - 1
+    first = below[-1]
+    below = [value / first * period ** (degree - k) for k, value in enumerate(below)]
+    above = [value / first * period ** (degree - k) for k, value in enumerate(above)]
+    return above + [flint.arb(0)] * (degree - len(above)), [*below[:-1], flint.arb(1)]
+
+
+def _of_samples(
+    above: list["arb"], below: list["arb"], fraction: float
+) -> "tuple[arb_poly, arb_poly]":
+    """Return N(z), with a sample of delay more if there is a fraction, and D(z)."""
+    import flint
+
+    part = flint.arb(exact(fraction))
+    last, first = (held(below, time) for time in (1 - part, part))
+    order = len(below) - 1
+    transition, later = _without_force(last), _force(last)
+    columns = [later]
+    if fraction:
+        columns.append(transition * _force(first))
+        transition = transition * _without_force(first)
+    denominator = transition.charpoly()
+    row = flint.arb_mat([above])
+    numerators = []
+    for column in columns:
+        responses = []
+        for _ in range(order):
+            responses.append((row * column)[0, 0])
+            column = transition * column
+        # N is the part without negative powers of D(z) (h_1/z + h_2/z^2 + ...).
+        falling = [
+            sum((denominator[order - i] * responses[k - i] for i in range(k + 1)), flint.arb(0))
+            for k in range(order)
+        ]
+        numerators.append(flint.arb_poly(falling[::-1]))
+    if fraction:
+        return numerators[0] * flint.arb_poly([0, 1]) + numerators[1], denominator
+    return numerators[0], denominator
+
+
+def held(below: list["arb"], time: "arb") -> "arb_mat":
+    """Return exp of [[A, B], [0, 0]] times a time, A the companion matrix, B the last unit vector.
+
+    Source: Van Loan (1978).
+    """
+    import flint
+
+    order = len(below) - 1
+    matrix = flint.arb_mat(order + 1, order + 1)
+    for row in range(order):
+        matrix[row, row + 1] = time  # beyond the states: the force
+    for column in range(order):
+        matrix[order - 1, column] = -below[column] * time
+    return matrix.exp()
+
+
+def _without_force(matrix: "arb_mat") -> "arb_mat":
+    import flint
+
+    return flint.arb_mat([row[:-1] for row in matrix.tolist()[:-1]])
+
+
+def _force(matrix: "arb_mat") -> "arb_mat":
+    import flint
+
+    return flint.arb_mat([row[-1:] for row in matrix.tolist()[:-1]])
+
+
+def _without(polynomial: "arb_poly", zeros: int) -> "arb_poly":
+    """Return a polynomial of which that many of the lowest coefficients are known to be 0."""
+    import flint
+
+    return flint.arb_poly([flint.arb(0)] * zeros + polynomial.coeffs()[zeros:])
+
+
+def _is_known(polynomial: "arb_poly") -> bool:
+    coefficients = polynomial.coeffs()
+    nothing = max((c.abs_lower() for c in coefficients), key=float) * _NOTHING
+    return all(
+        c.rel_accuracy_bits() >= _WANTED_BITS or c.abs_upper() <= nothing for c in coefficients
+    )
+
+
+def _binary_digits(ball: "arb") -> int:
+    """Return the exponent of a power of two that is at most twice or half as large."""
+    mantissa, exponent = ball.mid().man_exp()
+    return int(exponent) + int(abs(mantissa)).bit_length() - 1
+
+
+# -------------------------------------------------------------------------------------- rounding
+
+
+def _rounded(balls: _Balls, unit: int, lag: int) -> SampledPlant:
+    import flint
+
+    scale = flint.arb(2) ** -unit
+    straight, one, minus_one = (
+        ([bounded(c * scale) for c in _falling(n)], [bounded(c) for c in _falling(d)])
+        for n, d in balls
+    )
+    return SampledPlant(
+        numerator=_values(straight[0]),
+        denominator=_values(straight[1]),
+        lag=lag,
+        errors=(_errors(straight[0]), _errors(straight[1])),
+        at_one=(one[0][-1], one[1][-1]),
+        at_minus_one=(minus_one[0][-1], minus_one[1][-1]),
+        shifted=(
+            _values(one[0]),
+            _values(one[1]),
+            _turned(_values(minus_one[0])),
+            _turned(_values(minus_one[1])),
+        ),
+    )
+
+
+def bounded(ball: "arb") -> Bounded:
+    """Return the nearest pair of float64, and a bound of its distance from all of a ball."""
+    high = float(ball.mid())
+    low = float((ball - high).mid()) if isfinite(high) else 0.0
+    total = high + low
+    error = float((ball - high - low).abs_upper())
+    return Bounded(DoubleDouble(total, low - (total - high)), error * _ROUNDED_UP)
+
+
+def _falling(polynomial: "arb_poly") -> list["arb"]:
+    return polynomial.coeffs()[::-1]
+
+
+def _values(coefficients: list[Bounded]) -> Polynomial:
+    return tuple(coefficient.value for coefficient in coefficients)
+
+
+def _errors(coefficients: list[Bounded]) -> float:
+    return sum(coefficient.error for coefficient in coefficients) * _ROUNDED_UP
+
+
+def _turned(falling: Polynomial) -> Polynomial:
+    """Return the coefficients in powers of -z - 1 by those in powers of z + 1."""
+    degree = len(falling) - 1
+    return tuple(-c if (degree - k) % 2 else c for k, c in enumerate(falling))
+
+
+def _is_finite(plant: SampledPlant) -> bool:
+    numbers = [*plant.numerator, *plant.denominator]
+    return all(isfinite(number.hi) for number in numbers) and all(map(isfinite, plant.errors))

@@ -1,0 +1,319 @@
+"""General devices: coefficients within their bounds, verdicts, radii, what devices may be.
+
+The truth: equations of motion in mpmath (``benchmarks.truth.devices``) and certified roots.
+"""
+
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+import scipy.signal
+from mpmath import mp, mpf
+
+import jaxstab
+from benchmarks.truth import devices as truth
+from benchmarks.truth import filtered
+from jaxstab import STABLE, UNDECIDED, UNSTABLE, Device, Filter, Hand, Mode, Velocity
+from jaxstab.model import DoubleDouble
+from jaxstab.model.device import SampledDevice, sampled_device
+from jaxstab.point.poles import linear_poles
+from jaxstab.point.radius.door import linear_spectral_radius
+from jaxstab.point.verdict.linear import linear_verdict
+
+MODE = Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
+FILTERS = Velocity.difference(samples=4), Filter.low_pass(200.0)
+TRUE_FILTERS = filtered.difference(4), filtered.low_pass(0.2, 1)
+
+
+def device_of(drawn: truth.Drawn) -> Device:
+    modes = [Mode(frequency=f, damping_ratio=z, modal_mass=m) for f, z, m in drawn.modes]
+    device = Device.modes(modes, mass=drawn.mass, damping=drawn.damping)
+    if drawn.hand is not None:
+        *arm, grip = drawn.hand
+        hand = Hand.mass_spring_damper(*arm)
+        device = device.held_by(hand if grip is None else hand.with_grip(grip[1], grip[0]))
+    return device if drawn.bandwidth is None else device.with_actuator(drawn.bandwidth)
+
+
+def number(pair: DoubleDouble) -> mpf:
+    return mpf(pair.hi) + mpf(pair.lo)
+
+
+def assert_within_bounds(sampled: SampledDevice, expected: truth.Sampled) -> None:
+    plant = sampled.plant
+    units = mpf(sampled.stiffness_unit), mpf(1)
+    with mp.workdps(truth.WORKING):
+        assert plant.lag == expected.lag
+        both = zip((plant.numerator, plant.denominator), expected[:2], units, strict=True)
+        for index, (pairs, numbers, unit) in enumerate(both):
+            differences = [
+                abs(number(pair) - one / unit) for pair, one in zip(pairs, numbers, strict=True)
+            ]
+            assert sum(differences) <= plant.errors[index] * (1.0 + 1e-12) + 1e-100
+            assert plant.errors[index] <= 1e-32 * sum(abs(pair.hi) for pair in pairs)
+            for z, ends in ((1, plant.at_one), (-1, plant.at_minus_one)):
+                away = abs(number(ends[index].value) - truth.value(numbers, z) / unit)
+                assert away <= ends[index].error * (1.0 + 1e-12) + 1e-100
+            for turn, shifted in zip((1, -1), plant.shifted[index::2], strict=True):
+                turned = [one * turn ** (len(numbers) - 1 - k) for k, one in enumerate(numbers)]
+                for pair, one in zip(shifted, truth.shifted(turned), strict=True):
+                    assert abs(number(pair) - one / unit) <= abs(one / unit) * 2.0**-104 + 1e-60
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_coefficients_are_within_their_bounds(seed: int) -> None:
+    drawn = truth.drawn(np.random.default_rng(seed))
+    sampled = sampled_device(device_of(drawn), drawn.sample_time, drawn.delay)
+    system = drawn.mechanism.system()
+    assert_within_bounds(sampled, truth.sampled(system, drawn.sample_time, drawn.delay))
+    assert (np.log2([sampled.stiffness_unit, sampled.damping_unit]) % 1.0 == 0.0).all()
+
+
+@pytest.mark.campaign
+def test_coefficients_of_many_devices_are_within_their_bounds() -> None:
+    for seed in range(1000, 2500):
+        drawn = truth.drawn(np.random.default_rng(seed))
+        sampled = sampled_device(device_of(drawn), drawn.sample_time, drawn.delay)
+        system = drawn.mechanism.system()
+        assert_within_bounds(sampled, truth.sampled(system, drawn.sample_time, drawn.delay))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_verdicts_and_radii_against_certified_roots(seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    drawn = truth.drawn(rng)
+    sampled = sampled_device(device_of(drawn), drawn.sample_time, drawn.delay)
+    loop = sampled.loop(FILTERS)
+    system = drawn.mechanism.system()
+    period = drawn.sample_time
+    # Butterworth's and low passes are given in Hz: those of the truth belong to a period of 1.
+    position = filtered.low_pass(200.0 * period, 1)
+    true = truth.DeviceLoop(system, period, drawn.delay, filtered.difference(4), position)
+    stiffness = rng.uniform(-0.02, 0.2, 8) / sampled.stiffness_unit
+    damping = rng.uniform(-0.02, 0.4, 8) / sampled.damping_unit
+    walls = stiffness * sampled.stiffness_unit, damping * sampled.damping_unit
+    codes = linear_verdict(*walls, loop)
+    expected = [true.code(*wall) for wall in zip(stiffness, damping, strict=True)]
+    assert codes.tolist() == expected
+    radius = linear_spectral_radius(*walls, loop)
+    poles = linear_poles(*walls, loop)
+    np.testing.assert_allclose(np.abs(poles[:, 0]), radius.value, 1e-3)
+    for k, wall in enumerate(zip(stiffness, damping, strict=True)):
+        assert abs(true.radius(*wall) - float(radius.value[k])) <= float(radius.error[k])
+
+
+def test_a_mass_has_the_verdicts_of_five_numbers() -> None:
+    period, mass = 2.0**-10, 0.25  # powers of two: the gains are the same numbers
+    hand = Hand.mass_spring_damper(mass=0.75, damping=4.0, stiffness=512.0)
+    device = Device.mass_spring_damper(mass, damping=2.0).held_by(hand)
+    rng = np.random.default_rng(1)
+    for delay in (0.0, 0.5, 3.0, 7.25):
+        sampled = sampled_device(device, period, delay)
+        slice_ = 512.0 * period**2, 6.0 * period, delay
+        alpha, beta = rng.uniform(-0.01, 0.4, 2000), rng.uniform(-0.1, 0.9, 2000)
+        factors = sampled.stiffness_unit / period**2, sampled.damping_unit / period
+        codes = linear_verdict(alpha * factors[0], beta * factors[1], sampled.loop())
+        np.testing.assert_array_equal(codes, jaxstab.verdict(alpha, beta, *slice_))
+        assert {STABLE, UNSTABLE} <= set(codes.tolist())
+
+
+def largest_stable(device: Device, damping: float = 4.0) -> float:
+    """The largest stiffness, by bisection from 0."""
+    sampled = sampled_device(device, 1e-3, 1.0)
+    loop, beta = sampled.loop(), damping * sampled.damping_unit
+    low, high = 1.0, 1e6
+    for _ in range(60):
+        middle = np.sqrt(low * high)
+        is_stable = linear_verdict(middle * sampled.stiffness_unit, beta, loop) == STABLE
+        low, high = (middle, high) if is_stable else (low, middle)
+    return low
+
+
+def test_a_stiff_grip_is_a_glued_hand_and_a_fast_actuator_is_none() -> None:
+    device = Device.mass_spring_damper(0.25, 0.1)
+    glued, free = largest_stable(device.held_by(ARM)), largest_stable(device)
+    grips = [largest_stable(device.held_by(ARM.with_grip(10.0**k, 1e2))) for k in (6, 8, 10)]
+    errors = [abs(stiffness / glued - 1.0) for stiffness in grips]
+    assert errors[2] < 2e-4
+    assert errors[2] < errors[0]
+    motors = [largest_stable(device.with_actuator(10.0**k)) for k in (2, 4, 6)]
+    errors = [abs(stiffness / free - 1.0) for stiffness in motors]
+    assert errors[0] > 0.05
+    assert errors[2] < 2e-4
+
+
+def test_units_are_exact_and_near_the_size_of_the_plant() -> None:
+    for mass in (1e-3, 0.1, 30.0):
+        sampled = sampled_device(Device.mass_spring_damper(mass), 1e-3, 0.0)
+        assert 0.25 < sampled.stiffness_unit / (1e-6 / mass) < 4.0
+        assert 0.1 < sampled.damping_unit / (1e-3 / mass) < 8.0
+
+
+# ---------------------------------------------------------------------------- what a device is
+
+
+def response(device: Device, frequency: float) -> complex:
+    """Position over force by the poles and the static value or, for a free mass, by scipy."""
+    function = device.compliance()
+    s = 2j * np.pi * frequency
+    above, below = (
+        sum(float(c.str(30, radius=False)) * s**k for k, c in enumerate(polynomial))
+        for polynomial in map(coefficients, function)
+    )
+    return complex(above / below)
+
+
+def coefficients(polynomial: Any) -> list[Any]:
+    from jaxstab.model.device.rational import balls_of
+
+    return balls_of(polynomial)
+
+
+def test_devices_respond_as_the_formulas_say() -> None:
+    s = 2j * np.pi * 30.0
+    w = 2.0 * np.pi * 80.0
+    bare = 1.0 / (0.25 * s**2 + 0.1 * s) + 1.0 / (0.5 * (s**2 + 0.02 * w * s + w**2))
+    arm, grip, motor = s**2 + 5.0 * s + 300.0, 2000.0 + 4.0 * s, 1.0 / (1.0 + s / (400.0 * np.pi))
+    device = Device.modes([MODE], mass=0.25, damping=0.1)
+    for one, expected in (
+        (device, bare),
+        (device.held_by(ARM), bare / (1.0 + bare * arm)),
+        (device.held_by(ARM.with_grip(2000.0, 4.0)), bare / (1.0 + bare / (1 / arm + 1 / grip))),
+        (device.with_actuator(200.0), motor * bare),
+        (device.with_actuator(200.0).held_by(ARM), motor * bare / (1.0 + bare * arm)),
+        (device.held_by(Hand.transfer_function([1.0, 5.0, 300.0], [1.0])), bare / (1 + bare * arm)),
+        (Device.modes([MODE]), bare - 1.0 / (0.25 * s**2 + 0.1 * s)),
+    ):
+        assert response(one, 30.0) == pytest.approx(expected, rel=1e-12)
+    assert device.with_actuator(200.0).held_by(ARM) == device.held_by(ARM).with_actuator(200.0) or (
+        device.with_actuator(200.0).held_by(ARM).compliance()
+        == device.held_by(ARM).with_actuator(200.0).compliance()
+    )
+
+
+def test_state_spaces_that_are_not_minimal_are_reduced() -> None:
+    minimal = Device.mass_spring_damper(0.5, 2.0, 8.0)
+    a, b, c = [[0.0, 1.0], [-16.0, -4.0]], [0.0, 2.0], [1.0, 0.0]
+    assert Device.state_space(a, b, c).compliance() == minimal.compliance()
+    hidden = np.zeros((3, 3))
+    hidden[:2, :2], hidden[2, 2] = a, -7.0
+    moved, shown = Device.state_space(hidden, [*b, 1.0], [*c, 0.0]), [*c, 1.0]
+    assert moved.compliance() == minimal.compliance()
+    assert Device.state_space(hidden, [*b, 0.0], shown).compliance() == minimal.compliance()
+    hidden[2, 2] = 7.0
+    with pytest.raises(ValueError, match="grows by itself"):
+        Device.state_space(hidden, [*b, 1.0], [*c, 0.0])
+    assert Device.state_space(hidden, [*b, 1.0], shown).stability == "unstable"
+
+
+def test_what_a_device_does_without_a_wall_is_said() -> None:
+    assert Device.mass_spring_damper(1.0).stability == "marginal"
+    assert Device.mass_spring_damper(1.0, 1.0).stability == "marginal"
+    assert Device.mass_spring_damper(1.0, 1.0, 1.0).stability == "stable"
+    assert Device.mass_spring_damper(1.0).held_by(ARM).stability == "stable"
+    assert Device.transfer_function([1.0], [1.0, 0.0, -9.0]).stability == "unstable"
+    undamped = Mode(frequency=3.0, damping_ratio=0.0, modal_mass=1.0)
+    assert Device.modes([undamped]).stability == "marginal"
+    poles = Device.modes([MODE], mass=1.0, damping=2.0).poles()
+    w = 2.0 * np.pi * 80.0
+    expected = [0.0, w * (-0.01 + 1j * np.sqrt(1 - 1e-4)), w * (-0.01 - 1j * np.sqrt(1 - 1e-4)), -2]
+    assert len(poles) == 4
+    for pole in expected:
+        assert np.min(np.abs(poles - pole)) <= 1e-12 * w
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        control.tf([2.0], [1.0, 4.0, 16.0]),
+        control.ss([[0.0, 1.0], [-16.0, -4.0]], [[0.0], [2.0]], [[1.0, 0.0]], 0.0),
+        scipy.signal.lti([2.0], [1.0, 4.0, 16.0]),
+        scipy.signal.StateSpace([[0.0, 1.0], [-16.0, -4.0]], [[0.0], [2.0]], [[1.0, 0.0]], 0.0),
+    ],
+)
+def test_systems_of_control_and_scipy_are_taken(system: Any) -> None:
+    expected = Device.mass_spring_damper(0.5, 2.0, 8.0)
+    assert Device.from_control(system).compliance() == expected.compliance()
+
+
+def test_zeros_and_poles_of_scipy_are_taken() -> None:
+    system = scipy.signal.lti([-3.0], [-1.0, -2.0, -5.0], 0.5)
+    assert response(Device.from_control(system), 0.7) == pytest.approx(
+        scipy.signal.freqresp(system, [1.4 * np.pi])[1][0], rel=1e-12
+    )
+
+
+def test_devices_and_hands_are_values_that_print_themselves() -> None:
+    device = Device.mass_spring_damper(0.25, 0.1).with_actuator(200.0)
+    held = device.held_by(ARM.with_grip(2000.0, 4.0))
+    assert held == device.held_by(ARM.with_grip(2000.0, 4.0))
+    assert len({held, device, device}) == 2
+    assert str(held) == (
+        "0.25 kg, 0.1 N s/m; an actuator of 200 Hz; "
+        "a hand of 1 kg, 5 N s/m, 300 N/m behind a grip of 4 N s/m, 2000 N/m"
+    )
+    assert str(Device.modes([MODE], mass=0.25)) == "0.25 kg with modes at 80 Hz"
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: Device.mass_spring_damper(0.0), "mass is 0.0"),
+        (lambda: Device.mass_spring_damper(1.0, np.nan), "damping is nan"),
+        (lambda: Device.transfer_function([1.0, 0.0], [1.0, 2.0]), "not in z"),
+        (lambda: Device.transfer_function([0.0], [1.0, 2.0]), "not all of them 0"),
+        (lambda: Device.transfer_function([1.0], [0.0, 0.0]), "denominator is"),
+        (lambda: Device.transfer_function([np.inf], [1.0, 2.0]), "numerator is inf"),
+        (lambda: Device.transfer_function([1.0], [1.0] * 42), "40 at most"),
+        (lambda: Device.state_space(np.eye(2), [1.0], [1.0, 0.0]), "B has shape"),
+        (lambda: Device.state_space([[0.0]], [1.0], [0.0]), "transfer function 0"),
+        (lambda: Device.modes([]), "give at least one"),
+        (lambda: Device.modes([MODE], damping=1.0), "give mass, too"),
+        (lambda: Mode(frequency=1.0, damping_ratio=0.1, modal_mass=0.0), "modal_mass is 0.0"),
+        (lambda: Mode(frequency=0.0, damping_ratio=0.1, modal_mass=1.0), "frequency is 0.0"),
+        (lambda: Hand.transfer_function([1.0, 0.0, 0.0, 0.0], [1.0]), "two degrees"),
+        (lambda: ARM.with_grip(0.0), "holds something"),
+        (lambda: ARM.with_grip(1.0).with_grip(1.0), "has a grip"),
+        (lambda: Device.mass_spring_damper(1.0).with_actuator(0.0), "bandwidth is 0.0"),
+        (lambda: Device.from_control(control.tf([1.0], [1.0, 2.0], 0.1)), "not in z"),
+        (lambda: Device.from_control(scipy.signal.dlti([1.0], [1.0, 2.0], dt=0.1)), "not in z"),
+        (lambda: Device.from_control(scipy.signal.lti([1.0, 0.0], [1.0, 2.0])), "not in z"),
+        (lambda: sampled_device(Device.mass_spring_damper(1e280), 1e-3, 0.0), "give SI units"),
+        (lambda: sampled_device(Device.transfer_function([1], [1, -1e7]), 1.0, 0.0), "unstable"),
+    ],
+)
+def test_bad_input_is_refused_in_one_sentence(call: Any, words: str) -> None:
+    with pytest.raises(ValueError, match=words) as refusal:
+        call()
+    assert "\n" not in str(refusal.value)
+
+
+def test_what_is_no_device_is_refused() -> None:
+    with pytest.raises(TypeError, match="TransferFunction or StateSpace"):
+        Device.from_control("device")
+    with pytest.raises(TypeError, match="Hand"):
+        Device.mass_spring_damper(1.0).held_by(1.0)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="Mode"):
+        Device.modes([(1.0, 2.0, 3.0)])  # type: ignore[list-item]
+
+
+def test_few_walls_are_undecided_next_to_the_boundary() -> None:
+    device = Device.modes([MODE], mass=0.25, damping=0.1).held_by(ARM.with_grip(2000.0, 4.0))
+    sampled = sampled_device(device, 1e-3, 1.5)
+    loop, beta = sampled.loop(FILTERS), 2.0 * sampled.damping_unit
+    low, high = 0.0, 0.2
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        is_stable = linear_verdict(middle, beta, loop) == STABLE
+        low, high = (middle, high) if is_stable else (low, middle)
+    walls = low * (1.0 + np.array([-1e-9, -1e-11, 1e-11, 1e-9]))
+    codes = linear_verdict(walls, beta, loop)
+    assert UNDECIDED not in codes
+    mechanism = truth.Mechanism(
+        [(mpf(0.25), mpf(0.1), mpf(0)), truth.mode(80.0, 0.01, 0.5)],
+        [(1.0, 5.0, 300.0, (4.0, 2000.0))],
+    )
+    true = truth.DeviceLoop(mechanism.system(), 1e-3, 1.5, *TRUE_FILTERS)
+    assert codes.tolist() == [true.code(wall / sampled.stiffness_unit, 2.0) for wall in walls]
