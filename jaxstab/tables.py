@@ -85,11 +85,11 @@ class Table:
         if not isinstance(table, Mapping):
             raise ValueError(f"{place} is {shortened(table)}; give a table.")
         check_keys(place, table, [entry.name for entry in fields(cls)])
-        values = cls.filled_in(table)
-        for entry in fields(cls):
-            if entry.name not in values and entry.default is MISSING:
-                raise ValueError(f"{_path(place, entry.name)} is missing; give it a value.")
         try:
+            values = cls.filled_in(table)
+            for entry in fields(cls):
+                if entry.name not in values and entry.default is MISSING:
+                    raise ValueError(f"{entry.name} is missing; give it a value.")
             return cls(**_checked_values(cls, values))
         except ValueError as error:
             raise ValueError(_path(place, str(error))) from None
@@ -152,6 +152,49 @@ def one_of(names: Iterable[str]) -> Check:
             near = get_close_matches(str(value), known, n=1)
             raise ValueError(f"did you mean {near[0]!r}?" if near else f"give {', '.join(known)}")
         return str(value)
+
+    return check
+
+
+def share(value: Any) -> float:
+    """Return a number above 0 and not above 1."""
+    number = _finite(value)
+    if not 0.0 < number <= 1.0:
+        raise ValueError("give a number above 0 and at most 1")
+    return number
+
+
+def whole(low: int, high: int) -> Check:
+    """Return the check of a whole number in [low, high]."""
+
+    def check(value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise ValueError(f"give a whole number from {low} to {high}")
+        return value
+
+    return check
+
+
+def coefficients(value: Any) -> tuple[float, ...]:
+    """Return a list of finite numbers, at least one, as a tuple."""
+    numbers = [_finite(entry) for entry in value] if isinstance(value, list | tuple) else []
+    if not numbers or not all(map(isfinite, numbers)):
+        raise ValueError("give a list of finite numbers, highest power of z first")
+    return tuple(numbers)
+
+
+def nested(kind: type["Table"]) -> Check:
+    """Return the check of a table within a table."""
+
+    def check(value: Any) -> Table:
+        if isinstance(value, kind):
+            return value
+        if not isinstance(value, Mapping):
+            raise ValueError("give a table")
+        try:
+            return kind.from_table(value)
+        except ValueError as error:
+            raise _Sentence(str(error)) from None
 
     return check
 

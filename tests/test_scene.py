@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from jaxstab.scene import EXAMPLE, Scene, plan_scene
-from jaxstab.scene.scene import MEASURES, PRESETS
+from jaxstab.scene.presets import device_presets
+from jaxstab.scene.scene import MEASURES
 
 SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))
 GOOD: dict[str, Any] = {
@@ -65,7 +66,15 @@ def test_every_value_that_is_commented_out_in_the_example_is_good_too() -> None:
 def test_a_preset_gives_what_the_table_does_not() -> None:
     table = with_value("device", {"preset": "phantom", "mass": 0.2})
     device = Scene.from_table(table).device
-    assert (device.mass, device.damping) == (0.2, PRESETS["phantom"].damping)
+    assert (device.mass, device.damping) == (0.2, 1.5)
+
+
+def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
+    assert "mass" not in device_presets()["sigma.7"].numbers
+    with pytest.raises(ValueError, match=r"^device.mass is missing; no source has that of"):
+        Scene.from_table(with_value("device", {"preset": "sigma.7"}))
+    table = with_value("device", {"preset": "sigma.7", "mass": 0.4, "damping": 0.5})
+    assert Scene.from_table(table).device.effective_mass == 0.4
 
 
 @pytest.mark.parametrize(
@@ -87,6 +96,83 @@ def test_a_preset_gives_what_the_table_does_not() -> None:
         ("device.mass", True, "device.mass is True; give a finite number > 0 in kg."),
         ("device.preset", "phantm", "device.preset is 'phantm'; did you mean 'phantom'?"),
         ("device", 3, "device is 3; give a table."),
+        (
+            "device.inertia",
+            0.1,
+            "device.mass is 0.1 beside inertia; give mass for a device that moves along a line, "
+            "or inertia for one that turns.",
+        ),
+        (
+            "device",
+            {"inertia": 0.1, "damping": -1.0},
+            "device.damping is -1.0; give a finite number >= 0 in N m s/rad.",
+        ),
+        (
+            "hand.inertia",
+            0.1,
+            "hand.inertia is [0.1, 0.1] beside device.mass; give hand.mass in kg, or "
+            "device.inertia.",
+        ),
+        ("controller.velocity", 3, "controller.velocity is 3; give a table."),
+        (
+            "controller.velocity.windw",
+            0.02,
+            "controller.velocity.windw is unknown; did you mean 'window'?",
+        ),
+        (
+            "controller.velocity.window_samples",
+            2.5,
+            "controller.velocity.window_samples is 2.5; give a whole number from 1 to 40.",
+        ),
+        (
+            "controller.velocity.window",
+            0.0155,
+            "controller.velocity.window is 0.0155 s, 15.5 sampling periods; give a whole number of "
+            "them: 0.015 s (15 samples) or 0.016 s (16 samples).",
+        ),
+        (
+            "controller.velocity",
+            {"window": 0.02, "window_samples": 20},
+            "controller.velocity.window is 0.02 beside window_samples; give one.",
+        ),
+        (
+            "controller.velocity",
+            {},
+            "controller.velocity.window is missing; give it, or window_samples, cutoff, factor, or "
+            "numerator and denominator.",
+        ),
+        (
+            "controller.velocity",
+            {"order": 2},
+            "controller.velocity.order is 2 without cutoff; give cutoff in Hz.",
+        ),
+        (
+            "controller.velocity",
+            {"cutoff": 600.0, "kind": "butterworth"},
+            "controller.velocity.cutoff is 600; give one below half of the sampling rate, 500 Hz.",
+        ),
+        (
+            "controller.velocity.preset",
+            "chai",
+            "controller.velocity.preset is 'chai'; did you mean 'chai3d'?",
+        ),
+        (
+            "controller.velocity.preset",
+            "openhaptics",
+            "controller.velocity.preset is 'openhaptics', whose estimator its maker does not "
+            "document; give window, cutoff or coefficients that you have measured.",
+        ),
+        (
+            "controller.velocity.numerator",
+            [1.0, -1.0],
+            "controller.velocity.numerator stands alone; give numerator and denominator.",
+        ),
+        (
+            "controller.position",
+            {"factor": 1.5},
+            "controller.position.factor is 1.5; allowed are finite values above 0 to 1.",
+        ),
+        ("wanted.safety", 1.5, "wanted.safety is 1.5; give a number above 0 and at most 1."),
         ("walls", 3, "walls is 3; give a table [walls.NAME] for each wall."),
         (
             "walls.stiffness",
@@ -164,6 +250,7 @@ def test_a_file_may_begin_with_a_mark_of_utf_8_but_not_be_in_another_code(tmp_pa
         ("controller.sample_time", 1.0, "controller.sample_time is 1 s"),
         ("walls.a", {"stiffness": 1e8, "damping": 1.0}, "walls.a.stiffness is 1e+08 N/m"),
         ("controller.delay", 1.0, "the delay is 1000 samples; one in samples is given as"),
+        ("controller.velocity", {"preset": "hapkit"}, "the preset 'hapkit' is meant for a sample"),
     ],
 )
 def test_a_scale_that_looks_like_a_slip_is_remarked_on(path: str, value: Any, words: str) -> None:

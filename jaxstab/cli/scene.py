@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,10 +29,14 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add what describes a scene: a file, options that go before it, and the form of the answer."""
     decorations = (
         click.argument("file", type=Path, required=False),
-        click.option("--device", help="A device by name: phantom, omega or falcon."),
+        click.option("--device", help="A device by name; jaxstab scene presets lists them."),
         click.option("--mass", type=float, help="Of the device, in kg."),
-        click.option("--damping", type=float, help="Of the device, in N s/m."),
+        click.option("--inertia", type=float, help="In place of the mass, in kg m^2: it turns."),
+        click.option("--damping", type=float, help="Of the device, in N s/m (N m s/rad)."),
         click.option("--hand-mass", callback=number_or_range, help="In kg; LOW:HIGH for a range."),
+        click.option(
+            "--hand-inertia", callback=number_or_range, help="In kg m^2; LOW:HIGH for a range."
+        ),
         click.option(
             "--hand-stiffness", callback=number_or_range, help="In N/m; LOW:HIGH for a range."
         ),
@@ -41,6 +46,13 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--sample-time", type=float, help="T in s."),
         click.option("--delay", type=float, help="Time delay of the loop in s."),
         click.option("--delay-samples", type=float, help="The same in samples."),
+        click.option("--window", type=float, help="Velocity: difference over so many s."),
+        click.option("--window-samples", type=int, help="The same in samples."),
+        click.option("--cutoff", type=float, help="Velocity: behind a low pass at so many Hz."),
+        click.option(
+            "--estimator",
+            help="Velocity as a software estimates it; jaxstab scene presets lists them.",
+        ),
         click.option(
             "--wall",
             type=(str, float, float),
@@ -58,11 +70,15 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
 _plot_option = click.option(
     "--plot", type=Path, callback=picture_file, help="PNG or SVG file to draw the scene into."
 )
+_safety_option = click.option(
+    "--safety", type=float, help="Multiply all limits by this, such as 0.8."
+)
 
 
 @click.command()
 @scene_options
 @_plot_option
+@_safety_option
 @click.option("--at-damping", type=float, help="Give the stiffness limits at this B in N s/m.")
 @click.option("--at-stiffness", type=float, help="Give the damping limits at this K in N/m.")
 def limits(as_json: bool, **given: Any) -> None:
@@ -94,6 +110,7 @@ def tune(as_json: bool, **given: Any) -> None:
 @click.command()
 @scene_options
 @_plot_option
+@_safety_option
 @click.option("--stiffness", type=float, help="The stiffness to design for, in N/m.")
 def design(as_json: bool, **given: Any) -> None:
     """Find the largest sample time, and the largest delay, for a wanted stiffness."""
@@ -125,6 +142,20 @@ def init(output: Path | None) -> None:
         raise click.UsageError(f"cannot write {output}: {error.strerror}.") from error
 
 
+@scene.command()
+def presets() -> None:
+    """List devices and velocity estimators by name: their numbers, and where these are from."""
+    from jaxstab.scene.presets import device_presets, software_presets
+
+    for heading, known in (
+        ("[device] preset =", device_presets()),
+        ("[controller.velocity] preset =", software_presets()),
+    ):
+        for name, preset in known.items():
+            title, *lines = preset.lines()
+            click.echo("\n".join([f'{heading} "{name}"', f"  {title}", *lines, ""]))
+
+
 @scene.command(hidden=True)
 @click.argument("file", type=Path)
 @click.option("--explain", is_flag=True, help="Print what is computed, what is skipped and why.")
@@ -132,7 +163,7 @@ def init(output: Path | None) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
     """Answer what a scene FILE wants."""
-    from jaxstab.scene import Answers, plan_scene
+    from jaxstab.scene import Answers, basis_of, plan_scene
 
     scene = _scene({"file": file})
     if explain:
@@ -140,9 +171,11 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
         for step in plan_scene(scene):
             click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
         return
-    answers = Answers({name: _computed(scene, name) for name in scene.wanted.answers})
+    computed = {name: _computed(scene, name) for name in scene.wanted.answers}
+    by_name = {name: replace(one, basis=None) for name, one in computed.items()}
+    answers = Answers(basis_of(scene), by_name)
     if plot:
-        _draw(scene, answers.by_name.get("check"), plot)
+        _draw(scene, computed.get("check"), plot)
     _print(scene, answers, as_json)
 
 
@@ -201,9 +234,17 @@ def _refused() -> Iterator[None]:
     """End a command that cannot answer with exit code 2: 1 is for walls that are not stable."""
     try:
         yield
-    except (OSError, ValueError, TypeError, MemoryError) as error:
+    except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
         words = error.strerror if isinstance(error, OSError) else None
         raise click.UsageError(words or str(error) or "there is not enough memory.") from error
+
+
+_VELOCITY = {
+    "window": "window",
+    "window_samples": "window_samples",
+    "cutoff": "cutoff",
+    "estimator": "preset",
+}
 
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
@@ -211,8 +252,10 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     keys = {
         "device": ("device", "preset"),
         "mass": ("device", "mass"),
+        "inertia": ("device", "inertia"),
         "damping": ("device", "damping"),
         "hand_mass": ("hand", "mass"),
+        "hand_inertia": ("hand", "inertia"),
         "hand_stiffness": ("hand", "stiffness"),
         "hand_damping": ("hand", "damping"),
         "sample_time": ("controller", "sample_time"),
@@ -221,6 +264,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         "at_damping": ("wanted", "at_damping"),
         "at_stiffness": ("wanted", "at_stiffness"),
         "stiffness": ("wanted", "stiffness"),
+        "safety": ("wanted", "safety"),
     }
     merged = {"device": {}, "controller": {}} | table
     options = {option: value for option, value in given.items() if value is not None}
@@ -232,6 +276,9 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     if "delay" in options or "delay_samples" in options:  # in place of one in either unit
         kept = merged["controller"].items()
         merged["controller"] = {key: value for key, value in kept if "delay" not in key}
+    velocity = {key: options[option] for option, key in _VELOCITY.items() if option in options}
+    if velocity and isinstance(merged["controller"], dict):  # in place of all that the file says
+        merged["controller"] = merged["controller"] | {"velocity": velocity}
     for option, (section, key) in keys.items():
         if option in options:
             merged[section] = merged.get(section, {}) | {key: options[option]}

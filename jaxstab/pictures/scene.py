@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from jaxstab.criteria import passive_region
 from jaxstab.loop import HapticLoop, WallRegion
 from jaxstab.pictures.region import closed_outline
-from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, RED, SKY
+from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
 from jaxstab.pictures.walls import draw_responses, draw_walls, name_walls
 from jaxstab.scene.answers import Quantity
+from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import Check
-from jaxstab.scene.loops import corner_loops, hands_of, loop_of, wall_region
+from jaxstab.scene.loops import corner_loops, hands_of, is_plain, loop_of, reachable, wall_region
 from jaxstab.scene.scene import Scene
+from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
 
 _HEIGHT = 4.6  # inches
@@ -52,21 +54,26 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
     """
     loop, walls = loop_of(scene), checked.walls if checked else {}
-    region = wall_region(loop)
-    if region.is_empty:
+    everything = wall_region(loop)
+    if everything.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
-    parts = [part for part in (_common(scene, loop), _passive(loop)) if len(part.outline)]
+    region = reachable(everything)
+    islands = [island for island in everything.components if island is not region]
+    if region is everything:
+        islands = []
+    parts = [part for part in (_common(scene, loop), _passive(scene, loop)) if len(part.outline)]
     is_small = [(np.ptp(part.outline, axis=0) < _SEEN * np.array(region.extent)) for part in parts]
     small = [part.outline for part, axes in zip(parts, is_small, strict=True) if axes.any()]
 
-    widths = [_WIDTH] + [_ZOOM_WIDTH] * bool(small) + [_RESPONSE_WIDTH] * (checked is not None)
+    narrow = bool(small) + bool(islands)
+    widths = [_WIDTH] + [_ZOOM_WIDTH] * narrow + [_RESPONSE_WIDTH] * (checked is not None)
     figure = Figure(figsize=(sum(widths), _HEIGHT))
     figure.set_layout_engine("constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
     _set_window(panels[0], np.concatenate([region.outline, gains, np.zeros((1, 2))]))
     _draw_settling(panels[0], loop, region)
-    _draw_best(panels[0], loop, region)
+    _draw_best(panels[0], loop, region, scene.units)
     panels[0].set_title("stable walls, and how long they take to settle")
     planes = [panels[0]]
     if small:
@@ -74,19 +81,26 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
         panels[1].locator_params(axis="x", nbins=5)
         panels[1].set_title("enlarged")
         planes.append(panels[1])
+    if islands:
+        planes.append(panels[narrow])
+        _set_window(panels[narrow], everything.outline)
+        panels[narrow].locator_params(axis="x", nbins=4)
+        panels[narrow].set_title("all stable walls")
     for panel in planes:
+        panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
+        panel.set_ylabel(f"damping B ({scene.units.damping})")
         _draw_stable(panel, region)
+        _draw_islands(panel, islands)
         _draw_parts(panel, loop, parts)
         draw_walls(panel, walls)
     if checked is not None:
         draw_responses(panels[-1], loop, walls)
         panels[-1].set_title("a constant push, and the band of 2 %")
+    remarks = [f"velocity: {basis_of(scene).velocity}"]
     if hands_of(scene):
-        figure.suptitle(
-            "region, settling and fastest wall: hand at its lowest values"
-            + ("; responses: worst hand of each wall" if checked else ""),
-            fontsize=9,
-        )
+        remarks.append("region, settling and fastest wall: hand at its lowest values")
+        remarks += ["responses: worst hand of each wall"] if checked else []
+    figure.suptitle("; ".join(remarks), fontsize=9)
     handles, labels = panels[0].get_legend_handles_labels()
     columns = 2 if len(widths) == 1 else 4
     figure.legend(
@@ -110,14 +124,14 @@ def _common(scene: Scene, loop: HapticLoop) -> _Part:
     """Return the walls that are stable for the hands at all corners of the range, if it is one."""
     hands = hands_of(scene)
     outline = _common_outline(corner_loops(loop, hands)) if hands else np.zeros((0, 2))
-    label = f"for all corners of the hands' range: {_up_to(outline)}"
+    label = f"for all corners of the hands' range: {_up_to(outline, scene.units)}"
     look = {"facecolor": "none", "edgecolor": BLUE, "hatch": "///", "lw": 0.6, "label": label}
     return _Part(outline, look)
 
 
 def _common_outline(loops: list[HapticLoop]) -> Floats:
     """Return the walls that are stable for each of some loops, row by row of B."""
-    regions = [wall_region(loop) for loop in loops]
+    regions = [reachable(wall_region(loop)) for loop in loops]
     nothing = np.zeros((0, 2))
     if any(region.is_empty for region in regions):
         return nothing
@@ -146,16 +160,17 @@ def _rows(low: float, high: float) -> Floats:
     return rows
 
 
-def _passive(loop: HapticLoop) -> _Part:
+def _passive(scene: Scene, loop: HapticLoop) -> _Part:
     own = loop.device_damping * loop.sample_time / loop.mass
     corners = passive_region(own, loop.delay_samples).outline
     outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
-    label = f"passive: {_up_to(outline)}"
+    outline = outline if is_plain(loop) else np.zeros((0, 2))  # the theorem is of one difference
+    label = f"passive: {_up_to(outline, scene.units)}"
     return _Part(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
 
 
-def _up_to(outline: Floats) -> str:
-    return f"up to {_LARGEST.words(np.max(outline[:, 0], initial=0.0))}"
+def _up_to(outline: Floats, units: Units) -> str:
+    return f"up to {_LARGEST.words(np.max(outline[:, 0], initial=0.0), units)}"
 
 
 def _set_window(panel: Axes, points: Floats) -> None:
@@ -166,7 +181,6 @@ def _set_window(panel: Axes, points: Floats) -> None:
         high + (0.12, 0.06) * (high - low),
     )
     panel.set(xlim=(left, right), ylim=(bottom, top))
-    panel.set(xlabel="stiffness K (N/m)", ylabel="damping B (N s/m)")
 
 
 def _draw_stable(panel: Axes, region: WallRegion) -> None:
@@ -175,24 +189,38 @@ def _draw_stable(panel: Axes, region: WallRegion) -> None:
     panel.plot(*outline.T, color=BLUE, lw=1.2)
 
 
+def _draw_islands(panel: Axes, islands: list[WallRegion]) -> None:
+    label = "stable, not reachable by turning gains up"
+    for number, island in enumerate(islands):
+        outline = island.in_si_units(closed_outline(island.region))
+        panel.fill(*outline.T, color=PURPLE, alpha=0.35, lw=0, label="" if number else label)
+        panel.plot(*outline.T, color=PURPLE, lw=1.2)
+
+
 def _draw_parts(panel: Axes, loop: HapticLoop, parts: list[_Part]) -> None:
-    """Draw parts of the stable walls, and the linear rule."""
+    """Draw parts of the stable walls, and the linear rule, which knows of no filter."""
     for part in parts:
         panel.fill(*part.outline.T, **part.look)
+    if not is_plain(loop):
+        return
     damping = np.array(panel.get_ylim())
     lag = loop.delay + 0.5 * loop.sample_time
     linear = (damping + loop.device_damping + loop.hand_damping) / lag
     panel.plot(linear, damping, "--", color=RED, lw=1.4, label="linear rule")
 
 
-def _draw_best(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
-    stiffest = f"stiffest: {_LARGEST.words(region.stiffest.stiffness)}"
-    damping = _DAMPING.words(region.stiffest.damping)
+def _draw_best(panel: Axes, loop: HapticLoop, region: WallRegion, units: Units) -> None:
+    stiffest = f"stiffest: {_LARGEST.words(region.stiffest.stiffness, units)}"
+    damping = _DAMPING.words(region.stiffest.damping, units)
     panel.plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"{stiffest}, {damping}")
+    if not is_plain(loop):
+        return
     fastest = loop.tune("settling")
     if fastest.status == TuningStatus.NO_STABLE_GAINS:
         return
-    gains = f"{_STIFFNESS.words(fastest.stiffness)}, {_DAMPING.words(fastest.damping)}"
+    gains = (
+        f"{_STIFFNESS.words(fastest.stiffness, units)}, {_DAMPING.words(fastest.damping, units)}"
+    )
     time = _TIME.words(fastest.settling_time)
     panel.plot(
         fastest.stiffness,

@@ -1,5 +1,7 @@
 from .answers import Answer as Answer
 from .answers import Answers as Answers
+from .answers import Basis as Basis
+from .basis import basis_of as basis_of
 from .check import Check as Check
 from .check import WallCheck as WallCheck
 from .check import check_walls as check_walls

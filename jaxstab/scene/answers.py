@@ -2,7 +2,8 @@
 
 An answer is a frozen dataclass. The annotation of a number has its Quantity: the unit, the digits
 that are printed and the side to which they are rounded. Limits are rounded inwards: what is printed
-as the largest stable stiffness is not above it. JSON has all digits.
+as the largest stable stiffness is not above it. JSON has all digits. Answers of a scene that turns
+have the units of rotation, and inertia for mass.
 """
 
 from dataclasses import dataclass, fields
@@ -11,6 +12,8 @@ from enum import IntEnum
 from functools import cache
 from math import isfinite, isinf, isnan
 from typing import Annotated, Any, ClassVar, get_args, get_type_hints
+
+from jaxstab.scene.units import Units
 
 _LIMIT_DIGITS = 4
 _TRUE_DIGITS = 11  # 2999.9999999999 is 3000 but for rounding
@@ -35,9 +38,9 @@ class Quantity:
     rounding: str = ROUND_HALF_EVEN
     infinite: str = "unlimited"
 
-    def words(self, value: Any) -> str:
+    def words(self, value: Any, units: Units = Units.LINE) -> str:
         """Return a finite or infinite number with its unit."""
-        return self._with_unit(self._text(value, self.rounding, self.digits))
+        return self._with_unit(self._text(value, self.rounding, self.digits), units)
 
     def _text(self, value: float, rounding: str, digits: int) -> str:
         if isinf(value):
@@ -50,22 +53,22 @@ class Quantity:
         is_written_out = rounded.adjusted() in _WRITTEN_OUT
         return format(rounded, "f") if is_written_out else f"{float(rounded):.{digits}g}"
 
-    def _with_unit(self, text: str) -> str:
-        unit = "ms" if self.unit == "s" else self.unit
+    def _with_unit(self, text: str, units: Units) -> str:
+        unit = "ms" if self.unit == "s" else units.unit(self.unit)
         return f"{text} {unit}" if unit and text[-1].isdigit() else text
 
 
 class IntervalQuantity(Quantity):
     """How an interval is printed: its ends inwards, with enough digits that they stay in order."""
 
-    def words(self, value: Any) -> str:
+    def words(self, value: Any, units: Units = Units.LINE) -> str:
         """Return the two ends with their unit."""
         low, high = value
         for digits in range(self.digits, _MOST_DIGITS + 1):
             ends = self._text(low, ROUND_CEILING, digits), self._text(high, ROUND_FLOOR, digits)
             if isinf(low) or isinf(high) or float(ends[0]) <= float(ends[1]):
                 break
-        return self._with_unit(" to ".join(ends))
+        return self._with_unit(" to ".join(ends), units)
 
 
 def rounded_gain(value: float) -> float:
@@ -92,31 +95,38 @@ class Answer:
     """What a dataclass of quantities, words and further answers has in common.
 
     A field is left out where it is None; a field of a dictionary stands for what is in it. An
-    answer that ``is_part`` of another one has no heading of its own.
+    answer that ``is_part`` of another one has no heading of its own. An answer with a field
+    ``basis`` has its units, and so has what is in it.
     """
 
     is_part: ClassVar[bool] = False
     absent: ClassVar[str] = "none"
     """The words for a number that is NaN."""
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
         """Return names and values as JSON has them: without NaN and infinity, which are None."""
-        return dict(self._json_entries())
+        return dict(self._json_entries(self._units(units)))
 
-    def lines(self, indent: str = "") -> list[str]:
+    def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return a line for each value, its name in front."""
         lines, own = [], {field.name for field in fields(self)}  # type: ignore[arg-type]
+        units = self._units(units)
         for name, value in self._entries():
-            words = name.replace("_", " ") if name in own else name  # of a wall as it is
+            words = _named(name, units).replace("_", " ") if name in own else name  # as it is
             if isinstance(value, Answer):
                 heading = [] if value.is_part else [indent + words]
-                lines += heading + value.lines(indent if value.is_part else indent + "  ")
+                lines += heading + value.lines(indent if value.is_part else indent + "  ", units)
             else:
-                lines.append(f"{indent}{words:{_COLUMN - len(indent)}}{self._words(name, value)}")
+                text = self._words(name, value, units)
+                lines.append(f"{indent}{words:{_COLUMN - len(indent)}}{text}")
         return lines
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
+
+    def _units(self, units: Units) -> Units:
+        basis = getattr(self, "basis", None)
+        return basis.units if isinstance(basis, Basis) else units
 
     def _entries(self) -> Any:
         for field in fields(self):  # type: ignore[arg-type]
@@ -126,33 +136,54 @@ class Answer:
             elif value is not None:
                 yield field.name, value
 
-    def _json_entries(self) -> Any:
+    def _json_entries(self, units: Units) -> Any:
         for name, value in self._entries():
             if not isinstance(value, Answer):
-                yield name, _for_json(value)
+                yield _named(name, units), _for_json(value)
             elif value.is_part:
-                yield from value._json_entries()
+                yield from value._json_entries(units)
             else:
-                yield name, value.as_json()
+                yield name, value.as_json(units)
 
-    def _words(self, name: str, value: Any) -> str:
+    def _words(self, name: str, value: Any, units: Units) -> str:
         if isinstance(value, str | IntEnum):
             return in_words(value)
         is_absent = isnan(sum(value) if isinstance(value, tuple) else value)
         kind: Any = type(self)  # mypy holds it for not hashable
-        return self.absent if is_absent else _quantities(kind)[name].words(value)
+        return self.absent if is_absent else _quantities(kind)[name].words(value, units)
+
+
+@dataclass(frozen=True)
+class Basis(Answer):
+    """What a scene's answers hold for: its estimator, its filter, and whether the device turns."""
+
+    is_part = True
+
+    velocity: str
+    position: str | None
+    motion: str | None
+
+    @property
+    def units(self) -> Units:
+        """The units of the answers."""
+        return Units.LINE if self.motion is None else Units.ROTATION
 
 
 @dataclass(frozen=True)
 class Answers(Answer):
     """Several answers by their names."""
 
+    basis: Basis | None
     by_name: dict[str, Any]
 
 
 def in_words(value: str | IntEnum) -> str:
     """Return the words of a status, or the name of a verdict."""
     return value if isinstance(value, str) else getattr(value, "words", value.name.lower())
+
+
+def _named(name: str, units: Units) -> str:
+    return units.moved if name == Units.LINE.moved else name
 
 
 def _for_json(value: Any) -> Any:

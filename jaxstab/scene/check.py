@@ -18,6 +18,7 @@ from jaxstab.ranges import HandRange, margins
 from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.scene.answers import (
     Answer,
+    Basis,
     Bound,
     Damping,
     DampingLimits,
@@ -28,13 +29,15 @@ from jaxstab.scene.answers import (
     StiffnessLimits,
     Time,
 )
-from jaxstab.scene.limits import HeldBy, held_by
-from jaxstab.scene.loops import corner_loops, hands_of, loop_of, walls_of
+from jaxstab.scene.basis import basis_of
+from jaxstab.scene.limits import NO_FILTERS, HeldBy, held_by
+from jaxstab.scene.loops import corner_loops, hands_of, is_plain, loop_of, walls_of
 from jaxstab.scene.scene import Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
 
 
+LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
 SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "more than is searched")]
 SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any")]
@@ -63,7 +66,7 @@ class Distance(Answer):
     is_part = True
     absent = "not known"
 
-    distance_to_boundary: Number
+    distance_to_boundary: LargestNumber
 
 
 @dataclass(frozen=True)
@@ -111,12 +114,14 @@ class WallCheck(Answer):
     radius: Radius | None = None
     settling: Settling | None = None
     oscillation: Oscillation | None = None
+    not_answered: str | None = None
 
 
 @dataclass(frozen=True)
 class Check(Answer):
     """What is known of each wall, by its name."""
 
+    basis: Basis | None
     walls: dict[str, WallCheck]
 
     @property
@@ -134,18 +139,19 @@ def check_walls(scene: Scene) -> Check:
     scene.require_walls()
     loop, hands, wanted = loop_of(scene), hands_of(scene), scene.wanted.measures
     return Check(
-        {name: _checked(loop, hands, gains, wanted) for name, gains in walls_of(scene).items()}
+        basis_of(scene),
+        {name: _checked(loop, hands, gains, wanted) for name, gains in walls_of(scene).items()},
     )
 
 
 def _checked(
     loop: HapticLoop, hands: HandRange | None, gains: Gains, wanted: tuple[str, ...]
 ) -> WallCheck:
-    loops, hand = [loop], None
+    loops, hand, answered = [loop], None, is_plain(loop)
     if hands:
-        worst = loop.worst_hand(hands, *gains)
-        code, loop, hand = worst.verdict, worst.loop, held_by(worst.loop)
         loops = list(dict.fromkeys([loop, *corner_loops(loop, hands)]))
+        code, loop = _worst(loop, hands, gains) if answered else _worst_corner(loops, gains)
+        hand = held_by(loop)
     else:
         code = Verdict(int(loop.verdict(*gains)))
     measures: dict[str, Callable[[], Answer]] = {
@@ -155,8 +161,23 @@ def _checked(
         "settling": lambda: _settling(loop, gains),
         "oscillation": lambda: _oscillation(loop, gains),
     }
+    if not answered:
+        measures.pop("margins")
     measured = {name: measure() for name, measure in measures.items() if name in wanted}
-    return WallCheck(*gains, code, hand, **measured)  # type: ignore[arg-type]
+    missing = None if answered or "margins" not in wanted else f"margins, {NO_FILTERS}"
+    return WallCheck(*gains, code, hand, **measured, not_answered=missing)  # type: ignore[arg-type]
+
+
+def _worst(loop: HapticLoop, hands: HandRange, gains: Gains) -> tuple[Verdict, HapticLoop]:
+    worst = loop.worst_hand(hands, *gains)
+    return worst.verdict, worst.loop
+
+
+def _worst_corner(loops: list[HapticLoop], gains: Gains) -> tuple[Verdict, HapticLoop]:
+    """Return the loop of the largest radius; stable corners prove nothing of other hands."""
+    worst = max(loops, key=lambda loop: float(loop.spectral_radius(*gains).value))
+    is_unstable = any(loop.verdict(*gains) == Verdict.UNSTABLE for loop in loops)
+    return Verdict.UNSTABLE if is_unstable else Verdict.UNDECIDED, worst
 
 
 def _margins(loops: list[HapticLoop], gains: Gains) -> Margins:

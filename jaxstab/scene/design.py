@@ -1,15 +1,26 @@
 """The largest sample time and the largest delay that allow a wanted stiffness."""
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import NamedTuple
 
 from jaxstab.conventions import Status
-from jaxstab.loop import HapticLoop
-from jaxstab.scene.answers import Answer, Damping, LargestStiffness, LargestTime, Stiffness
+from jaxstab.loop import Gains, HapticLoop
+from jaxstab.scene.answers import (
+    Answer,
+    Basis,
+    Damping,
+    LargestStiffness,
+    LargestTime,
+    Number,
+    Stiffness,
+)
+from jaxstab.scene.basis import basis_of
+from jaxstab.scene.estimators import MOST_WINDOW
 from jaxstab.scene.limits import LOWEST_HAND
-from jaxstab.scene.loops import hands_of, loop_of, wall_region
+from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
 from jaxstab.scene.scene import Scene
 
 _AGREEMENT = 1e-8  # relative, of a designed sample time or delay
@@ -48,7 +59,9 @@ class LargestDelay(Answer):
 class Design(Answer):
     """What a wanted stiffness asks of the controller."""
 
+    basis: Basis | None
     stiffness: Stiffness
+    safety: Number | None
     now_allowed_stiffness: LargestStiffness
     sample_time: LargestSampleTime
     delay: LargestDelay
@@ -59,7 +72,8 @@ def design_loop(scene: Scene) -> Design:
     """Return the largest sample time, and the largest delay, that allow the wanted stiffness.
 
     A delay given in samples grows with the sample time. The damping is the one that allows most.
-    The stiffness is taken to fall as the sample time or the delay grows.
+    The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
+    taken over a window in s, only sample times of which it is a whole number are tried.
 
     Raises:
         ValueError: no stiffness is wanted, a quantity is out of range, or a stable region on the
@@ -69,7 +83,8 @@ def design_loop(scene: Scene) -> Design:
     if wanted is None:
         raise ValueError("wanted.stiffness is missing; give the stiffness to design for in N/m.")
     loop = loop_of(scene)
-    in_samples = scene.controller.delay_samples
+    in_samples, safety = scene.controller.delay_samples, scene.wanted.safety or 1.0
+    asked = wanted / safety
 
     def sampled(period: float) -> HapticLoop:
         delay = loop.delay if in_samples is None else in_samples * period
@@ -78,14 +93,23 @@ def design_loop(scene: Scene) -> Design:
     def delayed(delay: float) -> HapticLoop:
         return replace(loop, delay=delay)
 
-    period = loop.sample_time
+    period, velocity = loop.sample_time, scene.controller.velocity
+    window = velocity.window if velocity else None
     shortest = max(period / _FACTOR, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0)
-    longest = _FACTOR * period
+    longest = min(_FACTOR * period, velocity.longest_sample_time if velocity else inf)
+    if window is None:
+        largest_period = _largest(sampled, asked, period, shortest, longest)
+    else:
+        largest_period = _largest_of(
+            sampled, asked, [window / n for n in range(1, MOST_WINDOW + 1)]
+        )
     return Design(
+        basis=basis_of(scene),
         stiffness=wanted,
-        now_allowed_stiffness=wall_region(loop).stiffest.stiffness,
-        sample_time=LargestSampleTime(*_largest(sampled, wanted, period, shortest, longest)),
-        delay=LargestDelay(*_largest(delayed, wanted, period, 0.0, _MOST_SAMPLES * period)),
+        safety=scene.wanted.safety,
+        now_allowed_stiffness=safety * _stiffest(loop).stiffness,
+        sample_time=LargestSampleTime(*largest_period),
+        delay=LargestDelay(*_largest(delayed, asked, period, 0.0, _MOST_SAMPLES * period)),
         hand=LOWEST_HAND if hands_of(scene) else None,
     )
 
@@ -103,7 +127,7 @@ def _largest(
     """
 
     def spare(value: float) -> float:
-        return wall_region(loop_at(value)).stiffest.stiffness / wanted - 1.0
+        return _stiffest(loop_at(value)).stiffness / wanted - 1.0
 
     low, high = _bracket(spare, start, lowest, highest)
     if not low.spare >= 0.0:
@@ -112,7 +136,27 @@ def _largest(
         found, status = high.value, DesignStatus.LONGEST_TRIED
     else:
         found, status = _last_with_spare(spare, low, high), DesignStatus.FOUND
-    return found, wall_region(loop_at(found)).stiffest.damping, status
+    return found, _stiffest(loop_at(found)).damping, status
+
+
+def _largest_of(
+    loop_at: Callable[[float], HapticLoop], wanted: float, values: list[float]
+) -> tuple[float, float | None, DesignStatus]:
+    """Return the same of some values, the largest first, by halving."""
+
+    def allows(value: float) -> bool:
+        return _stiffest(loop_at(value)).stiffness >= wanted
+
+    index = bisect_left(values, True, key=allows)
+    if index == len(values):
+        return nan, None, DesignStatus.NONE
+    status = DesignStatus.FOUND if index else DesignStatus.LONGEST_TRIED
+    return values[index], _stiffest(loop_at(values[index])).damping, status
+
+
+def _stiffest(loop: HapticLoop) -> Gains:
+    """Return the stiffest wall that turning gains up from 0 reaches."""
+    return reachable(wall_region(loop)).stiffest
 
 
 class _Trial(NamedTuple):

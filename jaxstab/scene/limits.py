@@ -1,25 +1,35 @@
 """What a scene allows: the largest stiffness and damping, beside the simple rules."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import nan
 
+from jaxstab.conventions import Verdict
 from jaxstab.criteria import linear_alpha_limit, passive_region
-from jaxstab.loop import HapticLoop, WallRegion
+from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
+from jaxstab.model import Velocity
 from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import (
     Answer,
+    Basis,
     Damping,
     DampingLimits,
     LargestDamping,
     LargestStiffness,
     Mass,
+    Number,
     Stiffness,
     StiffnessBound,
     StiffnessLimits,
 )
-from jaxstab.scene.loops import hands_of, loop_of, wall_region, walls_of
+from jaxstab.scene.basis import basis_of
+from jaxstab.scene.loops import hands_of, is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 LOWEST_HAND = "at its lowest values, where nothing else is said"
+_NOT_REACHABLE = "not reachable by turning gains up"
+NO_FILTERS = "with an estimator or a filter"
+_FAR = "small gains are not stable: no wall is reachable by turning gains up"
+_WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
 
 
 @dataclass(frozen=True)
@@ -39,12 +49,30 @@ class MostDampedWall(Answer):
 
 
 @dataclass(frozen=True)
+class OtherWindow(StiffestWall):
+    """The same for another window of the velocity."""
+
+    absent = "not resolved"
+
+
+@dataclass(frozen=True)
+class Island(Answer):
+    """Stable walls that turning gains up from 0 does not reach: unstable ones lie between."""
+
+    largest_stiffness: LargestStiffness
+    at_damping: Damping
+    largest_damping: LargestDamping
+    at_stiffness: Stiffness
+    reached: str
+
+
+@dataclass(frozen=True)
 class StiffnessesAtDamping(Answer):
     """The stable stiffnesses at a damping, and the largest one of the linear rule."""
 
     at_damping: Damping
     stiffness_limits: StiffnessLimits
-    linear_rule_stiffness: LargestStiffness
+    linear_rule_stiffness: LargestStiffness | None
 
 
 @dataclass(frozen=True)
@@ -84,40 +112,59 @@ class AllHands(Answer):
 class Limits(Answer):
     """What a scene allows, with the hand at its lowest values."""
 
+    basis: Basis | None
+    safety: Number | None
     best: StiffestWall
     most_damped: MostDampedWall
-    passive: StiffestWall
+    reached: str | None
+    islands: dict[str, Island]
+    passive: StiffestWall | None
     linear_rule: StiffestWall | None
+    windows: dict[str, OtherWindow]
     at_given_damping: StiffnessesAtDamping | None
     at_given_stiffness: DampingsAtStiffness | None
     walls: dict[str, AroundWall]
     hand: str | None
     all_hands: AllHands | None
+    not_answered: str | None
 
 
 def scene_limits(scene: Scene) -> Limits:
     """Return the largest stiffness and damping, the linear rule, the passive limit, all hands.
 
+    Where a safety is wanted, all limits are multiplied by it, towards small gains, and islands,
+    which have no such side, are left out. The linear rule and the passive limit are those of the
+    difference over one sample, and left out for others.
+
     Raises:
         ValueError: a quantity is out of range, or the stable region is not resolved.
     """
     loop, wanted, hands = loop_of(scene), scene.wanted, hands_of(scene)
-    region = wall_region(loop)
-    stiffest, most_damped = region.stiffest, region.most_damped
+    region, safety = wall_region(loop), scene.wanted.safety or 1.0
+    limits = region.limits()
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
-    is_empty = region.is_empty
+    rows = _Rows(loop, reachable(region), safety)
+    has_rules = is_plain(loop)
     return Limits(
-        best=StiffestWall(*stiffest),
-        most_damped=MostDampedWall(most_damped.damping, most_damped.stiffness),
-        passive=_passive(loop),
-        linear_rule=None if is_empty else _linear_rule(loop, stiffest.damping),
-        at_given_damping=None if damping is None else _at_damping(loop, region, damping),
-        at_given_stiffness=None if stiffness is None else _at_stiffness(region, stiffness),
-        walls={
-            f"wall {name}": _around(loop, region, *gains) for name, gains in walls_of(scene).items()
-        },
+        basis=basis_of(scene),
+        safety=wanted.safety,
+        best=StiffestWall(*rows.scaled_stiffness(limits.stiffness, limits.at_damping)),
+        most_damped=MostDampedWall(*rows.scaled_damping(limits.damping, limits.at_stiffness)),
+        reached=None if limits.is_reachable or region.is_empty else _FAR,
+        islands={} if wanted.safety else _islands(limits),
+        passive=_passive(loop, safety) if has_rules else None,
+        linear_rule=(
+            StiffestWall(rows.linear_rule(limits.at_damping), limits.at_damping)
+            if has_rules and not region.is_empty
+            else None
+        ),
+        windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
+        at_given_damping=None if damping is None else rows.at_damping(damping),
+        at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
+        walls={f"wall {name}": rows.around(*wall) for name, wall in walls_of(scene).items()},
         hand=LOWEST_HAND if hands else None,
-        all_hands=_for_all(loop, hands) if hands else None,
+        all_hands=_for_all(loop, hands, safety) if hands and has_rules else None,
+        not_answered=None if has_rules or not hands else f"all hands, {NO_FILTERS}",
     )
 
 
@@ -126,40 +173,91 @@ def held_by(loop: HapticLoop) -> HeldBy:
     return HeldBy(loop.hand_mass, loop.hand_stiffness, loop.hand_damping)
 
 
-def _passive(loop: HapticLoop) -> StiffestWall:
+@dataclass(frozen=True)
+class _Rows:
+    """The limits of the walls of a region at given gains, times a factor of safety."""
+
+    loop: HapticLoop
+    region: WallRegion
+    safety: float
+
+    def scaled_stiffness(self, stiffness: float, damping: float) -> Gains:
+        """Return a largest stiffness times the safety, NaN where that wall is not stable."""
+        scaled = self.safety * stiffness
+        is_inside = self.safety == 1.0 or bool(self.region.contains(scaled, damping))
+        return Gains(scaled if is_inside else nan, damping)
+
+    def scaled_damping(self, damping: float, stiffness: float) -> tuple[float, float]:
+        """Return a largest damping times the safety, and the stiffness of that wall."""
+        scaled = self.safety * damping
+        is_inside = self.safety == 1.0 or bool(self.region.contains(stiffness, scaled))
+        return scaled if is_inside else nan, stiffness
+
+    def at_damping(self, damping: float) -> StiffnessesAtDamping:
+        """Return the stable stiffnesses at a damping."""
+        low, high = self.region.stiffness_limits(damping).tolist()
+        rule = self.linear_rule(damping) if is_plain(self.loop) else None
+        return StiffnessesAtDamping(damping, inwards(low, high, self.safety), rule)
+
+    def at_stiffness(self, stiffness: float) -> DampingsAtStiffness:
+        """Return the stable dampings at a stiffness."""
+        low, high = self.region.damping_limits(stiffness).tolist()
+        return DampingsAtStiffness(stiffness, inwards(low, high, self.safety))
+
+    def around(self, stiffness: float, damping: float) -> AroundWall:
+        """Return both for a wall."""
+        return AroundWall(**vars(self.at_damping(damping)), **vars(self.at_stiffness(stiffness)))
+
+    def linear_rule(self, damping: float) -> float:
+        """Return the largest stiffness of the linear rule at a damping."""
+        loop = self.loop
+        limit = linear_alpha_limit(loop.beta(damping), loop.delta, loop.delay_samples)
+        return self.safety * loop.stiffness(float(limit))
+
+
+def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
+    """Return the limits of an interval, each moved inwards by a factor; NaN where nothing stays.
+
+    Limits of one sign are moved away from it: a lower one above 0 is divided by the factor.
+    """
+    low = low * safety if low < 0.0 else low / safety
+    high = high * safety if high > 0.0 else high / safety
+    return (low, high) if low <= high else (nan, nan)
+
+
+def _islands(limits: WallLimits) -> dict[str, Island]:
+    """Return the islands by their numbers, the largest first."""
+    return {
+        f"island {number}": Island(*island[:4], _NOT_REACHABLE)
+        for number, island in enumerate(limits.islands, 1)
+    }
+
+
+def _passive(loop: HapticLoop, safety: float) -> StiffestWall:
     own = loop.device_damping * loop.sample_time / loop.mass
     alpha, beta = passive_region(own, loop.delay_samples).max_alpha
-    return StiffestWall(float(loop.stiffness(alpha)), float(loop.damping(beta)))
+    return StiffestWall(safety * float(loop.stiffness(alpha)), float(loop.damping(beta)))
 
 
-def _linear_rule(loop: HapticLoop, damping: float) -> StiffestWall:
-    limit = linear_alpha_limit(loop.beta(damping), loop.delta, loop.delay_samples)
-    return StiffestWall(loop.stiffness(float(limit)), damping)
+def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
+    """Return what windows that software has would leave of the largest stiffness."""
+    answers = {}
+    for samples in _WINDOWS:
+        limits = replace(loop, velocity=Velocity.difference(samples)).limits()
+        stiffest = OtherWindow(safety * limits.stiffness, limits.at_damping)
+        answers[f"with a window of {samples} samples"] = stiffest
+    return answers
 
 
-def _at_damping(loop: HapticLoop, region: WallRegion, damping: float) -> StiffnessesAtDamping:
-    low, high = region.stiffness_limits(damping).tolist()
-    rule = _linear_rule(loop, damping).largest_stiffness
-    return StiffnessesAtDamping(damping, (low, high), rule)
-
-
-def _at_stiffness(region: WallRegion, stiffness: float) -> DampingsAtStiffness:
-    low, high = region.damping_limits(stiffness).tolist()
-    return DampingsAtStiffness(stiffness, (low, high))
-
-
-def _around(loop: HapticLoop, region: WallRegion, stiffness: float, damping: float) -> AroundWall:
-    return AroundWall(
-        **vars(_at_damping(loop, region, damping)), **vars(_at_stiffness(region, stiffness))
-    )
-
-
-def _for_all(loop: HapticLoop, hands: HandRange) -> AllHands:
+def _for_all(loop: HapticLoop, hands: HandRange, safety: float) -> AllHands:
     found = loop.robust_limit(hands)
+    is_proved, stiffness = found.is_proved, safety * found.stiffness
+    if safety < 1.0:
+        is_proved = loop.worst_hand(hands, stiffness, found.damping).verdict == Verdict.STABLE
     return AllHands(
-        largest_stiffness=found.stiffness,
+        largest_stiffness=stiffness,
         at_damping=found.damping,
-        certainty="proved for every hand" if found.is_proved else "not proved",
+        certainty="proved for every hand" if is_proved else "not proved",
         none_is_stiffer_than=found.limit,
         worst_hand=held_by(found.loop),
     )

@@ -5,42 +5,79 @@ from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, NamedTuple
 
-from jaxstab.tables import Table, check_keys, interval, key, one_of, quantity, read_table, some_of
+from jaxstab.model import Filter, Velocity
+from jaxstab.scene.estimators import PositionTable, VelocityTable
+from jaxstab.scene.presets import device_presets
+from jaxstab.scene.units import Units
+from jaxstab.tables import (
+    Table,
+    check_keys,
+    interval,
+    key,
+    nested,
+    one_of,
+    quantity,
+    read_table,
+    share,
+    some_of,
+)
 
 ANSWERS = ("limits", "check", "tune", "design")
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation")
 MOST_SAMPLES = 1024  # of delay: the degree of what is solved
 _MANY_SAMPLES = 1000  # of delay: more likely a slip of the unit
-
-
-class Preset(NamedTuple):
-    """A device by name: mass in kg, damping in N s/m, and where the numbers are from."""
-
-    mass: float
-    damping: float
-    source: str
-
-
-PRESETS = {
-    "phantom": Preset(0.1, 1.5, "Remark 4 of Hulin, Preusche, Hirzinger (2008)"),
-    "omega": Preset(0.25, 0.1, "assumed: the maker publishes neither mass nor damping"),
-    "falcon": Preset(0.2, 0.1, "assumed: the maker publishes neither mass nor damping"),
-}
+_NO_MASS = "mass is missing; give it a value."
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device(Table):
-    """The haptic device: effective mass in kg and physical damping in N s/m, or a preset."""
+    """The haptic device: effective mass in kg and physical damping in N s/m, or a preset.
 
-    preset: str | None = key(one_of(PRESETS), None)
-    mass: float = key(quantity("kg", is_positive=True))
+    A device that turns has a moment of inertia in kg m^2 in place of the mass, and its damping is
+    in N m s/rad.
+    """
+
+    preset: str | None = key(lambda name: one_of(device_presets())(name), None)
+    mass: float | None = key(quantity("kg", is_positive=True), None)
+    inertia: float | None = key(quantity("kg m^2", is_positive=True), None)
     damping: float = key(quantity("N s/m"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.mass is not None and self.inertia is not None:
+            raise ValueError(
+                f"mass is {self.mass:g} beside inertia; give mass for a device that moves along a "
+                "line, or inertia for one that turns."
+            )
+        if self.mass is None and self.inertia is None:
+            raise ValueError(_NO_MASS)
 
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """Let a preset give what the table does not."""
-        preset = PRESETS.get(str(table.get("preset")))
-        return {"mass": preset.mass, "damping": preset.damping, **table} if preset else table
+        preset = device_presets().get(str(table.get("preset")))
+        if preset is None:
+            if "mass" not in table and "inertia" not in table:
+                raise ValueError(_NO_MASS)
+            return table
+        known = preset.values(("mass", "damping"))
+        for name in ("mass", "damping"):
+            if name not in known and name not in table:
+                raise ValueError(
+                    f"{name} is missing; no source has that of the preset {table['preset']!r}, so "
+                    "give it a value."
+                )
+        return {**known, **table}
+
+    @property
+    def units(self) -> Units:
+        """The units of whatever belongs to the device."""
+        return Units.LINE if self.inertia is None else Units.ROTATION
+
+    @property
+    def effective_mass(self) -> float:
+        """The mass in kg, or the moment of inertia in kg m^2."""
+        return self.mass or self.inertia or 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,22 +85,30 @@ class Hand(Table):
     """The hand that holds the device; each quantity a range from lowest to highest."""
 
     mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0))
+    inertia: tuple[float, float] | None = key(interval("kg m^2"), None)
     stiffness: tuple[float, float] = key(interval("N/m"), (0.0, 0.0))
     damping: tuple[float, float] = key(interval("N s/m"), (0.0, 0.0))
 
     @property
+    def effective_mass(self) -> tuple[float, float]:
+        """The mass in kg, or the moment of inertia in kg m^2."""
+        return self.inertia or self.mass
+
+    @property
     def varies(self) -> bool:
         """Whether this is more than one hand."""
-        return any(low < high for low, high in (self.mass, self.stiffness, self.damping))
+        return any(low < high for low, high in (self.effective_mass, self.stiffness, self.damping))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Controller(Table):
-    """The sampling period in s, and the delay of the loop in s or in samples."""
+    """The sampling period in s, the delay of the loop in s or in samples, and what is filtered."""
 
     sample_time: float = key(quantity("s", is_positive=True))
     delay: float | None = key(quantity("s"), None)
     delay_samples: float | None = key(quantity("samples"), None)
+    velocity: VelocityTable | None = key(nested(VelocityTable), None)
+    position: PositionTable | None = key(nested(PositionTable), None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,6 +119,13 @@ class Controller(Table):
                 f"delay is {self.samples:g} samples of {self.sample_time:g} s; give at most "
                 f"{MOST_SAMPLES} samples, or a longer sample_time."
             )
+        for name, made in (("velocity", self.estimator), ("position", self.position_filter)):
+            if made is not None:
+                filter_ = made.filter if isinstance(made, Velocity) else made
+                try:
+                    filter_.transfer(self.sample_time)
+                except ValueError as error:
+                    raise ValueError(f"{name}.{error}") from None
 
     @property
     def time_delay(self) -> float:
@@ -84,6 +136,16 @@ class Controller(Table):
     def samples(self) -> float:
         """The delay in samples."""
         return self.time_delay / self.sample_time
+
+    @property
+    def estimator(self) -> Velocity | None:
+        """The velocity estimator; None for the difference over one sample."""
+        return None if self.velocity is None else self.velocity.made()
+
+    @property
+    def position_filter(self) -> Filter | None:
+        """The filter of the position, if there is one."""
+        return None if self.position is None else self.position.made()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +165,7 @@ class Wanted(Table):
     at_damping: float | None = key(quantity("N s/m"), None)
     at_stiffness: float | None = key(quantity("N/m"), None)
     stiffness: float | None = key(quantity("N/m", is_positive=True), None)
+    safety: float | None = key(share, None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -119,6 +182,24 @@ class Scene:
     hand: Hand | None = None
     walls: dict[str, Wall] = field(default_factory=dict)
     wanted: Wanted = field(default_factory=Wanted)
+
+    def __post_init__(self) -> None:
+        hand, turns = self.hand or Hand(), self.device.units is Units.ROTATION
+        if turns and hand.mass != (0.0, 0.0):
+            raise ValueError(
+                f"hand.mass is {list(hand.mass)} beside device.inertia; a device that turns moves "
+                "an inertia of the hand: give hand.inertia in kg m^2."
+            )
+        if hand.inertia is not None and not turns:
+            raise ValueError(
+                f"hand.inertia is {list(hand.inertia)} beside device.mass; give hand.mass in kg, "
+                "or device.inertia."
+            )
+
+    @property
+    def units(self) -> Units:
+        """The units of the whole scene."""
+        return self.device.units
 
     @classmethod
     def from_file(cls, path: str | PathLike[str]) -> "Scene":
@@ -140,7 +221,8 @@ class Scene:
         try:
             return cls(**_parts(table))
         except ValueError as error:
-            raise ValueError(f"{source}: {error}" if source else str(error)) from None
+            words = _units_of(table).translated(str(error))
+            raise ValueError(f"{source}: {words}" if source else words) from None
 
     def require_walls(self) -> None:
         """Refuse a scene without a wall.
@@ -154,22 +236,41 @@ class Scene:
     def unusual(self) -> list[str]:
         """Return what looks like a slip of the unit, in words."""
         device, controller = self.device, self.controller
-        hand = self.hand or Hand()
+        hand, units = self.hand or Hand(), self.units
+        kilogram, stiffness, damping = units.kilogram, units.stiffness, units.damping
+        mass, usual = ("mass", _USUAL) if units is Units.LINE else ("inertia", _USUAL_TURNING)
         found = [
-            _outside("device.mass", device.mass, 1e-3, 50.0, "kg"),
-            _outside("device.damping", device.damping, 0.0, 100.0, "N s/m"),
-            _outside("hand.mass", hand.mass[1], 0.0, 20.0, "kg"),
-            _outside("hand.stiffness", hand.stiffness[1], 0.0, 1e6, "N/m"),
-            _outside("hand.damping", hand.damping[1], 0.0, 1e3, "N s/m"),
+            _outside(f"device.{mass}", device.effective_mass, *usual.device_mass, kilogram),
+            _outside("device.damping", device.damping, *usual.device_damping, damping),
+            _outside(f"hand.{mass}", hand.effective_mass[1], *usual.hand_mass, kilogram),
+            _outside("hand.stiffness", hand.stiffness[1], *usual.stiffness, stiffness),
+            _outside("hand.damping", hand.damping[1], *usual.hand_damping, damping),
             _outside("controller.sample_time", controller.sample_time, 1e-5, 0.05, "s"),
             _outside("the delay", controller.time_delay, 0.0, 2.0, "s"),
             _many_samples(controller),
+            _other_period(controller),
         ]
         for name, wall in self.walls.items():
-            found.append(_outside(f"walls.{name}.stiffness", wall.stiffness, 0.0, 1e6, "N/m"))
-            found.append(_outside(f"walls.{name}.damping", wall.damping, 0.0, 1e4, "N s/m"))
+            found += [
+                _outside(f"walls.{name}.stiffness", wall.stiffness, *usual.stiffness, stiffness),
+                _outside(f"walls.{name}.damping", wall.damping, *usual.damping, damping),
+            ]
         return [words for words in found if words]
 
+
+class _Usual(NamedTuple):
+    """The ends of what is usual of each quantity."""
+
+    device_mass: tuple[float, float]
+    device_damping: tuple[float, float]
+    hand_mass: tuple[float, float]
+    hand_damping: tuple[float, float]
+    stiffness: tuple[float, float]
+    damping: tuple[float, float]
+
+
+_USUAL = _Usual((1e-3, 50.0), (0.0, 100.0), (0.0, 20.0), (0.0, 1e3), (0.0, 1e6), (0.0, 1e4))
+_USUAL_TURNING = _Usual((1e-8, 1.0), (0.0, 10.0), (0.0, 1.0), (0.0, 100.0), (0.0, 1e5), (0.0, 1e3))
 
 _PARTS: Mapping[str, type[Table]] = {
     "device": Device,
@@ -209,3 +310,18 @@ def _many_samples(controller: Controller) -> str:
     if controller.samples < _MANY_SAMPLES:
         return ""
     return f"the delay is {controller.samples:g} samples; one in samples is given as delay_samples"
+
+
+def _other_period(controller: Controller) -> str:
+    """Return a warning for a preset whose numbers are meant for another sampling period."""
+    usual = controller.velocity.usual_sample_time if controller.velocity else None
+    if usual is None or usual == controller.sample_time:
+        return ""
+    name = controller.velocity.preset if controller.velocity else ""
+    return f"the preset {name!r} is meant for a sample_time of {usual:g} s"
+
+
+def _units_of(table: Mapping[str, Any]) -> Units:
+    device = table.get("device")
+    is_turning = isinstance(device, Mapping) and "inertia" in device
+    return Units.ROTATION if is_turning else Units.LINE

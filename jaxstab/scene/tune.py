@@ -7,11 +7,13 @@ from typing import Literal
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.ranges import HandRange
-from jaxstab.scene.answers import Answer, Bound, Damping, Number, Stiffness, rounded_gain
+from jaxstab.scene.answers import Answer, Basis, Bound, Damping, Number, Stiffness, rounded_gain
+from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import SettlingTime, settled
 from jaxstab.scene.limits import LOWEST_HAND
 from jaxstab.scene.loops import hands_of, loop_of, wall_region
 from jaxstab.scene.scene import Scene
+from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
 
 
@@ -50,16 +52,17 @@ class BestWall(Answer):
     status: TuningStatus
     for_all_hands: Verdict | None
 
-    def lines(self, indent: str = "") -> list[str]:
+    def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return the lines of the rounded wall, and the rest."""
         printed = TunedWall(**vars(self.rounded)) if self.rounded else None
-        return Answer.lines(replace(self, exact=printed, rounded=None), indent)
+        return Answer.lines(replace(self, exact=printed, rounded=None), indent, units)
 
 
 @dataclass(frozen=True)
 class Tuned(Answer):
     """The wall of the smallest radius, of the fastest settling, and the best dampings."""
 
+    basis: Basis | None
     least_radius: BestWall
     least_settling: BestWall
     walls: dict[str, BestWall]
@@ -77,6 +80,7 @@ def tune_walls(scene: Scene) -> Tuned:
     best = partial(_best, loop, hands)
     given = scene.wanted.at_stiffness
     return Tuned(
+        basis=basis_of(scene),
         least_radius=best("radius"),
         least_settling=best("settling"),
         walls={

@@ -1,0 +1,122 @@
+"""Presets of devices and software: each number has a source, each estimator is what it says."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from jaxstab.model import Filter, Velocity
+from jaxstab.scene import Scene
+from jaxstab.scene.estimators import PositionTable, VelocityTable
+from jaxstab.scene.presets import Preset, device_presets, software_presets
+
+DATA = Path(__file__).parents[1] / "data" / "presets"
+ALL = {**device_presets(), **software_presets()}
+DOCUMENTED = [name for name, preset in software_presets().items() if preset.numbers]
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_each_preset_has_a_title_and_each_number_a_unit_a_source_and_a_date(name: str) -> None:
+    preset: Preset = ALL[name]
+    assert preset.title
+    assert preset.numbers or preset.note
+    for number in preset.numbers.values():
+        assert number.unit
+        assert number.source
+        assert number.date[:4].isdigit()
+    assert str(preset.lines())
+
+
+def test_what_no_maker_publishes_is_called_assumed() -> None:
+    for name in ("omega", "falcon"):
+        numbers = device_presets()[name].numbers
+        assert numbers["mass"].source == numbers["damping"].source == "assumed"
+    assert "assumed" in software_presets()["force-dimension-sdk"].numbers["window"].source
+    assert "assumed" in str(VelocityTable.from_table({"preset": "force-dimension-sdk"}))
+
+
+def test_the_limits_of_chai3d_are_there_for_each_device_but_none_is_used() -> None:
+    for preset in device_presets().values():
+        assert {"largest_stiffness", "largest_damping"} <= preset.numbers.keys()
+    device = Scene.from_table({"device": {"preset": "omega"}, "controller": {"sample_time": 1e-3}})
+    assert device.walls == {}
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_each_documented_estimator_makes_a_scene_at_its_own_rate(name: str) -> None:
+    meant = software_presets()[name].values(("sample_time",)).get("sample_time", 1e-3)
+    scene = Scene.from_table(
+        {
+            "device": {"preset": "omega"},
+            "controller": {"sample_time": meant, "velocity": {"preset": name}},
+        }
+    )
+    assert scene.unusual() == []
+    assert name in str(scene.controller.velocity)
+
+
+def as_run(name: str, positions: np.ndarray, period: float) -> np.ndarray:
+    """The velocities that the source of a software computes, line by line."""
+    padded = np.concatenate([np.zeros(60), positions])
+    found = []
+    smooth = [0.0, 0.0]
+    for k in range(60, len(padded)):
+        if name == "hapkit":
+            raw = (padded[k] - padded[k - 1]) / 0.0001
+            value = -(0.95 * 0.95) * smooth[-2] + 2 * 0.95 * smooth[-1] + (1 - 0.95) ** 2 * raw
+        else:
+            window = {"chai3d": 0.015, "chai3d-rotation": 0.030}.get(name, 0.020)
+            samples = round(window / period)
+            value = (padded[k] - padded[k - samples]) / window
+            if name == "ros-force-dimension":
+                value = smooth[-1] + 0.15 * (value - smooth[-1])
+        smooth = [smooth[-1], value]
+        found.append(value)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_each_documented_estimator_is_what_its_source_computes(name: str) -> None:
+    period = {"ros-force-dimension": 0.0005, "hapkit": 0.0001}.get(name, 0.001)
+    positions = np.random.default_rng(0).normal(size=200)
+    smoothing = VelocityTable.from_table({"preset": name}).made().filter.transfer(period)
+    above, below = ([float(c.hi) for c in part] for part in smoothing[:2])
+    shift = smoothing.lag + len(below) - len(above)  # of z^-lag N(z)/D(z), in powers of 1/z
+    velocities = lfilter([0.0] * shift + above, below, np.diff(positions, prepend=0.0) / period)
+    expected = as_run(name, positions, period)
+    np.testing.assert_allclose(velocities, expected, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("table", "made"),
+    [
+        ({"window": 0.02}, Velocity.difference(window=0.02)),
+        ({"window_samples": 5}, Velocity.difference(5)),
+        ({"cutoff": 100.0}, Velocity.difference(1) * Filter.low_pass(100.0)),
+        (
+            {"cutoff": 80.0, "order": 2, "kind": "butterworth", "window_samples": 3},
+            Velocity.difference(3) * Filter.butterworth(80.0, 2),
+        ),
+        ({"factor": 0.2}, Velocity.difference(1) * Filter.exponential(0.2)),
+        (
+            {"numerator": [25.0, -25.0, 0.0], "denominator": [1.0, -1.9, 0.9025]},
+            Velocity.transfer_function([25.0, -25.0, 0.0], [1.0, -1.9, 0.9025]),
+        ),
+        ({"preset": "chai3d"}, Velocity.difference(window=0.015)),
+        ({"preset": "chai3d", "window_samples": 14}, Velocity.difference(14)),
+        (
+            {"preset": "force-dimension-sdk", "cutoff": 30.0},
+            Velocity.difference(window=0.020) * Filter.low_pass(30.0),
+        ),
+    ],
+)
+def test_a_table_is_the_estimator_that_it_says(table: dict[str, Any], made: Velocity) -> None:
+    assert VelocityTable.from_table(table).made() == made
+
+
+def test_a_table_of_the_position_is_the_filter_that_it_says() -> None:
+    table = {"window_samples": 4, "cutoff": 50.0}
+    made = PositionTable.from_table(table).made()
+    assert made == Filter.average(4) * Filter.low_pass(50.0)
