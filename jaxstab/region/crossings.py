@@ -21,13 +21,17 @@ from jaxstab.region.roots import bracketed_root, with_slope
 from jaxstab.region.scan import Angles
 
 _AT_ONCE = 1 << 20  # pairs of boxes that are held in memory
-_NEWTON_STEPS = 24  # where two parts all but touch each step halves what is left
+_CUBIC_STEPS = 12  # of Newton's method on the cubics
+_NEWTON_STEPS = 6  # on the curve; where two parts all but touch each step halves what is left
 _BEYOND = 0.5  # how far Newton's method may leave a part, as a share of it
 _ARRIVED = 1e-3  # the last step, and the least distance of two angles that meet; likewise
+_SAME = 1e-4  # starts closer to each other are one; likewise
+_MISS = 0.05  # how far from each other cubics are where the curve may meet, beside their lengths
 _NEARLY_STABLE = 1.1  # of the circle: with filters parts with roots farther out bound nothing
 _SETTLED = 1e-9  # a step that small is the last one; likewise
 _CLOSE = 1e-6  # crossings closer to each other are one
-_STARTS = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])  # of two parts: one end of each
+_STARTS = np.array([[0.0, 0.0, 1.0, 1.0], [0.0, 1.0, 0.0, 1.0]])  # of two parts: one end of each
+_POWERS = np.array([[1, 0, 0, 0], [-3, 3, 0, 0], [3, -6, 3, 0], [-1, 3, -3, 1]])  # by controls
 
 Parts = Int[np.ndarray, " _"]  # numbers of intervals between two angles of the scan
 Controls = Float64[np.ndarray, "4 2 part"]
@@ -82,9 +86,9 @@ def _self_crossings(
     turning = _turning_parts(slopes)
     loops = np.stack([np.tile(turning, 2), np.append(turning, turning + 1)])
     pairs = np.concatenate([_touching_parts(controls), loops], axis=1)
-    parts = np.repeat(pairs, _STARTS.shape[1], axis=1)
-    start = angles[parts + np.tile(_STARTS, pairs.shape[1])]
-    return _meetings(c, start, angles[parts], angles[parts + 1])
+    parts, shares = _starts(controls, pairs)
+    width = angles[parts + 1] - angles[parts]
+    return _meetings(c, angles[parts] + shares * width, angles[parts], width)
 
 
 def _touching_parts(controls: Controls) -> Int[np.ndarray, "2 pair"]:
@@ -136,15 +140,35 @@ def _turning_parts(slopes: Slopes) -> Parts:
     return np.flatnonzero(alone[:-1] | alone[1:] | both)
 
 
+def _starts(
+    controls: Controls, pairs: Int[np.ndarray, "2 pair"]
+) -> tuple[Int[np.ndarray, "2 start"], Float64[np.ndarray, "2 start"]]:
+    """Return pairs of parts with the shares of them at which their cubics meet, or all but do."""
+    parts = np.repeat(pairs, _STARTS.shape[1], axis=1)
+    cubics = np.tensordot(_POWERS, controls, 1)[:, :, parts]  # (power, value, of the pair, start)
+    shares = np.tile(_STARTS, pairs.shape[1])
+    for _ in range(_CUBIC_STEPS):
+        constant, once, twice, thrice = cubics
+        points = constant + shares * (once + shares * (twice + shares * thrice))
+        slopes = once + shares * (2.0 * twice + shares * (3.0 * thrice))
+        steps = np.stack(steps_to_meeting(*points, *slopes))
+        shares = np.clip(shares - steps, -_BEYOND, 1.0 + _BEYOND)
+    away = np.sum((points[:, 0] - points[:, 1]) ** 2, axis=0)
+    size = np.max(np.ptp(controls, axis=0)[:, parts], axis=(0, 1)) ** 2
+    chosen = np.flatnonzero(away < _MISS**2 * size)
+    rounded = np.concatenate([parts, np.round(shares / _SAME)])[:, chosen]
+    _, first = np.unique(rounded, axis=1, return_index=True)
+    return parts[:, chosen[first]], shares[:, chosen[first]]
+
+
 def _meetings(
     c: SliceCoefficients,
     start: Float64[np.ndarray, "2 pair"],
     begin: Float64[np.ndarray, "2 pair"],
-    end: Float64[np.ndarray, "2 pair"],
+    width: Float64[np.ndarray, "2 pair"],
 ) -> Angles:
-    """Return the angles at which the curve meets itself, of pairs of parts from begin to end."""
-    width = end - begin
-    lowest, highest = begin - _BEYOND * width, end + _BEYOND * width
+    """Return the angles at which the curve meets itself, of pairs of parts."""
+    lowest, highest = begin - _BEYOND * width, begin + (1.0 + _BEYOND) * width
     angles, last = start.copy(), np.full_like(start, np.inf)
     moving = np.arange(start.shape[1])
     for _ in range(_NEWTON_STEPS):
