@@ -14,6 +14,7 @@ from time import process_time
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.path import Path
 
 from benchmarks import truth
 from benchmarks.record import Row
@@ -111,14 +112,21 @@ def family(plant: Plant) -> np.ndarray:
     return np.stack([base, alpha - base, beta - base]).astype(float)
 
 
-def descent(polynomials: np.ndarray, start: np.ndarray, rng: np.random.Generator) -> float:
-    """Return the smallest radius of a random walk that keeps what is better."""
-    gains, least = start, radii(polynomials, start[None])[0]
+def descent(
+    polynomials: np.ndarray,
+    start: np.ndarray,
+    rng: np.random.Generator,
+    outline: Path | None = None,
+) -> float:
+    """Return the smallest radius of a random walk that keeps what is better, inside an outline."""
+    gains, least = start, np.inf
     size = max(*np.abs(start), 0.1 / polynomials.shape[1] ** 2)
-    for _ in range(_STEPS):
-        spread = 10 ** rng.uniform(*_SPREADS, (_TRIALS, 1))
+    for step in range(_STEPS + 1):
+        spread = 10 ** rng.uniform(*_SPREADS, (_TRIALS, 1)) * (step > 0)
         trials = gains + size * spread * rng.normal(size=(_TRIALS, 2))
         values = radii(polynomials, trials)
+        if outline is not None:
+            values[~outline.contains_points(trials)] = np.inf
         if values.min() < least:
             gains, least = trials[np.argmin(values)], values.min()
     return float(least)

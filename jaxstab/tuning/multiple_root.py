@@ -10,6 +10,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, constant, namespace
 from jaxstab.model import PlantCoefficients
+from jaxstab.model.linear_loop import LinearLoop
 
 _NEWTON_STEPS = 10
 _FARTHEST = 1.3  # a root beyond has been lost
@@ -49,6 +50,13 @@ def family_of(plant: PlantCoefficients, whole_delay: int) -> Family:
         [*before, plant.n2, -fall, plant.n0 - plant.n1, -plant.n0],
     )
     return Family(*(xp.stack(column, axis=-1) for column in columns))
+
+
+def family_of_loop(loop: LinearLoop) -> Family:
+    """Return the polynomials of all walls at any linear loop."""
+    xp = namespace(loop[:3])
+    parts = ([coefficient.rounded() for coefficient in part] for part in loop[:3])
+    return Family(*(xp.stack(part, axis=-1) for part in parts))
 
 
 def triple_roots(family: Family) -> Pair:

@@ -9,14 +9,13 @@ See Blondel, Gurbuzbalaban, Megretski, Overton (2012) for why roots coalesce.
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, constant, namespace
+from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_traced, namespace
 from jaxstab.batches import on_host
-from jaxstab.conventions import Status, Verdict
+from jaxstab.conventions import Verdict
 from jaxstab.model import (
     PlantCoefficients,
     checked_delay,
@@ -25,35 +24,27 @@ from jaxstab.model import (
     plant_coefficients,
     require_x64,
 )
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.linear_loop import filtered_loop
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdict.door import verdict
-from jaxstab.tuning.multiple_root import Family, Pair, family_of, newton_step
-from jaxstab.tuning.search import searched
+from jaxstab.tuning.component import searched_component
+from jaxstab.tuning.multiple_root import Family, Pair, family_of, family_of_loop, newton_step
+from jaxstab.tuning.search import Walls, scan_angles, searched
+from jaxstab.tuning.status import OptimalGains, TuningStatus
+
+_LIKE = (np.float64,) * 4 + (np.int8,)
+_NEAR_CIRCLE = 0.9  # how far out zeros are that bend the curve sharply
 
 
-class TuningStatus(Status):
-    """How the best gains are known; small integers, so that arrays store int8.
-
-    That no other gains are better is proved for none of them.
-    """
-
-    NOT_COMPUTED = 0, "not computed"
-    TRIPLE_ROOT = 1, "the best found: a triple real pole, solved for to full precision"
-    DOUBLE_PAIR = 2, "the best found: a double pair of poles, solved for to full precision"
-    SCANNED = 3, "the best found: a point of a scan, of which 0.01 % may be missing"
-    NO_STABLE_GAINS = 4, "no gains found that make the loop stable"
-
-
-class OptimalGains(NamedTuple):
-    """The best gains, what they reach (a radius, or samples) and how they are known."""
-
-    alpha: Float64[Array, "*grid"]
-    beta: Float64[Array, "*grid"]
-    value: Float64[Array, "*grid"]
-    status: Int8[Array, "*grid"]
-
-
-def minimize_radius(gamma: Numbers, delta: Numbers, delay: Numbers) -> OptimalGains:
+def minimize_radius(
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> OptimalGains:
     """Return the gains (alpha, beta) with the smallest spectral radius: the fastest decay.
 
     In the haptic range the best gains make a triple real pole; with a stiff hand and a delay, a
@@ -61,10 +52,16 @@ def minimize_radius(gamma: Numbers, delta: Numbers, delay: Numbers) -> OptimalGa
     the hand is stiff. That the gains are the best is not proved: the search looks for a smaller
     radius at every angle of the dominant pair, to the resolution of its scan.
 
+    With an estimator or a filter the stable set may have several components. The best gains are
+    those of the component that holds small positive gains; where none does, those of the islands,
+    and the status says so.
+
     Args:
         gamma: physical stiffness k T^2/m in [0, 1e4], any shape; broadcasts with delta.
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, one number.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
 
     Returns:
         OptimalGains of the broadcast shape, ``value`` the radius at the exact multiple root: gains
@@ -74,7 +71,7 @@ def minimize_radius(gamma: Numbers, delta: Numbers, delay: Numbers) -> OptimalGa
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced or an array.
+        TypeError: the delay is traced or an array, or a filter is traced.
         RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) for the poles; the theorem of Blondel et al. (2012), IEEE TAC 57(12).
@@ -82,22 +79,84 @@ def minimize_radius(gamma: Numbers, delta: Numbers, delay: Numbers) -> OptimalGa
     require_x64(gamma, delta)
     checked_delay(delay)
     delay = checked_number("delay", delay, 0.0)
-    plant = plant_coefficients(checked_gamma(gamma), checked_delta(delta), delay)
-    fields = on_host(
-        lambda *fields: searched(PlantCoefficients(*fields), int(delay)),
-        *plant,
-        shape=plant.d0.shape,
-        like=(np.float64,) * 4 + (np.int8,),
+    filters = given_filters(velocity, position)
+    gamma, delta = float_arrays(checked_gamma(gamma), checked_delta(delta))
+    family, fields = (
+        _filtered_pairs(gamma, delta, delay, filters) if filters else _pairs(gamma, delta, delay)
     )
     best, kind = Pair(*fields[:4]), fields[4]
-    xp = namespace(plant)
+    xp = namespace(gamma, delta)
     if xp is not np:
-        best = _followed(family_of(plant, int(delay)), best, kind)
+        best = _followed(family, best, kind)
     value = xp.hypot(best.x, best.y)
     scene = constant((best.alpha, best.beta, gamma, delta))
-    is_stable = xp.asarray(verdict(*scene, delay) == Verdict.STABLE)
+    codes = verdict(*scene, delay, velocity=velocity, position=position)
+    is_stable = xp.asarray(codes == Verdict.STABLE)
     status = xp.where(is_stable, kind, TuningStatus.NO_STABLE_GAINS).astype(np.int8)
     return OptimalGains(best.alpha, best.beta, value, status)
+
+
+def _pairs(gamma: Array, delta: Array, delay: float) -> tuple[Family, tuple[Array, ...]]:
+    plant = plant_coefficients(gamma, delta, delay)
+    fields = on_host(
+        lambda *fields: _searched(PlantCoefficients(*fields), int(delay)),
+        *plant,
+        shape=plant.d0.shape,
+        like=_LIKE,
+    )
+    return family_of(plant, int(delay)), fields
+
+
+def _searched(plant: PlantCoefficients, whole_delay: int) -> tuple[Array, ...]:
+    family = family_of(PlantCoefficients(*(np.ravel(field) for field in plant)), whole_delay)
+    zeros = np.stack([np.ravel(field) for field in (plant.n2, plant.n1, plant.n0)], axis=-1)
+    every = (
+        Walls(Family(*one), scan_angles(whole_delay + 3, numerator))
+        for *one, numerator in zip(*family, zeros, strict=True)
+    )
+    return searched(every, plant.d0.shape)
+
+
+def _filtered_pairs(
+    gamma: Array, delta: Array, delay: float, filters: Filters
+) -> tuple[Family, tuple[Array, ...]]:
+    if is_any_traced(filters):
+        raise TypeError(
+            "the best gains are searched for outside of JAX: give filters of concrete numbers, not "
+            "traced."
+        )
+    xp = namespace(gamma, delta)
+    gamma, delta = xp.broadcast_arrays(gamma, delta)
+    fields = on_host(
+        lambda *plants: _filtered_searched(plants, delay, filters),
+        gamma,
+        delta,
+        shape=gamma.shape,
+        like=_LIKE,
+    )
+    loop = filtered_loop(gamma, delta, int(delay), delay % 1.0, filters)
+    return family_of_loop(loop), fields
+
+
+def _filtered_searched(
+    plants: tuple[Array, ...], delay: float, filters: Filters
+) -> tuple[Array, ...]:
+    gamma, delta = plants
+    pairs = zip(gamma.ravel().tolist(), delta.ravel().tolist(), strict=True)
+    every = [filtered_walls(*plant, delay, filters) for plant in pairs]
+    *pair, kind = searched(every, gamma.shape)
+    known = np.array([walls.component.status for walls in every]).reshape(gamma.shape)
+    return *pair, np.where(known == TuningStatus.NOT_COMPUTED, kind, known).astype(np.int8)
+
+
+def filtered_walls(gamma: float, delta: float, delay: float, filters: Filters) -> Walls:
+    """Return all walls of a loop with filters in units of one sample."""
+    plant = np.float64(gamma), np.float64(delta)
+    family = family_of_loop(filtered_loop(*plant, int(delay), delay % 1.0, filters))
+    zeros = np.roots(family.stiff)
+    near = np.poly(zeros[np.abs(zeros) > _NEAR_CIRCLE])
+    component = searched_component(gamma, delta, delay, filters)
+    return Walls(family, scan_angles(family.base.size - 1, near), component)
 
 
 def _followed(family: Family, best: Pair, kind: Array) -> Pair:

@@ -12,23 +12,23 @@ tells whether it is the best. If not, the radius is taken down from scan to scan
 pair next to the best point, or the point itself, stands such a test.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Array
-from jaxstab.model import PlantCoefficients, companion_matrix
+from jaxstab.model import companion_matrix
+from jaxstab.tuning.component import ALL_GAINS, Component
 from jaxstab.tuning.multiple_root import (
     Family,
     Pair,
-    family_of,
     multiple_root,
     triple_roots,
     value,
 )
-
-TRIPLE_ROOT, DOUBLE_PAIR, SCANNED = 1, 2, 3  # as TuningStatus numbers them
+from jaxstab.tuning.status import TuningStatus
 
 _SMALLEST, _LARGEST = 1e-4, 1.3  # radii that are looked at
 _REAL = 1e-3  # rad: dominant pairs closer to the real axis are taken for real
@@ -47,22 +47,42 @@ _NOISE, _MOST_NOISE = 1e-5, 1e-3  # relative, of a triple pole; of one whose gai
 Angles = Float64[np.ndarray, " angle"]
 
 
-def searched(plant: PlantCoefficients, whole_delay: int) -> tuple[Array, ...]:
-    """Return alpha, beta, x and y of the best pairs of plants, and how each is known."""
-    shape = plant.d0.shape
-    family = family_of(PlantCoefficients(*(np.ravel(field) for field in plant)), whole_delay)
-    zeros = np.stack([np.ravel(field) for field in (plant.n2, plant.n1, plant.n0)], axis=-1)
+class Walls(NamedTuple):
+    """All walls of a loop, among which the best is looked for.
+
+    family: p(z) of each.
+    angles: of pairs on a circle, for a scan.
+    component: of the stable set, in which to look.
+    """
+
+    family: Family
+    angles: Angles
+    component: Component = ALL_GAINS
+
+    def largest_pole(self, alpha: Array, beta: Array) -> Array:
+        """Return the largest modulus of the poles; infinite for no gains and other components."""
+        coefficients = self.family.polynomial(alpha, beta)
+        finite = np.all(np.isfinite(coefficients), axis=-1)
+        largest = np.full(finite.shape, np.inf)
+        poles = np.linalg.eigvals(companion_matrix(coefficients[finite]))
+        largest[finite] = np.max(np.abs(poles), axis=-1)
+        if self.component.edges is not None:
+            stable = np.flatnonzero(largest < 1.0)
+            is_elsewhere = ~self.component.holds(alpha[stable], beta[stable])
+            largest[stable[is_elsewhere]] = np.inf
+        return largest
+
+
+def searched(every: Iterable[Walls], shape: tuple[int, ...]) -> tuple[Array, ...]:
+    """Return alpha, beta, x and y of the best pairs of loops, and how each is known."""
     with np.errstate(all="ignore"):  # gains overflow where no pair can be
-        found = [
-            _best(Family(*one), _angles(whole_delay + 3, numerator))
-            for *one, numerator in zip(*family, zeros, strict=True)
-        ]
-    pairs = np.array([pair for pair, _ in found]).reshape(-1, 4).T
-    kinds: Int8[np.ndarray, " plant"] = np.array([kind for _, kind in found], np.int8)
+        best = [_best(walls) for walls in every]
+    pairs = np.array([pair for pair, _ in best]).reshape(-1, 4).T
+    kinds: Int8[np.ndarray, " plant"] = np.array([kind for _, kind in best], np.int8)
     return *(part.reshape(shape) for part in pairs), kinds.reshape(shape)
 
 
-def _angles(length: int, numerator: Float64[np.ndarray, "3"]) -> Angles:
+def scan_angles(length: int, numerator: Float64[np.ndarray, " coefficient"]) -> Angles:
     """Return the angles of a scan: parts of a turn of z^m, finer to both ends and at zeros of N."""
     count = 24 + 8 * length
     even = (np.arange(count) + 0.5) * (np.pi / count)
@@ -82,24 +102,24 @@ class _Point(NamedTuple):
     angle: float
 
 
-def _best(family: Family, angles: Angles) -> tuple[Pair, int]:
+def _best(walls: Walls) -> tuple[Pair, int]:
     """Return the best pair of a plant; what is found must stand a last scan of all angles."""
-    low, (pair, kind) = _SMALLEST, _triple_root(family)
+    low, (pair, kind) = _SMALLEST, _triple_root(walls)
     for _ in range(_ATTEMPTS):
         radius = float(np.hypot(pair.x, pair.y))
-        point = _Point(np.inf, _LARGEST, float(angles[0]))
+        point = _Point(np.inf, _LARGEST, float(walls.angles[0]))
         if radius < _LARGEST:
-            point = _scanned(family, radius * (1.0 - _ROOM), angles)
+            point = _scanned(walls, radius * (1.0 - _ROOM))
             if point.reached >= radius * (1.0 - _AGREEMENT):
                 break
-        low, other, its_kind = _descended(family, angles, 0.9 * low, point)
+        low, other, its_kind = _descended(walls, 0.9 * low, point)
         if np.hypot(other.x, other.y) >= radius:
             break
         pair, kind = other, its_kind
     return pair, kind
 
 
-def _descended(family: Family, angles: Angles, low: float, best: _Point) -> tuple[float, Pair, int]:
+def _descended(walls: Walls, low: float, best: _Point) -> tuple[float, Pair, int]:
     """Return a radius below which no pair was found, the best pair above it, and its kind.
 
     From the best point known, the radius is taken down until no pair is left, faster and faster,
@@ -110,54 +130,55 @@ def _descended(family: Family, angles: Angles, low: float, best: _Point) -> tupl
         trial = min(1.0, max(step * high, float(np.sqrt(low * high))))
         if not low < trial < high:
             break
-        point = _scanned(family, trial, angles)
+        point = _scanned(walls, trial)
         is_better, best = point < best, min(best, point)
         if point.reached <= trial * (1.0 + _NOISE):
             high, step = trial, step * step
             continue
         low, high = trial, min(high, point.reached)
         if is_better:
-            pair = multiple_root(family, _pair_at(family, point), is_triple=False)
+            pair = multiple_root(walls.family, _pair_at(walls, point), is_triple=False)
             radius = np.hypot(pair.x, pair.y)
-            if low <= radius <= high and pair.y > _REAL * radius and _holds(family, pair):
-                return low, pair, DOUBLE_PAIR
-    return low, *_local(family, low, high, best)
+            if low <= radius <= high and pair.y > _REAL * radius and _holds(walls, pair):
+                return low, pair, TuningStatus.DOUBLE_PAIR
+    return low, *_local(walls, low, high, best)
 
 
-def _triple_root(family: Family) -> tuple[Pair, int]:
+def _triple_root(walls: Walls) -> tuple[Pair, int]:
     """Return the smallest triple real root without a larger pole; an infinite one for none."""
-    roots = triple_roots(family)
-    sizes, largest = abs(roots.x), _largest_pole(family, roots.alpha, roots.beta)
+    roots = triple_roots(walls.family)
+    sizes, largest = abs(roots.x), walls.largest_pole(roots.alpha, roots.beta)
     stands = (sizes > _SMALLEST) & (largest <= sizes * (1.0 + _MOST_NOISE))
     for number in np.argsort(np.where(stands, sizes, np.inf))[: np.sum(stands)]:
-        pair = multiple_root(family, Pair(*(part[number] for part in roots)), is_triple=True)
+        pair = multiple_root(walls.family, Pair(*(part[number] for part in roots)), is_triple=True)
         is_same = abs(abs(pair.x) - sizes[number]) <= _AGREEMENT * sizes[number]
-        if is_same and _holds(family, pair):
-            return pair, TRIPLE_ROOT
-    return Pair(*(np.float64(np.inf),) * 4), SCANNED
+        if is_same and _holds(walls, pair):
+            return pair, TuningStatus.TRIPLE_ROOT
+    return Pair(*(np.float64(np.inf),) * 4), TuningStatus.SCANNED
 
 
-def _holds(family: Family, pair: Pair) -> bool:
+def _holds(walls: Walls, pair: Pair) -> bool:
     """Return whether gains have the radius of their pair, but for the noise of a multiple root.
 
     Gains that miss it by far more are an artefact of digits that were lost.
     """
     radius = np.hypot(pair.x, pair.y)
     gains = np.atleast_1d(pair.alpha), np.atleast_1d(pair.beta)
-    is_reached = _largest_pole(family, *gains)[0] <= radius * (1.0 + _MOST_NOISE)
-    return bool(is_reached and _is_dominant(family, pair, radius * (1.0 + _AGREEMENT)))
+    is_reached = walls.largest_pole(*gains)[0] <= radius * (1.0 + _MOST_NOISE)
+    return bool(is_reached and _is_dominant(walls, pair, radius * (1.0 + _AGREEMENT)))
 
 
-def _scanned(family: Family, radius: float, angles: Angles) -> _Point:
+def _scanned(walls: Walls, radius: float) -> _Point:
     """Return the point of the smallest radius among the pairs on a circle.
 
     Poles are computed where others than the pair are not much larger, and next to there.
     """
-    pairs = _pairs(family, np.full(angles.shape, radius), angles)
-    is_near = np.pad(_is_dominant(family, pairs, np.full(angles.shape, _NEAR * radius)), 1)
+    angles = walls.angles
+    pairs = _pairs(walls, np.full(angles.shape, radius), angles)
+    is_near = np.pad(_is_dominant(walls, pairs, np.full(angles.shape, _NEAR * radius)), 1)
     is_near = is_near[:-2] | is_near[1:-1] | is_near[2:]
     reached = np.full(angles.shape, np.inf)
-    reached[is_near] = _largest_pole(family, pairs.alpha[is_near], pairs.beta[is_near])
+    reached[is_near] = walls.largest_pole(pairs.alpha[is_near], pairs.beta[is_near])
     padded = np.pad(reached, 1, constant_values=np.inf)
     is_least = (reached <= padded[:-2]) & (reached <= padded[2:]) & np.isfinite(reached)
     minima = np.flatnonzero(is_least)
@@ -172,7 +193,7 @@ def _scanned(family: Family, radius: float, angles: Angles) -> _Point:
         if best.reached <= radius * (1.0 + _NOISE) or not left.size:
             break
         closer = left[:, None] + (right - left)[:, None] * np.linspace(0.0, 1.0, _POINTS)
-        values = _reached(family, radius, closer.ravel()).reshape(closer.shape)
+        values = _reached(walls, radius, closer.ravel()).reshape(closer.shape)
         least = np.argmin(values, axis=1)
         rows = np.arange(least.size)
         lowest = values[rows, least]
@@ -185,61 +206,53 @@ def _scanned(family: Family, radius: float, angles: Angles) -> _Point:
     return best
 
 
-def _reached(family: Family, radius: float, angles: Angles) -> Angles:
+def _reached(walls: Walls, radius: float, angles: Angles) -> Angles:
     """Return the largest modulus of the poles where pairs are on a circle; infinite for no gains.
 
     All poles are those of the gains as float64 has them, so each value is one that gains reach.
     """
-    pairs = _pairs(family, np.full(angles.shape, radius), angles)
-    return _largest_pole(family, pairs.alpha, pairs.beta)
+    pairs = _pairs(walls, np.full(angles.shape, radius), angles)
+    return walls.largest_pole(pairs.alpha, pairs.beta)
 
 
-def _largest_pole(family: Family, alpha: Array, beta: Array) -> Array:
-    coefficients = family.polynomial(alpha, beta)
-    finite = np.all(np.isfinite(coefficients), axis=-1)
-    largest = np.full(finite.shape, np.inf)
-    poles = np.linalg.eigvals(companion_matrix(coefficients[finite]))
-    largest[finite] = np.max(np.abs(poles), axis=-1)
-    return largest
-
-
-def _local(family: Family, low: float, high: float, point: _Point) -> tuple[Pair, int]:
+def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, int]:
     """Return the best pair around a point: a multiple root where its equations have one.
 
     Elsewhere the answer is the radius that the better gains have, as float64 has them.
     """
-    start = _zoomed(family, low, high, point.angle)
+    start = _zoomed(walls, low, high, point.angle)
     is_triple = bool(np.sin(np.arctan2(start.y, start.x)) < _REAL)
-    solution = multiple_root(family, start, is_triple)
+    solution = multiple_root(walls.family, start, is_triple)
     radius, scanned = np.hypot(solution.x, solution.y), np.hypot(start.x, start.y)
-    if abs(radius - scanned) <= _AGREEMENT * scanned and _holds(family, solution):
-        return solution, TRIPLE_ROOT if is_triple else DOUBLE_PAIR
-    reached = _largest_pole(family, np.atleast_1d(start.alpha), np.atleast_1d(start.beta))[0]
+    if abs(radius - scanned) <= _AGREEMENT * scanned and _holds(walls, solution):
+        return solution, TuningStatus.TRIPLE_ROOT if is_triple else TuningStatus.DOUBLE_PAIR
+    reached = walls.largest_pole(np.atleast_1d(start.alpha), np.atleast_1d(start.beta))[0]
     pair, share = start, reached / scanned
     if not reached <= point.reached:
-        pair, share = _pair_at(family, point), point.reached / point.radius
-    return pair._replace(x=share * pair.x, y=share * pair.y), SCANNED
+        pair, share = _pair_at(walls, point), point.reached / point.radius
+    return pair._replace(x=share * pair.x, y=share * pair.y), TuningStatus.SCANNED
 
 
-def _pair_at(family: Family, point: _Point) -> Pair:
+def _pair_at(walls: Walls, point: _Point) -> Pair:
     """Return the pair of a point."""
     radius, angle = np.array([point.radius]), np.array([point.angle])
-    return Pair(*(part[0] for part in _pairs(family, radius, angle)))
+    return Pair(*(part[0] for part in _pairs(walls, radius, angle)))
 
 
-def _zoomed(family: Family, low: float, high: float, angle: float) -> Pair:
+def _zoomed(walls: Walls, low: float, high: float, angle: float) -> Pair:
     """Zoom in on the smallest r for which no other root is larger than the pair."""
     width = max(0.05, 0.3 * np.sin(angle))
     box = np.array([np.log(low) - 1e-3, np.log(high) + 1e-12, angle - width, angle + width])
-    best = _pair_at(family, _Point(high, high, angle))
+    best = _pair_at(walls, _Point(high, high, angle))
     best = best._replace(x=high * np.cos(angle), y=high * np.sin(angle))
     for _ in range(_ZOOMS):
         radii = np.exp(np.linspace(box[0], box[1], _ROWS))[:, None]
         left, right = np.clip(box[2:], 0.0, np.pi)
         columns = np.linspace(left, right, _COLUMNS)
         columns = np.sort(np.append(columns, np.clip(angle, left, right)))
-        pairs = _pairs(family, *np.broadcast_arrays(radii, columns))
-        fits = _is_dominant(family, pairs, np.broadcast_to(radii, pairs.x.shape))
+        pairs = _pairs(walls, *np.broadcast_arrays(radii, columns))
+        fits = _is_dominant(walls, pairs, np.broadcast_to(radii, pairs.x.shape))
+        fits[fits] = walls.component.holds(pairs.alpha[fits], pairs.beta[fits])
         rows = np.flatnonzero(np.any(fits, axis=1))
         if not rows.size:
             break
@@ -258,20 +271,20 @@ def _zoomed(family: Family, low: float, high: float, angle: float) -> Pair:
     return best
 
 
-def _pairs(family: Family, radius: Array, angle: Array) -> Pair:
+def _pairs(walls: Walls, radius: Array, angle: Array) -> Pair:
     """Solve p(z) = 0 for the gains; at theta = 0 and pi close enough to the double real root."""
     angle = np.clip(angle, _FIRST, np.pi - _FIRST)
     x, y = radius * np.cos(angle), radius * np.sin(angle)
-    base, stiff, damp = (value(part, x + 1j * y) for part in family)
+    base, stiff, damp = (value(part, x + 1j * y) for part in walls.family)
     determinant = stiff.real * damp.imag - stiff.imag * damp.real
     alpha = (base.imag * damp.real - base.real * damp.imag) / determinant
     beta = (stiff.imag * base.real - stiff.real * base.imag) / determinant
     return Pair(alpha, beta, x, y)
 
 
-def _is_dominant(family: Family, pair: Pair, radius: Array) -> Bool[np.ndarray, "*grid"]:
+def _is_dominant(walls: Walls, pair: Pair, radius: Array) -> Bool[np.ndarray, "*grid"]:
     """Return whether all roots but the pair are smaller than the radius (Schur and Cohn)."""
-    rest = _quotient(family.polynomial(pair.alpha, pair.beta), pair)
+    rest = _quotient(walls.family.polynomial(pair.alpha, pair.beta), pair)
     rest = rest / np.asarray(radius)[..., None] ** np.arange(rest.shape[-1])
     inside = np.full(np.shape(radius), True)
     for _ in range(rest.shape[-1] - 1):

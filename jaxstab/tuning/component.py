@@ -1,0 +1,77 @@
+"""The part of a stable set in which the best gains are looked for: what small gains lead to."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from jaxstab.model.filters import Filters
+from jaxstab.region import RegionStatus, stable_region
+from jaxstab.region.components import holds_small_gains
+from jaxstab.region.pieces import NO_BRANCH
+from jaxstab.tuning.status import TuningStatus
+
+_NUMBERS = 1 << 20  # of an array that points beside edges fill, about
+
+
+class Component(NamedTuple):
+    """A component of a stable set, or all gains.
+
+    edges: of its outline, from (alpha, beta) to (alpha, beta); None for all gains.
+    status: of gains that are found there; NOT_COMPUTED if it is for the search to say.
+    """
+
+    edges: Float64[np.ndarray, "edge 4"] | None = None
+    status: TuningStatus = TuningStatus.NOT_COMPUTED
+
+    def holds(self, alpha: np.ndarray, beta: np.ndarray) -> Bool[np.ndarray, "*grid"]:
+        """Tell which stable gains are in the component: those that its outline goes around.
+
+        Stable gains are not at the edge of another component, so the polygon is as good for this as
+        the curve is.
+        """
+        alpha, beta = np.broadcast_arrays(alpha, beta)
+        if self.edges is None:
+            return np.full(alpha.shape, True)
+        count = max(1, _NUMBERS // len(self.edges))
+        points = np.stack([alpha.ravel(), beta.ravel()])
+        parts = [
+            _are_inside(self.edges, points[:, begin : begin + count])
+            for begin in range(0, points.shape[1], count)
+        ]
+        return np.concatenate([np.zeros(0, bool), *parts]).reshape(alpha.shape)
+
+
+ALL_GAINS = Component()
+
+
+@lru_cache(maxsize=64)
+def searched_component(gamma: float, delta: float, delay: float, filters: Filters) -> Component:
+    """Return the component of small gains; all gains, with what to say, if there is none."""
+    velocity, position = filters
+    region = stable_region(gamma, delta, delay, velocity=velocity, position=position)
+    if region.status == RegionStatus.UNRESOLVED:
+        return Component(None, TuningStatus.ANY_COMPONENT)
+    components = region.components
+    if not components or not holds_small_gains(region.coefficients, components[0].outline):
+        return Component(None, TuningStatus.ISLAND)
+    first, *islands = components
+    return Component(_edges(first.points, first.branch)) if islands else ALL_GAINS
+
+
+def _edges(points: np.ndarray, branch: np.ndarray) -> Float64[np.ndarray, "edge 4"]:
+    """Return the edges of an outline, without those between its loops."""
+    return np.concatenate([points[:-1], points[1:]], axis=1)[branch != NO_BRANCH]
+
+
+def _are_inside(edges: np.ndarray, points: np.ndarray) -> Bool[np.ndarray, " point"]:
+    """Count the edges to the right of each point: an odd number of them encloses it."""
+    alpha, beta = points[:, None]
+    first_alpha, first_beta, last_alpha, last_beta = edges.T[..., None]
+    crosses = (first_beta > beta) != (last_beta > beta)
+    with np.errstate(all="ignore"):  # edges that run level are not crossed
+        share = (beta - first_beta) / (last_beta - first_beta)
+        is_right = first_alpha + share * (last_alpha - first_alpha) > alpha
+    inside: np.ndarray = np.sum(crosses & is_right, axis=0) % 2 == 1
+    return inside
