@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -114,13 +116,52 @@ def test_an_unstable_loop_never_settles_and_one_that_rings_for_long_is_not_prove
 
 
 def test_settling_refuses_traced_filters_in_one_sentence() -> None:
-    import jax
-
     def settled(cutoff: Any) -> Any:
         return jaxstab.settling_samples(*WALL, *PLANTS[0], velocity=Velocity.low_pass(cutoff))
 
     with pytest.raises(TypeError, match="filters of concrete numbers"):
         jax.jit(settled)(0.1)
+
+
+@pytest.mark.parametrize("unilateral", [False, True])
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("case", CASES)
+def test_a_simulated_loop_is_that_of_lfilter(
+    case: str, plant: tuple[float, float, float], unilateral: bool
+) -> None:
+    """A mass of 1 kg at 1 Hz: pushed, thrown and displaced, so that it leaves the wall."""
+    filters, velocity, position = CASES[case]
+    gamma, delta, delay = plant
+    loop = jaxstab.HapticLoop(
+        device_mass=1.0, device_damping=delta, hand_stiffness=gamma, sample_time=1.0, delay=delay,
+        **filters,
+    )  # fmt: skip
+    options = {"force": 0.003, "initial_position": 0.1, "initial_velocity": -0.3}
+    found = loop.simulate(*WALL, samples=200, unilateral=unilateral, **options)
+    states, forces = march_through_filters(
+        plant, WALL, velocity, position, 200, push=0.003, start=(0.1, -0.3), unilateral=unilateral
+    )
+    expected = (found.position, states[:, 0]), (found.velocity, states[:, 1]), (found.force, forces)
+    for mine, theirs in expected:
+        np.testing.assert_allclose(mine, theirs, atol=1e-13 * np.abs(theirs).max())
+    assert (states[:, 0] < 0.0).any()
+
+
+def test_simulated_walls_broadcast_and_jax_arrays_agree() -> None:
+    loop = jaxstab.HapticLoop(
+        device_mass=1.0, device_damping=0.015, sample_time=1.0, delay=1.5,
+        velocity=Velocity.difference(samples=4) * Filter.low_pass(0.2), position=Filter.low_pass(0.2),
+    )  # fmt: skip
+    stiffness, damping = np.array([[0.002], [0.004]]), np.array([0.03, 0.04, 0.05])
+    options = {"samples": 40, "initial_position": 0.1, "between": 1, "unilateral": True}
+    many = loop.simulate(stiffness, damping, **options)
+    assert many.position.shape == (2, 3, 80)
+    one = loop.simulate(0.004, 0.03, **options)
+    np.testing.assert_allclose(many.position[1, 0], one.position, rtol=1e-13)
+    compiled = loop.simulate(jnp.asarray(stiffness), damping, **options)
+    assert isinstance(compiled.position, jax.Array)
+    np.testing.assert_allclose(compiled.position, many.position, atol=1e-14)
+    np.testing.assert_allclose(compiled.force, many.force, atol=1e-14)
 
 
 @pytest.mark.parametrize("case", CASES)

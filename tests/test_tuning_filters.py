@@ -176,3 +176,25 @@ class TestMinimizeSettling:
         brute = settled_mass(np.full(betas.shape, 0.005), betas, 6, 300)
         assert float(best.alpha) == 0.005
         assert float(best.value) == brute.min()
+
+
+class TestTune:
+    def test_of_a_device_with_a_window_in_si_units(self) -> None:
+        """0.25 kg at 1 kHz, 15 ms as in CHAI3D: both goals, and a given stiffness."""
+        loop = jaxstab.HapticLoop(
+            device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
+            velocity=Velocity.difference(window=0.015),
+        )  # fmt: skip
+        quick, calm = loop.tune("settling"), loop.tune("radius")
+        assert quick.settling_time < calm.settling_time
+        assert calm.radius < quick.radius < 1.0
+        for wall in (quick, calm):
+            found = loop.settling_time(wall.stiffness, wall.damping)
+            assert float(found.value) == wall.settling_time
+            main = loop.region().main
+            assert main is not None
+            assert main.contains(wall.stiffness, wall.damping)
+        assert calm.status == TuningStatus.TRIPLE_ROOT
+        given = loop.tune("radius", stiffness=500.0)
+        assert given.stiffness == pytest.approx(500.0, rel=1e-14)
+        assert calm.radius < given.radius < 1.0

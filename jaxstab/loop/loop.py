@@ -162,7 +162,8 @@ class HapticLoop(LoopWithWalls):
         A search for one loop, without vmap or derivatives; ``jaxstab.minimize_radius`` has both
         over gamma and delta. The best gains for the radius are sensitive: next to a triple pole the
         radius grows with the cube root of a change, so gains of six digits may miss the smallest
-        one by 0.01.
+        one by 0.01. With an estimator or a filter the walls are those that turning gains up from 0
+        reaches; where small gains are not stable, those of an island, and the status says so.
 
         Args:
             goal: "radius", the smallest spectral radius, or "settling", the smallest settling time.
@@ -177,12 +178,10 @@ class HapticLoop(LoopWithWalls):
         Raises:
             ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
             TypeError: an argument is not one number.
-            NotImplementedError: the loop has an estimator or a filter.
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9); settling as in later papers of the same authors.
         """
-        self._refuse_filters("tune")
         return optimal_wall(self, goal, stiffness, level, excitation)
 
     def worst_hand(self, hands: HandRange, stiffness: float, damping: float) -> WorstHand:

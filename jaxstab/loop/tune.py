@@ -40,15 +40,16 @@ def optimal_wall(
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
     alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness))
+    filters = loop.filters
     if goal == "settling":
-        best = minimize_settling(*loop.slice, level, alpha=alpha, excitation=excitation)
+        best = minimize_settling(*loop.slice, level, alpha=alpha, excitation=excitation, **filters)
     elif alpha is None:
-        best = minimize_radius(*loop.slice)
+        best = minimize_radius(*loop.slice, **filters)
     else:
-        best = minimize_radius_damping(alpha, *loop.slice)
+        best = minimize_radius_damping(alpha, *loop.slice, **filters)
     wall = float(best.alpha), float(best.beta)
-    radius = spectral_radius(*wall, *loop.slice)
-    settling = settling_samples(*wall, *loop.slice, level, excitation=excitation).value
+    radius = spectral_radius(*wall, *loop.slice, **filters)
+    settling = settling_samples(*wall, *loop.slice, level, excitation=excitation, **filters).value
     return OptimalWall(
         loop.stiffness(wall[0]),
         loop.damping(wall[1]),
