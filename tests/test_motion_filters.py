@@ -150,7 +150,8 @@ def test_a_simulated_loop_is_that_of_lfilter(
 def test_simulated_walls_broadcast_and_jax_arrays_agree() -> None:
     loop = jaxstab.HapticLoop(
         device_mass=1.0, device_damping=0.015, sample_time=1.0, delay=1.5,
-        velocity=Velocity.difference(samples=4) * Filter.low_pass(0.2), position=Filter.low_pass(0.2),
+        velocity=Velocity.difference(samples=4) * Filter.low_pass(0.2),
+        position=Filter.low_pass(0.2),
     )  # fmt: skip
     stiffness, damping = np.array([[0.002], [0.004]]), np.array([0.03, 0.04, 0.05])
     options = {"samples": 40, "initial_position": 0.1, "between": 1, "unilateral": True}
