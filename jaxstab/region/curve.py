@@ -34,7 +34,9 @@ from jaxstab.batches import compiled
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
+from jaxstab.model.linear_loop import SampledPlant, sampled_mass
 from jaxstab.model.plant import PlantPairs, plant_pairs
+from jaxstab.model.transfer import Transfer
 from jaxstab.numbers import checked
 from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve
 from jaxstab.region.filtered_points import filtered_point
@@ -183,12 +185,21 @@ def slice_coefficients(
     return tree_map(np.float64, single)
 
 
-def filtered_coefficients(
+def mass_coefficients(
     gamma: float, delta: float, delay: float, filters: Filters
 ) -> SliceCoefficients:
     """Return the coefficients of the boundary of one slice with filters, for radius 1."""
     whole, fraction = divmod(delay, 1.0)
-    curve = filtered_curve(gamma, delta, int(whole), fraction, filters)
+    plant = sampled_mass(np.float64(gamma), np.float64(delta), int(whole), fraction)
+    velocity, position = filters
+    return filtered_coefficients(plant, velocity.filter.transfer(), position.transfer())
+
+
+def filtered_coefficients(
+    plant: SampledPlant, velocity: Transfer, position: Transfer
+) -> SliceCoefficients:
+    """Return the coefficients of the boundary of one plant with filters, for radius 1."""
+    curve = filtered_curve(plant, velocity, position)
     (den_plus, num_plus, *_), (den_minus, num_minus, _) = curve.plus.at_one, curve.at_minus_one
     one = np.float64(1.0)
     return SliceCoefficients(

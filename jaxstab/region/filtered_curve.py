@@ -1,4 +1,4 @@
-"""The closed form of the boundary for loops with an estimator and a position filter. NumPy only.
+"""The closed form of the boundary for loops with any plant, estimator and filter. NumPy only.
 
 Divided by the position filter, p = 0 reads alpha + beta V(z) = W(z), V = X/Y, W = -z^w D/N (the
 position filter's numerator counts to N and Y, its denominator to D and X). On each half of the
@@ -14,19 +14,17 @@ which run the other way, so the stable set lies to the left everywhere. V is rea
 where the curve goes to infinity.
 """
 
-from collections.abc import Sequence
-from functools import lru_cache, reduce
+from functools import reduce
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters
-from jaxstab.model.linear_loop import SampledPlant, linear_loop, sampled_mass
-from jaxstab.model.transfer import Polynomial, product
+from jaxstab.model.linear_loop import SampledPlant, linear_loop
+from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
 
 _ZERO = DoubleDouble(0.0, 0.0)
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
@@ -36,6 +34,7 @@ _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
 _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # of zeta - 1: on a half of the circle at most sqrt(2)
 
 Angles = Float64[np.ndarray, " _"]  # of any length
+System = TypeVar("System", SampledPlant, Transfer)
 
 
 class Half(NamedTuple):
@@ -79,54 +78,102 @@ class FilteredCurve(NamedTuple):
     poles: Float64[np.ndarray, "2 pole"]  # angles in [0, pi], and how far they are from the circle
 
 
-@lru_cache(maxsize=64)
-def filtered_curve(
-    gamma: float, delta: float, whole_delay: int, fraction: float, filters: Filters
-) -> FilteredCurve:
-    """Return the curve of one slice with filters in units of one sample."""
-    plant = _in_floats(sampled_mass(np.float64(gamma), np.float64(delta), whole_delay, fraction))
-    velocity, position = filters[0].filter.transfer(), filters[1].transfer()
+class _Around(NamedTuple):
+    """A polynomial in powers of zeta and of s = zeta - 1, highest power first."""
+
+    straight: Polynomial
+    shifted: Polynomial
+
+    @classmethod
+    def of(cls, polynomial: Polynomial) -> "_Around":
+        """Return a polynomial with its powers of s, of which rounding is taken for 0."""
+        nothing = _NOTHING * size_of(polynomial)
+        shifted = (c if abs(c.hi) >= nothing else _ZERO for c in _shifted(polynomial))
+        return cls(polynomial, tuple(shifted))
+
+    def times(self, other: "_Around") -> "_Around":
+        """Return the product."""
+        both = zip(self, other, strict=True)
+        return _Around(*(product(one, two) for one, two in both))
+
+    @property
+    def value(self) -> DoubleDouble:
+        """Q(1)."""
+        return self.shifted[-1]
+
+    def with_value(self, value: DoubleDouble) -> "_Around":
+        """Return the polynomial with a better value at 1."""
+        return self._replace(shifted=(*self.shifted[:-1], value))
+
+    @property
+    def quotient(self) -> "_Around":
+        """(Q - Q(1)) / s."""
+        sums = tuple(accumulate(self.straight[:-1], DoubleDouble.__add__))
+        return _Around(sums or (_ZERO,), self.shifted[:-1] or (_ZERO,))
+
+
+def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> FilteredCurve:
+    """Return the curve of a plant, with T V(z) less its factor (1 - 1/z), and with P(z)."""
+    plant, velocity, position = _in_floats(plant), _in_floats(velocity), _in_floats(position)
     lag = velocity.lag + 1 - position.lag
-    above = product(_DIFFERENCE, product(velocity.numerator, position.denominator))
-    below = product(velocity.denominator, position.numerator)
-    above, below = above + (_ZERO,) * max(-lag, 0), below + (_ZERO,) * max(lag, 0)
-    denominator = product(plant.denominator, position.denominator)
-    numerator = product(plant.numerator, position.numerator)
-    every = denominator, numerator, below, above
+    above = _power(max(-lag, 0)), _DIFFERENCE, velocity.numerator, position.denominator
+    below = _power(max(lag, 0)), velocity.denominator, position.numerator
     whole = plant.lag + position.lag
-    turned = [_turned(polynomial) for polynomial in every]
-    plus = [_at_one(polynomial) for polynomial in every]
-    minus = [_at_one(polynomial) for polynomial in turned]
-    # These the plant knows to more digits than the sums of its coefficients.
-    at_one, at_minus_one = position.at(1.0), position.at(-1.0)
-    plus[0] = plus[1] * gamma * (at_one[1] / at_one[0])
-    minus[:2] = (
-        value.value * factor
-        for value, factor in zip(plant.at_minus_one[::-1], at_minus_one[::-1], strict=True)
-    )
+    halves = [
+        _half(
+            d.times(_around(position.denominator, sign)),
+            n.times(_around(position.numerator, sign)),
+            reduce(_Around.times, (_around(factor, sign) for factor in below)),
+            reduce(_Around.times, (_around(factor, sign) for factor in above)),
+            sign=float(sign**whole),
+        )
+        for (d, n), sign in zip(_plants_around(plant), (1, -1), strict=True)
+    ]
     loop = linear_loop(plant, velocity, position)
+    zeros = _rounded(product(plant.numerator, position.numerator))
     return FilteredCurve(
-        plus=_half(every, plus, 1.0),
-        minus=_half(turned, minus, (-1.0) ** whole),
+        plus=halves[0],
+        minus=halves[1],
         lag=float(whole),
         parts=np.array([_rounded(part) for part in loop[:3]]),
         at_minus_one=_rounded(tuple(part.value for part in loop.at_minus_one)),
-        poles=_poles(_rounded(above), _rounded(below), _rounded(numerator)),
+        poles=_poles(_rounded(reduce(product, above)), _rounded(reduce(product, below)), zeros),
     )
 
 
-def _half(polynomials: Sequence[Polynomial], at_one: list[DoubleDouble], sign: float) -> Half:
-    values = np.array([value.rounded() for value in at_one])
-    sizes = np.array([np.sum(np.abs(_rounded(polynomial))) for polynomial in polynomials])
-    values[np.abs(values) < _NOTHING * sizes] = 0.0
-    d, n, y, x = zip(polynomials, map(_quotient, polynomials), at_one, strict=True)
-    fourth = polynomials[3] if values[1] == 0.0 else _minor(x, y)
-    rows = [*polynomials[:3], fourth, _minor(d, n)]
-    length = max(map(len, rows))
-    straight = np.array([_padded(_rounded(row), length) for row in rows])
-    shifted = np.array([_padded(_rounded(_shifted(row)), length) for row in rows])
+def _around(polynomial: Polynomial, sign: int) -> _Around:
+    """Return a polynomial of sign zeta."""
+    return _Around.of(polynomial if sign > 0 else _turned(polynomial))
+
+
+def _plants_around(plant: SampledPlant) -> list[tuple[_Around, _Around]]:
+    """Return D and N on both halves of the circle."""
+    n, d = plant.numerator, plant.denominator
+    if plant.shifted is not None:
+        n_shifted, d_shifted, n_turned, d_turned = plant.shifted
+        return [
+            (_Around(d, d_shifted), _Around(n, n_shifted)),
+            (_Around(_turned(d), d_turned), _Around(_turned(n), n_turned)),
+        ]
+    # The values at the ends are known to more digits than sums of coefficients.
+    numerator = _around(n, 1)
+    ratio = plant.at_one[1].value / plant.at_one[0].value
+    above, below = (end.value for end in plant.at_minus_one)
+    return [
+        (_around(d, 1).with_value(numerator.value * ratio), numerator),
+        (_around(d, -1).with_value(below), _around(n, -1).with_value(above)),
+    ]
+
+
+def _half(d: _Around, n: _Around, y: _Around, x: _Around, *, sign: float) -> Half:
+    values = _rounded((d.value, n.value, y.value, x.value))
+    fourth = x if values[1] == 0.0 else _minor(x, y)
+    rows = [d, n, y, fourth, _minor(d, n)]
+    length = max(len(row.straight) for row in rows)
+    straight, shifted = (
+        np.array([_padded(_rounded(row[form]), length) for row in rows]) for form in range(2)
+    )
     size = np.sum(np.abs(straight), axis=1)[:, None]
-    shifted[np.abs(shifted) < _NOTHING * size] = 0.0  # zeros at zeta = 1
     grown = np.abs(shifted) @ _STEPS ** np.arange(length)[:, None]
     return Half(
         straight=straight,
@@ -137,13 +184,21 @@ def _half(polynomials: Sequence[Polynomial], at_one: list[DoubleDouble], sign: f
     )
 
 
-def _minor(one: tuple[Any, ...], other: tuple[Any, ...]) -> Polynomial:
-    """Return (Q(1) P - P(1) Q) / (zeta - 1) of two polynomials with their quotients and values."""
-    above = [coefficient * other[2] for coefficient in one[1]]
-    below = [coefficient * -one[2] for coefficient in other[1]]
-    short, long = sorted((above, below), key=len)
-    short = [_ZERO] * (len(long) - len(short)) + short
-    return tuple(a + b for a, b in zip(short, long, strict=True))
+def _minor(one: _Around, other: _Around) -> _Around:
+    """Return (Q(1) P - P(1) Q) / (zeta - 1) of two polynomials."""
+    pairs = zip(one.quotient, other.quotient, strict=True)
+    return _Around(*(_crossed(above, below, one.value, other.value) for above, below in pairs))
+
+
+def _crossed(
+    above: Polynomial, below: Polynomial, value: DoubleDouble, other: DoubleDouble
+) -> Polynomial:
+    """Return other above - value below, with 0 for what is rounding of the two."""
+    length = max(len(above), len(below))
+    above, below = ((_ZERO,) * (length - len(one)) + one for one in (above, below))
+    terms = [(a * other, b * -value) for a, b in zip(above, below, strict=True)]
+    sums = ((a + b, _NOTHING * (abs(a.hi) + abs(b.hi))) for a, b in terms)
+    return tuple(total if abs(total.hi) >= nothing else _ZERO for total, nothing in sums)
 
 
 def _padded(falling: Angles, length: int) -> Angles:
@@ -157,13 +212,8 @@ def _turned(polynomial: Polynomial) -> Polynomial:
     return tuple(-c if (degree - k) % 2 else c for k, c in enumerate(polynomial))
 
 
-def _at_one(polynomial: Polynomial) -> DoubleDouble:
-    return reduce(DoubleDouble.__add__, polynomial)
-
-
-def _quotient(polynomial: Polynomial) -> Polynomial:
-    """Return (Q(z) - Q(1)) / (z - 1)."""
-    return tuple(accumulate(polynomial[:-1], DoubleDouble.__add__)) or (_ZERO,)
+def _power(degree: int) -> Polynomial:
+    return (DoubleDouble(1.0, 0.0), *(_ZERO,) * degree)
 
 
 def _shifted(polynomial: Polynomial) -> Polynomial:
@@ -180,9 +230,9 @@ def _rounded(polynomial: Polynomial) -> Angles:
     return np.array([float(coefficient.rounded()) for coefficient in polynomial])
 
 
-def _in_floats(plant: SampledPlant) -> SampledPlant:
-    """Return a plant of Python floats, with which double-double is several times faster."""
-    return tree_map(float, plant)._replace(lag=plant.lag)
+def _in_floats(system: System) -> System:
+    """Return a system of Python floats, with which double-double is several times faster."""
+    return tree_map(float, system)._replace(lag=system.lag)
 
 
 def _poles(above: Angles, below: Angles, numerator: Angles) -> Float64[np.ndarray, "2 pole"]:

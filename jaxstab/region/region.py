@@ -16,12 +16,10 @@ from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import measures
 from jaxstab.region.components import components_of, holds_small_gains
-from jaxstab.region.curve import SliceCoefficients, filtered_coefficients, slice_coefficients
+from jaxstab.region.curve import SliceCoefficients, mass_coefficients, slice_coefficients
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import Pieces, find_pieces
-from jaxstab.region.scan import (
-    scan_angles,
-)
+from jaxstab.region.scan import scan_angles
 from jaxstab.region.search import coefficient_count, refined_pieces
 
 LONGEST_DELAY = 500.0  # samples: the work grows as the third power
@@ -333,10 +331,17 @@ def _stable_region(
     filters: Filters | None,
 ) -> StableRegion:
     if filters:
-        c = filtered_coefficients(gamma, delta, delay, filters)
+        c = mass_coefficients(gamma, delta, delay, filters)
     else:
         c = slice_coefficients(gamma, delta, delay, radius)
-    pieces = refined_pieces(c, delay, may_be_empty=delta == 0.0 or radius < 1.0)
+    return region_of(c, delay, tolerance, may_be_empty=delta == 0.0 or radius < 1.0)
+
+
+def region_of(
+    c: SliceCoefficients, delay: float, tolerance: float, *, may_be_empty: bool
+) -> StableRegion:
+    """Return the region of a slice; see ``refined_pieces``."""
+    pieces = refined_pieces(c, delay, may_be_empty=may_be_empty)
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)
     region = _region(c, pieces, points=points)
