@@ -11,6 +11,7 @@ from jaxstab.region.lines import minus_margin
 from jaxstab.region.roots import nonzero, with_slope
 
 _STEPS = 16
+_SMALLEST = 1e-3  # of the largest corner: the size of those at 0
 _TOLERANCE = 1e-10  # of the last step: its square is below rounding
 
 
@@ -45,6 +46,8 @@ def scales(c: SliceCoefficients, alpha: Array, beta: Array, theta: Array) -> Sca
     """Return the scales of the mismatches at points of the curve."""
     cosine = namespace(theta).cos(theta)
     size = abs(alpha) + abs(beta) + abs(plus_offset(c))
+    if c.filtered is not None:  # undamped modes put corners at 0
+        size = size + _SMALLEST * np.max(size, initial=0.0, where=np.isfinite(size))
     slope = abs(c.num_minus)
     if c.filtered is not None:
         slope = slope + abs(c.filtered.at_minus_one[2])

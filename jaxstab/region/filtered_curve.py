@@ -21,7 +21,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import tree_map
+from jaxstab.arrays import Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.linear_loop import SampledPlant, linear_loop
 from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
@@ -31,6 +31,7 @@ _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
 _NOTHING = 1e-25  # of the size of N: pairs that are rounding
 _CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
+_SLOW = 0.5  # of the distance from 1
 _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # of zeta - 1: on a half of the circle at most sqrt(2)
 
 Angles = Float64[np.ndarray, " _"]  # of any length
@@ -73,9 +74,16 @@ class FilteredCurve(NamedTuple):
     plus: Half
     minus: Half
     lag: float  # w
-    parts: Float64[np.ndarray, "3 coefficient"]  # base, stiffness, damping, highest power first
+    pairs: Float64[np.ndarray, "2 3 coefficient"]  # parts, and what rounding took from them
     at_minus_one: Float64[np.ndarray, "3"]  # the same of p(-1), its sign plus in the stable set
     poles: Float64[np.ndarray, "2 pole"]  # angles in [0, pi], and how far they are from the circle
+    resonances: Float64[np.ndarray, "2 root"]  # the same of zeros and poles of a general device
+    is_exact: bool = False  # whether other roots are tested in double-double
+
+    @property
+    def parts(self) -> Float64[np.ndarray, "3 coefficient"]:
+        """Base, stiffness, damping of p(z), highest power first."""
+        return self.pairs[0]
 
 
 class _Around(NamedTuple):
@@ -135,9 +143,10 @@ def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) 
         plus=halves[0],
         minus=halves[1],
         lag=float(whole),
-        parts=np.array([_rounded(part) for part in loop[:3]]),
+        pairs=np.array([[[c.hi, c.lo] for c in part] for part in loop[:3]]).transpose(2, 0, 1),
         at_minus_one=_rounded(tuple(part.value for part in loop.at_minus_one)),
         poles=_poles(_rounded(reduce(product, above)), _rounded(reduce(product, below)), zeros),
+        resonances=_resonances(plant),
     )
 
 
@@ -250,3 +259,24 @@ def _poles(above: Angles, below: Angles, numerator: Angles) -> Float64[np.ndarra
     is_kept &= ~is_of_estimator | ((angles > _ON_CIRCLE) & (angles < np.pi - _ON_CIRCLE))
     distance = np.where(is_of_estimator, 0.0, distance)
     return np.stack([angles, np.clip(distance, _CLOSEST, _FARTHEST)])[:, is_kept]
+
+
+def _resonances(plant: SampledPlant) -> Float64[np.ndarray, "2 root"]:
+    """Return the angles in [0, pi] of zeros and poles of a general device, and how far they are.
+
+    Next to 1 they are found in powers of z - 1: those of slow modes differ by less than the
+    coefficients in powers of z tell. One mass needs none of them.
+    """
+    if plant.shifted is None:
+        return np.empty((2, 0))
+    both = plant.numerator, plant.denominator
+    pairs = zip(map(_rounded, both), map(_rounded, plant.shifted[:2]), strict=True)
+    every = np.concatenate([_roots(*pair) for pair in pairs])
+    every = every[every.imag >= 0.0]
+    distance = np.abs(np.log(np.maximum(np.abs(every), 1e-300)))
+    return np.stack([np.abs(np.angle(every)), np.clip(distance, _CLOSEST, _FARTHEST)])
+
+
+def _roots(straight: Angles, shifted: Angles) -> Array:
+    far, near = np.roots(straight), 1.0 + np.roots(shifted)
+    return np.concatenate([far[abs(far - 1.0) > _SLOW], near[abs(near - 1.0) <= _SLOW]])

@@ -1,5 +1,7 @@
 """The stable set of a loop with any plant, estimator and filter."""
 
+import numpy as np
+
 from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.model.transfer import Transfer
 from jaxstab.region.curve import filtered_coefficients
@@ -26,5 +28,6 @@ def linear_region(
             "the device does not give way to a constant force: its transfer function in s is 0 at "
             "s = 0; a region is drawn of devices that do."
         )
-    c = filtered_coefficients(plant, velocity, position)
-    return region_of(c, float(plant.lag), tolerance, may_be_empty=True)
+    with np.errstate(all="ignore"):
+        c = filtered_coefficients(plant, velocity, position)
+        return region_of(c, float(plant.lag), tolerance, may_be_empty=True)

@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from jaxstab.model import companion_matrix
 from jaxstab.region.curve import SliceCoefficients
+from jaxstab.region.filtered_curve import FilteredCurve
 from jaxstab.region.filtered_points import is_oriented
 from jaxstab.region.other_roots import other_roots, others_inside
 from jaxstab.region.pieces import Pieces
@@ -16,6 +17,7 @@ _CLOSEST = 1e-11
 _OFFSETS = 24  # to each side of an angle to look closer at
 _NEAR_CIRCLE = 1e-2
 _SAME = 1e-10
+_WIDTHS, _STEPS_AROUND = 8.0, 16  # of a resonance
 
 Angles = Float64[np.ndarray, " _"]  # of any length
 
@@ -47,9 +49,20 @@ def slice_angles(c: SliceCoefficients, length: int, fineness: int) -> Angles:
         return angles
     offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
     around = c.filtered.poles[0][:, None] + np.concatenate([-offsets, offsets])
+    around = np.append(around, _around_resonances(c.filtered, fineness))
     inner = around[(around > angles[0]) & (around < angles[-1])]
     angles = np.sort(np.concatenate([angles, inner]))
     return np.sort(np.where(is_oriented(c.filtered, angles), angles, -angles))
+
+
+def _around_resonances(curve: FilteredCurve, fineness: int) -> Angles:
+    """Return angles around zeros and poles of a device, in steps that grow with the distance."""
+    angle, width = curve.resonances[:, :, None]
+    reach = np.maximum(angle, _WIDTHS * width)
+    growth = np.linspace(0.0, 1.0, _STEPS_AROUND * fineness)
+    offsets = width / _WIDTHS * (reach / (width / _WIDTHS)) ** growth
+    around: Angles = (angle + np.concatenate([-offsets, offsets], axis=1)).ravel()
+    return around
 
 
 def closer_angles(c: SliceCoefficients, angles: Angles, centers: Angles) -> Angles:
@@ -96,6 +109,8 @@ def are_among(angles: Angles, known: Angles) -> bool:
 
 def _angles_near_circle(polynomials: Float64[np.ndarray, "polynomial coefficient"]) -> Angles:
     """Return the angles between 0 and pi of the roots close to the circle."""
+    if polynomials.shape[1] < 2:
+        return np.empty(0)
     roots = np.linalg.eigvals(companion_matrix(polynomials)).ravel()
     near = roots[(np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE) & (roots.imag > 0.0)]
     angles: Angles = np.angle(near)

@@ -26,8 +26,17 @@ def refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) ->
     """Return pieces that close to loops and at whose ends nothing more hides.
 
     With damping the loop without a wall is stable: an empty answer is then a scan too coarse. Where
-    even the finest scan is not enough, ``resolved`` of the pieces is False.
+    even the finest scan is not enough, ``resolved`` of the pieces is False. With filters the roots
+    are tested in double-double then, and where none is found.
     """
+    pieces = _searched(c, delay, may_be_empty=may_be_empty)
+    if c.filtered is None or (pieces.resolved and pieces.exists[0]):
+        return pieces
+    exact = c._replace(filtered=c.filtered._replace(is_exact=True))
+    return _searched(exact, delay, may_be_empty=may_be_empty)
+
+
+def _searched(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Pieces:
     length = coefficient_count(delay) if c.filtered is None else c.filtered.parts.shape[1] - 2
     closer = crossings(c, slice_angles(c, length, 1), length)
     scans = _SCANS if c.filtered is None else _SCANS[:_FILTERED_SCANS]

@@ -134,7 +134,7 @@ def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, uni
         step, best = state
         scale = radius * (1.0 + sides * steps[step])
         tried = abs(scale - radius) * (1.0 + 4.0 * FLOAT_UNIT)
-        is_proved = xp.isinf(best) & (_scaled_codes(both, error, scale, unit) == wanted)
+        is_proved = xp.isinf(best) & (scaled_codes(both, error, scale, unit) == wanted)
         return step + 1, xp.where(is_proved, tried, best)
 
     def is_open(state: tuple[Array, Array]) -> Array:
@@ -145,8 +145,8 @@ def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, uni
     return xp.max(repeat_while(is_open, prove, start)[1], axis=0)
 
 
-def _scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) -> Array:
-    """Return the codes of p(scale z) / scale^n."""
+def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) -> Array:
+    """Return the codes of p(scale z) / scale^n; see ``dense_radius_error`` for the arguments."""
     xp = namespace(coefficients, error, scale)
     columns = [part_of(coefficients, index) for index in range(len(leading(coefficients)))]
     inverse, power = columns[0] / scale, columns[0]  # the first coefficient is 1

@@ -1,0 +1,95 @@
+"""Regions of general devices: against certified verdicts next to their outlines and far away."""
+
+import numpy as np
+import pytest
+
+import jaxstab
+from jaxstab import STABLE, UNSTABLE, Device, Filter, Hand, Mode, Velocity
+from jaxstab.model.device import SampledDevice, sampled_device
+from jaxstab.model.filters import Filters
+from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.region.linear import linear_region
+from jaxstab.region.region import RegionStatus, StableRegion
+
+ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
+MODE = Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+DEVICES = {
+    "a mass": Device.mass_spring_damper(0.25, 0.1),
+    "a mode": Device.modes([MODE], mass=0.25, damping=0.1),
+    "a grip": Device.mass_spring_damper(0.25, 0.1).held_by(ARM.with_grip(2000.0, 4.0)),
+    "an actuator": Device.mass_spring_damper(0.25, 0.1).with_actuator(60.0),
+    "all": Device.modes([MODE], mass=0.25).with_actuator(300.0).held_by(ARM.with_grip(2e3, 4.0)),
+    "an unstable device": Device.transfer_function([1.0], [0.25, 0.1, -3.0]),
+    "a damper": Device.transfer_function([1.0], [2.0, 0.0]),
+}
+FILTERS: dict[str, Filters] = {
+    "one sample": (Velocity(), Filter()),
+    "window": (Velocity.difference(samples=6), Filter()),
+    "low passes": (Velocity.low_pass(80.0), Filter.low_pass(300.0)),
+}
+
+
+def region_of(sampled: SampledDevice, filters: Filters) -> StableRegion:
+    return linear_region(sampled.plant, *sampled.transfers(filters), 1e-6)
+
+
+def points_around(region: StableRegion, rng: np.random.Generator) -> np.ndarray:
+    """Points next to the outline, on either side of it, next to corners, and anywhere."""
+    points = []
+    for component in region.components:
+        vertices, extent = component.points, np.ptp(component.points, axis=0)
+        index = rng.integers(0, len(vertices) - 1, 60)
+        along = (vertices[index + 1] - vertices[index]) / extent
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+        away = rng.choice([-1.0, 1.0], 60) * 10.0 ** rng.uniform(-5.0, -2.0, 60)
+        middle = 0.5 * (vertices[index] + vertices[index + 1])
+        points.append(middle + across * away[:, None] * extent)
+        corners = component.corners
+        points.append(
+            np.repeat(corners, 5, axis=0) + rng.normal(size=(5 * len(corners), 2)) * 1e-4 * extent
+        )
+    extent = np.ptp(region.points, axis=0)
+    points.append(rng.uniform(-1.0, 2.0, (100, 2)) * extent + region.points.min(axis=0))
+    return np.concatenate(points)
+
+
+def assert_region_holds(sampled: SampledDevice, filters: Filters, region: StableRegion) -> None:
+    points = points_around(region, np.random.default_rng(len(region.points)))
+    codes = linear_verdict(*points.T, sampled.loop(filters))
+    inside = region.contains(*points.T)
+    assert not np.any((codes == STABLE) & ~inside)
+    assert not np.any((codes == UNSTABLE) & inside)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.5])
+@pytest.mark.parametrize("filters", FILTERS)
+@pytest.mark.parametrize("device", DEVICES)
+def test_regions_against_certified_verdicts(device: str, filters: str, delay: float) -> None:
+    sampled = sampled_device(DEVICES[device], 1e-3, delay)
+    region = region_of(sampled, FILTERS[filters])
+    assert region.status == RegionStatus.COMPLETE
+    assert_region_holds(sampled, FILTERS[filters], region)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3, 4.0])
+def test_a_mass_has_the_region_of_five_numbers(delay: float) -> None:
+    period, mass = 1e-3, 0.25
+    device = Device.mass_spring_damper(mass, damping=2.0).held_by(ARM)
+    slice_ = 300.0 * period**2 / 1.25, 7.0 * period / 1.25, delay
+    sampled = sampled_device(device, period, delay)
+    region, expected = region_of(sampled, FILTERS["one sample"]), jaxstab.stable_region(*slice_)
+    units = period**2 / 1.25 / sampled.stiffness_unit, period / 1.25 / sampled.damping_unit
+    assert float(region.area) * units[0] * units[1] == pytest.approx(float(expected.area), 1e-12)
+    for one, other in (
+        (region.max_alpha, expected.max_alpha),
+        (region.max_beta, expected.max_beta),
+    ):
+        np.testing.assert_allclose(one * units, other, 1e-6)
+    points = expected.corners / units
+    assert np.max(np.min(np.hypot(*(region.corners[:, None] - points).T), axis=0)) < 1e-11
+
+
+def test_a_device_that_a_constant_force_does_not_move_has_no_region() -> None:
+    sampled = sampled_device(Device.transfer_function([1.0, 0.0], [1.0, 2.0, 3.0]), 1e-3, 0.0)
+    with pytest.raises(ValueError, match="constant force"):
+        region_of(sampled, FILTERS["one sample"])
