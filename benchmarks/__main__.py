@@ -26,6 +26,7 @@ BENCHMARKS = (
     "criteria",
     "tuning",
     "ranges",
+    "loops",
     "stress",
 )
 
@@ -43,7 +44,7 @@ def main() -> int:
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
     parser.add_argument("--billion", action="store_true", help="scaling goes on to 1e9 points")
-    parser.add_argument("--points", type=int, help="how many loops stress judges; 100000")
+    parser.add_argument("--points", type=int, help="how many loops stress judges, or loops")
     parser.add_argument(
         "--out", type=Path, default=record.RESULTS, help="folder of the records and plots"
     )
@@ -64,8 +65,10 @@ def main() -> int:
         options: dict[str, Any] = {}
         if name == "scaling" and choice.billion:
             options = {"billion": True}
+        if name in ("stress", "loops") and choice.points:
+            options = {"points": choice.points}
         if name == "stress":
-            options = {"keep": keep} | ({"points": choice.points} if choice.points else {})
+            options |= {"keep": keep}
         rows = import_module(f"benchmarks.{name}").rows(choice.small, **options)
         print(keep(record.shown(rows)))
     return 0

@@ -280,12 +280,23 @@ def _ranges(rows: list[Row]) -> Figure:
     return figure
 
 
+def _loops(rows: list[Row]) -> Figure:
+    figure, axes = _panels(1, len(rows), "Random loops with estimators and filters, by balls")
+    for panel, row in zip(axes[0], rows, strict=True):
+        words = ("wrong", "undecided", "unbounded", "unresolved", "unjudged", "judged")
+        names = [name for name in words if name in row]
+        panel.barh(names, [row[name] for name in names])
+        panel.set(xscale="symlog", xlabel=f"{row['section']}: {row['method']}")
+    return figure
+
+
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "latency": _latency,
     "boundary": _boundary,
     "criteria": _criteria,
     "tuning": _tuning,
     "ranges": _ranges,
+    "loops": _loops,
     "regions": _regions,
     "queries": _queries,
     "answers": _answers,

@@ -129,6 +129,19 @@ def _verdicts(rows: list[Row]) -> Iterator[Line]:
         yield task, method, "", f"{wrong} wrong, {undecided:.2%} undecided", ""
 
 
+def _loops(rows: list[Row]) -> Iterator[Line]:
+    for row in rows:
+        loops, judged = row["repeats"], row["judged"]
+        doubts = [
+            f"{row[word]} {word}"
+            for word in ("undecided", "unbounded", "unresolved")
+            if row.get(word)
+        ]
+        task = f"{loops:,} loops with estimators and filters, {judged:,} {row['section']} judged"
+        time = f"{_time(row['seconds'])} of CPU for {row['points']}"
+        yield task, row["method"], time, ", ".join([f"{row['wrong']} wrong", *doubts]), ""
+
+
 def _stress(rows: list[Row]) -> Iterator[Line]:
     rows = [row for row in rows if row["section"] == "delay"]
     for method in dict.fromkeys(row["method"] for row in rows):
@@ -170,6 +183,7 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "throughput": _throughput,
     "filling": _filling,
     "verdicts": _verdicts,
+    "loops": _loops,
     "scaling": _scaling,
     "stress": _stress,
 }

@@ -145,6 +145,8 @@ def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, An
     for row in rows("tuning"):
         assert row["beaten"] == row["region_below"] == row["not_reached"] == row["missed"] == 0
     assert {row["wrong"] for row in rows("ranges")} == {0}
+    for method in ("verdict", "spectral_radius", "stable_region"):
+        assert {row["wrong"] for row in rows("loops", method=method)} == {0}
 
 
 def test_a_filled_slice_is_that_of_its_nodes(rows: Callable[..., list[dict[str, Any]]]) -> None:

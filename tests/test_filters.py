@@ -187,8 +187,7 @@ def test_hostile_walls_of_random_loops_against_balls() -> None:
         loop = random_loop(rng)
         balls = loop.truth.balls()
         alpha, beta = hostile_walls(rng, balls, 40).T
-        filters: dict[str, Any] = {"velocity": loop.velocity, "position": loop.position}
-        codes = jaxstab.verdict(alpha, beta, *loop.plant, **filters)
+        codes = jaxstab.verdict(alpha, beta, *loop.plant, **loop.filters)
         for wall in zip(alpha.tolist(), beta.tolist(), codes.tolist(), strict=True):
             is_stable = balls.is_stable(*wall[:2])
             if is_stable is not None and wall[2] != UNDECIDED:

@@ -4,6 +4,7 @@
 - ``filtered``: loops with estimators and filters, ``devices``: with any linear device and hand;
 - ``balls``: plants and verdicts in balls of python-flint, for many points of one plant;
 - ``filtered``: loops with an estimator and a filter, from difference equations;
+- ``boundary``: walls of any loop that have roots on a circle, by eigenvalues;
 - ``random_loops``: such loops at random, and walls next to their boundary;
 - ``near_boundary``: points close to the boundary, to be judged;
 - ``slices``: the boundary of one slice, all pieces, and distances from it;

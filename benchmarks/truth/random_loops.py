@@ -5,17 +5,16 @@ well as ordinary: cut-offs down to a thousandth of the sampling rate, orders to 
 stiffness or damping, stiff ones, and delays of whole samples and of fractions next to them.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.truth import filtered
 from benchmarks.truth.balls import BallLoop
+from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import FilteredLoop, Rational
 from jaxstab.model import Filter, Velocity
 
-_ANGLES = 200  # at which the boundary is looked for
-_ON_CIRCLE = 1e-9  # float64 roots this close to the circle count as inside
 _HIGHEST_ORDER = 24
 
 Factor = tuple[Filter, Rational, int]  # and its order
@@ -28,6 +27,11 @@ class RandomLoop(NamedTuple):
     velocity: Velocity
     position: Filter
     truth: FilteredLoop
+
+    @property
+    def filters(self) -> dict[str, Any]:
+        """The arguments of jaxstab's functions that name the estimator and the filter."""
+        return {"velocity": self.velocity, "position": self.position}
 
     def __str__(self) -> str:
         gamma, delta, delay = self.plant
@@ -98,56 +102,6 @@ def _rational_estimator(rng: np.random.Generator) -> tuple[Velocity, Rational, i
         *([filtered.exact(value) for value in one] for one in (numerator, denominator))
     )
     return Velocity.transfer_function(numerator, denominator), exact, 3
-
-
-class Boundary:
-    """Where walls of a loop have roots on the unit circle, in float64 from the truth's numbers."""
-
-    def __init__(self, balls: BallLoop) -> None:
-        size = balls.base.degree() + 1
-        parts = [[float(part[k].mid()) for k in range(size)] for part in balls[:3]]
-        self.parts = np.array(parts)[:, ::-1]  # highest power first
-
-    def points(self, rng: np.random.Generator) -> np.ndarray:
-        """Return walls (n, 2) next to which walls are stable; random ones where there are none."""
-        size = self.parts.shape[1]
-        low = np.pi * 10.0 ** rng.uniform(-3.0, 0.0, _ANGLES // 2) / size
-        angles = np.concatenate([rng.uniform(0.0, np.pi, _ANGLES - low.size), low])
-        curve = self._solved(np.exp(1j * angles))
-        scale = np.median(np.abs(curve), axis=0) if len(curve) else np.ones(2)
-        walls = np.concatenate([curve, *(self._line(z, rng, scale) for z in (1.0, -1.0))])
-        walls = walls[np.isfinite(walls).all(axis=1)]
-        stable = walls[self.largest_roots(walls) < 1.0 + _ON_CIRCLE]
-        return stable if len(stable) else walls
-
-    def largest_roots(self, walls: np.ndarray) -> np.ndarray:
-        """Return the largest |z| of walls (n, 2), by eigenvalues."""
-        base, stiffness, damping = self.parts
-        p = base + walls[:, :1] * stiffness + walls[:, 1:] * damping
-        companion = np.tile(np.eye(p.shape[1] - 1, k=-1), (len(p), 1, 1))
-        companion[:, 0, :] = -p[:, 1:]
-        return np.max(np.abs(np.linalg.eigvals(companion)), axis=1, initial=0.0)
-
-    def _solved(self, z: np.ndarray) -> np.ndarray:
-        """Return walls with roots at points of the upper half circle."""
-        base, stiffness, damping = (np.polyval(part, z) for part in self.parts)
-        with np.errstate(all="ignore"):
-            determinant = (np.conj(stiffness) * damping).imag
-            alpha = (np.conj(damping) * base).imag / determinant
-            beta = -(np.conj(stiffness) * base).imag / determinant
-        walls = np.stack([alpha, beta], axis=1)
-        return walls[np.isfinite(walls).all(axis=1)]
-
-    def _line(self, z: float, rng: np.random.Generator, scale: np.ndarray) -> np.ndarray:
-        """Return walls with a root at z = 1 or -1."""
-        base, stiffness, damping = (float(np.polyval(part, z)) for part in self.parts)
-        alpha, beta = scale[:, None] * rng.normal(size=(2, _ANGLES // 8))
-        with np.errstate(all="ignore"):
-            if abs(stiffness * scale[0]) > abs(damping * scale[1]):
-                alpha = -(base + damping * beta) / stiffness
-            else:
-                beta = -(base + stiffness * alpha) / damping
-        return np.stack([alpha, beta], axis=1)
 
 
 def hostile_walls(rng: np.random.Generator, balls: BallLoop, count: int) -> np.ndarray:

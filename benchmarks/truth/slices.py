@@ -10,6 +10,8 @@ import numpy as np
 from mpmath import mp, mpc, mpf
 
 from benchmarks import truth
+from benchmarks.truth.balls import BallLoop
+from benchmarks.truth.filtered import FilteredLoop, average, difference
 
 _ANGLES = 4000  # of the scan that finds the pieces of the boundary
 _LINE_POINTS = 200
@@ -34,6 +36,10 @@ class ExactSlice:
         self.gamma, self.delta, self.delay = gamma, delta, delay
         self.whole, self.fraction = truth.split_delay(delay)
         self.plant = truth.plant(gamma, delta, self.fraction)
+
+    @cached_property
+    def _balls(self) -> BallLoop:
+        return FilteredLoop(self.gamma, self.delta, self.delay, difference(1), average(1)).balls()
 
     @cached_property
     def pieces(self) -> list[Piece]:
@@ -111,10 +117,8 @@ class ExactSlice:
         return float(sum(self._radius_ends(alpha, beta)) / 2)
 
     def is_stable(self, alpha: float, beta: float) -> bool | None:
-        """Return the certified verdict; None within 1e-40 of the boundary."""
-        lower, upper = self._radius_ends(alpha, beta)
-        near = min(abs(lower - 1), abs(upper - 1)) < mpf(10) ** -40
-        return None if near or lower < 1 < upper else bool(upper < 1)
+        """Return the certified verdict; None where balls of 1400 bits do not tell."""
+        return self._balls.is_stable(float(alpha), float(beta))
 
     def curve(self, angle: mpf) -> tuple[mpf, mpf]:
         """Return (alpha, beta) with roots at exp(+-i angle)."""

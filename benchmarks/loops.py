@@ -1,0 +1,167 @@
+"""Random loops with estimators and filters against balls of python-flint: walls, radii, regions.
+
+Loops are ordinary and hostile ones (``benchmarks/truth/random_loops.py``) at delays of 0 to 30
+samples. Half of the walls lie within 1e-6 of the boundary. A radius is ``wrong`` where the circle
+that its bound makes larger does not hold all roots, or the one that it makes smaller does. Points
+of regions lie next to outlines, corners and islands, next to boundaries that eigenvalues find
+whether the region has them or not, and anywhere; an UNRESOLVED region claims only what it contains.
+The judge is the criterion of Schur and Cohn in balls; ``unjudged`` is what 1400 bits do not tell.
+"""
+
+from collections.abc import Iterator
+from time import process_time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import jaxstab
+from benchmarks.record import Row
+from benchmarks.regions import DISTANCES
+from benchmarks.truth.balls import BallLoop
+from benchmarks.truth.boundary import Boundary
+from benchmarks.truth.random_loops import RandomLoop, hostile_walls, random_loop
+from jaxstab.conventions import STABLE, UNDECIDED
+from jaxstab.region import RegionStatus, StableRegion
+
+LOOPS, _SMALL = 10_000, 6  # how many of each kind of question
+MEASURE = "share of {} that balls refute"
+
+_LONGEST = 30
+_WALLS = 100  # of a loop
+_RADII = 10
+_POINTS = {"outline": 14, "corners": 8, "islands": 10, "boundary": 14, "anywhere": 4}
+
+
+class Tally(NamedTuple):
+    """What became of the questions about one loop."""
+
+    asked: int
+    wrong: int
+    open: int  # undecided walls, radii without a bound, UNRESOLVED regions
+    unjudged: int
+    seconds: float  # of CPU for all of them
+    rival_wrong: int = 0
+    rival_seconds: float = 0.0
+
+    def of_rival(self) -> "Tally":
+        """Return what became of them in the rival's hands."""
+        return Tally(self.asked, self.rival_wrong, 0, self.unjudged, self.rival_seconds)
+
+
+def rows(small: bool, points: int = LOOPS) -> Iterator[Row]:
+    count = _SMALL if small else points
+    tallies = _tallies(count, 1, walls)
+    yield _row("walls", "verdict", tallies, "undecided")
+    yield _row("walls", "numpy eigvals", [one.of_rival() for one in tallies], "undecided")
+    yield _row("radii", "spectral_radius", _tallies(count, 2, radii), "unbounded")
+    yield _row("points of regions", "stable_region", _tallies(count, 3, region), "unresolved")
+
+
+def _tallies(count: int, seed: int, judged: Any) -> list[Tally]:
+    tallies = []
+    for index in range(count):
+        rng = np.random.default_rng([20121120, seed, index])  # so that one loop can be repeated
+        loop = random_loop(rng)
+        tallies.append(judged(loop, rng))
+        if tallies[-1].wrong:
+            print(f"{judged.__name__} {index}: {tallies[-1].wrong} wrong at {loop}", flush=True)
+    return tallies
+
+
+def _row(section: str, method: str, tallies: list[Tally], word: str) -> Row:
+    asked, wrong = (sum(getattr(one, name) for one in tallies) for name in ("asked", "wrong"))
+    seconds = [one.seconds for one in tallies]
+    return {
+        "section": section,
+        "method": method,
+        "delay": _LONGEST,
+        "points": asked // len(tallies),
+        "seconds": float(np.median(seconds)),
+        "seconds_quartiles": np.quantile(seconds, (0.25, 0.75)).tolist(),
+        "repeats": len(tallies),
+        "error": wrong / asked,
+        "error_measure": MEASURE.format(section),
+        "judged": asked - sum(one.unjudged for one in tallies),
+        "wrong": wrong,
+        word: sum(one.open for one in tallies),
+        "unjudged": sum(one.unjudged for one in tallies),
+    }
+
+
+def walls(loop: RandomLoop, rng: np.random.Generator) -> Tally:
+    """Judge verdicts of walls, and eigenvalues of the same polynomials in float64."""
+    balls = loop.truth.balls()
+    points = hostile_walls(rng, balls, _WALLS)
+    start = process_time()
+    codes = jaxstab.verdict(*points.T, *loop.plant, **loop.filters)
+    middle = process_time()
+    radii = Boundary(balls).largest_roots(points)
+    end = process_time()
+    truths = [balls.is_stable(*point) for point in points.tolist()]
+    known = np.array([one is not None for one in truths])
+    stable = np.array([bool(one) for one in truths])
+    wrong = known & (codes != UNDECIDED) & ((codes == STABLE) != stable)
+    return Tally(
+        asked=len(points),
+        wrong=int(wrong.sum()),
+        open=int(np.sum(codes == UNDECIDED)),
+        unjudged=int(np.sum(~known)),
+        seconds=middle - start,
+        rival_wrong=int(np.sum(known & ((radii < 1.0) != stable))),
+        rival_seconds=end - middle,
+    )
+
+
+def radii(loop: RandomLoop, rng: np.random.Generator) -> Tally:
+    """Judge the bounds of spectral radii."""
+    balls = loop.truth.balls()
+    points = hostile_walls(rng, balls, _RADII)
+    start = process_time()
+    answer = jaxstab.spectral_radius(*points.T, *loop.plant, **loop.filters)
+    seconds = process_time() - start
+    wrong = unjudged = 0
+    for point, value, error in zip(points.tolist(), answer.value, answer.error, strict=True):
+        if np.isfinite(error):
+            inside = balls.is_stable(*point, float(np.nextafter(value + error, np.inf)))
+            beyond = balls.is_stable(*point, float(np.nextafter(value - error, -np.inf)))
+            wrong += inside is False or beyond is True
+            unjudged += inside is None or beyond is None
+    return Tally(len(points), wrong, int(np.sum(~np.isfinite(answer.error))), unjudged, seconds)
+
+
+def region(loop: RandomLoop, rng: np.random.Generator) -> Tally:
+    """Judge what a region contains."""
+    balls = loop.truth.balls()
+    start = process_time()
+    answer = jaxstab.stable_region(*loop.plant, **loop.filters)
+    seconds = process_time() - start
+    points = probes(answer, balls, rng)
+    contained = np.asarray(answer.contains(*points.T))
+    is_open = RegionStatus(int(answer.status)) == RegionStatus.UNRESOLVED
+    wrong = unjudged = 0
+    for point, inside in zip(points.tolist(), contained.tolist(), strict=True):
+        truth = balls.is_stable(*point)
+        unjudged += truth is None
+        wrong += truth is not None and truth != inside and (inside or not is_open)
+    return Tally(len(points), wrong, int(is_open), unjudged, seconds)
+
+
+def probes(answer: StableRegion, balls: BallLoop, rng: np.random.Generator) -> np.ndarray:
+    """Return points (n, 2) anywhere, next to what a region has, and to what it may have missed."""
+    found = Boundary(balls).points(rng)
+    outline = answer.points if len(answer.points) else found
+    islands = [island.points for island in answer.islands] or [outline]
+    corners = answer.corners if len(answer.corners) else outline
+    size = np.ptp(outline, axis=0)
+    island = islands[rng.integers(len(islands))]
+    anywhere = rng.uniform(-0.2, 1.2, (_POINTS["anywhere"], 2)) * size + outline.min(axis=0)
+    near = np.concatenate(
+        [
+            some[rng.integers(0, len(some), _POINTS[name])]
+            for name, some in (
+                ("outline", outline), ("corners", corners), ("islands", island), ("boundary", found)
+            )
+        ]
+    )  # fmt: skip
+    away = rng.choice(DISTANCES, (len(near), 1)) * rng.normal(size=near.shape)
+    return np.concatenate([anywhere, near + size * away])

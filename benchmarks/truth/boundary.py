@@ -1,0 +1,65 @@
+"""Where walls of any loop have roots on a circle, by eigenvalues alone."""
+
+import numpy as np
+
+from benchmarks.truth.balls import BallLoop
+
+_ON_CIRCLE = 1e-9  # float64 roots this close to the circle count as inside
+
+
+class Boundary:
+    """Walls that have roots on a circle, in float64 from the truth's numbers."""
+
+    def __init__(self, balls: BallLoop, radius: float = 1.0) -> None:
+        size = balls.base.degree() + 1
+        parts = [[float(part[k].mid()) for k in range(size)] for part in balls[:3]]
+        self.parts = np.array(parts)[:, ::-1] * radius ** -np.arange(size, dtype=float)
+
+    def points(self, rng: np.random.Generator, angles: int = 200) -> np.ndarray:
+        """Return walls (n, 2) next to which walls are stable; others where there are none.
+
+        They are those of random angles, half of them small, and of the lines of real roots.
+        """
+        size = self.parts.shape[1]
+        low = np.pi * 10.0 ** rng.uniform(-3.0, 0.0, angles // 2) / size
+        thetas = np.concatenate([rng.uniform(0.0, np.pi, angles - low.size), low])
+        curve = self._solved(np.exp(1j * thetas))
+        scale = np.median(np.abs(curve), axis=0) if len(curve) else np.ones(2)
+        walls = np.concatenate(
+            [
+                curve,
+                *(self._line(z, scale * rng.normal(size=(angles // 8, 2))) for z in (1.0, -1.0)),
+            ]
+        )
+        walls = walls[np.isfinite(walls).all(axis=1)]
+        stable = walls[self.largest_roots(walls) < 1.0 + _ON_CIRCLE]
+        return stable if len(stable) else walls
+
+    def largest_roots(self, walls: np.ndarray) -> np.ndarray:
+        """Return the largest |z| / radius of walls (n, 2), by eigenvalues."""
+        base, stiffness, damping = self.parts
+        p = base + walls[:, :1] * stiffness + walls[:, 1:] * damping
+        companion = np.tile(np.eye(p.shape[1] - 1, k=-1), (len(p), 1, 1))
+        companion[:, 0, :] = -p[:, 1:]
+        return np.max(np.abs(np.linalg.eigvals(companion)), axis=1, initial=0.0)
+
+    def _solved(self, z: np.ndarray) -> np.ndarray:
+        """Return walls with roots at points of the upper half circle."""
+        base, stiffness, damping = (np.polyval(part, z) for part in self.parts)
+        with np.errstate(all="ignore"):
+            determinant = (np.conj(stiffness) * damping).imag
+            alpha = (np.conj(damping) * base).imag / determinant
+            beta = -(np.conj(stiffness) * base).imag / determinant
+        walls = np.stack([alpha, beta], axis=1)
+        return walls[np.isfinite(walls).all(axis=1)]
+
+    def _line(self, z: float, walls: np.ndarray) -> np.ndarray:
+        """Return walls (n, 2) moved along one axis to where they have a root at z = 1 or -1."""
+        base, stiffness, damping = (float(np.polyval(part, z)) for part in self.parts)
+        alpha, beta = walls.T
+        with np.errstate(all="ignore"):
+            if abs(stiffness) > abs(damping):
+                alpha = -(base + damping * beta) / stiffness
+            else:
+                beta = -(base + stiffness * alpha) / damping
+        return np.stack([alpha, beta], axis=1)
