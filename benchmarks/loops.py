@@ -1,30 +1,32 @@
 """Random loops with estimators and filters against balls of python-flint: walls, radii, regions.
 
-Loops are ordinary and hostile ones (``benchmarks/truth/random_loops.py``) at delays of 0 to 30
-samples. Half of the walls lie within 1e-6 of the boundary. A radius is ``wrong`` where the circle
-that its bound makes larger does not hold all roots, or the one that it makes smaller does. Points
-of regions lie next to outlines, corners and islands, next to boundaries that eigenvalues find
-whether the region has them or not, and anywhere; an UNRESOLVED region claims only what it contains.
-The judge is the criterion of Schur and Cohn in balls; ``unjudged`` is what 1400 bits do not tell.
+Loops are ordinary and hostile ones (``benchmarks/truth/random_loops.py``), of one mass and of
+devices with modes, grips and motors, at delays of 0 to 30 samples. Half of the walls lie within
+1e-6 of the boundary. A radius is ``wrong`` where the circle that its bound makes larger does not
+hold all roots, or the one that it makes smaller does. Points of regions lie next to outlines,
+corners and islands, next to boundaries that eigenvalues find whether the region has them or not,
+and anywhere; an UNRESOLVED region claims only what it contains. The judge is the criterion of Schur
+and Cohn in balls; ``unjudged`` is what their bits do not tell.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from time import process_time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-import jaxstab
 from benchmarks.record import Row
 from benchmarks.regions import DISTANCES
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
-from benchmarks.truth.random_loops import RandomLoop, hostile_walls, random_loop
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
 from jaxstab.conventions import STABLE, UNDECIDED
 from jaxstab.region import RegionStatus, StableRegion
 
 LOOPS, _SMALL = 10_000, 6  # how many of each kind of question
 MEASURE = "share of {} that balls refute"
+
+Loop = MassLoop | DeviceLoop
 
 _LONGEST = 30
 _WALLS = 100  # of a loop
@@ -50,18 +52,22 @@ class Tally(NamedTuple):
 
 def rows(small: bool, points: int = LOOPS) -> Iterator[Row]:
     count = _SMALL if small else points
-    tallies = _tallies(count, 1, walls)
-    yield _row("walls", "verdict", tallies, "undecided")
-    yield _row("walls", "numpy eigvals", [one.of_rival() for one in tallies], "undecided")
-    yield _row("radii", "spectral_radius", _tallies(count, 2, radii), "unbounded")
-    yield _row("points of regions", "stable_region", _tallies(count, 3, region), "unresolved")
+    for kind, words in ((MassLoop, ""), (DeviceLoop, " of devices")):
+        tallies = _tallies(kind, count, walls)
+        yield _row("walls" + words, "verdict", tallies, "undecided")
+        rivals = [one.of_rival() for one in tallies]
+        yield _row("walls" + words, "numpy eigvals", rivals, "undecided")
+        tallies = _tallies(kind, count, radii)
+        yield _row("radii" + words, "spectral_radius", tallies, "unbounded")
+    tallies = _tallies(MassLoop, count, region)
+    yield _row("points of regions", "stable_region", tallies, "unresolved")
 
 
-def _tallies(count: int, seed: int, judged: Any) -> list[Tally]:
+def _tallies(kind: type[Loop], count: int, judged: Callable[..., Tally]) -> list[Tally]:
     tallies = []
     for index in range(count):
-        rng = np.random.default_rng([20121120, seed, index])  # so that one loop can be repeated
-        loop = random_loop(rng)
+        rng = np.random.default_rng([20121120, index])  # so that one loop can be repeated
+        loop = kind.drawn(rng)
         tallies.append(judged(loop, rng))
         if tallies[-1].wrong:
             print(f"{judged.__name__} {index}: {tallies[-1].wrong} wrong at {loop}", flush=True)
@@ -88,12 +94,12 @@ def _row(section: str, method: str, tallies: list[Tally], word: str) -> Row:
     }
 
 
-def walls(loop: RandomLoop, rng: np.random.Generator) -> Tally:
+def walls(loop: Loop, rng: np.random.Generator) -> Tally:
     """Judge verdicts of walls, and eigenvalues of the same polynomials in float64."""
-    balls = loop.truth.balls()
+    balls = loop.balls
     points = hostile_walls(rng, balls, _WALLS)
     start = process_time()
-    codes = jaxstab.verdict(*points.T, *loop.plant, **loop.filters)
+    codes = loop.verdict(*points.T)
     middle = process_time()
     radii = Boundary(balls).largest_roots(points)
     end = process_time()
@@ -112,12 +118,12 @@ def walls(loop: RandomLoop, rng: np.random.Generator) -> Tally:
     )
 
 
-def radii(loop: RandomLoop, rng: np.random.Generator) -> Tally:
+def radii(loop: Loop, rng: np.random.Generator) -> Tally:
     """Judge the bounds of spectral radii."""
-    balls = loop.truth.balls()
+    balls = loop.balls
     points = hostile_walls(rng, balls, _RADII)
     start = process_time()
-    answer = jaxstab.spectral_radius(*points.T, *loop.plant, **loop.filters)
+    answer = loop.spectral_radius(*points.T)
     seconds = process_time() - start
     wrong = unjudged = 0
     for point, value, error in zip(points.tolist(), answer.value, answer.error, strict=True):
@@ -129,11 +135,11 @@ def radii(loop: RandomLoop, rng: np.random.Generator) -> Tally:
     return Tally(len(points), wrong, int(np.sum(~np.isfinite(answer.error))), unjudged, seconds)
 
 
-def region(loop: RandomLoop, rng: np.random.Generator) -> Tally:
+def region(loop: MassLoop, rng: np.random.Generator) -> Tally:
     """Judge what a region contains."""
-    balls = loop.truth.balls()
+    balls = loop.balls
     start = process_time()
-    answer = jaxstab.stable_region(*loop.plant, **loop.filters)
+    answer = loop.region()
     seconds = process_time() - start
     points = probes(answer, balls, rng)
     contained = np.asarray(answer.contains(*points.T))

@@ -14,6 +14,7 @@ from mpmath import mp, mpf
 import jaxstab
 from benchmarks.truth import devices as truth
 from benchmarks.truth import filtered
+from benchmarks.truth.random_loops import device_of
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Device, Filter, Hand, Mode, Velocity
 from jaxstab.model import DoubleDouble
 from jaxstab.model.device import SampledDevice, sampled_device
@@ -25,16 +26,6 @@ MODE = Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
 ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
 FILTERS = Velocity.difference(samples=4), Filter.low_pass(200.0)
 TRUE_FILTERS = filtered.difference(4), filtered.low_pass(0.2, 1)
-
-
-def device_of(drawn: truth.Drawn) -> Device:
-    modes = [Mode(frequency=f, damping_ratio=z, modal_mass=m) for f, z, m in drawn.modes]
-    device = Device.modes(modes, mass=drawn.mass, damping=drawn.damping)
-    if drawn.hand is not None:
-        *arm, grip = drawn.hand
-        hand = Hand.mass_spring_damper(*arm)
-        device = device.held_by(hand if grip is None else hand.with_grip(grip[1], grip[0]))
-    return device if drawn.bandwidth is None else device.with_actuator(drawn.bandwidth)
 
 
 def number(pair: DoubleDouble) -> mpf:

@@ -17,7 +17,7 @@ import scipy.signal
 
 import jaxstab
 from benchmarks.truth import filtered as truth
-from benchmarks.truth.random_loops import hostile_walls, random_loop
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
@@ -181,17 +181,16 @@ def test_only_walls_next_to_the_boundary_are_undecided(estimator: str) -> None:
     assert UNDECIDED not in codes
 
 
-def test_hostile_walls_of_random_loops_against_balls() -> None:
+@pytest.mark.parametrize("kind", [MassLoop, DeviceLoop])
+def test_hostile_walls_of_random_loops_against_balls(kind: type[MassLoop | DeviceLoop]) -> None:
     rng = np.random.default_rng(11)
-    for _ in range(12):
-        loop = random_loop(rng)
-        balls = loop.truth.balls()
-        alpha, beta = hostile_walls(rng, balls, 40).T
-        codes = jaxstab.verdict(alpha, beta, *loop.plant, **loop.filters)
-        for wall in zip(alpha.tolist(), beta.tolist(), codes.tolist(), strict=True):
-            is_stable = balls.is_stable(*wall[:2])
-            if is_stable is not None and wall[2] != UNDECIDED:
-                assert is_stable == (wall[2] == STABLE), (str(loop), wall)
+    for _ in range(8):
+        loop = kind.drawn(rng)
+        walls = hostile_walls(rng, loop.balls, 30)
+        for wall, code in zip(walls.tolist(), loop.verdict(*walls.T).tolist(), strict=True):
+            is_stable = loop.balls.is_stable(*wall)
+            if is_stable is not None and code != UNDECIDED:
+                assert is_stable == (code == STABLE), (loop, wall)
 
 
 @pytest.mark.parametrize(("samples", "delay"), [(20, 1.0), (12, 2.5), (2, 12.0), (30, 0.0)])

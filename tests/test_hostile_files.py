@@ -15,6 +15,7 @@ import pytest
 from counts import note
 from hostile import Arrays, assembled, hostile_files, mutants
 from hostile_images import IMAGES, with_another_image
+from programs_in_c import compiled
 
 from jaxstab import Atlas, open_atlas
 
@@ -95,18 +96,9 @@ def words_of(codes: np.ndarray) -> str:
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        pytest.skip("there is no C compiler")
-    program = tmp_path_factory.mktemp("c") / "open_many"
-    source = Path(__file__).with_name("open_many.c")
-    include = f"-I{READERS / 'c'}"
-    words = [compiler, "-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", include, str(source)]
-    for options in (SANITIZED, []):  # some compilers have no sanitizers
-        done = subprocess.run([*words, *options, "-lm", "-o", program], capture_output=True)
-        if done.returncode == 0:
-            return program
-    pytest.fail(done.stderr.decode())
+    source, folder = Path(__file__).with_name("open_many.c"), tmp_path_factory.mktemp("c")
+    warned = ["-O1", "-Wall", "-Wextra", "-Werror"]
+    return compiled(source, folder, [*warned, *SANITIZED], warned)  # some have no sanitizers
 
 
 @pytest.fixture

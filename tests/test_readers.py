@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from hostile import assembled, retold, sub
+from programs_in_c import READER, compiled
 
 import jaxstab
 from benchmarks import truth
@@ -140,15 +141,8 @@ def run(*words: str | Path, points: np.ndarray | None = None) -> subprocess.Comp
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example program in C."""
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("there is no C compiler")
-    program = tmp_path_factory.mktemp("c") / "jaxstab_query"
-    source = DATA / "readers" / "c" / "jaxstab_query.c"
-    options = ["-std=c99", "-pedantic-errors", "-O2", source, "-lm", "-o", program]
-    compiled = run(compiler, *options)
-    assert compiled.returncode == 0, compiled.stderr
-    return program
+    folder = tmp_path_factory.mktemp("c")
+    return compiled(READER / "jaxstab_query.c", folder, ["-pedantic-errors", "-O2"])
 
 
 def test_c_answers_as_python_does(

@@ -123,6 +123,14 @@ class BallLoop(NamedTuple):
             p = self.base + flint.arb(alpha) * self.stiffness + flint.arb(beta) * self.damping
             return [p[k] for k in range(self.base.degree(), -1, -1)]
 
+    def in_units(self, stiffness: float, damping: float) -> "BallLoop":
+        """The same for gains in these units: alpha is K stiffness, beta is B damping."""
+        with flint.ctx.workprec(self.bits):
+            units = 1 / flint.arb(stiffness), 1 / flint.arb(damping)
+            return BallLoop(
+                self.base, self.stiffness * units[0], self.damping * units[1], self.bits
+            )
+
     def is_stable(self, alpha: float, beta: float, radius: float = 1.0) -> bool | None:
         """Whether all roots lie inside the circle of a radius; None where the balls do not tell."""
         p = self.polynomial(alpha, beta)

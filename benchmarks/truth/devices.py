@@ -16,8 +16,8 @@ import numpy as np
 from mpmath import mp, mpf
 
 from benchmarks import truth
-from benchmarks.truth.balls import true_code
-from benchmarks.truth.filtered import Rational, largest_modulus
+from benchmarks.truth.balls import BallLoop, true_code
+from benchmarks.truth.filtered import Rational, largest_modulus, without_zeros
 
 DIGITS = 120
 WORKING = 260  # digits; the rest is for what stiff devices lose
@@ -192,8 +192,8 @@ class DeviceLoop:
     def __post_init__(self) -> None:
         object.__setattr__(self, "plant", sampled(self.system, self.sample_time, self.delay))
 
-    def polynomial(self, stiffness: float, damping: float, bits: int = 400) -> list[flint.arb]:
-        """p(z) for K in N/m and B in N s/m, highest power first, without roots at 0."""
+    def balls(self, bits: int = 400) -> BallLoop:
+        """p(z) for all K in N/m and B in N s/m."""
         with flint.ctx.workprec(bits):
             above, below = (
                 flint.arb_poly([ball(value) for value in falling[::-1]])
@@ -202,13 +202,15 @@ class DeviceLoop:
             (nv, dv), (np_, dp) = (
                 tuple(map(flint.arb_poly, pair)) for pair in (self.velocity, self.position)
             )
-            lag = flint.arb_poly([0] * self.plant.lag + [1])
-            rate = flint.arb(damping) / flint.arb(self.sample_time)
-            p = lag * below * dp * dv + above * (flint.arb(stiffness) * np_ * dv + rate * nv * dp)
-            rising = p.coeffs()
-            while rising[0] == 0:
-                rising = rising[1:]
-            return [value / rising[-1] for value in rising[::-1]]
+            base = flint.arb_poly([0] * self.plant.lag + [1]) * below * dp * dv
+            inverse = 1 / base[base.degree()]
+            rate = inverse / flint.arb(self.sample_time)
+            parts = base * inverse, above * np_ * dv * inverse, above * nv * dp * rate
+            return BallLoop(*parts, bits)
+
+    def polynomial(self, stiffness: float, damping: float) -> list[flint.arb]:
+        """p(z) for K in N/m and B in N s/m, highest power first, without roots at 0."""
+        return without_zeros(self.balls().polynomial(stiffness, damping))
 
     def code(self, stiffness: float, damping: float) -> int:
         """The verdict, by certified roots."""

@@ -106,11 +106,11 @@ class FilteredLoop:
 
     def code(self, alpha: float, beta: float) -> int:
         """The verdict, by certified roots."""
-        return true_code(_without_zeros(self.polynomial(alpha, beta)))
+        return true_code(without_zeros(self.polynomial(alpha, beta)))
 
     def radius(self, alpha: float, beta: float) -> flint.arb:
         """The spectral radius in a ball."""
-        return largest_modulus(_without_zeros(self.polynomial(alpha, beta)))
+        return largest_modulus(without_zeros(self.polynomial(alpha, beta)))
 
 
 def largest_modulus(coefficients: list[flint.arb]) -> flint.arb:
@@ -123,7 +123,7 @@ def largest_modulus(coefficients: list[flint.arb]) -> flint.arb:
         return max(moduli, key=lambda modulus: float(modulus.mid()))
 
 
-def _without_zeros(coefficients: list[flint.arb]) -> list[flint.arb]:
+def without_zeros(coefficients: list[flint.arb]) -> list[flint.arb]:
     """Drop the roots at 0: exact zeros at the end."""
     last = max(index for index, value in enumerate(coefficients) if value != 0)
     return coefficients[: last + 1]

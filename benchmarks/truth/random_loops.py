@@ -1,53 +1,130 @@
 """Random loops with estimators and filters, each beside its truth, and walls next to the boundary.
 
 Parameters of filters are numbers that the truth can take over exactly; the loops are hostile as
-well as ordinary: cut-offs down to a thousandth of the sampling rate, orders to 20, hands without
-stiffness or damping, stiff ones, and delays of whole samples and of fractions next to them.
+well as ordinary: cut-offs down to a thousandth of the sampling rate, orders to 24, hands without
+stiffness or damping, stiff ones, devices with vibration modes, grips and motors, and delays of
+whole samples and of fractions next to them.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.truth import filtered
+import jaxstab
+from benchmarks.truth import devices, filtered
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import FilteredLoop, Rational
-from jaxstab.model import Filter, Velocity
+from jaxstab.model import Device, Filter, Hand, Mode, Velocity
+from jaxstab.model.device import SampledDevice, sampled_device
+from jaxstab.model.linear_loop import LinearLoop
+from jaxstab.point.radius.door import linear_spectral_radius
+from jaxstab.point.verdict.linear import linear_verdict
 
 _HIGHEST_ORDER = 24
+_PERIOD = 2.0**-10  # of devices, in s: cut-offs in Hz and per sample are the same numbers
 
 Factor = tuple[Filter, Rational, int]  # and its order
 
 
-class RandomLoop(NamedTuple):
-    """A loop as jaxstab is asked for it, and its truth."""
+class Filters(NamedTuple):
+    """An estimator and a position filter, as jaxstab is asked for them, and their truth."""
 
-    plant: tuple[float, float, float]  # gamma, delta, delay
     velocity: Velocity
     position: Filter
-    truth: FilteredLoop
+    truths: tuple[Rational, Rational]
+
+    def __repr__(self) -> str:
+        return repr(self[:2])
+
+
+@dataclass(frozen=True)
+class MassLoop:
+    """A device and a hand of one mass; gains are alpha and beta."""
+
+    plant: tuple[float, float, float]  # gamma, delta, delay
+    filters: Filters
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> "MassLoop":
+        """Any loop of the model, hostile ones, too."""
+        return cls(_hand(rng), _filters(rng))
+
+    @cached_property
+    def balls(self) -> BallLoop:
+        """The truth."""
+        return FilteredLoop(*self.plant, *self.filters.truths).balls()
+
+    def verdict(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
+        return jaxstab.verdict(alpha, beta, *self.plant, **self._named)
+
+    def spectral_radius(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
+        return jaxstab.spectral_radius(alpha, beta, *self.plant, **self._named)
+
+    def region(self) -> jaxstab.StableRegion:
+        return jaxstab.stable_region(*self.plant, **self._named)
 
     @property
-    def filters(self) -> dict[str, Any]:
-        """The arguments of jaxstab's functions that name the estimator and the filter."""
-        return {"velocity": self.velocity, "position": self.position}
-
-    def __str__(self) -> str:
-        gamma, delta, delay = self.plant
-        return f"{gamma!r}, {delta!r}, {delay!r}; {self.velocity}; {self.position}"
+    def _named(self) -> dict[str, Any]:
+        return {"velocity": self.filters.velocity, "position": self.filters.position}
 
 
-def random_loop(rng: np.random.Generator) -> RandomLoop:
-    """Return any loop of the model, with an estimator and, for four of ten, a position filter."""
-    plant = _hand(rng)
-    velocity, v, order = _estimator(rng)
+@dataclass(frozen=True)
+class DeviceLoop:
+    """A device with modes, a hand and a motor; gains are in powers of two of SI units."""
+
+    device: devices.Drawn
+    filters: Filters
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> "DeviceLoop":
+        """Devices as haptics knows them, and some that are stiffer, less damped or later."""
+        return cls(devices.drawn(rng)._replace(sample_time=_PERIOD), _filters(rng, _PERIOD))
+
+    @cached_property
+    def balls(self) -> BallLoop:
+        """The truth."""
+        rest = _PERIOD, self.device.delay, *self.filters.truths
+        balls = devices.DeviceLoop(self.device.mechanism.system(), *rest).balls()
+        return balls.in_units(self._sampled.stiffness_unit, self._sampled.damping_unit)
+
+    def verdict(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
+        return linear_verdict(alpha, beta, self._loop)
+
+    def spectral_radius(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
+        return linear_spectral_radius(alpha, beta, self._loop)
+
+    @cached_property
+    def _sampled(self) -> SampledDevice:
+        return sampled_device(device_of(self.device), _PERIOD, self.device.delay)
+
+    @cached_property
+    def _loop(self) -> LinearLoop:
+        return self._sampled.loop(self.filters[:2])
+
+
+def device_of(drawn: devices.Drawn) -> Device:
+    """Return what was drawn as a device of jaxstab."""
+    modes = [Mode(frequency=f, damping_ratio=z, modal_mass=m) for f, z, m in drawn.modes]
+    device = Device.modes(modes, mass=drawn.mass, damping=drawn.damping)
+    if drawn.hand is not None:
+        *arm, grip = drawn.hand
+        hand = Hand.mass_spring_damper(*arm)
+        device = device.held_by(hand if grip is None else hand.with_grip(grip[1], grip[0]))
+    return device if drawn.bandwidth is None else device.with_actuator(drawn.bandwidth)
+
+
+def _filters(rng: np.random.Generator, period: float = 1.0) -> Filters:
+    """Return an estimator and, for four of ten, a position filter."""
+    velocity, v, order = _estimator(rng, period)
     position, p = Filter(), filtered.average(1)
     if rng.random() < 0.4:
-        position, p, more = _factor(rng)
-        if order + more > _HIGHEST_ORDER:
-            position, p = Filter(), filtered.average(1)
-    return RandomLoop(plant, velocity, position, FilteredLoop(*plant, v, p))
+        factor, f, more = _factor(rng, period)
+        if order + more <= _HIGHEST_ORDER:
+            position, p = factor, f
+    return Filters(velocity, position, (v, p))
 
 
 def _hand(rng: np.random.Generator) -> tuple[float, float, float]:
@@ -62,31 +139,35 @@ def _hand(rng: np.random.Generator) -> tuple[float, float, float]:
     return float(gamma), float(delta), float(min(whole + fraction, 30.0))
 
 
-def _estimator(rng: np.random.Generator) -> tuple[Velocity, Rational, int]:
+def _estimator(rng: np.random.Generator, period: float) -> tuple[Velocity, Rational, int]:
     samples = int(rng.choice([rng.integers(1, 5), rng.integers(5, 25)]))
     window = Velocity.difference(samples=samples), filtered.difference(samples), samples
     kind = rng.integers(0, 5)
     if kind == 0:
         return window
     if kind == 1:
-        return _rational_estimator(rng)
+        return _rational_estimator(rng, period)
     if kind == 2 and samples < 5:  # a chain on a window
         velocity, v, order = window
     else:
         velocity, v, order = Velocity.difference(samples=1), filtered.difference(1), 1
-    filter_, f, more = _factor(rng)
+    filter_, f, more = _factor(rng, period)
     return velocity * filter_, filtered.times(v, f), order + more
 
 
-def _factor(rng: np.random.Generator) -> Factor:
+def _factor(rng: np.random.Generator, period: float) -> Factor:
     """Return a filter, its truth and its order."""
     cutoff = float(10.0 ** rng.uniform(-3.0, -0.35))
     order = int(rng.choice([1, 2, rng.integers(1, 9)]))
     kind = rng.integers(0, 4)
     if kind == 0:
-        return Filter.low_pass(cutoff, order), filtered.low_pass(cutoff, order), order
+        return Filter.low_pass(cutoff / period, order), filtered.low_pass(cutoff, order), order
     if kind == 1:
-        return Filter.butterworth(cutoff, order), filtered.butterworth(cutoff, order), order
+        return (
+            Filter.butterworth(cutoff / period, order),
+            filtered.butterworth(cutoff, order),
+            order,
+        )
     if kind == 2:
         samples = int(rng.integers(2, 9))
         return Filter.average(samples=samples), filtered.average(samples), samples
@@ -94,14 +175,15 @@ def _factor(rng: np.random.Generator) -> Factor:
     return Filter.exponential(factor), filtered.exponential(factor), 1
 
 
-def _rational_estimator(rng: np.random.Generator) -> tuple[Velocity, Rational, int]:
+def _rational_estimator(rng: np.random.Generator, period: float) -> tuple[Velocity, Rational, int]:
     """Return (z - 1) (z - a) / (z (z - b) (z - c)), all in sixteenths, so that it is exact."""
     a, b, c = (float(one) / 16.0 for one in rng.integers(-14, 15, 3))
     numerator, denominator = (np.poly(roots).tolist() for roots in ([1.0, a], [0.0, b, c]))
     exact = filtered.rational(
         *([filtered.exact(value) for value in one] for one in (numerator, denominator))
     )
-    return Velocity.transfer_function(numerator, denominator), exact, 3
+    in_seconds = [value / period for value in numerator]  # V(z) is in 1/s
+    return Velocity.transfer_function(in_seconds, denominator), exact, 3
 
 
 def hostile_walls(rng: np.random.Generator, balls: BallLoop, count: int) -> np.ndarray:

@@ -1,8 +1,7 @@
-"""How far a spectral radius can be from the true one: verdicts on p(r z) for a ladder of radii r.
+"""How far a spectral radius of the loop of the paper can be from the true one.
 
-All roots are inside the circle of radius + error, and not all inside that of radius - error; each
-side is one verdict of the certified recursion (lemma R3 of docs/proofs.md). The steps of the ladder
-have a ratio of 4.
+The verdicts of the ladder are those of the certified recursion on the few coefficients of p that
+are not 0 (lemma R3 of docs/proofs.md).
 
 Source: Schur-Cohn criterion (Jury 1964) for p(r z).
 """
@@ -12,13 +11,11 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, namespace, repeat_while
+from jaxstab.arrays import Array, namespace
 from jaxstab.batches import compiled, over_tiles
-from jaxstab.conventions import STABLE, UNSTABLE
+from jaxstab.point.radius.ladder import proved_error
 from jaxstab.point.verdict.loop import HIGHEST_UNROLLED
 from jaxstab.point.verdict.recursion import FLOAT_UNIT, UNDERFLOW, Chain, Ends, decide, size_sum
-
-_STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds that are tried
 
 
 def radius_error(
@@ -70,24 +67,10 @@ def _ladder(
     degree: int,
     coefficient_error: float,
 ) -> Array:
-    xp = namespace(head, tail, radius)
-    steps = xp.asarray(_STEPS)
-    sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
-    wanted = xp.stack([xp.full_like(radius, STABLE), xp.full_like(radius, UNSTABLE)])
+    def codes(scale: Array) -> Array:
+        return _scaled_codes(head, tail, rest, scale, degree, coefficient_error)
 
-    def prove(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        step, error = state
-        scale = radius * (1.0 + sides * steps[step])
-        codes = _scaled_codes(head, tail, rest, scale, degree, coefficient_error)
-        tried = abs(scale - radius) * (1.0 + 4.0 * FLOAT_UNIT)
-        return step + 1, xp.where(xp.isinf(error) & (codes == wanted), tried, error)
-
-    def is_open(state: tuple[Array, Array]) -> Array:
-        step, error = state
-        return (step < len(_STEPS)) & xp.any(xp.isinf(error))
-
-    start = xp.asarray(0), xp.full_like(sides, xp.inf)
-    return xp.max(repeat_while(is_open, prove, start)[1], axis=0)
+    return proved_error(codes, radius)
 
 
 def _scaled_codes(

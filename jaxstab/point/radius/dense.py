@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxstab.arrays import Array, leaves, namespace, repeat_while, tree_map
+from jaxstab.arrays import Array, leaves, namespace, tree_map
 from jaxstab.batches import compiled
-from jaxstab.conventions import STABLE, UNSTABLE
 from jaxstab.model import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.poles import companion_poles
+from jaxstab.point.radius.ladder import proved_error
 from jaxstab.point.verdict.dense import loop_coefficients, part_of, polynomial_codes
 from jaxstab.point.verdict.linear import filtered_loops
 from jaxstab.point.verdict.points import Points, gathered
@@ -31,7 +31,6 @@ from jaxstab.point.verdict.recursion import (
     size,
 )
 
-_STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds that are tried
 _NEWTON_STEPS = 2
 _LIST = 1 << 11  # points at once
 
@@ -125,24 +124,8 @@ def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, uni
         unit: roundoff of the coefficients' numbers.
     """
     xp = namespace(coefficients, error, radius)
-    steps = xp.asarray(_STEPS)
-    sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
-    wanted = xp.stack([xp.full_like(radius, STABLE), xp.full_like(radius, UNSTABLE)])
     both = tree_map(lambda values: xp.stack([values, values], axis=1), coefficients)
-
-    def prove(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        step, best = state
-        scale = radius * (1.0 + sides * steps[step])
-        tried = abs(scale - radius) * (1.0 + 4.0 * FLOAT_UNIT)
-        is_proved = xp.isinf(best) & (scaled_codes(both, error, scale, unit) == wanted)
-        return step + 1, xp.where(is_proved, tried, best)
-
-    def is_open(state: tuple[Array, Array]) -> Array:
-        step, best = state
-        return (step < len(_STEPS)) & xp.any(xp.isinf(best))
-
-    start = xp.asarray(0), xp.full_like(sides, xp.inf)
-    return xp.max(repeat_while(is_open, prove, start)[1], axis=0)
+    return proved_error(lambda scale: scaled_codes(both, error, scale, unit), radius)
 
 
 def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) -> Array:
