@@ -70,7 +70,8 @@ class TestMinimizeRadius:
         assert main is not None
         gains, outline = np.array([float(best.alpha), float(best.beta)]), Path(main.points)
         for start in (gains, 0.1 * gains, 0.9 * main.points[len(main.points) // 3]):
-            assert descent(parts, start, rng, outline) > float(best.value) * (1.0 - 1e-4)
+            least, _ = descent(parts, start, rng, outline)
+            assert least > float(best.value) * (1.0 - 1e-4)
 
     def test_of_a_dense_grid_of_the_component_none_is_better(self) -> None:
         """The low pass has an island at (0.63, -2.76) with a radius of 0.915."""
@@ -114,6 +115,11 @@ class TestMinimizeRadius:
             for one, many, traced in zip(alone, together, compiled, strict=True):
                 assert float(one) == pytest.approx(float(many[number]), rel=1e-12)
                 assert float(one) == pytest.approx(float(traced[number]), rel=1e-9)
+
+    def test_of_a_loop_whose_plant_has_no_zero_near_the_circle(self) -> None:
+        plant = (1e-4, 2.1, 1.0)
+        best = jaxstab.minimize_radius(*plant, velocity=Velocity.difference(samples=3))
+        assert int(best.status) != TuningStatus.NO_STABLE_GAINS
 
     def test_refuses_traced_filters_in_one_sentence(self) -> None:
         def radius(cutoff: Any) -> Any:

@@ -111,7 +111,7 @@ def _searched(plant: PlantCoefficients, whole_delay: int) -> tuple[Array, ...]:
     family = family_of(PlantCoefficients(*(np.ravel(field) for field in plant)), whole_delay)
     zeros = np.stack([np.ravel(field) for field in (plant.n2, plant.n1, plant.n0)], axis=-1)
     every = (
-        Walls(Family(*one), scan_angles(whole_delay + 3, numerator))
+        Walls(Family(*one), scan_angles(whole_delay + 3, np.roots(numerator) + 0j))
         for *one, numerator in zip(*family, zeros, strict=True)
     )
     return searched(every, plant.d0.shape)
@@ -154,7 +154,7 @@ def filtered_walls(gamma: float, delta: float, delay: float, filters: Filters) -
     plant = np.float64(gamma), np.float64(delta)
     family = family_of_loop(filtered_loop(*plant, int(delay), delay % 1.0, filters))
     zeros = np.roots(family.stiff)
-    near = np.poly(zeros[np.abs(zeros) > _NEAR_CIRCLE])
+    near = zeros[np.abs(zeros) > _NEAR_CIRCLE] + 0j
     component = searched_component(gamma, delta, delay, filters)
     return Walls(family, scan_angles(family.base.size - 1, near), component)
 

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8
+from jaxtyping import Bool, Complex128, Float64, Int8
 
 from jaxstab.arrays import Array
 from jaxstab.model import companion_matrix
@@ -82,14 +82,14 @@ def searched(every: Iterable[Walls], shape: tuple[int, ...]) -> tuple[Array, ...
     return *(part.reshape(shape) for part in pairs), kinds.reshape(shape)
 
 
-def scan_angles(length: int, numerator: Float64[np.ndarray, " coefficient"]) -> Angles:
+def scan_angles(length: int, zeros: Complex128[np.ndarray, " zero"]) -> Angles:
     """Return the angles of a scan: parts of a turn of z^m, finer to both ends and at zeros of N."""
     count = 24 + 8 * length
     even = (np.arange(count) + 0.5) * (np.pi / count)
     ends = np.geomspace(_FIRST, even[0], 12, endpoint=False)
     near = np.geomspace(_FIRST, even[0], 8)
-    zeros = np.abs(np.angle(np.roots(numerator)))[:, None]
-    around = np.concatenate([(zeros - near).ravel(), (zeros + near).ravel()])
+    turns = np.abs(np.angle(zeros))[:, None]
+    around = np.concatenate([(turns - near).ravel(), (turns + near).ravel()])
     angles = np.concatenate([ends, even, np.pi - ends, around])
     return np.unique(np.clip(angles, _FIRST, np.pi - _FIRST))
 
