@@ -12,6 +12,8 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.boxes.circle import QuickPlant, quick_plant
 from jaxstab.boxes.plant import BENDS, NUMERATOR_SLOPES
+from jaxstab.boxes.wall import Gains, Wall, wall_over
+from jaxstab.model.filters import Filters
 
 Reals = Float64[np.ndarray, " boxes"]
 Complexes = Complex128[np.ndarray, " boxes"]
@@ -54,22 +56,22 @@ class Expansion(NamedTuple):
     rounding: Reals
 
 
-def exclude(center: Loops, radius: Loops) -> Exclusion:
+def exclude(center: Loops, radius: Loops, filters: Filters | None = None) -> Exclusion:
     """Prove that no loop of a box center +- radius has a root on the circle at the box's angles.
 
     Boxes may extend to negative gamma, delta or delay; nothing is proved about these parts.
     """
-    g = expansion(center, radius)
+    g = expansion(center, radius, filters=filters)
     free = is_free(g.value, g.linear * np.stack(radius), g.rest)
     return Exclusion(free, np.abs(g.linear) + g.rest_slopes)
 
 
-def exclude_any_delay(center: Loops, radius: Loops) -> Exclusion:
+def exclude_any_delay(center: Loops, radius: Loops, filters: Filters | None = None) -> Exclusion:
     """Prove the same as ``exclude`` for these delays and all that are whole samples longer.
 
     A box is free when nowhere in it |D/z| = |(N/z) H|: then no phase z^-m brings the two to cancel.
     """
-    g = expansion(center, radius)
+    g = expansion(center, radius, filters=filters)
     slope = np.abs(g.linear)
     slope[5] = np.abs(g.free_theta) + np.abs(g.linear[5] - g.free_theta)
     apart = np.abs(np.abs(g.free) - np.abs(g.value - g.free))
@@ -96,13 +98,19 @@ def is_free(
     return clear
 
 
-def expansion(center: Loops, radius: Loops, plant: QuickPlant | None = None) -> Expansion:
-    """Expand g over boxes; see lemma B3.
+def expansion(
+    center: Loops,
+    radius: Loops,
+    plant: QuickPlant | None = None,
+    filters: Filters | None = None,
+) -> Expansion:
+    """Expand g over boxes; see lemmas B3 and B10.
 
     Args:
         center: of the boxes.
         radius: half-widths, >= 0.
         plant: of the centre, if it is known.
+        filters: velocity estimator and position filter, in units of one sample.
     """
     if plant is None:
         hand = (np.maximum(value, 0.0) for value in center[2:5])
@@ -112,59 +120,64 @@ def expansion(center: Loops, radius: Loops, plant: QuickPlant | None = None) -> 
     z = back.conj()
     behind = np.exp(-1j * turns * center.theta)  # z^-m
     lag = 1.0 - back
-    wall = center.alpha + center.beta * lag
+    gains = Gains(*center[:2], *radius[:2], center.theta, radius.theta)
+    wall = wall_over(gains, back, filters)
     ahead, after = behind * plant.n2 * z, behind * plant.n0 * back
     force = ahead + behind * plant.n1 + after  # z^-m N/z
     force_theta = 1j * (ahead - after - turns * force)
     free, free_theta = z + plant.d1 + plant.d0 * back, 1j * (z - plant.d0 * back)
+    if wall.per_theta is None:
+        turned = 1j * center.beta * force * back
+    else:
+        turned = force * wall.per_theta
     linear = np.stack(
         [
-            force,
-            force * lag,
+            force * wall.per_alpha,
+            force * wall.per_beta,
             plant.impulse + 0j,
             plant.kept - plant.d0 * back,
-            behind * lag * -(plant.late + plant.early * z) * wall,
-            free_theta + force_theta * wall + 1j * center.beta * force * back,
+            behind * lag * -(plant.late + plant.early * z) * wall.value,
+            free_theta + force_theta * wall.value + turned,
         ]
     )
-    rest, slopes, rounding = _rest(center, radius, plant, (turns, np.abs(lag), np.abs(wall)))
-    value = free + force * wall
+    rest, slopes, rounding = _rest(center, radius, plant, (turns, np.abs(lag), wall))
+    value = free + force * wall.value
     return Expansion(value, linear, rest + rounding, free, free_theta, slopes, rounding)
 
 
 def _rest(
-    center: Loops, radius: Loops, plant: QuickPlant, sizes: tuple[Reals, Reals, Reals]
+    center: Loops, radius: Loops, plant: QuickPlant, parts: tuple[Reals, Reals, Wall]
 ) -> tuple[Reals, Float64[np.ndarray, "6 boxes"], Reals]:
     """Bound what the expansion leaves, say how steep that is, and bound the rounding."""
-    turns, lag_here, wall_here = sizes
+    turns, lag_here, wall = parts
     total = np.abs(plant.n2) + np.abs(plant.n1) + np.abs(plant.n0)
     steps = np.floor(center.delay + radius.delay) + 2.0  # the largest m + 1
     lag = np.minimum(lag_here + radius.theta, 2.0)  # the largest |1 - 1/z|
-    most_beta = np.abs(center.beta) + radius.beta
-    wall_change = radius.alpha + lag_here * radius.beta
-    most_wall = wall_here + wall_change + np.minimum(radius.theta, 2.0) * most_beta
     per_gamma, per_delta, per_delay = NUMERATOR_SLOPES
     force_change = per_gamma * radius.gamma + per_delta * radius.delta
     hand = (
-        most_wall * (force_change + lag * radius.delay**2)
-        + radius.delay * lag * wall_change
+        wall.size * (force_change + lag * radius.delay**2)
+        + radius.delay * lag * wall.change
         + BENDS["d1"].rest(radius.gamma, radius.delta)
         + BENDS["d0"].rest(radius.gamma, radius.delta)
     )
-    bend = 1.0 + 0.5 * total * (steps**2 * most_wall + (2 * steps + 1) * most_beta)
+    if wall.bend is None:
+        turns_of_wall = (2 * steps + 1) * wall.slope
+    else:
+        turns_of_wall = 2 * steps * wall.slope + wall.bend
+    bend = 1.0 + 0.5 * total * (steps**2 * wall.size + turns_of_wall)
     turning = radius.theta * (
         bend * radius.theta
         + radius.delta
-        + radius.delay * ((steps * lag + 1) * most_wall + lag * most_beta)
-        + total * (steps * wall_change + radius.beta)
+        + radius.delay * ((steps * lag + 1) * wall.size + lag * wall.slope)
+        + total * (steps * wall.change + wall.turned_change)
     )
     most_force = total + force_change + per_delay * radius.delay
-    terms = most_wall + np.abs(center.alpha) + np.abs(center.beta)
-    rounding = _SUMS * (turns + 8) * (4.0 + most_force * terms)
-    rounding += plant.d_error + plant.n_error * most_wall
+    rounding = _SUMS * (turns + 8) * (4.0 + most_force * wall.terms)
+    rounding += plant.d_error + plant.n_error * wall.size + most_force * wall.lost
     slopes = np.zeros((6, len(total)))
-    slopes[2], slopes[3] = most_wall * per_gamma, most_wall * per_delta
-    slopes[4] = most_wall * lag * radius.delay
+    slopes[2], slopes[3] = wall.size * per_gamma, wall.size * per_delta
+    slopes[4] = wall.size * lag * radius.delay
     slopes[5] = bend * radius.theta
     return hand + turning, slopes, rounding
 

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from jaxstab.boxes.circle import QuickPlant, accurate_plant, quick_plant
 from jaxstab.boxes.exclusion import Loops, expansion, is_free
+from jaxstab.model.filters import Filters
 
 Ends = Float64[np.ndarray, "2 box"]
 
@@ -67,14 +68,17 @@ class _Models(NamedTuple):
         return _Models(*(part[..., which] for part in self))
 
 
-def first_roots(lines: Lines, parts: Parts) -> FirstRoots:
-    """Return where, within some boxes of lines, a root is on the unit circle for the first time."""
+def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> FirstRoots:
+    """Return where, within some boxes of lines, a root is on the unit circle for the first time.
+
+    ``filters`` are the velocity estimator and the position filter, in units of one sample.
+    """
     count = lines.start.shape[1]
     found = FirstRoots(*(np.full(count, end) for end in (np.inf, np.inf, np.nan)))
     with np.errstate(all="ignore"):
         plants = accurate_plant(*lines.start[2:])
         while parts.line.size:
-            models = _models(lines, plants, parts)
+            models = _models(lines, plants, parts, filters)
             is_open = ~is_free(*models[:3])
             parts, models = parts.some(is_open), models.some(is_open)
             shrunk, is_proved = _shrunk(parts, models)
@@ -99,7 +103,9 @@ def first_roots(lines: Lines, parts: Parts) -> FirstRoots:
     return found
 
 
-def _models(lines: Lines, plants: QuickPlant, parts: Parts) -> _Models:
+def _models(
+    lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | None
+) -> _Models:
     t, theta = 0.5 * (parts.low + parts.high)
     half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * _EPS)
     change = lines.change[:, parts.line]
@@ -112,7 +118,7 @@ def _models(lines: Lines, plants: QuickPlant, parts: Parts) -> _Models:
         others = quick_plant(*(np.maximum(value[is_other], 0.0) for value in center[2:5]))
         for part, other in zip(plant, others, strict=True):
             part[is_other] = other
-    g = expansion(center, Loops(*np.concatenate([moved, half[1:]])), plant)
+    g = expansion(center, Loops(*np.concatenate([moved, half[1:]])), plant, filters)
     moves = np.stack([np.sum(g.linear[:5] * change, axis=0), g.linear[5]]) * half
     bends = np.stack([np.sum(g.rest_slopes[:5] * moved, axis=0), g.rest_slopes[5] * half[1]])
     return _Models(g.value, moves, g.rest, bends + np.abs(moves), g.rounding)

@@ -16,6 +16,7 @@ from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops, exclude_any_delay
 from jaxstab.boxes.first_root import Lines, Parts, first_roots
 from jaxstab.conventions import AXES, Verdict
+from jaxstab.model.filters import Filters
 from jaxstab.point import verdict
 
 Walls = Float64[np.ndarray, "wall 5"]
@@ -49,7 +50,9 @@ class _Crossings(NamedTuple):
     angle: Column
 
 
-def first_crossings(walls: Walls) -> Float64[np.ndarray, "wall found"]:
+def first_crossings(
+    walls: Walls, filters: Filters | None = None
+) -> Float64[np.ndarray, "wall found"]:
     """Return the verdict on each wall and then, each way of ``WAYS``, a step and an angle.
 
     Within the step, which has a sign, no root reaches the circle; it is infinite where none does at
@@ -59,12 +62,20 @@ def first_crossings(walls: Walls) -> Float64[np.ndarray, "wall found"]:
     table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
     for first in range(0, len(walls), _AT_ONCE):
         some, rows = walls[first : first + _AT_ONCE], table[first : first + _AT_ONCE]
-        rows[:, 0] = verdict(*some.T[:2], *_plants(some))
+        rows[:, 0] = _verdicts(some.T[:2], some, filters)
         stable = rows[:, 0] == Verdict.STABLE
         if stable.any():
-            ways = [*_along_gains(some[stable]), _along_delay(some[stable])]
+            ways = [*_along_gains(some[stable], filters), _along_delay(some[stable], filters)]
             rows[stable, 1:] = np.stack([column for way in ways for column in way], axis=-1)
     return table
+
+
+def _verdicts(
+    gains: Float64[np.ndarray, "2 *wall"], walls: Walls, filters: Filters | None
+) -> np.ndarray:
+    velocity, position = filters or (None, None)
+    codes: np.ndarray = verdict(*gains, *_plants(walls), velocity=velocity, position=position)
+    return codes
 
 
 def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
@@ -73,21 +84,21 @@ def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
     return plants[:, 0] if np.all(plants == plants[:, :1]) else plants
 
 
-def _along_gains(walls: Walls) -> list[_Crossings]:
-    reach = _reach(walls)
+def _along_gains(walls: Walls, filters: Filters | None) -> list[_Crossings]:
+    reach = _reach(walls, filters)
     is_known = np.isfinite(reach)
     change = np.zeros((len(AXES), *reach.shape))
     for way, (axis, sign) in enumerate(GAIN_WAYS):
         change[axis, way] = sign * np.where(is_known[way], reach[way], 0.0)
     lines = Lines(np.tile(walls.T, len(GAIN_WAYS)), change.reshape(len(AXES), -1))
-    roots = first_roots(lines, _all_angles(walls, reach.shape))
+    roots = first_roots(lines, _all_angles(walls, reach.shape), filters)
     low, angle = (part.reshape(reach.shape) for part in (roots.low, roots.theta / pi))
     step = np.where(is_known, low * reach, inf) * _SAFE
     signs = [sign for _, sign in GAIN_WAYS]
     return [_Crossings(signs[way] * step[way], angle[way]) for way in range(len(GAIN_WAYS))]
 
 
-def _reach(walls: Walls) -> Float64[np.ndarray, "way wall"]:
+def _reach(walls: Walls, filters: Filters | None) -> Float64[np.ndarray, "way wall"]:
     """Return how far away, along the gains, walls are proved unstable; infinite beyond 2^48."""
     axes, signs = (np.array(column) for column in zip(*GAIN_WAYS, strict=True))
     first = np.maximum(_FIRST_STEP, 0.5 * np.abs(walls.T[axes]))
@@ -99,7 +110,7 @@ def _reach(walls: Walls) -> Float64[np.ndarray, "way wall"]:
         steps = np.outer(2.0 ** np.arange(doubled, doubled + _DOUBLINGS_AT_ONCE), first[way, wall])
         gains = np.repeat(walls[wall, :2].T[:, None], _DOUBLINGS_AT_ONCE, axis=1)
         gains[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
-        is_unstable = verdict(*gains, *_plants(walls[wall])) == Verdict.UNSTABLE
+        is_unstable = _verdicts(gains, walls[wall], filters) == Verdict.UNSTABLE
         reach[way, wall] = np.min(np.where(is_unstable, steps, inf), axis=0)
     return reach
 
@@ -116,8 +127,8 @@ def _all_angles(walls: Walls, shape: tuple[int, ...]) -> Parts:
     return Parts(line, low, low + np.array([[t[1]], [theta[1] - theta[0]]]))
 
 
-def _along_delay(walls: Walls) -> _Crossings:
-    angles = _critical_angles(walls, np.arange(len(walls)), _COARSE)
+def _along_delay(walls: Walls, filters: Filters | None) -> _Crossings:
+    angles = _critical_angles(walls, np.arange(len(walls)), _COARSE, filters)
     begin, angle = np.zeros(len(walls)), np.full(len(walls), nan)
     # Within one turn of the phase at a critical angle a root meets the circle: about so long.
     highest = np.full(len(walls), -inf)
@@ -132,26 +143,29 @@ def _along_delay(walls: Walls) -> _Crossings:
         start = walls.T.copy()
         start[_DELAY] += begin
         parts = _in_pieces(angles.some(is_open[angles.line]), length)
-        roots = first_roots(Lines(start, change), parts)
+        roots = first_roots(Lines(start, change), parts, filters)
         is_found = np.isfinite(roots.low)
         part = np.where(is_found, roots.low, 0.0)
         step = np.where(is_found, begin + length * part * _SAFE, step)
         angle = np.where(is_found, roots.theta / pi, angle)
         is_open &= ~is_found & (begin + length < MOST_DELAY)
         if not begin.any() and is_open.any():
-            angles = _critical_angles(walls, np.flatnonzero(is_open), _FINE)
+            angles = _critical_angles(walls, np.flatnonzero(is_open), _FINE, filters)
             is_open &= np.isin(np.arange(len(walls)), angles.line)
         begin, stretch = begin + length, _LONGER * stretch
     return _Crossings(step, angle)
 
 
 def _critical_angles(
-    walls: Walls, numbers: Int64[np.ndarray, " some"], smallest: Float64[np.ndarray, "3"]
+    walls: Walls,
+    numbers: Int64[np.ndarray, " some"],
+    smallest: Float64[np.ndarray, "3"],
+    filters: Filters | None,
 ) -> Parts:
     """Return the angles at which some delay may put a root of some walls on the circle."""
     boxes = _angles_and_fractions(numbers)
     extent, most = partial(_at_any_delay, walls), _MOST_ANGLES * len(numbers)
-    left, _ = pave(boxes, smallest, extent, most, exclude_any_delay)
+    left, _ = pave(boxes, smallest, extent, most, partial(exclude_any_delay, filters=filters))
     wall = left.center[:, 0].astype(np.int64)
     middle, half = pi * left.center[:, 2], pi * left.half[:, 2]
     low, high = middle - half, middle + half
