@@ -90,39 +90,28 @@ def constant(number: float, cells: int) -> Series:
     return Series(value, np.zeros((ORDERS, cells)))
 
 
-def cosine_sum(weights: Sequence[float], middle: Cells, half: Cells) -> tuple[Series, Series]:
-    """Return sum_k weights_k cos(k theta), good to rounding: in the middle, and in all of a cell."""
+def power_sum(weights: Sequence[float], middle: Cells, half: Cells) -> tuple[Series, Series]:
+    """Return sum_k weights_k e^(-i k theta): in the middle of each cell, and in all of it.
+
+    The weights may have been rounded.
+    """
     order = np.arange(len(weights), dtype=float)
-    weight = np.asarray(weights)
-    phase = np.multiply.outer(order, middle)
-    waves = np.cos(phase), -np.sin(phase)
     derivatives = ORDERS + _BEYOND
     powers = np.array([order**m / factorial(m) for m in range(derivatives)])
-    signs = np.array([1.0, 1.0, -1.0, -1.0])[np.arange(derivatives) % 4]
-    terms = powers * weight
-    value = np.stack([signs[m] * (terms[m] @ waves[m % 2]) for m in range(derivatives)])
+    terms = powers * np.asarray(weights)
+    turns = np.array([(-1j) ** m for m in range(derivatives)])[:, None]
+    value = turns * (terms @ np.exp(-1j * np.multiply.outer(order, middle)))
     lost = _EPS * (abs(terms) @ (len(weights) + 8.0 + 8.0 * order))
     error = np.broadcast_to(lost[:, None], value.shape)
+    sizes = abs(value) + error
     wide = np.zeros((ORDERS, len(middle)))
     for m in range(ORDERS):
         for k in range(m + 1, derivatives):
-            wide[m] += comb(k, m) * (abs(value[k]) + error[k]) * half ** (k - m)
-        tail = float(abs(terms[-1]) @ order) * comb(derivatives, m) / derivatives
-        wide[m] += tail * half ** (derivatives - m)
-    value, error = value[:ORDERS], error[:ORDERS].copy()
+            wide[m] += comb(k, m) * sizes[k] * half ** (k - m)
+        beyond = float(abs(terms[-1]) @ order) * comb(derivatives, m) / derivatives
+        wide[m] += beyond * half ** (derivatives - m)
+    value, error = value[:ORDERS], error[:ORDERS]
     return Series(value, error), Series(value, _OF_ERRORS * (error + wide))
-
-
-def versine(middle: Cells, half: Cells) -> tuple[Series, Series]:
-    """Return h = 1 - cos(theta), to digits of its own: in the middle, and in all of a cell."""
-    sine, cosine = np.sin(middle), np.cos(middle)
-    waves = (-cosine, sine, cosine, -sine)
-    value = np.stack([waves[m % 4] / factorial(m) for m in range(ORDERS)])
-    value[0] = 2.0 * np.sin(0.5 * middle) ** 2
-    change = np.stack([half / factorial(m) for m in range(ORDERS)])
-    change[0] = half * (abs(sine) + 0.5 * half)
-    error = 4.0 * _EPS * abs(value)
-    return Series(value, error), Series(value, _OF_ERRORS * (error + change))
 
 
 def difference(middle: Cells, half: Cells) -> tuple[Series, Series]:

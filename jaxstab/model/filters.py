@@ -7,7 +7,7 @@ from functools import reduce
 from math import inf
 from typing import Any
 
-from jaxstab.arrays import Numbers, is_jax, pytree
+from jaxstab.arrays import Numbers, is_any_traced, is_jax, pytree, tree_map
 from jaxstab.model.sections import (
     HIGHEST_ORDER,
     Average,
@@ -282,6 +282,21 @@ def given_filters(velocity: Any, position: Any) -> Filters | None:
     velocity, position = velocity or Velocity(), position or Filter()
     is_plain = velocity in (Velocity(), Velocity.difference(samples=1)) and position == Filter()
     return None if is_plain else (velocity, position)
+
+
+def known_filters(velocity: Any, position: Any) -> Filters | None:
+    """Return the same as ``given_filters``, in plain numbers, for what is proved in NumPy.
+
+    Raises:
+        TypeError: one of them is not of its class, or has parameters that JAX traces.
+    """
+    filters = given_filters(velocity, position)
+    if is_any_traced(filters):
+        raise TypeError(
+            f"velocity is {filters[0]} and position {filters[1]}, with parameters that JAX "  # type: ignore[index]
+            "traces; give numbers."
+        )
+    return tree_map(lambda value: float(value) if is_jax(value) else value, filters)
 
 
 # --------------------------------------------------------------------------------------- checks

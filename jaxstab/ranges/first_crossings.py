@@ -55,8 +55,8 @@ def first_crossings(
 ) -> Float64[np.ndarray, "wall found"]:
     """Return the verdict on each wall and then, each way of ``WAYS``, a step and an angle.
 
-    Within the step, which has a sign, no root reaches the circle; it is infinite where none does at
-    all. The angle of the root that does is in units of pi. Both are NaN for a wall that is not
+    Within the step, which has a sign, no root reaches the circle; that of the delay is infinite
+    where none does at all. The angle of the root that does is in units of pi. Both are NaN for a wall that is not
     proved stable.
     """
     table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
@@ -86,20 +86,19 @@ def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
 
 def _along_gains(walls: Walls, filters: Filters | None) -> list[_Crossings]:
     reach = _reach(walls, filters)
-    is_known = np.isfinite(reach)
     change = np.zeros((len(AXES), *reach.shape))
     for way, (axis, sign) in enumerate(GAIN_WAYS):
-        change[axis, way] = sign * np.where(is_known[way], reach[way], 0.0)
+        change[axis, way] = sign * reach[way]
     lines = Lines(np.tile(walls.T, len(GAIN_WAYS)), change.reshape(len(AXES), -1))
     roots = first_roots(lines, _all_angles(walls, reach.shape), filters)
     low, angle = (part.reshape(reach.shape) for part in (roots.low, roots.theta / pi))
-    step = np.where(is_known, low * reach, inf) * _SAFE
+    step = np.minimum(low, 1.0) * reach * _SAFE
     signs = [sign for _, sign in GAIN_WAYS]
     return [_Crossings(signs[way] * step[way], angle[way]) for way in range(len(GAIN_WAYS))]
 
 
 def _reach(walls: Walls, filters: Filters | None) -> Float64[np.ndarray, "way wall"]:
-    """Return how far away, along the gains, walls are proved unstable; infinite beyond 2^48."""
+    """Return how far away, along the gains, walls are proved unstable, or no less than 2^37."""
     axes, signs = (np.array(column) for column in zip(*GAIN_WAYS, strict=True))
     first = np.maximum(_FIRST_STEP, 0.5 * np.abs(walls.T[axes]))
     reach = np.full(first.shape, inf)
@@ -112,7 +111,7 @@ def _reach(walls: Walls, filters: Filters | None) -> Float64[np.ndarray, "way wa
         gains[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
         is_unstable = _verdicts(gains, walls[wall], filters) == Verdict.UNSTABLE
         reach[way, wall] = np.min(np.where(is_unstable, steps, inf), axis=0)
-    return reach
+    return np.minimum(reach, 2.0 ** (_DOUBLINGS - 1) * first)
 
 
 def _all_angles(walls: Walls, shape: tuple[int, ...]) -> Parts:

@@ -4,7 +4,8 @@ How a crossing moves with the loop follows from the two equations for a root on 
 implicit function theorem.
 """
 
-from functools import partial
+from collections.abc import Callable
+from functools import lru_cache, partial
 from math import pi
 
 import jax
@@ -14,70 +15,95 @@ from jax import Array
 from jaxtyping import Float64
 
 from jaxstab.arrays import is_traced
-from jaxstab.boxes.circle import circle_equations, quick_slice
+from jaxstab.boxes.circle import circle_equations, quick_plant, quick_slice
+from jaxstab.boxes.filter_cells import responses_at
+from jaxstab.model.filters import Filters
 from jaxstab.ranges.first_crossings import WAYS, first_crossings
 
 _REAL = 2.0**-29  # of pi: a root this near to the real axis is taken for real
 
 
 def moving_steps(
-    point: Float64[Array, "*grid 5"],
+    point: Float64[Array, "*grid 5"], filters: Filters | None = None
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid way"]]:
     """Return codes of verdicts, and the steps to the first crossings with their derivatives."""
-    found = _called_back(jax.lax.stop_gradient(point))
+    found = _called_back(jax.lax.stop_gradient(point), filters)
     steps = [
-        _moving(point, found[..., 1 + 2 * way], found[..., 2 + 2 * way], axis)
+        _moving(point, found[..., 1 + 2 * way], found[..., 2 + 2 * way], axis, filters)
         for way, (axis, _) in enumerate(WAYS)
     ]
     return found[..., 0], jnp.stack(steps, axis=-1)
 
 
-def _called_back(point: Array) -> Array:
+def _called_back(point: Array, filters: Filters | None) -> Array:
+    search = partial(_search, filters)
     if not is_traced(point):
-        return jnp.asarray(_search(point))
+        return jnp.asarray(search(point))
     shape = (*point.shape[:-1], 1 + 2 * len(WAYS))
     result = jax.ShapeDtypeStruct(shape, jnp.float64)
-    found: Array = jax.pure_callback(_search, result, point, vmap_method="broadcast_all")
+    found: Array = jax.pure_callback(search, result, point, vmap_method="broadcast_all")
     return found
 
 
-def _search(point: Array) -> Float64[np.ndarray, "*grid found"]:
+def _search(filters: Filters | None, point: Array) -> Float64[np.ndarray, "*grid found"]:
     walls = np.asarray(point)
-    found = first_crossings(walls.reshape(-1, walls.shape[-1]))
+    found = first_crossings(walls.reshape(-1, walls.shape[-1]), filters)
     return found.reshape(*walls.shape[:-1], found.shape[-1])
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(3,))
-def _moving(point: Array, step: Array, angle: Array, axis: int) -> Array:
+@partial(jax.custom_jvp, nondiff_argnums=(3, 4))
+def _moving(point: Array, step: Array, angle: Array, axis: int, filters: Filters | None) -> Array:
     """Return the steps along an axis to the crossings, and how they move when the points do."""
-    del point, angle, axis
+    del point, angle, axis, filters
     return step
 
 
 @_moving.defjvp
 def _moving_jvp(
-    axis: int, primals: tuple[Array, Array, Array], tangents: tuple[Array, Array, Array]
+    axis: int,
+    filters: Filters | None,
+    primals: tuple[Array, Array, Array],
+    tangents: tuple[Array, Array, Array],
 ) -> tuple[Array, Array]:
-    return primals[1], jnp.sum(_slopes(*primals, axis) * tangents[0], axis=-1)
+    slopes = _slopes(filters)(*primals, axis)
+    return primals[1], jnp.sum(slopes * tangents[0], axis=-1)
 
 
-@jax.jit
-@partial(jnp.vectorize, signature="(n),(),(),()->(n)")
-def _slopes(point: Array, step: Array, angle: Array, axis: Array) -> Array:
-    """Return the derivatives of a step by the point, from p(z) = 0 at both ends of the step."""
-    end = jnp.round(angle)
-    is_real = jnp.abs(angle - end) < _REAL
-    start = pi * jnp.where(is_real, end, angle)
+@lru_cache(maxsize=16)
+def _slopes(filters: Filters | None) -> Callable[..., Array]:
+    """Return what gives the derivatives of a step by the point, from p(z) = 0 at both its ends."""
 
-    def equations(crossing: Array, point: Array) -> Array:
-        alpha, beta, gamma, delta, delay = point.at[axis].add(crossing[0])
-        plant = quick_slice(gamma, delta, delay)
-        real, imaginary = circle_equations(plant, alpha, beta, crossing[1])
-        return jnp.stack([real, jnp.where(is_real, crossing[1] - start, imaginary)])
+    def slopes(point: Array, step: Array, angle: Array, axis: Array) -> Array:
+        end = jnp.round(angle)
+        is_real = jnp.abs(angle - end) < _REAL
+        start = pi * jnp.where(is_real, end, angle)
 
-    bracketed = jnp.stack([step, start])
-    by_crossing = jax.jacfwd(equations)(bracketed, point)
-    crossing = bracketed - jnp.linalg.solve(by_crossing, equations(bracketed, point))
-    by_crossing, by_point = jax.jacfwd(equations, (0, 1))(crossing, point)
-    slopes: Array = -jnp.linalg.solve(by_crossing, by_point)[0]
-    return slopes
+        def equations(crossing: Array, point: Array) -> Array:
+            loop = point.at[axis].add(crossing[0])
+            real, imaginary = _circle(loop, crossing[1], is_real, filters)
+            return jnp.stack([real, jnp.where(is_real, crossing[1] - start, imaginary)])
+
+        bracketed = jnp.stack([step, start])
+        by_crossing = jax.jacfwd(equations)(bracketed, point)
+        crossing = bracketed - jnp.linalg.solve(by_crossing, equations(bracketed, point))
+        by_crossing, by_point = jax.jacfwd(equations, (0, 1))(crossing, point)
+        moved: Array = -jnp.linalg.solve(by_crossing, by_point)[0]
+        return moved
+
+    return jax.jit(jnp.vectorize(slopes, signature="(n),(),(),()->(n)"))
+
+
+def _circle(
+    loop: Array, theta: Array, is_real: Array, filters: Filters | None
+) -> tuple[Array, Array]:
+    """Return the real part of g, and the imaginary one, which without filters is over a sine."""
+    alpha, beta, gamma, delta, delay = loop
+    if filters is None:
+        return circle_equations(quick_slice(gamma, delta, delay), alpha, beta, theta)
+    plant = quick_plant(gamma, delta, delay)
+    z, back = jnp.exp(1j * theta), jnp.exp(-1j * theta)
+    stiffness, damping = responses_at(filters, z)
+    behind = jnp.exp(-1j * (jnp.floor(delay) + 1.0) * theta)
+    force = behind * (plant.n2 * z + plant.n1 + plant.n0 * back)
+    g = z + plant.d1 + plant.d0 * back + force * (alpha * stiffness + beta * damping)
+    return g.real, jnp.where(is_real, 0.0, g.imag)

@@ -12,6 +12,7 @@ from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, float_arrays, is_jax, namespace
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model.filters import Filter, Velocity, known_filters
 from jaxstab.model.loop import refuses_loops
 from jaxstab.numbers import checked
 from jaxstab.ranges.first_crossings import MOST_DELAY as MOST_DELAY
@@ -27,7 +28,8 @@ class Margins(NamedTuple):
     circle by at most about 1e-9 of the way there, or by what rounding hides: p(z) that is somewhere
     on the circle below about 1e-13 of its largest term, per sample of delay, is not told from 0. A
     few extra delays of tens of samples fall short by more: of a wall at which roots stay next to
-    the circle at nearly all angles the search is given up.
+    the circle at nearly all angles the search is given up. With filters rounding hides about ten
+    times as much.
 
     Attributes:
         verdict: certified codes of ``Verdict``.
@@ -49,7 +51,14 @@ class Margins(NamedTuple):
 
 @refuses_loops("margins(K, B)")
 def margins(
-    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+    alpha: Numbers,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> Margins:
     """Return how far alpha, beta and delay of a loop may change, each alone, before it is unstable.
 
@@ -63,16 +72,25 @@ def margins(
         gamma: physical stiffness k T^2/m in [0, 1e4].
         delta: physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
 
     Returns:
         Margins: intervals of alpha and beta, and samples.
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN.
+        TypeError: velocity or position is no estimator or filter, or JAX traces its parameters.
         RuntimeError: JAX arrays are given without x64.
 
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle.
+    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; lemmas B5 and B10 of
+    docs/proofs.md.
+
+    Example:
+        >>> window = jaxstab.Velocity.difference(samples=20)
+        >>> margins(0.003, 0.04, 0.0, 0.001, 1.0, velocity=window).stiffness_gain
     """
+    filters = known_filters(velocity, position)
     values = (
         checked_gain("alpha", alpha),
         checked_gain("beta", beta),
@@ -87,9 +105,9 @@ def margins(
     if is_jax(point):
         from jaxstab.ranges.margin_slopes import moving_steps
 
-        code, steps = moving_steps(point)
+        code, steps = moving_steps(point, filters)
     else:
-        rows: Array = first_crossings(point.reshape(-1, len(values)))
+        rows: Array = first_crossings(point.reshape(-1, len(values)), filters)
         found = rows.reshape(*point.shape[:-1], rows.shape[-1])
         code, steps = found[..., 0], found[..., 1::2]
     return _margins(point, code.astype(xp.int8), steps)
