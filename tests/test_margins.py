@@ -9,7 +9,8 @@ from mpmath import mp, mpf
 
 import jaxstab
 from benchmarks import truth
-from jaxstab import HandRange, HapticLoop, Verdict
+from benchmarks.truth import filtered
+from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict
 
 FREE = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0)  # K = alpha, B = beta
 PHANTOM = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1.5e-3)
@@ -122,9 +123,9 @@ LOOPS = {  # alpha, beta, gamma, delta, delay
 AXES_OF_STEPS = (0, 0, 1, 1, 4)
 
 
-def steps(*point: Any) -> list[Any]:
+def steps(*point: Any, **filters: Any) -> list[Any]:
     """The five ways from a wall to instability: in alpha and beta down and up, in delay."""
-    found = jaxstab.margins(*point)
+    found = jaxstab.margins(*point, **filters)
     alphas, betas = found.stiffness - point[0], found.damping - point[1]
     return [alphas[0], alphas[1], betas[0], betas[1], found.extra_delay]
 
@@ -320,3 +321,71 @@ def test_the_delay_of_walls_with_critical_angles_down_to_zero_may_grow(
     assert extra > 0.01
     assert truth.unstable_count(*wall[:4], wall[4] + extra * (1.0 - 1e-6)) == 0
     assert truth.unstable_count(*wall[:4], wall[4] + extra * (1.0 + 1e-6)) != 0
+
+
+FILTERED = {  # alpha, beta, gamma, delta, delay; the filters here and, exactly, those of the truth
+    "a window of 20": (
+        (0.003, 0.04, 0.0, 0.001, 1.0),
+        (Velocity.difference(samples=20), None),
+        (filtered.difference(20), filtered.average(1)),
+    ),
+    "an island": (
+        (0.0678, -0.316, 0.0, 0.0, 0.0),
+        (Velocity.difference(samples=20), None),
+        (filtered.difference(20), filtered.average(1)),
+    ),
+    "low passes, a fraction": (
+        (0.02, 0.1, 0.01, 0.02, 1.3),
+        (Velocity.difference(samples=6) * Filter.low_pass(0.2), Filter.exponential(0.6)),
+        (
+            filtered.times(filtered.difference(6), filtered.low_pass(0.2, 1)),
+            filtered.exponential(0.6),
+        ),
+    ),
+    "Butterworth, poles next to -1": (
+        (0.005, 0.02, 0.2, 0.1, 2.0),
+        (Velocity.butterworth(0.1, 5), Filter.butterworth(0.45, 4)),
+        (
+            filtered.times(filtered.difference(1), filtered.butterworth(0.1, 5)),
+            filtered.butterworth(0.45, 4),
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FILTERED)
+def test_margins_with_filters_end_where_a_certified_root_crosses(name: str) -> None:
+    wall, (velocity, position), (true_velocity, true_position) = FILTERED[name]
+
+    def true_code(axis: int, step: float) -> int:
+        alpha, beta, gamma, delta, delay = (
+            value + step * (number == axis) for number, value in enumerate(wall)
+        )
+        loop = filtered.FilteredLoop(gamma, delta, delay, true_velocity, true_position)
+        return loop.code(alpha, beta)
+
+    found = steps(*wall, velocity=velocity, position=position)
+    for axis, step in zip(AXES_OF_STEPS, map(float, found), strict=True):
+        assert true_code(axis, step) == Verdict.STABLE
+        assert true_code(axis, step * (1.0 + 2e-9)) == Verdict.UNSTABLE
+
+
+def test_margins_with_filters_are_differentiable_and_refuse_traced_filters() -> None:
+    wall, (velocity, position), _ = FILTERED["low passes, a fraction"]
+    size = 1e-5
+    way = np.array([0.3, -0.2, 0.5, 0.4, -0.6])
+    chosen = {"velocity": velocity, "position": position}
+    found, slopes = jax.jvp(lambda *loop: steps(*loop, **chosen), wall, tuple(way))
+    ahead, behind = (np.array(steps(*(wall + sign * size * way), **chosen)) for sign in (1, -1))
+    np.testing.assert_allclose(found, steps(*wall, **chosen), rtol=1e-12)
+    np.testing.assert_allclose(slopes, (ahead - behind) / (2.0 * size), rtol=2e-5)
+    with pytest.raises(TypeError, match="JAX traces; give numbers"):
+        jax.grad(lambda f: steps(*wall, velocity=Velocity.low_pass(f))[1])(0.1)
+
+
+def test_a_window_of_one_sample_has_the_margins_of_the_paper() -> None:
+    wall = LOOPS["held"]
+    plain = steps(*wall)
+    assert steps(*wall, velocity=Velocity.difference(samples=1)) == plain
+    like = steps(*wall, velocity=Velocity.exponential(1.0), position=Filter.average(samples=1))
+    np.testing.assert_allclose(like, plain, rtol=1e-9)

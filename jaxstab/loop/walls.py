@@ -116,7 +116,6 @@ class LoopWithWalls(LoopParameters):
 
         Raises:
             ValueError: a gain is infinite or NaN.
-            NotImplementedError: the loop has an estimator or a filter.
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle.
@@ -128,8 +127,7 @@ class LoopWithWalls(LoopParameters):
             >>> float(loop.margins(300.0, 2.0).stiffness_gain)
             3.8...
         """
-        self._refuse_filters("margins")
-        found = ranges.margins(*self._wall(stiffness, damping), *self.slice)
+        found = ranges.margins(*self._wall(stiffness, damping), *self.slice, **self.filters)
         return found._replace(
             stiffness=self.stiffness(found.stiffness),
             damping=self.damping(found.damping),
