@@ -343,7 +343,7 @@ FILTERED = {  # alpha, beta, gamma, delta, delay; the filters here and, exactly,
         ),
     ),
     "Butterworth, poles next to -1": (
-        (0.005, 0.02, 0.2, 0.1, 2.0),
+        (0.002, 0.02, 0.0, 0.1, 2.0),
         (Velocity.butterworth(0.1, 5), Filter.butterworth(0.45, 4)),
         (
             filtered.times(filtered.difference(1), filtered.butterworth(0.1, 5)),

@@ -126,10 +126,7 @@ def expansion(
     force = ahead + behind * plant.n1 + after  # z^-m N/z
     force_theta = 1j * (ahead - after - turns * force)
     free, free_theta = z + plant.d1 + plant.d0 * back, 1j * (z - plant.d0 * back)
-    if wall.per_theta is None:
-        turned = 1j * center.beta * force * back
-    else:
-        turned = force * wall.per_theta
+    turned = 1j * center.beta * force * back if filters is None else force * wall.per_theta
     linear = np.stack(
         [
             force * wall.per_alpha,

@@ -192,9 +192,7 @@ def _known_of(chains: tuple[list[Factor], list[Factor]], middle: Cells, size: Ce
         size=np.stack([abs(f.value[0]) + abs(f.value[1]) * half for f in wide], axis=-1),
         series=np.stack([f.value[:-1].T for f in narrow], axis=1).astype(np.complex128),
         lost=np.stack(lost, axis=-1),
-        steepness=np.stack(
-            [factorial(k) * _bound(f, k) for k in (1, 2) for f in wide], axis=-1
-        ),
+        steepness=np.stack([factorial(k) * _bound(f, k) for k in (1, 2) for f in wide], axis=-1),
     )
 
 

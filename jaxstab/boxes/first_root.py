@@ -103,9 +103,7 @@ def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> F
     return found
 
 
-def _models(
-    lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | None
-) -> _Models:
+def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | None) -> _Models:
     t, theta = 0.5 * (parts.low + parts.high)
     half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * _EPS)
     change = lines.change[:, parts.line]

@@ -1,14 +1,14 @@
 """Taylor series of functions of one angle over many cells, each coefficient with its error.
 
-A series says of a function f, in each cell, |f^(k)(x)/k! - value_k| <= error_k. At the middle of the
-cell alone the errors are those of rounding; for all x of the cell they hold the change of the
-derivatives, too, so that value_k + error_k bounds them (Moore 1966). Products and quotients keep
+A series says of a function f, in each cell, |f^(k)(x)/k! - value_k| <= error_k. At the middle of
+the cell alone the errors are those of rounding; for all x of the cell they hold the change of the
+derivatives, too, so that |value_k| + error_k bounds them (Moore 1966). Products and quotients keep
 what is said.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import comb, factorial
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -20,40 +20,25 @@ ORDERS = 9  # coefficients that a series has
 _BEYOND = 16  # orders by which the change of those of a cosine sum is known
 _EPS = np.finfo(np.float64).eps
 _ROUNDING = (ORDERS + 4) * _EPS  # of a sum of so many products, complex ones too
-_OF_NUMBER = 4 * _EPS  # a number has up to six roundings of its own
 _OF_ERRORS = 1.0 + 1e-13
 
 
-class Series(NamedTuple):
+@dataclass(frozen=True)
+class Series:
     """Coefficients, shape (order, cell), and bounds of their errors."""
 
     value: Numbers
     error: Float64[np.ndarray, "order cell"]
 
-    def __add__(self, other: "Series | float") -> "Series":  # type: ignore[override]
-        if not isinstance(other, Series):
-            value, error = self.value.copy(), self.error.copy()
-            value[0] += other
-            error[0] = _OF_ERRORS * (error[0] + _OF_NUMBER * (abs(value[0]) + abs(other)))
-            return Series(value, error)
+    def __add__(self, other: "Series") -> "Series":
         value = self.value + other.value
         return Series(value, _OF_ERRORS * (self.error + other.error + _EPS * abs(value)))
 
-    def __mul__(self, other: "Series | float") -> "Series":  # type: ignore[override]
-        if not isinstance(other, Series):
-            value = self.value * other
-            return Series(value, _OF_ERRORS * (self.error * abs(other) + _OF_NUMBER * abs(value)))
-        mine, others = abs(self.value), abs(other.value)
-        value = _convolved(self.value, other.value)
-        error = _convolved(self.error, others + other.error)
-        error += _convolved(mine, other.error + _ROUNDING * others)
-        return Series(value, _OF_ERRORS * error)
-
-    __radd__ = __add__
-    __rmul__ = __mul__
-
-    def __neg__(self) -> "Series":
-        return Series(-self.value, self.error)
+    def __mul__(self, other: "Series") -> "Series":
+        size = abs(other.value)
+        error = _convolved(self.error, size + other.error)
+        error += _convolved(abs(self.value), other.error + _ROUNDING * size)
+        return Series(_convolved(self.value, other.value), _OF_ERRORS * error)
 
     def reciprocal(self) -> "Series":
         """Return 1/f; its errors are infinite where f may vanish."""
@@ -65,21 +50,16 @@ class Series(NamedTuple):
         value[0] = first
         lost = self.error[0] / np.where(is_known, clear, 1.0) + _ROUNDING
         error[0] = np.where(is_known, abs(first) * lost, np.inf)
-        lead = Series(value[:1], error[:1])
-        for k in range(1, len(value)):
-            rest = Series(self.value[1 : k + 1], self.error[1 : k + 1])
-            before = Series(value[k - 1 :: -1] if k > 1 else value[:1], error[:k][::-1])
-            total = Series(
-                np.sum(rest.value * before.value, axis=0, keepdims=True),
-                np.sum(
-                    rest.error * (abs(before.value) + before.error)
-                    + abs(rest.value) * (before.error + _ROUNDING * abs(before.value)),
-                    axis=0,
-                    keepdims=True,
-                ),
-            )
-            term = lead * -total
-            value[k], error[k] = term.value[0], term.error[0]
+        for k in range(1, len(value)):  # the sum of self_i over_(k - i), i from 1 on, is 0
+            after, after_error = self.value[1 : k + 1], self.error[1 : k + 1]
+            before, before_error = value[:k][::-1], error[:k][::-1]
+            total = np.sum(after * before, axis=0)
+            lost = after_error * (abs(before) + before_error)
+            lost = lost + abs(after) * (before_error + _ROUNDING * abs(before))
+            total_error = np.sum(lost, axis=0)
+            value[k] = -first * total
+            error[k] = error[0] * (abs(total) + total_error) + abs(first) * total_error
+            error[k] = _OF_ERRORS * (error[k] + _ROUNDING * abs(value[k]))
         return Series(value, np.where(is_known, error, np.inf))
 
 

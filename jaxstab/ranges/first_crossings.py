@@ -56,8 +56,8 @@ def first_crossings(
     """Return the verdict on each wall and then, each way of ``WAYS``, a step and an angle.
 
     Within the step, which has a sign, no root reaches the circle; that of the delay is infinite
-    where none does at all. The angle of the root that does is in units of pi. Both are NaN for a wall that is not
-    proved stable.
+    where none does at all. The angle of the root that does is in units of pi. Both are NaN for a
+    wall that is not proved stable.
     """
     table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
     for first in range(0, len(walls), _AT_ONCE):
