@@ -282,7 +282,6 @@ def test_functions_of_five_numbers_name_the_method() -> None:
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: WINDOW.margins(1000.0, 10.0),
         lambda: WINDOW.robust_limit(jaxstab.HandRange()),
         lambda: WINDOW.worst_hand(jaxstab.HandRange(), 1000.0, 10.0),
     ],
