@@ -199,11 +199,9 @@ class HapticLoop(LoopWithWalls):
         Raises:
             TypeError: a gain is not one real number.
             ValueError: a gain is infinite or NaN, or a range is out of order.
-            NotImplementedError: the loop has an estimator or a filter.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B6 of docs/proofs.md.
         """
-        self._refuse_filters("worst_hand")
         return ranges.worst_hand(self, hands, stiffness, damping)
 
     def robust_limit(self, hands: HandRange) -> RobustLimit:

@@ -299,6 +299,12 @@ def known_filters(velocity: Any, position: Any) -> Filters | None:
     return tree_map(lambda value: float(value) if is_jax(value) else value, filters)
 
 
+def as_keywords(filters: Filters | None) -> dict[str, Any]:
+    """Return filters as keywords of the five-number functions."""
+    velocity, position = filters or (None, None)
+    return {"velocity": velocity, "position": position}
+
+
 # --------------------------------------------------------------------------------------- checks
 
 

@@ -7,6 +7,7 @@ stability is enough (lemma B6 of docs/proofs.md).
 """
 
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from math import pi, sqrt
 from typing import Any, NamedTuple, TypeVar
@@ -15,9 +16,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.boxes.bisection import Boxes, Extent, pave
-from jaxstab.boxes.exclusion import Loops
+from jaxstab.boxes.exclusion import Loops, exclude
 from jaxstab.conventions import UNDECIDED, Verdict
 from jaxstab.model import LoopParameters
+from jaxstab.model.filters import known_filters
 from jaxstab.numbers import checked_number
 from jaxstab.point import spectral_radius, verdict
 
@@ -70,8 +72,8 @@ def _worst_of(loop: Loop, hands: Hands, stiffness: float, damping: float) -> Wor
     count = min(len(hands), _MOST)
     some = hands[np.arange(count) * len(hands) // count]
     scene = (*_dimensionless(loop, some, stiffness, damping), loop.delay_samples)
-    radii = np.asarray(spectral_radius(*scene).value)
-    codes = np.asarray(verdict(*scene))
+    radii = np.asarray(spectral_radius(*scene, **loop.filters).value)
+    codes = np.asarray(verdict(*scene, **loop.filters))
     unstable = codes == Verdict.UNSTABLE
     worst = int(np.argmax(np.where(unstable | ~unstable.any(), radii, -1.0)))
     return WorstHand(Verdict(int(codes[worst])), held(loop, some[worst]), float(radii[worst]))
@@ -106,7 +108,9 @@ def _unproved(loop: LoopParameters, hands: HandRange, stiffness: float, damping:
         return Extent.of(center, by_axis)
 
     boxes = Boxes(ranges.mean(axis=1)[None], 0.5 * np.ptp(ranges, axis=1)[None])
-    left = pave(boxes, _SMALLEST * np.ptp(ranges, axis=1), extent).boxes.center[:, :3]
+    prove = partial(exclude, filters=known_filters(**loop.filters))
+    smallest = _SMALLEST * np.ptp(ranges, axis=1)
+    left = pave(boxes, smallest, extent, prove=prove).boxes.center[:, :3]
     mass = np.clip(1.0 / left[:, 0] - loop.device_mass, *hands.mass)
     return np.column_stack([mass, left[:, 1:]])
 

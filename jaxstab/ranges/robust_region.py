@@ -13,6 +13,7 @@ Where the proof fails, the hand at which it fails joins the sample, and it is tr
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 from math import pi, sqrt
 
 import numpy as np
@@ -20,9 +21,10 @@ from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Numbers
 from jaxstab.boxes.bisection import Boxes, Extent, pave
-from jaxstab.boxes.exclusion import Loops
+from jaxstab.boxes.exclusion import Loops, exclude
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma
+from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
 from jaxstab.region.region import RegionStatus, StableRegion, stable_region
@@ -58,7 +60,9 @@ class RobustRegion:
     stable for every hand. ``hands`` are the sampled (gamma, delta): the true region lies inside of
     the intersection of their stable regions, which is larger than the outline by about
     ``tolerance`` of its size. The intersection is looked for on 129 rows of damping: EMPTY is no
-    proof that there is none between them.
+    proof that there is none between them. With ``filters``, velocity estimator and position filter
+    in units of one sample, it is that of the components that hold small gains, or of the largest
+    one of a hand that has no such component.
     """
 
     gamma: Range
@@ -68,6 +72,7 @@ class RobustRegion:
     status: RobustStatus
     outline: Points = field(repr=False)
     hands: Hands = field(repr=False)
+    filters: Filters | None = None
 
     @property
     def max_alpha(self) -> Float64[np.ndarray, " 2"]:
@@ -109,21 +114,30 @@ class RobustRegion:
         gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
         grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
         walls = grid.reshape(-1, 2)
-        single = np.asarray(verdict(*_walls_and_hands(walls, self.hands), self.delay))
+        single = _verdicts(walls, self.hands, self.delay, self.filters)
         unstable = np.any(single == Verdict.UNSTABLE, axis=1)
         # The number of unstable roots is the same for all hands: one proof of stability is enough.
         likely = np.any(single == Verdict.STABLE, axis=1) & ~unstable
         proved = np.zeros(len(walls), bool)
         for number in np.flatnonzero(likely):
             wall = walls[number : number + 1]
-            proved[number] = not len(_failures(wall, wall, self.gamma, self.delta, self.delay))
+            failures = _failures(
+                wall, wall, self.gamma, self.delta, self.delay, filters=self.filters
+            )
+            proved[number] = not len(failures)
         codes = np.where(proved, Verdict.STABLE, Verdict.UNDECIDED)
         codes = np.where(unstable, Verdict.UNSTABLE, codes).astype(np.int8)
         return codes.reshape(grid.shape[:-1])
 
 
 def robust_region(
-    gamma: Range, delta: Range, delay: float = 0.0, tolerance: float = 0.02
+    gamma: Range,
+    delta: Range,
+    delay: float = 0.0,
+    tolerance: float = 0.02,
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
 ) -> RobustRegion:
     """Return the walls that are stable for every hand with gamma and delta in given ranges.
 
@@ -133,6 +147,8 @@ def robust_region(
         delta: lower and upper end of the physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, whole or fractional.
         tolerance: by which part of its size the polygon is pulled in to be proved, in [1e-3, 0.5].
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
 
     Returns:
         RobustRegion with its status. An empty region is an answer, not an error.
@@ -140,37 +156,50 @@ def robust_region(
     Raises:
         ValueError: an end is outside its range or NaN, the ends are in the wrong order, or the
             tolerance is out of range.
+        TypeError: velocity or position is no estimator or filter, or JAX traces its parameters.
 
-    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B7 of docs/proofs.md.
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B7 and B11 of docs/proofs.md.
+
+    Example:
+        >>> window = jaxstab.Velocity.difference(samples=20)
+        >>> robust_region((0.0, 1e-3), (0.002, 0.01), delay=1.0, velocity=window).max_alpha
     """
+    filters = known_filters(velocity, position)
     for name, ends, check in (("gamma", gamma, checked_gamma), ("delta", delta, checked_delta)):
         check(np.asarray(ends, np.float64))
         if not ends[0] <= ends[1]:
             raise ValueError(f"{name} is {ends}; give the lower end first.")
     checked_delay(delay)
     checked_number("tolerance", tolerance, 1e-3, 0.5)
-    sample = _Sample(gamma, delta, delay)
+    sample = _Sample(gamma, delta, delay, filters)
+
+    def region(status: RobustStatus, outline: Points) -> RobustRegion:
+        return RobustRegion(gamma, delta, delay, tolerance, status, outline, sample.hands, filters)
+
     for _ in range(_ATTEMPTS):
         outer = sample.intersection() if sample.regions else np.zeros((0, 2))
         if not len(outer):
             status = RobustStatus.EMPTY if sample.regions else RobustStatus.UNPROVED
-            return RobustRegion(gamma, delta, delay, tolerance, status, outer, sample.hands)
+            return region(status, outer)
         outline = _pulled_in(outer, tolerance)
-        failures = _failures(outline, np.roll(outline, -1, axis=0), gamma, delta, delay)
+        failures = _failures(
+            outline, np.roll(outline, -1, axis=0), gamma, delta, delay, filters=filters
+        )
         if not len(failures):
-            status = RobustStatus.PROVED if sample.holds(outline) else RobustStatus.UNPROVED
-            return RobustRegion(gamma, delta, delay, tolerance, status, outline, sample.hands)
+            holds = sample.holds(outline)
+            return region(RobustStatus.PROVED if holds else RobustStatus.UNPROVED, outline)
         sample.add(failures)
-    return RobustRegion(
-        gamma, delta, delay, tolerance, RobustStatus.UNPROVED, outline, sample.hands
-    )
+    return region(RobustStatus.UNPROVED, outline)
 
 
 class _Sample:
     """Sampled hands and their stable regions."""
 
-    def __init__(self, gamma: Range, delta: Range, delay: float) -> None:
+    def __init__(
+        self, gamma: Range, delta: Range, delay: float, filters: Filters | None
+    ) -> None:
         self.delay = delay
+        self.filters = filters
         self.regions: list[StableRegion] = []
         self.hands = np.zeros((0, 2))
         frequencies = _FIRST_FREQUENCIES if gamma[0] < gamma[1] else 1
@@ -185,9 +214,21 @@ class _Sample:
             if not np.any(np.all(self.hands == hand, axis=1)):
                 self.hands = np.concatenate([self.hands, hand[None]])
                 gamma, delta = map(float, hand)
-                region = stable_region(gamma, delta, self.delay, tolerance=_OUTLINE_TOLERANCE)
+                region = stable_region(
+                    gamma,
+                    delta,
+                    self.delay,
+                    tolerance=_OUTLINE_TOLERANCE,
+                    **as_keywords(self.filters),
+                )
                 if region.status != RegionStatus.UNRESOLVED:  # the proof covers this hand too
-                    self.regions.append(region)
+                    self.regions.append(self._component(region))
+
+    def _component(self, region: StableRegion) -> StableRegion:
+        """Return what is looked at of a hand's region: with filters it may have islands."""
+        if self.filters is None or region.is_empty:
+            return region
+        return region.main or region.components[0]
 
     def intersection(self) -> Points:
         """Return a polygon of the spans of some rows of the intersection; no point if none is met.
@@ -214,8 +255,8 @@ class _Sample:
 
     def holds(self, outline: Points) -> bool:
         """Tell whether one wall of the outline is proved stable for one hand."""
-        one = verdict(*_walls_and_hands(outline[:1], self.hands[:1]), self.delay)
-        return bool(np.all(np.asarray(one) == Verdict.STABLE))
+        one = _verdicts(outline[:1], self.hands[:1], self.delay, self.filters)
+        return bool(np.all(one == Verdict.STABLE))
 
     def _limits(self, rows: Rows) -> tuple[Rows, Rows]:
         limits = np.stack([np.asarray(region.alpha_limits(rows)) for region in self.regions])
@@ -232,7 +273,15 @@ def _pulled_in(outline: Points, tolerance: float) -> Points:
     return pulled
 
 
-def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: float) -> Hands:
+def _failures(
+    start: Points,
+    end: Points,
+    gamma: Range,
+    delta: Range,
+    delay: float,
+    *,
+    filters: Filters | None,
+) -> Hands:
     """Return some hands at which walls between start and end could not be proved; none is a proof.
 
     The axes of the boxes: from -1 to 1 along the edge, gamma, delta, theta, then the edge itself
@@ -257,7 +306,8 @@ def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: flo
         return Extent.of(center, by_axis)
 
     smallest = _SMALLEST * np.concatenate([np.ptp(ranges, axis=1), np.ones(4)])
-    paving = pave(Boxes(center, half), smallest, extent)
+    prove = partial(exclude, filters=filters)
+    paving = pave(Boxes(center, half), smallest, extent, prove=prove)
     left = paving.boxes.center[:, 1:3]
     if not len(left):
         return left
@@ -265,7 +315,9 @@ def _failures(start: Points, end: Points, gamma: Range, delta: Range, delay: flo
     return np.unique(extremes, axis=0)
 
 
-def _walls_and_hands(
-    walls: Points, hands: Hands
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    return walls[:, :1], walls[:, 1:], hands[:, 0], hands[:, 1]
+def _verdicts(
+    walls: Points, hands: Hands, delay: float, filters: Filters | None
+) -> Int8[np.ndarray, "points hands"]:
+    """Return the verdicts on all walls for all hands."""
+    arguments = walls[:, :1], walls[:, 1:], hands[:, 0], hands[:, 1]
+    return np.asarray(verdict(*arguments, delay, **as_keywords(filters)))
