@@ -283,7 +283,6 @@ def test_functions_of_five_numbers_name_the_method() -> None:
     "call",
     [
         lambda: WINDOW.robust_limit(jaxstab.HandRange()),
-        lambda: WINDOW.worst_hand(jaxstab.HandRange(), 1000.0, 10.0),
     ],
 )
 def test_what_takes_no_estimator_yet_says_so(call: Any) -> None:

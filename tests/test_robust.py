@@ -5,10 +5,12 @@ from math import pi
 import numpy as np
 import pytest
 
+import jaxstab
 from benchmarks import truth
+from benchmarks.truth import filtered
 from jaxstab.conventions import Verdict
 from jaxstab.criteria import passive_region
-from jaxstab.ranges import RobustStatus, robust_region
+from jaxstab.ranges import HandRange, RobustStatus, robust_region
 from jaxstab.region import stable_region
 
 NYQUIST = pi**2 + 0.25  # for delta = 1
@@ -105,3 +107,44 @@ def test_a_verdict_on_a_wall_is_for_all_hands():
 def test_robust_region_refuses_bad_input(arguments, message):
     with pytest.raises(ValueError, match=message):
         robust_region(*arguments)
+
+
+def test_a_robust_region_with_a_window_holds_for_hands_that_certified_roots_judge(
+    rng: np.random.Generator,
+) -> None:
+    gamma, delta, delay = (0.0, 1e-3), (0.002, 0.01), 1.0
+    window = jaxstab.Velocity.difference(samples=20)
+    region = robust_region(gamma, delta, delay, velocity=window)
+    assert region.status == RobustStatus.PROVED
+    hands = [(g, d) for g in gamma for d in delta] + list(
+        zip(rng.uniform(*gamma, 6), rng.uniform(*delta, 6), strict=True)
+    )
+    one = filtered.average(1)
+    loops = [filtered.FilteredLoop(g, d, delay, filtered.difference(20), one) for g, d in hands]
+    for wall in region.outline[:: len(region.outline) // 8]:
+        assert all(loop.code(*wall) == Verdict.STABLE for loop in loops)
+    # No more is given away than the tolerance: some hand forbids what lies a little farther out.
+    beyond = region.outline.mean(axis=0) + 1.06 * (region.max_alpha - region.outline.mean(axis=0))
+    assert any(loop.code(*beyond) == Verdict.UNSTABLE for loop in loops)
+    assert region.contains(*region.outline.mean(axis=0))
+    assert region.verdict(*(3.0 * region.max_alpha)) == Verdict.UNSTABLE
+
+
+def test_the_worst_hand_of_a_loop_with_a_window() -> None:
+    loop = jaxstab.HapticLoop(
+        device_mass=0.25,
+        device_damping=0.5,
+        sample_time=1e-3,
+        delay=1e-3,
+        velocity=jaxstab.Velocity.difference(window=0.02),
+    )
+    hands = HandRange(mass=(0.0, 1.0), stiffness=(0.0, 500.0), damping=(0.0, 5.0))
+    assert loop.worst_hand(hands, 800.0, 10.0).verdict == Verdict.STABLE
+    worst = loop.worst_hand(hands, 8000.0, 10.0)
+    assert worst.verdict == Verdict.UNSTABLE
+    one = filtered.FilteredLoop(
+        worst.loop.gamma, worst.loop.delta, 1.0, filtered.difference(20), filtered.average(1)
+    )
+    gains = worst.loop.alpha(8000.0), worst.loop.beta(10.0)
+    assert one.code(*gains) == Verdict.UNSTABLE
+    assert abs(float(one.radius(*gains).mid()) - worst.radius) < 1e-12

@@ -94,7 +94,7 @@ class RobustRegion:
         Raises:
             ValueError: alpha or beta is NaN or infinite.
         """
-        inside: np.ndarray = self.verdict(alpha, beta) == Verdict.STABLE
+        inside = np.asarray(self.verdict(alpha, beta) == Verdict.STABLE)
         return inside
 
     def verdict(self, alpha: Numbers, beta: Numbers) -> Int8[np.ndarray, "*grid"]:
@@ -195,9 +195,7 @@ def robust_region(
 class _Sample:
     """Sampled hands and their stable regions."""
 
-    def __init__(
-        self, gamma: Range, delta: Range, delay: float, filters: Filters | None
-    ) -> None:
+    def __init__(self, gamma: Range, delta: Range, delay: float, filters: Filters | None) -> None:
         self.delay = delay
         self.filters = filters
         self.regions: list[StableRegion] = []
