@@ -117,11 +117,11 @@ def test_a_robust_region_with_a_window_holds_for_hands_that_certified_roots_judg
     region = robust_region(gamma, delta, delay, velocity=window)
     assert region.status == RobustStatus.PROVED
     hands = [(g, d) for g in gamma for d in delta] + list(
-        zip(rng.uniform(*gamma, 6), rng.uniform(*delta, 6), strict=True)
+        zip(rng.uniform(*gamma, 2), rng.uniform(*delta, 2), strict=True)
     )
     one = filtered.average(1)
     loops = [filtered.FilteredLoop(g, d, delay, filtered.difference(20), one) for g, d in hands]
-    for wall in region.outline[:: len(region.outline) // 8]:
+    for wall in region.outline[:: len(region.outline) // 4]:
         assert all(loop.code(*wall) == Verdict.STABLE for loop in loops)
     # No more is given away than the tolerance: some hand forbids what lies a little farther out.
     beyond = region.outline.mean(axis=0) + 1.06 * (region.max_alpha - region.outline.mean(axis=0))

@@ -94,8 +94,7 @@ class RobustRegion:
         Raises:
             ValueError: alpha or beta is NaN or infinite.
         """
-        inside = np.asarray(self.verdict(alpha, beta) == Verdict.STABLE)
-        return inside
+        return np.asarray(self.verdict(alpha, beta) == Verdict.STABLE)
 
     def verdict(self, alpha: Numbers, beta: Numbers) -> Int8[np.ndarray, "*grid"]:
         """Return a proved code of ``Verdict`` for each wall and all hands of the range.
