@@ -21,7 +21,8 @@ from matplotlib.path import Path
 
 from benchmarks import truth
 from benchmarks.record import Row
-from benchmarks.truth.random_loops import RandomLoop, random_loop
+from benchmarks.truth.filtered import FilteredLoop
+from benchmarks.truth.random_loops import MassLoop
 from jaxstab.region import stable_region
 from jaxstab.tuning import TuningStatus, minimize_radius
 
@@ -53,7 +54,7 @@ def rows(small: bool) -> Iterator[Row]:
         plants = [random_plant(rng, first, stop) for _ in range(4 if small else count)]
         yield _row("minimize_radius", stop - 1, [tally(plant, rng) for plant in plants])
     rng = np.random.default_rng([20120412, 0])
-    loops = [random_loop(rng) for _ in range(2 if small else _FILTERED)]
+    loops = [MassLoop.drawn(rng) for _ in range(2 if small else _FILTERED)]
     tallies = [filtered_tally(loop, rng) for loop in loops]
     yield _row("minimize_radius with filters", max(loop.plant[2] for loop in loops), tallies)
 
@@ -117,30 +118,31 @@ def tally(plant: Plant, rng: np.random.Generator) -> Tally:
     return Tally(status, too_large, len(below.points) > 0, False, 1.0 - found / value, seconds)
 
 
-def filtered_tally(loop: RandomLoop, rng: np.random.Generator) -> Tally:
+def filtered_tally(loop: MassLoop, rng: np.random.Generator) -> Tally:
     """Judge one loop with an estimator and a filter."""
-    filters = {"velocity": loop.velocity, "position": loop.position}
-    region = stable_region(*loop.plant, **filters)
+    velocity, position, truths = loop.filters
+    exact = FilteredLoop(*loop.plant, *truths)
+    region = loop.region()
     start = process_time()
-    best = minimize_radius(*loop.plant, **filters)
+    best = minimize_radius(*loop.plant, velocity=velocity, position=position)
     seconds = process_time() - start
     status, value = TuningStatus(int(best.status)), float(best.value)
     main = region.main
     if status == TuningStatus.NO_STABLE_GAINS:
         return Tally(status, False, False, main is not None, 0.0, seconds)
     gains = np.array([float(best.alpha), float(best.beta)])
-    too_large = float(loop.truth.radius(*gains.tolist()).mid()) > value * (1.0 + _ALLOWED)
+    too_large = float(exact.radius(*gains.tolist()).mid()) > value * (1.0 + _ALLOWED)
     if main is None:  # an island, or a region that is not resolved: nothing is claimed
         return Tally(status, too_large, False, False, 0.0, seconds)
     walls = [(0, 0), (1, 0), (0, 1)]
     base, alpha, beta = (
-        np.array([float(c.mid()) for c in loop.truth.polynomial(*wall)]) for wall in walls
+        np.array([float(c.mid()) for c in exact.polynomial(*wall)]) for wall in walls
     )
     parts, points = np.stack([base, alpha - base, beta - base]), main.points
     starts = gains, 0.1 * gains, 0.9 * points[rng.integers(len(points))]
     descents = [descent(parts, start, rng, Path(points)) for start in starts]
     certified = [
-        float(loop.truth.radius(*found.tolist()).mid())
+        float(exact.radius(*found.tolist()).mid())
         for least, found in descents
         if least < value * (1.0 - _ALLOWED)
     ]
