@@ -9,6 +9,7 @@ up to powers of z. All coefficients are formed in pairs of float64, with bounds 
 (lemma V8 of docs/proofs.md).
 """
 
+from functools import reduce
 from typing import NamedTuple
 
 from jaxstab.arrays import Array, namespace
@@ -133,11 +134,8 @@ def filtered_loop(
 
 def linear_loop(plant: SampledPlant, velocity: Transfer, position: Transfer) -> LinearLoop:
     """Return the loop of a plant, with T V(z) less its factor (1 - 1/z), and with P(z)."""
-    (nv, dv), (np_, dp) = velocity[:2], position[:2]
-    lags = velocity.lag + 1, position.lag
-    powers = [plant.lag + sum(lags), *lags]  # z - 1 is a sample more than 1 - 1/z
-    powers = [power - min(powers) for power in powers]
-    filters = product(dp, dv), product(np_, dv), product(_DIFFERENCE, product(nv, dp))
+    powers, factors = loop_factors(plant.lag, velocity, position)
+    filters = [reduce(product, each) for each in factors]
     plants = plant.denominator, plant.numerator, plant.numerator
     zero = plant.denominator[0] - plant.denominator[0]
     parts = [
@@ -161,6 +159,20 @@ def linear_loop(plant: SampledPlant, velocity: Transfer, position: Transfer) -> 
         at_one=_at_one(plant, position),
         at_minus_one=_at_minus_one(plant, velocity, position, [degree + k for k in powers]),
     )
+
+
+def loop_factors(
+    lag: int, velocity: Transfer, position: Transfer
+) -> tuple[list[int], tuple[tuple[Polynomial, ...], ...]]:
+    """Return what base (beside D), stiffness and damping (beside N) are made of.
+
+    First the powers of z before the three, then the factors of each.
+    """
+    (nv, dv), (np_, dp) = velocity[:2], position[:2]
+    lags = velocity.lag + 1, position.lag
+    powers = [lag + sum(lags), *lags]  # z - 1 is a sample more than 1 - 1/z
+    powers = [power - min(powers) for power in powers]
+    return powers, ((dp, dv), (np_, dv), (_DIFFERENCE, nv, dp))
 
 
 def _at_one(plant: SampledPlant, position: Transfer) -> Affine:

@@ -11,7 +11,7 @@ from jaxstab.region.lines import minus_margin
 from jaxstab.region.roots import nonzero, with_slope
 
 _STEPS = 16
-_SMALLEST = 1e-3  # of the largest corner: the size of those at 0
+_SMALLEST = 0.1  # of the largest corner: the size of those at 0
 _TOLERANCE = 1e-10  # of the last step: its square is below rounding
 
 

@@ -1,23 +1,28 @@
 """Are all roots inside of the circle at a wall of the boundary, told in double-double? NumPy only.
 
-Slow modes have roots next to each other near z = 1; float64 coefficients of p(z) do not tell where
-those are. The coefficients in pairs do, by the verdict on p(r z), with r so much larger than 1 that
-the roots that the wall puts on the circle count as inside.
+Slow modes have roots next to each other near z = 1, of which the coefficients in powers of z tell
+nothing. So p(z) is taken in powers of z - 1, which small roots make small one after the other, and
+z = r (1 + w) / (1 - w) turns the circle of radius r into the imaginary axis, z = r into 0. With
+
+    p = sum c_k (z - r)^k = (1 - w)^-n sum c_k (2 r w)^k (1 - w)^(n - k)
+
+the criterion of Routh counts. r is so much larger than 1 that the roots that the wall puts on the
+circle count as inside.
 """
 
+from functools import lru_cache
+from math import comb
+
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array
-from jaxstab.conventions import STABLE
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.point.radius.dense import scaled_codes
-from jaxstab.point.verdict.recursion import PAIR_UNIT
-from jaxstab.region.filtered_curve import FilteredCurve
+from jaxstab.region.filtered_curve import Angles, FilteredCurve
 
 _ON_CIRCLE = 1e-11  # a root so close is on the circle: a wall in float64 shifts it by less
+_NEAR_CIRCLE = 1e-2
 _AT_ONCE = 1 << 11  # walls
-_OPERATIONS = 4.0  # roundings of a coefficient
 
 
 def all_inside(
@@ -26,22 +31,74 @@ def all_inside(
     """Return where all roots of p(z) lie within a circle, those on the unit circle as well."""
     inside = np.zeros(np.shape(alpha), bool)
     walls = np.ravel(alpha), np.ravel(beta)
+    radius = within * (1.0 + _ON_CIRCLE)
+    base, stiffness, damping = (
+        _about(DoubleDouble(*part), radius - 1.0) for part in curve.shifted.transpose(1, 0, 2)
+    )
     for start in range(0, inside.size, _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        inside.flat[part] = _are_inside(curve, walls[0][part], walls[1][part], within)
+        gains = (DoubleDouble.of(wall[part]) for wall in walls)
+        products = (one * gain for one, gain in zip((stiffness, damping), gains, strict=True))
+        coefficients = base + (next(products) + next(products))
+        inside.flat[part] = _are_left(_to_half_plane(coefficients, radius))
     return inside
 
 
-def _are_inside(
-    curve: FilteredCurve, alpha: Array, beta: Array, within: float
-) -> Bool[np.ndarray, " _"]:
-    base, stiffness, damping = (
-        DoubleDouble(*part[:, :, None]) for part in curve.pairs.transpose(1, 0, 2)
-    )
-    products = stiffness * DoubleDouble.of(alpha), damping * DoubleDouble.of(beta)
-    coefficients = base + (products[0] + products[1])
-    sizes = np.sum(abs(base.hi) + abs(products[0].hi) + abs(products[1].hi), axis=0)
-    scale = np.full(alpha.shape, within * (1.0 + _ON_CIRCLE))
-    codes = scaled_codes(coefficients, _OPERATIONS * PAIR_UNIT * sizes, scale, PAIR_UNIT)
-    inside: Bool[np.ndarray, " _"] = codes == STABLE
-    return inside
+def angles_on_circle(curve: FilteredCurve, alpha: Array, beta: Array) -> Angles:
+    """Return the angles between 0 and pi of roots that are close to the circle, as slow ones go."""
+    base, stiffness, damping = curve.shifted[0]
+    angles = [np.empty(0)]
+    for wall in zip(alpha, beta, strict=True):
+        coefficients = base + stiffness * wall[0] + damping * wall[1]
+        step = np.roots(coefficients) if np.all(np.isfinite(coefficients)) else np.empty(0)
+        modulus = np.abs(1.0 + step)
+        is_near = np.abs(modulus - 1.0) < _NEAR_CIRCLE * np.minimum(1.0, np.abs(step))
+        angles.append(np.angle(1.0 + step[is_near & (step.imag > 0.0)]))
+    return np.concatenate(angles)
+
+
+def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
+    """Return the coefficients in powers of s - move by those in powers of s, as a column."""
+    hi, lo = falling.hi.copy(), falling.lo.copy()
+    for last in range(len(hi), 1, -1):
+        for k in range(1, last):
+            moved = DoubleDouble(hi[k], lo[k]) + DoubleDouble(hi[k - 1], lo[k - 1]) * move
+            hi[k], lo[k] = moved.hi, moved.lo
+    return DoubleDouble(hi[:, None], lo[:, None])
+
+
+def _to_half_plane(falling: DoubleDouble, radius: float) -> DoubleDouble:
+    """Return sum c_k (2 r w)^k (1 - w)^(n - k), highest power of w first."""
+    degree = len(falling.hi) - 1
+    total = DoubleDouble.of(np.zeros_like(falling.hi))
+    for index in range(degree + 1):
+        power = degree - index
+        factor = DoubleDouble.of(1.0)
+        for _ in range(power):
+            factor = factor * (2.0 * radius)
+        one = DoubleDouble(falling.hi[index], falling.lo[index]) * factor
+        total = total + DoubleDouble(one.hi[None], one.lo[None]) * _binomials(degree, power)
+    return total
+
+
+@lru_cache(maxsize=4096)
+def _binomials(degree: int, power: int) -> Float64[np.ndarray, "coefficient 1"]:
+    """Return the coefficients of w^power (1 - w)^(degree - power), highest first."""
+    rest = degree - power
+    signed = [float((-1) ** k * comb(rest, k)) for k in range(rest, -1, -1)]
+    return np.array(signed + [0.0] * power)[:, None]
+
+
+def _are_left(falling: DoubleDouble) -> Bool[np.ndarray, " wall"]:
+    """Return where all roots have negative real parts (Routh 1877)."""
+    even, odd = (DoubleDouble(falling.hi[k::2], falling.lo[k::2]) for k in (0, 1))
+    is_left = np.ones(falling.hi.shape[1], bool)
+    while len(odd.hi):
+        is_left = is_left & (odd.hi[0] * even.hi[0] > 0.0)
+        ratio = DoubleDouble(even.hi[0], even.lo[0]) / DoubleDouble(odd.hi[0], odd.lo[0])
+        length = len(even.hi) - 1
+        lower = DoubleDouble(even.hi[1:], even.lo[1:])
+        missing = length - (len(odd.hi) - 1)
+        above = [np.pad(part[1:], ((0, missing), (0, 0))) for part in (odd.hi, odd.lo)]
+        even, odd = odd, lower - DoubleDouble(*above) * ratio
+    return is_left

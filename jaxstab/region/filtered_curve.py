@@ -23,7 +23,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.linear_loop import SampledPlant, linear_loop
+from jaxstab.model.linear_loop import SampledPlant, linear_loop, loop_factors
 from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
 
 _ZERO = DoubleDouble(0.0, 0.0)
@@ -74,16 +74,12 @@ class FilteredCurve(NamedTuple):
     plus: Half
     minus: Half
     lag: float  # w
-    pairs: Float64[np.ndarray, "2 3 coefficient"]  # parts, and what rounding took from them
+    parts: Float64[np.ndarray, "3 coefficient"]  # base, stiffness, damping, highest power first
+    shifted: Float64[np.ndarray, "2 3 coefficient"]  # in powers of z - 1, and what rounding took
     at_minus_one: Float64[np.ndarray, "3"]  # the same of p(-1), its sign plus in the stable set
     poles: Float64[np.ndarray, "2 pole"]  # angles in [0, pi], and how far they are from the circle
     resonances: Float64[np.ndarray, "2 root"]  # the same of zeros and poles of a general device
     is_exact: bool = False  # whether other roots are tested in double-double
-
-    @property
-    def parts(self) -> Float64[np.ndarray, "3 coefficient"]:
-        """Base, stiffness, damping of p(z), highest power first."""
-        return self.pairs[0]
 
 
 class _Around(NamedTuple):
@@ -143,11 +139,27 @@ def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) 
         plus=halves[0],
         minus=halves[1],
         lag=float(whole),
-        pairs=np.array([[[c.hi, c.lo] for c in part] for part in loop[:3]]).transpose(2, 0, 1),
+        parts=np.array([_rounded(part) for part in loop[:3]]),
+        shifted=_shifted_parts(plant, velocity, position),
         at_minus_one=_rounded(tuple(part.value for part in loop.at_minus_one)),
         poles=_poles(_rounded(reduce(product, above)), _rounded(reduce(product, below)), zeros),
         resonances=_resonances(plant),
     )
+
+
+def _shifted_parts(
+    plant: SampledPlant, velocity: Transfer, position: Transfer
+) -> Float64[np.ndarray, "2 3 coefficient"]:
+    """Return base, stiffness and damping in powers of z - 1, and what rounding took from them."""
+    d, n = _plants_around(plant)[0]
+    powers, factors = loop_factors(plant.lag, velocity, position)
+    every = []
+    for one, power, others in zip((d, n, n), powers, factors, strict=True):
+        parts = [_around(factor, 1).shifted for factor in (_power(power), *others)]
+        every.append(reduce(product, parts, one.shifted))
+    length = len(every[0])
+    numbers = [[[0.0, 0.0]] * (length - len(part)) + [[c.hi, c.lo] for c in part] for part in every]
+    return np.array(numbers).transpose(2, 0, 1)
 
 
 def _around(polynomial: Polynomial, sign: int) -> _Around:

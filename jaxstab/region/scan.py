@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.model import companion_matrix
-from jaxstab.region.curve import SliceCoefficients
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift
+from jaxstab.region.exact_roots import angles_on_circle
 from jaxstab.region.filtered_curve import FilteredCurve
 from jaxstab.region.filtered_points import is_oriented
 from jaxstab.region.other_roots import other_roots, others_inside
@@ -86,8 +87,11 @@ def suspects(
     ends = np.concatenate([pieces.begin, pieces.end])
     size = np.abs(ends)
     corners = ends[np.tile(pieces.exists, 2) & (size > 0.0) & (size < np.pi)]
-    others = other_roots(c, corners, length)
-    partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
+    if c.filtered is not None and c.filtered.is_exact:
+        partners = angles_on_circle(c.filtered, *curve_and_lift(c, corners)[:2])
+    else:
+        others = other_roots(c, corners, length)
+        partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
     if c.filtered is not None:
         partners = np.where(is_oriented(c.filtered, partners), partners, -partners)
     return nearly_stable(c, np.concatenate([known, corners, partners]), outside, length=length)
