@@ -474,8 +474,23 @@ def test_a_window_of_one_sample_has_the_region_of_the_paper() -> None:
     assert not plain.islands
 
 
-def test_a_region_that_is_not_resolved_claims_nothing() -> None:
+def test_regions_of_filters_whose_poles_float64_does_not_tell_apart() -> None:
     velocity = Velocity.butterworth(0.02, 8)
+    region = jaxstab.stable_region(1e-3, 1e-2, 1.0, velocity=velocity)
+    assert region.status == jaxstab.RegionStatus.COMPLETE
+    rng = np.random.default_rng(8)
+    vertices = region.points[rng.integers(0, len(region.points), 400)]
+    away = np.repeat([[1e-4], [1e-1]], 200, axis=0) * np.ptp(region.points, axis=0)
+    walls = (vertices + rng.normal(size=(400, 2)) * away).T
+    codes = jaxstab.verdict(*walls, 1e-3, 1e-2, 1.0, velocity=velocity)
+    inside = region.contains(*walls)
+    is_decided = codes != UNDECIDED
+    assert np.mean(is_decided) > 0.95
+    assert np.array_equal(inside[is_decided], codes[is_decided] == STABLE)
+
+
+def test_a_region_that_is_not_resolved_claims_nothing() -> None:
+    velocity = Velocity.butterworth(0.005, 20)
     region = jaxstab.stable_region(1e-3, 1e-2, 1.0, velocity=velocity)
     assert region.status == jaxstab.RegionStatus.UNRESOLVED
     assert region.components == []

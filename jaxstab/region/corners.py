@@ -12,6 +12,7 @@ from jaxstab.region.roots import nonzero, with_slope
 
 _STEPS = 16
 _SMALLEST = 0.1  # of the largest corner: the size of those at 0
+_ROUGH = 1e-8  # the same mismatch next to a zero of N, of which coefficients in float64 tell less
 _TOLERANCE = 1e-10  # of the last step: its square is below rounding
 
 
@@ -101,7 +102,8 @@ def solved_corners(
     steps, mismatch = newton(c, here)  # one more has the derivative in the slice
     solved = here - steps
     low = constant((here - kept(solved)) - steps)
-    return solved[0], low[0], mismatch < _TOLERANCE
+    is_rough = c.filtered is not None and c.filtered.is_exact
+    return solved[0], low[0], mismatch < (_ROUGH if is_rough else _TOLERANCE)
 
 
 def steps_to_meeting(

@@ -47,7 +47,7 @@ def all_inside(
 def angles_on_circle(curve: FilteredCurve, alpha: Array, beta: Array) -> Angles:
     """Return the angles between 0 and pi of roots that are close to the circle, as slow ones go."""
     base, stiffness, damping = curve.shifted[0]
-    angles = [np.empty(0)]
+    angles: list[Angles] = [np.empty(0)]
     for wall in zip(alpha, beta, strict=True):
         coefficients = base + stiffness * wall[0] + damping * wall[1]
         step = np.roots(coefficients) if np.all(np.isfinite(coefficients)) else np.empty(0)
