@@ -59,8 +59,8 @@ def rows(small: bool, points: int = LOOPS) -> Iterator[Row]:
         yield _row("walls" + words, "numpy eigvals", rivals, "undecided")
         tallies = _tallies(kind, count, radii)
         yield _row("radii" + words, "spectral_radius", tallies, "unbounded")
-    tallies = _tallies(MassLoop, count, region)
-    yield _row("points of regions", "stable_region", tallies, "unresolved")
+        tallies = _tallies(kind, count, region)
+        yield _row("points of regions" + words, "stable_region", tallies, "unresolved")
 
 
 def _tallies(kind: type[Loop], count: int, judged: Callable[..., Tally]) -> list[Tally]:
@@ -135,7 +135,7 @@ def radii(loop: Loop, rng: np.random.Generator) -> Tally:
     return Tally(len(points), wrong, int(np.sum(~np.isfinite(answer.error))), unjudged, seconds)
 
 
-def region(loop: MassLoop, rng: np.random.Generator) -> Tally:
+def region(loop: Loop, rng: np.random.Generator) -> Tally:
     """Judge what a region contains."""
     balls = loop.balls
     start = process_time()

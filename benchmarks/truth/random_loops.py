@@ -22,6 +22,7 @@ from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.radius.door import linear_spectral_radius
 from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.region.linear import linear_region
 
 _HIGHEST_ORDER = 24
 _PERIOD = 2.0**-10  # of devices, in s: cut-offs in Hz and per sample are the same numbers
@@ -95,6 +96,10 @@ class DeviceLoop:
 
     def spectral_radius(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
         return linear_spectral_radius(alpha, beta, self._loop)
+
+    def region(self) -> jaxstab.StableRegion:
+        transfers = self._sampled.transfers(self.filters[:2])
+        return linear_region(self._sampled.plant, *transfers, tolerance=1e-6)
 
     @cached_property
     def _sampled(self) -> SampledDevice:
