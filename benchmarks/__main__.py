@@ -27,6 +27,7 @@ BENCHMARKS = (
     "tuning",
     "ranges",
     "loops",
+    "amplitudes",
     "stress",
 )
 

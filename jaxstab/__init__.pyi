@@ -46,10 +46,13 @@ from .model import Velocity as Velocity
 from .model import characteristic_polynomial as characteristic_polynomial
 from .model import companion_matrix as companion_matrix
 from .model import plant_coefficients as plant_coefficients
+from .motion import Amplitude as Amplitude
+from .motion import AmplitudeStatus as AmplitudeStatus
 from .motion import Oscillation as Oscillation
 from .motion import Response as Response
 from .motion import Settling as Settling
 from .motion import SettlingStatus as SettlingStatus
+from .motion import amplitude as amplitude
 from .motion import dominant_mode as dominant_mode
 from .motion import settling_samples as settling_samples
 from .point import SpectralRadius as SpectralRadius

@@ -7,8 +7,9 @@ from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.filters import given_filters
-from jaxstab.motion import Oscillation, Response, Settling
+from jaxstab.motion import Amplitude, Oscillation, Response, Settling
 from jaxstab.motion.settling import HORIZON, Excitation
+from jaxstab.numbers import checked
 from jaxstab.point import SpectralRadius
 from jaxstab.ranges import Margins
 
@@ -176,6 +177,60 @@ class LoopWithWalls(LoopParameters):
             **self.filters,
         )
         return Settling(samples.value * self.sample_time, samples.status)
+
+    def amplitude(
+        self,
+        stiffness: Numbers,
+        damping: Numbers,
+        *,
+        encoder: Numbers = 0.0,
+        force_step: Numbers = 0.0,
+        friction: Numbers = 0.0,
+        noise: Numbers = 0.0,
+    ) -> Amplitude:
+        """Bound what a quantised encoder, a quantised force, friction and noise do at walls.
+
+        Beside the loop stands the same one without any of these, started alike and pushed alike.
+        How far the two are apart is bounded at all times; and as the other one comes to rest under
+        a constant push, so is the chatter of the hand in the long run. See ``jaxstab.amplitude``.
+
+        Args:
+            stiffness: K in N/m, any shape; like all arguments it broadcasts.
+            damping: B in N s/m.
+            encoder: resolution of the position in m, as it is rounded to the nearest multiple.
+            force_step: resolution of the force in N, as it is rounded to the nearest multiple.
+            friction: largest Coulomb friction of the device in N, taken for any bounded force.
+            noise: largest error of the position in m, beside that of the resolution.
+
+        Returns:
+            Amplitude in m, m/s and N; infinite where nothing is proved, which is so at the boundary
+            of stability and beyond.
+
+        Raises:
+            ValueError: an argument is negative, infinite or NaN, or nothing disturbs the loop.
+            TypeError: a filter is traced.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5);
+        lemmas M3 to M8 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> found = loop.amplitude(1000.0, 20.0, encoder=1e-5)
+            >>> f"{found.position:.1e} m, {found.force:.2f} N"
+            '6.3e-06 m, 0.24 N'
+        """
+        unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
+        found = motion.amplitude(
+            *self._wall(stiffness, damping),
+            *self.slice,
+            encoder=checked("encoder", encoder, 0.0),
+            force_step=checked("force_step", force_step, 0.0) / unit,
+            friction=checked("friction", friction, 0.0) / unit,
+            noise=checked("noise", noise, 0.0),
+            **self.filters,
+        )
+        return found._replace(velocity=found.velocity / self.sample_time, force=found.force * unit)
 
     def oscillation(self, stiffness: Numbers, damping: Numbers) -> Oscillation:
         """Return damping ratio and frequency in Hz of the slowest mode of the loop at walls.

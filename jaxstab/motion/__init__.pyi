@@ -1,3 +1,6 @@
+from .amplitudes import Amplitude as Amplitude
+from .amplitudes import AmplitudeStatus as AmplitudeStatus
+from .amplitudes import amplitude as amplitude
 from .oscillation import Oscillation as Oscillation
 from .oscillation import dominant_mode as dominant_mode
 from .response import Response as Response

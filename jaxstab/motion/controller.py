@@ -55,11 +55,21 @@ class Equation(NamedTuple):
             memory = (_less(_plus(last, self.inputs[order], value), below, output), *memory)
         return output, memory
 
+    def moduli(self) -> "Equation":
+        """Return the equation in which nothing cancels, however the signs are."""
+        return Equation(
+            tuple(one if one is None else abs(one) for one in self.inputs),
+            tuple(one if one is None else -abs(one) for one in self.outputs),
+        )
+
     def _sums(self, value: Array, output: Array, waiting: Memory) -> Memory:
         triples = zip(waiting, self.inputs[1:], self.outputs, strict=False)
         return tuple(
             _less(_plus(later, above, value), below, output) for later, above, below in triples
         )
+
+
+Chain = tuple[Equation, ...]
 
 
 @pytree
@@ -73,8 +83,8 @@ class Controller:
         window: samples over which the difference is taken.
     """
 
-    velocity: tuple[Equation, ...]
-    position: tuple[Equation, ...]
+    velocity: Chain
+    position: Chain
     window: int = fixed()
 
     @classmethod
@@ -109,15 +119,26 @@ class Bank(NamedTuple):
     steps: rows for what is remembered at the next sample.
     at_rest: what is remembered of a device that always stood at position 1.
     is_velocity: which of it is a velocity.
+    roundings: how often an entry is rounded, at most, the coefficients' own rounding included.
+    sizes: of outputs and steps, what an entry is with the moduli of all that it is made of.
     """
 
     outputs: Float64[np.ndarray, "2 column"]
     steps: Float64[np.ndarray, "memory column"]
     at_rest: Float64[np.ndarray, " memory"]
     is_velocity: np.ndarray
+    roundings: int
+    sizes: tuple[Float64[np.ndarray, "2 column"], Float64[np.ndarray, "memory column"]]
 
 
-PLAIN = Bank(np.eye(2), np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool))
+PLAIN = Bank(
+    outputs=np.eye(2),
+    steps=np.zeros((0, 2)),
+    at_rest=np.zeros(0),
+    is_velocity=np.zeros(0, bool),
+    roundings=0,
+    sizes=(np.eye(2), np.zeros((0, 2))),
+)
 
 
 def bank_of(controller: Controller) -> Bank:
@@ -126,27 +147,40 @@ def bank_of(controller: Controller) -> Bank:
     chains = controller.velocity, controller.position
     rests = [_rest_of_chain(chain, at) for chain, at in zip(chains, (zero, one), strict=True)]
     earlier = controller.window - 1
-    lengths = [earlier, *(sum(map(len, memory)) for _, memory in rests)]
-    units = np.eye(2 + sum(lengths))
-    splits = np.split(units[2:], np.cumsum(lengths)[:2])
-    total = units[1] + splits[0].sum(axis=0)
-    inputs = total / controller.window, units[0]
-    runs = [
-        run(chain, value, _like(memory, split))
-        for chain, value, (_, memory), split in zip(chains, inputs, rests, splits[1:], strict=True)
-    ]
-    steps = [*units[1 : 1 + earlier], *(row for _, memory in runs for one in memory for row in one)]
-    at_rest = [np.zeros(earlier), *(np.array(value).ravel() for _, m in rests for value in m)]
+    memories = rests[0][1], rests[1][1]
+    outputs, steps = _rows(controller.window, chains, memories)
+    moduli = [tuple(equation.moduli() for equation in chain) for chain in chains]
+    at_rest = [np.zeros(earlier), *(np.array(value).ravel() for m in memories for value in m)]
+    velocities = earlier + sum(map(len, memories[0]))
     return Bank(
-        outputs=np.array([runs[1][0], runs[0][0]]),
-        steps=np.array(steps).reshape(-1, len(units)),
+        outputs,
+        steps,
         at_rest=np.concatenate(at_rest),
-        is_velocity=np.arange(sum(lengths)) < sum(lengths[:2]),
+        is_velocity=np.arange(len(steps)) < velocities,
+        roundings=2 + 4 * sum(map(len, chains)),
+        sizes=_rows(controller.window, (moduli[0], moduli[1]), memories),
     )
 
 
+def _rows(
+    window: int, chains: tuple[Chain, Chain], memories: tuple[Any, Any]
+) -> tuple[Float64[np.ndarray, "2 column"], Float64[np.ndarray, "memory column"]]:
+    """Return the outputs and the steps of a bank; the memories tell how much is remembered."""
+    lengths = [window - 1, *(sum(map(len, memory)) for memory in memories)]
+    units = np.eye(2 + sum(lengths))
+    splits = np.split(units[2:], np.cumsum(lengths)[:2])
+    total = units[1] + splits[0].sum(axis=0)
+    inputs = total / window, units[0]
+    runs = [
+        run(chain, value, _like(memory, split))
+        for chain, value, memory, split in zip(chains, inputs, memories, splits[1:], strict=True)
+    ]
+    steps = [*units[1:window], *(row for _, memory in runs for one in memory for row in one)]
+    return np.array([runs[1][0], runs[0][0]]), np.array(steps).reshape(-1, len(units))
+
+
 def run(
-    chain: tuple[Equation, ...], value: Array, memories: tuple[Memory, ...]
+    chain: Chain, value: Array, memories: tuple[Memory, ...]
 ) -> tuple[Array, tuple[Memory, ...]]:
     """Return the output of a chain for an input, and what is remembered then."""
     after = []
@@ -156,7 +190,7 @@ def run(
     return value, tuple(after)
 
 
-def _rest_of_chain(chain: tuple[Equation, ...], value: Array) -> tuple[Array, tuple[Memory, ...]]:
+def _rest_of_chain(chain: Chain, value: Array) -> tuple[Array, tuple[Memory, ...]]:
     memories = []
     for equation in chain:
         value, memory = equation.at_rest(value)

@@ -62,7 +62,7 @@ def simulate(
     walls = list(namespace(values).broadcast_arrays(*values))
     x, v, f = _simulate(
         walls,
-        _propagator_of_one(loop.gamma, loop.delta, fraction, tuple(offsets.tolist())),
+        propagator(loop.gamma, loop.delta, fraction, offsets),
         offsets[:-1] < fraction,
         None if filters is None else Controller.of(filters),
         samples=samples,
@@ -79,9 +79,18 @@ def propagator(
     """Return position and velocity (rows) at times in [0, 1] after a sample.
 
     The columns: position and velocity at the sample, the force that acts up to ``fraction``, the
-    force that acts from then on, and a force that acts all the time.
+    force that acts from then on, and a force that acts all the time. Those of single loops are
+    remembered, for one loop is asked about many walls.
     """
     gamma, delta, fraction, offsets = float_arrays(gamma, delta, fraction, offsets)
+    loop = gamma, delta, fraction
+    if namespace(loop, offsets) is np and not any(value.ndim for value in loop):
+        single = float(gamma), float(delta), float(fraction)
+        return _propagator_of_one(*single, tuple(offsets.tolist()))
+    return _propagator(gamma, delta, fraction, offsets)
+
+
+def _propagator(gamma: Array, delta: Array, fraction: Array, offsets: Array) -> Array:
     xp = namespace(gamma, delta, fraction, offsets)
     gamma, delta, fraction = (value[..., None] for value in (gamma, delta, fraction))
     late = xp.maximum(offsets - fraction, 0.0)
@@ -95,8 +104,10 @@ def propagator(
 def _propagator_of_one(
     gamma: float, delta: float, fraction: float, offsets: tuple[float, ...]
 ) -> Float64[np.ndarray, "offset 2 5"]:
-    """Remember the propagators of single loops: one is asked about many walls."""
-    return propagator(gamma, delta, fraction, offsets)
+    loop = np.float64(gamma), np.float64(delta), np.float64(fraction)
+    answer: np.ndarray = _propagator(*loop, np.array(offsets))
+    answer.flags.writeable = False
+    return answer
 
 
 @compiled(static=["samples", "whole_delay", "unilateral"])

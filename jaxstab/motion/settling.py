@@ -13,21 +13,29 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float64, Int, Int8
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_any_traced, namespace
+from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
-from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
-from jaxstab.motion.controller import PLAIN, Bank, Controller, bank_of
+from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.motion.controller import PLAIN, Bank
 from jaxstab.motion.response import propagator
+from jaxstab.motion.state_space import (
+    FORCE,
+    POSITION,
+    VELOCITY,
+    Matrices,
+    bank_for,
+    groups,
+    steps_of,
+    units_of,
+)
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdict.door import verdict
 
 Excitation = Literal["force", "impact"]
-Matrices = Float64[np.ndarray, "loop state state"]
 
 HORIZON = 1 << 18
-_LEAST_STIFFNESS = 1e-12  # keeps the scales of a loop without any stiffness finite
 _STRETCH = 32  # samples, a power of two
 _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 _ROUNDING = 2.0**-53
@@ -138,28 +146,11 @@ def checked_level(level: Any, excitation: str) -> float:
     return level
 
 
-def bank_for(filters: Filters | None) -> Bank:
-    """Return the matrices of an estimator and a filter in units of one sample.
-
-    Raises:
-        TypeError: a filter is traced.
-    """
-    if filters is None:
-        return PLAIN
-    if is_any_traced(filters):
-        raise TypeError(
-            "settling is searched for outside of JAX: give filters of concrete numbers, not traced."
-        )
-    return bank_of(Controller.of(filters))
-
-
 class Loops(NamedTuple):
     """Loops side by side that have one whole part of their delays: s -> A s, from s_0 on.
 
-    The state: position, its difference to the last sample, velocity, the acting force, those on
-    their way, the next one to arrive first, and what the filters remember. It is given in units in
-    which an undamped oscillation is nearly a rotation; that of the position is the final
-    displacement, or velocity.
+    The state has the units of ``units_of``; that of the position is the final displacement, or
+    velocity.
     """
 
     transition: Matrices
@@ -175,31 +166,18 @@ def loops_of(
     bank: Bank = PLAIN,
 ) -> Loops:
     """Return the loops of gains and of the entries (2, 4) of their propagators."""
-    last = 3 + whole_delay  # of the forces on their way
-    size = last + 1 + len(bank.steps)
-    known = [0, 1, *range(last + 1, size)]  # position, its difference, what filters remember
     stiffness, damping = bank.outputs
-    step = np.zeros((alpha.size, size, size))
+    wall = -(alpha[:, None] * stiffness + beta[:, None] * damping)
     rows = np.moveaxis(entries.reshape(2, 4, -1), -1, 0)
-    step[:, range(3, last), range(4, last + 1)] = 1.0
-    step[:, last, known] = -(alpha[:, None] * stiffness + beta[:, None] * damping)
-    motion = np.zeros((alpha.size, 2, size))
-    motion[:, :, [0, 2, 3]] = rows[:, :, :3]
-    motion += rows[:, :, 3:] * step[:, 3:4]  # the force that arrives is the next one to act
-    step[:, [0, 2]] = motion
-    step[:, 1] = motion[:, 0]
-    step[:, 1, 0] -= 1.0
-    step[:, last + 1 :, known] = bank.steps
-    rate = np.sqrt(np.abs(alpha) + np.abs(entries[4]) + _LEAST_STIFFNESS)
-    units = np.ones((alpha.size, size))
-    units[:, 1 : last + 1] = rate[:, None]
-    units[:, last + 1 :] = np.where(bank.is_velocity, rate[:, None], 1.0)
+    step = steps_of(wall, rows, bank.steps, whole_delay)
+    units = units_of(np.abs(alpha) + np.abs(entries[4]), whole_delay, bank)
+    last, size = FORCE + whole_delay, step.shape[1]
     start = np.zeros((alpha.size, size))
     if excitation == "impact":
-        start[:, 2] = 1.0
+        start[:, VELOCITY] = 1.0
     else:
         gain = stiffness @ np.array([1.0, 0.0, *bank.at_rest])
-        start[:, 0], start[:, 3 : last + 1] = -1.0, gain * alpha[:, None]
+        start[:, POSITION], start[:, FORCE : last + 1] = -1.0, gain * alpha[:, None]
         start[:, last + 1 :] = -bank.at_rest
     transition = step * units[:, None, :] / units[:, :, None]
     return Loops(transition, (start / units)[..., None])
@@ -308,16 +286,11 @@ def _settle(
     alpha, beta, *propagators, whole_delay, is_hopeful = (np.ravel(lane) for lane in lanes)
     entries = np.array(propagators)
     first = np.full(alpha.shape, np.nan)
-    for whole in np.unique(whole_delay):
-        together = np.flatnonzero((whole_delay == whole) & is_hopeful)
-        size = 4 + int(whole) + len(bank.steps)
-        count = max(1, _NUMBERS // (size**2 * _STRETCH))
-        for begin in range(0, together.size, count):
-            some = together[begin : begin + count]
-            gains = alpha[some], beta[some]
-            loops = loops_of(*gains, entries[:, some], int(whole), excitation, bank)
-            with np.errstate(all="ignore"):  # what grows overflows, and is never proved
-                first[some] = _first_samples(loops, level, horizon, excitation == "impact")
+    for whole, some in groups(whole_delay, is_hopeful, len(bank.steps), _NUMBERS // _STRETCH):
+        gains = alpha[some], beta[some]
+        loops = loops_of(*gains, entries[:, some], whole, excitation, bank)
+        with np.errstate(all="ignore"):  # what grows overflows, and is never proved
+            first[some] = _first_samples(loops, level, horizon, excitation == "impact")
     return first.reshape(lanes[0].shape)
 
 

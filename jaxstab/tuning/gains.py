@@ -20,12 +20,12 @@ from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.motion.response import propagator
 from jaxstab.motion.settling import (
     Excitation,
-    bank_for,
     checked_level,
     loops_of,
     positions,
     settling_samples,
 )
+from jaxstab.motion.state_space import bank_for
 from jaxstab.numbers import checked_number
 from jaxstab.point.radius.door import spectral_radius
 from jaxstab.point.verdict.door import verdict

@@ -1,0 +1,89 @@
+"""Sampled loops as state spaces, many side by side: the state moves by one matrix per sample.
+
+The state: position, its difference to the last one that was read, velocity, the acting force, those
+on their way, the next one to arrive first, and what the filters remember.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.arrays import is_any_traced
+from jaxstab.model.filters import Filters
+from jaxstab.motion.controller import PLAIN, Bank, Controller, bank_of
+
+Matrices = Float64[np.ndarray, "_ _ _"]
+
+POSITION, DIFFERENCE, VELOCITY, FORCE = range(4)  # the first entries of the state
+
+_LEAST_STIFFNESS = 1e-12  # keeps the scales of a loop without any stiffness finite
+
+
+def bank_for(filters: Filters | None) -> Bank:
+    """Return the matrices of an estimator and a filter in units of one sample.
+
+    Raises:
+        TypeError: a filter is traced.
+    """
+    if filters is None:
+        return PLAIN
+    if is_any_traced(filters):
+        raise TypeError(
+            "a filter is traced; this is computed outside of JAX: give filters of concrete numbers."
+        )
+    return bank_of(Controller.of(filters))
+
+
+def steps_of(
+    wall: Float64[np.ndarray, "loop known"],
+    rows: Float64[np.ndarray, "loop 2 4"],
+    remembered: Float64[np.ndarray, "memory known"],
+    whole_delay: int,
+) -> Matrices:
+    """Return what the next state is made of (rows): the state, then inputs (columns).
+
+    Args:
+        wall: the force that is computed, of position, difference, what is remembered, and inputs.
+        rows: position and velocity at the next sample, of those at this one, of the acting force,
+            and of the one that arrives.
+        remembered: what the filters remember next, of the same as the force.
+        whole_delay: of the force, in samples.
+    """
+    last = FORCE + whole_delay  # of the forces on their way
+    size = last + 1 + len(remembered)
+    inputs = wall.shape[1] - 2 - len(remembered)
+    known = [POSITION, DIFFERENCE, *range(last + 1, size + inputs)]
+    step = np.zeros((len(wall), size, size + inputs))
+    step[:, range(FORCE, last), range(FORCE + 1, last + 1)] = 1.0
+    step[:, last, known] = wall
+    motion = rows[:, :, 3:] * step[:, [FORCE]]  # the force that arrives is the next one to act
+    motion[:, :, [POSITION, VELOCITY, FORCE]] += rows[:, :, :3]
+    step[:, [POSITION, VELOCITY]] = motion
+    step[:, DIFFERENCE] = motion[:, 0]
+    step[:, DIFFERENCE, POSITION] -= 1.0
+    step[:, last + 1 :, known] = remembered
+    return step
+
+
+def units_of(
+    stiffness: Float64[np.ndarray, " loop"], whole_delay: int, bank: Bank
+) -> Float64[np.ndarray, "loop state"]:
+    """Return units of the state in which an undamped oscillation is nearly a rotation."""
+    rate = np.sqrt(stiffness + _LEAST_STIFFNESS)[:, None]
+    last = FORCE + whole_delay
+    units = np.ones((len(rate), last + 1 + len(bank.steps)))
+    units[:, 1 : last + 1] = rate
+    units[:, last + 1 :] = np.where(bank.is_velocity, rate, 1.0)
+    return units
+
+
+def groups(
+    whole_delay: np.ndarray, is_hopeful: np.ndarray, memory: int, numbers: int
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield whole delays, and loops that have them; not more than fill so many numbers."""
+    for whole in np.unique(whole_delay):
+        together = np.flatnonzero((whole_delay == whole) & is_hopeful)
+        count = max(1, int(numbers // (FORCE + 1 + whole + memory) ** 2))
+        for begin in range(0, together.size, count):
+            yield int(whole), together[begin : begin + count]

@@ -1,0 +1,179 @@
+"""Proved amplitudes, against 50-digit impulse responses, worst signals and simulated runs."""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+
+import jaxstab
+from benchmarks.amplitudes import excess_of_runs, excess_of_signals, random_case
+from benchmarks.truth import impulse
+from jaxstab import AmplitudeStatus, Filter, HapticLoop, Velocity, amplitude
+
+Case = tuple[dict[str, Any], list[impulse.Taps], list[impulse.Taps]]
+
+CASES: dict[str, Case] = {
+    "plain": ({}, [impulse.difference(1)], []),
+    "window": ({"velocity": Velocity.difference(samples=20)}, [impulse.difference(20)], []),
+    "low pass": (
+        {"velocity": Velocity.low_pass(0.05, 2)},
+        [impulse.difference(1), *[impulse.low_pass(math.exp(-0.1 * math.pi))] * 2],
+        [],
+    ),
+    "chain": (
+        {
+            "velocity": Velocity.difference(samples=3)
+            * Filter.exponential(0.25)
+            * Filter.average(samples=2),
+            "position": Filter.low_pass(0.2),
+        },
+        [impulse.difference(3), impulse.smoothing(0.25), impulse.average(2)],
+        [impulse.low_pass(math.exp(-0.4 * math.pi))],
+    ),
+}
+LOOPS = [(0.004, 0.06, 1e-3, 0.015, 0.0), (0.004, 0.05, 0.0, 4e-4, 1.0), (0.01, 0.1, 0.1, 0.3, 2.5)]
+LONG = 2600  # samples: what comes later is below 1e-9 of the sums
+
+
+@pytest.mark.parametrize(
+    ("case", "loop"), [*zip(CASES, [*LOOPS, LOOPS[1]], strict=True), ("window", LOOPS[2])]
+)
+def test_force_is_the_sum_of_moduli_to_50_digits(
+    case: str, loop: tuple[float, float, float, float, float]
+) -> None:
+    """The force is held between samples, so its bound is the l1 norm itself."""
+    filters, velocity, position = CASES[case]
+    exact = impulse.ExactLoop(*loop, velocity, position)
+    for size, cause in (({"encoder": 2.0}, {"error": 1.0}), ({"force_step": 2.0}, {"pushed": 1.0})):
+        bound = amplitude(*loop, **size, **filters)
+        sums = exact.sums(LONG, **cause)
+        assert int(bound.status) == AmplitudeStatus.PROVED
+        with mp.workdps(impulse.DIGITS):
+            assert 0 <= mpf(float(bound.force)) / sums[2] - 1 < 1e-6
+            for value, total in zip(bound[:2], sums[:2], strict=True):
+                assert 0 <= mpf(float(value)) / total - 1 < 0.35
+
+
+def test_nothing_exceeds_a_bound_and_signals_reach_it(rng: np.random.Generator) -> None:
+    """Friction, force and encoder, at the samples and between them, for any estimator."""
+    for _ in range(3):
+        excess, tight = excess_of_signals(*random_case(rng))
+        assert 1.0 - 1e-5 < excess < 1.0 + 1e-9
+        assert tight < 1.4
+
+
+def test_no_run_with_a_quantised_encoder_and_force_exceeds_a_bound(
+    rng: np.random.Generator,
+) -> None:
+    for _ in range(4):
+        excess, share = excess_of_runs(*random_case(rng), 100, rng)
+        assert excess < 1.0 + 1e-9
+        assert share < 12.0
+
+
+@pytest.mark.campaign
+def test_nothing_exceeds_a_bound_in_many_loops(rng: np.random.Generator) -> None:
+    for _ in range(40):
+        case = random_case(rng)
+        assert excess_of_signals(*case)[0] < 1.0 + 1e-9
+        assert excess_of_runs(*case, 500, rng)[0] < 1.0 + 1e-9
+
+
+EDGE = 0.1318405943991979  # alpha, of the loop below
+
+
+@pytest.mark.parametrize(("distance", "looser"), [(1e-3, 1e-3), (1e-6, 4.0)])
+def test_next_to_the_boundary_is_still_proved(distance: float, looser: float) -> None:
+    """The sum of moduli from the poles: what decays fast is left out after 1000 samples."""
+    loop = EDGE * (1.0 - distance), 0.3, 0.0, 4e-4, 1.0
+    exact = impulse.ExactLoop(*loop, [impulse.difference(1)])
+    first = [float(x) for x, _, _ in exact.response(1000, error=1.0)]
+    pole = complex(jaxstab.closed_loop_poles(*loop)[0])
+    radius = float(jaxstab.spectral_radius(*loop).value)
+    angle, (a, b) = abs(np.angle(pole)), first[-2:]
+    cosine, sine = a, (b / radius - a * math.cos(angle)) / math.sin(angle)
+    later = np.arange(1, 1 << 22, dtype=float)
+    moduli = np.abs(cosine * np.cos(angle * later) + sine * np.sin(angle * later))
+    total = np.abs(first[:-1]).sum() + moduli.mean() * radius / (1.0 - radius)
+    bound = amplitude(*loop, encoder=2.0)
+    assert total * (1.0 - 1e-4) < float(bound.position) < total * (1.1 + looser)
+
+
+def test_at_the_boundary_and_beyond_nothing_is_proved() -> None:
+    alpha = np.array([0.13, EDGE * (1.0 + 1e-9), 0.2, 10.0, 1e6])
+    found = amplitude(alpha, 0.3, 0.0, 4e-4, 1.0, encoder=1.0, friction=0.1)
+    assert found.status.tolist() == [1, 2, 2, 2, 2]
+    for values in found[:3]:
+        assert np.isfinite(values).tolist() == [True, False, False, False, False]
+    creeping = amplitude(0.0, 0.5, 0.0, 0.0, 0.0, encoder=1.0)
+    assert int(creeping.status) == AmplitudeStatus.NOT_PROVED
+    assert "too close" in AmplitudeStatus(int(creeping.status)).words
+
+
+def test_a_grid_has_the_bounds_of_each_loop() -> None:
+    window = Velocity.difference(samples=4)
+    alpha, delay = np.array([[0.002], [0.02], [0.5]]), np.array([0.0, 1.0, 1.5, 3.0])
+    sizes = {"encoder": 1.0, "force_step": 0.01, "friction": np.array([0.0, 0.0, 1e-3, 2e-3])}
+    together = amplitude(alpha, 0.1, 1e-3, 0.01, delay, **sizes, velocity=window)
+    assert together.position.shape == (3, 4)
+    for row, column in np.ndindex(3, 4):
+        rubbing = {"friction": sizes["friction"][column]}
+        wall = alpha[row, 0], 0.1, 1e-3, 0.01, delay[column]
+        alone = amplitude(*wall, **(sizes | rubbing), velocity=window)
+        for one, other in zip(alone, together, strict=True):
+            np.testing.assert_allclose(other[row, column], one, rtol=1e-6)
+
+
+def test_disturbances_add_up_and_errors_of_a_position_are_alike() -> None:
+    loop = 0.004, 0.06, 1e-3, 0.015, 1.3
+    rounded, noisy = amplitude(*loop, encoder=2.0), amplitude(*loop, noise=1.0)
+    assert rounded == noisy
+    pushed = amplitude(*loop, force_step=0.2, friction=0.01)
+    both = amplitude(*loop, encoder=2.0, force_step=0.2, friction=0.01)
+    for one, other, total in zip(rounded[:3], pushed[:3], both[:3], strict=True):
+        assert float(total) == pytest.approx(float(one + other), rel=1e-9)
+
+
+def test_in_si_units_is_the_same_in_other_units() -> None:
+    window = Velocity.difference(window=0.005)
+    loop = HapticLoop(
+        device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3, velocity=window
+    )
+    sizes = {"encoder": 1e-5, "force_step": 0.01, "friction": 0.2, "noise": 1e-6}
+    found = loop.amplitude([1000.0, 2000.0], 20.0, **sizes)
+    unit = 0.25 / 1e-6
+    sizes |= {"force_step": 0.01 / unit, "friction": 0.2 / unit}
+    samples = Velocity.difference(samples=5)
+    wall = np.array([1000.0, 2000.0]) / unit, 20.0 / 250.0, *loop.slice
+    same = amplitude(*wall, **sizes, velocity=samples)
+    np.testing.assert_allclose(found.position, same.position, rtol=1e-9)
+    np.testing.assert_allclose(found.velocity, same.velocity * 1e3, rtol=1e-9)
+    np.testing.assert_allclose(found.force, same.force * unit, rtol=1e-9)
+
+
+def test_jax_arrays_give_jax_arrays_also_when_compiled() -> None:
+    def position(alpha: Any) -> Any:
+        return amplitude(alpha, 0.06, 1e-3, 0.015, 1.0, encoder=1.0).position
+
+    walls = jnp.array([0.004, 0.005, 0.5])
+    expected = position(np.asarray(walls))
+    for answer in (position(walls), jax.jit(position)(walls), jax.vmap(position)(walls)):
+        assert isinstance(answer, jax.Array)
+        np.testing.assert_allclose(answer, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "message"),
+    [
+        ({}, "all 0; give what disturbs the loop"),
+        ({"encoder": -1.0}, "encoder is -1.0; allowed are finite values >= 0"),
+        ({"friction": np.nan}, "friction is nan"),
+    ],
+)
+def test_refuses_what_is_no_disturbance(sizes: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        amplitude(0.004, 0.06, 1e-3, 0.015, 1.0, **sizes)
