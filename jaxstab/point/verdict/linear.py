@@ -30,11 +30,11 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
         loop: what base + alpha stiffness + beta damping is. Traced walls and loops are answered in
             float64 alone.
     """
-    degree = loop.degree
+    degree, loop = loop.degree, without_zeros(loop)
     if is_any_traced(alpha, beta, loop):
         return _float_codes(alpha, beta, rounded_loop(loop), degree=degree)
     xp = namespace(alpha, beta, loop)
-    alpha, beta, loop = tree_map(np.asarray, (alpha, beta, without_zeros(loop)))
+    alpha, beta, loop = tree_map(np.asarray, (alpha, beta, loop))
     codes = np.array(_float_codes(alpha, beta, rounded_loop(loop), degree=degree))
     still_open = np.flatnonzero(codes == UNDECIDED)
     for start in range(0, still_open.size, _PAIRS):
@@ -50,7 +50,7 @@ def traced_filtered_verdict(
     """Return the codes of points that a transformation of JAX traces, in float64 alone."""
     alpha, beta, gamma, delta = point
     loop = filtered_loop(gamma, delta, int(delay), delay % 1.0, filters)
-    return _float_codes(alpha, beta, rounded_loop(loop), degree=loop.degree)
+    return _float_codes(alpha, beta, rounded_loop(without_zeros(loop)), degree=loop.degree)
 
 
 def filtered_verdict(points: Points, filters: Filters) -> Int8[np.ndarray, "*grid"]:
