@@ -61,14 +61,19 @@ def without_zeros(loop: LinearLoop) -> LinearLoop:
         return loop
     last = loop.degree
     width = (last + 3) // 2
-    while width > 3 and not any(
-        np.any(part[index].hi) for part in loop[:3] for index in (width - 1, last + 2 - width)
+    while width > 3 and all(
+        _is_zero(part[index].hi) for part in loop[:3] for index in (width - 1, last + 2 - width)
     ):
         width -= 1
     if _PAYS * width > last:
         return loop
     base, stiffness, damping = (part[:width] + part[last + 2 - width :] for part in loop[:3])
     return loop._replace(base=base, stiffness=stiffness, damping=damping)
+
+
+def _is_zero(values: Array) -> bool:
+    plain = type(values) is np.float64  # many times faster than an array of one
+    return bool(values == 0.0) if plain else not np.any(values)
 
 
 def polynomial_codes(

@@ -34,7 +34,8 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
     if is_any_traced(alpha, beta, loop):
         return _float_codes(alpha, beta, rounded_loop(loop), degree=degree)
     xp = namespace(alpha, beta, loop)
-    alpha, beta, loop = tree_map(np.asarray, (alpha, beta, loop))
+    if xp is not np:
+        alpha, beta, loop = tree_map(np.asarray, (alpha, beta, loop))
     codes = np.array(_float_codes(alpha, beta, rounded_loop(loop), degree=degree))
     still_open = np.flatnonzero(codes == UNDECIDED)
     for start in range(0, still_open.size, _PAIRS):
