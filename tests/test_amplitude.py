@@ -13,6 +13,7 @@ import jaxstab
 from benchmarks.amplitudes import excess_of_runs, excess_of_signals, random_case
 from benchmarks.truth import impulse
 from jaxstab import AmplitudeStatus, Filter, HapticLoop, Velocity, amplitude
+from jaxstab.scene import Scene, check_walls
 
 Case = tuple[dict[str, Any], list[impulse.Taps], list[impulse.Taps]]
 
@@ -131,7 +132,7 @@ def test_a_grid_has_the_bounds_of_each_loop() -> None:
 def test_disturbances_add_up_and_errors_of_a_position_are_alike() -> None:
     loop = 0.004, 0.06, 1e-3, 0.015, 1.3
     rounded, noisy = amplitude(*loop, encoder=2.0), amplitude(*loop, noise=1.0)
-    assert rounded == noisy
+    assert rounded[:3] == noisy[:3]
     pushed = amplitude(*loop, force_step=0.2, friction=0.01)
     both = amplitude(*loop, encoder=2.0, force_step=0.2, friction=0.01)
     for one, other, total in zip(rounded[:3], pushed[:3], both[:3], strict=True):
@@ -177,3 +178,54 @@ def test_jax_arrays_give_jax_arrays_also_when_compiled() -> None:
 def test_refuses_what_is_no_disturbance(sizes: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         amplitude(0.004, 0.06, 1e-3, 0.015, 1.0, **sizes)
+
+
+SCENE = {
+    "device": {"mass": 0.25, "damping": 0.1, "encoder": {"resolution": 1e-5}},
+    "controller": {
+        "sample_time": 1e-3,
+        "delay_samples": 1.0,
+        "velocity": {"window_samples": 20},
+    },
+    "walls": {
+        "soft": {"stiffness": 1000.0, "damping": 10.0},
+        "hard": {"stiffness": 5000.0, "damping": 30.0},
+    },
+}
+
+
+def test_check_of_a_scene_tells_how_far_its_encoder_drives_it() -> None:
+    answer = check_walls(Scene.from_table(SCENE))
+    loop = HapticLoop(
+        device_mass=0.25,
+        device_damping=0.1,
+        sample_time=1e-3,
+        delay=1e-3,
+        velocity=Velocity.difference(samples=20),
+    )
+    expected = loop.amplitude(1000.0, 10.0, encoder=1e-5)
+    soft = answer.walls["soft"].chatter
+    assert soft is not None
+    assert soft.chatter_at_most == float(expected.position)
+    assert soft.force_per_count == pytest.approx((1000.0 + 10.0 / 0.02) * 1e-5, rel=1e-12)
+    chatter = [line for line in str(answer).splitlines() if "chatter" in line]
+    ends = ["31.2 um", "0.06 N", "proved", "not proved", "not proved"]
+    assert all(line.endswith(f"  {end}") for line, end in zip(chatter, ends, strict=True))
+    assert answer.as_json()["hard"]["chatter_at_most"] is None
+
+
+def test_check_of_hands_takes_the_largest_and_of_rotation_the_units() -> None:
+    device = {"inertia": 2.5e-4, "damping": 1e-4, "encoder": {"resolution": 1e-4}}
+    hand = {"inertia": [0.0, 1e-4]}
+    walls = {"stop": {"stiffness": 1.0, "damping": 0.01}}
+    scene = SCENE | {"device": device, "hand": hand, "walls": walls}
+    text = str(check_walls(Scene.from_table(scene)))
+    assert "urad" in text
+    assert "N m\n" in text
+    assert "proved, the largest of 2 hands" in text
+
+
+def test_a_scene_refuses_what_is_no_resolution() -> None:
+    device = SCENE["device"] | {"encoder": {"resolution": 0.0}}
+    with pytest.raises(ValueError, match=r"device.encoder.resolution is 0.*give a finite number"):
+        Scene.from_table(SCENE | {"device": device})

@@ -230,7 +230,11 @@ class LoopWithWalls(LoopParameters):
             noise=checked("noise", noise, 0.0),
             **self.filters,
         )
-        return found._replace(velocity=found.velocity / self.sample_time, force=found.force * unit)
+        return found._replace(
+            velocity=found.velocity / self.sample_time,
+            force=found.force * unit,
+            force_per_count=found.force_per_count * unit,
+        )
 
     def oscillation(self, stiffness: Numbers, damping: Numbers) -> Oscillation:
         """Return damping ratio and frequency in Hz of the slowest mode of the loop at walls.

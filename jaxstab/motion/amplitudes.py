@@ -20,7 +20,7 @@ from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.disturbed import Causes, Gains, drag, gains_of_disturbances, path, throw
 from jaxstab.motion.response import propagator
-from jaxstab.motion.state_space import bank_for
+from jaxstab.motion.state_space import DIFFERENCE, POSITION, bank_for
 from jaxstab.numbers import checked
 
 _SAFETY = 1.0 + 2.0**-40  # on sums of a few bounds
@@ -43,12 +43,15 @@ class Amplitude(NamedTuple):
         position: of the device, at all times.
         velocity: of the device, at all times.
         force: of the wall, at all times.
+        force_per_count: by which the computed force changes at once where the position is read one
+            resolution of the encoder further.
         status: an AmplitudeStatus.
     """
 
     position: Float64[Array, "*grid"]
     velocity: Float64[Array, "*grid"]
     force: Float64[Array, "*grid"]
+    force_per_count: Float64[Array, "*grid"]
     status: Int8[Array, "*grid"]
 
 
@@ -128,7 +131,8 @@ def amplitude(
     errors, step, rubbing, extra = sizes
     bounds = 0.5 * errors + extra, 0.5 * step, rubbing
     causes = Causes(*(is_traced(size) or bool(np.any(size)) for size in bounds))
-    search = partial(gains_of_disturbances, bank=bank_for(filters), causes=causes)
+    bank = bank_for(filters)
+    search = partial(gains_of_disturbances, bank=bank, causes=causes)
     lanes = *gains, *entries, *middle, gamma, delta, np.floor(delay)
     like = (Gains(*[np.float64] * 4),) * 3
     found = on_host(search, *lanes, shape=grid, like=like)
@@ -137,7 +141,10 @@ def amplitude(
     bounded = _at_all_times(sampled, rubbing, gamma, delta, fraction)
     status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
     x, v, force = (xp.where(is_proved, one, xp.inf) for one in bounded)
-    return Amplitude(x, v, force, status.astype(np.int8))
+    direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
+    per_count = errors * abs(gains[0] * direct[0] + gains[1] * direct[1])
+    answers = x, v, force, per_count, status.astype(np.int8)
+    return Amplitude(*xp.broadcast_arrays(*answers))
 
 
 def _total(sizes: tuple[Array, ...], gains: tuple[Array, ...]) -> Array:

@@ -27,7 +27,7 @@ class Quantity:
     """How a number is printed.
 
     Args:
-        unit: of the number; one in s is printed in ms.
+        unit: of the number; one in s is printed in ms, one in m or rad in millionths.
         digits: significant digits.
         rounding: in the words of the module ``decimal``.
         infinite: the words for an infinite number.
@@ -45,7 +45,7 @@ class Quantity:
     def _text(self, value: float, rounding: str, digits: int) -> str:
         if isinf(value):
             return self.infinite
-        scale = 1000 if self.unit == "s" else 1
+        scale = {"s": 1000, "m": 10**6}.get(self.unit, 1)
         exact = Context(prec=max(_TRUE_DIGITS, digits)).multiply(Decimal(value), scale)
         rounded = exact.normalize(Context(prec=digits, rounding=rounding))
         if not rounded:
@@ -54,7 +54,7 @@ class Quantity:
         return format(rounded, "f") if is_written_out else f"{float(rounded):.{digits}g}"
 
     def _with_unit(self, text: str, units: Units) -> str:
-        unit = "ms" if self.unit == "s" else units.unit(self.unit)
+        unit = {"s": "ms", "m": f"u{units.length}"}.get(self.unit, units.unit(self.unit))
         return f"{text} {unit}" if unit and text[-1].isdigit() else text
 
 

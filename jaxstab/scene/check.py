@@ -1,8 +1,8 @@
-"""How the walls of a scene do: verdict, margins, radius, settling and oscillation, with proofs."""
+"""How the walls of a scene do: verdict, margins, radius, settling, chatter, with proofs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from decimal import ROUND_FLOOR
+from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import inf, isinf, nan
 from typing import Annotated
 
@@ -32,7 +32,7 @@ from jaxstab.scene.answers import (
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.limits import NO_FILTERS, HeldBy, held_by
 from jaxstab.scene.loops import corner_loops, hands_of, is_plain, loop_of, walls_of
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.scene import Encoder, Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
 
@@ -102,6 +102,18 @@ class Oscillation(Answer):
 
 
 @dataclass(frozen=True)
+class Chatter(Answer):
+    """How far the encoder's rounding can drive position and force at all times, at most."""
+
+    is_part = True
+
+    chatter_at_most: Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
+    force_chatter_at_most: Annotated[float, Quantity("N", 3, ROUND_CEILING, "not proved")]
+    force_per_count: Annotated[float, Quantity("N", 3)]
+    chatter_is: str | None
+
+
+@dataclass(frozen=True)
 class WallCheck(Answer):
     """What is known of a wall, and the measures that are wanted, at the worst hand."""
 
@@ -114,6 +126,7 @@ class WallCheck(Answer):
     radius: Radius | None = None
     settling: Settling | None = None
     oscillation: Oscillation | None = None
+    chatter: Chatter | None = None
     not_answered: str | None = None
 
 
@@ -138,14 +151,19 @@ def check_walls(scene: Scene) -> Check:
     """
     scene.require_walls()
     loop, hands, wanted = loop_of(scene), hands_of(scene), scene.wanted.measures
+    encoder, walls = scene.device.encoder, walls_of(scene).items()
     return Check(
         basis_of(scene),
-        {name: _checked(loop, hands, gains, wanted) for name, gains in walls_of(scene).items()},
+        {name: _checked(loop, hands, gains, wanted, encoder) for name, gains in walls},
     )
 
 
 def _checked(
-    loop: HapticLoop, hands: HandRange | None, gains: Gains, wanted: tuple[str, ...]
+    loop: HapticLoop,
+    hands: HandRange | None,
+    gains: Gains,
+    wanted: tuple[str, ...],
+    encoder: Encoder | None,
 ) -> WallCheck:
     loops, hand, answered = [loop], None, is_plain(loop)
     if hands:
@@ -161,6 +179,9 @@ def _checked(
         "settling": lambda: _settling(loop, gains),
         "oscillation": lambda: _oscillation(loop, gains),
     }
+    if encoder is not None:
+        held = list(dict.fromkeys([*loops, loop]))
+        measures["chatter"] = lambda: _chatter(held, gains, encoder.resolution)
     if not answered:
         measures.pop("margins")
     measured = {name: measure() for name, measure in measures.items() if name in wanted}
@@ -229,3 +250,13 @@ def settled(found: MotionSettling) -> float:
 def _oscillation(loop: HapticLoop, gains: Gains) -> Oscillation:
     mode = loop.oscillation(*gains)
     return Oscillation(float(mode.damping_ratio), float(mode.frequency))
+
+
+def _chatter(loops: list[HapticLoop], gains: Gains, resolution: float) -> Chatter:
+    """Return the largest amplitudes over some loops."""
+    found = [loop.amplitude(*gains, encoder=resolution) for loop in loops]
+    position = max(float(one.position) for one in found)
+    force = max(float(one.force) for one in found)
+    hands = f", the largest of {len(loops)} hands" if len(loops) > 1 else ""
+    words = None if isinf(position) else f"proved{hands}"
+    return Chatter(position, force, float(found[0].force_per_count), words)

@@ -7,6 +7,7 @@ EXAMPLE = """\
 # preset = "phantom"      # instead of the two below: phantom, omega or falcon
 mass = 0.1                # kg, effective mass at the handle
 damping = 1.5             # N s/m, physical damping of the device
+# encoder.resolution = 1e-5   # m at the handle: check bounds what its rounding does
 
 [hand]                    # leave this table out for no hand
 mass = [0.0, 0.3]         # kg; each of the three is a number or [lowest, highest]
@@ -28,7 +29,7 @@ damping = 20.0
 [wanted]                  # what `jaxstab scene FILE` answers
 answers = ["limits", "check"]    # of limits, check, tune, design
 # measures = ["margins"]  # check: beside the verdict of a wall; all of them by default:
-                          # margins, distance, radius, settling, oscillation
+                          # margins, distance, radius, settling, oscillation, chatter
 # at_damping = 20.0       # N s/m, limits: the stiffness allowed at this damping
 # at_stiffness = 1000.0   # N/m, limits: the damping allowed at this stiffness
 # stiffness = 3000.0      # N/m, design: what the sample time or the delay is to allow

@@ -23,10 +23,17 @@ from jaxstab.tables import (
 )
 
 ANSWERS = ("limits", "check", "tune", "design")
-MEASURES = ("margins", "distance", "radius", "settling", "oscillation")
+MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter")
 MOST_SAMPLES = 1024  # of delay: the degree of what is solved
 _MANY_SAMPLES = 1000  # of delay: more likely a slip of the unit
 _NO_MASS = "mass is missing; give it a value."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoder(Table):
+    """What the position is rounded to: the resolution at the handle."""
+
+    resolution: float = key(quantity("m, or in rad for a device that turns", is_positive=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +48,7 @@ class Device(Table):
     mass: float | None = key(quantity("kg", is_positive=True), None)
     inertia: float | None = key(quantity("kg m^2", is_positive=True), None)
     damping: float = key(quantity("N s/m"))
+    encoder: Encoder | None = key(nested(Encoder), None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -242,6 +250,7 @@ class Scene:
         found = [
             _outside(f"device.{mass}", device.effective_mass, *usual.device_mass, kilogram),
             _outside("device.damping", device.damping, *usual.device_damping, damping),
+            _coarse(device),
             _outside(f"hand.{mass}", hand.effective_mass[1], *usual.hand_mass, kilogram),
             _outside("hand.stiffness", hand.stiffness[1], *usual.stiffness, stiffness),
             _outside("hand.damping", hand.damping[1], *usual.hand_damping, damping),
@@ -303,6 +312,14 @@ def _outside(name: str, value: float, low: float, high: float, unit: str) -> str
     if low <= value <= high:
         return ""
     return f"{name} is {value:g} {unit}, usual are {low:g} to {high:g} {unit}"
+
+
+def _coarse(device: Device) -> str:
+    """Return a warning for a resolution that was meant in other units."""
+    if device.encoder is None:
+        return ""
+    unit = device.units.length
+    return _outside("device.encoder.resolution", device.encoder.resolution, 1e-9, 1e-3, unit)
 
 
 def _many_samples(controller: Controller) -> str:

@@ -5,15 +5,19 @@ from enum import Enum
 
 
 class Units(Enum):
-    """The units of mass, stiffness, damping, and the word for what is moved."""
+    """The units of mass, stiffness, damping, length, force, and the word for what is moved."""
 
-    LINE = "kg", "N/m", "N s/m", "mass"
-    ROTATION = "kg m^2", "N m/rad", "N m s/rad", "inertia"
+    LINE = "kg", "N/m", "N s/m", "m", "N", "mass"
+    ROTATION = "kg m^2", "N m/rad", "N m s/rad", "rad", "N m", "inertia"
 
-    def __init__(self, kilogram: str, stiffness: str, damping: str, moved: str) -> None:
+    def __init__(
+        self, kilogram: str, stiffness: str, damping: str, length: str, force: str, moved: str
+    ) -> None:
         self.kilogram = kilogram
         self.stiffness = stiffness
         self.damping = damping
+        self.length = length
+        self.force = force
         self.moved = moved
 
     def unit(self, of_line: str) -> str:
@@ -23,6 +27,8 @@ class Units(Enum):
             line.kilogram: self.kilogram,
             line.stiffness: self.stiffness,
             line.damping: self.damping,
+            line.length: self.length,
+            line.force: self.force,
         }
         return pairs.get(of_line, of_line)
 
