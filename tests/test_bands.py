@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks import truth
-from jaxstab import STABLE, UNDECIDED, UNSTABLE, boundary_curve, verdict
+from benchmarks.truth import filtered
+from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity, boundary_curve, verdict
 from jaxstab.boxes.columns import StableColumns, column_gaps, stable_columns
 from jaxstab.boxes.enclosure import Domain, curve_patches
 from jaxstab.boxes.models import LinearModel
@@ -204,3 +205,65 @@ def test_arithmetic_with_models_bounds_what_it_leaves(rng: np.random.Generator) 
         linear = model.centre[0] + model.slope[0, 0] * dx + model.slope[1, 0] * dy
         assert abs(exact - linear) <= model.rest[0]
     assert np.all(np.isinf((x - 0.65).reciprocal().rest))
+
+
+FILTERED_BOXES = {  # filters, those of the truth; a box of hands; delay; domain of alpha and beta
+    "a window with islands": (
+        (Velocity.difference(samples=20), Filter()),
+        (filtered.difference(20), filtered.average(1)),
+        (5e-4, 2e-3, 5e-5, 2e-4),
+        0.0,
+        Domain((-0.02, 0.15), (-0.5, 0.9)),
+    ),
+    "poles, and zeros at -1": (
+        (Velocity.low_pass(0.1), Filter.butterworth(0.2, 2)),
+        (
+            filtered.times(filtered.difference(1), filtered.low_pass(0.1, 1)),
+            filtered.butterworth(0.2, 2),
+        ),
+        (0.05, 0.1, 1e-3, 1e-3),
+        1.5,
+        Domain((-0.1, 0.1), (-0.2, 0.3)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FILTERED_BOXES)
+def test_gaps_of_columns_with_filters_have_the_verdicts_of_certified_roots(
+    name: str, rng: np.random.Generator
+) -> None:
+    filters, (velocity, position), box, delay, domain = FILTERED_BOXES[name]
+    beta = np.linspace(*domain.beta, 17)
+    hands = HandBoxes(*(np.array([value]) for value in box))
+    gaps = column_gaps(beta, hands, delay, domain, filters)
+    low, high, verdict = (part[0] for part in gaps)
+    known = (low < high) & (verdict != UNDECIDED)
+    share = np.sum(
+        np.where(known, np.minimum(high, domain.alpha[1]) - np.maximum(low, domain.alpha[0]), 0.0)
+    )
+    assert share > 0.8 * 16 * np.ptp(domain.alpha)
+    assert (verdict[known] == STABLE).any()
+    column, gap = np.nonzero(known)
+    for number in rng.choice(column.size, 24):
+        k, n = column[number], gap[number]
+        gamma, delta = (
+            middle + half * rng.uniform(-1.0, 1.0)
+            for middle, half in zip(box[:2], box[2:], strict=True)
+        )
+        loop = filtered.FilteredLoop(gamma, delta, delay, velocity, position)
+        part = rng.choice([1e-6, 1.0 - 1e-6, rng.uniform()])
+        wall = low[k, n] + part * (high[k, n] - low[k, n]), rng.uniform(beta[k], beta[k + 1])
+        assert loop.code(*wall) == verdict[k, n]
+
+
+def test_columns_refuse_a_position_filter_that_passes_nothing_at_rest() -> None:
+    high_pass = Filter.transfer_function([1.0, -1.0], [1.0, -0.5])
+    hands = HandBoxes(*(np.array([value]) for value in (0.1, 0.1, 0.0, 0.0)))
+    with pytest.raises(ValueError, match="gain at z = 1 is 0"):
+        column_gaps(
+            np.array([0.0, 1.0]),
+            hands,
+            0.0,
+            Domain((0.0, 1.0), (0.0, 1.0)),
+            (Velocity(), high_pass),
+        )

@@ -277,14 +277,3 @@ def test_functions_of_five_numbers_name_the_method() -> None:
         jaxstab.stable_region(OMEGA, 0.0, 1.0)
     with pytest.raises(TypeError, match=r"loop.margins\(K, B\)"):
         jaxstab.margins(OMEGA, 1000.0, 10.0, 0.0, 1.0)
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda: WINDOW.robust_limit(jaxstab.HandRange()),
-    ],
-)
-def test_what_takes_no_estimator_yet_says_so(call: Any) -> None:
-    with pytest.raises(NotImplementedError, match="velocity estimator"):
-        call()

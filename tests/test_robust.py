@@ -148,3 +148,25 @@ def test_the_worst_hand_of_a_loop_with_a_window() -> None:
     gains = worst.loop.alpha(8000.0), worst.loop.beta(10.0)
     assert one.code(*gains) == Verdict.UNSTABLE
     assert abs(float(one.radius(*gains).mid()) - worst.radius) < 1e-12
+
+
+def test_the_robust_limit_of_a_loop_with_a_window_is_bounded_from_both_sides() -> None:
+    loop = jaxstab.HapticLoop(
+        device_mass=0.25,
+        device_damping=0.1,
+        sample_time=1e-3,
+        delay=1e-3,
+        velocity=jaxstab.Velocity.difference(samples=20),
+    )
+    hands = HandRange(stiffness=(0.0, 500.0), damping=(0.0, 5.0))
+    found = loop.robust_limit(hands)
+    assert found.is_proved
+    assert found.stiffness < found.limit < 1.03 * found.stiffness
+    one = found.loop
+    judge = filtered.FilteredLoop(
+        one.gamma, one.delta, 1.0, filtered.difference(20), filtered.average(1)
+    )
+    assert judge.code(one.alpha(found.stiffness), one.beta(found.damping)) == Verdict.STABLE
+    dampings = one.beta(np.linspace(0.2, 3.0, 13) * found.damping)
+    stiffer = one.alpha(1.001 * found.limit)
+    assert all(judge.code(stiffer, float(beta)) == Verdict.UNSTABLE for beta in dampings)

@@ -16,6 +16,7 @@ from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.boxes.strips import Columns, Strips, columns_of, strips_of, widened
 from jaxstab.conventions import NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
 
 TERMS = ("constant", "per_beta", "per_gamma", "per_delta", "error")
@@ -56,7 +57,11 @@ class ColumnGaps(NamedTuple):
 
 
 def stable_columns(
-    beta: Float64[np.ndarray, " edge"], hands: HandBoxes, delay: float, domain: Domain
+    beta: Float64[np.ndarray, " edge"],
+    hands: HandBoxes,
+    delay: float,
+    domain: Domain,
+    filters: Filters | None = None,
 ) -> StableColumns:
     """Return which alphas of a domain are proved stable in each column.
 
@@ -65,31 +70,38 @@ def stable_columns(
         hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples.
         domain: of alpha and beta.
+        filters: velocity estimator and position filter in units of one sample, whose gain P(1) is
+            not 0; None for the difference over one sample. Then a column may have several stable
+            gaps, and between the first and the last of them nothing is said.
 
     Raises:
-        ValueError: gamma, delta or delay is outside the range of the model.
+        ValueError: gamma, delta or delay is outside the range of the model, or P(1) is 0.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle, and the certified
-    verdict; lemma B8 of docs/proofs.md.
+    verdict; lemmas B8 and B12 of docs/proofs.md.
     """
     columns = columns_of(beta, hands)
-    strips = strips_of(beta, columns, hands, delay, domain)
-    codes = _gap_verdicts(strips, columns, delay, domain)
+    strips = strips_of(beta, columns, hands, delay, domain, filters)
+    codes = _gap_verdicts(strips, columns, delay, domain, filters)
     lower, upper = _limits(strips, codes, columns, domain)
     shape = (hands.gamma.size, beta.size - 1, len(TERMS))
     return StableColumns(lower.reshape(shape), upper.reshape(shape))
 
 
 def column_gaps(
-    beta: Float64[np.ndarray, " edge"], hands: HandBoxes, delay: float, domain: Domain
+    beta: Float64[np.ndarray, " edge"],
+    hands: HandBoxes,
+    delay: float,
+    domain: Domain,
+    filters: Filters | None = None,
 ) -> ColumnGaps:
     """Return what is proved of each column of a domain, gap by gap.
 
     Args, errors and source: as ``stable_columns``.
     """
     columns = columns_of(beta, hands)
-    strips = strips_of(beta, columns, hands, delay, domain)
-    codes = _gap_verdicts(strips, columns, delay, domain)
+    strips = strips_of(beta, columns, hands, delay, domain, filters)
+    codes = _gap_verdicts(strips, columns, delay, domain, filters)
     terms = np.sum(np.abs(strips.slope * columns.centre[:, None]), axis=-1)
     error = strips.error + _ROUNDING * (np.abs(strips.centre) + 2.0 * terms)
     low, high = _gaps(*strips._replace(error=error).ends(columns), widened(domain))
@@ -100,7 +112,7 @@ def column_gaps(
 
 
 def _gap_verdicts(
-    strips: Strips, columns: Columns, delay: float, domain: Domain
+    strips: Strips, columns: Columns, delay: float, domain: Domain, filters: Filters | None
 ) -> Int8[np.ndarray, "column gap"]:
     """Return a verdict for each gap of a domain, from below; NOT_COMPUTED where there is none."""
     low, high = strips.centre - strips.error, strips.centre + strips.error
@@ -110,7 +122,10 @@ def _gap_verdicts(
     middle = 0.5 * (floor + ceiling)[exists]
     codes = np.full(exists.shape, NOT_COMPUTED, np.int8)
     beta, gamma, delta = columns.centre[column].T
-    codes[exists] = verdict(middle, beta, gamma, delta, delay, resolve="exact")
+    resolve = "exact" if filters is None else None
+    codes[exists] = verdict(
+        middle, beta, gamma, delta, delay, resolve=resolve, **as_keywords(filters)
+    )
     # What the middle of a column does not see of it
     begins, ends = _gaps(*strips.ends(columns), domain)
     codes[~exists & np.any(begins < ends, axis=0)] = UNDECIDED

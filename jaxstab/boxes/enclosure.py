@@ -15,14 +15,19 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from jaxstab.boxes.filter_cells import filter_cells
+from jaxstab.boxes.filter_parts import filter_ends, filter_models
 from jaxstab.boxes.models import LinearModel, Moving
 from jaxstab.boxes.plant import HandBoxes, PlantModels, plant_models
+from jaxstab.boxes.wall import largest_within, responses
+from jaxstab.model.filters import Filters
 
 _ROUNDING = 16 * np.finfo(np.float64).eps  # more than cosines have
 _FIRST_PATCHES = 64
 _PER_TURN = 8  # of z^(delay + 1)
 _MOST_HALVINGS = 10
 _TOLERATED = 8.0  # widths of what is not known of a patch, if halving it helps
+_CLEAR = 0.25  # of what the gains are divided by: how far from 0 it is
 _HELPS = 0.5  # times what was not known of the whole
 
 Patch = Float64[np.ndarray, " patch"]
@@ -51,21 +56,27 @@ class Patches(NamedTuple):
 
 
 def curve_patches(
-    hands: HandBoxes, delay: float, domain: Domain, width: tuple[float, float]
+    hands: HandBoxes,
+    delay: float,
+    domain: Domain,
+    width: tuple[float, float],
+    filters: Filters | None = None,
 ) -> Patches:
     """Enclose the curve of a pair of roots on the unit circle where it may meet a domain.
 
-    Below alpha = -gamma it is left out: there p(1) < 0, so that one real root is outside always.
+    Beyond the line of a root at 1 it is left out: there p(1) < 0, so that one real root is outside
+    always.
 
     Args:
         hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples.
         domain: of the gains.
         width: patches are halved until theta moves alpha and beta no farther.
+        filters: velocity estimator and position filter, in units of one sample.
     """
     plant = plant_models(hands, delay)
     turns = int(np.floor(delay)) + 1
-    count = max(_FIRST_PATCHES, _PER_TURN * turns)
+    count = max(_FIRST_PATCHES, _PER_TURN * (turns + _order_of(filters)))
     angles = pi * (np.arange(count + 1) / count) ** 1.5
     boxes = np.arange(hands.gamma.size)
     intervals = _Intervals(
@@ -74,7 +85,7 @@ def curve_patches(
     short = []
     rests = np.full((2, intervals.box.size), np.inf)  # of what the intervals are halves of
     for halving in range(_MOST_HALVINGS + 1):
-        curve = _curve(plant, turns, intervals)
+        curve = _curve(plant, turns, intervals, filters)
         is_short = curve.is_short(width, rests) | (halving == _MOST_HALVINGS)
         is_inside = ~curve.is_outside(domain)
         short.append(intervals.some(is_inside & is_short))
@@ -82,17 +93,27 @@ def curve_patches(
         rests = np.tile(curve.rests[:, is_inside & ~is_short], 2)
     parts = _Intervals(*map(np.concatenate, zip(*short, strict=True)))
     parts = parts.some(np.lexsort((parts.first, parts.box)))
-    curve = _curve(plant, turns, parts)
+    curve = _curve(plant, turns, parts, filters)
     rate = curve.beta.rate
     may_turn = ~((rate.low > 0.0) | (rate.high < 0.0))
     return Patches(*parts, curve.alpha.value, curve.beta.value, may_turn)
 
 
 def minus_line_models(hands: HandBoxes, delay: float) -> tuple[LinearModel, LinearModel]:
-    """Enclose value and weight of the line of a root at -1: weight (alpha + 2 beta) = value."""
+    """Enclose value and weight of the line of a root at -1: weight (alpha + 2 beta) = value.
+
+    With filters it is weight (alpha P(-1) + beta V(-1)) = value.
+    """
     plant = plant_models(hands, delay)
     sign = -1.0 if int(np.floor(delay)) % 2 == 0 else 1.0
     return (1.0 - plant.d1 + plant.d0) * -sign, plant.difference
+
+
+def _order_of(filters: Filters | None) -> int:
+    """Return how many samples back filters reach at most, or how many poles they have."""
+    if filters is None:
+        return 0
+    return max(filters[0].filter.transfer().order, filters[1].transfer().order)
 
 
 class _Intervals(NamedTuple):
@@ -115,13 +136,19 @@ class _Intervals(NamedTuple):
 
 
 class _Curve(NamedTuple):
-    """alpha and beta of patches, and square beta, where square = |N|^2 may vanish."""
+    """alpha and beta of patches, and both times ``square``, which may vanish.
+
+    Without filters the square is |N|^2. ``lift`` is how far alpha is from the line of a root at 1,
+    in units of h, to the side where p(1) > 0. ``forces`` bound |P N| and |V N| from above and |D|
+    from below: where the walls' force is too small there is no root.
+    """
 
     alpha: Moving
     beta: Moving
-    square_beta: Moving
+    square_gains: tuple[Moving, ...]  # beta; with filters alpha, too
     square: Moving
     lift: Moving
+    forces: Float64[np.ndarray, "3 patch"] | None = None
 
     @property
     def rests(self) -> Float64[np.ndarray, "2 patch"]:
@@ -135,28 +162,41 @@ class _Curve(NamedTuple):
 
         Where that is much, it is more than half of what was not known ``before`` the last halving.
         """
-        short = np.ones(self.lift.value.rest.shape, bool)
+        short, square = np.ones(self.lift.value.rest.shape, bool), self.square.value
         for gain, wanted, former in zip(
             (self.alpha.value, self.beta.value), width, before, strict=True
         ):
             moves = 2.0 * np.abs(gain.slope[0]) * gain.half[0]
             short &= (moves <= np.maximum(wanted, gain.rest)) & np.isfinite(gain.rest)
-            short &= (gain.rest <= _TOLERATED * wanted) | (gain.rest > _HELPS * former)
+            is_vain = gain.rest > _HELPS * former
+            if self.forces is not None:  # next to a pole halving helps later
+                is_vain &= square.swing < _CLEAR * np.abs(square.centre)
+            short &= (gain.rest <= _TOLERATED * wanted) | is_vain
         return short
 
     def is_outside(self, domain: Domain) -> Bool[np.ndarray, " patch"]:
-        """Say which patches lie wholly outside, or below alpha = -gamma."""
-        ends = [np.outer([0.0, 1.0], self.square.value.high) * end for end in domain.beta]
+        """Say which patches lie wholly outside, or beyond the line of a root at 1."""
         outside: np.ndarray = (
             self.alpha.value.is_off(*domain.alpha)
             | self.beta.value.is_off(*domain.beta)
-            | self.square_beta.value.is_off(ends[0].min(axis=0), ends[1].max(axis=0))
             | (self.lift.value.high < 0.0)
         )
+        square = np.stack([self.square.value.low, self.square.value.high])
+        if len(self.square_gains) == 1:  # |N|^2
+            square[0] = 0.0
+        for gain, limits in zip(self.square_gains, (domain.beta, domain.alpha), strict=False):
+            ends = np.stack([square * end for end in limits]).reshape(4, -1)
+            outside |= gain.value.is_off(ends.min(axis=0), ends.max(axis=0))
+        if self.forces is not None:
+            by_position, by_velocity, least = self.forces
+            most = [np.max(np.abs(limits)) for limits in domain]
+            outside |= most[0] * by_position + most[1] * by_velocity < least * (1.0 - _ROUNDING)
         return outside
 
 
-def _curve(plant: PlantModels, turns: int, intervals: _Intervals) -> _Curve:
+def _curve(
+    plant: PlantModels, turns: int, intervals: _Intervals, filters: Filters | None
+) -> _Curve:
     """Evaluate the closed form, as in ``jaxstab.region.curve`` for radius 1."""
     first, last = intervals.first, intervals.last
     theta, half_theta = 0.5 * (first + last), 0.5 * (last - first) * (1.0 + _ROUNDING)
@@ -170,16 +210,76 @@ def _curve(plant: PlantModels, turns: int, intervals: _Intervals) -> _Curve:
     sine_square = h * rest
     real, slope = d * q + sine_square * (eps * nu), q * eps - d * nu
     square = q * q + sine_square * (nu * nu)
-    over_square = square.reciprocal()
     square_beta = -(waves.sine_ratio * real + waves.cos_turns * slope)
-    beta = square_beta * over_square
-    lift = over_square * (
+    rise = (
         q * (kappa - plant.gamma * sigma)
         + rest * (waves.sine_ratio * slope + nu * (plant.gamma * nu - eps))
         + waves.lag_ratio * real
     )
+    if filters is not None:
+        plain = _Plain(h, plant.gamma, square, square_beta, rise - square_beta)
+        sizes = _least(d.value), np.sin(theta) * _least(eps), np.sqrt(square.value.high)
+        return _filtered(plain, theta, filters)._replace(
+            forces=_forces(filters, theta, half_theta, sizes)
+        )
+    over_square = square.reciprocal()
+    beta = square_beta * over_square
+    lift = over_square * rise
     lift = lift - beta
-    return _Curve(h * lift - plant.gamma, beta, square_beta, square, lift)
+    return _Curve(h * lift - plant.gamma, beta, (square_beta,), square, lift)
+
+
+class _Plain(NamedTuple):
+    """The curve without filters, alpha = h lift - gamma and beta, the last two times |N|^2."""
+
+    h: Moving
+    gamma: LinearModel
+    square: Moving
+    square_beta: Moving
+    square_lift: Moving
+
+
+def _filtered(plain: _Plain, theta: Patch, filters: Filters) -> _Curve:
+    """Return the curve with filters: a linear map of the one without, see lemma B12."""
+    h, gamma, square, square_beta, square_lift = plain
+    p_rise, p_slope, v_rise, v_slope = filter_models(filters, theta, gamma.half)
+    at_one = filter_ends(filters).position_at_one
+    p_zero = h * p_rise + at_one
+    square_alpha = h * square_lift - square * gamma
+    determinant = p_zero * v_slope - h * (p_slope * v_rise)
+    both_beta = p_zero * square_beta - p_slope * square_alpha
+    both_alpha = v_slope * square_alpha - h * (v_rise * square_beta)
+    tilt = (v_slope * p_rise - p_slope * v_rise) * (square * gamma)
+    both_lift = v_slope * square_lift - v_rise * square_beta + _scaled(tilt, 1.0 / at_one)
+    both = determinant * square
+    over_both = both.reciprocal()
+    lift = both_lift * over_both
+    alpha = h * lift - gamma * (1.0 / at_one)
+    beta = both_beta * over_both
+    return _Curve(alpha, beta, (both_beta, both_alpha), both, _scaled(lift, at_one))
+
+
+def _forces(
+    filters: Filters, theta: Patch, half: Patch, sizes: tuple[Patch, Patch, Patch]
+) -> Float64[np.ndarray, "3 patch"]:
+    """Bound |P N| and |V N| from above and |D| from below; ``sizes`` are of D and of N."""
+    real, imaginary, numerator = sizes
+    cells = filter_cells(filters)
+    values, _, lost = responses(cells, theta)
+    steep = largest_within(cells.steepness, cells, theta, half)
+    most = (np.abs(values) + lost[:2] + half * steep[:2]) * (1.0 + _ROUNDING)
+    least = np.hypot(real, np.maximum(imaginary - 2.0 * half, 0.0))  # |eps| <= 1
+    return np.stack([*(most * numerator), least])
+
+
+def _least(function: LinearModel) -> Patch:
+    """Bound the absolute value of a function from below."""
+    least: Patch = np.maximum(np.abs(function.centre) - function.swing, 0.0)
+    return least
+
+
+def _scaled(function: Moving, factor: float) -> Moving:
+    return Moving(function.value * factor, function.rate * factor)
 
 
 class _Waves(NamedTuple):

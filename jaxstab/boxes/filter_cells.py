@@ -57,7 +57,7 @@ class FilterCells(NamedTuple):
 @lru_cache(maxsize=32)
 def filter_cells(filters: Filters) -> FilterCells:
     """Return what filters in units of one sample do on the circle."""
-    chains = _factors(filters)
+    chains = factors_of(filters)
     edges = np.linspace(-_BEYOND, np.pi + _BEYOND, _FIRST_CELLS + 1)
     middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
     largest = np.zeros(2)
@@ -82,14 +82,14 @@ def filter_cells(filters: Filters) -> FilterCells:
         first=np.append(-_BEYOND, 0.5 * (ends[:-1] + (whole.middle - whole.half)[1:])),
         series=whole.series,
         lost=whole.lost,
-        steepness=_largest_from(whole.steepness),
+        steepness=largest_from(whole.steepness),
     )
 
 
 def responses_at(filters: Filters, z: Array) -> tuple[Array, Array]:
     """Return P and V at points on the circle, of NumPy or JAX, without a bound."""
     values = []
-    for chain in _factors(filters):
+    for chain in factors_of(filters):
         value = 1.0 + 0.0 * z
         for above, below in chain:
             one, other = (_at(part, 1.0 / z) for part in (above, below))
@@ -102,7 +102,7 @@ def _at(ascending: Polynomial, back: Array) -> Array:
     return reduce(lambda value, c: value * back + float(c.rounded()), ascending[::-1], 0.0 * back)
 
 
-def _factors(filters: Filters) -> tuple[list[Factor], list[Factor]]:
+def factors_of(filters: Filters) -> tuple[list[Factor], list[Factor]]:
     """Return short factors of P and of V, whose first one is (1 - z^-n) / n."""
     velocity, position = filters
     samples, stages = velocity.stages()
@@ -137,7 +137,7 @@ class _Known(NamedTuple):
         return _Known(*(part[which] for part in self))
 
 
-class _Circle(NamedTuple):
+class Circle(NamedTuple):
     """Cells of an angle, and 1 - e^(-i theta) in them: in their middles, or in all of them."""
 
     middle: Cells
@@ -146,7 +146,8 @@ class _Circle(NamedTuple):
     step: Series
 
     @classmethod
-    def of(cls, middle: Cells, half: Cells, is_wide: bool) -> "_Circle":
+    def of(cls, middle: Cells, half: Cells, is_wide: bool) -> "Circle":
+        """Return cells with the step in them."""
         return cls(middle, half, is_wide, difference(middle, half)[is_wide])
 
     def product(self, chain: list[Factor]) -> Series:
@@ -164,16 +165,16 @@ class _Circle(NamedTuple):
             weights = [float(one.rounded()) for one in ascending]
             return power_sum(weights, self.middle, self.half)[self.is_wide]
         one, first, second = (*ascending, _ZERO, _ZERO)[:3]
-        lost = _PAIRS_LOST * float(size_of(ascending))
         constant_, linear, square = (
-            self._known(number, lost)
+            self.known(number, ascending)
             for number in (one + first + second, -(first + second.scaled(2.0)), second)
         )
         return constant_ + self.step * (linear + self.step * square)
 
-    def _known(self, number: DoubleDouble, lost: float) -> Series:
+    def known(self, number: DoubleDouble, of: Polynomial) -> Series:
+        """Return the series of a number that was formed from some coefficients in pairs."""
         exact = constant(float(number.rounded()), len(self.middle))
-        exact.error[0] = lost + _EPS * abs(exact.value[0])
+        exact.error[0] = _PAIRS_LOST * float(size_of(of)) + _EPS * abs(exact.value[0])
         return exact
 
 
@@ -183,26 +184,26 @@ def _known_of(chains: tuple[list[Factor], list[Factor]], middle: Cells, size: Ce
         [_over_halves(chain, middle, half, is_wide) for chain in chains]
         for is_wide in (False, True)
     )
-    lost = [_lost(*both, half, k) for k in range(2) for both in zip(narrow, wide, strict=True)]
+    lost = [lost_of(*both, half, k) for k in range(2) for both in zip(narrow, wide, strict=True)]
     return _Known(
         middle=middle,
         half=size,
-        remainder=np.stack([_bound(of_cell, ORDERS - 1) for of_cell in wide], axis=-1)
+        remainder=np.stack([bound_of(of_cell, ORDERS - 1) for of_cell in wide], axis=-1)
         * half[:, None] ** (ORDERS - 1),
         size=np.stack([abs(f.value[0]) + abs(f.value[1]) * half for f in wide], axis=-1),
         series=np.stack([f.value[:-1].T for f in narrow], axis=1).astype(np.complex128),
         lost=np.stack(lost, axis=-1),
-        steepness=np.stack([factorial(k) * _bound(f, k) for k in (1, 2) for f in wide], axis=-1),
+        steepness=np.stack([factorial(k) * bound_of(f, k) for k in (1, 2) for f in wide], axis=-1),
     )
 
 
 def _over_halves(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool) -> Series:
     """Return a function of theta; next to pi it is that of -z and of pi - theta, conjugated."""
     is_near = middle < 0.5 * np.pi
-    near = _Circle.of(middle[is_near], half[is_near], is_wide).product(chain)
+    near = Circle.of(middle[is_near], half[is_near], is_wide).product(chain)
     folded = (np.pi - middle[~is_near]) + PI_REST
-    turned = [(_turned(above), _turned(below)) for above, below in chain]
-    far = _Circle.of(folded, half[~is_near], is_wide).product(turned)
+    mirrored = [(turned(above), turned(below)) for above, below in chain]
+    far = Circle.of(folded, half[~is_near], is_wide).product(mirrored)
     value = np.empty((ORDERS, len(middle)), complex)
     error = np.empty((ORDERS, len(middle)))
     signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
@@ -211,29 +212,31 @@ def _over_halves(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool)
     return Series(value, error)
 
 
-def _turned(ascending: Polynomial) -> Polynomial:
+def turned(ascending: Polynomial) -> Polynomial:
     """Return the polynomial of -z."""
     return tuple(-one if power % 2 else one for power, one in enumerate(ascending))
 
 
-def _bound(wide: Series, order: int) -> Cells:
+def bound_of(wide: Series, order: int) -> Cells:
     """Bound a coefficient in all of each cell."""
     bound = abs(wide.value[order]) + wide.error[order]
     return np.where(bound >= 0.0, bound, np.inf)
 
 
-def _lost(narrow: Series, wide: Series, half: Cells, derivative: int) -> Cells:
+def lost_of(narrow: Series, wide: Series, half: Cells, derivative: int) -> Cells:
     """Bound what the sum of a series, or of its derivative, has lost."""
-    total = 4.0 * _EPS * factorial(derivative + 1) * _bound(wide, derivative + 1)  # of theta
+    total = 4.0 * _EPS * factorial(derivative + 1) * bound_of(wide, derivative + 1)  # of theta
     for k in range(derivative, ORDERS - 1):
         error = narrow.error[k] + 2 * ORDERS * _EPS * abs(narrow.value[k])
         total += perm(k, derivative) * error * half ** (k - derivative)
     last = ORDERS - 1
-    total += perm(last, derivative) * _bound(wide, last) * half ** (last - derivative)
+    total += perm(last, derivative) * bound_of(wide, last) * half ** (last - derivative)
     return np.where(total >= 0.0, total, np.inf)
 
 
-def _largest_from(cells: Float64[np.ndarray, "cell 4"]) -> Float64[np.ndarray, "k cell 4"]:
+def largest_from(
+    cells: Float64[np.ndarray, "cell bound"],
+) -> Float64[np.ndarray, "k cell bound"]:
     """Return the largest of 2^k rows from each one on, for each k."""
     rows, span = [cells], 1
     while 2 * span <= len(cells):

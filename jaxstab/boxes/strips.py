@@ -12,11 +12,15 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from jaxstab.boxes.enclosure import Domain, Patches, curve_patches, minus_line_models
+from jaxstab.boxes.filter_parts import Ends, filter_ends
+from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.plant import HandBoxes
+from jaxstab.model.filters import Filters
 
 _PATCHES_PER_CELL = 2.0
 _PATCHES_PER_DOMAIN = 256.0  # along alpha
 _MARGIN = 0.1  # of the domain along alpha: a strip that leaves it leaves it for good
+_EPS = 16 * np.finfo(np.float64).eps
 _EDGE = 1e-9  # of a column: it reaches beyond its edges, so that rounding finds no gap
 
 
@@ -58,15 +62,30 @@ def strips_of(
     hands: HandBoxes,
     delay: float,
     domain: Domain,
+    filters: Filters | None = None,
 ) -> Strips:
-    """Return the strips of all columns, in order from below and apart from each other."""
+    """Return the strips of all columns, in order from below and apart from each other.
+
+    ``filters`` are the velocity estimator and the position filter, in units of one sample.
+    """
     height = domain.alpha[1] - domain.alpha[0]
     cell = (beta[-1] - beta[0]) / (beta.size - 1)
     width = (height / _PATCHES_PER_DOMAIN, cell / _PATCHES_PER_CELL)
     wide = widened(domain)
-    patches = curve_patches(hands, delay, wide, width)
-    lines = _line_strips(columns, hands, delay, wide, beta.size - 1)
+    ends = Ends(1.0, (1.0, 2.0), 0.0) if filters is None else _checked_ends(filters)
+    patches = curve_patches(hands, delay, wide, width, filters)
+    lines = _line_strips(columns, hands, delay, wide, ends)
     return _merged(_joined(_curve_strips(patches, columns, beta, height), lines), columns)
+
+
+def _checked_ends(filters: Filters) -> Ends:
+    ends = filter_ends(filters)
+    if ends.position_at_one == 0.0:
+        raise ValueError(
+            f"position is {filters[1]}, whose gain at z = 1 is 0: it holds no hand at rest; give a "
+            "filter that passes what does not move."
+        )
+    return ends
 
 
 def widened(domain: Domain) -> Domain:
@@ -89,27 +108,58 @@ def columns_of(beta: Float64[np.ndarray, " edge"], hands: HandBoxes) -> Columns:
 
 
 def _line_strips(
-    columns: Columns, hands: HandBoxes, delay: float, domain: Domain, cells: int
+    columns: Columns, hands: HandBoxes, delay: float, domain: Domain, ends: Ends
 ) -> Strips:
-    """Return the lines of a real root at 1, alpha = -gamma, and at -1."""
+    """Return the lines of a real root at 1, alpha P(1) = -gamma, and at -1."""
     beta, gamma, _ = columns.centre.T
-    at_one = np.broadcast_to([0.0, -1.0, 0.0], columns.centre.shape)
+    cells = beta.size // hands.gamma.size
+    per_gamma = -1.0 / ends.position_at_one
+    at_one = np.broadcast_to([0.0, per_gamma, 0.0], columns.centre.shape)
+    lost_at_one = ends.lost * np.abs(per_gamma) * (gamma + columns.half[:, 1])
     value, weight = minus_line_models(hands, delay)
-    farthest = np.max(np.abs(domain.alpha)) + 2.0 * np.max(np.abs(domain.beta))
-    off = (value.low > farthest * weight.size) | (value.high < -farthest * weight.size)
-    sum_of_gains = value * weight.reciprocal()
+    line, per_beta, error = _minus_line(value, weight, columns, domain, ends)
     centre, *slope = (
-        np.repeat(np.where(off, np.nan, part), cells)
-        for part in (sum_of_gains.centre, *sum_of_gains.slope)
+        np.where(np.isnan(error), np.nan, np.repeat(part, cells))
+        for part in (line.centre, *line.slope)
     )
-    error = np.repeat(np.where(off, np.nan, sum_of_gains.rest), cells)
-    at_minus_one = np.stack([np.full_like(beta, -2.0), *slope], axis=-1)
+    at_minus_one = np.stack([np.full_like(beta, per_beta), *slope], axis=-1)
     return Strips(
-        np.stack([-gamma, centre - 2.0 * beta], axis=-1),
+        np.stack([per_gamma * gamma, centre + per_beta * beta], axis=-1),
         np.stack([at_one, at_minus_one], axis=1),
-        np.stack([np.zeros_like(gamma), error], axis=-1),
+        np.stack([lost_at_one, error], axis=-1),
         np.stack([np.zeros_like(gamma, bool), error == np.inf], axis=-1),
     )
+
+
+def _minus_line(
+    value: LinearModel, weight: LinearModel, columns: Columns, domain: Domain, ends: Ends
+) -> tuple[LinearModel, float, Float64[np.ndarray, " column"]]:
+    """Return the line of a root at -1: alpha at beta = 0, per beta, and its error in each column.
+
+    The error is NaN where no wall of the domain is on the line, and infinite where all may be.
+    """
+    beta, half = columns.centre[:, 0], columns.half[:, 0]
+    cells = beta.size // value.centre.size
+    per_alpha, per_damping = ends.at_minus_one
+    farthest = np.max(np.abs(domain.alpha)), np.max(np.abs(domain.beta))
+    if per_alpha == 0.0:  # where a wall is on the line depends on its damping alone
+        gains = np.abs(per_damping) * np.array([np.abs(beta) + half, half])
+        gains[0] *= 1.0 + ends.lost
+        middle = np.repeat(value.centre, cells) - np.repeat(weight.centre, cells) * (
+            per_damping * beta
+        )
+        reach = np.repeat(value.swing, cells) + np.repeat(weight.swing, cells) * gains[0]
+        reach += np.repeat(np.abs(weight.centre), cells) * (gains[1] + ends.lost * gains[0])
+        off = np.abs(middle) > reach * (1.0 + ends.lost) + _EPS * np.abs(middle)
+        return value * 0.0, 0.0, np.where(off, np.nan, np.inf)
+    lost = ends.lost * (np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1])
+    reach = np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1] + lost
+    off = (value.low > reach * weight.size) | (value.high < -reach * weight.size)
+    line = value * weight.reciprocal()
+    if per_alpha != 1.0:
+        line = line * (1.0 / per_alpha)
+    error = np.where(off, np.nan, line.rest + lost / np.abs(per_alpha))
+    return line, -per_damping / per_alpha, np.repeat(error, cells)
 
 
 class _Runs(NamedTuple):
@@ -183,7 +233,8 @@ def _distances(
     tilt = alpha.slope[:, patch] - per_beta * gain.slope[:, patch]
     tilt[1:] -= slope[runs.number, 1:].T
     half_width = np.sum(np.abs(tilt) * alpha.half[:, patch], axis=0)
-    return off, half_width + alpha.rest[patch] + np.abs(per_beta) * gain.rest[patch]
+    with np.errstate(invalid="ignore"):  # a slope of 0 times no bound
+        return off, half_width + alpha.rest[patch] + np.abs(per_beta) * gain.rest[patch]
 
 
 def _slopes(

@@ -87,7 +87,7 @@ def _plain_wall(gains: Gains, back: Complexes) -> Wall:
 def _filtered_wall(gains: Gains, cells: FilterCells) -> Wall:
     alpha, beta, by_alpha, by_beta, theta, by_theta = gains
     (position, velocity), (position_theta, velocity_theta), lost = responses(cells, theta)
-    steep = steepness_within(cells.steepness, cells, theta, by_theta)
+    steep = largest_within(cells.steepness, cells, theta, by_theta)
     most_alpha, most_beta = np.abs(alpha) + by_alpha, np.abs(beta) + by_beta
     value = alpha * position + beta * velocity
     change = by_alpha * np.abs(position) + by_beta * np.abs(velocity)
@@ -127,7 +127,7 @@ def responses(cells: FilterCells, theta: Reals) -> tuple[np.ndarray, np.ndarray,
     return value, slope, np.where(is_inside, cells.lost[number].T, np.inf)
 
 
-def steepness_within(
+def largest_within(
     steepness: np.ndarray, cells: FilterCells, theta: Reals, by_theta: Reals
 ) -> np.ndarray:
     """Return the largest of bounds of cells in theta +- by_theta; infinite beyond the cells."""

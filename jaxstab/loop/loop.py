@@ -214,11 +214,9 @@ class HapticLoop(LoopWithWalls):
 
         Raises:
             ValueError: a range is out of order.
-            NotImplementedError: the loop has an estimator or a filter.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
         """
-        self._refuse_filters("robust_limit")
         return ranges.robust_limit(self, hands)
 
     def _reachable(self) -> WallRegion:

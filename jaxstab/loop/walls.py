@@ -6,7 +6,6 @@ from jaxtyping import Bool, Complex128, Int8
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers
 from jaxstab.model import LoopParameters, checked_gain, require_x64
-from jaxstab.model.filters import given_filters
 from jaxstab.motion import Amplitude, Oscillation, Response, Settling
 from jaxstab.motion.settling import HORIZON, Excitation
 from jaxstab.numbers import checked
@@ -316,11 +315,3 @@ class LoopWithWalls(LoopParameters):
         require_x64(stiffness, damping)
         alpha = self.alpha(checked_gain("stiffness", stiffness))
         return alpha, self.beta(checked_gain("damping", damping))
-
-    def _refuse_filters(self, method: str) -> None:
-        """Refuse an estimator or a filter where what computes cannot take one yet."""
-        if given_filters(**self.filters):
-            raise NotImplementedError(
-                f"{method} is not answered for loops with a velocity estimator or a position "
-                "filter yet; give a loop without."
-            )

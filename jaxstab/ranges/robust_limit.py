@@ -17,7 +17,9 @@ from jaxstab.boxes.columns import column_gaps
 from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.conventions import Verdict
+from jaxstab.model.filters import known_filters
 from jaxstab.ranges.hands import HandRange, Loop, checked_range, held, spread_hands, worst_hand
+from jaxstab.ranges.robust_region import reachable
 from jaxstab.region import RegionStatus, stable_region
 
 _COLUMNS = 64
@@ -41,7 +43,8 @@ class RobustLimit(NamedTuple):
         damping: B of that wall.
         is_proved: whether it is.
         limit: no stiffer wall is stable for every hand: above it, each wall within the span of the
-            sampled hands' stable regions is proved unstable for one of them.
+            sampled hands' stable regions is proved unstable for one of them. With an estimator or a
+            filter the span is that of the components that small gains lead to.
         loop: the loop with the hand that sets the limit.
     """
 
@@ -135,11 +138,12 @@ def _common_domain(loops: list[Loop]) -> Domain | None:
     """Return the span of stiffness and damping that all stable regions share, in SI units."""
     low, high = np.full(2, -np.inf), np.full(2, np.inf)
     for loop in loops:
-        region = stable_region(loop.gamma, loop.delta, loop.delay_samples)
+        region = stable_region(loop.gamma, loop.delta, loop.delay_samples, **loop.filters)
         if region.status == RegionStatus.UNRESOLVED:
             continue
         if region.is_empty:
             return None
+        region = reachable(region, known_filters(**loop.filters))
         points = np.nan_to_num(region.points) * [loop.stiffness(1.0), loop.damping(1.0)]
         beyond = _BEYOND * np.ptp(points, axis=0)
         low = np.maximum(low, points.min(axis=0) - beyond)
@@ -162,7 +166,8 @@ def _gaps(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain
             (loop.alpha(domain.alpha[0]), loop.alpha(domain.alpha[1])),
             (loop.beta(domain.beta[0]), loop.beta(domain.beta[1])),
         )
-        gaps = column_gaps(loop.beta(edges), hand, loop.delay_samples, own)
+        filters = known_filters(**loop.filters)
+        gaps = column_gaps(loop.beta(edges), hand, loop.delay_samples, own, filters)
         parts.append([loop.stiffness(gaps.low[0]), loop.stiffness(gaps.high[0]), gaps.verdict[0]])
     low, high, verdict = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     # All hands end at the same stiffness, which rounding must not take apart.

@@ -219,13 +219,7 @@ class _Sample:
                     **as_keywords(self.filters),
                 )
                 if region.status != RegionStatus.UNRESOLVED:  # the proof covers this hand too
-                    self.regions.append(self._component(region))
-
-    def _component(self, region: StableRegion) -> StableRegion:
-        """Return what is looked at of a hand's region: with filters it may have islands."""
-        if self.filters is None or region.is_empty:
-            return region
-        return region.main or region.components[0]
+                    self.regions.append(reachable(region, self.filters))
 
     def intersection(self) -> Points:
         """Return a polygon of the spans of some rows of the intersection; no point if none is met.
@@ -259,6 +253,13 @@ class _Sample:
         limits = np.stack([np.asarray(region.alpha_limits(rows)) for region in self.regions])
         limits = np.where(np.isnan(limits), [np.inf, -np.inf], limits)
         return limits[..., 0].max(axis=0), limits[..., 1].min(axis=0)
+
+
+def reachable(region: StableRegion, filters: Filters | None) -> StableRegion:
+    """Return what is looked at of a hand's region: with filters it may have islands."""
+    if filters is None or region.is_empty:
+        return region
+    return region.main or region.components[0]
 
 
 def _pulled_in(outline: Points, tolerance: float) -> Points:
