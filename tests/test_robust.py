@@ -1,5 +1,7 @@
 """Robust regions against certified root counts and against the passive region."""
 
+from dataclasses import replace
+from itertools import product
 from math import pi
 
 import numpy as np
@@ -162,11 +164,16 @@ def test_the_robust_limit_of_a_loop_with_a_window_is_bounded_from_both_sides() -
     found = loop.robust_limit(hands)
     assert found.is_proved
     assert found.stiffness < found.limit < 1.03 * found.stiffness
-    one = found.loop
-    judge = filtered.FilteredLoop(
-        one.gamma, one.delta, 1.0, filtered.difference(20), filtered.average(1)
-    )
-    assert judge.code(one.alpha(found.stiffness), one.beta(found.damping)) == Verdict.STABLE
-    dampings = one.beta(np.linspace(0.2, 3.0, 13) * found.damping)
-    stiffer = one.alpha(1.001 * found.limit)
-    assert all(judge.code(stiffer, float(beta)) == Verdict.UNSTABLE for beta in dampings)
+    judges = []
+    for spring, damper in product(hands.stiffness, hands.damping):
+        one = replace(loop, hand_stiffness=spring, hand_damping=damper)
+        judges.append(
+            filtered.FilteredLoop(
+                one.gamma, one.delta, 1.0, filtered.difference(20), filtered.average(1)
+            )
+        )
+    wall = loop.alpha(found.stiffness), loop.beta(found.damping)
+    assert all(judge.code(*wall) == Verdict.STABLE for judge in judges)
+    for beta in loop.beta(np.linspace(0.4, 2.0, 5) * found.damping):
+        codes = [judge.code(loop.alpha(1.001 * found.limit), float(beta)) for judge in judges]
+        assert Verdict.UNSTABLE in codes
