@@ -5,6 +5,7 @@ of all products stay what they are, so that sums, their rounding and their tails
 to the boundary of stability, too (lemmas M3 to M5 of docs/proofs.md).
 """
 
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -56,15 +57,23 @@ def impulse_sums(systems: Systems) -> Float64[np.ndarray, "loop output input"]:
             size = _norm(powers[-1])
             is_small = size <= _SMALL
             if np.any(is_small):
-                some = lanes[is_small]
-                chosen = [power[is_small] for power in powers]
-                sums[some] = _sums(systems.chosen(some), chosen, size[is_small])
+                for some in _parts(np.flatnonzero(is_small), systems, len(powers)):
+                    chosen = [power[some] for power in powers]
+                    sums[lanes[some]] = _sums(systems.chosen(lanes[some]), chosen, size[some])
             is_open = (size < _HOPELESS) & ~is_small
             if not np.any(is_open):
                 break
             lanes, powers = lanes[is_open], [power[is_open] for power in powers]
             powers.append(powers[-1] @ powers[-1])
     return sums
+
+
+def _parts(loops: np.ndarray, systems: Systems, powers: int) -> list[np.ndarray]:
+    """Cut a list of loops so that the vectors of each part fill no more memory than they may."""
+    longest = 2.0 ** (0.5 * min(powers + _FURTHER, _SUMMED))
+    width = longest * (systems.inputs.shape[2] + systems.outputs.shape[1])
+    count = ceil(len(loops) * systems.inputs.shape[1] * width / _NUMBERS)
+    return np.array_split(loops, min(count, len(loops)))
 
 
 class _Contraction(NamedTuple):
