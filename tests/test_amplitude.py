@@ -13,6 +13,7 @@ import jaxstab
 from benchmarks.amplitudes import excess_of_runs, excess_of_signals, random_case
 from benchmarks.truth import impulse
 from jaxstab import AmplitudeStatus, Filter, HapticLoop, Velocity, amplitude
+from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls
 
 Case = tuple[dict[str, Any], list[impulse.Taps], list[impulse.Taps]]
@@ -212,6 +213,14 @@ def test_check_of_a_scene_tells_how_far_its_encoder_drives_it() -> None:
     ends = ["31.2 um", "0.06 N", "proved", "not proved", "not proved"]
     assert all(line.endswith(f"  {end}") for line, end in zip(chatter, ends, strict=True))
     assert answer.as_json()["hard"]["chatter_at_most"] is None
+
+
+def test_a_picture_draws_lines_of_equal_amplitude() -> None:
+    figure = scene_figure(Scene.from_table(SCENE))
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "encoder of 10 um: chatters by less, proved" in labels
+    names = [text.get_text() for text in figure.axes[0].texts]
+    assert "10 um" in names
 
 
 def test_check_of_hands_takes_the_largest_and_of_rotation_the_units() -> None:

@@ -17,7 +17,7 @@ from jaxstab.scene.answers import Quantity
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import Check
 from jaxstab.scene.loops import corner_loops, hands_of, is_plain, loop_of, reachable, wall_region
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.scene import Encoder, Scene
 from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
 
@@ -29,10 +29,12 @@ _CORNER = 1e-6  # of all rows: how far the outer ones are inside
 _ZOOMS = 3  # towards the rows that are
 _COLUMNS = 64  # of the map of settling times, and rows
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
+_CALM_COLUMNS = 40  # of the map of amplitudes, and rows
+_COUNTS = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
 _LONGEST = 50.0  # of the shortest settling time: the slowest line that is drawn
 _HORIZON = 4096  # samples
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
-_STIFFNESS, _DAMPING, _TIME = (Quantity(unit, 3) for unit in ("N/m", "N s/m", "s"))
+_STIFFNESS, _DAMPING, _TIME, _LENGTH = (Quantity(unit, 3) for unit in ("N/m", "N s/m", "s", "m"))
 
 Floats = NDArray[np.float64]
 
@@ -73,6 +75,9 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
     _set_window(panels[0], np.concatenate([region.outline, gains, np.zeros((1, 2))]))
     _draw_settling(panels[0], loop, region)
+    encoder = scene.device.encoder
+    if encoder is not None:
+        _draw_chatter(panels[0], loop, region, encoder, scene.units)
     _draw_best(panels[0], loop, region, scene.units)
     panels[0].set_title("stable walls, and how long they take to settle")
     planes = [panels[0]]
@@ -233,10 +238,34 @@ def _draw_best(panel: Axes, loop: HapticLoop, region: WallRegion, units: Units) 
     )
 
 
+def _draw_chatter(
+    panel: Axes, loop: HapticLoop, region: WallRegion, encoder: Encoder, units: Units
+) -> None:
+    """Draw lines of equal bounds of what the encoder's rounding does to the position."""
+    resolution = encoder.resolution
+    stiffness, damping = _columns_and_rows(region, _CALM_COLUMNS)
+    found = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
+    counts = np.where(np.isfinite(found.position), found.position / resolution, np.nan)
+    fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
+    levels = [count for count in _COUNTS if fewest < count < most]
+    if not levels:
+        return
+    lines = panel.contour(
+        stiffness, damping, counts, levels, colors=PURPLE, linewidths=0.7, linestyles="dashed"
+    )
+    panel.clabel(lines, fmt=lambda count: _LENGTH.words(count * resolution, units), fontsize=7)
+    label = f"encoder of {_LENGTH.words(resolution, units)}: chatters by less, proved"
+    panel.plot([], [], color=PURPLE, lw=0.7, ls="dashed", label=label)
+
+
+def _columns_and_rows(region: WallRegion, count: int) -> Floats:
+    """Return values of K and of B (2, count) that span the region."""
+    return np.linspace(region.outline.min(axis=0), region.outline.max(axis=0), count).T
+
+
 def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     """Draw lines of equal settling time to 2 %, in ms."""
-    low, high = region.outline.min(axis=0), region.outline.max(axis=0)
-    stiffness, damping = np.linspace(low, high, _COLUMNS).T
+    stiffness, damping = _columns_and_rows(region, _COLUMNS)
     found = loop.settling_time(stiffness[None, :], damping[:, None], horizon=_HORIZON)
     times = np.where(np.isfinite(found.value), 1e3 * np.asarray(found.value), np.nan)
     if np.isnan(times).all():
