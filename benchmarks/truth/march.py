@@ -1,5 +1,7 @@
 """The motion of device, hand and wall on a grid finer than the sampling period, by scipy."""
 
+from typing import NamedTuple
+
 import numpy as np
 import scipy.linalg
 import scipy.signal
@@ -68,6 +70,15 @@ def butterworth_taps(cutoff: float, order: int) -> list[Taps]:
     return [(row[:3].tolist(), row[3:].tolist()) for row in sections]
 
 
+class Plant(NamedTuple):
+    """x' = A x + B_wall u + B_hand w, with the position C x."""
+
+    a: np.ndarray
+    wall: np.ndarray
+    hand: np.ndarray
+    c: np.ndarray
+
+
 def march_through_filters(
     plant: tuple[float, float, float],
     wall: tuple[float, float],
@@ -79,35 +90,58 @@ def march_through_filters(
     start: tuple[float, float] = (0.0, 0.0),
     unilateral: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sampled states and forces of (gamma, delta, delay) at (alpha, beta), filters by lfilter.
+    """Sampled states and forces of (gamma, delta, delay) at (alpha, beta), filters by lfilter."""
+    gamma, delta, delay = plant
+    force, shown = np.array([0.0, 1.0]), np.array([1.0, 0.0])
+    mass = Plant(np.array([[0.0, 1.0], [-gamma, -delta]]), force, force, shown)
+    return march_of_plant(
+        mass, delay, wall, velocity, position, samples,
+        push=push, start=np.array(start), unilateral=unilateral,
+    )  # fmt: skip
+
+
+def march_of_plant(
+    plant: Plant,
+    delay: float,
+    wall: tuple[float, float],
+    velocity: list[Taps],
+    position: list[Taps],
+    samples: int,
+    *,
+    push: float = 0.0,
+    start: np.ndarray,
+    unilateral: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sampled states and forces of any plant in units of one sample, filters by lfilter.
 
     The device stood where it starts before time 0.
     """
-    gamma, delta, delay = plant
+    size = len(plant.c)
+    rates = np.zeros((size + 2, size + 2))
+    rates[:size] = np.column_stack([plant.a, plant.wall, plant.hand])
     whole, fraction = divmod(delay, 1.0)
-    rates = np.array([[0.0, 1.0, 0.0], [-gamma, -delta, 1.0], [0.0, 0.0, 0.0]])
-    early, late = (scipy.linalg.expm(rates * t)[:2] for t in (fraction, 1.0 - fraction))
+    early, late = (scipy.linalg.expm(rates * t)[:size] for t in (fraction, 1.0 - fraction))
     memories = []
     for chain in (velocity, position):
-        value, memory = start[0], []
+        value, memory = plant.c @ start, []
         for above, below in chain:
             memory.append(scipy.signal.lfilter_zi(above, below) * value)
             value *= sum(above) / sum(below)
         memories.append(memory)
-    state, queue, acting, states, forces = np.array(start), [0.0] * int(whole), 0.0, [], []
+    state, queue, acting, states, forces = start, [0.0] * int(whole), 0.0, [], []
     for _ in range(samples):
-        outputs = []
+        shown, outputs = plant.c @ state, []
         for chain, memory in zip((velocity, position), memories, strict=True):
-            value = state[:1]
+            value = np.array([shown])
             for number, taps in enumerate(chain):
                 value, memory[number] = scipy.signal.lfilter(*taps, value, zi=memory[number])
             outputs.append(float(value[0]))
         force = -(wall[0] * outputs[1] + wall[1] * outputs[0])
-        queue.append(force * (state[0] > 0.0) if unilateral else force)
+        queue.append(force * (shown > 0.0) if unilateral else force)
         states.append(state)
         arriving = queue.pop(0)
         forces.append(acting if fraction else arriving)
-        state = early @ [*state, acting + push]
-        state = late @ [*state, arriving + push]
+        state = early @ [*state, acting, push]
+        state = late @ [*state, arriving, push]
         acting = arriving
     return np.array(states), np.array(forces)

@@ -4,7 +4,8 @@ Between two events (a sample, the arrival of a delayed force) the force is const
 transition is exact there. This route shares the plant with p(z), but neither z nor polynomials.
 """
 
-from functools import lru_cache
+from functools import lru_cache, reduce
+from operator import add, mul
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +14,10 @@ from jaxtyping import Float64
 from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, repeat_and_keep
 from jaxstab.batches import compiled
 from jaxstab.model import LoopParameters, checked_gain, plant_transition, require_x64
-from jaxstab.model.filters import given_filters
+from jaxstab.model.device import Device
+from jaxstab.model.filters import Filters, given_filters
 from jaxstab.motion.controller import Controller
+from jaxstab.motion.mechanics import mechanics
 from jaxstab.numbers import checked, checked_count
 
 
@@ -59,10 +62,13 @@ def simulate(
     filters = given_filters(**loop.filters)
     whole, fraction = divmod(loop.delay_samples, 1.0)
     offsets = np.arange(between + 2) / (between + 1)
-    walls = list(namespace(values).broadcast_arrays(*values))
+    *walls, position, velocity = namespace(values).broadcast_arrays(*values)
+    propagate = propagator(loop.gamma, loop.delta, fraction, offsets)
     x, v, f = _simulate(
         walls,
-        propagator(loop.gamma, loop.delta, fraction, offsets),
+        [position, velocity],
+        propagate[-1],
+        propagate[:-1],
         offsets[:-1] < fraction,
         None if filters is None else Controller.of(filters),
         samples=samples,
@@ -71,6 +77,83 @@ def simulate(
     )
     time = np.arange(x.shape[-1]) * (period / (between + 1))
     return Response(float_arrays(time, x)[0], x, v / period, f * (loop.mass / period**2))
+
+
+def simulate_device(
+    device: Device,
+    sample_time: float,
+    delay: float,
+    filters: Filters | None,
+    stiffness: Numbers,
+    damping: Numbers,
+    *,
+    samples: int = 200,
+    force: Numbers = 0.0,
+    initial_velocity: Numbers = 0.0,
+    initial_position: Numbers = 0.0,
+    between: int = 0,
+    unilateral: bool = False,
+) -> Response:
+    """Simulate a general device against a virtual wall; see ``HapticLoop.simulate``.
+
+    The hand's force pulls at the handle, behind the actuators. What starts with a velocity was
+    thrown by a blow at the handle; what starts displaced stood there, its actuators without force.
+
+    Args:
+        device: with its hands and actuators.
+        sample_time: T in s.
+        delay: in samples.
+        filters: estimator and filter in SI units.
+        stiffness: K in N/m, any shape; broadcasts with the four other arrays.
+        damping: B in N s/m.
+        samples: how many samples to simulate.
+        force: a step in N.
+        initial_velocity: in m/s.
+        initial_position: in m.
+        between: how many equidistant points to return between two samples.
+        unilateral: whether the wall acts only while the sampled position is positive.
+
+    Raises:
+        ValueError: an argument is infinite or NaN, nothing moves the device, a count is too small,
+            a blow cannot throw the device, or it does not give way to a constant force.
+        RuntimeError: JAX arrays are given without x64.
+    """
+    require_x64(stiffness, damping, force, initial_velocity, initial_position)
+    checked_count("samples", samples, 1)
+    checked_count("between", between, 0)
+    values = float_arrays(
+        checked_gain("stiffness", stiffness),
+        checked_gain("damping", damping) / sample_time,
+        checked("force", force),
+        checked("initial_position", initial_position),
+        checked("initial_velocity", initial_velocity) * sample_time,
+    )
+    _require_excitation(*values[2:])
+    whole, fraction = divmod(delay, 1.0)
+    offsets = np.arange(between + 2) / (between + 1)
+    moves = mechanics(device, sample_time, fraction, tuple(offsets.tolist()))
+    *walls, position, velocity = namespace(values).broadcast_arrays(*values)
+    start = [one * position for one in moves.at_rest]
+    if is_traced(velocity) or np.any(velocity):
+        if moves.thrown is None:
+            raise ValueError(
+                "initial_velocity is given, but a blow does not throw this device: its compliance "
+                "has not two degrees more in the denominator; give force or initial_position."
+            )
+        start = [one + k * velocity for one, k in zip(start, moves.thrown, strict=True)]
+    x, v, f = _simulate(
+        walls,
+        start,
+        moves.rows[-1],
+        moves.seen[:-1],
+        offsets[:-1] < fraction,
+        None if filters is None else Controller.of(filters, sample_time),
+        samples=samples,
+        whole_delay=int(whole),
+        unilateral=unilateral,
+    )
+    time = np.arange(x.shape[-1]) * (sample_time / (between + 1))
+    return Response(float_arrays(time, x)[0], x, v / sample_time, f)
 
 
 def propagator(
@@ -113,7 +196,9 @@ def _propagator_of_one(
 @compiled(static=["samples", "whole_delay", "unilateral"])
 def _simulate(
     walls: list[Array],
-    propagate: Array,
+    start: list[Array],
+    rows: Array,
+    seen: Array,
     early: Array,
     controller: Controller | None,
     *,
@@ -123,21 +208,23 @@ def _simulate(
 ) -> tuple[Array, Array, Array]:
     """Return position, velocity and force; the times are on the last axis.
 
-    Only the step from sample to sample is a loop; what lies between follows from it at once.
+    Only the step from sample to sample is a loop; what lies between follows from it at once. The
+    first state of the plant is the position. The rows take states, the force that acts up to the
+    fraction of the delay, the one from then on, and the one that acts all the time.
     """
-    xp = namespace(walls, propagate)
-    rows = propagate[-1]
+    xp = namespace(walls, start, rows)
     if xp is np:
         rows = rows.tolist()
     if xp is np and not walls[0].ndim:  # numbers of Python are several times faster here
-        walls = [wall.item() for wall in walls]
-    alpha, beta, push, position, velocity = walls
+        walls, start = [wall.item() for wall in walls], [state.item() for state in start]
+    alpha, beta, push = walls
 
-    # The state: position, velocity, what the controller remembers (the position at the last sample,
+    # The state: that of the plant, what the controller remembers (the position at the last sample,
     # or what filters do), the force at the end of the last hold, and the forces on their way, the
     # next one to arrive first. NumPy and Python are quick with plain tuples.
     def step(state: Any) -> tuple[tuple[Any, ...], tuple[Array, ...]]:
-        x, v, memory, acting, waiting = state
+        plant, memory, acting, waiting = state
+        x = plant[0]
         if controller is None:
             force = -(alpha * x + beta * (x - memory))
             memory = x
@@ -148,18 +235,29 @@ def _simulate(
             force = force * (x > 0.0)
         line: tuple[Array, ...] = (*waiting, force)
         arriving = line[0]
-        moved = [a * x + b * v + c * acting + d * arriving + e * push for a, b, c, d, e in rows]
-        return (*moved, memory, arriving, line[1:]), (x, v, acting, arriving, push)
+        causes = (*plant, acting, arriving, push)
+        return (_moved(rows, causes), memory, arriving, line[1:]), causes
 
+    position = start[0]
     rest = 0.0 * position
     memory = position if controller is None else controller.at_rest(position)
-    start = (position, velocity, memory, rest, (rest,) * whole_delay)
-    _, history = repeat_and_keep(samples, step, start)
+    first = (tuple(start), memory, rest, (rest,) * whole_delay)
+    _, history = repeat_and_keep(samples, step, first)
     causes = xp.stack([xp.moveaxis(xp.asarray(cause), 0, -1) for cause in history])
-    paths = xp.einsum("ork,k...s->r...so", propagate[:-1], causes)
-    held = xp.where(early, causes[2][..., None], causes[3][..., None])
+    paths = xp.einsum("ork,k...s->r...so", seen, causes)
+    held = xp.where(early, causes[-3][..., None], causes[-2][..., None])
     x, v, f = (xp.reshape(path, (*path.shape[:-2], -1)) for path in (*paths, held))
     return x, v, f
+
+
+def _moved(rows: Any, causes: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Return the states of the plant a sample later."""
+    if len(causes) == 5:  # one mass, twice as fast so
+        x, v, acting, arriving, push = causes
+        return tuple(
+            [a * x + b * v + c * acting + d * arriving + e * push for a, b, c, d, e in rows]
+        )
+    return tuple([reduce(add, map(mul, row, causes)) for row in rows])
 
 
 def _require_excitation(*causes: Array) -> None:

@@ -17,21 +17,16 @@ from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
-from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.controller import PLAIN, Bank
+from jaxstab.model.device import Device, sampled_device
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.motion.controller import Bank
+from jaxstab.motion.mechanics import mechanics
 from jaxstab.motion.response import propagator
-from jaxstab.motion.state_space import (
-    FORCE,
-    POSITION,
-    VELOCITY,
-    Matrices,
-    bank_for,
-    groups,
-    steps_of,
-    units_of,
-)
+from jaxstab.motion.state_space import Matrices, bank_for, groups
+from jaxstab.motion.transition import Loops, device_loops, loops_of
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdict.door import verdict
+from jaxstab.point.verdict.linear import linear_verdict
 
 Excitation = Literal["force", "impact"]
 
@@ -127,7 +122,74 @@ def settling_samples(
     codes = verdict(alpha, beta, gamma, delta, delay, velocity=velocity, position=position)
     is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
     lanes = *gains, *entries, np.floor(delay), ~is_unstable
-    first = on_host(search, *lanes, shape=grid, like=np.float64)
+    return _settled(on_host(search, *lanes, shape=grid, like=np.float64), is_unstable)
+
+
+def device_settling_samples(
+    device: Device,
+    sample_time: float,
+    delay: float,
+    filters: Filters | None,
+    stiffness: Numbers,
+    damping: Numbers,
+    level: float = 0.02,
+    *,
+    excitation: Excitation = "force",
+    horizon: int = HORIZON,
+) -> Settling:
+    """Count the samples until a general device stays within a tolerance; ``settling_samples``.
+
+    The force is the hand's, at the handle, and so is the blow of an impact: behind the actuators.
+
+    Args:
+        device: with its hands and actuators.
+        sample_time: T in s.
+        delay: in samples.
+        filters: estimator and filter in SI units.
+        stiffness: K in N/m, any shape; broadcasts with the damping.
+        damping: B in N s/m.
+        level: the tolerance, between 0 and 1.
+        excitation: "force" or "impact".
+        horizon: samples after which a loop that is not proved to have settled is given up.
+
+    Raises:
+        ValueError: an argument is outside its range, infinite or NaN, the excitation is unknown, or
+            the device does not give way to a constant force.
+        TypeError: a filter is traced, or the horizon is not a whole number.
+        RuntimeError: JAX arrays are given without x64.
+    """
+    require_x64(stiffness, damping)
+    level = checked_level(level, excitation)
+    checked_count("horizon", horizon, 1)
+    gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
+    bank = bank_for(filters, sample_time)
+    sampled = sampled_device(device, sample_time, delay)
+    scales = sampled.stiffness_unit, sampled.damping_unit
+    alpha, beta = (gain * scale for gain, scale in zip(gains, scales, strict=True))
+    codes = linear_verdict(alpha, beta, sampled.loop(filters))
+    xp = namespace(gains)
+    is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
+    moves = mechanics(device, sample_time, delay % 1.0, (1.0,))
+    memory = len(moves.at_rest) - 2 + len(bank.steps)
+
+    def search(stiff: np.ndarray, damp: np.ndarray, is_hopeful: np.ndarray) -> np.ndarray:
+        first = np.full(stiff.size, np.nan)
+        wholes = np.full(stiff.size, int(delay))
+        for _, some in groups(wholes, np.ravel(is_hopeful), memory, _NUMBERS // _STRETCH):
+            walls = np.ravel(stiff)[some], np.ravel(damp)[some] / sample_time
+            loops = device_loops(*walls, moves, int(delay), excitation, bank)
+            with np.errstate(all="ignore"):
+                first[some] = _first_samples(loops, level, horizon, excitation == "impact")
+        return first.reshape(stiff.shape)
+
+    shape = xp.broadcast_shapes(*map(np.shape, gains))
+    first = on_host(search, *gains, ~is_unstable, shape=shape, like=np.float64)
+    return _settled(first, is_unstable)
+
+
+def _settled(first: Array, is_unstable: Array) -> Settling:
+    """Return the settling of loops by the samples that were proved, NaN where none was."""
+    xp = namespace(first, is_unstable)
     unsettled = xp.where(is_unstable, SettlingStatus.UNSTABLE, SettlingStatus.NOT_SETTLED)
     status = xp.where(xp.isfinite(first), SettlingStatus.SETTLED, unsettled)
     return Settling(xp.where(is_unstable, np.inf, first), status.astype(np.int8))
@@ -144,43 +206,6 @@ def checked_level(level: Any, excitation: str) -> float:
     if level == 1.0:
         raise ValueError("level is 1.0; give a number below 1, such as 0.02.")
     return level
-
-
-class Loops(NamedTuple):
-    """Loops side by side that have one whole part of their delays: s -> A s, from s_0 on.
-
-    The state has the units of ``units_of``; that of the position is the final displacement, or
-    velocity.
-    """
-
-    transition: Matrices
-    start: Float64[np.ndarray, "loop state 1"]
-
-
-def loops_of(
-    alpha: Float64[np.ndarray, " loop"],
-    beta: Float64[np.ndarray, " loop"],
-    entries: Float64[np.ndarray, "8 loop"],
-    whole_delay: int,
-    excitation: str,
-    bank: Bank = PLAIN,
-) -> Loops:
-    """Return the loops of gains and of the entries (2, 4) of their propagators."""
-    stiffness, damping = bank.outputs
-    wall = -(alpha[:, None] * stiffness + beta[:, None] * damping)
-    rows = np.moveaxis(entries.reshape(2, 4, -1), -1, 0)
-    step = steps_of(wall, rows, bank.steps, whole_delay)
-    units = units_of(np.abs(alpha) + np.abs(entries[4]), whole_delay, bank)
-    last, size = FORCE + whole_delay, step.shape[1]
-    start = np.zeros((alpha.size, size))
-    if excitation == "impact":
-        start[:, VELOCITY] = 1.0
-    else:
-        gain = stiffness @ np.array([1.0, 0.0, *bank.at_rest])
-        start[:, POSITION], start[:, FORCE : last + 1] = -1.0, gain * alpha[:, None]
-        start[:, last + 1 :] = -bank.at_rest
-    transition = step * units[:, None, :] / units[:, :, None]
-    return Loops(transition, (start / units)[..., None])
 
 
 def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:

@@ -1,7 +1,8 @@
 """Sampled loops as state spaces, many side by side: the state moves by one matrix per sample.
 
-The state: position, its difference to the last one that was read, velocity, the acting force, those
-on their way, the next one to arrive first, and what the filters remember.
+The state: position, its difference to the last one that was read, velocity (or what other states a
+plant has), the acting force, those on their way, the next one to arrive first, and what the filters
+remember.
 """
 
 from collections.abc import Iterator
@@ -15,13 +16,13 @@ from jaxstab.motion.controller import PLAIN, Bank, Controller, bank_of
 
 Matrices = Float64[np.ndarray, "_ _ _"]
 
-POSITION, DIFFERENCE, VELOCITY, FORCE = range(4)  # the first entries of the state
+POSITION, DIFFERENCE, VELOCITY, FORCE = range(4)  # the first entries of the state, of one mass
 
 _LEAST_STIFFNESS = 1e-12  # keeps the scales of a loop without any stiffness finite
 
 
-def bank_for(filters: Filters | None) -> Bank:
-    """Return the matrices of an estimator and a filter in units of one sample.
+def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
+    """Return the matrices of an estimator and a filter for a sampling period.
 
     Raises:
         TypeError: a filter is traced.
@@ -32,12 +33,12 @@ def bank_for(filters: Filters | None) -> Bank:
         raise TypeError(
             "a filter is traced; this is computed outside of JAX: give filters of concrete numbers."
         )
-    return bank_of(Controller.of(filters))
+    return bank_of(Controller.of(filters, sample_time))
 
 
 def steps_of(
     wall: Float64[np.ndarray, "loop known"],
-    rows: Float64[np.ndarray, "loop 2 4"],
+    rows: Float64[np.ndarray, "loop plant column"],
     remembered: Float64[np.ndarray, "memory known"],
     whole_delay: int,
 ) -> Matrices:
@@ -45,21 +46,23 @@ def steps_of(
 
     Args:
         wall: the force that is computed, of position, difference, what is remembered, and inputs.
-        rows: position and velocity at the next sample, of those at this one, of the acting force,
-            and of the one that arrives.
+        rows: the plant's states at the next sample, position first, of those at this one, of the
+            acting force, and of the one that arrives.
         remembered: what the filters remember next, of the same as the force.
         whole_delay: of the force, in samples.
     """
-    last = FORCE + whole_delay  # of the forces on their way
+    states = rows.shape[1]
+    plant = [POSITION, *range(VELOCITY, states + 1)]
+    first, last = states + 1, states + 1 + whole_delay  # of the forces
     size = last + 1 + len(remembered)
     inputs = wall.shape[1] - 2 - len(remembered)
     known = [POSITION, DIFFERENCE, *range(last + 1, size + inputs)]
     step = np.zeros((len(wall), size, size + inputs))
-    step[:, range(FORCE, last), range(FORCE + 1, last + 1)] = 1.0
+    step[:, range(first, last), range(first + 1, last + 1)] = 1.0
     step[:, last, known] = wall
-    motion = rows[:, :, 3:] * step[:, [FORCE]]  # the force that arrives is the next one to act
-    motion[:, :, [POSITION, VELOCITY, FORCE]] += rows[:, :, :3]
-    step[:, [POSITION, VELOCITY]] = motion
+    motion = rows[:, :, -1:] * step[:, [first]]  # the force that arrives is the next one to act
+    motion[:, :, [*plant, first]] += rows[:, :, :-1]
+    step[:, plant] = motion
     step[:, DIFFERENCE] = motion[:, 0]
     step[:, DIFFERENCE, POSITION] -= 1.0
     step[:, last + 1 :, known] = remembered

@@ -21,11 +21,11 @@ from jaxstab.motion.response import propagator
 from jaxstab.motion.settling import (
     Excitation,
     checked_level,
-    loops_of,
     positions,
     settling_samples,
 )
 from jaxstab.motion.state_space import bank_for
+from jaxstab.motion.transition import loops_of
 from jaxstab.numbers import checked_number
 from jaxstab.point.radius.door import spectral_radius
 from jaxstab.point.verdict.door import verdict

@@ -1,0 +1,161 @@
+"""Motion of general devices, against equations of motion that scipy's exponential solves."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxstab
+from benchmarks.truth import devices
+from benchmarks.truth.march import (
+    Plant,
+    Taps,
+    difference_taps,
+    low_pass_taps,
+    march_of_plant,
+)
+from benchmarks.truth.random_loops import device_of
+from jaxstab import Device, Filter, SettlingStatus, Velocity
+from jaxstab.motion.mechanics import mechanics
+from jaxstab.motion.response import simulate_device
+from jaxstab.motion.settling import device_settling_samples
+
+PERIOD = 1e-3
+LONG = 3000  # samples
+
+ARM = (1.0, 5.0, 300.0, (4.0, 2000.0))  # mass, damping, stiffness, grip
+DRAWN: dict[str, devices.Drawn] = {
+    "mass": devices.Drawn(0.25, 0.1, [], None, None, PERIOD, 1.0),
+    "glued hand": devices.Drawn(0.25, 0.1, [], (1.0, 5.0, 300.0, None), None, PERIOD, 1.5),
+    "mode": devices.Drawn(0.25, 0.1, [(80.0, 0.02, 0.5)], None, None, PERIOD, 0.0),
+    "everything": devices.Drawn(0.25, 0.1, [(80.0, 0.02, 0.5)], ARM, 200.0, PERIOD, 1.25),
+}
+FILTERS: dict[str, tuple[tuple[Velocity, Filter] | None, list[Taps], list[Taps]]] = {
+    "none": (None, [difference_taps(1)], []),
+    "window and low pass": (
+        (Velocity.difference(window=0.005), Filter.low_pass(150.0)),
+        [difference_taps(5)],
+        [low_pass_taps(0.15)],
+    ),
+}
+WALL = (300.0, 3.0)
+
+
+def plant_of(drawn: devices.Drawn) -> Plant:
+    """The equations of motion in units of one sample, and the state of a unit blow's velocity."""
+    whole = drawn.mechanism.system()
+    handle = drawn._replace(bandwidth=None).mechanism.system()
+    a, wall, c = (np.array(one.tolist(), float) for one in whole)
+    hand = np.zeros(len(a))
+    hand[: handle.b.rows] = np.array(handle.b.tolist(), float).ravel()
+    return Plant(a * PERIOD, wall.ravel() * PERIOD, hand * PERIOD, c.ravel())
+
+
+def settled_since(position: np.ndarray, final: float, band: float) -> int:
+    return int(np.flatnonzero(np.abs(position - final) > band)[-1]) + 1
+
+
+@pytest.mark.parametrize("unilateral", [False, True])
+@pytest.mark.parametrize("filters", FILTERS)
+@pytest.mark.parametrize("case", DRAWN)
+def test_a_simulated_device_moves_as_its_equations_say(
+    case: str, filters: str, unilateral: bool
+) -> None:
+    drawn, (given, velocity, position) = DRAWN[case], FILTERS[filters]
+    plant, device = plant_of(drawn), device_of(drawn)
+    thrown = plant.hand / (plant.c @ plant.a @ plant.hand)  # of unit velocity per sample
+    found = simulate_device(
+        device, PERIOD, drawn.delay, given, *WALL,
+        samples=200, force=0.5, initial_velocity=-0.1, unilateral=unilateral,
+    )  # fmt: skip
+    wall = WALL[0], WALL[1] / PERIOD
+    states, forces = march_of_plant(
+        plant, drawn.delay, wall, velocity, position, 200,
+        push=0.5, start=-0.1 * PERIOD * thrown, unilateral=unilateral,
+    )  # fmt: skip
+    expected = states @ plant.c
+    assert (expected < 0.0).any()
+    np.testing.assert_allclose(found.position, expected, atol=1e-11 * np.abs(expected).max())
+    np.testing.assert_allclose(found.force, forces, atol=1e-10 * np.abs(forces).max())
+    speeds = states @ plant.a.T @ plant.c / PERIOD
+    np.testing.assert_allclose(found.velocity, speeds, atol=1e-10 * np.abs(speeds).max())
+
+
+@pytest.mark.parametrize("case", DRAWN)
+def test_a_displaced_device_stood_where_it_starts(case: str) -> None:
+    """Held there by the hand's force: without it the equations of motion are at rest."""
+    drawn = DRAWN[case]
+    plant, device = plant_of(drawn), device_of(drawn)
+    size = len(plant.c)
+    system = np.block([[plant.a, plant.hand[:, None]], [plant.c[None], np.zeros((1, 1))]])
+    start = np.linalg.solve(system, np.array([*np.zeros(size), 2e-3]))[:-1]
+    found = simulate_device(
+        device, PERIOD, drawn.delay, None, *WALL, samples=100, initial_position=2e-3
+    )
+    wall = WALL[0], WALL[1] / PERIOD
+    states, _ = march_of_plant(plant, drawn.delay, wall, [difference_taps(1)], [], 100, start=start)
+    np.testing.assert_allclose(found.position, states @ plant.c, atol=1e-12)
+
+
+@pytest.mark.parametrize("filters", FILTERS)
+@pytest.mark.parametrize("case", DRAWN)
+def test_settling_of_a_device_is_that_of_its_equations(case: str, filters: str) -> None:
+    drawn, (given, velocity, position) = DRAWN[case], FILTERS[filters]
+    plant, device = plant_of(drawn), device_of(drawn)
+    wall, size = (WALL[0], WALL[1] / PERIOD), len(plant.c)
+    march: dict[str, Any] = {"velocity": velocity, "position": position, "samples": LONG}
+    held = 300.0 if drawn.hand is not None and drawn.hand[3] is None else 0.0
+    if drawn.hand is not None and drawn.hand[3] is not None:
+        held = 1.0 / (1.0 / 300.0 + 1.0 / 2000.0)  # arm behind its grip
+    if drawn.modes:  # of which the mode is a part
+        body = np.linalg.solve(
+            np.block([[plant.a, plant.hand[:, None]], [plant.c[None], np.zeros((1, 1))]]),
+            np.array([*np.zeros(size), 1.0]),
+        )
+        assert body[-1] == pytest.approx(held, abs=1e-8)
+    pushed, _ = march_of_plant(
+        plant, drawn.delay, wall, push=WALL[0] + held, start=np.zeros(size), **march
+    )
+    hit, _ = march_of_plant(plant, drawn.delay, wall, start=plant.hand, **march)
+    pushed, hit = pushed @ plant.c, hit @ plant.c
+    assert abs(pushed[-1] - 1.0) < 1e-3
+    expected = {
+        "force": settled_since(pushed, 1.0, 0.02),
+        "impact": settled_since(hit, 0.0, 0.02 * np.abs(hit).max()),
+    }
+    for excitation, samples in expected.items():
+        found = device_settling_samples(
+            device, PERIOD, drawn.delay, given, *WALL, excitation=excitation
+        )
+        assert int(found.status) == SettlingStatus.SETTLED
+        assert float(found.value) == samples
+
+
+def test_a_device_of_one_mass_is_the_loop_of_five_numbers() -> None:
+    loop = jaxstab.HapticLoop(
+        device_mass=0.25, device_damping=0.1, sample_time=PERIOD, delay=1.5 * PERIOD
+    )
+    device = Device.mass_spring_damper(0.25, 0.1)
+    options = {"samples": 100, "force": 1.0, "initial_velocity": 0.1, "between": 2}
+    for one, other in zip(
+        loop.simulate(*WALL, **options),
+        simulate_device(device, PERIOD, 1.5, None, *WALL, **options),
+        strict=True,
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12 * np.abs(one).max())
+    walls = np.array([[200.0], [2000.0], [90_000.0]]), np.array([2.0, 20.0])
+    plain = loop.settling_time(*walls)
+    general = device_settling_samples(device, PERIOD, 1.5, None, *walls)
+    np.testing.assert_array_equal(plain.status, general.status)
+    np.testing.assert_allclose(plain.value, PERIOD * general.value, rtol=1e-13)
+
+
+def test_what_a_blow_cannot_throw_or_a_force_not_hold_is_refused() -> None:
+    damper = Device.transfer_function([1.0], [1.0, 5.0])
+    with pytest.raises(ValueError, match="a blow does not throw"):
+        simulate_device(damper, PERIOD, 0.0, None, 1.0, 0.0, initial_velocity=0.1)
+    washed = Device.transfer_function([1.0, 0.0], [1.0, 2.0, 5.0])
+    with pytest.raises(ValueError, match="does not give way"):
+        simulate_device(washed, PERIOD, 0.0, None, 1.0, 0.0, force=1.0)
+    moves = mechanics(damper, PERIOD, 0.0, (0.0, 1.0))
+    np.testing.assert_allclose(moves.seen[0, 1], [-5.0 * PERIOD, 0.0, PERIOD, PERIOD], rtol=1e-14)
