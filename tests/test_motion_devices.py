@@ -16,7 +16,7 @@ from benchmarks.truth.march import (
 )
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Device, Filter, SettlingStatus, Velocity
-from jaxstab.motion.mechanics import mechanics
+from jaxstab.model.device.mechanics import mechanics
 from jaxstab.motion.response import simulate_device
 from jaxstab.motion.settling import device_settling_samples
 

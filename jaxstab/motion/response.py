@@ -15,9 +15,9 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, r
 from jaxstab.batches import compiled
 from jaxstab.model import LoopParameters, checked_gain, plant_transition, require_x64
 from jaxstab.model.device import Device
+from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.motion.controller import Controller
-from jaxstab.motion.mechanics import mechanics
 from jaxstab.numbers import checked, checked_count
 
 

@@ -18,9 +18,9 @@ from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
 from jaxstab.model.device import Device, sampled_device
+from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.motion.controller import Bank
-from jaxstab.motion.mechanics import mechanics
 from jaxstab.motion.response import propagator
 from jaxstab.motion.state_space import Matrices, bank_for, groups
 from jaxstab.motion.transition import Loops, device_loops, loops_of

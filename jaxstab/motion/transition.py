@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
+from jaxstab.model.device.mechanics import Mechanics
 from jaxstab.motion.controller import PLAIN, Bank
-from jaxstab.motion.mechanics import Mechanics
 from jaxstab.motion.state_space import (
     FORCE,
     POSITION,

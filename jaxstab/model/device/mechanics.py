@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.model.device import Device
+from jaxstab.model.device.device import Device
 from jaxstab.model.device.rational import balls_of, exact, turn
 from jaxstab.model.device.sampling import in_samples
 
