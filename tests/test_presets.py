@@ -94,12 +94,12 @@ def test_each_documented_estimator_is_what_its_source_computes(name: str) -> Non
     [
         ({"window": 0.02}, Velocity.difference(window=0.02)),
         ({"window_samples": 5}, Velocity.difference(5)),
-        ({"cutoff": 100.0}, Velocity.difference(1) * Filter.low_pass(100.0)),
+        ({"cutoff": 100.0}, Velocity.low_pass(100.0)),
         (
             {"cutoff": 80.0, "order": 2, "kind": "butterworth", "window_samples": 3},
             Velocity.difference(3) * Filter.butterworth(80.0, 2),
         ),
-        ({"factor": 0.2}, Velocity.difference(1) * Filter.exponential(0.2)),
+        ({"factor": 0.2}, Velocity.exponential(0.2)),
         (
             {"numerator": [25.0, -25.0, 0.0], "denominator": [1.0, -1.9, 0.9025]},
             Velocity.transfer_function([25.0, -25.0, 0.0], [1.0, -1.9, 0.9025]),

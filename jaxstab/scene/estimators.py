@@ -111,8 +111,9 @@ class VelocityTable(_Chain):
         """Return the estimator."""
         if self.numerator is not None and self.denominator is not None:
             return Velocity.transfer_function(self.numerator, self.denominator)
-        samples = 1 if self.window is None and self.window_samples is None else self.window_samples
-        return Velocity.difference(samples, window=self.window) * self._smoothing
+        if self.window is None and self.window_samples is None:
+            return Velocity() * self._smoothing
+        return Velocity.difference(self.window_samples, window=self.window) * self._smoothing
 
     @property
     def longest_sample_time(self) -> float:

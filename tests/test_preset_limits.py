@@ -1,0 +1,127 @@
+"""Limits of presets against walls that scipy simulates on both sides of them, hands at random."""
+
+from dataclasses import replace
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from jaxstab.conventions import Verdict
+from jaxstab.loop import HapticLoop
+from jaxstab.scene import Scene, loop_of
+from jaxstab.scene.presets import device_presets, software_presets
+
+Floats = NDArray[np.float64]
+
+DEVICES = [name for name, preset in device_presets().items() if "mass" in preset.numbers]
+SOFTWARE = [name for name, preset in software_presets().items() if preset.numbers]
+NEXT_TO_IT = 0.02  # of the largest stiffness: how far from it walls are simulated
+
+
+class Walls(NamedTuple):
+    """Loops of one sample time and delay, each with a wall."""
+
+    loops: list[HapticLoop]
+    stiffness: Floats
+    damping: Floats
+
+
+def preset_loop(device: str, software: str, delay: int) -> HapticLoop:
+    meant = software_presets()[software].values(("sample_time",)).get("sample_time", 1e-3)
+    velocity = {"preset": software}
+    controller = {"sample_time": meant, "delay_samples": float(delay), "velocity": velocity}
+    return loop_of(Scene.from_table({"device": {"preset": device}, "controller": controller}))
+
+
+def velocity_of(software: str, period: float, past: list[Floats], before: list[Floats]) -> Floats:
+    """The velocities as the sources compute them, from what was before, the newest last."""
+    if software == "hapkit":
+        raw = (past[-1] - past[-2]) / 0.0001
+        return 1.9 * before[-1] - 0.9025 * before[-2] + 0.0025 * raw
+    window = {"chai3d": 0.015, "chai3d-rotation": 0.030}.get(software, 0.020)
+    raw = (past[-1] - past[-1 - round(window / period)]) / window
+    return before[-1] + 0.15 * (raw - before[-1]) if software == "ros-force-dimension" else raw
+
+
+def grow(walls: Walls, software: str, delay: int, samples: int) -> NDArray[np.bool_]:
+    """Return whether positions grow: the largest of the last quarter against that before it."""
+    period = walls.loops[0].sample_time
+    moves = np.array([transition(loop) for loop in walls.loops])
+    state = np.random.default_rng(1).normal(size=(len(moves), 2)) * [1.0, 100.0]
+    past = [state[:, 0]] * 41
+    velocities, forces = [np.zeros(len(moves))] * 2, [np.zeros(len(moves))] * delay
+    largest = np.zeros((4, len(moves)))
+    for k in range(samples):
+        past.append(state[:, 0])
+        velocity = velocity_of(software, period, past, velocities)
+        velocities = [velocities[1], velocity]
+        forces.append(-walls.stiffness * state[:, 0] - walls.damping * velocity)
+        force = forces.pop(0)
+        state = (moves[:, :2, :2] @ state[..., None])[..., 0] + moves[:, :2, 2] * force[:, None]
+        quarter = 4 * k // samples
+        largest[quarter] = np.maximum(largest[quarter], np.abs(state[:, 0]))
+    return largest[3] > largest[2]
+
+
+def transition(loop: HapticLoop) -> Floats:
+    mass = loop.device_mass + loop.hand_mass
+    damping = loop.device_damping + loop.hand_damping
+    motion = [
+        [0.0, 1.0, 0.0],
+        [-loop.hand_stiffness / mass, -damping / mass, 1.0 / mass],
+        [0.0] * 3,
+    ]
+    found: Any = expm(np.array(motion) * loop.sample_time)
+    return found
+
+
+def at_the_limit(loop: HapticLoop, count: int, rng: np.random.Generator) -> Walls:
+    """Random hands, and for each the largest stiffness at a random damping."""
+    held = [
+        replace(
+            loop,
+            hand_mass=rng.uniform(0.0, 0.5),
+            hand_stiffness=rng.uniform(0.0, 500.0),
+            hand_damping=rng.uniform(0.0, 5.0),
+        )
+        for _ in range(count)
+    ]
+    damping = np.array([rng.uniform(0.05, 0.95) * one.limits().damping for one in held])
+    limits = [float(one.stiffness_limits(b)[1]) for one, b in zip(held, damping, strict=True)]
+    return Walls(held, np.array(limits), damping)
+
+
+def judge(device: str, software: str, delay: int, count: int, samples: int) -> None:
+    rng = np.random.default_rng(hash_of(device, software, delay))
+    limit = at_the_limit(preset_loop(device, software, delay), count, rng)
+    assert np.all(limit.stiffness > 0.0)
+    for factor, verdict in (
+        (1.0 - NEXT_TO_IT, Verdict.STABLE),
+        (1.0 + NEXT_TO_IT, Verdict.UNSTABLE),
+    ):
+        walls = limit._replace(stiffness=factor * limit.stiffness)
+        gains = list(zip(walls.loops, walls.stiffness, walls.damping, strict=True))
+        assert [int(loop.verdict(k, b)) for loop, k, b in gains] == [verdict] * count
+        assert np.all(grow(walls, software, delay, samples) == (verdict == Verdict.UNSTABLE))
+
+
+def hash_of(*words: object) -> list[int]:
+    return list("/".join(map(str, words)).encode())
+
+
+@pytest.mark.parametrize("software", SOFTWARE)
+def test_walls_next_to_a_presets_limits_come_to_rest_or_grow(software: str) -> None:
+    judge("omega", software, 1, 1, 6_000)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize(
+    ("device", "software", "delay"), list(product(DEVICES, SOFTWARE, (0, 1, 2)))
+)
+def test_a_thousand_walls_next_to_the_limits_come_to_rest_or_grow(
+    device: str, software: str, delay: int
+) -> None:
+    judge(device, software, delay, 23, 60_000)

@@ -1,0 +1,223 @@
+"""What a scene's answers say of its estimator, of islands, of safety, and of devices that turn."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import run
+
+from jaxstab.conventions import Verdict
+from jaxstab.loop import HapticLoop
+from jaxstab.model import Velocity
+from jaxstab.pictures.scene import scene_figure
+from jaxstab.scene import Scene, check_walls, scene_limits
+from jaxstab.scene.limits import inwards
+
+OMEGA = ["--device", "omega", "--sample-time", "0.001", "--delay-samples", "1"]
+SDK = [*OMEGA, "--estimator", "force-dimension-sdk"]
+LARGEST = {1: 36167.0, 2: 24520.0, 5: 11290.0, 10: 5155.0, 15: 3036.0, 20: 2032.0}
+# N/m, from grids of certified roots, before this program took estimators
+
+
+def answered(*arguments: str | Path) -> Any:
+    result = run(*arguments, "--json")
+    assert result.exit_code == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def test_a_scene_without_an_estimator_says_first_which_one_was_assumed() -> None:
+    for command in (["limits"], ["check", "--wall", "a", "100", "5"]):
+        first = run(*command, *OMEGA).stdout.splitlines()[0]
+        assert re.match(r"velocity +the difference over one sample \(assumed: ", first)
+    named = run("limits", *SDK).stdout.splitlines()[0]
+    assert "a window of 0.02 s (preset force-dimension-sdk, assumed in part)" in named
+    assert run("limits", *OMEGA, "--window-samples", "1").stdout.count("assumed") == 0
+
+
+def test_a_file_is_answered_with_its_estimator_once_and_first(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    text = '[device]\npreset = "omega"\n[controller]\nsample_time = 0.001\n'
+    file.write_text(
+        text + "velocity.cutoff = 100.0\nposition.window_samples = 2\n"
+        '[walls.a]\nstiffness = 100.0\ndamping = 5.0\n[wanted]\nanswers = ["limits", "check"]\n'
+    )
+    lines = run("scene", file).stdout.splitlines()
+    assert re.match(r"velocity +the difference over one sample, a low pass at 100 Hz", lines[0])
+    assert re.match(r"position +a window of 2 samples", lines[1])
+    assert sum(line.startswith("velocity") for line in lines) == 1
+
+
+@pytest.mark.parametrize("samples", LARGEST)
+def test_limits_are_those_of_the_estimator(samples: int) -> None:
+    best = answered("limits", *OMEGA, "--window-samples", str(samples))["best"]
+    assert best["largest_stiffness"] == pytest.approx(LARGEST[samples], rel=2e-3)
+
+
+def test_beside_the_limits_without_an_estimator_stands_what_windows_would_leave() -> None:
+    limits = answered("limits", *OMEGA)
+    for samples in (10, 20):
+        other = answered("limits", *OMEGA, "--window-samples", str(samples))
+        assert limits[f"with a window of {samples} samples"] == other["best"]
+        assert "with a window of 10 samples" not in other
+
+
+def test_simple_rules_of_the_one_sample_difference_are_left_out_for_others() -> None:
+    without = answered("limits", *OMEGA)
+    limits = answered("limits", *SDK, "--at-damping", "10")
+    assert {"passive", "linear_rule"} <= without.keys()
+    assert not {"passive", "linear_rule"} & limits.keys()
+    assert "linear_rule_stiffness" not in limits["at_given_damping"]
+
+
+def test_islands_are_named_as_not_reachable_and_drawn() -> None:
+    free = ["--mass", "1", "--damping", "0", "--sample-time", "1", "--window-samples", "10"]
+    island = answered("limits", *free)["island 1"]
+    # (0.2734, -0.704) is stable, by a recursion in 60 digits, and no neighbour of 0.
+    assert island["largest_stiffness"] > 0.2734
+    assert island["largest_damping"] > -0.704
+    assert "not reachable by turning gains up" in run("limits", *free).stdout
+    scene = Scene.from_table(
+        {
+            "device": {"mass": 0.25, "damping": 0.1},
+            "controller": {"sample_time": 1e-3, "velocity": {"window_samples": 10}},
+        }
+    )
+    figure = scene_figure(scene)
+    assert [panel.get_title() for panel in figure.axes][-1] == "all stable walls"
+    (legend,) = figure.legends
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert "stable, not reachable by turning gains up" in labels
+    assert not any("linear" in label or "passive" in label for label in labels)
+
+
+def test_safety_moves_all_limits_inwards() -> None:
+    plain = answered("limits", *OMEGA, "--at-damping", "100", "--at-stiffness", "1000")
+    safe = answered(
+        "limits", *OMEGA, "--at-damping", "100", "--at-stiffness", "1000", "--safety", "0.8"
+    )
+    assert safe["safety"] == 0.8
+    for name in ("best", "passive", "linear_rule", "with a window of 20 samples"):
+        scaled = 0.8 * plain[name]["largest_stiffness"]
+        assert safe[name]["largest_stiffness"] == pytest.approx(scaled, rel=1e-12)
+    for name, key in (("at_given_damping", "stiffness"), ("at_given_stiffness", "damping")):
+        low, high = plain[name][f"{key}_limits"]
+        scaled = [low / 0.8 if low > 0.0 else low * 0.8, 0.8 * high]
+        assert safe[name][f"{key}_limits"] == pytest.approx(scaled, rel=1e-12)
+
+
+def test_intervals_of_any_sign_move_inwards_or_vanish() -> None:
+    assert inwards(-1.0, 2.0, 0.5) == (-0.5, 1.0)
+    assert inwards(1.0, 8.0, 0.5) == (2.0, 4.0)
+    assert inwards(-8.0, -1.0, 0.5) == (-4.0, -2.0)
+    assert np.all(np.isnan(inwards(1.0, 2.0, 0.5)))
+
+
+def test_the_safe_wall_for_all_hands_is_proved_anew() -> None:
+    scene = {
+        "device": {"preset": "omega"},
+        "controller": {"sample_time": 1e-3, "delay_samples": 1.0},
+        "hand": {"mass": [0.0, 0.2], "stiffness": [0.0, 100.0]},
+        "wanted": {"safety": 0.8},
+    }
+    hands = scene_limits(Scene.from_table(scene)).all_hands
+    assert hands is not None
+    assert hands.certainty == "proved for every hand"
+    assert hands.largest_stiffness < 0.8 * hands.none_is_stiffer_than
+
+
+def test_a_design_with_safety_is_one_for_a_stiffer_wall() -> None:
+    safe = answered("design", *OMEGA, "--stiffness", "1000", "--safety", "0.5")
+    plain = answered("design", *OMEGA, "--stiffness", "2000")
+    assert safe["now_allowed_stiffness"] == 0.5 * plain["now_allowed_stiffness"]
+    assert {name: safe[name] for name in ("sample_time", "delay")} == {
+        name: plain[name] for name in ("sample_time", "delay")
+    }
+
+
+@pytest.mark.campaign
+def test_a_design_keeps_whole_windows() -> None:
+    def allowed(samples: int) -> float:
+        period = 0.02 / samples
+        loop = HapticLoop(
+            device_mass=0.25,
+            device_damping=0.1,
+            sample_time=period,
+            delay=period,
+            velocity=Velocity.difference(samples),
+        )
+        return loop.limits().stiffness
+
+    design = answered("design", *SDK, "--stiffness", "2000")
+    period = design["sample_time"]["largest_sample_time"]
+    samples = round(0.02 / period)
+    assert period == 0.02 / samples
+    assert allowed(samples - 1) < 2000.0 <= allowed(samples)
+
+
+TURNING = {
+    "device": {"inertia": 0.01, "damping": 0.05},
+    "hand": {"inertia": [0.0, 0.02]},
+    "controller": {"sample_time": 1e-3, "delay_samples": 1.0},
+    "walls": {"a": {"stiffness": 100.0, "damping": 1.0}},
+    "wanted": {"measures": ["radius"]},
+}
+
+
+def test_a_device_that_turns_has_the_numbers_of_one_that_moves_along_a_line() -> None:
+    along = TURNING | {"device": {"mass": 0.01, "damping": 0.05}, "hand": {"mass": [0.0, 0.02]}}
+    turning, line = Scene.from_table(TURNING), Scene.from_table(along)
+    limits, same = scene_limits(turning), scene_limits(line)
+    assert limits.best == same.best
+    assert limits.all_hands == same.all_hands
+    assert check_walls(turning).walls == check_walls(line).walls
+
+
+def test_a_device_that_turns_is_answered_and_drawn_in_units_of_rotation() -> None:
+    scene = Scene.from_table(TURNING)
+    checked = check_walls(scene)
+    for answer in (scene_limits(scene), checked):
+        words = str(answer)
+        assert "motion                            rotation" in words
+        assert "N m/rad" in words
+        assert "inertia" in words
+        assert not re.search(r"N/m|N s/m|\bkg$|\bmass\b", words, re.MULTILINE)
+    assert check_walls(scene).as_json()["a"]["worst_hand"].keys() >= {"inertia", "stiffness"}
+    axes = scene_figure(scene, checked).axes
+    assert axes[0].get_xlabel() == "stiffness K (N m/rad)"
+    assert axes[0].get_ylabel() == "damping B (N m s/rad)"
+
+
+def test_what_is_printed_as_a_limit_is_inside_of_it() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(2):
+        assert_printed_walls_are_stable(rng)
+
+
+@pytest.mark.campaign
+def test_what_is_printed_as_a_limit_is_inside_of_it_for_five_hundred_scenes() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(500):
+        assert_printed_walls_are_stable(rng)
+
+
+def assert_printed_walls_are_stable(rng: np.random.Generator) -> None:
+    controller: dict[str, Any] = {"sample_time": float(f"{10 ** rng.uniform(-4, -2.5):.3g}")}
+    controller["delay_samples"] = float(rng.integers(0, 4)) + rng.choice([0.0, 0.37])
+    if rng.random() < 0.5:
+        controller["velocity"] = {"window_samples": int(rng.integers(1, 21))}
+    device = {"mass": rng.uniform(0.05, 2.0), "damping": rng.uniform(0.01, 3.0)}
+    scene = Scene.from_table({"device": device, "controller": controller})
+    loop = HapticLoop(
+        device_mass=device["mass"],
+        device_damping=device["damping"],
+        sample_time=controller["sample_time"],
+        delay=scene.controller.time_delay,
+        velocity=scene.controller.estimator,
+    )
+    numbers = re.findall(r"(largest|at) (\w+) +([-+.e\d]+)", str(scene_limits(scene)))
+    (_, _, stiffness), (_, _, at_damping), (_, _, damping), (_, _, at_stiffness) = numbers[:4]
+    for wall in ((stiffness, at_damping), (at_stiffness, damping)):
+        assert loop.verdict(*map(float, wall)) != Verdict.UNSTABLE, (device, controller, wall)
