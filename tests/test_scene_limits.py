@@ -14,8 +14,10 @@ from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, scene_limits
+from jaxstab.scene.explained import DIAGRAM
 from jaxstab.scene.limits import inwards
 
+ROOT = Path(__file__).parents[1]
 OMEGA = ["--device", "omega", "--sample-time", "0.001", "--delay-samples", "1"]
 SDK = [*OMEGA, "--estimator", "force-dimension-sdk"]
 LARGEST = {1: 36167.0, 2: 24520.0, 5: 11290.0, 10: 5155.0, 15: 3036.0, 20: 2032.0}
@@ -91,6 +93,23 @@ def test_islands_are_named_as_not_reachable_and_drawn() -> None:
     labels = [text.get_text() for text in legend.get_texts()]
     assert "stable, not reachable by turning gains up" in labels
     assert not any("linear" in label or "passive" in label for label in labels)
+
+
+def test_what_is_tuned_is_compared_with_what_gains_reach_when_they_are_turned_up() -> None:
+    best = answered("tune", *SDK)["least_radius"]
+    largest = answered("limits", *SDK)["best"]["largest_stiffness"]
+    assert best["share_of_largest"] == pytest.approx(best["stiffness"] / largest)
+
+
+def test_a_scene_is_explained_as_the_page_on_the_model_does() -> None:
+    page = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
+    assert DIAGRAM in page
+    explained = run("scene", ROOT / "data" / "scenes" / "teleoperation.toml", "--explain").stdout
+    assert explained.startswith(DIAGRAM)
+    assert re.search(r"(?m)^delay +12.35 ms; in samples 12.35$", explained)
+    assert re.search(r"(?m)^hand +0.5 kg, 200 N/m, 3 N s/m$", explained)
+    assert re.search(r"(?m)^ +does not count: the hold of half a sample", explained)
+    assert re.search(r"(?m)^outside ", explained)
 
 
 def test_safety_moves_all_limits_inwards() -> None:

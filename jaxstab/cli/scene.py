@@ -121,8 +121,8 @@ def design(as_json: bool, **given: Any) -> None:
 def scene() -> None:
     """Write an example of a scene (init), or answer what a scene FILE wants.
 
-    With FILE: --explain prints what is computed, what is skipped and why; --json prints JSON;
-    --plot draws a picture into a PNG or SVG file.
+    With FILE: --explain prints the model, what is computed, what is skipped and why; --json prints
+    JSON; --plot draws a picture into a PNG or SVG file. presets lists devices and software.
     """
 
 
@@ -158,16 +158,21 @@ def presets() -> None:
 
 @scene.command(hidden=True)
 @click.argument("file", type=Path)
-@click.option("--explain", is_flag=True, help="Print what is computed, what is skipped and why.")
+@click.option(
+    "--explain",
+    is_flag=True,
+    help="Print the model, what is computed and what is skipped, and why.",
+)
 @_plot_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
     """Answer what a scene FILE wants."""
-    from jaxstab.scene import Answers, basis_of, plan_scene
+    from jaxstab.scene import Answers, basis_of, explain_model, plan_scene
 
     scene = _scene({"file": file})
     if explain:
         _warn(scene)
+        click.echo(f"{explain_model(scene)}\n")
         for step in plan_scene(scene):
             click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
         return

@@ -218,8 +218,6 @@ def _draw_best(panel: Axes, loop: HapticLoop, region: WallRegion, units: Units) 
     stiffest = f"stiffest: {_LARGEST.words(region.stiffest.stiffness, units)}"
     damping = _DAMPING.words(region.stiffest.damping, units)
     panel.plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"{stiffest}, {damping}")
-    if not is_plain(loop):
-        return
     fastest = loop.tune("settling")
     if fastest.status == TuningStatus.NO_STABLE_GAINS:
         return

@@ -9,6 +9,7 @@ from .design import Design as Design
 from .design import DesignStatus as DesignStatus
 from .design import design_loop as design_loop
 from .example import EXAMPLE as EXAMPLE
+from .explained import explain_model as explain_model
 from .limits import Limits as Limits
 from .limits import scene_limits as scene_limits
 from .loops import corner_loops as corner_loops

@@ -31,6 +31,4 @@ def plan_scene(scene: Scene) -> list[Step]:
         steps.append(Step(name, asked["check"] and is_wanted, why))
     why = "the hand is a range" if hand.varies else "there is one hand at most"
     steps.append(Step("proof and worst case over the hands", hand.varies, why))
-    why = f"the delay is fixed: {scene.controller.samples:g} samples"
-    steps.append(Step("sweep over delays", False, why))
     return steps

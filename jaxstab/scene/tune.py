@@ -11,7 +11,7 @@ from jaxstab.scene.answers import Answer, Basis, Bound, Damping, Number, Stiffne
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import SettlingTime, settled
 from jaxstab.scene.limits import LOWEST_HAND
-from jaxstab.scene.loops import hands_of, loop_of, wall_region
+from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
 from jaxstab.scene.scene import Scene
 from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
@@ -105,7 +105,7 @@ def _best(
     return BestWall(
         TunedWall(*gains, *_reached(loop, gains)),
         RoundedWall(*rounded, *_reached(loop, rounded)),
-        best.stiffness / wall_region(loop).stiffest.stiffness,
+        best.stiffness / reachable(wall_region(loop)).stiffest.stiffness,
         best.status,
         loop.worst_hand(hands, *rounded).verdict if hands else None,
     )

@@ -1,0 +1,66 @@
+"""The model in words, with the numbers of a scene; docs/model.md says more."""
+
+from jaxstab.scene.answers import IntervalQuantity, Quantity
+from jaxstab.scene.basis import basis_of
+from jaxstab.scene.scene import Hand, Scene
+from jaxstab.scene.units import Units
+
+DIAGRAM = """\
+  push of the hand                            +-------------+   +---+
+       |                                 +--->| filter P(z) |-->| K |--+
+       v         x(t)              x_k   |    +-------------+   +---+  |
+  +----------+      +---------+          |                             v
+  | device   |----->| sampled |----------+                            (+)--+ f_k
+  | and hand |      | every T |          |                             ^   |
+  +----------+      +---------+          |    +-------------+   +---+  |   |
+       ^                                 +--->| velocity    |-->| B |--+   |
+       | -f(t)                                | V(z)        |   +---+      |
+       |            +---------+               +-------------+              |
+       +------------| held    |         +-------+                          |
+                    | for T   |<--------| delay |<-------------------------+
+                    +---------+         +-------+
+"""
+
+_COUNTED = (
+    "counts: reading the encoder, transport there and back (USB, network), waiting, computing, DAC",
+    "does not count: the hold of half a sample, and the window or filter, which are modelled",
+)
+_OUTSIDE = (
+    "steps of encoder and amplifier, Coulomb friction, saturation",
+    "vibration modes, bandwidth of motor and amplifier",
+    "a mass that varies with the posture, several axes at once",
+    "bouncing off the wall, estimators that adapt, clocks that jitter",
+)
+_UNITS = ("kg", "N/m", "N s/m")
+_NAME = 14  # where what is said of a block begins
+
+
+def explain_model(scene: Scene) -> str:
+    """Return the loop as a diagram, its blocks as the scene has them, and what is outside of it."""
+    blocks = [f"{name:{_NAME}}{words}" for name, words in _blocks(scene).items()]
+    counted = [f"{'':{_NAME}}{words}" for words in _COUNTED]
+    outside = [f"{'' if number else 'outside':{_NAME}}{w}" for number, w in enumerate(_OUTSIDE)]
+    return "\n".join([DIAGRAM, *blocks, *counted, *outside])
+
+
+def _blocks(scene: Scene) -> dict[str, str]:
+    device, controller, hand = scene.device, scene.controller, scene.hand or Hand()
+    basis, units, time = basis_of(scene), scene.units, Quantity("s")
+    held = zip((hand.effective_mass, hand.stiffness, hand.damping), _UNITS, strict=True)
+    turning = "" if units is Units.LINE else ", which turns"
+    own = Quantity("kg").words(device.effective_mass, units)
+    return {
+        "device": f"{own}, {Quantity('N s/m').words(device.damping, units)}{turning}",
+        "hand": ", ".join(_range(*one, units) for one in held) if scene.hand else "none",
+        "T": time.words(controller.sample_time),
+        "velocity V(z)": basis.velocity,
+        "filter P(z)": basis.position or "none",
+        "delay": f"{time.words(controller.time_delay)}; in samples {controller.samples:g}",
+    }
+
+
+def _range(ends: tuple[float, float], unit: str, units: Units) -> str:
+    """Return a number, or the two ends of a range."""
+    if ends[0] == ends[1]:
+        return Quantity(unit).words(ends[0], units)
+    return IntervalQuantity(unit).words(ends, units)
