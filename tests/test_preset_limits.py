@@ -63,7 +63,7 @@ def grow(walls: Walls, software: str, delay: int, samples: int) -> NDArray[np.bo
         state = (moves[:, :2, :2] @ state[..., None])[..., 0] + moves[:, :2, 2] * force[:, None]
         quarter = 4 * k // samples
         largest[quarter] = np.maximum(largest[quarter], np.abs(state[:, 0]))
-    return largest[3] > largest[2]
+    return ~np.isfinite(largest[3]) | (largest[3] > largest[2])
 
 
 def transition(loop: HapticLoop) -> Floats:
@@ -89,7 +89,8 @@ def at_the_limit(loop: HapticLoop, count: int, rng: np.random.Generator) -> Wall
         )
         for _ in range(count)
     ]
-    damping = np.array([rng.uniform(0.05, 0.95) * one.limits().damping for one in held])
+    most = [float(one.damping_limits(0.0)[1]) for one in held]  # where no spring is rendered
+    damping = rng.uniform(0.05, 0.95, count) * most
     limits = [float(one.stiffness_limits(b)[1]) for one, b in zip(held, damping, strict=True)]
     return Walls(held, np.array(limits), damping)
 

@@ -1,15 +1,15 @@
 """The commands around a scene: what it allows, how its walls do, the best walls, the design."""
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxstab.cli.options import at_work, number_or_range, picture_file
+from jaxstab.cli.many import answer_many
+from jaxstab.cli.options import at_work, picture_file
+from jaxstab.cli.scene_options import refused, scene_of, scene_options, warn
 
 if TYPE_CHECKING:
     from jaxstab.scene import Answer, Check, Scene
@@ -23,48 +23,6 @@ class _FileOrCommand(click.Group):
         if args and args[0] not in {*self.commands, "--help"}:
             args.insert(0, "answer")
         return super().parse_args(ctx, args)
-
-
-def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add what describes a scene: a file, options that go before it, and the form of the answer."""
-    decorations = (
-        click.argument("file", type=Path, required=False),
-        click.option("--device", help="A device by name; jaxstab scene presets lists them."),
-        click.option("--mass", type=float, help="Of the device, in kg."),
-        click.option("--inertia", type=float, help="In place of the mass, in kg m^2: it turns."),
-        click.option("--damping", type=float, help="Of the device, in N s/m (N m s/rad)."),
-        click.option("--hand-mass", callback=number_or_range, help="In kg; LOW:HIGH for a range."),
-        click.option(
-            "--hand-inertia", callback=number_or_range, help="In kg m^2; LOW:HIGH for a range."
-        ),
-        click.option(
-            "--hand-stiffness", callback=number_or_range, help="In N/m; LOW:HIGH for a range."
-        ),
-        click.option(
-            "--hand-damping", callback=number_or_range, help="In N s/m; LOW:HIGH for a range."
-        ),
-        click.option("--sample-time", type=float, help="T in s."),
-        click.option("--delay", type=float, help="Time delay of the loop in s."),
-        click.option("--delay-samples", type=float, help="The same in samples."),
-        click.option("--window", type=float, help="Velocity: difference over so many s."),
-        click.option("--window-samples", type=int, help="The same in samples."),
-        click.option("--cutoff", type=float, help="Velocity: behind a low pass at so many Hz."),
-        click.option(
-            "--estimator",
-            help="Velocity as a software estimates it; jaxstab scene presets lists them.",
-        ),
-        click.option(
-            "--wall",
-            type=(str, float, float),
-            multiple=True,
-            metavar="NAME K B",
-            help="A wall: its name, N/m and N s/m; may be repeated.",
-        ),
-        click.option("--json", "as_json", is_flag=True, help="Print JSON."),
-    )
-    for decoration in reversed(decorations):
-        command = decoration(command)
-    return command
 
 
 _plot_option = click.option(
@@ -94,8 +52,9 @@ def check(as_json: bool, **given: Any) -> int:
 
     The exit code is 0 if every wall is proved stable, 1 if not.
     """
-    checked: Check = _answer(given, "check", as_json)
-    return 0 if checked.all_stable else 1
+    answers = _answer(given, "check", as_json)
+    checked: list[Check] = answers if isinstance(answers, list) else [answers]
+    return 0 if all(one.all_stable for one in checked) else 1
 
 
 @click.command()
@@ -169,9 +128,9 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
     """Answer what a scene FILE wants."""
     from jaxstab.scene import Answers, basis_of, explain_model, plan_scene
 
-    scene = _scene({"file": file})
+    scene = scene_of({"files": [file]})
     if explain:
-        _warn(scene)
+        warn(*scene.unusual())
         click.echo(f"{explain_model(scene)}\n")
         for step in plan_scene(scene):
             click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
@@ -188,7 +147,9 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
 
 
 def _answer(given: dict[str, Any], name: str, as_json: bool) -> Any:
-    scene, plot = _scene(given), given.get("plot")
+    if len(given["files"]) > 1 or given["sweep"] or given["csv_file"]:
+        return answer_many(given, FUNCTIONS[name], as_json)
+    scene, plot = scene_of(given), given.get("plot")
     answer = _computed(scene, name)
     if plot:
         _draw(scene, answer if name == "check" else None, plot)
@@ -201,11 +162,11 @@ def _draw(scene: "Scene", checked: Any, file: Path) -> None:
     from jaxstab.pictures.scene import scene_figure
     from jaxstab.pictures.style import picture
 
-    with _refused():
+    with refused():
         publish(picture(scene_figure(scene, checked), file.suffix[1:]), file)
 
 
-_FUNCTIONS = {
+FUNCTIONS = {
     "limits": "scene_limits",
     "check": "check_walls",
     "tune": "tune_walls",
@@ -217,94 +178,15 @@ def _computed(scene: "Scene", name: str) -> Any:
     import jaxstab.scene
 
     with (
-        _refused(),
+        refused(),
         at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay"),
     ):
-        return getattr(jaxstab.scene, _FUNCTIONS[name])(scene)
-
-
-def _scene(given: dict[str, Any]) -> "Scene":
-    """Return the checked scene of a file and options."""
-    from jaxstab.scene import Scene
-    from jaxstab.tables import read_table
-
-    file = given.get("file")
-    with _refused():
-        table = read_table(file) if file else {}
-        return Scene.from_table(_merged(table, given), str(file) if file else "")
-
-
-@contextmanager
-def _refused() -> Iterator[None]:
-    """End a command that cannot answer with exit code 2: 1 is for walls that are not stable."""
-    try:
-        yield
-    except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
-        words = error.strerror if isinstance(error, OSError) else None
-        raise click.UsageError(words or str(error) or "there is not enough memory.") from error
-
-
-_VELOCITY = {
-    "window": "window",
-    "window_samples": "window_samples",
-    "cutoff": "cutoff",
-    "estimator": "preset",
-}
-
-
-def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of a file with the options in place of its values."""
-    keys = {
-        "device": ("device", "preset"),
-        "mass": ("device", "mass"),
-        "inertia": ("device", "inertia"),
-        "damping": ("device", "damping"),
-        "hand_mass": ("hand", "mass"),
-        "hand_inertia": ("hand", "inertia"),
-        "hand_stiffness": ("hand", "stiffness"),
-        "hand_damping": ("hand", "damping"),
-        "sample_time": ("controller", "sample_time"),
-        "delay": ("controller", "delay"),
-        "delay_samples": ("controller", "delay_samples"),
-        "at_damping": ("wanted", "at_damping"),
-        "at_stiffness": ("wanted", "at_stiffness"),
-        "stiffness": ("wanted", "stiffness"),
-        "safety": ("wanted", "safety"),
-    }
-    merged = {"device": {}, "controller": {}} | table
-    options = {option: value for option, value in given.items() if value is not None}
-    sections = {section for option, (section, _) in keys.items() if option in options}
-    if options.get("wall"):
-        sections.add("walls")
-    if any(not isinstance(merged.get(section, {}), dict) for section in sections):
-        return merged  # which is refused
-    if "delay" in options or "delay_samples" in options:  # in place of one in either unit
-        kept = merged["controller"].items()
-        merged["controller"] = {key: value for key, value in kept if "delay" not in key}
-    velocity = {key: options[option] for option, key in _VELOCITY.items() if option in options}
-    if velocity and isinstance(merged["controller"], dict):  # in place of all that the file says
-        merged["controller"] = merged["controller"] | {"velocity": velocity}
-    for option, (section, key) in keys.items():
-        if option in options:
-            merged[section] = merged.get(section, {}) | {key: options[option]}
-    walls = {}
-    for name, stiffness, damping in options.get("wall", ()):
-        if name in walls:
-            raise ValueError(f"wall {name} is given twice; give each wall a name of its own.")
-        walls[name] = {"stiffness": stiffness, "damping": damping}
-    return merged | ({"walls": merged.get("walls", {}) | walls} if walls else {})
+        return getattr(jaxstab.scene, FUNCTIONS[name])(scene)
 
 
 # ------------------------------------------------------------------------------------------- print
 
 
-def _warn(scene: "Scene") -> None:
-    """Say what is unusual about a scene."""
-    unusual = scene.unusual()
-    if unusual:
-        click.echo(f"jaxstab: warning: {'; '.join(unusual)}.", err=True)
-
-
 def _print(scene: "Scene", answer: "Answer", as_json: bool) -> None:
-    _warn(scene)
+    warn(*scene.unusual())
     click.echo(json.dumps(answer.as_json(), indent=1) if as_json else answer)

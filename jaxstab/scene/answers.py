@@ -6,6 +6,7 @@ as the largest stable stiffness is not above it. JSON has all digits. Answers of
 have the units of rotation, and inertia for mass.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal
 from enum import IntEnum
@@ -120,6 +121,16 @@ class Answer:
                 text = self._words(name, value, units)
                 lines.append(f"{indent}{words:{_COLUMN - len(indent)}}{text}")
         return lines
+
+    def leaves(self, prefix: str = "", units: Units = Units.LINE) -> Iterator[tuple[str, Any, str]]:
+        """Yield the dotted path, the value as JSON has it, and the words of each value."""
+        units = self._units(units)
+        for name, value in self._entries():
+            path = prefix + _named(name, units)
+            if isinstance(value, Answer):
+                yield from value.leaves(prefix if value.is_part else f"{path}.", units)
+            else:
+                yield path, _for_json(value), self._words(name, value, units)
 
     def __str__(self) -> str:
         return "\n".join(self.lines())

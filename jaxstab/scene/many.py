@@ -1,0 +1,137 @@
+"""Many scenes at once: sweeps over keys, and a row of values for each scene."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+from jaxstab.scene.answers import Answer
+from jaxstab.scene.scene import Scene
+
+MOST_SCENES = 100_000
+
+Sweep = Mapping[str, list[float | str]]
+"""Values by the dotted key of a scene, such as ``device.mass``."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A scene of many: where it is from, the values that were swept, and why it was refused."""
+
+    source: str
+    values: dict[str, float | str]
+    scene: Scene | None
+    refusal: str = ""
+
+    @property
+    def name(self) -> str:
+        """The name of the file, and what was swept."""
+        values = (f"{key} = {short(value)}" for key, value in self.values.items())
+        return ", ".join([*([self.source] if self.source else []), *values])
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one scene answers; ``answer`` is None where it was refused."""
+
+    variant: Variant
+    answer: Answer | None = None
+    refusal: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
+    words: dict[str, str] = field(default_factory=dict)
+
+
+def short(value: float | str) -> str:
+    """Return a value that was swept, in few digits."""
+    return value if isinstance(value, str) else f"{value:.6g}"
+
+
+def sweep_of(text: str) -> tuple[str, list[float | str]]:
+    """Return the key and the values of ``KEY=LOW:HIGH:COUNT`` or ``KEY=VALUE,VALUE,...``.
+
+    Raises:
+        ValueError: the text has neither form.
+    """
+    name, equals, values = text.partition("=")
+    parts = values.split(":")
+    try:
+        if name and len(parts) == 3:
+            low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
+            if not 2 <= count <= MOST_SCENES:
+                raise ValueError
+            step = (high - low) / (count - 1)
+            between = (float(f"{low + step * k:.15g}") for k in range(count - 1))
+            return name, [*between, high]
+    except ValueError:
+        parts = []
+    if not (name and equals and values) or len(parts) != 1:
+        raise ValueError(
+            f"sweep is {text!r}; give KEY=LOW:HIGH:COUNT with a COUNT from 2 to {MOST_SCENES}, or "
+            "KEY=VALUE,VALUE,..."
+        )
+    return name, [_value(part) for part in values.split(",")]
+
+
+def variants_of(tables: Mapping[str, Mapping[str, Any]], sweep: Sweep) -> list[Variant]:
+    """Return the scenes of some tables, each with all combinations of the values that are swept.
+
+    Raises:
+        ValueError: there are too many.
+    """
+    count = len(tables)
+    for values in sweep.values():
+        count *= len(values)
+    if count > MOST_SCENES:
+        raise ValueError(f"the sweep has {count} scenes; give {MOST_SCENES} at most.")
+    combinations = [dict(zip(sweep, values, strict=True)) for values in product(*sweep.values())]
+    return [
+        _variant(source, table, values)
+        for source, table in tables.items()
+        for values in combinations
+    ]
+
+
+def answer_all(variants: list[Variant], function: Callable[[Scene], Answer]) -> Iterator[Row]:
+    """Yield what each scene answers, one after the other; a refusal is the row of its scene."""
+    for variant in variants:
+        if variant.scene is None:
+            yield Row(variant, None, variant.refusal)
+            continue
+        try:
+            answer = function(variant.scene)
+        except (ValueError, TypeError, RuntimeError) as error:
+            yield Row(variant, None, str(error))
+            continue
+        leaves = list(answer.leaves())
+        yield Row(
+            variant,
+            answer,
+            values={path: value for path, value, _ in leaves},
+            words={path: words for path, _, words in leaves},
+        )
+
+
+def _variant(source: str, table: Mapping[str, Any], values: dict[str, float | str]) -> Variant:
+    changed: Any = table
+    try:
+        for name, value in values.items():
+            changed = _with(changed, name.split("."), value)
+        return Variant(source, values, Scene.from_table(changed))
+    except ValueError as error:
+        return Variant(source, values, None, str(error))
+
+
+def _with(table: Any, path: list[str], value: float | str) -> dict[str, Any]:
+    """Return a table with a value in place of another one."""
+    first, *rest = path
+    inner = table.get(first, {})
+    if rest and not isinstance(inner, Mapping):
+        raise ValueError(f"{first} is {inner!r}; it has no key {rest[0]!r} to sweep.")
+    return {**table, first: _with(inner, rest, value) if rest else value}
+
+
+def _value(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
