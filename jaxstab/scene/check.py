@@ -30,8 +30,8 @@ from jaxstab.scene.answers import (
     Time,
 )
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.limits import NO_FILTERS, HeldBy, held_by
-from jaxstab.scene.loops import corner_loops, hands_of, is_plain, loop_of, walls_of
+from jaxstab.scene.limits import HeldBy, held_by
+from jaxstab.scene.loops import corner_loops, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Encoder, Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
@@ -127,7 +127,6 @@ class WallCheck(Answer):
     settling: Settling | None = None
     oscillation: Oscillation | None = None
     chatter: Chatter | None = None
-    not_answered: str | None = None
 
 
 @dataclass(frozen=True)
@@ -165,11 +164,11 @@ def _checked(
     wanted: tuple[str, ...],
     encoder: Encoder | None,
 ) -> WallCheck:
-    loops, hand, answered = [loop], None, is_plain(loop)
+    loops, hand = [loop], None
     if hands:
+        worst = loop.worst_hand(hands, *gains)
         loops = list(dict.fromkeys([loop, *corner_loops(loop, hands)]))
-        code, loop = _worst(loop, hands, gains) if answered else _worst_corner(loops, gains)
-        hand = held_by(loop)
+        code, loop, hand = worst.verdict, worst.loop, held_by(worst.loop)
     else:
         code = Verdict(int(loop.verdict(*gains)))
     measures: dict[str, Callable[[], Answer]] = {
@@ -182,29 +181,14 @@ def _checked(
     if encoder is not None:
         held = list(dict.fromkeys([*loops, loop]))
         measures["chatter"] = lambda: _chatter(held, gains, encoder.resolution)
-    if not answered:
-        measures.pop("margins")
     measured = {name: measure() for name, measure in measures.items() if name in wanted}
-    missing = None if answered or "margins" not in wanted else f"margins, {NO_FILTERS}"
-    return WallCheck(*gains, code, hand, **measured, not_answered=missing)  # type: ignore[arg-type]
-
-
-def _worst(loop: HapticLoop, hands: HandRange, gains: Gains) -> tuple[Verdict, HapticLoop]:
-    worst = loop.worst_hand(hands, *gains)
-    return worst.verdict, worst.loop
-
-
-def _worst_corner(loops: list[HapticLoop], gains: Gains) -> tuple[Verdict, HapticLoop]:
-    """Return the loop of the largest radius; stable corners prove nothing of other hands."""
-    worst = max(loops, key=lambda loop: float(loop.spectral_radius(*gains).value))
-    is_unstable = any(loop.verdict(*gains) == Verdict.UNSTABLE for loop in loops)
-    return Verdict.UNSTABLE if is_unstable else Verdict.UNDECIDED, worst
+    return WallCheck(*gains, code, hand, **measured)  # type: ignore[arg-type]
 
 
 def _margins(loops: list[HapticLoop], gains: Gains) -> Margins:
     """Return the least margins over some loops of one sample time and delay."""
     points = [(loop.alpha(gains[0]), loop.beta(gains[1]), *loop.slice) for loop in loops]
-    found = margins(*np.array(points).T)
+    found = margins(*np.array(points).T, **loops[0].filters)
     mass = np.array([loop.mass for loop in loops])
     # NaN, of a hand with which the wall is not stable, goes through.
     period = loops[0].sample_time
