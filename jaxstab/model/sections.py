@@ -34,7 +34,8 @@ class Average:
     window: float | None = fixed()
 
     def __str__(self) -> str:
-        window = f"{self.window:g} s" if self.samples is None else f"{self.samples} samples"
+        samples = f"{self.samples} sample{'' if self.samples == 1 else 's'}"
+        window = f"{self.window:g} s" if self.samples is None else samples
         return f"a window of {window}"
 
     def per_sample(self, sample_time: Numbers) -> "Average":

@@ -103,11 +103,13 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
         panels[-1].set_title("a constant push, and the band of 2 %")
     remarks = [f"velocity: {basis_of(scene).velocity}"]
     if hands_of(scene):
-        remarks.append("region, settling and fastest wall: hand at its lowest values")
-        remarks += ["responses: worst hand of each wall"] if checked else []
-    figure.suptitle("; ".join(remarks), fontsize=9)
+        remarks.append(
+            "region, settling and fastest wall: hand at its lowest values"
+            + ("; responses: worst hand of each wall" if checked else "")
+        )
+    figure.suptitle("\n".join(remarks), fontsize=9)
     handles, labels = panels[0].get_legend_handles_labels()
-    columns = 2 if len(widths) == 1 else 4
+    columns = min(1 + len(widths), 4)
     figure.legend(
         handles, labels, fontsize=8, frameon=False, ncols=columns, loc="outside lower center"
     )

@@ -4,8 +4,8 @@ EXAMPLE = """\
 # A haptic scene for jaxstab. All quantities are in SI units.
 
 [device]
-# preset = "phantom"      # instead of the two below: phantom, omega or falcon
-mass = 0.1                # kg, effective mass at the handle
+# preset = "phantom"      # instead of the two below; `jaxstab scene presets` lists them
+mass = 0.1                # kg, effective mass at the handle; inertia in kg m^2 for one that turns
 damping = 1.5             # N s/m, physical damping of the device
 # encoder.resolution = 1e-5   # m at the handle: check bounds what its rounding does
 
@@ -17,6 +17,15 @@ damping = 1.0             # N s/m
 [controller]
 sample_time = 0.001       # s
 delay_samples = 1.5       # samples, whole or not; or: delay = 0.0015, in s
+# position.cutoff = 400.0 # Hz, a filter of the position, with the keys of velocity below
+
+[controller.velocity]     # how the velocity is estimated; without it, over one sample
+# preset = "chai3d"       # instead of the others: what a software does
+window = 0.02             # s, the difference over a window; or: window_samples = 20
+# cutoff = 100.0          # Hz, a low pass behind it
+# order = 1               # of the low pass
+# kind = "butterworth"    # of the low pass, instead of first-order ones in a row
+# factor = 0.5            # exponential smoothing behind it
 
 [walls.soft]              # any number of walls, each with a name of its own
 stiffness = 300.0         # N/m
@@ -32,5 +41,6 @@ answers = ["limits", "check"]    # of limits, check, tune, design
                           # margins, distance, radius, settling, oscillation, chatter
 # at_damping = 20.0       # N s/m, limits: the stiffness allowed at this damping
 # at_stiffness = 1000.0   # N/m, limits: the damping allowed at this stiffness
+# safety = 0.8            # limits and design: what limits are multiplied by
 # stiffness = 3000.0      # N/m, design: what the sample time or the delay is to allow
 """
