@@ -204,6 +204,11 @@ def test_a_device_that_turns_is_answered_and_drawn_in_units_of_rotation() -> Non
         assert "inertia" in words
         assert not re.search(r"N/m|N s/m|\bkg$|\bmass\b", words, re.MULTILINE)
     assert check_walls(scene).as_json()["a"]["worst_hand"].keys() >= {"inertia", "stiffness"}
+    turned = TURNING | {
+        "device": {"inertia": 0.01, "damping": 0.05, "encoder": {"resolution": 1e-4}}
+    }
+    chatter = str(check_walls(Scene.from_table(turned | {"wanted": {"measures": ["chatter"]}})))
+    assert re.search(r"chatter at most +[-.e\d]+ urad\n.* N m\n.* N m\n", chatter)
     axes = scene_figure(scene, checked).axes
     assert axes[0].get_xlabel() == "stiffness K (N m/rad)"
     assert axes[0].get_ylabel() == "damping B (N m s/rad)"

@@ -26,7 +26,8 @@ _COUNTED = (
     "does not count: the hold of half a sample, and the window or filter, which are modelled",
 )
 _OUTSIDE = (
-    "steps of encoder and amplifier, Coulomb friction, saturation",
+    "steps of the encoder, but for their chatter in check; steps of the amplifier",
+    "Coulomb friction, saturation",
     "vibration modes, bandwidth of motor and amplifier",
     "a mass that varies with the posture, several axes at once",
     "bouncing off the wall, estimators that adapt, clocks that jitter",
