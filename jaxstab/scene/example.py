@@ -21,7 +21,7 @@ delay_samples = 1.5       # samples, whole or not; or: delay = 0.0015, in s
 
 [controller.velocity]     # how the velocity is estimated; without it, over one sample
 # preset = "chai3d"       # instead of the others: what a software does
-window = 0.02             # s, the difference over a window; or: window_samples = 20
+window = 0.005            # s, the difference over a window; or: window_samples = 5
 # cutoff = 100.0          # Hz, a low pass behind it
 # order = 1               # of the low pass
 # kind = "butterworth"    # of the low pass, instead of first-order ones in a row
@@ -32,8 +32,8 @@ stiffness = 300.0         # N/m
 damping = 2.0             # N s/m
 
 [walls.hard]
-stiffness = 10000.0
-damping = 20.0
+stiffness = 1500.0
+damping = 12.0
 
 [wanted]                  # what `jaxstab scene FILE` answers
 answers = ["limits", "check"]    # of limits, check, tune, design
