@@ -6,6 +6,7 @@ boundary. A margin is ``wrong`` where a wall within it is unstable, and ``short`
 stable farther by a millionth of the way and more, p(z) on the circle being larger than 1e-12 of its
 terms for each sample of delay; ``shortest`` is the largest share of the way that was missing. A
 limit is ``wrong`` where the proved wall is unstable for a hand, or a stiffer one stable for all.
+Loops with filters and devices are those of ``filtered_ranges``.
 """
 
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import truth
+from benchmarks import filtered_ranges, truth
 from benchmarks.record import Row
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
@@ -43,6 +44,13 @@ def rows(small: bool) -> Iterator[Row]:
     rng = np.random.default_rng(20121)
     yield _margins(rng, _SMALL_WALLS if small else _WALLS)
     yield _limits(rng, _SMALL_RANGES if small else _RANGES)
+    for name, campaign in (
+        ("margins_filtered", filtered_ranges.margins),
+        ("margins_devices", filtered_ranges.device_margins),
+        ("gaps_filtered", filtered_ranges.gaps),
+    ):
+        tally, seconds = campaign(rng, _SMALL_WALLS if small else _WALLS)
+        yield _row(name, tally.wrong / max(tally.judged, 1), seconds, **tally._asdict())
 
 
 class Judged(NamedTuple):

@@ -89,7 +89,7 @@ class DeviceLoop:
         """The truth."""
         rest = _PERIOD, self.device.delay, *self.filters.truths
         balls = devices.DeviceLoop(self.device.mechanism.system(), *rest).balls()
-        return balls.in_units(self._sampled.stiffness_unit, self._sampled.damping_unit)
+        return balls.in_units(self.sampled.stiffness_unit, self.sampled.damping_unit)
 
     def verdict(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
         return linear_verdict(alpha, beta, self._loop)
@@ -98,16 +98,16 @@ class DeviceLoop:
         return linear_spectral_radius(alpha, beta, self._loop)
 
     def region(self) -> jaxstab.StableRegion:
-        transfers = self._sampled.transfers(self.filters[:2])
-        return linear_region(self._sampled.plant, *transfers, tolerance=1e-6)
+        transfers = self.sampled.transfers(self.filters[:2])
+        return linear_region(self.sampled.plant, *transfers, tolerance=1e-6)
 
     @cached_property
-    def _sampled(self) -> SampledDevice:
+    def sampled(self) -> SampledDevice:
         return sampled_device(device_of(self.device), _PERIOD, self.device.delay)
 
     @cached_property
     def _loop(self) -> LinearLoop:
-        return self._sampled.loop(self.filters[:2])
+        return self.sampled.loop(self.filters[:2])
 
 
 def device_of(drawn: devices.Drawn) -> Device:

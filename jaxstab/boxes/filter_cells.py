@@ -7,6 +7,7 @@ next to z = -1, where poles and zeros are: so no digits are lost. Cells are halv
 are good to rounding.
 """
 
+from collections.abc import Callable
 from functools import lru_cache, reduce
 from math import factorial, perm
 from typing import NamedTuple
@@ -49,22 +50,35 @@ class FilterCells(NamedTuple):
     middle: Cells
     half: Cells
     first: Cells
-    series: Complex128[np.ndarray, "cell 2 order"]
-    lost: Float64[np.ndarray, "cell 4"]
-    steepness: Float64[np.ndarray, "k cell 4"]
+    series: Complex128[np.ndarray, "cell function order"]
+    lost: Float64[np.ndarray, "cell bound"]
+    steepness: Float64[np.ndarray, "k cell bound"]
+
+
+Functions = Callable[[Cells, Cells, bool], list[Series]]
+"""Series of functions over cells of some middles and halves: in the middles, or in all of them."""
 
 
 @lru_cache(maxsize=32)
 def filter_cells(filters: Filters) -> FilterCells:
     """Return what filters in units of one sample do on the circle."""
     chains = factors_of(filters)
+
+    def series(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
+        return [over_halves(chain, middle, half, is_wide) for chain in chains]
+
+    return cells_of(series)
+
+
+def cells_of(functions: Functions) -> FilterCells:
+    """Return functions on the circle."""
     edges = np.linspace(-_BEYOND, np.pi + _BEYOND, _FIRST_CELLS + 1)
     middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
-    largest = np.zeros(2)
+    largest: np.ndarray | float = 0.0
     done: list[_Known] = []
     for halving in range(_MOST_HALVINGS + 1):
         with np.errstate(invalid="ignore"):  # 0 times what has no bound
-            known = _known_of(chains, middle, half)
+            known = _known_of(functions, middle, half)
         largest = np.fmax(largest, np.nanmax(abs(known.series[:, :, 0]), axis=0))
         enough = np.all(known.remainder <= _REMAINDER * (known.size + _SMALL * largest), axis=1)
         enough |= (halving == _MOST_HALVINGS) or (len(middle) > _MOST_CELLS)
@@ -102,14 +116,14 @@ def _at(ascending: Polynomial, back: Array) -> Array:
     return reduce(lambda value, c: value * back + float(c.rounded()), ascending[::-1], 0.0 * back)
 
 
-def factors_of(filters: Filters) -> tuple[list[Factor], list[Factor]]:
-    """Return short factors of P and of V, whose first one is (1 - z^-n) / n."""
+def factors_of(filters: Filters, sample_time: float = 1.0) -> tuple[list[Factor], list[Factor]]:
+    """Return short factors of P and of T V, whose first one is (1 - z^-n) / n."""
     velocity, position = filters
-    samples, stages = velocity.stages()
+    samples, stages = velocity.stages(sample_time)
     part = DoubleDouble.of(1.0) / float(samples)
     over_window = (part, *(_ZERO,) * (samples - 1), -part)
     of_velocity = [(over_window, ONE), *map(_in_lags, stages)]
-    return [_in_lags(stage) for stage in position.stages()], of_velocity
+    return [_in_lags(stage) for stage in position.stages(sample_time)], of_velocity
 
 
 def _in_lags(transfer: Transfer) -> Factor:
@@ -178,12 +192,9 @@ class Circle(NamedTuple):
         return exact
 
 
-def _known_of(chains: tuple[list[Factor], list[Factor]], middle: Cells, size: Cells) -> _Known:
+def _known_of(functions: Functions, middle: Cells, size: Cells) -> _Known:
     half = size * _OVERLAP
-    narrow, wide = (
-        [_over_halves(chain, middle, half, is_wide) for chain in chains]
-        for is_wide in (False, True)
-    )
+    narrow, wide = (functions(middle, half, is_wide) for is_wide in (False, True))
     lost = [lost_of(*both, half, k) for k in range(2) for both in zip(narrow, wide, strict=True)]
     return _Known(
         middle=middle,
@@ -197,7 +208,7 @@ def _known_of(chains: tuple[list[Factor], list[Factor]], middle: Cells, size: Ce
     )
 
 
-def _over_halves(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool) -> Series:
+def over_halves(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool) -> Series:
     """Return a function of theta; next to pi it is that of -z and of pi - theta, conjugated."""
     is_near = middle < 0.5 * np.pi
     near = Circle.of(middle[is_near], half[is_near], is_wide).product(chain)

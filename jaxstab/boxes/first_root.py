@@ -6,6 +6,7 @@ B4), and halved where that shrinks them little. Shrinking squares the width, so 
 lead from a coarse grid to the last digits.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -55,7 +56,7 @@ class FirstRoots(NamedTuple):
     theta: Float64[np.ndarray, " line"]
 
 
-class _Models(NamedTuple):
+class Models(NamedTuple):
     """g over boxes: the value in the middle, the moves to the ends of each axis, the rest."""
 
     value: np.ndarray
@@ -64,8 +65,9 @@ class _Models(NamedTuple):
     bends: np.ndarray  # (2, box): how much each axis moves g, and its rest
     rounding: np.ndarray
 
-    def some(self, which: Bool[np.ndarray, " box"]) -> "_Models":
-        return _Models(*(part[..., which] for part in self))
+    def some(self, which: Bool[np.ndarray, " box"]) -> "Models":
+        """Return some of them."""
+        return Models(*(part[..., which] for part in self))
 
 
 def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> FirstRoots:
@@ -73,12 +75,17 @@ def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> F
 
     ``filters`` are the velocity estimator and the position filter, in units of one sample.
     """
-    count = lines.start.shape[1]
-    found = FirstRoots(*(np.full(count, end) for end in (np.inf, np.inf, np.nan)))
     with np.errstate(all="ignore"):
         plants = accurate_plant(*lines.start[2:])
+    return search(lines.start.shape[1], parts, lambda some: _models(lines, plants, some, filters))
+
+
+def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> FirstRoots:
+    """Return the first roots on some lines, by models of g over boxes."""
+    found = FirstRoots(*(np.full(count, end) for end in (np.inf, np.inf, np.nan)))
+    with np.errstate(all="ignore"):
         while parts.line.size:
-            models = _models(lines, plants, parts, filters)
+            models = models_of(parts)
             is_open = ~is_free(*models[:3])
             parts, models = parts.some(is_open), models.some(is_open)
             shrunk, is_proved = _shrunk(parts, models)
@@ -103,7 +110,7 @@ def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> F
     return found
 
 
-def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | None) -> _Models:
+def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | None) -> Models:
     t, theta = 0.5 * (parts.low + parts.high)
     half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * _EPS)
     change = lines.change[:, parts.line]
@@ -119,10 +126,10 @@ def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | N
     g = expansion(center, Loops(*np.concatenate([moved, half[1:]])), plant, filters)
     moves = np.stack([np.sum(g.linear[:5] * change, axis=0), g.linear[5]]) * half
     bends = np.stack([np.sum(g.rest_slopes[:5] * moved, axis=0), g.rest_slopes[5] * half[1]])
-    return _Models(g.value, moves, g.rest, bends + np.abs(moves), g.rounding)
+    return Models(g.value, moves, g.rest, bends + np.abs(moves), g.rounding)
 
 
-def _shrunk(parts: Parts, models: _Models) -> tuple[Parts, Bool[np.ndarray, " box"]]:
+def _shrunk(parts: Parts, models: Models) -> tuple[Parts, Bool[np.ndarray, " box"]]:
     """Shrink boxes to where g can vanish, and say which of them are proved to hold a zero."""
     value, (by_t, by_theta), rest, *_ = models
     determinant = _turned(by_t, by_theta)

@@ -1,3 +1,5 @@
+from .device_margins import device_margins as device_margins
+from .device_margins import is_stable_along as is_stable_along
 from .hands import HandRange as HandRange
 from .hands import WorstHand as WorstHand
 from .hands import worst_hand as worst_hand

@@ -1,0 +1,173 @@
+"""Margins and gaps of columns of loops with estimators, filters and devices, against balls.
+
+The loops are those of ``benchmarks.truth.random_loops``: windows, low passes, Butterworth filters,
+exponential smoothing, transfer functions and chains of them; hands without damping, too; delays of
+0 to 30 samples with fractions; devices with modes, grips and motors. Walls lie in all components of
+the stable set, islands too, half of them next to the boundary. A margin is wrong where a wall
+within it is unstable, and short where the wall is stable farther by a millionth of the way and by
+1e-9 of the region's size. A gap is wrong where a wall in it has another verdict, for any hand of
+its box.
+"""
+
+from collections.abc import Iterator
+from time import process_time
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.truth.balls import BallLoop
+from benchmarks.truth.filtered import FilteredLoop
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop
+from jaxstab import StableRegion
+from jaxstab.boxes.columns import column_gaps
+from jaxstab.boxes.enclosure import Domain
+from jaxstab.boxes.plant import HandBoxes
+from jaxstab.conventions import STABLE, UNSTABLE, Verdict
+from jaxstab.model.filters import given_filters
+from jaxstab.ranges.device_margins import device_ends
+from jaxstab.ranges.first_crossings import WAYS, first_crossings
+
+_PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged
+_FARTHER = 1e-6  # of the way
+_SHARE = 1e-9  # of the region's size
+_FARTHEST_DELAY = 20.0
+_CELLS = 16
+_POINTS = 24  # of the gaps of a box
+
+
+class Tally(NamedTuple):
+    """How many claims were judged, are wrong, and fall short."""
+
+    judged: int = 0
+    wrong: int = 0
+    short: int = 0
+
+    def __add__(self, other: "Tally") -> "Tally":  # type: ignore[override]
+        return Tally(*(a + b for a, b in zip(self, other, strict=True)))
+
+
+class Campaign(NamedTuple):
+    """Totals, and CPU seconds of each question."""
+
+    tally: Tally
+    seconds: list[float]
+
+
+def margins(rng: np.random.Generator, count: int) -> Campaign:
+    """Judge the margins of walls of random loops with filters."""
+    tally, seconds = Tally(), []
+    for loop, region in _loops(rng, MassLoop, count):
+        filters = given_filters(*loop.filters[:2])
+        wall = _wall(rng, region)
+        start = process_time()
+        code, *found = first_crossings(np.array([[*wall, *loop.plant]]), filters)[0]
+        seconds.append(process_time() - start)
+        if code == Verdict.STABLE:
+            tally += _judged_steps(loop, wall, np.array(found[::2]), region)
+    return Campaign(tally, seconds)
+
+
+def device_margins(rng: np.random.Generator, count: int) -> Campaign:
+    """Judge the margins of walls of random devices with filters."""
+    tally, seconds = Tally(), []
+    for loop, region in _loops(rng, DeviceLoop, count):
+        wall = _wall(rng, region)
+        filters = given_filters(*loop.filters[:2])
+        start = process_time()
+        codes, ends = device_ends(loop.sampled, np.array([wall]), filters)
+        seconds.append(process_time() - start)
+        if codes[0] == Verdict.STABLE:
+            steps = ends[0] - np.repeat(wall, 2)
+            size = np.ptp(_finite(region), axis=0)
+            for way, step in enumerate(steps):
+                tally += _judged_gain(loop.balls, wall, way // 2, float(step), size[way // 2])
+    return Campaign(tally, seconds)
+
+
+def gaps(rng: np.random.Generator, count: int) -> Campaign:
+    """Judge the gaps of columns of random boxes of hands, with filters."""
+    tally, seconds = Tally(), []
+    for loop, region in _loops(rng, MassLoop, count):
+        filters = given_filters(*loop.filters[:2])
+        points = _finite(region)
+        low, high = points.min(axis=0), points.max(axis=0)
+        beyond = 0.2 * (high - low)
+        domain = Domain(*zip(low - beyond, high + beyond, strict=True))
+        gamma, delta, delay = loop.plant
+        half = np.array([gamma, delta]) * rng.choice([0.0, 1e-3, 1e-2], 2)
+        hands = HandBoxes(*(np.array([value]) for value in (gamma, delta, *half)))
+        beta = np.linspace(*domain.beta, _CELLS + 1)
+        start = process_time()
+        found = column_gaps(beta, hands, delay, domain, filters)
+        seconds.append(process_time() - start)
+        low, high, code = (part[0] for part in found)
+        column, gap = np.nonzero((low < high) & ((code == STABLE) | (code == UNSTABLE)))
+        for number in rng.permutation(column.size)[:_POINTS]:
+            k, n = column[number], gap[number]
+            part = rng.choice([1e-9, 1.0 - 1e-9, rng.uniform()])
+            wall = low[k, n] + part * (high[k, n] - low[k, n]), rng.uniform(beta[k], beta[k + 1])
+            hand = np.array([gamma, delta]) + half * rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], 2)
+            one = FilteredLoop(*map(float, hand), delay, *loop.filters.truths).balls()
+            is_stable = one.is_stable(*map(float, wall))
+            if is_stable is not None:
+                tally += Tally(1, int(is_stable != (code[k, n] == STABLE)))
+    return Campaign(tally, seconds)
+
+
+def _loops(
+    rng: np.random.Generator, kind: type[MassLoop] | type[DeviceLoop], count: int
+) -> Iterator[tuple[MassLoop, StableRegion]]:
+    """Yield random loops that have filters and a region."""
+    given = 0
+    while given < count:
+        loop = kind.drawn(rng)
+        if given_filters(*loop.filters[:2]) is None:
+            continue
+        region = loop.region()
+        if region.status.name == "COMPLETE" and len(_finite(region)) > 2:
+            given += 1
+            yield loop, region
+
+
+def _finite(region: StableRegion) -> np.ndarray:
+    return region.points[np.isfinite(region.points).all(axis=1)]
+
+
+def _wall(rng: np.random.Generator, region: StableRegion) -> np.ndarray:
+    """Return a wall in or near a component, half of the walls next to the boundary."""
+    components = region.components
+    points = _finite(components[rng.integers(len(components))])
+    one, other = points[rng.integers(len(points), size=2)]
+    wall: np.ndarray = one + rng.choice([rng.uniform(), 10 ** rng.uniform(-9, -1)]) * (other - one)
+    return wall
+
+
+def _judged_steps(
+    loop: MassLoop, wall: np.ndarray, steps: np.ndarray, region: StableRegion
+) -> Tally:
+    tally, size = Tally(), np.ptp(_finite(region), axis=0)
+    for (axis, _), step in zip(WAYS[:-1], steps, strict=False):
+        tally += _judged_gain(loop.balls, wall, axis, float(step), size[axis])
+    gamma, delta, delay = loop.plant
+    way = min(steps[-1], _FARTHEST_DELAY)
+    for part in _PARTS:
+        later = FilteredLoop(gamma, delta, float(delay + part * way), *loop.filters.truths)
+        is_stable = later.balls().is_stable(*map(float, wall))
+        if is_stable is not None:
+            tally += Tally(1, int(not is_stable))
+    return tally
+
+
+def _judged_gain(balls: BallLoop, wall: np.ndarray, axis: int, step: float, size: float) -> Tally:
+    def is_stable(way: float) -> bool | None:
+        moved = wall.copy()
+        moved[axis] += way
+        return balls.is_stable(*map(float, moved))
+
+    within = [is_stable(part * step) for part in _PARTS]
+    farther = step + np.copysign(max(_FARTHER * abs(step), _SHARE * size), step)
+    return Tally(
+        sum(one is not None for one in within),
+        sum(one is False for one in within),
+        int(is_stable(farther) is True),
+    )

@@ -1,0 +1,163 @@
+"""Margins of K and B, and robust regions, of loops with any linear device.
+
+As for the device of one mass (``first_crossings``, ``robust_region``), with the functions of
+``boxes.linear_circle`` in place of the closed form.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from math import inf, nan
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from jaxstab.arrays import Numbers
+from jaxstab.boxes.first_root import FirstRoots, Parts, search
+from jaxstab.boxes.linear_circle import GainLines, line_models, loop_cells
+from jaxstab.conventions import Verdict
+from jaxstab.model import checked_gain
+from jaxstab.model.device import SampledDevice
+from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
+from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.ranges.margins import Margins
+
+Walls = Float64[np.ndarray, "wall 2"]
+
+_WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
+_AT_ONCE = 32  # walls
+_ANGLES, _PER_POLE = 48, 6  # boxes of theta at first
+_PIECES = 2  # boxes along a gain at first
+_FIRST_STEP = 2.0**-16  # of a gain, in units of the device
+_DOUBLINGS = 56
+_SAFE = 1.0 - 2.0**-48  # a step, and the sum with it, loses less when it is computed
+
+
+def device_margins(
+    device: SampledDevice,
+    stiffness: Numbers,
+    damping: Numbers,
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> Margins:
+    """Return how far K and B of a wall on any linear device may change, each alone.
+
+    Args:
+        device: with its hands and actuators, sampled: ``sampled_device``.
+        stiffness: K in N/m, any shape; broadcasts with the damping.
+        damping: B in N s/m.
+        velocity: the velocity estimator in SI units; None for the difference over one sample.
+        position: the position filter in SI units; None for none.
+
+    Returns:
+        Margins in N/m and N s/m, proved as those of one mass. The extra delay is not looked for: it
+        is NaN.
+
+    Raises:
+        ValueError: a gain is infinite or NaN.
+        TypeError: velocity or position is no estimator or filter, or JAX traces its parameters.
+
+    Source: lemmas B5 and B13 of docs/proofs.md.
+
+    Example:
+        >>> device = sampled_device(Device.mass_spring_damper(0.1, 1.5), 1e-3, delay=1.5)
+        >>> device_margins(device, 300.0, 2.0).stiffness_gain
+    """
+    filters = known_filters(velocity, position)
+    grid = np.broadcast_arrays(
+        np.asarray(checked_gain("stiffness", stiffness), np.float64),
+        np.asarray(checked_gain("damping", damping), np.float64),
+    )
+    units = np.array([device.stiffness_unit, device.damping_unit])
+    walls = np.stack(grid, axis=-1).reshape(-1, 2) * units
+    codes = np.empty(len(walls), np.int8)
+    ends = np.full((len(walls), 4), nan)
+    for first in range(0, len(walls), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        codes[some], ends[some] = device_ends(device, walls[some], filters)
+    shape = grid[0].shape
+    limits = [ends[:, :2] / units[0], ends[:, 2:] / units[1]]
+    factors = [
+        np.where(gain > 0.0, limit[:, 1].reshape(shape) / np.where(gain > 0.0, gain, 1.0), inf)
+        for gain, limit in zip(grid, limits, strict=True)
+    ]
+    unknown = np.reshape(codes != Verdict.STABLE, shape)
+    return Margins(
+        codes.reshape(shape),
+        limits[0].reshape(*shape, 2),
+        limits[1].reshape(*shape, 2),
+        np.where(unknown, nan, factors[0]),
+        np.where(unknown, nan, factors[1]),
+        np.full(shape, nan),
+    )
+
+
+def is_stable_along(
+    devices: Sequence[SampledDevice],
+    outline: Float64[np.ndarray, "vertex 2"],
+    *,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> Bool[np.ndarray, " device"]:
+    """Return for which devices all walls of a closed polygon, and all inside, are proved stable.
+
+    The intersection of the regions of a list of devices, pulled in a little, is so proved to be a
+    robust region of the list.
+
+    Args:
+        devices: sampled devices.
+        outline: vertices (K, B) of the polygon in N/m and N s/m, the first one not repeated.
+        velocity: the velocity estimator in SI units; None for the difference over one sample.
+        position: the position filter in SI units; None for none.
+
+    Source: lemmas B11 and B13 of docs/proofs.md.
+    """
+    filters = known_filters(velocity, position)
+    proved = np.zeros(len(devices), bool)
+    for number, device in enumerate(devices):
+        start = (outline * [device.stiffness_unit, device.damping_unit]).T
+        lines = GainLines(start, np.roll(start, -1, axis=1) - start)
+        roots = _first_roots(device, lines, filters)
+        one = linear_verdict(start[0, :1], start[1, :1], device.loop(filters))
+        proved[number] = np.all(roots.low == inf) and one.item() == Verdict.STABLE
+    return proved
+
+
+def device_ends(
+    device: SampledDevice, walls: Walls, filters: Filters | None
+) -> tuple[np.ndarray, Float64[np.ndarray, "wall 4"]]:
+    """Return the verdicts on walls (alpha, beta) and, of stable ones, the ends of both gains."""
+    loop = device.loop(filters)
+    codes = np.asarray(linear_verdict(walls[:, 0], walls[:, 1], loop))
+    ends = np.full((len(walls), 4), nan)
+    stable = walls[codes == Verdict.STABLE]
+    if not len(stable):
+        return codes, ends
+    axes, signs = (np.array(column) for column in zip(*_WAYS, strict=True))
+    first = np.maximum(_FIRST_STEP, 0.5 * np.abs(stable.T[axes]))  # (way, wall)
+    steps = first[..., None] * 2.0 ** np.arange(_DOUBLINGS)
+    gains = np.repeat(stable.T[:, None, :, None], 4, axis=1) * np.ones(_DOUBLINGS)
+    gains[axes, range(4)] += signs[:, None, None] * steps
+    is_unstable = np.asarray(linear_verdict(gains[0], gains[1], loop)) == Verdict.UNSTABLE
+    reach = np.min(np.where(is_unstable, steps, steps[..., -1:]), axis=-1)
+    change = np.zeros((2, *reach.shape))
+    change[axes, range(4)] = signs[:, None] * reach
+    lines = GainLines(np.tile(stable.T, 4), change.reshape(2, -1))
+    roots = _first_roots(device, lines, filters)
+    step = signs[:, None] * np.minimum(roots.low.reshape(reach.shape), 1.0) * reach * _SAFE
+    gain = stable.T[axes] + step
+    gain -= np.sign(step) * 2.0**-50 * np.abs(gain)
+    ends[codes == Verdict.STABLE] = gain.T
+    return codes, ends
+
+
+def _first_roots(device: SampledDevice, lines: GainLines, filters: Filters | None) -> FirstRoots:
+    cells = loop_cells(device, filters)
+    count = _ANGLES + _PER_POLE * len(device.loop(filters).base)
+    theta = np.pi * (np.arange(count + 2) - 0.5) / count
+    t = np.linspace(0.0, 1.0, _PIECES + 1)
+    number = lines.start.shape[1]
+    grid = np.meshgrid(np.arange(number), t[:-1], theta[:-1], indexing="ij")
+    line, low = grid[0].ravel(), np.stack([part.ravel() for part in grid[1:]])
+    parts = Parts(line, low, low + np.array([[t[1]], [theta[1] - theta[0]]]))
+    return search(number, parts, partial(line_models, cells, lines))

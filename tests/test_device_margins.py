@@ -1,0 +1,75 @@
+"""Margins of any linear device against certified roots, and against those of one mass."""
+
+import numpy as np
+import pytest
+
+import jaxstab
+from benchmarks import filtered_ranges
+from jaxstab import Filter, Velocity, Verdict
+from jaxstab.model.device import Device, Hand, Mode, sampled_device
+from jaxstab.ranges import device_margins, is_stable_along
+
+PERIOD = 1e-3
+
+
+@pytest.mark.parametrize("velocity", [None, Velocity.difference(samples=20)])
+@pytest.mark.parametrize("delay", [1.0, 1.5])
+def test_a_device_of_one_mass_has_the_margins_of_the_five_numbers(
+    velocity: Velocity | None, delay: float
+) -> None:
+    device = sampled_device(Device.mass_spring_damper(0.1, 1.5), PERIOD, delay)
+    loop = jaxstab.HapticLoop(
+        device_mass=0.1,
+        device_damping=1.5,
+        sample_time=PERIOD,
+        delay=delay * PERIOD,
+        velocity=velocity,
+    )
+    walls = np.array([300.0, 5e4]), np.array([2.0, 2.0])
+    found, expected = device_margins(device, *walls, velocity=velocity), loop.margins(*walls)
+    np.testing.assert_array_equal(found.verdict, [Verdict.STABLE, Verdict.UNSTABLE])
+    np.testing.assert_allclose(found.stiffness, expected.stiffness, rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(found.damping, expected.damping, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(found.stiffness_gain, expected.stiffness_gain, rtol=1e-9)
+    np.testing.assert_allclose(found.damping_gain, expected.damping_gain, rtol=1e-9)
+    assert np.isnan(found.extra_delay).all()
+
+
+def test_margins_of_random_devices_end_where_certified_roots_cross() -> None:
+    tally, _ = filtered_ranges.device_margins(np.random.default_rng(4), 3)
+    assert tally.judged > 20
+    assert tally.wrong == tally.short == 0
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", ["margins", "device_margins", "gaps"])
+def test_no_claim_about_random_loops_with_filters_is_wrong(kind: str) -> None:
+    tally, _ = getattr(filtered_ranges, kind)(np.random.default_rng(20), 60)
+    assert tally.judged > 500
+    assert tally.wrong == 0
+
+
+def test_a_polygon_is_proved_for_each_device_of_a_list() -> None:
+    plain = Device.mass_spring_damper(0.25, 0.5)
+    arm = plain.held_by(Hand.mass_spring_damper(0.5, 5.0, 200.0).with_grip(5.0, 2000.0))
+    shaky = Device.modes([Mode(frequency=60.0, damping_ratio=0.02, modal_mass=2.0)], mass=0.25)
+    devices = [sampled_device(device, PERIOD, 1.0) for device in (plain, arm, shaky)]
+    window = Velocity.difference(samples=10)
+    outline = np.array([[50.0, 4.0], [600.0, 6.0], [600.0, 12.0], [50.0, 12.0]])
+    proved = is_stable_along(devices, outline, velocity=window)
+    for device, is_proved in zip(devices, proved, strict=True):
+        codes = [
+            device_margins(device, *wall, velocity=window).verdict.item()
+            for wall in [*outline, outline.mean(axis=0)]
+        ]
+        assert is_proved == all(code == Verdict.STABLE for code in codes)
+    assert proved[:2].all()
+    assert not is_stable_along(devices, 100.0 * outline, velocity=window).any()
+
+
+def test_margins_of_devices_refuse_what_is_no_filter() -> None:
+    device = sampled_device(Device.mass_spring_damper(0.1, 1.5), PERIOD, 1.0)
+    with pytest.raises(TypeError, match="velocity"):
+        device_margins(device, 1.0, 1.0, velocity=Filter())
+    with pytest.raises(ValueError, match="stiffness"):
+        device_margins(device, np.nan, 1.0)
