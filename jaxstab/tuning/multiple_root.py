@@ -13,6 +13,7 @@ from jaxstab.model import PlantCoefficients
 from jaxstab.model.linear_loop import LinearLoop
 
 _NEWTON_STEPS = 10
+_PATIENCE, _LOST = 4, 0.05  # after so many steps, of the root: no root is near
 _FARTHEST = 1.3  # a root beyond has been lost
 _REAL = 1e-3  # relative: imaginary parts of a real root of a polynomial with rounded coefficients
 
@@ -82,7 +83,7 @@ def triple_roots(family: Family) -> Pair:
 def multiple_root(family: Family, start: Pair, is_triple: bool) -> Pair:
     """Solve for the multiple root; NaN where its equations are singular."""
     pair = start._replace(y=np.float64(0.0)) if is_triple else start
-    for _ in range(_NEWTON_STEPS):
+    for number in range(_NEWTON_STEPS):
         try:
             step = newton_step(family, pair, np.asarray(is_triple))
         except np.linalg.LinAlgError:
@@ -90,6 +91,8 @@ def multiple_root(family: Family, start: Pair, is_triple: bool) -> Pair:
         pair = Pair(*(a + b for a, b in zip(pair, step, strict=True)))
         size = max(abs(part) for part in pair)
         if not max(abs(part) for part in step) > 1e-15 * size or abs(pair.x) > _FARTHEST:
+            break
+        if number == _PATIENCE and abs(step.x) + abs(step.y) > _LOST * (abs(pair.x) + abs(pair.y)):
             break
     return pair
 

@@ -38,7 +38,9 @@ _MINIMA, _POINTS, _ROUNDS = 8, 9, 5  # of the scan that are looked at closer
 _MORE = 4.0  # times what a minimum lost when it was looked at closer
 _STEP = 0.8  # from one radius to the next smaller one that is tried
 _CLOSE = 1.01  # ends of the interval for the radius at which the search becomes local
+_SHORT = 0.1  # of the way to the radius that was guessed: what is left of it
 _ROWS, _COLUMNS, _ZOOMS = 32, 48, 14
+_FLAT = 1e-11  # relative: radii this close are not told apart
 _AGREEMENT = 1e-6  # relative, between the scan and the solution of the equations
 _ROOM = 1e-4  # relative, below a radius, where a smaller one is looked for once more
 _ATTEMPTS = 4
@@ -122,26 +124,43 @@ def _best(walls: Walls) -> tuple[Pair, int]:
 def _descended(walls: Walls, low: float, best: _Point) -> tuple[float, Pair, int]:
     """Return a radius below which no pair was found, the best pair above it, and its kind.
 
-    From the best point known, the radius is taken down until no pair is left, faster and faster,
-    and then bisected.
+    From the best point known, the radius is taken down until no pair is left, faster and faster.
+    Below the best radius, what is reached misses the circle by about as much as the circle is too
+    small: two such circles tell where the next one nearly fits.
     """
-    high, step = best.radius, _STEP
+    high, step, misses = best.radius, _STEP, list[_Point]()
     while high > low * _CLOSE:
-        trial = min(1.0, max(step * high, float(np.sqrt(low * high))))
+        guess = _guess(misses, low, high)
+        trial = min(1.0, max(step * high, guess))
         if not low < trial < high:
             break
         point = _scanned(walls, trial)
         is_better, best = point < best, min(best, point)
         if point.reached <= trial * (1.0 + _NOISE):
             high, step = trial, step * step
+            misses.clear()
             continue
         low, high = trial, min(high, point.reached)
+        misses.append(point)
         if is_better:
             pair = multiple_root(walls.family, _pair_at(walls, point), is_triple=False)
             radius = np.hypot(pair.x, pair.y)
             if low <= radius <= high and pair.y > _REAL * radius and _holds(walls, pair):
                 return low, pair, TuningStatus.DOUBLE_PAIR
     return low, *_local(walls, low, high, best)
+
+
+def _guess(misses: list[_Point], low: float, high: float) -> float:
+    """Return a radius a little below the best one by two circles that were too small."""
+    middle = float(np.sqrt(low * high))
+    if len(misses) < 2:
+        return middle
+    (first, first_gap), (last, last_gap) = ((p.radius, p.reached - p.radius) for p in misses[-2:])
+    if not last_gap < first_gap < np.inf:
+        return middle
+    best = last + last_gap * (last - first) / (first_gap - last_gap)
+    guess = best - _SHORT * (best - low)
+    return guess if middle < guess < high else middle
 
 
 def _triple_root(walls: Walls) -> tuple[Pair, int]:
@@ -268,6 +287,8 @@ def _zoomed(walls: Walls, low: float, high: float, angle: float) -> Pair:
         room = 6.0 * step
         sides = columns[first] - room, columns[last] + room
         box = np.array([bottom - 3.0 * height, bottom + height, *sides])
+        if height < _FLAT:
+            break
     return best
 
 
