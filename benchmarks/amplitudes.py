@@ -4,7 +4,7 @@ Each loop is driven by the worst signals of errors, forces and friction that are
 quantised encoder and a quantised force from many starts and phases of the encoder, of which the
 furthest are varied. ``above`` counts loops in which one of these exceeds what is called proved.
 ``error`` is the median of the bound of the position over the furthest that a run with an encoder
-alone gets from the same run without; ``seconds`` the CPU time of the bound for an encoder.
+alone gets from the same run without; ``seconds`` the CPU time of the first bound of a loop.
 """
 
 from collections.abc import Iterator

@@ -14,7 +14,8 @@ from benchmarks.amplitudes import excess_of_runs, excess_of_signals, random_case
 from benchmarks.truth import impulse
 from jaxstab import AmplitudeStatus, Filter, HapticLoop, Velocity, amplitude
 from jaxstab.pictures.scene import scene_figure
-from jaxstab.scene import Scene, check_walls
+from jaxstab.scene import Scene, check_walls, tune_walls
+from jaxstab.tuning import TuningStatus
 
 Case = tuple[dict[str, Any], list[impulse.Taps], list[impulse.Taps]]
 
@@ -238,3 +239,48 @@ def test_a_scene_refuses_what_is_no_resolution() -> None:
     device = SCENE["device"] | {"encoder": {"resolution": 0.0}}
     with pytest.raises(ValueError, match=r"device.encoder.resolution is 0.*give a finite number"):
         Scene.from_table(SCENE | {"device": device})
+
+
+@pytest.mark.parametrize("goal", ["settling", "radius"])
+def test_the_fastest_calm_wall_is_not_beaten_by_a_grid(goal: Any) -> None:
+    loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
+    limit = 8e-6
+    free, calm = loop.tune(goal, encoder=1e-5), loop.tune(goal, encoder=1e-5, chatter=limit)
+    assert free.chatter > limit >= calm.chatter
+    wall = calm.stiffness, calm.damping
+    amplitude = float(loop.amplitude(*wall, encoder=1e-5).position)
+    assert calm.chatter == pytest.approx(amplitude, rel=1e-9)
+    stiffness, damping = np.linspace(200.0, 12_000.0, 60)[:, None], np.linspace(5.0, 120.0, 60)
+    is_calm = loop.amplitude(stiffness, damping, encoder=1e-5).position <= limit
+    if goal == "settling":
+        times = np.asarray(loop.settling_time(stiffness, damping).value)
+        assert free.settling_time < calm.settling_time <= times[is_calm].min() + 1e-9
+    else:
+        radii = np.asarray(loop.spectral_radius(stiffness, damping).value)
+        assert free.radius < calm.radius <= radii[is_calm].min()
+
+
+def test_tuning_keeps_to_a_limit_or_says_that_none_does() -> None:
+    loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
+    assert loop.tune(encoder=1e-5, chatter=1.0) == loop.tune(encoder=1e-5)
+    assert loop.tune(encoder=1e-5, chatter=1e-6).status == TuningStatus.NOT_CALM
+    given = loop.tune(stiffness=8000.0, encoder=1e-5, chatter=1.2e-5)
+    assert given.stiffness == pytest.approx(8000.0, rel=1e-12)
+    assert given.chatter <= 1.2e-5
+    with pytest.raises(TypeError, match="chatter is 1e-05 without encoder"):
+        loop.tune(chatter=1e-5)
+
+
+def test_tune_of_a_scene_keeps_to_its_limit() -> None:
+    wanted = {"answers": ["tune"], "chatter": 1.2e-5}
+    controller = {"sample_time": 1e-3, "delay_samples": 1.0}
+    scene = SCENE | {"wanted": wanted, "walls": {}, "controller": controller}
+    tuned = tune_walls(Scene.from_table(scene))
+    rounded = tuned.least_settling.rounded
+    assert rounded is not None
+    assert rounded.chatter_at_most is not None
+    assert rounded.chatter_at_most <= 1.2e-5
+    assert "chatter at most" in str(tuned)
+    device = {"mass": 0.25, "damping": 0.1}
+    with pytest.raises(ValueError, match=r"wanted.chatter is 1.2e-05, but no encoder is known"):
+        Scene.from_table(SCENE | {"wanted": wanted, "device": device})

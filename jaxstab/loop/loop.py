@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from jaxstab import ranges
 from jaxstab.arrays import Array, Numbers
 from jaxstab.loop.region import WallLimits, WallRegion, wall_region
-from jaxstab.loop.tune import OptimalWall, optimal_wall
+from jaxstab.loop.tune import OptimalWall, checked_chatter, optimal_wall
 from jaxstab.loop.walls import LoopWithWalls
 from jaxstab.motion.settling import Excitation
 from jaxstab.ranges import HandRange, RobustLimit, WorstHand
@@ -156,6 +156,8 @@ class HapticLoop(LoopWithWalls):
         stiffness: float | None = None,
         level: float = 0.02,
         excitation: Excitation = "force",
+        encoder: float | None = None,
+        chatter: float | None = None,
     ) -> OptimalWall:
         """Return the wall (K, B) that comes to rest fastest, or the best B for a given K.
 
@@ -170,10 +172,15 @@ class HapticLoop(LoopWithWalls):
             stiffness: K in N/m if it is given; only the damping is then chosen.
             level: half width of the band of the settling time, between 0 and 1.
             excitation: what the settling time refers to, see ``jaxstab.settling_samples``.
+            encoder: resolution of the position in m, if it is known; see ``amplitude``.
+            chatter: how far in m the encoder may drive the position at most. Where it drives the
+                best wall further, the best one of grids of walls that are proved to stay within is
+                returned.
 
         Returns:
             OptimalWall: stiffness in N/m, damping in N s/m, spectral radius per sample with its
-            bound, settling time in s (infinite without a stable wall), and a TuningStatus.
+            bound, settling time in s (infinite without a stable wall), a TuningStatus, and how far
+            in m the encoder can drive the position, proved.
 
         Raises:
             ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
@@ -182,7 +189,8 @@ class HapticLoop(LoopWithWalls):
 
         Source: eq. (9); settling as in later papers of the same authors.
         """
-        return optimal_wall(self, goal, stiffness, level, excitation)
+        disturbed = checked_chatter(encoder, chatter)
+        return optimal_wall(self, goal, stiffness, level, excitation, disturbed)
 
     def worst_hand(self, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
         """Return whether a wall is stable for every hand of a range, and the worst of them.

@@ -2,6 +2,10 @@
 
 from typing import Literal, NamedTuple
 
+import numpy as np
+
+from jaxstab.arrays import Numbers
+from jaxstab.loop.calm import Chatter, fastest_calm_wall
 from jaxstab.model import LoopParameters
 from jaxstab.motion import settling_samples
 from jaxstab.motion.settling import Excitation, checked_level
@@ -19,6 +23,7 @@ class OptimalWall(NamedTuple):
     """The best wall in SI units, and what just these gains reach.
 
     The spectral radius of the gains as they are given is ``radius``, to ``radius_error``, proved.
+    ``chatter`` is how far in m an encoder can drive the position, proved, if one is given.
     """
 
     stiffness: float
@@ -27,6 +32,7 @@ class OptimalWall(NamedTuple):
     radius_error: float
     settling_time: float
     status: TuningStatus
+    chatter: float = np.nan
 
 
 def optimal_wall(
@@ -35,6 +41,7 @@ def optimal_wall(
     stiffness: float | None,
     level: float,
     excitation: Excitation,
+    chatter: Chatter | None,
 ) -> OptimalWall:
     """Return the wall that comes to rest fastest: ``HapticLoop.tune``."""
     checked_word("goal", goal, ("radius", "settling"))
@@ -47,14 +54,47 @@ def optimal_wall(
         best = minimize_radius(*loop.slice, **filters)
     else:
         best = minimize_radius_damping(alpha, *loop.slice, **filters)
-    wall = float(best.alpha), float(best.beta)
+    wall, status = (float(best.alpha), float(best.beta)), TuningStatus(int(best.status))
+
+    def radii(alphas: Numbers, betas: Numbers) -> np.ndarray:
+        return np.asarray(spectral_radius(alphas, betas, *loop.slice, **filters).value)
+
+    def settling(alphas: Numbers, betas: Numbers) -> np.ndarray:
+        gains = alphas, betas
+        found = settling_samples(*gains, *loop.slice, level, excitation=excitation, **filters)
+        return np.asarray(found.value)
+
+    reached = np.nan if chatter is None else float(chatter.of(loop, *wall))
+    is_stable = status != TuningStatus.NO_STABLE_GAINS
+    if chatter is not None and is_stable and not reached <= chatter.limit:
+        objective = radii if goal == "radius" else settling
+        wall, reached, status = fastest_calm_wall(loop, objective, chatter, alpha)
+    if status == TuningStatus.NOT_CALM:
+        return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
     radius = spectral_radius(*wall, *loop.slice, **filters)
-    settling = settling_samples(*wall, *loop.slice, level, excitation=excitation, **filters).value
     return OptimalWall(
         loop.stiffness(wall[0]),
         loop.damping(wall[1]),
         float(radius.value),
         float(radius.error),
-        float(settling) * loop.sample_time,
-        TuningStatus(int(best.status)),
+        float(settling(*wall)) * loop.sample_time,
+        status,
+        reached,
     )
+
+
+def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:
+    """Return what an encoder may do, if one is given.
+
+    Raises:
+        TypeError: a limit is given without an encoder, or a value is not one number.
+        ValueError: a value is not positive and finite.
+    """
+    if encoder is None:
+        if limit is not None:
+            raise TypeError(f"chatter is {limit!r} without encoder; give its resolution in m.")
+        return None
+    encoder = checked_number("encoder", encoder, 0.0, is_open=True, unit="m")
+    if limit is None:
+        return Chatter(encoder)
+    return Chatter(encoder, checked_number("chatter", limit, 0.0, is_open=True, unit="m"))

@@ -38,6 +38,7 @@ _HORIZON = 2**17  # samples within which settling is looked for
 
 
 LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
+Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
 SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "more than is searched")]
 SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any")]
@@ -107,7 +108,7 @@ class Chatter(Answer):
 
     is_part = True
 
-    chatter_at_most: Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
+    chatter_at_most: Amplitude
     force_chatter_at_most: Annotated[float, Quantity("N", 3, ROUND_CEILING, "not proved")]
     force_per_count: Annotated[float, Quantity("N", 3)]
     chatter_is: str | None

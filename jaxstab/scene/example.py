@@ -42,5 +42,6 @@ answers = ["limits", "check"]    # of limits, check, tune, design
 # at_damping = 20.0       # N s/m, limits: the stiffness allowed at this damping
 # at_stiffness = 1000.0   # N/m, limits: the damping allowed at this stiffness
 # safety = 0.8            # limits and design: what limits are multiplied by
+# chatter = 2e-5          # m, tune: how far the encoder's rounding may drive a wall
 # stiffness = 3000.0      # N/m, design: what the sample time or the delay is to allow
 """

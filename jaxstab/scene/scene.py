@@ -26,6 +26,7 @@ ANSWERS = ("limits", "check", "tune", "design")
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter")
 MOST_SAMPLES = 1024  # of delay: the degree of what is solved
 _MANY_SAMPLES = 1000  # of delay: more likely a slip of the unit
+_LENGTH = "m, or in rad for a device that turns"
 _NO_MASS = "mass is missing; give it a value."
 
 
@@ -33,7 +34,7 @@ _NO_MASS = "mass is missing; give it a value."
 class Encoder(Table):
     """What the position is rounded to: the resolution at the handle."""
 
-    resolution: float = key(quantity("m, or in rad for a device that turns", is_positive=True))
+    resolution: float = key(quantity(_LENGTH, is_positive=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,6 +174,7 @@ class Wanted(Table):
     at_damping: float | None = key(quantity("N s/m"), None)
     at_stiffness: float | None = key(quantity("N/m"), None)
     stiffness: float | None = key(quantity("N/m", is_positive=True), None)
+    chatter: float | None = key(quantity(_LENGTH, is_positive=True), None)
     safety: float | None = key(share, None)
 
     def __post_init__(self) -> None:
@@ -193,6 +195,11 @@ class Scene:
 
     def __post_init__(self) -> None:
         hand, turns = self.hand or Hand(), self.device.units is Units.ROTATION
+        if self.wanted.chatter is not None and self.device.encoder is None:
+            raise ValueError(
+                f"wanted.chatter is {self.wanted.chatter:g}, but no encoder is known; give "
+                "device.encoder.resolution."
+            )
         if turns and hand.mass != (0.0, 0.0):
             raise ValueError(
                 f"hand.mass is {list(hand.mass)} beside device.inertia; a device that turns moves "

@@ -2,19 +2,23 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple, TypeVar
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import Answer, Basis, Bound, Damping, Number, Stiffness, rounded_gain
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.check import SettlingTime, settled
+from jaxstab.scene.check import Amplitude, SettlingTime, settled
 from jaxstab.scene.limits import LOWEST_HAND
 from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
 from jaxstab.scene.scene import Scene
 from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
+
+Tuning = TypeVar("Tuning", bound="TunedWall")
+
+_ROUNDED = 1e-4  # of a limit, for gains are rounded
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,7 @@ class TunedWall(Answer):
     spectral_radius: Number
     radius_error: Bound
     settling_time_2_percent: SettlingTime
+    chatter_at_most: Amplitude | None
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,22 @@ class Tuned(Answer):
     hand: str | None
 
 
+class _Encoder(NamedTuple):
+    """The resolution of an encoder, and how far it may drive a wall; None for what is not given."""
+
+    resolution: float | None
+    limit: float | None
+
+    @classmethod
+    def of(cls, scene: Scene) -> "_Encoder":
+        """Return what a scene says."""
+        encoder, limit = scene.device.encoder, scene.wanted.chatter
+        return cls(
+            None if encoder is None else encoder.resolution,
+            None if limit is None else limit * (1.0 - _ROUNDED),
+        )
+
+
 def tune_walls(scene: Scene) -> Tuned:
     """Return the walls that come to rest fastest, and the best damping at the stiffnesses given.
 
@@ -77,7 +98,7 @@ def tune_walls(scene: Scene) -> Tuned:
         ValueError: a quantity is out of range, or the stable region is not resolved.
     """
     loop, hands = loop_of(scene), hands_of(scene)
-    best = partial(_best, loop, hands)
+    best = partial(_best, loop, hands, _Encoder.of(scene))
     given = scene.wanted.at_stiffness
     return Tuned(
         basis=basis_of(scene),
@@ -94,24 +115,36 @@ def tune_walls(scene: Scene) -> Tuned:
 def _best(
     loop: HapticLoop,
     hands: HandRange | None,
+    encoder: _Encoder,
     goal: Literal["radius", "settling"],
     stiffness: float | None = None,
 ) -> BestWall:
-    best = loop.tune(goal, stiffness=stiffness)
-    if best.status == TuningStatus.NO_STABLE_GAINS:
+    limit = encoder.limit
+    best = loop.tune(goal, stiffness=stiffness, encoder=encoder.resolution, chatter=limit)
+    if best.status in (TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM):
         return BestWall(None, None, None, best.status, None)
     gains = Gains(best.stiffness, best.damping)
     rounded = Gains(rounded_gain(best.stiffness), rounded_gain(best.damping))
     return BestWall(
-        TunedWall(*gains, *_reached(loop, gains)),
-        RoundedWall(*rounded, *_reached(loop, rounded)),
+        _tuned(TunedWall, loop, gains, encoder),
+        _tuned(RoundedWall, loop, rounded, encoder),
         best.stiffness / reachable(wall_region(loop)).stiffest.stiffness,
         best.status,
         loop.worst_hand(hands, *rounded).verdict if hands else None,
     )
 
 
-def _reached(loop: HapticLoop, gains: Gains) -> tuple[float, float, float]:
-    """Return the spectral radius, the bound of its error, and the settling time to 2 %."""
-    radius = loop.spectral_radius(*gains)
-    return float(radius.value), float(radius.error), settled(loop.settling_time(*gains))
+def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: _Encoder) -> Tuning:
+    """Return gains with what they reach."""
+    radius, resolution = loop.spectral_radius(*gains), encoder.resolution
+    chatter = None
+    if resolution is not None:
+        chatter = float(loop.amplitude(*gains, encoder=resolution).position)
+    return kind(
+        stiffness=gains.stiffness,
+        damping=gains.damping,
+        spectral_radius=float(radius.value),
+        radius_error=float(radius.error),
+        settling_time_2_percent=settled(loop.settling_time(*gains)),
+        chatter_at_most=chatter,
+    )

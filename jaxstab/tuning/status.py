@@ -23,6 +23,7 @@ class TuningStatus(Status):
     NO_STABLE_GAINS = 4, "no gains found that make the loop stable"
     ISLAND = 5, "the best found, of a scan: in an island, for small gains are not stable"
     ANY_COMPONENT = 6, "the best found, of a scan: perhaps in an island, the region is unresolved"
+    NOT_CALM = 7, "no gains found that the encoder drives no further than the limit"
 
 
 class OptimalGains(NamedTuple):

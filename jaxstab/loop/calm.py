@@ -1,0 +1,80 @@
+"""The fastest of the walls that an encoder drives no further than a limit: a search on grids."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxstab.model import LoopParameters
+from jaxstab.motion import amplitude
+from jaxstab.region import StableRegion, stable_region
+from jaxstab.tuning import TuningStatus
+from jaxstab.tuning.grid import Grid
+
+_POINTS = 25  # on an axis
+_ZOOMS = 4
+
+Objective = Callable[[np.ndarray, np.ndarray], Any]  # of alpha and beta; infinite, NaN: no wall
+
+
+class Chatter(NamedTuple):
+    """The resolution of an encoder in m, and how far it may drive the position."""
+
+    encoder: float
+    limit: float = np.inf
+
+    def of(self, loop: LoopParameters, alpha: Any, beta: Any) -> np.ndarray:
+        """Return proved amplitudes of walls in m."""
+        found = amplitude(alpha, beta, *loop.slice, encoder=self.encoder, **loop.filters)
+        return np.asarray(found.position)
+
+
+class CalmWall(NamedTuple):
+    """Gains alpha and beta, their amplitude in m, and how they were found."""
+
+    gains: tuple[float, float]
+    amplitude: float
+    status: TuningStatus
+
+
+def fastest_calm_wall(
+    loop: LoopParameters, objective: Objective, chatter: Chatter, alpha: float | None
+) -> CalmWall:
+    """Return the wall of the smallest objective of those found within the limit.
+
+    The first grid spans the walls that turning gains up from 0 reaches, the next ones surround the
+    best wall. Of walls that are as fast, the calmest is taken.
+    """
+    best, least, status = (np.nan, np.nan), (np.inf, np.inf), TuningStatus.NOT_CALM
+    region = _searched(loop)
+    if not len(region.points):
+        return CalmWall(best, np.inf, TuningStatus.NO_STABLE_GAINS)
+    (left, low), (right, high) = region.points.min(axis=0), region.points.max(axis=0)
+    if alpha is None:
+        grid = Grid((left, right), (low, high), _POINTS)
+    else:
+        grid = Grid((alpha, alpha), (low, high), _POINTS**2)
+    for _ in range(_ZOOMS):
+        alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
+        reached = chatter.of(loop, alphas, betas)
+        calm = np.flatnonzero(
+            (reached <= chatter.limit) & np.asarray(region.contains(alphas, betas))
+        )
+        if calm.size:
+            values = np.nan_to_num(np.asarray(objective(alphas[calm], betas[calm])), nan=np.inf)
+            first = np.lexsort((reached[calm], values))[0]
+            value = float(values[first]), float(reached[calm[first]])
+            if value < least:
+                place = int(calm[first])
+                least, best = value, (float(alphas[place]), float(betas[place]))
+                status = TuningStatus.SCANNED
+        if not np.isfinite(least[0]):
+            break
+        grid = grid.around(best)
+    return CalmWall(best, least[1], status)
+
+
+def _searched(loop: LoopParameters) -> StableRegion:
+    """Return the component of small gains, or all of the region where small gains do not hold."""
+    region = stable_region(*loop.slice, **loop.filters)
+    return region.main or region
