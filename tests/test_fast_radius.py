@@ -19,7 +19,7 @@ from jaxstab.point.radius.dominant_root import Loop
 from jaxstab.point.verdict.loop import float_plant
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
-DELAYS = [0.0, 0.5, 2.0, 12.0, 33.5, 1.0, 3.7, 5.0, 20.0, 60.0]  # four degrees are shared
+DELAYS = [0.0, 0.5, 2.0, 33.5, 12.0, 1.0, 3.7, 5.0, 20.0, 60.0]  # four degrees are shared
 
 
 def first_and_campaign(values: Sequence[Any], count: int) -> list[Any]:
@@ -59,7 +59,7 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.usefixtures("way")
 class TestFastRadius:
-    @pytest.mark.parametrize("delay", first_and_campaign(DELAYS, 5))
+    @pytest.mark.parametrize("delay", first_and_campaign(DELAYS, 4))
     def test_is_honest_and_precise_at_simple_roots(
         self, rng: np.random.Generator, delay: float
     ) -> None:

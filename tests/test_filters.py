@@ -287,13 +287,15 @@ def test_the_derivative_in_a_factor_against_differences_of_balls() -> None:
     assert jax.grad(radius)(0.25) == pytest.approx(slope_of_true_radius(0.25), rel=1e-10)
 
 
-def test_the_derivative_in_a_cut_off_against_differences_of_balls() -> None:
+@pytest.mark.parametrize("way", ["forwards", pytest.param("backwards", marks=pytest.mark.campaign)])
+def test_the_derivative_in_a_cut_off_against_differences_of_balls(way: str) -> None:
     def radius(cutoff: float) -> Any:
         return jaxstab.spectral_radius(*WALL, *HAND, velocity=Velocity.low_pass(cutoff)).value
 
     cutoff = -np.log(0.75) / (2.0 * np.pi)  # the same filter as by a factor of 0.25
     slope = slope_of_true_radius(0.25) * 2.0 * np.pi * 0.75  # d factor / d cutoff
-    assert jax.grad(radius)(cutoff) == pytest.approx(slope, rel=1e-9)
+    derivative = jax.jacfwd(radius) if way == "forwards" else jax.grad(radius)
+    assert derivative(cutoff) == pytest.approx(slope, rel=1e-9)
 
 
 def test_jax_arrays_and_transformations_answer_as_numpy_does() -> None:

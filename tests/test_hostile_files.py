@@ -24,7 +24,7 @@ GOLDEN = ROOT / "data" / "golden" / "atlas-v3.h5"
 READERS = ROOT / "data" / "readers"
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 OUTSIDE = -1
-CI, CAMPAIGN = 2000, 50_000  # mutants
+CI, CAMPAIGN = 1000, 50_000  # mutants
 MOST_MEMORY = 200 * 2**20  # bytes
 
 Said = tuple[bool, str]
