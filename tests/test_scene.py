@@ -131,6 +131,12 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
             "them: 0.015 s (15 samples) or 0.016 s (16 samples).",
         ),
         (
+            "controller.position.window",
+            1e308,
+            "controller.position.window is 1e+308 s, inf sampling periods; give 41 of them at "
+            "most.",
+        ),
+        (
             "controller.velocity",
             {"window": 0.02, "window_samples": 20},
             "controller.velocity.window is 0.02 beside window_samples; give one.",

@@ -39,6 +39,16 @@ def test_a_scene_without_an_estimator_says_first_which_one_was_assumed() -> None
     assert run("limits", *OMEGA, "--window-samples", "1").stdout.count("assumed") == 0
 
 
+def test_the_numbers_of_the_readme_are_those_of_its_scene() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    omega = ROOT / "data" / "scenes" / "omega.toml"
+    for options, stated in (((), "2,034 N/m"), (("--window-samples", "1"), "36,160 N/m")):
+        best = answered("limits", omega, *options)["best"]["largest_stiffness"]
+        assert stated in text
+        number = float(stated.removesuffix(" N/m").replace(",", ""))
+        assert number <= best < 1.001 * number
+
+
 def test_a_file_is_answered_with_its_estimator_once_and_first(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     text = '[device]\npreset = "omega"\n[controller]\nsample_time = 0.001\n'

@@ -238,6 +238,11 @@ def _whole_samples(window: float | None, sample_time: Numbers) -> int:
         raise TypeError("sample_time is traced beside a window in s; give the window in samples.")
     window = window or 0.0
     samples = window / float(sample_time)
+    if samples > HIGHEST_ORDER + 1.5:  # or infinite
+        raise ValueError(
+            f"window is {window:g} s, {samples:g} sampling periods; give {HIGHEST_ORDER + 1} of "
+            "them at most."
+        )
     nearest = round(samples)
     if abs(samples - nearest) > _WHOLE * samples:
         below, above = floor(samples), floor(samples) + 1

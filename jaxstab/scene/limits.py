@@ -27,7 +27,7 @@ from jaxstab.scene.scene import Scene
 
 LOWEST_HAND = "at its lowest values, where nothing else is said"
 _NOT_REACHABLE = "not reachable by turning gains up"
-NO_FILTERS = "with an estimator or a filter"
+_NO_FILTERS = "with an estimator or a filter"
 _FAR = "small gains are not stable: no wall is reachable by turning gains up"
 _WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
 
@@ -145,6 +145,7 @@ def scene_limits(scene: Scene) -> Limits:
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
     rows = _Rows(loop, reachable(region), safety)
     has_rules = is_plain(loop)
+    all_hands = _for_all(loop, hands, safety) if hands else None
     return Limits(
         basis=basis_of(scene),
         safety=wanted.safety,
@@ -163,8 +164,8 @@ def scene_limits(scene: Scene) -> Limits:
         at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
         walls={f"wall {name}": rows.around(*wall) for name, wall in walls_of(scene).items()},
         hand=LOWEST_HAND if hands else None,
-        all_hands=_for_all(loop, hands, safety) if hands and has_rules else None,
-        not_answered=None if has_rules or not hands else f"all hands, {NO_FILTERS}",
+        all_hands=all_hands,
+        not_answered=f"all hands, {_NO_FILTERS}" if hands and all_hands is None else None,
     )
 
 
@@ -249,8 +250,12 @@ def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
     return answers
 
 
-def _for_all(loop: HapticLoop, hands: HandRange, safety: float) -> AllHands:
-    found = loop.robust_limit(hands)
+def _for_all(loop: HapticLoop, hands: HandRange, safety: float) -> AllHands | None:
+    """Return what all hands allow; None where that is not computed for the loop's filters yet."""
+    try:
+        found = loop.robust_limit(hands)
+    except NotImplementedError:
+        return None
     is_proved, stiffness = found.is_proved, safety * found.stiffness
     if safety < 1.0:
         is_proved = loop.worst_hand(hands, stiffness, found.damping).verdict == Verdict.STABLE
