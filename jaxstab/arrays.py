@@ -97,7 +97,11 @@ def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
 
 
 def pytree(cls: Class) -> Class:
-    """Make a dataclass one that JAX maps over. JAX, if not loaded yet, is told when it is used."""
+    """Make a dataclass one that JAX maps over. JAX, if not loaded yet, is told when it is used.
+
+    All fields that are not ``fixed`` are arrays, or else the class says by ``tree_flatten`` and
+    ``tree_unflatten`` what its arrays are.
+    """
     _unregistered.append(cls)
     if "jax" in sys.modules:
         _register()
@@ -113,7 +117,11 @@ def _register() -> None:
     import jax
 
     while _unregistered:
-        jax.tree_util.register_dataclass(_unregistered.pop())
+        cls = _unregistered.pop()
+        if hasattr(cls, "tree_flatten"):
+            jax.tree_util.register_pytree_node_class(cls)
+        else:
+            jax.tree_util.register_dataclass(cls)
 
 
 def filled(like: Array, number: float) -> Array:

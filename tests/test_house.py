@@ -20,7 +20,7 @@ FLOORS_THAT_COMPUTE = tuple(
         "model", "point", "region", "ranges", "criteria", "motion", "tuning", "trace", "loop"
     )
 )  # fmt: skip
-CONVERSIONS = {"alpha", "beta", "stiffness", "damping"}  # of a loop, by Table I
+CONVERSIONS = {"alpha", "beta", "stiffness", "damping", "to_control"}  # of a loop; nothing is asked
 
 
 def run_python(*arguments: str) -> subprocess.CompletedProcess[str]:

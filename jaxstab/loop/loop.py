@@ -1,18 +1,26 @@
 """The haptic loop: one value in SI units, its answers as methods."""
 
-from typing import Literal
+from typing import Any, Literal
 
 from jaxtyping import Float64
 
 from jaxstab import ranges
-from jaxstab.arrays import Array, Numbers
-from jaxstab.loop.region import WallLimits, WallRegion, wall_region
+from jaxstab.arrays import Array, Numbers, is_any_traced, pytree
+from jaxstab.loop.region import (
+    TOLERANCE,
+    WallLimits,
+    WallRegion,
+    traced_region,
+    wall_region,
+)
 from jaxstab.loop.tune import OptimalWall, checked_chatter, optimal_wall
 from jaxstab.loop.walls import LoopWithWalls
 from jaxstab.motion.settling import Excitation
+from jaxstab.numbers import checked_number
 from jaxstab.ranges import HandRange, RobustLimit, WorstHand
 
 
+@pytree
 class HapticLoop(LoopWithWalls):
     """A haptic device held by a hand, and the sampled loop that renders a virtual wall on it.
 
@@ -21,14 +29,23 @@ class HapticLoop(LoopWithWalls):
     of a wall (K, B) ``verdict``, ``is_stable``, ``spectral_radius``, ``poles``, ``margins``,
     ``settling_time``, ``oscillation``, ``simulate``; of all walls ``region``, ``limits``,
     ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; of all hands
-    ``worst_hand``, ``robust_limit``. Every field but the last two is a finite number in SI units.
+    ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
+
+    A loop is a pytree: JAX traces its numbers, the cut-offs of filters among them, but not windows
+    nor how many whole samples the delay has (``jax.grad(f)(loop).delay`` is the derivative by t_d).
+    So a loop is made outside of jit, vmap and grad and given to the function as an argument, or
+    made inside with a delay and a sample time that are concrete. Fields that are traced are not
+    checked.
+
+    Device and hand are one mass by the fields ``device_mass`` to ``hand_stiffness``, or any linear
+    system by ``device`` alone, which has its hands.
 
     Source: eqs. (1) and (12), Table I.
 
     Args:
+        sample_time: sampling period T in s, > 0.
         device_mass: effective mass of the device at the handle in kg, > 0.
         device_damping: physical damping of the device in N s/m, >= 0.
-        sample_time: sampling period T in s, > 0.
         hand_mass: mass of the hand and arm in kg, >= 0.
         hand_damping: damping of the hand in N s/m, >= 0.
         hand_stiffness: stiffness of the hand in N/m, >= 0.
@@ -36,9 +53,12 @@ class HapticLoop(LoopWithWalls):
         velocity: how the controller estimates the velocity, windows in samples or s, cut-offs in
             Hz; None for the difference over one sample, the wall of the paper.
         position: how the controller filters the position; None for no filter.
+        device: any linear device, in place of mass and damping of device and hand. One that is one
+            mass with the hands glued to it is answered as these are, bit for bit.
 
     Raises:
-        TypeError: a value is not a real number, or not of its class.
+        TypeError: a value is not a real number, or not of its class, or ``device`` is given beside
+            fields of device or hand.
         ValueError: a value is NaN, infinite or outside its range; a window is no whole number of
             samples, or a filter does not go with the sampling period.
 
@@ -51,7 +71,7 @@ class HapticLoop(LoopWithWalls):
         2035
     """
 
-    def region(self, *, tolerance: float = 1e-6) -> WallRegion:
+    def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
         """Return the set of all stable walls, in its connected parts.
 
         Args:
@@ -59,22 +79,27 @@ class HapticLoop(LoopWithWalls):
                 region's diameter, > 1e-10. All else is of the exact boundary.
 
         Returns:
-            WallRegion of NumPy arrays, with its status.
+            WallRegion of NumPy arrays, with its status. A loop that JAX traces, without estimator
+            and filter, is answered by ``jaxstab.region_outline``.
 
         Raises:
             ValueError: the dimensionless parameters are out of range, or the delay is longer than
                 500 samples.
+            TypeError: JAX traces a loop with an estimator or a filter; ``limits`` takes it.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition; see
         ``jaxstab.stable_region``.
         """
-        return wall_region(self, tolerance)
+        if is_any_traced(self):
+            return traced_region(self)
+        return wall_region(self.in_floats(), tolerance)
 
     def limits(self) -> WallLimits:
         """Return the largest stiffness and the largest damping that the loop allows.
 
         They are those of the walls that are reached by turning gains up from 0, and after them
-        those of islands, which are not.
+        those of islands, which are not. Of a loop that JAX traces they are differentiable once in
+        all that the loop is made of, and islands are left out.
 
         Raises:
             ValueError: the dimensionless parameters are out of range, or the delay is longer than
@@ -87,6 +112,10 @@ class HapticLoop(LoopWithWalls):
             >>> round(loop.limits().damping, 3)
             202.009
         """
+        if is_any_traced(self):
+            from jaxstab.loop.moving import moving_limits
+
+            return moving_limits(self)
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
@@ -185,10 +214,13 @@ class HapticLoop(LoopWithWalls):
         Raises:
             ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
             TypeError: an argument is not one number.
+            NotImplementedError: the device is not one mass.
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9); settling as in later papers of the same authors.
         """
+        self._refuse_tracers("tune")
+        self._refuse_general_devices("tune")
         disturbed = checked_chatter(encoder, chatter)
         return optimal_wall(self, goal, stiffness, level, excitation, disturbed)
 
@@ -207,9 +239,12 @@ class HapticLoop(LoopWithWalls):
         Raises:
             TypeError: a gain is not one real number.
             ValueError: a gain is infinite or NaN, or a range is out of order.
+            NotImplementedError: the loop has a ``device``, with hands of its own.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B6 of docs/proofs.md.
         """
+        self._refuse_tracers("worst_hand")
+        self._refuse_devices("worst_hand")
         return ranges.worst_hand(self, hands, stiffness, damping)
 
     def robust_limit(self, hands: HandRange) -> RobustLimit:
@@ -222,11 +257,57 @@ class HapticLoop(LoopWithWalls):
 
         Raises:
             ValueError: a range is out of order.
+            NotImplementedError: the loop has a ``device``, with hands of its own.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
         """
+        self._refuse_tracers("robust_limit")
+        self._refuse_devices("robust_limit")
         return ranges.robust_limit(self, hands)
+
+    def to_control(self, stiffness: float, damping: float) -> Any:
+        """Return the open loop of a wall as a transfer function in z of python-control.
+
+        It is G(z) (K P(z) + B V(z)), with device, hold and delay in G: its feedback with -1 has the
+        poles of the loop, and its frequency response the margins of a Nyquist plot.
+
+        Args:
+            stiffness: K in N/m.
+            damping: B in N s/m.
+
+        Returns:
+            ``control.TransferFunction`` with dt = T; coefficients rounded to float64.
+
+        Raises:
+            ImportError: python-control is not installed.
+            TypeError: a gain is not one real number, or JAX traces the loop.
+            ValueError: a gain is infinite or NaN.
+
+        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008), before the loop is closed.
+        """
+        self._refuse_tracers("to_control")
+        try:
+            from control import TransferFunction
+        except ImportError as error:
+            raise ImportError(
+                "python-control is not installed; pip install 'jaxstab[control]'."
+            ) from error
+        alpha = self.alpha(checked_number("stiffness", stiffness))
+        beta = self.beta(checked_number("damping", damping))
+        loop = self.linear
+        columns = zip(loop.stiffness, loop.damping, strict=True)
+        above = [float((one * alpha + other * beta).rounded()) for one, other in columns]
+        below = [float(one.rounded()) for one in loop.base]
+        return TransferFunction(above, below, dt=float(self.sample_time))
+
+    def _refuse_devices(self, method: str) -> None:
+        """Refuse a loop whose hands are part of its device where they are to be replaced."""
+        if self.device is not None:
+            raise NotImplementedError(
+                f"{method} puts other hands to device_mass and device_damping; this loop has a "
+                "device with its own hands: ask a loop for each of them."
+            )
 
     def _reachable(self) -> WallRegion:
         region = self.region()
-        return region.main or region
+        return region if is_any_traced(self) else region.main or region

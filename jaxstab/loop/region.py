@@ -9,9 +9,18 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, float_arrays, is_jax
 from jaxstab.model import LoopParameters, checked_gain, require_x64
+from jaxstab.model.filters import given_filters
 from jaxstab.numbers import without_noise
-from jaxstab.region import RegionStatus, StableRegion, measures, stable_region
+from jaxstab.region import (
+    RegionStatus,
+    StableRegion,
+    measures,
+    region_outline,
+    stable_region,
+)
+from jaxstab.region.linear import linear_region
 
+TOLERANCE = 1e-6  # of the outline, where none is asked for
 _REMEMBERED = 64  # regions
 
 
@@ -178,6 +187,8 @@ class WallRegion:
         return alpha, self.loop.beta(checked_gain("damping", damping))
 
     def _gains(self, point: Numbers) -> Gains:
+        if is_jax(point):
+            return Gains(self.loop.stiffness(point[0]), self.loop.damping(point[1]))
         exact = self.in_si_units(np.asarray(point))
         return Gains(
             *(float(without_noise(*pair)) for pair in zip(exact, self.extent, strict=True))
@@ -193,5 +204,24 @@ class WallRegion:
 @lru_cache(maxsize=_REMEMBERED)
 def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
     """Return the stable walls of a loop; the last ones asked for are remembered."""
-    region = stable_region(*loop.slice, tolerance=tolerance, **loop.filters)
+    sampled = loop.sampled
+    if sampled is None:
+        region = stable_region(*loop.slice, tolerance=tolerance, **loop.filters)
+    else:
+        transfers = sampled.transfers(given_filters(loop.velocity, loop.position))
+        region = linear_region(sampled.plant, *transfers, tolerance)
     return WallRegion(loop, region)
+
+
+def traced_region(loop: LoopParameters) -> WallRegion:
+    """Return the stable walls of a loop that JAX traces, in arrays of fixed sizes.
+
+    Raises:
+        TypeError: the loop has an estimator or a filter.
+    """
+    if given_filters(**loop.filters):
+        raise TypeError(
+            "the region of a loop with an estimator or a filter is searched outside of JAX: call "
+            "limits, which JAX may trace, or make the loop of concrete numbers."
+        )
+    return WallRegion(loop, region_outline(*loop.slice))

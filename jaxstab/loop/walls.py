@@ -4,12 +4,17 @@ import numpy as np
 from jaxtyping import Bool, Complex128, Int8
 
 from jaxstab import motion, point, ranges
-from jaxstab.arrays import Array, Numbers
+from jaxstab.arrays import Array, Numbers, is_any_traced
+from jaxstab.conventions import Verdict
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.motion import Amplitude, Oscillation, Response, Settling
+from jaxstab.motion.oscillation import mode_of
 from jaxstab.motion.settling import HORIZON, Excitation
-from jaxstab.numbers import checked
+from jaxstab.numbers import checked, checked_word
 from jaxstab.point import SpectralRadius
+from jaxstab.point.poles import linear_poles
+from jaxstab.point.radius.door import linear_spectral_radius
+from jaxstab.point.verdict.linear import linear_verdict
 from jaxstab.ranges import Margins
 
 
@@ -50,6 +55,9 @@ class LoopWithWalls(LoopParameters):
             <Verdict.UNSTABLE: 2>
         """
         wall = self._wall(stiffness, damping)
+        if self.body is None:
+            checked_word("resolve", resolve or "exact", ("exact",))
+            return linear_verdict(*wall, self.linear)
         return point.verdict(*wall, *self.slice, resolve=resolve, **self.filters)
 
     def is_stable(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
@@ -65,7 +73,7 @@ class LoopWithWalls(LoopParameters):
 
         Source: sec. V of Hulin, Preusche, Hirzinger (2008).
         """
-        return point.is_stable(*self._wall(stiffness, damping), *self.slice, **self.filters)
+        return self.verdict(stiffness, damping) == Verdict.STABLE
 
     def spectral_radius(self, stiffness: Numbers, damping: Numbers) -> SpectralRadius:
         """Return the largest modulus of a pole of the loop at walls, with a proved error bound.
@@ -83,7 +91,10 @@ class LoopWithWalls(LoopParameters):
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008).
         """
-        return point.spectral_radius(*self._wall(stiffness, damping), *self.slice, **self.filters)
+        wall = self._wall(stiffness, damping)
+        if self.body is None:
+            return linear_spectral_radius(*wall, self.linear)
+        return point.spectral_radius(*wall, *self.slice, **self.filters)
 
     def poles(self, stiffness: Numbers, damping: Numbers) -> Complex128[Array, "*grid degree"]:
         """Return the poles z of the loop at walls, the one of the largest modulus first.
@@ -102,6 +113,8 @@ class LoopWithWalls(LoopParameters):
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008).
         """
         wall = self._wall(stiffness, damping)
+        if self.body is None:
+            return linear_poles(*wall, self.linear)
         return point.closed_loop_poles(*wall, *self.slice, **self.filters)
 
     def margins(self, stiffness: Numbers, damping: Numbers) -> Margins:
@@ -116,6 +129,7 @@ class LoopWithWalls(LoopParameters):
 
         Raises:
             ValueError: a gain is infinite or NaN.
+            NotImplementedError: the device is not one mass.
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle.
@@ -127,7 +141,9 @@ class LoopWithWalls(LoopParameters):
             >>> float(loop.margins(300.0, 2.0).stiffness_gain)
             3.8...
         """
-        found = ranges.margins(*self._wall(stiffness, damping), *self.slice, **self.filters)
+        self._refuse_general_devices("margins")
+        plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
+        found = ranges.margins(*self._wall(stiffness, damping), *plant, **self.filters)
         return found._replace(
             stiffness=self.stiffness(found.stiffness),
             damping=self.damping(found.damping),
@@ -163,10 +179,13 @@ class LoopWithWalls(LoopParameters):
             ValueError: an argument is outside its range, infinite or NaN, or the excitation is
                 unknown.
             TypeError: a filter is traced, or the horizon is not a whole number.
+            NotImplementedError: the device is not one mass.
             RuntimeError: JAX arrays are given without x64.
 
         Source: the loop of eqs. (1)-(5), Table I.
         """
+        self._refuse_tracers("settling_time")
+        self._refuse_general_devices("settling_time")
         samples = motion.settling_samples(
             *self._wall(stiffness, damping),
             *self.slice,
@@ -208,6 +227,7 @@ class LoopWithWalls(LoopParameters):
         Raises:
             ValueError: an argument is negative, infinite or NaN, or nothing disturbs the loop.
             TypeError: a filter is traced.
+            NotImplementedError: the device is not one mass.
             RuntimeError: JAX arrays are given without x64.
 
         Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5);
@@ -219,6 +239,8 @@ class LoopWithWalls(LoopParameters):
             >>> f"{found.position:.1e} m, {found.force:.2f} N"
             '6.3e-06 m, 0.24 N'
         """
+        self._refuse_tracers("amplitude")
+        self._refuse_general_devices("amplitude")
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         found = motion.amplitude(
             *self._wall(stiffness, damping),
@@ -251,8 +273,7 @@ class LoopWithWalls(LoopParameters):
 
         Source: as ``jaxstab.dominant_mode``; Table I.
         """
-        wall = self._wall(stiffness, damping)
-        mode = motion.dominant_mode(*wall, *self.slice, **self.filters)
+        mode = mode_of(self.poles(stiffness, damping))
         return Oscillation(mode.damping_ratio, mode.frequency / (2.0 * np.pi * self.sample_time))
 
     def simulate(
@@ -294,10 +315,13 @@ class LoopWithWalls(LoopParameters):
         Raises:
             ValueError: a gain is infinite or NaN, nothing moves the device, or a count is too
                 small.
+            NotImplementedError: the device is not one mass.
             RuntimeError: JAX arrays are given without x64.
 
         Source: eqs. (1)-(5) and Fig. 2 of Hulin, Preusche, Hirzinger (2008); Remark 1.
         """
+        self._refuse_tracers("simulate")
+        self._refuse_general_devices("simulate")
         return motion.simulate(
             self,
             stiffness,
@@ -315,3 +339,19 @@ class LoopWithWalls(LoopParameters):
         require_x64(stiffness, damping)
         alpha = self.alpha(checked_gain("stiffness", stiffness))
         return alpha, self.beta(checked_gain("damping", damping))
+
+    def _refuse_tracers(self, method: str) -> None:
+        """Refuse a loop that JAX traces where what answers searches outside of JAX."""
+        if is_any_traced(self):
+            raise TypeError(
+                f"{method} takes no loop that JAX traces: give one of concrete numbers, made "
+                "outside of jit, vmap and grad."
+            )
+
+    def _refuse_general_devices(self, method: str) -> None:
+        """Refuse a device that is not one mass where what computes cannot take one yet."""
+        if self.body is None:
+            raise NotImplementedError(
+                f"{method} is answered for devices and hands of one mass; this device is not: "
+                f"{self.device}."
+            )

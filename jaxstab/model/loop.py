@@ -1,13 +1,17 @@
 """A haptic loop in SI units as numbers: device, hand, sampling, delay, estimator and filter."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import wraps
+from functools import lru_cache, wraps
 from math import ulp
-from typing import ParamSpec, TypedDict, TypeVar
+from typing import Any, ClassVar, NamedTuple, ParamSpec, TypedDict, TypeVar
 
-from jaxstab.arrays import Numbers
+from jaxstab.arrays import Numbers, constant, is_any_traced, is_jax, is_traced, leaves, namespace
+from jaxstab.model.device import Device, SampledDevice, sampled_device
 from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.linear_loop import LinearLoop, filtered_loop
+from jaxstab.model.parameters import TracedDelay
+from jaxstab.model.sections import Average
 from jaxstab.numbers import checked_number
 
 _LEAST = {  # the least allowed value, and whether it is excluded
@@ -20,9 +24,21 @@ _LEAST = {  # the least allowed value, and whether it is excluded
     "delay": (0.0, False),
 }
 
+_OF_DEVICE = ("device_mass", "device_damping")
+_OF_HAND = ("hand_mass", "hand_damping", "hand_stiffness")
+_REMEMBERED = 64  # loops
+
 Values = TypeVar("Values", bound=Numbers)
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
+
+
+class Body(NamedTuple):
+    """One mass in kg, on a damper in N s/m and a spring in N/m."""
+
+    mass: Numbers
+    damping: Numbers
+    stiffness: Numbers
 
 
 class Estimators(TypedDict):
@@ -36,50 +52,167 @@ class Estimators(TypedDict):
 class LoopParameters:
     """The fields of ``jaxstab.HapticLoop``, checked, and what Table I makes of them."""
 
-    device_mass: float
-    device_damping: float
-    sample_time: float
-    hand_mass: float = 0.0
-    hand_damping: float = 0.0
-    hand_stiffness: float = 0.0
-    delay: float = 0.0
+    sample_time: Numbers
+    device_mass: Numbers = None
+    device_damping: Numbers = None
+    hand_mass: Numbers = 0.0
+    hand_damping: Numbers = 0.0
+    hand_stiffness: Numbers = 0.0
+    delay: Numbers = 0.0
     velocity: Velocity | None = None
     position: Filter | None = None
+    device: Device | None = None
+
+    _whole_delay: ClassVar[int | None] = None  # in samples; no field
 
     def __post_init__(self) -> None:
+        self._refuse_mixed_fields()
         for name, (least, is_open) in _LEAST.items():
-            checked_number(name, getattr(self, name), least, is_open=is_open)
+            value = getattr(self, name)
+            if not (value is None or is_traced(value)):
+                number = checked_number(name, value, least, is_open=is_open)
+                object.__setattr__(self, name, value if is_jax(value) else number)
+        is_known = not is_any_traced(self.delay, self.sample_time)
+        object.__setattr__(self, "_whole_delay", int(self.delay_samples) if is_known else None)
         given_filters(self.velocity, self.position)
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:
                 chain.transfer(self.sample_time)  # refuses what does not go with the period
 
+    def _refuse_mixed_fields(self) -> None:
+        if self.device is None:
+            missing = [name for name in _OF_DEVICE if getattr(self, name) is None]
+            if missing:
+                raise TypeError(f"{missing[0]} is missing; give it, or device=jaxstab.Device....")
+            return
+        if not isinstance(self.device, Device):
+            raise TypeError(f"device is {self.device!r}; give a jaxstab.Device.")
+        given = [name for name in _OF_DEVICE if getattr(self, name) is not None]
+        hand = {name: getattr(self, name) for name in _OF_HAND}
+        given += [name for name, value in hand.items() if is_any_traced(value) or value]
+        if given:
+            raise TypeError(
+                f"{given[0]} is given beside device; a device has its own mass and damping, and is "
+                "held by device.held_by(jaxstab.Hand...): give one or the other."
+            )
+
     @property
-    def mass(self) -> float:
+    def body(self) -> Body | None:
+        """Device and hand as one mass on a spring and a damper; None for any other device."""
+        if self.device is not None:
+            one = self.device.one_mass()
+            return None if one is None else Body(one.mass, one.damping, one.stiffness)
+        damping = self.device_damping + self.hand_damping
+        return Body(self.device_mass + self.hand_mass, damping, self.hand_stiffness)
+
+    @property
+    def _one_body(self) -> Body:
+        body = self.body
+        if body is None:
+            raise TypeError(
+                f"the device ({self.device}) is not one mass: it has none of the paper's numbers."
+            )
+        return body
+
+    @property
+    def mass(self) -> Numbers:
         """Effective mass m in kg, eq. (1)."""
-        return self.device_mass + self.hand_mass
+        return self._one_body.mass
 
     @property
-    def gamma(self) -> float:
+    def gamma(self) -> Numbers:
         """Dimensionless physical stiffness k T^2/m, eq. (12)."""
-        return self.hand_stiffness * self.sample_time**2 / self.mass
+        return self._one_body.stiffness * self.sample_time**2 / self.mass
 
     @property
-    def delta(self) -> float:
+    def delta(self) -> Numbers:
         """Dimensionless physical damping b T/m, eq. (12)."""
-        return (self.device_damping + self.hand_damping) * self.sample_time / self.mass
+        return self._one_body.damping * self.sample_time / self.mass
 
     @property
-    def delay_samples(self) -> float:
+    def sampled(self) -> SampledDevice | None:
+        """A device that is not one mass as the controller meets it, None for one mass."""
+        if self.device is None or self.body is not None:
+            return None
+        return sampled_device(self.device, self.sample_time, self.delay_samples)
+
+    @property
+    def linear(self) -> LinearLoop:
+        """The loop as p(z) = base + alpha stiffness + beta damping, of any device.
+
+        Raises:
+            TypeError: JAX traces the loop.
+        """
+        return _linear_loop(self.in_floats())
+
+    def in_floats(self) -> "LoopParameters":
+        """Return the loop of plain numbers.
+
+        Raises:
+            TypeError: JAX traces the loop.
+        """
+        if is_any_traced(self):
+            raise TypeError(
+                "the loop is traced; give one of concrete numbers, made outside of jit, vmap and "
+                "grad."
+            )
+        if not any(map(is_jax, leaves(self))):
+            return self
+        import jax
+
+        return jax.tree.map(float, self)
+
+    @property
+    def delay_samples(self) -> Numbers:
         """Delay t_d/T in samples; whole where it is whole up to the rounding of the division."""
-        samples = self.delay / self.sample_time
+        if is_any_traced(self.delay, self.sample_time):
+            delay = self._traced_delay()
+            return delay.whole + delay.fraction
+        samples = float(self.delay) / float(self.sample_time)
         nearest = float(round(samples))
         return nearest if abs(samples - nearest) <= 4.0 * ulp(samples) else samples
 
     @property
-    def slice(self) -> tuple[float, float, float]:
-        """The numbers gamma, delta and delay of all walls of the loop (Table I)."""
-        return self.gamma, self.delta, self.delay_samples
+    def slice(self) -> tuple[Numbers, Numbers, Numbers]:
+        """The numbers gamma, delta and delay of all walls of the loop (Table I).
+
+        The delay is a TracedDelay where JAX traces it or the sampling period.
+        """
+        is_traced_delay = is_any_traced(self.delay, self.sample_time)
+        delay = self._traced_delay() if is_traced_delay else self.delay_samples
+        return self.gamma, self.delta, delay
+
+    def _traced_delay(self) -> TracedDelay:
+        whole = self._whole_delay
+        if whole is None:
+            raise TypeError(
+                "the delay in samples is traced, but its whole part sets the degree of p(z): make "
+                "the loop outside of jit, vmap and grad and give it to the function as an argument."
+            )
+        part = self.delay / self.sample_time - whole
+        # A whole delay stays so up to the rounding of the division, its derivative unchanged.
+        is_less = part <= 4.0 * ulp(whole)
+        return TracedDelay(whole, part - namespace(part).where(is_less, constant(part), 0.0))
+
+    def tree_flatten(self) -> tuple[tuple[Any, ...], tuple[int | None, Device | None]]:
+        """Return what JAX traces, and what it does not: the delay's whole samples, a device.
+
+        Windows in s become whole numbers of samples, which are not traced.
+        """
+        numbers = (getattr(self, name) for name in _LEAST)
+        filters = (_counted(part, self.sample_time) for part in (self.velocity, self.position))
+        return (*numbers, *filters), (self._whole_delay, self.device)
+
+    @classmethod
+    def tree_unflatten(
+        cls, fixed: tuple[int | None, Device | None], parts: Iterable[Any]
+    ) -> "LoopParameters":
+        """Return a loop of the parts of another one, unchecked: they may be anything."""
+        loop = object.__new__(cls)
+        names = (*_LEAST, "velocity", "position", "_whole_delay", "device")
+        for name, value in zip(names, (*parts, *fixed), strict=True):
+            object.__setattr__(loop, name, value)
+        return loop
 
     @property
     def filters(self) -> Estimators:
@@ -90,21 +223,57 @@ class LoopParameters:
             "position": None if position is None else position.per_sample(self.sample_time),
         }
 
+    @property
+    def _units(self) -> tuple[Numbers, Numbers]:
+        """What stiffness and damping are multiplied with: powers of two for general devices."""
+        sampled = self.sampled
+        if sampled is not None:
+            return sampled.stiffness_unit, sampled.damping_unit
+        return self.sample_time**2 / self.mass, self.sample_time / self.mass
+
     def alpha(self, stiffness: Values) -> Values:
         """Dimensionless stiffness K T^2/m of a wall of stiffness K in N/m (Table I)."""
-        return stiffness * (self.sample_time**2 / self.mass)
+        return stiffness * self._units[0]
 
     def beta(self, damping: Values) -> Values:
         """Dimensionless damping B T/m of a wall of damping B in N s/m (Table I)."""
-        return damping * (self.sample_time / self.mass)
+        return damping * self._units[1]
 
     def stiffness(self, alpha: Values) -> Values:
         """Wall stiffness K in N/m for a dimensionless stiffness alpha (Table I)."""
+        sampled = self.sampled
+        if sampled is not None:
+            return alpha / sampled.stiffness_unit
         return alpha * (self.mass / self.sample_time**2)
 
     def damping(self, beta: Values) -> Values:
         """Wall damping B in N s/m for a dimensionless damping beta (Table I)."""
+        sampled = self.sampled
+        if sampled is not None:
+            return beta / sampled.damping_unit
         return beta * (self.mass / self.sample_time)
+
+
+@lru_cache(_REMEMBERED)
+def _linear_loop(loop: LoopParameters) -> LinearLoop:
+    """Return the parts of p(z); those of the last loops are remembered."""
+    sampled = loop.sampled
+    if sampled is not None:
+        return sampled.loop(given_filters(loop.velocity, loop.position))
+    filters = given_filters(**loop.filters) or (Velocity(), Filter())
+    whole, fraction = divmod(loop.delay_samples, 1.0)
+    return filtered_loop(loop.gamma, loop.delta, int(whole), fraction, filters)
+
+
+def _counted(part: Any, sample_time: Numbers) -> Any:
+    """Return an estimator or filter with its windows in samples."""
+    if isinstance(part, Velocity):
+        return Velocity(_counted(part.filter, sample_time))
+    if not isinstance(part, Filter):
+        return part
+    return Filter(
+        tuple(s.per_sample(sample_time) if isinstance(s, Average) else s for s in part.sections)
+    )
 
 
 def refuses_loops(

@@ -1,15 +1,24 @@
 """The five dimensionless parameters (Table I): what is allowed for them."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Numbers, is_traced
+from jaxstab.arrays import Array, Numbers, is_any_traced
 from jaxstab.numbers import checked
 from jaxstab.numbers import require_x64 as require_x64  # offered here, too
 
 GAMMA_LIMIT = 1e4
 DELTA_LIMIT = 1e3
 GAIN_LIMIT = 1e150
+
+
+class TracedDelay(NamedTuple):
+    """A delay in samples of which the whole part is known, and the fraction traced by JAX."""
+
+    whole: int
+    fraction: Array
 
 
 def checked_gain(name: str, value: Numbers) -> Numbers:
@@ -34,9 +43,23 @@ def checked_delay(delay: Numbers) -> Float64[np.ndarray, "*grid"]:
         TypeError: the delay is traced by jit, vmap or grad.
         ValueError: a delay is negative, infinite or NaN.
     """
-    if is_traced(delay):
+    if is_any_traced(delay):
         raise TypeError(
             "delay must be a concrete number because it sets the degree of p(z); close over it or "
             "mark it static instead of tracing it."
         )
     return np.asarray(checked("delay", delay, 0.0), np.float64)
+
+
+def whole_and_fraction(delay: Numbers | TracedDelay) -> tuple[Float64[np.ndarray, "*grid"], Array]:
+    """Return the whole part and the fraction of a delay in samples.
+
+    Raises:
+        TypeError: the whole part is traced by jit, vmap or grad.
+        ValueError: a delay is negative, infinite or NaN.
+    """
+    if isinstance(delay, TracedDelay):
+        return np.asarray(delay.whole, np.float64), delay.fraction
+    concrete = checked_delay(delay)
+    whole = np.asarray(np.floor(concrete))
+    return whole, concrete - whole

@@ -31,6 +31,7 @@ from jaxtyping import Float64
 from jaxstab.arrays import (
     Array,
     Numbers,
+    constant,
     filled,
     float_arrays,
     is_traced,
@@ -206,6 +207,8 @@ def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) ->
     total = (step.decay * step.even).scaled(2.0)
     odd = (step.decay * step.odd).scaled(2.0)
     at_minus_one = (n2 + n0).scaled(2.0) - total
+    if is_traced(fraction):  # the sum knows how it changes with the fraction
+        odd = constant(odd) + (at_minus_one.hi - constant(at_minus_one.hi))
     difference = tree_map(partial(xp.where, fraction == 0.0), odd, at_minus_one)
     n1 = total - n2 - n0
     return PlantPairs(d1, d0, n2, n1, n0, total, difference, total * gamma)

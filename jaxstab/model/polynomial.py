@@ -1,5 +1,6 @@
 """The characteristic polynomial p(z) of the loop and its companion matrix."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -11,11 +12,13 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import (
+    TracedDelay,
     checked_delay,
     checked_delta,
     checked_gain,
     checked_gamma,
     require_x64,
+    whole_and_fraction,
 )
 from jaxstab.model.plant import PlantPairs, plant_pairs
 
@@ -33,6 +36,8 @@ def polynomial_degree(delay: Numbers) -> int:
 
     Source: eq. (9), and its modified z-transform for a fractional delay.
     """
+    if isinstance(delay, TracedDelay):  # a fraction that is traced may be any
+        return 4 + delay.whole
     return 3 + int(np.ceil(np.max(checked_delay(delay), initial=0.0)))
 
 
@@ -79,14 +84,18 @@ def characteristic_polynomial(
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) divided by -2 c1 gamma.
     """
     require_x64(alpha, beta, gamma, delta)
-    delay = checked_delay(delay)
-    whole_part = np.floor(delay)
+    whole_part, fraction = whole_and_fraction(delay)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     hand = checked_gamma(gamma), checked_delta(delta)
     filters = given_filters(velocity, position)
     if filters:
-        return _filtered_polynomials((*gains, *hand), delay, filters)
-    plant = plant_pairs(*hand, delay - whole_part)
+        if isinstance(delay, TracedDelay):
+            return _filtered_polynomial(
+                gains[0], gains[1], hand, fraction, filters, whole_delay=delay.whole
+            )
+        delays = np.asarray(whole_part + fraction)
+        return _filtered_polynomials((*gains, *hand), delays, filters)
+    plant = plant_pairs(*hand, fraction)
     degree = polynomial_degree(delay)
     return _polynomial(gains[0], gains[1], plant, whole_part, degree=degree)
 
@@ -175,7 +184,7 @@ def _filtered_polynomials(
 def _filtered_polynomial(
     alpha: Array,
     beta: Array,
-    hand: list[Array],
+    hand: Sequence[Array],
     fraction: Array | float,
     filters: Filters,
     *,

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 
 from jaxstab.arrays import Array, Numbers, namespace
 from jaxstab.model import require_x64
@@ -59,7 +59,11 @@ def dominant_mode(
     """
     require_x64(alpha, beta, gamma, delta)
     point = alpha, beta, gamma, delta, delay
-    poles = closed_loop_poles(*point, velocity=velocity, position=position)
+    return mode_of(closed_loop_poles(*point, velocity=velocity, position=position))
+
+
+def mode_of(poles: Complex128[Array, "*grid degree"]) -> Oscillation:
+    """Return damping ratio and frequency in rad per sample of the first pole of each loop."""
     xp, pole = namespace(poles), poles[..., 0]
     with np.errstate(all="ignore"):  # a pole at 0 or at 1
         decay, frequency = -xp.log(abs(pole)), abs(xp.angle(pole))

@@ -81,10 +81,10 @@ def over_grid(
     """
     alpha, beta, gamma, delta, delay = parameters
     require_x64(*parameters)
-    delay = checked_delay(delay)
     polynomial = partial(characteristic_polynomial, velocity=velocity, position=position)
     if is_any_traced(parameters, velocity, position):
         return kernel(polynomial(alpha, beta, gamma, delta, delay))
+    delay = checked_delay(delay)
     arguments = [np.asarray(value, np.float64) for value in parameters]
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     degrees = np.broadcast_to(np.ceil(delay), shape)

@@ -31,10 +31,11 @@ from jaxstab.arrays import (
     tree_map,
 )
 from jaxstab.batches import compiled
-from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import SampledPlant, sampled_mass
+from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import PlantPairs, plant_pairs
 from jaxstab.model.transfer import Transfer
 from jaxstab.numbers import checked
@@ -173,10 +174,12 @@ def slice_coefficients(
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008); each value is formed in double-double.
     """
-    if not is_traced(delay):
-        delay = checked_delay(delay)
-    whole = namespace(delay).floor(delay)
-    plant = plant_pairs(checked_gamma(gamma), checked_delta(delta), delay - whole)
+    if is_traced(delay):
+        whole = namespace(delay).floor(delay)
+        fraction = delay - whole
+    else:
+        whole, fraction = whole_and_fraction(delay)
+    plant = plant_pairs(checked_gamma(gamma), checked_delta(delta), fraction)
     size = checked("radius", radius, 0.0, 1.0, is_open=True)
     gamma, size, turns = float_arrays(gamma, size, whole + 1.0)
     if namespace(gamma, size, turns, plant) is not np or any(map(np.ndim, (gamma, size, turns))):

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float64, Int
 from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, pytree, stored
 from jaxstab.batches import compiled
 from jaxstab.conventions import Status
-from jaxstab.model import checked_delay, checked_gain, require_x64
+from jaxstab.model import checked_gain, require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.loop import refuses_loops
-from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
+from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, whole_and_fraction
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import measures
 from jaxstab.region.components import components_of, holds_small_gains
@@ -314,7 +314,7 @@ def region_outline(
     least = 2 * extra_vertices(slots)
     if checked_count("points", points, 0) < least:
         raise ValueError(f"points is {points}; give at least {least} for {slots} slots.")
-    length = coefficient_count(float(checked_delay(delay)))
+    length = coefficient_count(float(whole_and_fraction(delay)[0]))
     c = stored(slice_coefficients(gamma, delta, delay, radius))
     angles = namespace(c).asarray(scan_angles(length, fineness))
     pieces = _pieces(c, angles, length=length, slots=slots)

@@ -218,6 +218,20 @@ class Device:
             return "unstable"
         return "stable" if all(part < 0 for part in parts) else "marginal"
 
+    def one_mass(self) -> MassSpringDamper | None:
+        """Return device and hands as one mass where they are: glued together, without actuators."""
+        parts: list[Any] = [self.mechanism]
+        for hand in self.hands:
+            parts.append(hand.dynamics if hand.grip is None else None)
+        bodies = [part for part in parts if isinstance(part, MassSpringDamper)]
+        if self.bandwidths or len(bodies) < len(parts):
+            return None
+        return MassSpringDamper(
+            sum(body.mass for body in bodies),
+            sum(body.damping for body in bodies),
+            sum(body.stiffness for body in bodies),
+        )
+
     def _checked(self) -> "Device":
         self.compliance()
         return self

@@ -50,7 +50,8 @@ def linear_radius(alpha: Values, beta: Values, loop: LinearLoop) -> tuple[Values
     """
     shape = np.broadcast_shapes(*(np.shape(leaf) for leaf in leaves((alpha, beta, loop))))
     every = np.arange(prod(shape))
-    return _listed_radii((alpha, beta, loop), shape, every)
+    value, error = _listed_radii((alpha, beta, loop), shape, every)
+    return value.reshape(shape), error.reshape(shape)
 
 
 def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:

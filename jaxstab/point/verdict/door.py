@@ -16,13 +16,13 @@ from jaxstab.conventions import UNDECIDED, UNSTABLE, Verdict
 from jaxstab.model import (
     DoubleDouble,
     characteristic_polynomial,
-    checked_delay,
     checked_delta,
     checked_gain,
     checked_gamma,
     require_x64,
 )
 from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.point.grid import looked_up
 from jaxstab.point.verdict.linear import filtered_verdict, traced_filtered_verdict
 from jaxstab.point.verdict.loop import (
@@ -95,21 +95,20 @@ def verdict(
         raise ValueError(f'resolve is {resolve!r}; give "exact" or None.')
     require_x64(alpha, beta, gamma, delta, delay)
     filters = given_filters(velocity, position)
-    delays = checked_delay(delay)
     gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
     point = (*gains, checked_gamma(gamma), checked_delta(delta))
     xp = namespace(point, delay)
-    if filters and delays.size == 1 and is_any_traced(point, filters):
-        return traced_filtered_verdict(point, delays.item(), filters)
-    if not filters and resolve is None and delays.size == 1:
-        form = Form.of(delays.item())
+    whole, fraction = whole_and_fraction(delay)
+    if filters and whole.size == 1 and is_any_traced(point, delay, filters):
+        return traced_filtered_verdict(point, Form.of(delay), fraction, filters)
+    if not filters and resolve is None and whole.size == 1:
         arrays = [xp.asarray(value, xp.float64) for value in point]
-        codes = _float_verdict(arrays, xp.asarray(delays % 1.0), form)
-        shape = np.broadcast_shapes(delays.shape, *(array.shape for array in arrays))
+        codes = _float_verdict(arrays, xp.asarray(fraction), Form.of(delay))
+        shape = np.broadcast_shapes(whole.shape, *(array.shape for array in arrays))
         return xp.array(xp.broadcast_to(codes, shape))
-    if is_any_traced(point, filters):
+    if is_any_traced(point, delay, filters):
         raise TypeError("verdict takes traced arguments with one delay and without resolve only.")
-    points = Points(*(np.asarray(value, np.float64) for value in (*point, delays)))
+    points = Points(*(np.asarray(value, np.float64) for value in (*point, delay)))
     if filters:
         return xp.asarray(filtered_verdict(points, filters))
     codes = _grouped_verdict(points)

@@ -46,11 +46,12 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
 
 
 def traced_filtered_verdict(
-    point: tuple[Array, Array, Array, Array], delay: float, filters: Filters
+    point: tuple[Array, Array, Array, Array], form: Form, fraction: Array, filters: Filters
 ) -> Int8[Array, "*grid"]:
     """Return the codes of points that a transformation of JAX traces, in float64 alone."""
     alpha, beta, gamma, delta = point
-    loop = filtered_loop(gamma, delta, int(delay), delay % 1.0, filters)
+    part = fraction if form.is_fractional else 0.0
+    loop = filtered_loop(gamma, delta, form.whole_delay, part, filters)
     return _float_codes(alpha, beta, rounded_loop(without_zeros(loop)), degree=loop.degree)
 
 

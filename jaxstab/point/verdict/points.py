@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int64
 
-from jaxstab.arrays import tree_map
+from jaxstab.arrays import Numbers, tree_map
+from jaxstab.model import TracedDelay
 
 Values = np.ndarray[Any, np.dtype[Any]]
 
@@ -17,9 +18,12 @@ class Form(NamedTuple):
     is_fractional: bool
 
     @classmethod
-    def of(cls, delay: float) -> "Form":
-        """Return the form for a delay in samples."""
-        return cls(int(delay), delay % 1.0 > 0.0)
+    def of(cls, delay: Numbers | TracedDelay) -> "Form":
+        """Return the form for one delay in samples; a fraction that is traced may be any."""
+        if isinstance(delay, TracedDelay):
+            return cls(delay.whole, True)
+        number = np.asarray(delay, np.float64).item()
+        return cls(int(number), number % 1.0 > 0.0)
 
     @property
     def degree(self) -> int:

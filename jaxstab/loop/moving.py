@@ -1,0 +1,130 @@
+"""Limits of a loop that JAX traces: searched for outside of JAX, moved by what holds there.
+
+At the stiffest wall a pair of roots is on the circle where the boundary turns, or two roots are on
+it at once, at a corner. Both are equations for the wall and the roots' angles, which the implicit
+function theorem differentiates by all that the loop is made of.
+"""
+
+from math import pi
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float64
+
+from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, wall_region
+from jaxstab.model import LoopParameters, characteristic_polynomial
+from jaxstab.point import closed_loop_poles
+
+_FOUND = 5  # numbers of one extreme wall
+_REAL = 1e-6  # rad: a root this near to the real axis is real
+
+
+_Parts = tuple[Array, Array, Array]  # p(z) as base, and what the two gains multiply
+
+
+class _Extreme(NamedTuple):
+    """A wall with the largest alpha or beta, and the angles of the roots on the circle there."""
+
+    alpha: Array
+    beta: Array
+    first: Array
+    second: Array  # NaN where the boundary is smooth
+    is_reachable: Array
+
+
+def moving_limits(loop: LoopParameters) -> WallLimits:
+    """Return the limits of a traced loop, differentiable once in its leaves; islands are left out.
+
+    All are NaN where no wall is stable and where the region is UNRESOLVED; derivatives are NaN
+    where more than two roots are on the circle.
+    """
+    leaves, structure = jax.tree.flatten(loop)
+
+    def search(*values: Any) -> Float64[np.ndarray, "2 found"]:
+        concrete = jax.tree.unflatten(structure, [float(value) for value in values])
+        return _extremes(wall_region(concrete, TOLERANCE))
+
+    shape = jax.ShapeDtypeStruct((2, _FOUND + 1), jnp.float64)
+    fixed = [jax.lax.stop_gradient(leaf) for leaf in leaves]
+    found = jax.pure_callback(search, shape, *fixed, vmap_method="sequential")
+    parts = _parts(loop)
+    stiffest, most_damped = (
+        _moved(loop, parts, _Extreme(*found[axis, :_FOUND]), axis) for axis in range(2)
+    )
+    return WallLimits(
+        *stiffest,
+        most_damped.damping,
+        most_damped.stiffness,
+        found[0, _FOUND].astype(jnp.int8),
+        found[0, _FOUND - 1] == 1.0,
+    )
+
+
+def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
+    """Return the two extreme walls that are reachable, or of all, and the status of the region."""
+    main = region.main
+    of = region if main is None else main
+    loop, rows = region.loop, []
+    for point in (of.region.max_alpha, of.region.max_beta):
+        angles = np.full(2, np.nan)
+        if np.all(np.isfinite(point)):
+            alpha, beta = point.tolist()
+            poles = closed_loop_poles(alpha, beta, *loop.slice, **loop.filters)
+            poles = poles[poles.imag >= 0.0]
+            with np.errstate(divide="ignore"):
+                order = np.argsort(np.abs(np.log(np.abs(poles))))
+            is_corner = np.any(np.all(of.region.corners == point, axis=1))
+            nearest = np.abs(np.angle(poles[order[: 1 + is_corner]]))
+            angles[: len(nearest)] = nearest
+        rows.append([*point, *angles, float(main is not None), float(region.status)])
+    return np.array(rows)
+
+
+def _moved(loop: LoopParameters, parts: _Parts, extreme: _Extreme, axis: int) -> Gains:
+    """Return an extreme wall, and how it moves when the loop does."""
+    is_corner = ~jnp.isnan(extreme.second)
+    start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.second, 0.0)])
+
+    def equations(unknown: Array, parts: _Parts) -> Array:
+        base, *others = parts
+        polynomial = base + unknown[0] * others[0] + unknown[1] * others[1]
+        value, turn = _on_circle(polynomial, unknown[2])
+        # The other gain and the angle change, and p stays 0: where the boundary turns.
+        along, _ = _on_circle(others[1 - axis], unknown[2])
+        smooth = jnp.stack([jnp.imag(jnp.conj(along) * turn), unknown[3]])
+        there, _ = _on_circle(polynomial, unknown[3])
+        corner = _root_equations(there, unknown[3], start[3])
+        first = _root_equations(value, unknown[2], start[2])
+        return jnp.concatenate([first, jnp.where(is_corner, corner, smooth)])
+
+    fixed = jax.lax.stop_gradient((start, parts))
+    step = jnp.linalg.solve(jax.jacfwd(equations)(*fixed), equations(start, parts))
+    wall = start - (step - jax.lax.stop_gradient(step))
+    return Gains(loop.stiffness(wall[0]), loop.damping(wall[1]))
+
+
+def _parts(loop: LoopParameters) -> _Parts:
+    """Return the parts of p(z), from p(z) of three walls."""
+    gains = jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
+    base, *others = characteristic_polynomial(*gains, *loop.slice, **loop.filters)
+    return base, others[0] - base, others[1] - base
+
+
+def _on_circle(polynomial: Array, angle: Array) -> tuple[Array, Array]:
+    """Return a polynomial at exp(i angle), and its derivative by the angle, both turned back."""
+    degree = len(polynomial) - 1
+    powers = jnp.arange(degree, -1, -1) - 0.5 * degree
+    terms = polynomial * jnp.exp(1j * powers * angle)
+    return jnp.sum(terms), jnp.sum(1j * powers * terms)
+
+
+def _root_equations(value: Array, angle: Array, start: Array) -> Array:
+    """Return what is 0 where a root is on the circle; a real one stays at its angle."""
+    is_real = (start < _REAL) | (start > pi - _REAL)
+    end = jnp.round(start / pi) * pi
+    # At a real root the value, turned back, is real or imaginary.
+    real = jnp.stack([jnp.real(value) + jnp.imag(value), angle - end])
+    return jnp.where(is_real, real, jnp.stack([jnp.real(value), jnp.imag(value)]))

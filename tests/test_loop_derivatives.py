@@ -1,0 +1,271 @@
+"""A loop as a pytree: derivatives by all that it is made of, against differences in 50 digits."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mpmath import mp, mpc, mpf
+
+from benchmarks.truth.loop import evaluate, sampled_plant
+from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict
+
+Numbers = dict[str, Any]
+
+PLAIN = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
+HELD = HapticLoop(
+    device_mass=0.2, device_damping=0.1, hand_mass=0.3, hand_damping=3.0, hand_stiffness=150.0,
+    sample_time=2e-3, delay=3.5e-3,
+)  # fmt: skip
+SMOOTH = replace(HELD, velocity=Velocity.low_pass(40.0), position=Filter.low_pass(150.0))
+WINDOW = replace(PLAIN, velocity=Velocity.difference(samples=20), delay=1.3e-3)
+LOOPS = {"plain": PLAIN, "held": HELD, "low passes": SMOOTH, "window": WINDOW}
+WALL = (1500.0, 12.0)
+STEP = mpf(10) ** -18  # of a number
+_FIELDS = (
+    "device_mass", "device_damping", "sample_time", "hand_mass", "hand_damping", "hand_stiffness",
+    "delay",
+)  # fmt: skip
+
+
+def numbers_of(loop: HapticLoop) -> Numbers:
+    """All that may move, in 50 digits."""
+    found = {name: mpf(getattr(loop, name)) for name in _FIELDS}
+    if loop.velocity == SMOOTH.velocity:
+        found |= {"velocity": mpf(40), "position": mpf(150)}
+    return found
+
+
+def gradient(loop: HapticLoop) -> dict[str, float]:
+    """The numbers of a loop of derivatives."""
+    found = {name: float(getattr(loop, name)) for name in _FIELDS}
+    for name in ("velocity", "position"):
+        filter_ = getattr(getattr(loop, name), "filter", getattr(loop, name))
+        if filter_ is not None and hasattr(filter_.sections[0], "cutoff"):
+            found[name] = float(filter_.sections[0].cutoff)
+    return found
+
+
+def product(*factors: list[mpf]) -> list[mpf]:
+    result = [mpf(1)]
+    for factor in factors:
+        rows = [[a * b for b in factor] for a in result]
+        result = [
+            mp.fsum(rows[i][k - i] for i in range(len(rows)) if 0 <= k - i < len(factor))
+            for k in range(len(rows) + len(factor) - 1)
+        ]
+    return result
+
+
+def parts(loop: HapticLoop, numbers: Numbers) -> tuple[list[mpf], list[mpf], list[mpf]]:
+    """p(z) = base + K stiffness + B damping, from the definitions, times T^2/m."""
+    n, T = numbers, numbers["sample_time"]
+    mass = n["device_mass"] + n["hand_mass"]
+    gamma = n["hand_stiffness"] * T**2 / mass
+    delta = (n["device_damping"] + n["hand_damping"]) * T / mass
+    whole = int(loop.delay_samples)
+    plant = sampled_plant(gamma, delta, n["delay"] / T - whole)
+    one, samples = mpf(1), 1
+    dv, dp, nv, np_ = [one], [one], [one], [one]
+    if loop.velocity == SMOOTH.velocity:
+        q, r = (mp.exp(-2 * mp.pi * n[name] * T) for name in ("velocity", "position"))
+        dv, nv, dp, np_ = [one, -q], [1 - q, 0 * one], [one, -r], [1 - r, 0 * one]
+    if loop.velocity == WINDOW.velocity:
+        samples = 20
+    difference = [one / samples, *[0 * one] * (samples - 1), -one / samples]
+    shift = [one, *[0 * one] * samples]  # z^n
+    numerator = [plant.n2, plant.n1, plant.n0]
+    denominator = [one, plant.d1, plant.d0]
+    lag = [one, *[0 * one] * (whole + 1)]
+    base = product(lag, shift, denominator, dp, dv)
+    scale = T**2 / mass
+    stiffness = [c * scale for c in product(shift, numerator, np_, dv)]
+    damping = [c * scale / T for c in product(difference, numerator, nv, dp)]
+    length = len(base)
+    return base, *([mpf(0)] * (length - len(part)) + part for part in (stiffness, damping))
+
+
+def radius(loop: HapticLoop, numbers: Numbers) -> mpf:
+    base, stiffness, damping = parts(loop, numbers)
+    p = [
+        b + mpf(WALL[0]) * s + mpf(WALL[1]) * d
+        for b, s, d in zip(base, stiffness, damping, strict=True)
+    ]
+    largest = max(np.roots([float(c) for c in p]), key=abs)
+    z = mpc(largest)
+    for _ in range(8):  # Newton, to all digits
+        value, slope = mpc(0), mpc(0)
+        for c in p:
+            slope = slope * z + value
+            value = value * z + c
+        z -= value / slope
+    return abs(z)
+
+
+def difference(function: Callable[[Numbers], mpf], numbers: Numbers, name: str) -> float:
+    step = STEP * (numbers[name] or 1)
+    ahead, behind = (function(numbers | {name: numbers[name] + h}) for h in (step, -step))
+    return float((ahead - behind) / (2 * step))
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", LOOPS)
+def test_the_slopes_of_a_radius_are_those_of_50_digits(name: str) -> None:
+    loop = LOOPS[name]
+    found = gradient(jax.grad(lambda one: one.spectral_radius(*WALL).value)(loop))
+    with mp.workdps(50):
+        numbers = numbers_of(loop)
+        truth = {key: difference(lambda n: radius(loop, n), numbers, key) for key in numbers}
+    assert found.keys() == truth.keys()
+    for key, slope in truth.items():
+        assert found[key] == pytest.approx(slope, rel=1e-8, abs=1e-12 * abs(truth["delay"])), key
+
+
+def extreme(loop: HapticLoop, numbers: Numbers, start: list[float], axis: int) -> mpf:
+    """The largest K (axis 0) or B next to a start (K, B, angle), where the boundary turns."""
+    columns = parts(loop, numbers)
+
+    def equations(stiffness: mpf, damping: mpf, angle: mpf) -> list[mpf]:
+        z = mpc(mp.cos(angle), mp.sin(angle))
+        values = [evaluate(column, z) for column in columns]
+        slopes = [
+            sum(
+                1j * (len(column) - 1 - k) * c * z ** (len(column) - 1 - k)
+                for k, c in enumerate(column)
+            )
+            for column in columns
+        ]
+        gains = (1, stiffness, damping)
+        value = mp.fdot(gains, values)
+        turn = mp.fdot(gains, slopes)
+        return [value.real, value.imag, (mp.conj(values[2 - axis]) * turn).imag]
+
+    return mp.findroot(equations, start, tol=mpf(10) ** -60)[axis]
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", LOOPS)
+def test_the_slopes_of_limits_are_those_of_50_digits(name: str) -> None:
+    loop = LOOPS[name]
+    limits = loop.limits()
+    found = gradient(jax.grad(lambda one: one.limits().stiffness)(loop))
+    wall = (limits.stiffness, limits.at_damping)
+    poles = loop.poles(*wall)
+    angle = float(np.abs(np.angle(poles[np.argmin(np.abs(np.abs(poles) - 1.0))])))
+    with mp.workdps(50):
+        numbers, start = numbers_of(loop), [*wall, angle]
+        assert float(extreme(loop, numbers, start, 0)) == pytest.approx(wall[0], rel=1e-10)
+        truth = {
+            key: difference(lambda n: extreme(loop, n, start, 0), numbers, key) for key in numbers
+        }
+    for key, slope in truth.items():
+        assert found[key] == pytest.approx(slope, rel=1e-6), key
+
+
+@pytest.mark.campaign
+def test_the_largest_damping_moves_as_a_corner_does() -> None:
+    """Without delay and hand, at K = 0, a pole at -1: B T/m = 2 / tanh-like closed form."""
+    loop = replace(PLAIN, delay=0.0)
+    slopes = jax.jacobian(lambda one: one.limits()[2:4])(loop)
+    with mp.workdps(40):
+
+        def largest(numbers: Numbers) -> mpf:  # p(-1) = 0 at K = 0
+            base, _, damping = parts(loop, numbers)
+            return -evaluate(base, -1) / evaluate(damping, -1)
+
+        numbers = numbers_of(loop)
+        assert float(largest(numbers)) == pytest.approx(loop.limits().damping, rel=1e-12)
+        for key in ("device_mass", "device_damping", "sample_time"):
+            own = difference(largest, numbers, key)
+            assert float(getattr(slopes[0], key)) == pytest.approx(own, rel=1e-7)
+    assert float(slopes[1].hand_stiffness) == pytest.approx(-1.0, rel=1e-9)
+
+
+@pytest.mark.campaign
+def test_the_region_of_a_traced_loop_has_the_same_extremes_and_slopes() -> None:
+    wall, own = jax.jit(lambda loop: loop.region().stiffest)(HELD), HELD.region().stiffest
+    np.testing.assert_allclose(wall, own, rtol=1e-8)
+    by_outline = jax.grad(lambda loop: loop.region().stiffest.stiffness)(HELD)
+    by_limits = jax.grad(lambda loop: loop.limits().stiffness)(HELD)
+    for key, slope in gradient(by_limits).items():
+        assert gradient(by_outline)[key] == pytest.approx(slope, rel=1e-6), key
+
+
+@pytest.mark.campaign
+def test_a_loop_goes_through_jit_and_vmap_as_an_argument() -> None:
+    masses = np.array([0.1, 0.2, 0.4])
+    loops = jax.tree.map(
+        lambda *leaves: jnp.stack(leaves), *(replace(HELD, device_mass=mass) for mass in masses)
+    )
+    radii = jax.jit(jax.vmap(lambda loop: loop.spectral_radius(*WALL).value))(loops)
+    codes = jax.vmap(lambda loop: loop.verdict(*WALL))(loops)
+    most = jax.vmap(lambda loop: loop.limits().stiffness)(loops)
+    for index, mass in enumerate(masses):
+        own = replace(HELD, device_mass=mass)
+        assert radii[index] == pytest.approx(float(own.spectral_radius(*WALL).value), rel=1e-12)
+        assert codes[index] == own.verdict(*WALL)
+        assert most[index] == pytest.approx(own.limits().stiffness, rel=1e-12)
+
+
+def test_a_loop_comes_back_from_jax_as_it_was_but_for_windows_in_samples() -> None:
+    loop = replace(HELD, velocity=Velocity.difference(window=0.02) * Filter.low_pass(30.0))
+    leaves, structure = jax.tree.flatten(loop)
+    again = jax.tree.unflatten(structure, leaves)
+    assert len(leaves) == 8  # the cut-off among them
+    assert str(again.velocity).startswith("the difference over a window of 10 samples")
+    assert again.delay_samples == loop.delay_samples
+    assert again.limits() == loop.limits()
+    assert jax.tree.unflatten(structure, [None] * 8).device_mass is None  # of anything
+
+
+@pytest.mark.campaign
+def test_a_loop_is_made_of_traced_fields_without_checks() -> None:
+    def value(mass: Any, cutoff: Any) -> Any:
+        loop = replace(HELD, device_mass=mass, velocity=Velocity.low_pass(cutoff))
+        return loop.spectral_radius(*WALL).value
+
+    assert np.isfinite(jax.jit(value)(0.2, 40.0))
+    slopes = jax.grad(value, (0, 1))(0.2, 40.0)
+    alone = jax.grad(lambda loop: loop.spectral_radius(*WALL).value)(
+        replace(HELD, velocity=Velocity.low_pass(40.0))
+    )
+    assert float(slopes[0]) == pytest.approx(float(alone.device_mass), rel=1e-12)
+    assert float(slopes[1]) == pytest.approx(gradient(alone)["velocity"], rel=1e-12)
+    with pytest.raises(ValueError, match=r"device_mass is -1\.0"):
+        replace(HELD, device_mass=jnp.asarray(-1.0))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda loop: loop.settling_time(*WALL).value,
+        lambda loop: loop.tune().stiffness,
+        lambda loop: loop.robust_limit(HandRange()).stiffness,
+        lambda loop: loop.worst_hand(HandRange(), *WALL).radius,
+        lambda loop: loop.simulate(*WALL, force=1.0).position,
+        lambda loop: replace(loop, hand_mass=0.1).spectral_radius(*WALL).value,
+    ],
+)
+def test_what_is_searched_outside_of_jax_refuses_traced_loops_in_a_sentence(
+    call: Callable[[HapticLoop], Any],
+) -> None:
+    with pytest.raises(TypeError, match="outside of jit, vmap and grad") as caught:
+        jax.jit(call)(HELD)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_region_of_a_traced_loop_with_a_filter_names_the_limits() -> None:
+    with pytest.raises(TypeError, match="call limits"):
+        jax.jit(lambda loop: loop.region().stiffest)(SMOOTH)
+
+
+@pytest.mark.campaign
+def test_a_traced_whole_delay_is_a_fraction_of_zero() -> None:
+    poles = jax.jit(lambda loop: loop.poles(*WALL))(PLAIN)
+    own = PLAIN.poles(*WALL)
+    np.testing.assert_allclose(np.sort(np.abs(poles))[1:], np.sort(np.abs(own)), rtol=1e-9)
+    assert np.abs(poles).min() < 1e-12
+    assert jax.jit(lambda loop: loop.verdict(*WALL))(PLAIN) == Verdict.STABLE
