@@ -20,7 +20,10 @@ FLOORS_THAT_COMPUTE = tuple(
         "model", "point", "region", "ranges", "criteria", "motion", "tuning", "trace", "loop"
     )
 )  # fmt: skip
-CONVERSIONS = {"alpha", "beta", "stiffness", "damping", "to_control"}  # of a loop; nothing is asked
+CONVERSIONS = {  # of a loop: nothing is asked of it
+    "alpha", "beta", "stiffness", "damping", "in_floats", "to_control", "tree_flatten",
+    "tree_unflatten",
+}  # fmt: skip
 
 
 def run_python(*arguments: str) -> subprocess.CompletedProcess[str]:
