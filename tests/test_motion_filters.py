@@ -93,6 +93,43 @@ def test_settling_is_that_of_a_loop_that_lfilter_runs(
         assert float(found.value) == samples
 
 
+@pytest.mark.parametrize(
+    ("wall", "plant", "filters", "taps", "samples"),
+    [
+        (
+            (0.00028755, 0.02079427),
+            (2.5534058505351448e-08, 0.0, 27.0),
+            {
+                "velocity": Velocity.difference(samples=21),
+                "position": Filter.exponential(0.14953526478681176),
+            },
+            ([difference_taps(21)], [([0.14953526478681176, 0.0], [1.0, -0.8504647352131882])]),
+            1256,
+        ),
+        (
+            (1.24353991, -16.02902543),
+            (0.45176724853725625, 0.1661347224272225, 1.9699254132161326),
+            {"velocity": Velocity.exponential(0.08110258756687809)},
+            ([difference_taps(1), ([0.08110258756687809, 0.0], [1.0, -0.9188974124331219])], []),
+            455,
+        ),
+    ],
+)
+def test_settling_is_proved_in_units_in_which_powers_are_small(
+    wall: tuple[float, float],
+    plant: tuple[float, float, float],
+    filters: dict[str, Any],
+    taps: tuple[list[Taps], list[Taps]],
+    samples: int,
+) -> None:
+    """In those of one mass the bounds of rounding grew faster than the loop decayed."""
+    pushed, _ = march_through_filters(plant, wall, *taps, 3 * samples, push=wall[0] + plant[0])
+    assert settled_since(pushed[:, 0], 1.0, 0.02) == samples
+    found = jaxstab.settling_samples(*wall, *plant, **filters)
+    assert int(found.status) == SettlingStatus.SETTLED
+    assert float(found.value) == samples
+
+
 def test_settling_of_a_grid_is_that_of_each_loop() -> None:
     velocity = Velocity.difference(samples=5) * Filter.low_pass(0.1)
     betas, delays = np.array([[0.04], [0.06]]), np.array([0.0, 1.5, 3.0])

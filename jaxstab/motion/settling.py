@@ -23,7 +23,7 @@ from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.motion.controller import Bank
 from jaxstab.motion.response import propagator
 from jaxstab.motion.state_space import Matrices, bank_for, groups
-from jaxstab.motion.transition import Loops, device_loops, loops_of
+from jaxstab.motion.transition import Loops, balanced, device_loops, loops_of
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdict.door import verdict
 from jaxstab.point.verdict.linear import linear_verdict
@@ -177,7 +177,7 @@ def device_settling_samples(
         wholes = np.full(stiff.size, int(delay))
         for _, some in groups(wholes, np.ravel(is_hopeful), memory, _NUMBERS // _STRETCH):
             walls = np.ravel(stiff)[some], np.ravel(damp)[some] / sample_time
-            loops = device_loops(*walls, moves, int(delay), excitation, bank)
+            loops = balanced(device_loops(*walls, moves, int(delay), excitation, bank))
             with np.errstate(all="ignore"):
                 first[some] = _first_samples(loops, level, horizon, excitation == "impact")
         return first.reshape(stiff.shape)
@@ -314,6 +314,8 @@ def _settle(
     for whole, some in groups(whole_delay, is_hopeful, len(bank.steps), _NUMBERS // _STRETCH):
         gains = alpha[some], beta[some]
         loops = loops_of(*gains, entries[:, some], whole, excitation, bank)
+        if len(bank.steps):  # filters go on ringing: next to a rotation it is not
+            loops = balanced(loops)
         with np.errstate(all="ignore"):  # what grows overflows, and is never proved
             first[some] = _first_samples(loops, level, horizon, excitation == "impact")
     return first.reshape(lanes[0].shape)

@@ -64,10 +64,7 @@ def device_loops(
     excitation: str,
     bank: Bank = PLAIN,
 ) -> Loops:
-    """Return the loops of gains, K in N/m and B/T in N/m, at a general device.
-
-    The units are powers of two, which balance each matrix.
-    """
+    """Return the loops of gains, K in N/m and B/T in N/m, at a general device, in SI units."""
     states = len(moves.at_rest)
     first, last = states + 1, states + 1 + whole_delay  # of the forces
     plant = [0, *range(2, states + 1)]
@@ -81,7 +78,12 @@ def device_loops(
         start[:, plant] = np.where(moves.follows, wall, -moves.at_rest)
         start[:, first : last + 1] = wall
         start[:, last + 1 :] = -bank.at_rest
-    return _in_units(step, start, _balance(step))
+    return Loops(step, start[..., None])
+
+
+def balanced(loops: Loops) -> Loops:
+    """Return the same loops in units, powers of two, in which powers of A have small norms."""
+    return _in_units(loops.transition, loops.start[..., 0], _balance(loops.transition))
 
 
 def _in_units(step: Matrices, start: np.ndarray, units: np.ndarray) -> Loops:
