@@ -6,11 +6,12 @@ remember.
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import is_any_traced
+from jaxstab.arrays import is_any_traced, leaves
 from jaxstab.model.filters import Filters
 from jaxstab.motion.controller import PLAIN, Bank, Controller, bank_of
 
@@ -33,7 +34,16 @@ def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
         raise TypeError(
             "a filter is traced; this is computed outside of JAX: give filters of concrete numbers."
         )
+    is_plain = all(isinstance(leaf, float | int) for leaf in leaves(filters))
+    bank = _remembered_bank if is_plain else _bank
+    return bank(filters, sample_time)
+
+
+def _bank(filters: Filters, sample_time: float) -> Bank:
     return bank_of(Controller.of(filters, sample_time))
+
+
+_remembered_bank = lru_cache(maxsize=64)(_bank)  # one loop is asked about many walls
 
 
 def steps_of(
