@@ -271,8 +271,9 @@ def test_devices_and_hands_are_values_that_print_themselves() -> None:
         (lambda: Device.from_control(control.tf([1.0], [1.0, 2.0], 0.1)), "not in z"),
         (lambda: Device.from_control(scipy.signal.dlti([1.0], [1.0, 2.0], dt=0.1)), "not in z"),
         (lambda: Device.from_control(scipy.signal.lti([1.0, 0.0], [1.0, 2.0])), "not in z"),
+        (lambda: sampled_device(Device.mass_spring_damper(1.0, 0.0, 1e280), 1e-3, 0.0), "a pole"),
         (lambda: sampled_device(Device.mass_spring_damper(1e280), 1e-3, 0.0), "give SI units"),
-        (lambda: sampled_device(Device.transfer_function([1], [1, -1e7]), 1.0, 0.0), "unstable"),
+        (lambda: sampled_device(Device.transfer_function([1], [1, -1e3]), 1.0, 0.0), "unstable"),
     ],
 )
 def test_bad_input_is_refused_in_one_sentence(call: Any, words: str) -> None:

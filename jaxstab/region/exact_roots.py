@@ -20,7 +20,7 @@ from jaxstab.arrays import Array
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.filtered_curve import Angles, FilteredCurve
 
-_ON_CIRCLE = 1e-11  # a root so close is on the circle: a wall in float64 shifts it by less
+_ON_CIRCLE = 1e-12  # a root so close is on the circle: a wall in float64 shifts it by less
 _NEAR_CIRCLE = 1e-2
 _AT_ONCE = 1 << 11  # walls
 

@@ -12,7 +12,7 @@ z - 1 and of z + 1, are known to more digits than pairs of float64 have.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import isfinite, ldexp
+from math import inf, isfinite, ldexp, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.device.device import Device
@@ -26,10 +26,11 @@ from jaxstab.numbers import checked_number
 if TYPE_CHECKING:
     from flint import arb, arb_mat, arb_poly
 
-_FIRST_BITS, _MOST_BITS = 256, 1 << 14
+_FIRST_BITS, _MOST_BITS = 256, 1 << 12
 _WANTED_BITS = 112  # of each coefficient: pairs have 107
 _NOTHING = 2.0**-400  # of the size of all: a coefficient that small may be 0
 _MOST_BINARY_DIGITS = 900  # of a unit: products of numbers in it are float64 still
+_FASTEST = 14  # power of two: poles per sampling period
 _ROUNDED_UP = 1.0 + 2.0**-50
 
 
@@ -140,6 +141,9 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
     """Return numerator and monic denominator, lowest power first, with T as the unit of time.
 
     A coefficient that is 0 is the exact 0.
+
+    Raises:
+        ValueError: a pole is so fast that nothing of it is left after a sampling period.
     """
     import flint
 
@@ -149,7 +153,19 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
     first = below[-1]
     below = [value / first * period ** (degree - k) for k, value in enumerate(below)]
     above = [value / first * period ** (degree - k) for k, value in enumerate(above)]
+    if _speed(below) > _FASTEST:
+        raise ValueError(
+            f"the device has a pole at 2^{_speed(below)} or so per sampling period of "
+            f"{sample_time:g} s; give SI units, and leave out what is faster than 2^{_FASTEST}."
+        )
     return above + [flint.arb(0)] * (degree - len(above)), [*below[:-1], flint.arb(1)]
+
+
+def _speed(below: list["arb"]) -> int:
+    """Return the exponent of a power of two next to the largest root, but for a factor of 2."""
+    degree = len(below) - 1
+    sizes = [(degree - k, one) for k, one in enumerate(below[:-1]) if one != 0]
+    return max((_binary_digits(one) // root for root, one in sizes), default=0)
 
 
 def _of_samples(
@@ -159,8 +175,13 @@ def _of_samples(
     import flint
 
     part = flint.arb(exact(fraction))
-    last, first = (held(below, time) for time in (1 - part, part))
-    order = len(below) - 1
+    # In the time of the fastest pole numbers are of size 1.
+    order, speed = len(below) - 1, _speed(below)
+    above, below = (
+        [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(one)]
+        for one in (above, below)
+    )
+    last, first = (held(below, time * flint.arb(2) ** speed) for time in (1 - part, part))
     transition, later = _without_force(last), _force(last)
     columns = [later]
     if fraction:
@@ -267,7 +288,7 @@ def bounded(ball: "arb") -> Bounded:
     low = float((ball - high).mid()) if isfinite(high) else 0.0
     total = high + low
     error = float((ball - high - low).abs_upper())
-    return Bounded(DoubleDouble(total, low - (total - high)), error * _ROUNDED_UP)
+    return Bounded(DoubleDouble(total, low - (total - high)), nextafter(error * _ROUNDED_UP, inf))
 
 
 def _falling(polynomial: "arb_poly") -> list["arb"]:
