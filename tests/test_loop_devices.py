@@ -140,7 +140,6 @@ def test_fields_of_both_kinds_are_not_mixed(fields: dict[str, Any], message: str
 @pytest.mark.parametrize(
     "call",
     [
-        lambda loop: loop.margins(1000.0, 10.0),
         lambda loop: loop.settling_time(1000.0, 10.0),
         lambda loop: loop.simulate(1000.0, 10.0, force=1.0),
         lambda loop: loop.tune(),
@@ -151,6 +150,17 @@ def test_fields_of_both_kinds_are_not_mixed(fields: dict[str, Any], message: str
 def test_what_general_devices_cannot_be_asked_is_refused_in_a_sentence(call: Any) -> None:
     with pytest.raises(NotImplementedError, match="device"):
         call(loop_of(GRIPPED))
+
+
+def test_margins_of_a_general_device_end_at_its_region() -> None:
+    loop = loop_of(GRIPPED, velocity=WINDOW)
+    found = loop.margins(1000.0, 10.0)
+    np.testing.assert_allclose(found.stiffness, loop.stiffness_limits(10.0), rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(found.damping, loop.damping_limits(1000.0), rtol=1e-6, atol=1e-6)
+    assert found.stiffness_gain == pytest.approx(found.stiffness[1] / 1000.0)
+    assert np.isnan(found.extra_delay)
+    with pytest.raises(TypeError, match="outside of jit"):
+        jax.jit(lambda gain: loop.margins(gain, 10.0).damping)(1000.0)
 
 
 def test_a_general_device_has_no_mass_of_the_paper() -> None:

@@ -125,11 +125,12 @@ class LoopWithWalls(LoopParameters):
             damping: B in N s/m.
 
         Returns:
-            Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, also for JAX.
+            Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, also for JAX. Of a
+            device that is not one mass the extra delay is not looked for: it is NaN.
 
         Raises:
             ValueError: a gain is infinite or NaN.
-            NotImplementedError: the device is not one mass.
+            TypeError: JAX traces gains, and the device is not one mass.
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle.
@@ -141,7 +142,17 @@ class LoopWithWalls(LoopParameters):
             >>> float(loop.margins(300.0, 2.0).stiffness_gain)
             3.8...
         """
-        self._refuse_general_devices("margins")
+        sampled = self.sampled
+        if sampled is not None:
+            if is_any_traced(stiffness, damping):
+                raise TypeError(
+                    "margins of a device that is not one mass are searched outside of JAX: give "
+                    "concrete gains, outside of jit, vmap and grad."
+                )
+            wall = stiffness, damping
+            return ranges.device_margins(
+                sampled, *wall, velocity=self.velocity, position=self.position
+            )
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
         found = ranges.margins(*self._wall(stiffness, damping), *plant, **self.filters)
         return found._replace(
