@@ -491,6 +491,23 @@ def test_regions_of_filters_whose_poles_float64_does_not_tell_apart() -> None:
     assert np.array_equal(inside[is_decided], codes[is_decided] == STABLE)
 
 
+def test_a_hand_far_above_a_cut_off_has_a_region() -> None:
+    # At its resonance the curve is a steep line, for 2e-8 of an angle.
+    place = (0.5316505894594178, 8.394132253328545e-05, 2.0)
+    velocity = Velocity.butterworth(0.017358, 10)
+    region = jaxstab.stable_region(*place, velocity=velocity)
+    assert region.status == jaxstab.RegionStatus.COMPLETE
+    rng = np.random.default_rng(3)
+    edges = rng.integers(len(region.points), size=300)
+    away = rng.normal(size=(300, 2)) * 10.0 ** rng.uniform(-6.0, 0.0, (300, 1))
+    walls = (region.points[edges] + np.ptp(region.points, axis=0) * away).T
+    codes = jaxstab.verdict(*walls, *place, velocity=velocity)
+    inside = region.contains(*walls)
+    assert not np.any(inside & (codes == UNSTABLE))
+    assert not np.any(~inside & (codes == STABLE))
+    assert np.sum(codes == STABLE) > 50
+
+
 def test_a_region_that_is_not_resolved_claims_nothing() -> None:
     velocity = Velocity.butterworth(0.005, 20)
     region = jaxstab.stable_region(1e-3, 1e-2, 1.0, velocity=velocity)

@@ -14,6 +14,7 @@ _STEPS = 16
 _SMALLEST = 0.1  # of the largest corner: the size of those at 0
 _ROUGH = 1e-8  # the same mismatch next to a zero of N, of which coefficients in float64 tell less
 _TOLERANCE = 1e-10  # of the last step: its square is below rounding
+_ROUNDING = 4.0 * 2.0**-53  # of angles
 
 
 class Branch(IntEnum):
@@ -102,8 +103,12 @@ def solved_corners(
     steps, mismatch = newton(c, here)  # one more has the derivative in the slice
     solved = here - steps
     low = constant((here - kept(solved)) - steps)
-    is_rough = c.filtered is not None and c.filtered.is_exact
-    return solved[0], low[0], mismatch < (_ROUGH if is_rough else _TOLERANCE)
+    if c.filtered is None:
+        return solved[0], low[0], mismatch < _TOLERANCE
+    # Where the curve flies from one point to another, angles round to points that are apart.
+    is_last = np.max(np.abs(steps) - _ROUNDING * (1.0 + np.abs(here)), axis=0) < 0.0
+    tolerance = _ROUGH if c.filtered.is_exact else _TOLERANCE
+    return solved[0], low[0], (mismatch < tolerance) | is_last
 
 
 def steps_to_meeting(

@@ -14,7 +14,8 @@ which run the other way, so the stable set lies to the left everywhere. V is rea
 where the curve goes to infinity.
 """
 
-from functools import reduce
+from collections.abc import Sequence
+from functools import lru_cache, reduce
 from itertools import accumulate
 from typing import NamedTuple, TypeVar
 
@@ -29,6 +30,7 @@ from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
 _ZERO = DoubleDouble(0.0, 0.0)
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
 _NOTHING = 1e-25  # of the size of N: pairs that are rounding
+_MOST_LOST = 1e5  # the sum of a denominator's coefficients beside its least size on the circle
 _CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
 _SLOW = 0.5  # of the distance from 1
@@ -79,6 +81,7 @@ class FilteredCurve(NamedTuple):
     at_minus_one: Float64[np.ndarray, "3"]  # the same of p(-1), its sign plus in the stable set
     poles: Float64[np.ndarray, "2 pole"]  # angles in [0, pi], and how far they are from the circle
     resonances: Float64[np.ndarray, "2 root"]  # the same of zeros and poles of a general device
+    steep: Angles  # those at which beta is 0: where V is small the curve is there for an instant
     is_exact: bool = False  # whether other roots are tested in double-double
 
 
@@ -118,7 +121,11 @@ class _Around(NamedTuple):
 
 def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> FilteredCurve:
     """Return the curve of a plant, with T V(z) less its factor (1 - 1/z), and with P(z)."""
-    plant, velocity, position = _in_floats(plant), _in_floats(velocity), _in_floats(position)
+    return _curve(_in_floats(plant), _in_floats(velocity), _in_floats(position))
+
+
+@lru_cache(maxsize=64)
+def _curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> FilteredCurve:
     lag = velocity.lag + 1 - position.lag
     above = _power(max(-lag, 0)), _DIFFERENCE, velocity.numerator, position.denominator
     below = _power(max(lag, 0)), velocity.denominator, position.numerator
@@ -135,6 +142,7 @@ def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) 
     ]
     loop = linear_loop(plant, velocity, position)
     zeros = _rounded(product(plant.numerator, position.numerator))
+    poles = plant.denominator, position.denominator
     return FilteredCurve(
         plus=halves[0],
         minus=halves[1],
@@ -144,7 +152,17 @@ def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) 
         at_minus_one=_rounded(tuple(part.value for part in loop.at_minus_one)),
         poles=_poles(_rounded(reduce(product, above)), _rounded(reduce(product, below)), zeros),
         resonances=_resonances(plant),
+        steep=_real_angles(_rounded(product(reduce(product, poles), _power(whole))), zeros),
+        is_exact=_lose_digits((velocity.denominator, position.denominator)),
     )
+
+
+def _lose_digits(denominators: Sequence[Polynomial]) -> bool:
+    """Return whether filters have so many poles close to each other that float64 does not do."""
+    coefficients = _rounded(reduce(product, denominators))
+    circle = np.exp(1j * np.geomspace(1e-3, np.pi, 64))
+    least = np.min(np.abs(np.prod(circle[:, None] - np.roots(coefficients), axis=1)))
+    return bool(np.sum(np.abs(coefficients)) > _MOST_LOST * least)
 
 
 def _shifted_parts(
@@ -257,20 +275,27 @@ def _in_floats(system: System) -> System:
 
 
 def _poles(above: Angles, below: Angles, numerator: Angles) -> Float64[np.ndarray, "2 pole"]:
-    """Return the angles in [0, pi] where Im V = 0 or N is small, and how far their roots are.
-
-    |Y|^2 Im V is a series of sines: the odd part of X(z) Y(1/z).
-    """
-    series = np.convolve(np.append(np.zeros(max(len(below) - len(above), 0)), above), below[::-1])
-    odd = series - series[::-1] if len(series) % 2 else series
-    roots = np.concatenate([np.roots(odd), np.roots(numerator)])
+    """Return the angles in [0, pi] where Im V = 0 or N is small, and how far their roots are."""
+    estimator, roots = _real_angles(above, below), np.roots(numerator)
+    roots = roots[roots.imag >= 0.0]
     distance = np.abs(np.log(np.maximum(np.abs(roots), 1e-300)))
-    is_of_estimator = np.arange(len(roots)) < len(roots) - len(numerator) + 1
-    angles = np.abs(np.angle(roots))
-    is_kept = (~is_of_estimator | (distance < _ON_CIRCLE)) & (roots.imag >= 0.0)
-    is_kept &= ~is_of_estimator | ((angles > _ON_CIRCLE) & (angles < np.pi - _ON_CIRCLE))
-    distance = np.where(is_of_estimator, 0.0, distance)
-    return np.stack([angles, np.clip(distance, _CLOSEST, _FARTHEST)])[:, is_kept]
+    distances = np.concatenate([np.zeros(len(estimator)), distance])
+    angles = np.concatenate([estimator, np.abs(np.angle(roots))])
+    return np.stack([angles, np.clip(distances, _CLOSEST, _FARTHEST)])
+
+
+def _real_angles(above: Angles, below: Angles) -> Angles:
+    """Return the angles in (0, pi) where the quotient of two polynomials is real.
+
+    Its imaginary part, times |below|^2, is a series of sines: the odd part of above(z) below(1/z).
+    """
+    length = max(len(above), len(below))
+    above, below = (np.append(np.zeros(length - len(one)), one) for one in (above, below))
+    series = np.convolve(above, below[::-1])
+    roots = np.roots(series - series[::-1])
+    roots = roots[np.abs(np.log(np.maximum(np.abs(roots), 1e-300))) < _ON_CIRCLE]
+    angles = np.angle(roots)
+    return angles[(angles > _ON_CIRCLE) & (angles < np.pi - _ON_CIRCLE)]
 
 
 def _resonances(plant: SampledPlant) -> Float64[np.ndarray, "2 root"]:

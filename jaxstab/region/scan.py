@@ -41,7 +41,7 @@ def scan_angles(length: int, fineness: int) -> Angles:
 
 
 def slice_angles(c: SliceCoefficients, length: int, fineness: int) -> Angles:
-    """Return the angles of a scan for a slice: with filters closer to the poles of the curve.
+    """Return the angles of a scan: with filters more of them at the poles and where beta is 0.
 
     They have the sign of Im V: see ``filtered_curve``.
     """
@@ -49,7 +49,8 @@ def slice_angles(c: SliceCoefficients, length: int, fineness: int) -> Angles:
     if c.filtered is None:
         return angles
     offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
-    around = c.filtered.poles[0][:, None] + np.concatenate([-offsets, offsets])
+    centers = np.concatenate([c.filtered.poles[0], c.filtered.steep])
+    around = centers[:, None] + np.concatenate([-offsets, offsets])
     around = np.append(around, _around_resonances(c.filtered, fineness))
     inner = around[(around > angles[0]) & (around < angles[-1])]
     angles = np.sort(np.concatenate([angles, inner]))

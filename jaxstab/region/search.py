@@ -30,7 +30,7 @@ def refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) ->
     are tested in double-double then, and where none is found.
     """
     pieces = _searched(c, delay, may_be_empty=may_be_empty)
-    if c.filtered is None or (pieces.resolved and pieces.exists[0]):
+    if c.filtered is None or c.filtered.is_exact or (pieces.resolved and pieces.exists[0]):
         return pieces
     exact = c._replace(filtered=c.filtered._replace(is_exact=True))
     return _searched(exact, delay, may_be_empty=may_be_empty)
