@@ -75,5 +75,6 @@ def edited(edit: Callable[[h5py.File], object], image: bytes | None = None) -> b
         digests = (digest_of(name, dataset) for name, dataset in held.items())
         variables = [variable._replace(digests=list(variable.digests)) for variable in digests]
         places = {name: places_of(dataset) for name, dataset in held.items()}
-        table = table_text(opened.attrs["created_by"].decode(), variables, places)
+        words = (opened.attrs[name].decode() for name in ("created_by", "filters"))
+        table = table_text(*words, variables, places)
         return footer.sealed(bytes(opened.id.get_file_image()), table)

@@ -15,10 +15,12 @@ import numpy as np
 
 from jaxstab.atlas.format import footer, schema
 from jaxstab.atlas.format.digest import Chunked, values_digest
+from jaxstab.atlas.format.filters import words_of
 from jaxstab.atlas.format.table import Place, table_text
 from jaxstab.atlas.read.file import Array
 
 Arrays = dict[str, Array]
+_FILTERS = words_of(None)
 Edit = Callable[[Arrays], None]
 
 
@@ -67,7 +69,7 @@ def assembled(
             image += data
         variables.append(Chunked(name, values.dtype, values.shape, chunk, digests))
         places[name] = where
-    return footer.sealed(image, table_text(made_by, variables, places))
+    return footer.sealed(image, table_text(made_by, _FILTERS, variables, places))
 
 
 def parted(data: bytes) -> tuple[bytes, bytes]:
@@ -211,6 +213,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "no place": sub(r"(\nalpha_limits) \d+\+\d+", r"\1"),
     "places too many": sub(f"({_AT})", r"\1 \1"),
     "other names": sub(r"\ngamma ", "\ngamme ", 0),
+    "no filters": sub("\nfilters [^\n]*", ""),
     "a wrong digest": sub(r"(alpha_limits <f8 \S+ \S+) [0-9a-f]", r"\1 g"),
     "a digest of others": sub(r"(alpha_limits <f8 \S+ \S+) [0-9a-f]{8}", r"\1 01234567"),
     "a short digest": sub(r"(alpha_limits <f8 \S+ \S+ [0-9a-f]+)[0-9a-f]\n", "\\1\n"),
@@ -224,6 +227,8 @@ WORDS: dict[str, Callable[[str], str]] = {
     "a stranger": sub(r"\n\n(?=\w+ )", "\n\npassengers 1+1\n", 0),
     "terminal escapes": sub("made by [^\n]*", "made by \x1b]0;title\x07"),
     "no program": sub("made by [^\n]*", "made by "),
+    "escapes in the filters": sub("filters [^\n]*", "filters \x1b]0;title\x07"),
+    "endless filters": sub("filters [^\n]*", "filters " + "a" * 5000),
     "letters beyond ASCII": sub("made by [^\n]*", "made by \xe9"),
     "an overlap": sub(r"(\nspectral_radius_error) \d+(\+\d+)", r"\1 8\2"),
 }

@@ -145,7 +145,7 @@ def test_without_the_product_there_are_verdicts_but_no_limits() -> None:
     contents = small_contents()
     names = {"alpha_limits", "limit_cell", "limit_term"}
     arrays = {name: array for name, array in contents.arrays.items() if name not in names}
-    atlas = Atlas(file.Contents(arrays, contents.created_by))
+    atlas = Atlas(file.Contents(arrays, contents.created_by, contents.filters))
     point = dict(zip(AXES, (0.1, 0.3, 0.0005, 0.004, 0.0), strict=True))
     assert atlas.verdict(**point) == STABLE
     with pytest.raises(ValueError, match="holds no limits of alpha"):

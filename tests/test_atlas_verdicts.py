@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import flint
 import numpy as np
@@ -169,9 +169,11 @@ class Recorder:
         self.points: list[tuple[float, float]] = []
         monkeypatch.setattr(verdicts, "verdict", self.verdict)
 
-    def verdict(self, alpha: np.ndarray, beta: np.ndarray, *rest: object, resolve: str) -> object:
+    def verdict(
+        self, alpha: np.ndarray, beta: np.ndarray, *rest: object, **keywords: Any
+    ) -> object:
         self.points += zip(alpha.tolist(), beta.tolist(), strict=True)
-        return verdict(alpha, beta, *rest, resolve=resolve)
+        return verdict(alpha, beta, *rest, **keywords)
 
 
 def test_without_a_gap_each_node_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:

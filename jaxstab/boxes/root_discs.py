@@ -9,6 +9,7 @@ of the cell. |z_j| is convex, which leaves its multilinear interpolation to comp
     |z_j(x)| <= interpolation of |z_j| at the corners,    |z_j(x)| >= its tangent in the middle.
 """
 
+from functools import reduce
 from itertools import product
 from typing import NamedTuple
 
@@ -17,7 +18,11 @@ from jaxtyping import Bool, Complex128, Float64, Int64
 
 from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.plant import HandBoxes, PlantModels, plant_models
-from jaxstab.model import characteristic_polynomial, companion_matrix, polynomial_degree
+from jaxstab.model import characteristic_polynomial, companion_matrix
+from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.model.linear_loop import loop_factors
+from jaxstab.model.transfer import UNIT
+from jaxstab.model.transfer import product as polynomial_product
 
 _PAIRS_OF_ROOTS = 2**16  # of the cells that are computed at once: they stay in the cache of a CPU
 _ROUNDING = 1e-13  # of 1 and the largest root, and as a share of the discs
@@ -39,6 +44,7 @@ def interpolation_errors(
     hands: HandBoxes,
     delay: float,
     corners: Float64[np.ndarray, "2 2 alpha_node beta_node"],
+    filters: Filters | None = None,
 ) -> Float64[np.ndarray, "alpha_cell beta_cell"]:
     """Bound the error of a multilinear interpolation of the spectral radius in each cell.
 
@@ -48,6 +54,7 @@ def interpolation_errors(
         hands: one box of gamma and delta.
         delay: time delay t_d/T >= 0 in samples.
         corners: what is interpolated, at the lower and the upper gamma and delta of the box.
+        filters: velocity estimator and position filter, in units of one sample.
 
     Returns:
         Bounds for all points of the cells; infinite where the roots are not told apart.
@@ -61,15 +68,18 @@ def interpolation_errors(
     plant = plant_models(hands, delay)
     hand = float(hands.gamma[0]), float(hands.delta[0]), delay
     errors = np.empty((alpha.size - 1, beta.size - 1))
-    most = max(1, _PAIRS_OF_ROOTS // polynomial_degree(delay) ** 2)
+    multipliers = _multipliers(delay, filters)
+    degree = 2 + len(multipliers[0].coefficients) - 1 + multipliers[0].power
+    most = max(1, _PAIRS_OF_ROOTS // degree**2)
     for start in range(0, errors.size, most):
         cells = np.arange(start, min(start + most, errors.size))
         i, j = np.unravel_index(cells, errors.shape)
         (a, half_a), (b, half_b) = _middles_and_halves(alpha, i), _middles_and_halves(beta, j)
-        matrices = companion_matrix(characteristic_polynomial(a, b, *hand))
+        polynomials = characteristic_polynomial(a, b, *hand, **as_keywords(filters))
+        matrices = companion_matrix(polynomials)
         z = np.linalg.eigvals(matrices).T.astype(np.complex128)
         half = np.concatenate([[half_a, half_b], np.broadcast_to(plant.gamma.half, (2, a.size))])
-        p = _Polynomial.over((a, b), half[:, None], plant, delay)
+        p = _Polynomial.over((a, b), half[:, None], plant, delay, multipliers)
         given = [corners[k, m, i + di, j + dj] for di, dj, k, m in _CORNERS]
         with np.errstate(all="ignore"):  # where roots meet, discs are infinite
             errors.flat[cells] = _errors(z, p, given)
@@ -84,6 +94,38 @@ def _middles_and_halves(
     return middle, np.maximum(high - middle, middle - low)
 
 
+class _Multiplier(NamedTuple):
+    """A polynomial in z: z^power times one by its coefficients, highest power first."""
+
+    coefficients: tuple[float, ...]
+    power: int
+
+    def at(self, z: LinearModel) -> LinearModel:
+        # The models' own rounding, of each step, is more than that of the coefficients.
+        value = z * 0.0 + self.coefficients[0]
+        for coefficient in self.coefficients[1:]:
+            value = value * z + coefficient
+        return value * _power(z, self.power) if self.power else value
+
+    def of_number(self, z: Roots) -> Roots:
+        value: np.ndarray = np.polyval(self.coefficients, z) * z**self.power
+        return value
+
+
+def _multipliers(delay: float, filters: Filters | None) -> list[_Multiplier]:
+    """Return what estimator, filter and delay multiply D, alpha N and beta N by."""
+    velocity, position = UNIT, UNIT
+    if filters:
+        velocity, position = filters[0].filter.transfer(), filters[1].transfer()
+    lag = int(delay) + (not float(delay).is_integer())
+    powers, factors = loop_factors(lag, velocity, position)
+    polynomials = (reduce(polynomial_product, each) for each in factors)
+    return [
+        _Multiplier(tuple(float(c.rounded()) for c in polynomial), power)
+        for polynomial, power in zip(polynomials, powers, strict=True)
+    ]
+
+
 class _Polynomial(NamedTuple):
     """p over cells, in linear models of (alpha, beta, gamma, delta) of shape (1, cell)."""
 
@@ -94,11 +136,18 @@ class _Polynomial(NamedTuple):
     n2: LinearModel
     n1: LinearModel
     n0: LinearModel
-    power: int
+    multipliers: list[_Multiplier]
     is_whole: bool
 
     @classmethod
-    def over(cls, walls: Walls, half: Halves, plant: PlantModels, delay: float) -> "_Polynomial":
+    def over(
+        cls,
+        walls: Walls,
+        half: Halves,
+        plant: PlantModels,
+        delay: float,
+        multipliers: list[_Multiplier],
+    ) -> "_Polynomial":
         still = np.zeros((2, 1, 1))
         unit = np.eye(4)[:, :, None, None]
         is_whole = float(delay).is_integer()
@@ -113,15 +162,15 @@ class _Polynomial(NamedTuple):
             for gain, slope in zip(walls, unit[:2], strict=True)
         )
         d1, d0, n2, n1, n0 = map(of_hand, ("d1", "d0", "n2", "n1", "n0"))
-        power = int(delay) + (1 if is_whole else 2)
-        return cls(alpha, beta, d1, d0, n2, n1, n0, power, is_whole)
+        return cls(alpha, beta, d1, d0, n2, n1, n0, multipliers, is_whole)
 
     def at(self, z: LinearModel) -> LinearModel:
         numerator = z * self.n2 + self.n1
         if not self.is_whole:  # else z divides N
             numerator = numerator * z + self.n0
-        wall = (self.alpha + self.beta) * z - self.beta
-        return _power(z, self.power) * ((z + self.d1) * z + self.d0) + numerator * wall
+        base, stiffness, damping = (multiplier.at(z) for multiplier in self.multipliers)
+        wall = self.alpha * stiffness + self.beta * damping
+        return base * ((z + self.d1) * z + self.d0) + numerator * wall
 
     def slopes(self, z: Roots) -> Slopes:
         """Return the derivatives of p(z), z still, in the middles of the cells."""
@@ -131,8 +180,9 @@ class _Polynomial(NamedTuple):
             np.polyval([model.slope[2:] for model in models], z)
             for models in ((self.d1, self.d0), numerator)
         )
-        wall = (self.alpha.centre + self.beta.centre) * z - self.beta.centre
-        return np.stack([n * z, n * (z - 1.0), *(z**self.power * d_hand + wall * n_hand)])
+        base, stiffness, damping = (multiplier.of_number(z) for multiplier in self.multipliers)
+        wall = self.alpha.centre * stiffness + self.beta.centre * damping
+        return np.stack([n * stiffness, n * damping, *(base * d_hand + wall * n_hand)])
 
 
 def _errors(z: Roots, p: _Polynomial, corners: list[Cells]) -> Cells:

@@ -158,6 +158,7 @@ def _described(opened: "Atlas", file: Path) -> str:
     lines = [
         f"{file}: {file.stat().st_size / 1e6:.2f} MB, made by {opened.created_by}",
         f"products: {', '.join(opened.products)}",
+        opened.filters_in_words,
         *(
             f"{name}: {shape[name]} nodes from {nodes[0]:g} to {nodes[-1]:g}"
             for name, nodes in list(opened.nodes(0).items())[2:]

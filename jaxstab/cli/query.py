@@ -15,6 +15,7 @@ import jaxstab
 from jaxstab.cli.options import keep_programs, png_file
 from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import AXES, Verdict
+from jaxstab.tables import parsed
 
 if TYPE_CHECKING:
     from jaxstab.atlas import AtlasAnswer
@@ -42,6 +43,12 @@ def _axis_options(command: Any) -> Any:
     help="Refuse points outside of the atlas, or answer that they are undecided.",
 )
 @click.option("--exact", is_flag=True, help="Compute the verdicts that the atlas leaves open.")
+@click.option(
+    "--velocity",
+    metavar="TOML",
+    help="Refuse to answer if the atlas is of another estimator, such as 'window_samples = 20'.",
+)
+@click.option("--position", metavar="TOML", help="Likewise, the position filter.")
 @careful
 def query(
     file: Path,
@@ -49,18 +56,27 @@ def query(
     form: str,
     outside: Any,
     exact: bool,
+    velocity: str | None,
+    position: str | None,
     **point: float | None,
 ) -> None:
     """Ask an atlas about a point, or about the points of a CSV file.
 
     An option such as --gamma gives the value of a column that the CSV file does not have.
     """
+    from jaxstab.atlas.format.filters import position_of, velocity_of
+
     if exact:
         keep_programs()
     given = {name: value for name, value in point.items() if value is not None}
     points = _read_points(table, given) if table else _one_point(given)
     alpha, beta, gamma, delta, delay = (points[name] for name in AXES)
-    answer = jaxstab.open_atlas(file).query(alpha, beta, gamma, delta, delay, outside, exact=exact)
+    answer = jaxstab.open_atlas(file).query(
+        *(alpha, beta, gamma, delta, delay, outside),
+        exact=exact,
+        velocity=None if velocity is None else velocity_of(parsed(velocity, "--velocity: ")),
+        position=None if position is None else position_of(parsed(position, "--position: ")),
+    )
     rows = _answered(points, answer)
     if form == "csv":
         writer = csv.writer(sys.stdout, lineterminator="\n")

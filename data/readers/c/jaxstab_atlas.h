@@ -6,6 +6,9 @@
  *     int code = jaxstab_verdict(atlas, alpha, beta, gamma, delta, delay);
  *     jaxstab_close(atlas);
  *
+ * The answers are for walls that take the velocity and the position as atlas->filters says, in
+ * words: show it, or compare it with what your software does.
+ *
  * With K, B stiffness and damping of the virtual wall, m, b, k mass, damping and stiffness of
  * device and hand, T sampling period and t_d delay:
  *
@@ -58,6 +61,7 @@ typedef struct {
     const jaxstab_walls_ *walls;          /* one for each delay */
     const double *delay, *gamma, *delta;  /* ascending nodes */
     const double *planes;                 /* [beta_cell][gamma_cell][delta_cell][delay][10] */
+    const char *filters;                  /* velocity estimator and position filter, in words */
 } jaxstab_atlas;
 
 /* ---- queries ---- */
@@ -217,9 +221,12 @@ static inline double *jaxstab_copied_(const double *values, size_t count, double
     return copy;
 }
 
-/* Return an atlas in one block: itself, the walls of each delay, the nodes and the planes. */
-static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const size_t shape[][5])
+/* Return an atlas in one block: itself, walls of each delay, nodes, planes, and words up to a
+ * newline. */
+static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const size_t shape[][5],
+                                                const char *filters)
 {
+    const size_t letters = strcspn(filters, "\n");
     const size_t *planes = shape[JAXSTAB_PLANES_];
     const size_t delays = shape[JAXSTAB_DELAY_][0];
     const size_t gammas = shape[JAXSTAB_GAMMA_][0];
@@ -227,7 +234,8 @@ static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const si
     const size_t numbers = planes[0] * planes[1] * planes[2] * planes[3] * planes[4];
     const size_t head = (sizeof(jaxstab_atlas) + sizeof(double) - 1) / sizeof(double);
     const size_t walls_size = delays * (sizeof(jaxstab_walls_) / sizeof(double));
-    const size_t count = head + walls_size + gammas + deltas + delays + numbers;
+    const size_t count = head + walls_size + gammas + deltas + delays + numbers +
+                         letters / sizeof(double) + 1;
     double *block = (double *)malloc(count * sizeof *block);
     if (!block)
         return NULL;
@@ -245,6 +253,9 @@ static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const si
     atlas->gamma = jaxstab_copied_(values[JAXSTAB_GAMMA_], gammas, &free_space);
     atlas->delta = jaxstab_copied_(values[JAXSTAB_DELTA_], deltas, &free_space);
     atlas->planes = jaxstab_copied_(values[JAXSTAB_PLANES_], numbers, &free_space);
+    memcpy(free_space, filters, letters);
+    ((char *)free_space)[letters] = 0;
+    atlas->filters = (const char *)free_space;
     const double *lowest[] = {values[JAXSTAB_ALPHA_], values[JAXSTAB_BETA_]}, *highest[2];
     for (int i = JAXSTAB_ALPHA_; i <= JAXSTAB_BETA_; i++)
         highest[i] = values[i] + (shape[i][0] - 1) * delays;
@@ -277,7 +288,9 @@ static inline jaxstab_atlas *jaxstab_loaded_(const unsigned char *bytes, size_t 
     }
     if (is_read && jaxstab_fits_(values, (const size_t (*)[5])shape)) {
         *problem = "does not fit into memory.";
-        atlas = jaxstab_assembled_(values, (const size_t (*)[5])shape);
+        atlas = jaxstab_assembled_(values, (const size_t (*)[5])shape,
+                                   strstr(file.blocks[0], JAXSTAB_FILTERS_) +
+                                       strlen(JAXSTAB_FILTERS_));
     } else if (!*problem) {
         *problem = jaxstab_damaged_;
     }

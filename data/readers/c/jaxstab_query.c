@@ -82,6 +82,7 @@ static int bench(const jaxstab_atlas *atlas)
         best = spent < best ? spent : best;
     }
     const double decided = (double)(codes[JAXSTAB_STABLE] + codes[JAXSTAB_UNSTABLE]);
+    printf("%s\n", atlas->filters);
     printf("%.1f ns a query, best of %d rounds of %d random points; %.3f %% decided\n", best,
            ROUNDS, POINTS, 100.0 * decided / POINTS / ROUNDS);
     free(p);

@@ -8,6 +8,7 @@
 
 #include "jaxstab_footer.h"
 
+#define JAXSTAB_FILTERS_ "\nfilters " /* before words in the head */
 #define JAXSTAB_LARGEST_ARRAY_ ((uint64_t)1 << 28) /* numbers */
 
 static const char jaxstab_damaged_[] =
@@ -184,6 +185,7 @@ static inline const char *jaxstab_parse_(char *text, size_t length, char *blocks
     }
     head = strstr(text, "\ncontent ");
     if (strlen(blocks[2]) + (size_t)(blocks[2] - text) != length || !head ||
+        !strstr(text, JAXSTAB_FILTERS_) ||
         !jaxstab_has_digest_((const unsigned char *)blocks[1], strlen(blocks[1]), head + 9))
         return jaxstab_damaged_;
     if (!jaxstab_line_(blocks[1], "alpha_limits"))

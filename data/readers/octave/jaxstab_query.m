@@ -3,7 +3,8 @@ function [code, lower, lower_error, upper, upper_error] = ...
 % Stability verdicts from a jaxstab atlas, in Octave 6 or MATLAB R2016b and newer.
 %
 %   atlas = jaxstab_query('atlas.h5')
-%       checks the file, its SHA-256 included, and loads the limits of the stable alpha.
+%       checks the file, its SHA-256 included, and loads the limits of the stable alpha. The
+%       answers are for walls that take velocity and position as atlas.filters says, in words.
 %
 %   code = jaxstab_query(atlas, alpha, beta, gamma, delta, delay)
 %       answers for points, arrays of one shape or scalars:
@@ -101,6 +102,10 @@ function atlas = opened(file)
     error('jaxstab:product', ...
           '%s holds no limits of alpha; build one with the product ''alpha_limits''.', file);
   end
+  filters = regexp(head, '\nfilters ([ -~]+)\n', 'tokens', 'once');
+  if isempty(filters)
+    refuse_damaged(file);
+  end
   names = {'alpha', 'beta', 'gamma', 'delta', 'delay', 'alpha_limits'};
   ranks = [2, 2, 1, 1, 1, 5];
   for i = 1:6
@@ -112,7 +117,7 @@ function atlas = opened(file)
   end
 
   % The dimensions of arrays are reversed here.
-  atlas = struct('alpha', raw.alpha, 'beta', raw.beta);
+  atlas = struct('alpha', raw.alpha, 'beta', raw.beta, 'filters', filters{1});
   for name = {'gamma', 'delta', 'delay'}
     atlas.(name{1}) = raw.(name{1})';
   end

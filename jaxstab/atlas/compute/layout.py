@@ -10,6 +10,7 @@ from jaxstab.atlas.compute.tolerance import known_region, tolerant_nodes
 from jaxstab.atlas.format.schema import CELL, NODE
 from jaxstab.atlas.format.spec import AtlasSpec, FittedAxis, ToleranceAxis, check_size
 from jaxstab.boxes.columns import TERMS
+from jaxstab.model.filters import Filters
 
 _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
@@ -80,7 +81,8 @@ def _plant_axis(spec: AtlasSpec, name: str) -> Float64[np.ndarray, " node"]:
         return np.array(axis)
     across = getattr(spec, "delta" if name == "gamma" else "gamma")
     nodes = [across.start, across.stop] if isinstance(across, ToleranceAxis) else list(across)
-    return tolerant_nodes(axis, name, sorted({nodes[0], nodes[-1]}), np.array(spec.delay).tolist())
+    ends, delays = sorted({nodes[0], nodes[-1]}), np.array(spec.delay).tolist()
+    return tolerant_nodes(axis, name, ends, delays, spec.filters)
 
 
 def _wall_axes(
@@ -91,7 +93,7 @@ def _wall_axes(
 ) -> tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]:
     if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
         return np.array(spec.alpha), np.array(spec.beta)
-    highest_alpha, beta_ends = _stable_box(gamma, delta, delay)
+    highest_alpha, beta_ends = _stable_box(gamma, delta, delay, spec.filters)
     alpha = (
         _fitted_alpha(spec.alpha.count, gamma, highest_alpha)
         if isinstance(spec.alpha, FittedAxis)
@@ -106,14 +108,19 @@ def _wall_axes(
 
 
 def _stable_box(
-    gamma: Float64[np.ndarray, " gamma"], delta: Float64[np.ndarray, " delta"], delay: float
+    gamma: Float64[np.ndarray, " gamma"],
+    delta: Float64[np.ndarray, " delta"],
+    delay: float,
+    filters: Filters | None,
 ) -> tuple[float, tuple[float, float]]:
     """Return the largest alpha and the range of beta of the stable regions of some hands.
 
-    Between these hands a region may reach further; the margin of the axes covers that.
+    Where turning gains up from 0 leads to a part of the region, islands do not count. Between these
+    hands a region may reach further; the margin of the axes covers that.
     """
     hands = product(_thinned(gamma), _thinned(delta))
-    points = np.concatenate([known_region(*hand, delay).points for hand in hands])
+    regions = [known_region(*hand, delay, filters) for hand in hands]
+    points = np.concatenate([(region.main or region).points for region in regions])
     if not points.size:
         raise ValueError(
             f"no (alpha, beta) is stable at delay {delay:g}, so alpha and beta cannot be fitted; "

@@ -173,7 +173,7 @@ class Plan:
         total = 0.0
         for index in range(grid.delay.size):
             alpha, beta, delay = grid.walls(index)
-            total += float(undecided_nodes(alpha, beta, *hands, delay).mean())
+            total += float(undecided_nodes(alpha, beta, *hands, delay, self.spec.filters).mean())
         return round(total * grid.gamma.size * grid.delta.size)
 
 

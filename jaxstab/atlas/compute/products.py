@@ -22,6 +22,7 @@ from jaxstab.boxes.columns import stable_columns
 from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.boxes.root_discs import interpolation_errors
+from jaxstab.model.filters import as_keywords
 from jaxstab.point import spectral_radius
 
 Arrays = dict[str, NDArray[Any]]
@@ -46,11 +47,11 @@ def compute_tile(plan: Plan, tile: Tile) -> Arrays:
 def _verdicts(plan: Plan, tile: Tile) -> Arrays:
     alpha, beta, delay = plan.grid.walls(tile.delay)
     hands = plan.hands(tile)
-    nodes = node_verdicts(alpha, beta, hands[:, 0], hands[:, 1], delay)
+    nodes = node_verdicts(alpha, beta, hands[:, 0], hands[:, 1], delay, plan.spec.filters)
     cells = np.zeros((0, alpha.size - 1, beta.size - 1), np.int8)
     sides = _sides(plan, tile)
     if sides.size:
-        cells = cell_verdicts(alpha, beta, _boxes(sides), delay)
+        cells = cell_verdicts(alpha, beta, _boxes(sides), delay, plan.spec.filters)
     return {
         VERDICT: np.moveaxis(nodes, 0, -1).reshape(plan.shape(VERDICT, tile)),
         CELL_VERDICT: np.moveaxis(cells, 0, -1).reshape(plan.shape(CELL_VERDICT, tile)),
@@ -65,7 +66,7 @@ def _alpha_limits(plan: Plan, tile: Tile) -> Arrays:
     alpha, beta, delay = plan.grid.walls(tile.delay)
     domain = Domain((alpha[0], alpha[-1]), (beta[0], beta[-1]))
     edges = np.linspace(*domain.beta, plan.grid.limit_cells + 1)
-    columns = stable_columns(edges, _boxes(sides), delay, domain)
+    columns = stable_columns(edges, _boxes(sides), delay, domain, plan.spec.filters)
     planes = np.concatenate([columns.lower, columns.upper], axis=-1)
     return {ALPHA_LIMITS: planes.swapaxes(0, 1).reshape(shape)}
 
@@ -82,6 +83,7 @@ def _radii(plan: Plan, tile: Tile) -> Arrays:
             grid.gamma[[gamma], None],
             grid.delta[deltas],
             grid.delay[tile.delay],
+            **as_keywords(plan.spec.filters),
         )
         columns.append(_rounded(radius.value, radius.error, plan.spec.radius_rounding))
     value, error = (np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True))
@@ -106,7 +108,8 @@ def _cell_errors(
 ) -> Float32[np.ndarray, "alpha_cell beta_cell"]:
     alpha, beta, delay = plan.grid.walls(tile.delay)
     both = np.broadcast_to(corners, (2, 2, alpha.size, beta.size))  # of one node, both sides
-    errors = interpolation_errors(alpha, beta, _boxes(sides[None]), delay, both.astype(np.float64))
+    box, values = _boxes(sides[None]), both.astype(np.float64)
+    errors = interpolation_errors(alpha, beta, box, delay, values, plan.spec.filters)
     # In its own tile a node can be rounded to the other side.
     digit = max(_FLOAT32_STEP, float(np.spacing(corners.max())))
     step = max(_rounding_step(plan.spec.radius_rounding), digit)

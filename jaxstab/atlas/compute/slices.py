@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format import schema
-from jaxstab.region import stable_region
+from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.region import StableRegion, stable_region
 from jaxstab.tuning import minimize_radius
 
 Arrays = dict[str, NDArray[Any]]
@@ -16,8 +17,7 @@ Arrays = dict[str, NDArray[Any]]
 
 def outlines(plan: Plan, tile: Tile) -> Arrays:
     """Return the outlines of the stable regions of a tile, one after the other."""
-    delay = float(plan.grid.delay[tile.delay])
-    regions = [stable_region(gamma, delta, delay) for gamma, delta in plan.hands(tile).tolist()]
+    regions = _regions(plan.hands(tile), *_loop(plan, tile))
     points = [_ended(region.points) for region in regions]
     corners = [_ended(region.corners) for region in regions]
     # A piece begins at every point but the last one and the end mark.
@@ -44,21 +44,22 @@ def outlines(plan: Plan, tile: Tile) -> Arrays:
 
 def summaries(plan: Plan, tile: Tile) -> Arrays:
     """Return the extremes of the stable regions of a tile, and the fastest loops."""
-    values = slice_summaries(plan.hands(tile), float(plan.grid.delay[tile.delay]))
+    values = slice_summaries(plan.hands(tile), *_loop(plan, tile))
     return {name: value.reshape(plan.shape(name, tile)) for name, value in values.items()}
 
 
 def slice_summaries(
-    hands: Float64[np.ndarray, "slice 2"], delay: float
+    hands: Float64[np.ndarray, "slice 2"], delay: float, filters: Filters | None = None
 ) -> dict[str, Float64[np.ndarray, " slice"]]:
     """Return the variables of the product ``summary``.
 
     Args:
         hands: gamma and delta of each slice.
         delay: time delay t_d/T of all of them.
+        filters: velocity estimator and position filter of all of them.
     """
-    regions = [stable_region(gamma, delta, delay) for gamma, delta in hands.tolist()]
-    best = minimize_radius(hands[:, 0], hands[:, 1], delay)
+    regions = _regions(hands, delay, filters)
+    best = minimize_radius(hands[:, 0], hands[:, 1], delay, **as_keywords(filters))
     values = (
         [float(region.max_alpha[0]) for region in regions],
         [float(region.max_alpha[1]) for region in regions],
@@ -72,6 +73,17 @@ def slice_summaries(
         name: np.array(value, np.float64)
         for name, value in zip(schema.SUMMARY, values, strict=True)
     }
+
+
+def _loop(plan: Plan, tile: Tile) -> tuple[float, Filters | None]:
+    return float(plan.grid.delay[tile.delay]), plan.spec.filters
+
+
+def _regions(
+    hands: Float64[np.ndarray, "slice 2"], delay: float, filters: Filters | None
+) -> list[StableRegion]:
+    keywords = as_keywords(filters)
+    return [stable_region(gamma, delta, delay, **keywords) for gamma, delta in hands.tolist()]
 
 
 def _ended(points: Float64[np.ndarray, "point 2"]) -> Float64[np.ndarray, "point_and_end 2"]:

@@ -1,20 +1,21 @@
 """As many nodes along gamma or delta as a tolerance needs: where little changes, few."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import ceil
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.atlas.format.spec import ToleranceAxis
-from jaxstab.region import (
-    Branch,
-    RegionStatus,
-    StableRegion,
-    boundary_curve,
-    minus_line,
-    plus_line,
-    stable_region,
+from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.region import Branch, RegionStatus, StableRegion, stable_region
+from jaxstab.region.curve import (
+    curve_point,
+    minus_offset,
+    minus_slope,
+    plus_offset,
+    plus_slope,
 )
 
 _PROBES = 17  # values along the axis at which the boundary is looked at
@@ -24,7 +25,11 @@ Slice = tuple[float, float, float]
 
 
 def tolerant_nodes(
-    axis: ToleranceAxis, name: str, across: Sequence[float], delays: Sequence[float]
+    axis: ToleranceAxis,
+    name: str,
+    across: Sequence[float],
+    delays: Sequence[float],
+    filters: Filters | None,
 ) -> Float64[np.ndarray, " node"]:
     """Return nodes between which the boundary of the stable set moves by the tolerance at most.
 
@@ -37,6 +42,7 @@ def tolerant_nodes(
         name: "gamma" or "delta".
         across: values of the other one of the two.
         delays: time delays t_d/T.
+        filters: velocity estimator and position filter.
 
     Raises:
         ValueError: nowhere along the axis a loop is stable, a region is unresolved, or a parameter
@@ -50,20 +56,20 @@ def tolerant_nodes(
                 (value, other, delay) if name == "gamma" else (other, value, delay)
                 for value in values.tolist()
             ]
-            moved = np.maximum(moved, _motions(slices))
+            moved = np.maximum(moved, _motions(slices, filters))
     passed = np.concatenate([[0.0], np.cumsum(moved)])
     steps = max(1, ceil(passed[-1] / axis.tolerance))
     nodes = np.interp(np.linspace(0.0, passed[-1], steps + 1), passed, values)
     return np.concatenate([[axis.start], nodes[1:-1], [axis.stop]])
 
 
-def known_region(gamma: float, delta: float, delay: float) -> StableRegion:
+def known_region(gamma: float, delta: float, delay: float, filters: Filters | None) -> StableRegion:
     """Return the stable region of a slice, which may be empty.
 
     Raises:
         ValueError: it is unresolved, or a parameter is too large for the model.
     """
-    region = stable_region(gamma, delta, delay, tolerance=_FINENESS)
+    region = stable_region(gamma, delta, delay, tolerance=_FINENESS, **as_keywords(filters))
     if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(
             f"no axis can be laid around the region at gamma {gamma:g}, delta {delta:g}, delay "
@@ -72,9 +78,9 @@ def known_region(gamma: float, delta: float, delay: float) -> StableRegion:
     return region
 
 
-def _motions(slices: Sequence[Slice]) -> list[float]:
+def _motions(slices: Sequence[Slice], filters: Filters | None) -> list[float]:
     """Return how far the boundary moves from each slice to the next."""
-    regions = [known_region(*one) for one in slices]
+    regions = [known_region(*one, filters) for one in slices]
     points = np.concatenate([region.points for region in regions])
     if not points.size:
         raise ValueError(
@@ -82,21 +88,21 @@ def _motions(slices: Sequence[Slice]) -> list[float]:
             "a tolerance; give its nodes."
         )
     extent = np.ptp(points, axis=0)
-    there = [_motion(*pair, extent) for pair in zip(regions[:-1], slices[1:], strict=True)]
-    back = [_motion(*pair, extent) for pair in zip(regions[1:], slices[:-1], strict=True)]
+    there = [_motion(*pair, extent) for pair in pairwise(regions)]
+    back = [_motion(*pair, extent) for pair in zip(regions[1:], regions[:-1], strict=True)]
     return list(map(max, there, back))
 
 
-def _motion(region: StableRegion, other: Slice, extent: Float64[np.ndarray, "2"]) -> float:
+def _motion(region: StableRegion, other: StableRegion, extent: Float64[np.ndarray, "2"]) -> float:
     """Return how far the outline's points move to another slice, at their angle or their beta."""
-    points, branch = region.points[:-1], region.branch[:, None]
+    points, branch, c = region.points[:-1], region.branch[:, None], other.coefficients
     beta = points[:, 1]
     moved = np.select(
         [branch == kind for kind in (Branch.CURVE, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)],
         [
-            np.stack(boundary_curve(region.outline.angles[: beta.size, 0], *other), axis=-1),
-            np.stack([plus_line(beta, *other), beta], axis=-1),
-            np.stack([minus_line(beta, *other), beta], axis=-1),
+            np.stack(curve_point(c, region.outline.angles[: beta.size, 0]), axis=-1),
+            np.stack([plus_offset(c) - plus_slope(c) * beta, beta], axis=-1),
+            np.stack([minus_offset(c) - minus_slope(c) * beta, beta], axis=-1),
         ],
         np.nan,
     )

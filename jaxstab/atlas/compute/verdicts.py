@@ -13,6 +13,7 @@ from jaxstab.boxes.columns import column_gaps
 from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
 
 AlphaNodes = Float64[np.ndarray, " alpha_node"]
@@ -21,7 +22,12 @@ Hands = Float64[np.ndarray, " hand"]
 
 
 def node_verdicts(
-    alpha: AlphaNodes, beta: BetaNodes, gamma: Hands, delta: Hands, delay: float
+    alpha: AlphaNodes,
+    beta: BetaNodes,
+    gamma: Hands,
+    delta: Hands,
+    delay: float,
+    filters: Filters | None = None,
 ) -> Int8[np.ndarray, "hand alpha_node beta_node"]:
     """Return the verdicts of all (alpha, beta) for each of some hands.
 
@@ -31,54 +37,75 @@ def node_verdicts(
         gamma: physical stiffness of the hands.
         delta: physical damping of the hands.
         delay: time delay t_d/T in samples.
+        filters: velocity estimator and position filter.
 
     Raises:
         ValueError: a parameter is outside the range of the model.
     """
-    codes = _proved_nodes(alpha, beta, gamma, delta, delay)
+    codes = _proved_nodes(alpha, beta, gamma, delta, delay, filters)
     hand, j, i = np.nonzero(codes == UNDECIDED)
     if hand.size:
         point = alpha[i], beta[j], gamma[hand], delta[hand]
-        codes[hand, j, i] = verdict(*point, delay, resolve="exact")
+        codes[hand, j, i] = verdict(*point, delay, resolve="exact", **as_keywords(filters))
     return codes.swapaxes(1, 2)
 
 
 def undecided_nodes(
-    alpha: AlphaNodes, beta: BetaNodes, gamma: Hands, delta: Hands, delay: float
+    alpha: AlphaNodes,
+    beta: BetaNodes,
+    gamma: Hands,
+    delta: Hands,
+    delay: float,
+    filters: Filters | None = None,
 ) -> Int64[np.ndarray, " hand"]:
     """Count for each hand the nodes that are in no gap; arguments and errors of node_verdicts."""
-    codes = _proved_nodes(alpha, beta, gamma, delta, delay)
+    codes = _proved_nodes(alpha, beta, gamma, delta, delay, filters)
     counts: np.ndarray = np.sum(codes == UNDECIDED, axis=(1, 2))
     return counts
 
 
 def cell_verdicts(
-    alpha: AlphaNodes, beta: BetaNodes, hands: HandBoxes, delay: float
+    alpha: AlphaNodes,
+    beta: BetaNodes,
+    hands: HandBoxes,
+    delay: float,
+    filters: Filters | None = None,
 ) -> Int8[np.ndarray, "box alpha_cell beta_cell"]:
     """Return the verdicts that are proved for all points of cells, for each of some boxes of hands.
 
     Arguments and errors as ``node_verdicts``; UNDECIDED where there is no proof.
     """
-    codes = _codes(alpha, beta, hands, delay, nodes=2)
+    codes = _codes(alpha, beta, hands, delay, filters, nodes=2)
     return codes.swapaxes(1, 2)
 
 
 def _proved_nodes(
-    alpha: AlphaNodes, beta: BetaNodes, gamma: Hands, delta: Hands, delay: float
+    alpha: AlphaNodes,
+    beta: BetaNodes,
+    gamma: Hands,
+    delta: Hands,
+    delay: float,
+    filters: Filters | None,
 ) -> Int8[np.ndarray, "hand beta_node alpha_node"]:
     still = np.zeros_like(gamma)
-    beside = _codes(alpha, beta, HandBoxes(gamma, delta, still, still), delay, nodes=1)
+    hands = HandBoxes(gamma, delta, still, still)
+    beside = _codes(alpha, beta, hands, delay, filters, nodes=1)
     codes = np.concatenate([beside, beside[:, -1:]], axis=1)
     np.minimum(codes[:, 1:], beside, out=codes[:, 1:])  # UNDECIDED is the largest code
     return codes
 
 
 def _codes(
-    alpha: AlphaNodes, beta: BetaNodes, hands: HandBoxes, delay: float, nodes: int
+    alpha: AlphaNodes,
+    beta: BetaNodes,
+    hands: HandBoxes,
+    delay: float,
+    filters: Filters | None,
+    nodes: int,
 ) -> Int8[np.ndarray, "box beta_cell along_alpha"]:
     """Return a code for each run of ``nodes`` neighbours along alpha that is in one gap."""
     domain = Domain((float(alpha[0]), float(alpha[-1])), (float(beta[0]), float(beta[-1])))
-    gaps = column_gaps(beta, hands, delay, domain)
+    gaps = column_gaps(beta, hands, delay, domain, filters)
     first = np.searchsorted(alpha, gaps.low, "right")
     stop = np.searchsorted(alpha, gaps.high, "left") + 1 - nodes
     known = (first < stop) & np.isin(gaps.verdict, (STABLE, UNSTABLE))

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxstab.atlas.format.filters import position_of, toml_of, velocity_of
 from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
     LARGEST_ATLAS,
@@ -22,6 +23,7 @@ from jaxstab.atlas.format.schema import (
     VERDICT,
 )
 from jaxstab.conventions import AXES
+from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.tables import check_keys, parsed, read_table
 
@@ -111,6 +113,8 @@ class AtlasSpec:
     products: Sequence[str] = (VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS)
     limit_cells: int = 512
     radius_rounding: float | int = 1e-7
+    velocity: Velocity | None = None
+    position: Filter | None = None
 
     def __post_init__(self) -> None:
         for name in AXES:
@@ -120,6 +124,8 @@ class AtlasSpec:
         object.__setattr__(self, "products", _checked_products(self.products))
         checked_count("limit_cells", self.limit_cells, 1, LARGEST_SLICE)
         checked_number("radius_rounding", self.radius_rounding, 0.0, 1.0)
+        for name, value in as_keywords(known_filters(self.velocity, self.position)).items():
+            object.__setattr__(self, name, _as_written(name, value))
         check_size([_least_count(getattr(self, name)) for name in AXES])
 
     @classmethod
@@ -142,7 +148,8 @@ class AtlasSpec:
 
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
         ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
-        ``fitted``, a count, and for gamma and delta ``start``, ``stop`` and ``tolerance``.
+        ``fitted``, a count, and for gamma and delta ``start``, ``stop`` and ``tolerance``. The
+        tables ``velocity`` and ``position`` are of ``jaxstab.atlas.format.filters``.
 
         Raises:
             ValueError: the text is no TOML, or has an unknown name or a bad value.
@@ -154,11 +161,19 @@ class AtlasSpec:
     def _from_table(cls, table: dict[str, Any]) -> "AtlasSpec":
         check_keys("", table, [entry.name for entry in fields(cls)])
         axes: dict[str, Any] = {name: _axis_of(name, table[name]) for name in AXES if name in table}
-        return cls(**(table | axes))
+        filters = {name: make(table[name]) for name, make in _FILTERS.items() if name in table}
+        return cls(**(table | axes | filters))
+
+    @property
+    def filters(self) -> Filters | None:
+        """The estimator and the filter; None for the difference over one sample alone."""
+        return known_filters(self.velocity, self.position)
 
     def to_toml(self) -> str:
         """Return the text from which ``from_toml`` makes an equal specification."""
-        entries = (f"{entry.name} = {_toml(getattr(self, entry.name))}" for entry in fields(self))
+        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        given = {name: value for name, value in values.items() if value is not None}
+        entries = (f"{name} = {_toml(value)}" for name, value in given.items())
         return "\n".join(entries) + "\n"
 
 
@@ -167,6 +182,10 @@ _LAID_OUT: Mapping[str, type] = {
     "beta": FittedAxis,
     "gamma": ToleranceAxis,
     "delta": ToleranceAxis,
+}
+_FILTERS: Mapping[str, Callable[[Any], Velocity | Filter]] = {
+    "velocity": velocity_of,
+    "position": position_of,
 }
 _ENTRIES: Mapping[type, list[str]] = {FittedAxis: ["fitted"], ToleranceAxis: ["tolerance"]}
 
@@ -181,6 +200,13 @@ def check_size(counts: Sequence[int]) -> None:
             raise ValueError(
                 f"the {axes} make {size} nodes; at most {most} are allowed, so give fewer."
             )
+
+
+def _as_written(name: str, value: Velocity | Filter | None) -> Velocity | Filter | None:
+    """Return a filter as it comes back from the specification's text."""
+    if value is None or not toml_of(value).strip("[]"):
+        return None
+    return _FILTERS[name](parsed(f"{name} = {toml_of(value)}")[name])
 
 
 def _least_count(axis: Any) -> int:
@@ -254,6 +280,8 @@ def _toml(value: Any) -> str:
         return f"{{ fitted = {value.count} }}"
     if isinstance(value, ToleranceAxis):
         return "{ " + ", ".join(f"{key} = {getattr(value, key)!r}" for key in _TOLERANT) + " }"
+    if isinstance(value, Velocity | Filter):
+        return toml_of(value)
     if not isinstance(value, tuple):
         return repr(value)
     items = ["'" + item + "'" if isinstance(item, str) else repr(item) for item in value]

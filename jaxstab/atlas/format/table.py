@@ -4,6 +4,7 @@ It is ASCII text after the HDF5 image, in three blocks with an empty line betwee
 
     jaxstab atlas 3
     made by PROGRAM
+    filters WORDS on the velocity estimator and the position filter
     content SHA-256 of the second block with the end of its last line
 
     name dtype shape chunk digest digest ...         the lines of ``format.digest``
@@ -27,7 +28,9 @@ from jaxstab.atlas.format.digest import Chunked, content_digest
 from jaxstab.atlas.format.schema import VARIABLES, Variable
 
 _TITLE = re.compile(rb"jaxstab atlas (\d{1,9})\n")
-_HEAD = re.compile(r"jaxstab atlas \d+\nmade by ([ -~]{1,200})\ncontent ([0-9a-f]{64})")
+_HEAD = re.compile(
+    r"jaxstab atlas \d+\nmade by ([ -~]{1,200})\nfilters ([ -~]{1,4000})\ncontent ([0-9a-f]{64})"
+)
 _LENGTH = r"[1-9]\d{0,11}"
 _SHAPE = rf"({_LENGTH}(?:x{_LENGTH}){{0,4}})"
 _LINE = re.compile(rf"(\w{{1,40}}) (\S{{2,8}}) {_SHAPE} {_SHAPE} ([0-9a-f ]+)")
@@ -35,7 +38,7 @@ _WHERE = re.compile(r"(\w{1,40}) ([0-9+ ]+)")
 _PLACE = re.compile(r"(\d{1,12})\+(\d{1,12})")
 _TEXT = re.compile(r"\|S([1-9]\d{0,5})")
 _DIGITS = 64  # of a digest
-_MOST_LINES = 5 + 2 * len(VARIABLES)
+_MOST_LINES = 6 + 2 * len(VARIABLES)
 
 Place = tuple[int, int]  # offset and size in bytes
 
@@ -85,19 +88,30 @@ class Stored:
 
 @dataclass(frozen=True)
 class Table:
-    """What a file holds: its variables by name, who made it, and the digest of its values."""
+    """What a file holds: its variables by name, and what its head says.
+
+    Attributes:
+        variables: by name.
+        created_by: who made it.
+        filters: velocity estimator and position filter, in words.
+        content_digest: of the values.
+    """
 
     variables: Mapping[str, Stored]
     created_by: str
+    filters: str
     content_digest: str
 
 
 def table_text(
-    created_by: str, variables: Sequence[Chunked], places: Mapping[str, Iterable[Place]]
+    created_by: str,
+    filters: str,
+    variables: Sequence[Chunked],
+    places: Mapping[str, Iterable[Place]],
 ) -> bytes:
     """Return the table of a file."""
     head = (
-        f"{schema.FORMAT} {schema.SCHEMA_VERSION}\nmade by {created_by}\n"
+        f"{schema.FORMAT} {schema.SCHEMA_VERSION}\nmade by {created_by}\nfilters {filters}\n"
         f"content {content_digest(variables)}\n"
     )
     where = (
@@ -125,10 +139,10 @@ def read_table(text: bytes, image_size: int) -> Table:
     if head is None or len(blocks) != 3:
         raise RefusalError(DAMAGED)
     lines, where = (block.split("\n") for block in blocks[1:])
-    check(len(lines) == len(where) and content_digest(lines) == head[2])
+    check(len(lines) == len(where) and content_digest(lines) == head[3])
     stored = [_stored(*pair) for pair in zip(lines, where, strict=True)]
     _check_together(stored, image_size)
-    return Table({one.variable.name: one for one in stored}, head[1], head[2])
+    return Table({one.variable.name: one for one in stored}, *head.groups())
 
 
 def _check_version(text: bytes) -> None:

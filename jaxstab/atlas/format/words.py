@@ -8,7 +8,7 @@ from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.schema import Variable
 
 
-def head_attributes(created_by: str) -> dict[str, Any]:
+def head_attributes(created_by: str, filters: str) -> dict[str, Any]:
     """Return what a file says of itself, but for the digest of its values."""
     return {
         "format": schema.FORMAT,
@@ -17,6 +17,7 @@ def head_attributes(created_by: str) -> dict[str, Any]:
         "source": "characteristic polynomial of Hulin, Preusche, Hirzinger (2008), eq. (9)",
         "symbols": "K, B stiffness and damping of the virtual wall; m, b, k mass, damping and "
         "stiffness of device and hand; T sampling period, t_d delay",
+        "filters": filters,
         "Conventions": "CF-1.8",
         "schema_version": np.int32(schema.SCHEMA_VERSION),
     }

@@ -94,13 +94,13 @@ def checked_range(name: str, ends: Any) -> Floats:
     return values
 
 
-def settle(where: Mapping[str, Floats], answer: AtlasAnswer) -> None:
-    """Compute what the atlas left open inside of it."""
+def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[str, Any]) -> None:
+    """Compute what the atlas left open inside of it; the filters are keywords of ``verdict``."""
     is_open = (answer.verdict == UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
     left = np.flatnonzero(is_open)
     if left.size:
         # By name at run time, so that reading an atlas imports no JAX.
         verdict: Callable[..., NDArray[np.int8]] = import_module("jaxstab.point").verdict
         points = (where[name][left] for name in AXES)
-        answer.verdict[left] = np.asarray(verdict(*points, resolve="exact"))
+        answer.verdict[left] = np.asarray(verdict(*points, resolve="exact", **filters))
         answer.status[left] = QueryStatus.EXACT

@@ -5,6 +5,7 @@ NumPy alone: no JAX, no HDF5, and nothing else that takes time to import.
 
 from collections.abc import Sequence
 from functools import cached_property
+from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
@@ -45,16 +46,19 @@ class Atlas:
             each unpacked when it is first asked for; one of more than 2 GiB is refused then.
         spec: the TOML text from which the atlas was built.
         created_by: the program and version that built it.
+        filters_in_words: the velocity estimator and the position filter of its loops.
     """
 
     arrays: file.PackedArrays
     spec: str
     created_by: str
+    filters_in_words: str
 
     def __init__(self, contents: file.Contents) -> None:
         self.arrays = contents.arrays
         self.spec = b"\n".join(self.arrays[schema.SPEC].tolist()).decode("utf-8") + "\n"
         self.created_by = contents.created_by
+        self.filters_in_words = contents.filters
 
     @property
     def products(self) -> tuple[str, ...]:
@@ -66,13 +70,19 @@ class Atlas:
         """The delays t_d/T of the atlas, ascending."""
         return self.arrays["delay"]
 
+    @cached_property
+    def filters(self) -> tuple[Any, Any] | None:
+        """The Velocity and the Filter, per sample; None for the one-sample difference alone."""
+        found: tuple[Any, Any] | None = _of_filters("filters_of")(self.spec)
+        return found
+
     def nodes(self, delay_number: int) -> dict[str, Floats]:
         """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``."""
         return nodes_of(self.arrays, delay_number)
 
     def to_xarray(self) -> Any:
         """Return all of it as an xarray.Dataset; RuntimeError where xarray is not installed."""
-        return to_xarray(self.arrays, self.created_by)
+        return to_xarray(self.arrays, self.created_by, self.filters_in_words)
 
     def decided_fraction(self, delay_number: int) -> float:
         """Return the share of the volume at one delay in which a query between nodes is decided."""
@@ -95,6 +105,8 @@ class Atlas:
         outside: Outside = "error",
         *,
         exact: bool = False,
+        velocity: Any = None,
+        position: Any = None,
     ) -> AtlasAnswer:
         """Answer for points of any broadcast shape, and never with a guess.
 
@@ -110,15 +122,19 @@ class Atlas:
             delay: time delay t_d/T in samples.
             outside: "error" to refuse points outside of the atlas, "undecided" to answer so.
             exact: settle UNDECIDED points inside by computation.
+            velocity: refuse to answer if the atlas is of another velocity estimator; in units of
+                one sample. Without it and ``position`` the answer is for the atlas's own.
+            position: likewise, the position filter.
 
         Raises:
             TypeError: an argument is not made of real numbers.
             ValueError: a value is NaN or infinite or, unless ``outside`` is "undecided", outside of
-                the atlas.
+                the atlas; or the atlas is of another estimator or filter than is named.
 
         Source: ``jaxstab.boxes.columns``.
         """
         checked_word("outside", outside, ("error", "undecided"))
+        self._check_filters(velocity, position)
         points = np.broadcast_arrays(*all_checked((alpha, beta, gamma, delta, delay)))
         shape = points[0].shape
         answer = no_answer(points[0].size, has_verdicts=self._has_verdicts)
@@ -131,7 +147,8 @@ class Atlas:
                 table = self._tables.get(node)
                 answer_at_delay(self.arrays, number, table, where, here, answer)
         if exact:
-            settle(where, answer)
+            own = self.filters or (None, None)
+            settle(where, answer, dict(zip(("velocity", "position"), own, strict=True)))
         return answer.reshaped(shape)
 
     def verdict(
@@ -144,6 +161,8 @@ class Atlas:
         outside: Outside = "error",
         *,
         exact: bool = False,
+        velocity: Any = None,
+        position: Any = None,
     ) -> NDArray[np.int8]:
         """Return the verdicts of ``query`` alone, by the limits of alpha where the atlas has them.
 
@@ -154,6 +173,7 @@ class Atlas:
         Returns:
             int8 codes of ``jaxstab.Verdict`` of the broadcast shape.
         """
+        self._check_filters(velocity, position)
         given = (alpha, beta, gamma, delta, delay)
         if outside == "error":
             codes = self._verdict_by_limits(given)
@@ -246,6 +266,17 @@ class Atlas:
         table = self._asked_over(None, beta, gamma, delta, delay)
         return table.common_limits(beta, gamma, delta)
 
+    def _check_filters(self, velocity: Any, position: Any) -> None:
+        """Refuse a question about loops with others than those of the atlas."""
+        if velocity is None and position is None:
+            return
+        asked = import_module("jaxstab.model.filters").known_filters(velocity, position)
+        if asked != self.filters:
+            raise ValueError(
+                f"the question is about {_of_filters('words_of')(asked)}, and this atlas is of "
+                f"{self.filters_in_words}; ask another atlas, or build one."
+            )
+
     def _verdict_by_limits(self, given: Sequence[Numbers]) -> NDArray[np.int8] | None:
         """Return what the limits of alpha say; None where they are missing or do not reach."""
         numbers = [v for v in given if isinstance(v, float | int) and not isinstance(v, bool)]
@@ -319,6 +350,11 @@ class Atlas:
         walls = {"beta": beta} | ({} if alpha is None else {"alpha": alpha})
         numbers = {name: checked_number(name, value) for name, value in walls.items()}
         return self._asked(delay, **ranges, **numbers)[0]
+
+
+def _of_filters(name: str) -> Any:
+    """Return a function around filters, by name at run time: few questions are about them."""
+    return getattr(import_module("jaxstab.atlas.format.filters"), name)
 
 
 def open_atlas(path: str | PathLike[str]) -> Atlas:

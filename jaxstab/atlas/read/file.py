@@ -30,10 +30,11 @@ from jaxstab.durable import named_errors, target_of
 
 @dataclass(frozen=True)
 class Contents:
-    """What an atlas file holds: arrays by the names of the schema, and who made it."""
+    """What an atlas file holds: arrays by the names of the schema, who made it, for which loop."""
 
     arrays: "PackedArrays"
     created_by: str
+    filters: str
 
 
 class PackedArrays(Mapping[str, Array]):
@@ -91,7 +92,7 @@ def read(path: Path) -> Contents:
     with _told_of(path):
         check_axes(plain)
         check_counts(plain, table)
-    return Contents(arrays, table.created_by)
+    return Contents(arrays, table.created_by, table.filters)
 
 
 def table_of(path: Path) -> Table:

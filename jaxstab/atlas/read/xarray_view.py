@@ -7,7 +7,7 @@ from jaxstab.atlas.format.words import attributes_of, head_attributes
 from jaxstab.atlas.read.file import PackedArrays
 
 
-def to_xarray(arrays: PackedArrays, created_by: str) -> Any:
+def to_xarray(arrays: PackedArrays, created_by: str, filters: str) -> Any:
     """Return the variables of an atlas with named coordinates, as ``xarray.open_dataset`` does.
 
     Raises:
@@ -23,7 +23,7 @@ def to_xarray(arrays: PackedArrays, created_by: str) -> Any:
         name: (VARIABLES[name].dimensions, values, _said(attributes_of(VARIABLES[name])))
         for name, values in arrays.items()
     }
-    dataset = xarray.Dataset(variables, attrs=head_attributes(created_by))
+    dataset = xarray.Dataset(variables, attrs=head_attributes(created_by, filters))
     return dataset.set_coords(["alpha", "beta"])
 
 

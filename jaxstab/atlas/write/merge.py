@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.digest import Chunked, content_digest, digest_of
+from jaxstab.atlas.format.filters import words_of
 from jaxstab.atlas.format.footer import footer_of
 from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.format.table import table_text
@@ -42,7 +43,7 @@ def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
         digests = _copy_tiles(datasets, plan, shards, stream)
         return datasets, list(_chunked(datasets, digests))
 
-    publish(path, created_by, fill, shards.folder)
+    publish(path, created_by, words_of(plan.spec.filters), fill, shards.folder)
 
 
 Filled = tuple[dict[str, h5py.Dataset], list[Chunked]]
@@ -52,6 +53,7 @@ Filled = tuple[dict[str, h5py.Dataset], list[Chunked]]
 def publish(
     path: Path,
     created_by: str,
+    filters: str,
     fill: Callable[[h5py.File, PatientStream], Filled],
     folder: Path | None = None,
 ) -> None:
@@ -60,6 +62,7 @@ def publish(
     Args:
         path: of the file; a former one is replaced.
         created_by: who made it.
+        filters: velocity estimator and position filter, in words.
         fill: writes the variables.
         folder: where the new file is until it is whole, on the same file system.
 
@@ -69,7 +72,7 @@ def publish(
     with replacing(path, folder) as descriptor:
         stream = PatientStream(descriptor)
         with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
-            write_head(file, created_by)
+            write_head(file, created_by, filters)
             datasets, variables = fill(file, stream)
             write_content_digest(file, content_digest(variables))
             file.flush()
@@ -77,7 +80,7 @@ def publish(
         stream.check()
         os.ftruncate(descriptor, stream.size)
         os.lseek(descriptor, stream.size, os.SEEK_SET)
-        table = table_text(created_by, variables, places)
+        table = table_text(created_by, filters, variables, places)
         write_all(descriptor, table)
         with open(descriptor, "rb", buffering=0, closefd=False) as written:
             footer = footer_of(written, stream.size + len(table), stream.size)

@@ -20,9 +20,9 @@ _PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": 6}
 _LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
 
 
-def write_head(file: h5py.File, created_by: str) -> None:
+def write_head(file: h5py.File, created_by: str, filters: str) -> None:
     """Write what the file says of itself."""
-    _write_attributes(file, head_attributes(created_by))
+    _write_attributes(file, head_attributes(created_by, filters))
 
 
 def write_content_digest(file: h5py.File, digest: str) -> None:

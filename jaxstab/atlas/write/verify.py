@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas.compute.slices import slice_summaries
 from jaxstab.atlas.format.digest import content_digest, digest_of
+from jaxstab.atlas.format.filters import filters_of
 from jaxstab.atlas.format.schema import (
     CELL_VERDICT,
     PRODUCTS,
     RADIUS_ERROR,
     SLICE,
+    SPEC,
     SPECTRAL_RADIUS,
     VERDICT,
 )
@@ -33,6 +35,7 @@ from jaxstab.atlas.read.file import table_of
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.write.image import checked_datasets, opened, text_of
 from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model.filters import as_keywords, known_filters
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.region import RegionStatus, stable_region
 
@@ -42,8 +45,14 @@ _FAR = 1e-6  # of a coordinate of an extreme, where what is extreme hardly chang
 _POLYGON = 1e-5  # of that size squared: a polygon leaves the boundary by 1e-6 of it
 
 Datasets = Mapping[str, h5py.Dataset]
-Axes = Mapping[str, NDArray[Any]]
 Place = Sequence[int]  # numbers along gamma, delta and delay
+
+
+class _Grid(NamedTuple):
+    """The axes of a file, and its estimator and filter as keywords of the five-number functions."""
+
+    axes: Mapping[str, NDArray[Any]]
+    filters: Mapping[str, Any]
 
 
 class Check(NamedTuple):
@@ -82,10 +91,11 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
             yield Check("schema", True, f"{len(datasets)} variables as it says")
             yield _content(file, datasets, table)
             axes = {name: datasets[name][()] for name in AXES}
+            grid = _Grid(axes, as_keywords(filters_of(b"\n".join(datasets[SPEC][()]).decode())))
             for name in (name for name in _COMPARED if name in datasets):
-                yield _sampled(name, datasets, axes, sample, chance)
+                yield _sampled(name, datasets, grid, sample, chance)
             for product in (p for p in _OF_SLICES if PRODUCTS[p][0] in datasets):
-                yield _sampled_slices(product, datasets, axes, sample, chance)
+                yield _sampled_slices(product, datasets, grid, sample, chance)
         yield _answers(open_atlas(path), sample, chance)
     except TooLargeError:
         return
@@ -100,21 +110,21 @@ def _content(file: h5py.File, datasets: Datasets, table: Table) -> Check:
 
 
 def _sampled(
-    name: str, datasets: Datasets, axes: Axes, sample: int, chance: np.random.Generator
+    name: str, datasets: Datasets, grid: _Grid, sample: int, chance: np.random.Generator
 ) -> Check:
     """Compare a variable with what is computed at points of some slices."""
     places = _places(datasets[name].shape[2:], sample, chance)
     each = -(-sample // len(places))
-    wrong = sum(_COMPARED[name](datasets, axes, place, each, chance) for place in places)
+    wrong = sum(_COMPARED[name](datasets, grid, place, each, chance) for place in places)
     return Check(name, wrong == 0, f"{wrong} of {each * len(places)} points are wrong")
 
 
 def _sampled_slices(
-    product: str, datasets: Datasets, axes: Axes, sample: int, chance: np.random.Generator
+    product: str, datasets: Datasets, grid: _Grid, sample: int, chance: np.random.Generator
 ) -> Check:
     """Compare a product with what is computed for some slices."""
-    places = _places([axes[name].size for name in SLICE], sample, chance)
-    wrong = sum(_OF_SLICES[product](datasets, axes, place) for place in places)
+    places = _places([grid.axes[name].size for name in SLICE], sample, chance)
+    wrong = sum(_OF_SLICES[product](datasets, grid, place) for place in places)
     return Check(
         product, wrong == 0, f"{wrong} of {len(places)} slices are off by {_MOST[product]}"
     )
@@ -129,16 +139,16 @@ def _places(counts: Sequence[int], sample: int, chance: np.random.Generator) -> 
 
 
 def _wrong_nodes(
-    datasets: Datasets, axes: Axes, place: Place, count: int, chance: np.random.Generator
+    datasets: Datasets, grid: _Grid, place: Place, count: int, chance: np.random.Generator
 ) -> int:
     gamma, delta, delay = place
     codes = datasets[VERDICT][:, :, gamma, delta, delay]
     i, j = _some(codes, count, chance)
-    return _wrong_codes(codes[i, j], _nodes(axes, i, j, place))
+    return _wrong_codes(codes[i, j], _nodes(grid, i, j, place), grid.filters)
 
 
 def _wrong_cells(
-    datasets: Datasets, axes: Axes, place: Place, count: int, chance: np.random.Generator
+    datasets: Datasets, grid: _Grid, place: Place, count: int, chance: np.random.Generator
 ) -> int:
     gamma, delta, delay = place
     codes = datasets[CELL_VERDICT][:, :, gamma, delta, delay]
@@ -146,39 +156,45 @@ def _wrong_cells(
     inside = [
         _within(nodes, cell, chance)
         for nodes, cell in (
-            (axes["alpha"][:, delay], i),
-            (axes["beta"][:, delay], j),
-            (axes["gamma"], np.full(count, gamma)),
-            (axes["delta"], np.full(count, delta)),
+            (grid.axes["alpha"][:, delay], i),
+            (grid.axes["beta"][:, delay], j),
+            (grid.axes["gamma"], np.full(count, gamma)),
+            (grid.axes["delta"], np.full(count, delta)),
         )
     ]
-    return _wrong_codes(codes[i, j], (*inside, axes["delay"][delay]))
+    return _wrong_codes(codes[i, j], (*inside, grid.axes["delay"][delay]), grid.filters)
 
 
 def _wrong_radii(
-    datasets: Datasets, axes: Axes, place: Place, count: int, chance: np.random.Generator
+    datasets: Datasets, grid: _Grid, place: Place, count: int, chance: np.random.Generator
 ) -> int:
     gamma, delta, delay = place
     value, error = (
         datasets[name][:, :, gamma, delta, delay] for name in (SPECTRAL_RADIUS, RADIUS_ERROR)
     )
     i, j = _some(value < 1.0, count, chance)
-    return _wrong_bounds(value[i, j], error[i, j], _nodes(axes, i, j, place))
+    return _wrong_bounds(value[i, j], error[i, j], _nodes(grid, i, j, place), grid.filters)
 
 
 def _wrong_bounds(
-    value: Float[np.ndarray, " point"], error: Float[np.ndarray, " point"], point: tuple[Any, ...]
+    value: Float[np.ndarray, " point"],
+    error: Float[np.ndarray, " point"],
+    point: tuple[Any, ...],
+    filters: Mapping[str, Any],
 ) -> int:
     """Count spectral radii that are farther from the computed ones than their errors say."""
-    radius = spectral_radius(*point)
+    radius = spectral_radius(*point, **filters)
     difference = np.abs(value - np.asarray(radius.value))
     return int(np.sum(~(difference <= error + np.asarray(radius.error))))
 
 
-def _is_wrong_outline(datasets: Datasets, axes: Axes, place: Place) -> bool:
+def _is_wrong_outline(datasets: Datasets, grid: _Grid, place: Place) -> bool:
     """Whether points or corners are not on the boundary, or parts of it are missing."""
-    loop = _loop(axes, place)
-    stored, region = outline_at({**datasets, **axes}, *loop), stable_region(*loop)
+    loop = _loop(grid, place)
+    stored, region = (
+        outline_at({**datasets, **grid.axes}, *loop),
+        stable_region(*loop, **grid.filters),
+    )
     if stored.status != int(region.status) or not np.all(np.isfinite(stored.points)):
         return True
     if stored.status != RegionStatus.COMPLETE:
@@ -201,9 +217,9 @@ def _enclosed(outline: AtlasOutline) -> float:
     return 0.5 * float(np.sum(x0 * y1 - x1 * y0, where=outline.branch >= 0))
 
 
-def _is_wrong_summary(datasets: Datasets, axes: Axes, place: Place) -> bool:
-    gamma, delta, delay = _loop(axes, place)
-    exact = slice_summaries(np.array([[gamma, delta]]), delay)
+def _is_wrong_summary(datasets: Datasets, grid: _Grid, place: Place) -> bool:
+    gamma, delta, delay = _loop(grid, place)
+    exact = slice_summaries(np.array([[gamma, delta]]), delay, known_filters(**grid.filters))
     tolerances = {name: _FAR if "_of_" in name else _NEAR for name in exact}
     return not all(
         np.isclose(datasets[name][tuple(place)], exact[name], tolerance, _NEAR**2, equal_nan=True)
@@ -224,16 +240,20 @@ def _some(
 
 
 def _nodes(
-    axes: Axes, i: Int64[np.ndarray, " point"], j: Int64[np.ndarray, " point"], place: Place
+    grid: _Grid, i: Int64[np.ndarray, " point"], j: Int64[np.ndarray, " point"], place: Place
 ) -> tuple[Any, ...]:
     delay = place[-1]
-    return (axes["alpha"][i, delay], axes["beta"][j, delay], *_loop(axes, place))
+    return (grid.axes["alpha"][i, delay], grid.axes["beta"][j, delay], *_loop(grid, place))
 
 
-def _loop(axes: Axes, place: Place) -> tuple[float, float, float]:
+def _loop(grid: _Grid, place: Place) -> tuple[float, float, float]:
     """Return gamma, delta and delay of a slice."""
     gamma, delta, delay = place
-    return float(axes["gamma"][gamma]), float(axes["delta"][delta]), float(axes["delay"][delay])
+    return (
+        float(grid.axes["gamma"][gamma]),
+        float(grid.axes["delta"][delta]),
+        float(grid.axes["delay"][delay]),
+    )
 
 
 def _within(
@@ -247,9 +267,11 @@ def _within(
     return inside
 
 
-def _wrong_codes(codes: Int8[np.ndarray, " point"], point: tuple[Any, ...]) -> int:
+def _wrong_codes(
+    codes: Int8[np.ndarray, " point"], point: tuple[Any, ...], filters: Mapping[str, Any]
+) -> int:
     """Count codes that are none, and those that say the opposite of a verdict for the point."""
-    exact = np.asarray(verdict(*point, resolve="exact"))
+    exact = np.asarray(verdict(*point, resolve="exact", **filters))
     both = np.isin(codes, (STABLE, UNSTABLE)) & np.isin(exact, (STABLE, UNSTABLE))
     return int(np.sum((both & (codes != exact)) | (codes == NOT_COMPUTED)))
 
@@ -257,14 +279,15 @@ def _wrong_codes(codes: Int8[np.ndarray, " point"], point: tuple[Any, ...]) -> i
 def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
     """Ask the atlas about random points of each delay, as its users do."""
     each, wrong = -(-sample // atlas.delays.size), 0
+    filters = as_keywords(atlas.filters)
     for number, delay in enumerate(atlas.delays):
         ends = [(nodes[0], nodes[-1]) for nodes in atlas.nodes(number).values()]
         point = (*(chance.uniform(*side, each) for side in ends), delay)
         answer = atlas.query(*point)
         codes = np.where(answer.verdict == NOT_COMPUTED, np.int8(UNDECIDED), answer.verdict)
-        wrong += _wrong_codes(codes, point)
+        wrong += _wrong_codes(codes, point, filters)
         if SPECTRAL_RADIUS in atlas.products:
-            wrong += _wrong_bounds(answer.spectral_radius, answer.radius_error, point)
+            wrong += _wrong_bounds(answer.spectral_radius, answer.radius_error, point, filters)
     points = each * atlas.delays.size
     return Check("answers", wrong == 0, f"{wrong} of {points} points are wrong")
 

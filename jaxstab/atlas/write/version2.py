@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.digest import digest_of
+from jaxstab.atlas.format.filters import words_of
 from jaxstab.atlas.format.footer import image_of
 from jaxstab.atlas.format.schema import VARIABLES, Variable
 from jaxstab.atlas.format.table import DAMAGED, RefusalError, check
@@ -62,7 +63,7 @@ def upgrade_atlas(old: str | os.PathLike[str], new: str | os.PathLike[str]) -> N
         digests = [digest_of(name, dataset) for name, dataset in datasets.items()]
         return datasets, [one._replace(digests=list(one.digests)) for one in digests]
 
-    publish(Path(new), created_by, fill)
+    publish(Path(new), created_by, words_of(None), fill)
 
 
 def _read(image: bytes) -> tuple[dict[str, Array], str]:

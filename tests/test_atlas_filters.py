@@ -1,0 +1,205 @@
+"""Atlases of loops with a velocity estimator and a position filter."""
+
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import jaxstab
+from benchmarks.truth.filtered import FilteredLoop, average, difference
+from jaxstab import AtlasSpec, Filter, FittedAxis, Velocity
+from jaxstab.boxes.plant import HandBoxes
+from jaxstab.boxes.root_discs import interpolation_errors
+from jaxstab.cli.main import main
+
+WINDOW = Path(__file__).resolve().parents[1] / "data" / "golden" / "atlas-v3-window.h5"
+FIVE = Velocity.difference(samples=5)
+
+
+@pytest.fixture(scope="module")
+def atlas() -> jaxstab.Atlas:
+    return jaxstab.open_atlas(WINDOW)
+
+
+# ------------------------------------------------------------------------------- specification
+
+
+@pytest.mark.parametrize(
+    ("text", "velocity", "position"),
+    [
+        ("[velocity]\nwindow_samples = 20", Velocity.difference(samples=20), None),
+        (
+            "[velocity]\nwindow_samples = 4\ncutoff = 0.1\norder = 2\nfactor = 0.5",
+            Velocity.difference(samples=4) * Filter.low_pass(0.1, 2) * Filter.exponential(0.5),
+            None,
+        ),
+        (
+            '[position]\ncutoff = 0.2\norder = 3\nkind = "butterworth"',
+            None,
+            Filter.butterworth(0.2, 3),
+        ),
+        (
+            "[velocity]\nnumerator = [1.0, 0.0, -1.0]\ndenominator = [2.0, 0.0, 0.0]\n"
+            "[[position]]\nwindow_samples = 2\n[[position]]\nwindow_samples = 3",
+            Velocity.transfer_function([1.0, 0.0, -1.0], [2.0, 0.0, 0.0]),
+            Filter.average(2) * Filter.average(3),
+        ),
+    ],
+)
+def test_a_specification_names_its_filters(
+    text: str, velocity: Velocity | None, position: Filter | None
+) -> None:
+    spec = AtlasSpec.from_toml(text)
+    plain = Velocity(), Filter()
+    assert (spec.velocity or plain[0], spec.position or plain[1]) == (
+        velocity or plain[0],
+        position or plain[1],
+    )
+    assert AtlasSpec.from_toml(spec.to_toml()) == spec
+    assert AtlasSpec(velocity=velocity, position=position) == spec
+
+
+def test_the_difference_over_one_sample_needs_no_word() -> None:
+    spec = AtlasSpec(velocity=Velocity.difference(samples=1))
+    assert spec == AtlasSpec()
+    assert "velocity" not in spec.to_toml()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[velocity]\nwindow = 0.02", "window is in s, which an atlas has not; give window_s"),
+        ("[velocity]\nwindow_sample = 2", "window_sample is unknown; did you mean 'window_samples"),
+        ("velocity = 3", "velocity is 3; give a table"),
+        ("[velocity]", "velocity is {}; give a table"),
+        ("[velocity]\nwindow_samples = 50", "50; give a whole number from 1 to 41"),
+        ("[velocity]\ncutoff = 100.0", "cutoff is 100.0; give it as a share of the sampling rate"),
+        ("[velocity]\norder = 2", "velocity has order or kind without cutoff"),
+        ("[velocity]\nnumerator = [1.0]", "velocity has .* over None; give two lists"),
+        ('[position]\ncutoff = 0.1\nkind = "bessel"', "position.kind is 'bessel'; give one of"),
+    ],
+)
+def test_a_bad_filter_is_refused_in_a_sentence(text: str, words: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=words):
+        AtlasSpec.from_toml(text)
+
+
+# -------------------------------------------------------------------------------------- answers
+
+
+def test_an_atlas_answers_for_its_estimator(atlas: jaxstab.Atlas, rng: np.random.Generator) -> None:
+    for number, delay in enumerate(atlas.delays.tolist()):
+        points = [rng.uniform(axis[0], axis[-1], 4000) for axis in atlas.nodes(number).values()]
+        answer = atlas.query(*points, delay)
+        exact = jaxstab.verdict(*points, delay, velocity=FIVE)
+        is_decided = np.isin(answer.verdict, (jaxstab.STABLE, jaxstab.UNSTABLE))
+        assert np.mean(is_decided) > 0.97
+        assert not np.any(is_decided & (answer.verdict != exact) & (exact != jaxstab.UNDECIDED))
+        assert np.any(exact != jaxstab.verdict(*points, delay))  # for the other loop it were wrong
+        radius = jaxstab.spectral_radius(*points, delay, velocity=FIVE)
+        aside = np.abs(answer.spectral_radius - radius.value)
+        assert np.all(aside <= answer.radius_error + radius.error)
+
+
+def test_answers_hold_against_certified_roots(
+    atlas: jaxstab.Atlas, rng: np.random.Generator
+) -> None:
+    nodes = atlas.nodes(1)
+    judged = 0
+    for _ in range(60):
+        alpha, beta, gamma, delta = (rng.uniform(axis[0], axis[-1]) for axis in nodes.values())
+        code = atlas.verdict(alpha, beta, gamma, delta, 1.0)
+        true = FilteredLoop(gamma, delta, 1.0, difference(5), average(1)).code(alpha, beta)
+        if code != jaxstab.UNDECIDED and true != jaxstab.UNDECIDED:
+            assert code == true
+            judged += 1
+    assert judged > 50
+
+
+def test_a_question_about_another_estimator_is_refused(atlas: jaxstab.Atlas) -> None:
+    point = (0.01, 0.1, 0.0004, 0.007, 1.0)
+    named = atlas.query(*point, velocity=FIVE)
+    assert named.verdict == atlas.query(*point).verdict == atlas.verdict(*point, velocity=FIVE)
+    for ask in (atlas.query, atlas.verdict):
+        with pytest.raises(ValueError, match=r"window of 10 samples.*this atlas is of.* of 5 sam"):
+            ask(*point, velocity=Velocity.difference(samples=10))
+        with pytest.raises(ValueError, match=r"position: a low pass at 0\.1 of the sampling rate"):
+            ask(*point, velocity=FIVE, position=Filter.low_pass(0.1))
+
+
+def test_what_it_leaves_open_is_computed_for_its_estimator(atlas: jaxstab.Atlas) -> None:
+    delay, hand = 1.0, (0.0002, 0.003)
+    limits = atlas.alpha_limits(0.1, *hand, delay)
+    point = (float(limits.upper), 0.1, *hand, delay)
+    assert atlas.query(*point).verdict == jaxstab.UNDECIDED
+    exact = jaxstab.verdict(*point, velocity=FIVE)
+    assert atlas.query(*point, exact=True).verdict == exact != jaxstab.UNDECIDED
+
+
+def test_the_file_says_its_estimator_in_words_and_numbers(atlas: jaxstab.Atlas) -> None:
+    words = "velocity: the difference over a window of 5 samples; position: no filter"
+    assert atlas.filters_in_words == words
+    assert atlas.filters == (FIVE, Filter())
+    assert atlas.to_xarray().attrs["filters"] == words
+    assert words in CliRunner().invoke(main, ["atlas", "info", str(WINDOW)]).output
+
+
+def test_the_command_refuses_another_estimator() -> None:
+    axes = ("alpha", "beta", "gamma", "delta", "delay")
+    numbers = ("0.01", "0.1", "0.0004", "0.007", "1")
+    point = [word for axis, n in zip(axes, numbers, strict=True) for word in (f"--{axis}", n)]
+    ask = ["atlas", "query", str(WINDOW), *point]
+    assert CliRunner().invoke(main, [*ask, "--velocity", "window_samples = 5"]).exit_code == 0
+    refused = CliRunner().invoke(main, [*ask, "--velocity", "window_samples = 6"])
+    assert refused.exit_code != 0
+    assert "this atlas is of velocity: the difference over a window of 5 samples" in refused.output
+
+
+@pytest.mark.campaign
+def test_every_product_of_a_window_of_twenty(tmp_path: Path) -> None:
+    path = tmp_path / "window.h5"
+    spec = AtlasSpec(
+        alpha=FittedAxis(16),
+        beta=FittedAxis(12),
+        gamma=(0.0, 1e-3),
+        delta=jaxstab.ToleranceAxis(0.0, 8e-3, 0.2),
+        delay=(1.0, 2.5),
+        limit_cells=64,
+        velocity=Velocity.difference(samples=20),
+        products=("verdict", "alpha_limits", "spectral_radius", "outline", "summary"),
+    )
+    jaxstab.write_atlas(spec, path)
+    result = CliRunner().invoke(main, ["atlas", "verify", str(path), "--sample", "300"])
+    assert result.exit_code == 0, result.output
+
+
+# ---------------------------------------------------------------------------------------- radii
+
+
+def test_the_bound_of_radii_holds_in_every_cell(rng: np.random.Generator) -> None:
+    nodes = np.linspace(-0.002, 0.09, 33), np.linspace(-0.02, 0.5, 25)
+    hands = np.array([[0.0, 5e-4], [0.0, 2e-3]])
+    filters = Velocity.difference(samples=5), Filter.exponential(0.9)
+    keywords = {"velocity": filters[0], "position": filters[1]}
+    boxes = HandBoxes(*hands.mean(axis=1)[:, None], *(0.5 * np.diff(hands, axis=1) * (1 + 1e-9)))
+    grid = np.ix_(*nodes, *hands)
+    corners = np.moveaxis(jaxstab.spectral_radius(*grid, 1.0, **keywords).value, (2, 3), (0, 1))
+    bounds = interpolation_errors(*nodes, boxes, 1.0, corners, filters)
+    assert np.mean(np.isfinite(bounds)) > 0.9
+
+    cell = [rng.integers(0, axis.size - 1, 3000) for axis in nodes]
+    part = rng.choice([0.0, 1.0, 0.5, 0.31], (4, 3000))
+    gains = [
+        axis[i] + p * (axis[i + 1] - axis[i])
+        for axis, i, p in zip(nodes, cell, part[:2], strict=True)
+    ]
+    hand = [low + p * (high - low) for (low, high), p in zip(hands, part[2:], strict=True)]
+    between = sum(
+        np.prod([p if c else 1 - p for c, p in zip(corner, part, strict=True)], axis=0)
+        * corners[*corner[2:], cell[0] + corner[0], cell[1] + corner[1]]
+        for corner in product((0, 1), repeat=4)
+    )
+    exact = jaxstab.spectral_radius(*gains, *hand, 1.0, **keywords)
+    assert np.all(np.abs(between - exact.value) <= bounds[cell[0], cell[1]] + exact.error)
