@@ -167,14 +167,13 @@ def test_the_slopes_of_limits_are_those_of_50_digits(name: str) -> None:
 
 @pytest.mark.campaign
 def test_the_largest_damping_moves_as_a_corner_does() -> None:
-    """Without delay and hand, at K = 0, a pole at -1: B T/m = 2 / tanh-like closed form."""
+    """Without delay, hand and stiffness p = (z - 1) (z^2 + a z + B n1), a pair at B n1 = 1."""
     loop = replace(PLAIN, delay=0.0)
     slopes = jax.jacobian(lambda one: one.limits()[2:4])(loop)
     with mp.workdps(40):
 
-        def largest(numbers: Numbers) -> mpf:  # p(-1) = 0 at K = 0
-            base, _, damping = parts(loop, numbers)
-            return -evaluate(base, -1) / evaluate(damping, -1)
+        def largest(numbers: Numbers) -> mpf:
+            return -1 / parts(loop, numbers)[2][3]
 
         numbers = numbers_of(loop)
         assert float(largest(numbers)) == pytest.approx(loop.limits().damping, rel=1e-12)
