@@ -520,3 +520,13 @@ def test_a_region_that_is_not_resolved_claims_nothing() -> None:
 def test_filters_have_regions_of_stability_alone() -> None:
     with pytest.raises(ValueError, match=r"radius is 0\.9; with a filter only 1"):
         jaxstab.stable_region(0.0, 0.0, 1.0, 0.9, velocity=Velocity.difference(samples=2))
+
+
+def test_a_region_that_proofs_contradict_claims_nothing() -> None:
+    # The scan finds no piece of this one; most small gains are stable.
+    velocity = Velocity.transfer_function([1.0, -1.1875, 0.1875], [1.0, 0.3125, -0.2578125, 0.0])
+    filters = {"velocity": velocity, "position": Filter.butterworth(0.005355365513565198, 7)}
+    plant = 0.6185486656816983, 0.0, 1.3859936203430451e-09
+    assert jaxstab.verdict(1.5e-5, 5.6e-6, *plant, **filters) == STABLE
+    region = jaxstab.stable_region(*plant, **filters)
+    assert region.contains(1.5e-5, 5.6e-6) or region.status == jaxstab.RegionStatus.UNRESOLVED

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxstab.model.linear_loop import SampledPlant
+from jaxstab.model.linear_loop import SampledPlant, linear_loop
 from jaxstab.model.transfer import Transfer
 from jaxstab.region.curve import filtered_coefficients
 from jaxstab.region.region import StableRegion, region_of
@@ -30,4 +30,5 @@ def linear_region(
         )
     with np.errstate(all="ignore"):
         c = filtered_coefficients(plant, velocity, position)
-        return region_of(c, float(plant.lag), tolerance, may_be_empty=True)
+        loop = linear_loop(plant, velocity, position)
+        return region_of(c, float(plant.lag), tolerance, may_be_empty=True, loop=loop)

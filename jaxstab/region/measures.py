@@ -19,6 +19,7 @@ from jaxstab.region.roots import bracketed_root, nonzero, with_slope
 _CROSSINGS = 8  # of a row with the boundary in JAX; rows with more are answered by NaN
 _AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
 _LAST_STEP = 1e-10  # radians
+_STILL = 1e-13  # of the range: steps that are rounding
 _EDGES = 4  # looked at in one step of the search for the nearest
 _SUBDIVISIONS = 8  # of an edge, and then of its nearest parts
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -279,3 +280,13 @@ def _foot_on_chord(here: Array, there: Array, points: Array) -> Array:
     square = nonzero(xp.sum(chord**2, axis=-1), 1.0)
     share = xp.sum((points - here) * chord, axis=-1) / square
     return here + xp.clip(share, 0.0, 1.0)[..., None] * chord
+
+
+def turns(coordinate: Array) -> int:
+    """Return how often a closed sequence changes between rising and falling."""
+    if not coordinate.size:
+        return 0
+    steps = np.diff(coordinate)
+    ways = np.sign(np.where(np.abs(steps) > _STILL * np.ptp(coordinate), steps, 0.0))
+    ways = ways[ways != 0]
+    return int(np.sum(ways != np.roll(ways, 1)))

@@ -11,10 +11,12 @@ from jaxstab.batches import compiled
 from jaxstab.conventions import Status
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, whole_and_fraction
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import measures
+from jaxstab.region.audit import is_contradicted
 from jaxstab.region.components import components_of, holds_small_gains
 from jaxstab.region.curve import SliceCoefficients, mass_coefficients, slice_coefficients
 from jaxstab.region.outline import Outline, extra_vertices, polygon
@@ -26,16 +28,15 @@ LONGEST_DELAY = 500.0  # samples: the work grows as the third power
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 _FINEST = 1e-10
-_ROUNDING = 1e-13
 
 
 class RegionStatus(Status):
     """What is known of a stable region.
 
     COMPLETE: the pieces that were found close to loops. EMPTY: the scan found none.
-    UNRESOLVED: the pieces do not close, or there are more than the arrays hold. Such a region
-    claims nothing: it has no points and its numbers are NaN. ``contains`` is False everywhere, as
-    for no point it is known that it is stable; it does not mean that points are unstable.
+    UNRESOLVED: the pieces do not close, more are there than arrays hold, or, of loops with filters,
+    a proved verdict says otherwise. Such a region claims nothing: it has no points, its numbers are
+    NaN, ``contains`` is False everywhere; that does not mean that points are unstable.
     """
 
     COMPLETE = 0, "the boundary closes to loops"
@@ -141,7 +142,7 @@ class StableRegion:
 
     def _are_intervals(self, axis: int) -> bool:
         known = int(self.status) != RegionStatus.UNRESOLVED
-        return known and self.loops <= 1 and _turns(self.points[:, axis]) <= 2
+        return known and self.loops <= 1 and measures.turns(self.points[:, axis]) <= 2
 
     @property
     def area(self) -> Float64[Array, ""]:
@@ -330,17 +331,24 @@ def _stable_region(
     tolerance: float,
     filters: Filters | None,
 ) -> StableRegion:
-    if filters:
-        c = mass_coefficients(gamma, delta, delay, filters)
-    else:
+    may_be_empty = delta == 0.0 or radius < 1.0
+    if not filters:
         c = slice_coefficients(gamma, delta, delay, radius)
-    return region_of(c, delay, tolerance, may_be_empty=delta == 0.0 or radius < 1.0)
+        return region_of(c, delay, tolerance, may_be_empty=may_be_empty)
+    c = mass_coefficients(gamma, delta, delay, filters)
+    loop = filtered_loop(np.float64(gamma), np.float64(delta), int(delay), delay % 1.0, filters)
+    return region_of(c, delay, tolerance, may_be_empty=may_be_empty, loop=loop)
 
 
 def region_of(
-    c: SliceCoefficients, delay: float, tolerance: float, *, may_be_empty: bool
+    c: SliceCoefficients,
+    delay: float,
+    tolerance: float,
+    *,
+    may_be_empty: bool,
+    loop: LinearLoop | None = None,
 ) -> StableRegion:
-    """Return the region of a slice; see ``refined_pieces``."""
+    """Return the region of a slice, UNRESOLVED if verdicts of the loop contradict it."""
     pieces = refined_pieces(c, delay, may_be_empty=may_be_empty)
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)
@@ -349,7 +357,9 @@ def region_of(
     if region.status == RegionStatus.COMPLETE and deviation > tolerance:
         points = _enough_points(1.2 * points * sqrt(deviation / tolerance), fewest)
         region = _region(c, pieces, points=points)
-    return region
+    if loop is None or not region.outline.resolved or not is_contradicted(region.outline, loop):
+        return region
+    return _region(c, pieces._replace(resolved=np.bool_(False)), points=points)
 
 
 def _enough_points(wanted: float, fewest: int) -> int:
@@ -382,16 +392,6 @@ def _of_outline(c: SliceCoefficients, outline: Outline) -> StableRegion:
 
 def _holds_small_gains(component: StableRegion) -> bool:
     return holds_small_gains(component.coefficients, component.outline)
-
-
-def _turns(coordinate: Float64[np.ndarray, " point"]) -> int:
-    """Return how often a closed sequence changes between rising and falling."""
-    if not coordinate.size:
-        return 0
-    steps = np.diff(coordinate)
-    ways = np.sign(np.where(np.abs(steps) > _ROUNDING * np.ptp(coordinate), steps, 0.0))
-    ways = ways[ways != 0]
-    return int(np.sum(ways != np.roll(ways, 1)))
 
 
 def _checked_points(alpha: Numbers, beta: Numbers) -> tuple[Array, Array]:
