@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from atlases import SMALL, SMALL_TOML
 
-from jaxstab import AtlasSpec, FittedAxis
+from jaxstab import AtlasSpec, FittedAxis, Velocity
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -21,6 +21,11 @@ def test_the_default_is_the_haptic_range_of_the_paper_for_delays_up_to_three() -
 
 def test_the_example_specification_is_the_default() -> None:
     assert AtlasSpec.from_file(ROOT / "data/specs/haptic.toml") == AtlasSpec()
+
+
+def test_the_example_with_an_estimator_has_a_window_of_twenty_samples() -> None:
+    spec = AtlasSpec.from_file(ROOT / "data/specs/window.toml")
+    assert spec.velocity == Velocity.difference(samples=20)
 
 
 @pytest.mark.parametrize(
