@@ -68,23 +68,27 @@ def float_arrays(*values: Numbers) -> list[Array]:
 
 def leaves(tree: object) -> Iterator[Any]:
     """Yield the arrays and numbers of nested tuples, lists, dicts and pytree dataclasses."""
-    if isinstance(tree, tuple | list):
-        for part in tree:
-            yield from leaves(part)
-    elif isinstance(tree, dict):
-        for part in tree.values():
-            yield from leaves(part)
-    elif is_dataclass(tree) and not isinstance(tree, type):
-        for field in fields(tree):
-            yield from leaves(getattr(tree, field.name))
-    elif tree is not None:
-        yield tree
+    pending = [tree]  # no recursion: kernels ask often, and a generator in another costs time
+    while pending:
+        part = pending.pop()
+        if type(part) in _PLAIN:
+            yield part
+        elif isinstance(part, tuple | list):
+            pending.extend(reversed(part))
+        elif isinstance(part, dict):
+            pending.extend(reversed(part.values()))
+        elif is_dataclass(part) and not isinstance(part, type):
+            pending.extend(getattr(part, field.name) for field in reversed(fields(part)))
+        elif part is not None:
+            yield part
 
 
 def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
     """Return a tree like the first, its leaves those of ``function`` on the leaves of all."""
     result: Any
-    if isinstance(tree, tuple | list):
+    if type(tree) in _PLAIN:
+        result = function(tree, *others)
+    elif isinstance(tree, tuple | list):
         parts = [tree_map(function, *part) for part in zip(tree, *others, strict=True)]
         result = type(tree)(*parts) if hasattr(tree, "_fields") else type(tree)(parts)
     elif is_dataclass(tree) and not isinstance(tree, type):

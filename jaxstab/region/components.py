@@ -16,14 +16,18 @@ _RATIOS = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
 
 def components_of(c: SliceCoefficients, outline: Outline) -> list[Outline]:
     """Return the outlines of the components: first what holds small gains, then by their areas."""
-    loops = _loops(outline)
-    areas = [float(measures.area(c, loop)) for loop in loops]
-    outer = [loop for loop, area in zip(loops, areas, strict=True) if area > 0.0]
-    holes = [loop for loop, area in zip(loops, areas, strict=True) if area <= 0.0]
-    whole = [_joined([loop, *(hole for hole in holes if _holds(c, loop, hole))]) for loop in outer]
-    return sorted(
-        whole, key=lambda one: (not holds_small_gains(c, one), -float(measures.area(c, one)))
-    )
+    loops = [(loop, float(measures.area(c, loop))) for loop in _loops(outline)]
+    holes = [one for one in loops if one[1] <= 0.0]
+    groups = [
+        [outer, *(hole for hole in holes if _holds(c, outer[0], hole[0]))]
+        for outer in loops
+        if outer[1] > 0.0
+    ]
+    whole = [
+        (_joined([loop for loop, _ in group]), sum(area for _, area in group)) for group in groups
+    ]
+    whole.sort(key=lambda one: (not holds_small_gains(c, one[0]), -one[1]))
+    return [component for component, _ in whole]
 
 
 def holds_small_gains(c: SliceCoefficients, outline: Outline) -> bool:

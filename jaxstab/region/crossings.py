@@ -145,12 +145,13 @@ def _starts(
 ) -> tuple[Int[np.ndarray, "2 start"], Float64[np.ndarray, "2 start"]]:
     """Return pairs of parts with the shares of them at which their cubics meet, or all but do."""
     parts = np.repeat(pairs, _STARTS.shape[1], axis=1)
-    cubics = np.tensordot(_POWERS, controls, 1)[:, :, parts]  # (power, value, of the pair, start)
+    # (power, value, of the pair, start)
+    constant, once, twice, thrice = np.tensordot(_POWERS, controls, 1)[:, :, parts]
+    doubled, tripled = 2.0 * twice, 3.0 * thrice
     shares = np.tile(_STARTS, pairs.shape[1])
     for _ in range(_CUBIC_STEPS):
-        constant, once, twice, thrice = cubics
         points = constant + shares * (once + shares * (twice + shares * thrice))
-        slopes = once + shares * (2.0 * twice + shares * (3.0 * thrice))
+        slopes = once + shares * (doubled + shares * tripled)
         steps = np.stack(steps_to_meeting(*points, *slopes))
         shares = np.clip(shares - steps, -_BEYOND, 1.0 + _BEYOND)
     away = np.sum((points[:, 0] - points[:, 1]) ** 2, axis=0)
@@ -201,12 +202,10 @@ def _line_crossings(
     near_line, near_step = np.nonzero(returns)
     lower, upper = angles[near_step], angles[near_step + 1]
     nearest = bracketed_root(_margin_slope, (c, near_line), lower, upper)
-    return bracketed_root(
-        _margin,
-        (c, np.concatenate([line, near_line, near_line])),
-        np.concatenate([angles[step], lower, nearest]),
-        np.concatenate([angles[step + 1], nearest, upper]),
-    )
+    begins, ends = np.concatenate([lower, nearest]), np.concatenate([nearest, upper])
+    margins = controls[0][crosses], controls[3][crosses]
+    across = bracketed_root(_margin, (c, line), angles[step], angles[step + 1], margins)
+    return np.append(across, bracketed_root(_margin, (c, np.tile(near_line, 2)), begins, ends))
 
 
 def _unlike(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -217,8 +216,8 @@ def _unlike(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 def _margin(parameters: tuple[SliceCoefficients, Parts], theta: np.ndarray) -> np.ndarray:
     """Return how far the curve is from the line z = r, number 0, or z = -r, number 1."""
     c, line = parameters
-    margins: np.ndarray = _values(c, theta)[2 + line, np.arange(len(line))]
-    return margins
+    alpha, beta, lift = curve_and_lift(c, theta)
+    return np.choose(line, [lift, minus_margin(c, alpha, beta)])
 
 
 def _margin_slope(parameters: tuple[SliceCoefficients, Parts], theta: np.ndarray) -> np.ndarray:

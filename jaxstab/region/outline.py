@@ -239,7 +239,8 @@ def _turning_points(
         return xp.where(is_beta == 1, along_beta, along_alpha)
 
     last = xp.where(exists, nodes[piece, node + 1], nodes[piece, node])
-    theta = bracketed_root(slope, (c, is_beta), nodes[piece, node], last)
+    ends = tangents[is_beta, piece, node], tangents[is_beta, piece, node + 1]
+    theta = bracketed_root(slope, (c, is_beta), nodes[piece, node], last, ends)
     return _on_curve(piece, theta, exists), count <= slots
 
 

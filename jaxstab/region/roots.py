@@ -45,12 +45,13 @@ def bracketed_root(
     parameters: Parameters,
     lower: Array,
     upper: Array,
+    ends: tuple[Array, Array] | None = None,
 ) -> Array:
     """Return a root of an elementwise function of an angle between two angles of unlike sign.
 
     The secant method, replaced by a bisection wherever it would leave the bracket or creeps. Where
-    the signs at the ends agree the result is some angle between them. In JAX the root is
-    differentiable in the parameters, once.
+    the signs at the ends agree the result is some angle between them. ``ends`` are the values
+    there, if they are known. In JAX the root is differentiable in the parameters, once.
 
     Source: the safeguards of Press et al., Numerical Recipes, 9.4; the theorem of the implicit
     function for the derivatives.
@@ -58,7 +59,7 @@ def bracketed_root(
     if namespace(lower) is np and not lower.size:
         return lower
     known = constant(parameters)
-    root = _search(partial(function, known), *constant((lower, upper)))
+    root = _search(partial(function, known), *constant((lower, upper, ends)))
     if namespace(parameters, lower, upper) is np:
         return root
     root = constant(root)
@@ -68,9 +69,14 @@ def bracketed_root(
     return root - (value - constant(value)) / nonzero(slope, np.inf)
 
 
-def _search(function: Callable[[Array], Array], lower: Array, upper: Array) -> Array:
+def _search(
+    function: Callable[[Array], Array],
+    lower: Array,
+    upper: Array,
+    ends: tuple[Array, Array] | None,
+) -> Array:
     xp = namespace(lower, upper)
-    at_lower, at_upper = stored((function(lower), function(upper)))
+    at_lower, at_upper = ends or stored((function(lower), function(upper)))
     sign = xp.sign(at_upper)
     rise = at_upper - at_lower
     share = xp.where(at_lower * at_upper < 0.0, -at_lower / nonzero(rise, 1.0), 0.5)

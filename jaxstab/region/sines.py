@@ -57,7 +57,7 @@ def _sines_of_small(x: Array) -> tuple[Array, Array, Array]:
 
 
 def _series(coefficients: tuple[float, ...], x: Array) -> Array:
-    total = namespace(x).full_like(x, coefficients[-1])
+    total: Array = coefficients[-1]
     for coefficient in reversed(coefficients[:-1]):
         total = coefficient + x * total
     return total
