@@ -6,12 +6,13 @@ prove a region; but one that a proof contradicts is not given.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from jaxstab.conventions import STABLE, UNSTABLE
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.verdict.linear import linear_verdict
 from jaxstab.region.outline import Outline
+from jaxstab.region.polygons import are_inside, edges_of
 
 _ASIDE = 1e-3  # of the outline's size
 _WALLS = 24  # on each side
@@ -33,10 +34,10 @@ def is_contradicted(outline: Outline, loop: LinearLoop) -> bool:
     if size == 0:
         alpha, beta = _walls_of_all_sizes().T
         return bool(np.any(linear_verdict(alpha, beta, loop) == STABLE))
-    vertices, branches = outline.vertices[:size], outline.branches[: size - 1]
-    walls = _beside(vertices)
-    alpha, beta = walls.T
-    is_inside = _are_inside(walls, vertices, branches >= 0)
+    vertices = outline.vertices[:size]
+    walls = _beside(vertices).T
+    alpha, beta = walls
+    is_inside = are_inside(edges_of(vertices, outline.branches[: size - 1]), walls)
     codes = linear_verdict(alpha, beta, loop)
     return bool(np.any(codes == np.where(is_inside, UNSTABLE, STABLE)))
 
@@ -51,17 +52,6 @@ def _beside(vertices: Points) -> Points:
     aside = _ASIDE * extent * normal / np.where(length > 0.0, length, 1.0)
     middle = vertices[edges] + 0.5 * step
     return np.concatenate([middle + aside, middle - aside])
-
-
-def _are_inside(
-    walls: Points, vertices: Points, is_edge: Bool[np.ndarray, " _"]
-) -> Bool[np.ndarray, " _"]:
-    """Return which walls are inside of polygons: a ray to the right crosses them an odd time."""
-    (x, y), (x0, y0), (x1, y1) = walls.T[:, :, None], vertices[:-1].T, vertices[1:].T
-    spans = ((y0 > y) != (y1 > y)) & is_edge
-    crossing = x0 + (y - y0) * (x1 - x0) / np.where(y1 == y0, 1.0, y1 - y0)
-    inside: np.ndarray = np.sum(spans & (x < crossing), axis=1) % 2 == 1
-    return inside
 
 
 def _walls_of_all_sizes() -> Points:

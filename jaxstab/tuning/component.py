@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64
 from jaxstab.model.filters import Filters
 from jaxstab.region import RegionStatus, stable_region
 from jaxstab.region.components import holds_small_gains
-from jaxstab.region.pieces import NO_BRANCH
+from jaxstab.region.polygons import are_inside, edges_of
 from jaxstab.tuning.status import TuningStatus
 
 _NUMBERS = 1 << 20  # of an array that points beside edges fill, about
@@ -37,7 +37,7 @@ class Component(NamedTuple):
         count = max(1, _NUMBERS // len(self.edges))
         points = np.stack([alpha.ravel(), beta.ravel()])
         parts = [
-            _are_inside(self.edges, points[:, begin : begin + count])
+            are_inside(self.edges, points[:, begin : begin + count])
             for begin in range(0, points.shape[1], count)
         ]
         return np.concatenate([np.zeros(0, bool), *parts]).reshape(alpha.shape)
@@ -57,21 +57,4 @@ def searched_component(gamma: float, delta: float, delay: float, filters: Filter
     if not components or not holds_small_gains(region.coefficients, components[0].outline):
         return Component(None, TuningStatus.ISLAND)
     first, *islands = components
-    return Component(_edges(first.points, first.branch)) if islands else ALL_GAINS
-
-
-def _edges(points: np.ndarray, branch: np.ndarray) -> Float64[np.ndarray, "edge 4"]:
-    """Return the edges of an outline, without those between its loops."""
-    return np.concatenate([points[:-1], points[1:]], axis=1)[branch != NO_BRANCH]
-
-
-def _are_inside(edges: np.ndarray, points: np.ndarray) -> Bool[np.ndarray, " point"]:
-    """Count the edges to the right of each point: an odd number of them encloses it."""
-    alpha, beta = points[:, None]
-    first_alpha, first_beta, last_alpha, last_beta = edges.T[..., None]
-    crosses = (first_beta > beta) != (last_beta > beta)
-    with np.errstate(all="ignore"):  # edges that run level are not crossed
-        share = (beta - first_beta) / (last_beta - first_beta)
-        is_right = first_alpha + share * (last_alpha - first_alpha) > alpha
-    inside: np.ndarray = np.sum(crosses & is_right, axis=0) % 2 == 1
-    return inside
+    return Component(edges_of(first.points, first.branch)) if islands else ALL_GAINS
