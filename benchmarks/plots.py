@@ -46,6 +46,11 @@ _STYLES = {
     "eq. (9) as printed": ("#D55E00", "P"),
     "linear_validity": ("#0072B2", "o"),
 }
+_AMPLITUDE_STYLES = {
+    "largest_over_runs": ("#D55E00", "D"),
+    "error": ("#0072B2", "o"),
+    "median_over_signals": ("#009E73", "X"),
+}
 _ULPS = (0.1, 1e20)  # smaller and larger errors are drawn here; at 1e16 no digit is right
 
 _SHOWN = (0.0, 0.5, 1.0, 5.0, 20.0, 60.0)  # delays, where all would be too many
@@ -280,6 +285,22 @@ def _ranges(rows: list[Row]) -> Figure:
     return figure
 
 
+def _amplitudes(rows: list[Row]) -> Figure:
+    runs = sum(row["points"] for row in rows)
+    figure, axes = _panels(1, 1, f"Bounds of amplitudes beside {runs:,} simulated runs")
+    seeds = [row["seed"] for row in rows]
+    for column, label in (
+        ("largest_over_runs", "largest over the worst run"),
+        ("error", "median over the worst run"),
+        ("median_over_signals", "median over the worst known signal"),
+    ):
+        colour, marker = _AMPLITUDE_STYLES[column]
+        heights = [row[column] for row in rows]
+        axes[0, 0].plot(seeds, heights, marker=marker, color=colour, label=label)
+    axes[0, 0].set(ylim=(0.0, None), xlabel="seed", ylabel="bound, over what was driven")
+    return _with_legend(figure, axes)
+
+
 def _loops(rows: list[Row]) -> Figure:
     figure, axes = _panels(1, len(rows), "Random loops with estimators and filters, by balls")
     for panel, row in zip(axes[0], rows, strict=True):
@@ -297,6 +318,7 @@ _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "tuning": _tuning,
     "ranges": _ranges,
     "loops": _loops,
+    "amplitudes": _amplitudes,
     "regions": _regions,
     "queries": _queries,
     "answers": _answers,
