@@ -76,9 +76,12 @@ def test_the_difference_over_one_sample_needs_no_word() -> None:
         ("[velocity]", "velocity is {}; give a table"),
         ("[velocity]\nwindow_samples = 50", "50; give a whole number from 1 to 41"),
         ("[velocity]\ncutoff = 100.0", "cutoff is 100.0; give it as a share of the sampling rate"),
-        ("[velocity]\norder = 2", "velocity has order or kind without cutoff"),
-        ("[velocity]\nnumerator = [1.0]", "velocity has .* over None; give two lists"),
-        ('[position]\ncutoff = 0.1\nkind = "bessel"', "position.kind is 'bessel'; give one of"),
+        ("[velocity]\norder = 2", "velocity.order is 2 without cutoff"),
+        ("[velocity]\nnumerator = [1.0]", "velocity.numerator stands alone; give numerator and"),
+        (
+            '[position]\ncutoff = 0.1\nkind = "bessel"',
+            "position.kind is 'bessel'; give low-p",
+        ),
     ],
 )
 def test_a_bad_filter_is_refused_in_a_sentence(text: str, words: str) -> None:

@@ -81,7 +81,7 @@ def as_run(name: str, positions: np.ndarray, period: float) -> np.ndarray:
 def test_each_documented_estimator_is_what_its_source_computes(name: str) -> None:
     period = {"ros-force-dimension": 0.0005, "hapkit": 0.0001}.get(name, 0.001)
     positions = np.random.default_rng(0).normal(size=200)
-    smoothing = VelocityTable.from_table({"preset": name}).made().filter.transfer(period)
+    smoothing = VelocityTable.from_table({"preset": name}).as_velocity().filter.transfer(period)
     above, below = ([float(c.hi) for c in part] for part in smoothing[:2])
     shift = smoothing.lag + len(below) - len(above)  # of z^-lag N(z)/D(z), in powers of 1/z
     velocities = lfilter([0.0] * shift + above, below, np.diff(positions, prepend=0.0) / period)
@@ -113,10 +113,10 @@ def test_each_documented_estimator_is_what_its_source_computes(name: str) -> Non
     ],
 )
 def test_a_table_is_the_estimator_that_it_says(table: dict[str, Any], made: Velocity) -> None:
-    assert VelocityTable.from_table(table).made() == made
+    assert VelocityTable.from_table(table).as_velocity() == made
 
 
 def test_a_table_of_the_position_is_the_filter_that_it_says() -> None:
     table = {"window_samples": 4, "cutoff": 50.0}
-    made = PositionTable.from_table(table).made()
+    made = PositionTable.from_table(table).as_filter()
     assert made == Filter.average(4) * Filter.low_pass(50.0)

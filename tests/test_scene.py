@@ -122,7 +122,7 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
         (
             "controller.velocity.window_samples",
             2.5,
-            "controller.velocity.window_samples is 2.5; give a whole number from 1 to 40.",
+            "controller.velocity.window_samples is 2.5; give a whole number from 1 to 41.",
         ),
         (
             "controller.velocity.window",
@@ -144,13 +144,13 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
         (
             "controller.velocity",
             {},
-            "controller.velocity.window is missing; give it, or window_samples, cutoff, factor, or "
+            "controller.velocity.window_samples is missing; give it, or cutoff, factor, window, or "
             "numerator and denominator.",
         ),
         (
             "controller.velocity",
             {"order": 2},
-            "controller.velocity.order is 2 without cutoff; give cutoff in Hz.",
+            "controller.velocity.order is 2 without cutoff; give cutoff, too.",
         ),
         (
             "controller.velocity",
@@ -176,7 +176,7 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
         (
             "controller.position",
             {"factor": 1.5},
-            "controller.position.factor is 1.5; allowed are finite values above 0 to 1.",
+            "controller.position.factor is 1.5; give a number above 0 and at most 1.",
         ),
         ("wanted.safety", 1.5, "wanted.safety is 1.5; give a number above 0 and at most 1."),
         ("walls", 3, "walls is 3; give a table [walls.NAME] for each wall."),

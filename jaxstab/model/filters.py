@@ -185,7 +185,7 @@ class Velocity:
         """Return the difference over a window: (x_k - x_(k-n)) / (n T).
 
         Args:
-            samples: n, from 1 to 40; 1 is the wall of the paper.
+            samples: n, from 1 to 41; 1 is the wall of the paper.
             window: n T in s, in place of ``samples``; 15 ms in CHAI3D.
 
         Raises:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from jaxstab.conventions import Status
 from jaxstab.loop import Gains, HapticLoop
+from jaxstab.model.filter_table import MOST_WINDOW
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -18,7 +19,6 @@ from jaxstab.scene.answers import (
     Stiffness,
 )
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.estimators import MOST_WINDOW
 from jaxstab.scene.limits import LOWEST_HAND
 from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
 from jaxstab.scene.scene import Scene

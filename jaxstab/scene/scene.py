@@ -149,12 +149,12 @@ class Controller(Table):
     @property
     def estimator(self) -> Velocity | None:
         """The velocity estimator; None for the difference over one sample."""
-        return None if self.velocity is None else self.velocity.made()
+        return None if self.velocity is None else self.velocity.as_velocity()
 
     @property
     def position_filter(self) -> Filter | None:
         """The filter of the position, if there is one."""
-        return None if self.position is None else self.position.made()
+        return None if self.position is None else self.position.as_filter()
 
 
 @dataclass(frozen=True, kw_only=True)
