@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from benchmarks.truth.march import (
     march_of_plant,
 )
 from benchmarks.truth.random_loops import device_of
-from jaxstab import Device, Filter, SettlingStatus, Velocity
+from jaxstab import Device, Filter, HapticLoop, SettlingStatus, Velocity
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.motion.response import simulate_device
 from jaxstab.motion.settling import device_settling_samples
@@ -30,15 +31,20 @@ DRAWN: dict[str, devices.Drawn] = {
     "mode": devices.Drawn(0.25, 0.1, [(80.0, 0.02, 0.5)], None, None, PERIOD, 0.0),
     "everything": devices.Drawn(0.25, 0.1, [(80.0, 0.02, 0.5)], ARM, 200.0, PERIOD, 1.25),
 }
-FILTERS: dict[str, tuple[tuple[Velocity, Filter] | None, list[Taps], list[Taps]]] = {
-    "none": (None, [difference_taps(1)], []),
+FILTERS: dict[str, tuple[dict[str, Any], list[Taps], list[Taps]]] = {
+    "none": ({}, [difference_taps(1)], []),
     "window and low pass": (
-        (Velocity.difference(window=0.005), Filter.low_pass(150.0)),
+        {"velocity": Velocity.difference(window=0.005), "position": Filter.low_pass(150.0)},
         [difference_taps(5)],
         [low_pass_taps(0.15)],
     ),
 }
 WALL = (300.0, 3.0)
+
+
+def loop_of(drawn: devices.Drawn, filters: dict[str, Any]) -> HapticLoop:
+    device, delay = device_of(drawn), drawn.delay * PERIOD
+    return HapticLoop(device=device, sample_time=PERIOD, delay=delay, **filters)
 
 
 def plant_of(drawn: devices.Drawn) -> Plant:
@@ -62,12 +68,11 @@ def test_a_simulated_device_moves_as_its_equations_say(
     case: str, filters: str, unilateral: bool
 ) -> None:
     drawn, (given, velocity, position) = DRAWN[case], FILTERS[filters]
-    plant, device = plant_of(drawn), device_of(drawn)
+    plant, loop = plant_of(drawn), loop_of(drawn, given)
     thrown = plant.hand / (plant.c @ plant.a @ plant.hand)  # of unit velocity per sample
-    found = simulate_device(
-        device, PERIOD, drawn.delay, given, *WALL,
-        samples=200, force=0.5, initial_velocity=-0.1, unilateral=unilateral,
-    )  # fmt: skip
+    found = loop.simulate(
+        *WALL, samples=200, force=0.5, initial_velocity=-0.1, unilateral=unilateral
+    )
     wall = WALL[0], WALL[1] / PERIOD
     states, forces = march_of_plant(
         plant, drawn.delay, wall, velocity, position, 200,
@@ -85,13 +90,10 @@ def test_a_simulated_device_moves_as_its_equations_say(
 def test_a_displaced_device_stood_where_it_starts(case: str) -> None:
     """Held there by the hand's force: without it the equations of motion are at rest."""
     drawn = DRAWN[case]
-    plant, device = plant_of(drawn), device_of(drawn)
-    size = len(plant.c)
+    plant, size = plant_of(drawn), len(plant_of(drawn).c)
     system = np.block([[plant.a, plant.hand[:, None]], [plant.c[None], np.zeros((1, 1))]])
     start = np.linalg.solve(system, np.array([*np.zeros(size), 2e-3]))[:-1]
-    found = simulate_device(
-        device, PERIOD, drawn.delay, None, *WALL, samples=100, initial_position=2e-3
-    )
+    found = loop_of(drawn, {}).simulate(*WALL, samples=100, initial_position=2e-3)
     wall = WALL[0], WALL[1] / PERIOD
     states, _ = march_of_plant(plant, drawn.delay, wall, [difference_taps(1)], [], 100, start=start)
     np.testing.assert_allclose(found.position, states @ plant.c, atol=1e-12)
@@ -101,7 +103,7 @@ def test_a_displaced_device_stood_where_it_starts(case: str) -> None:
 @pytest.mark.parametrize("case", DRAWN)
 def test_settling_of_a_device_is_that_of_its_equations(case: str, filters: str) -> None:
     drawn, (given, velocity, position) = DRAWN[case], FILTERS[filters]
-    plant, device = plant_of(drawn), device_of(drawn)
+    plant, loop = plant_of(drawn), loop_of(drawn, given)
     wall, size = (WALL[0], WALL[1] / PERIOD), len(plant.c)
     march: dict[str, Any] = {"velocity": velocity, "position": position, "samples": LONG}
     held = 300.0 if drawn.hand is not None and drawn.hand[3] is None else 0.0
@@ -124,11 +126,9 @@ def test_settling_of_a_device_is_that_of_its_equations(case: str, filters: str) 
         "impact": settled_since(hit, 0.0, 0.02 * np.abs(hit).max()),
     }
     for excitation, samples in expected.items():
-        found = device_settling_samples(
-            device, PERIOD, drawn.delay, given, *WALL, excitation=excitation
-        )
+        found = loop.settling_time(*WALL, excitation=excitation)
         assert int(found.status) == SettlingStatus.SETTLED
-        assert float(found.value) == samples
+        assert float(found.value) == pytest.approx(samples * PERIOD, rel=1e-15)
 
 
 def test_a_device_of_one_mass_is_the_loop_of_five_numbers() -> None:
@@ -150,12 +150,28 @@ def test_a_device_of_one_mass_is_the_loop_of_five_numbers() -> None:
     np.testing.assert_allclose(plain.value, PERIOD * general.value, rtol=1e-13)
 
 
+def test_motions_of_a_device_go_through_jit_and_have_derivatives() -> None:
+    """The derivative against differences; each lane of vmap against its own wall."""
+    loop = loop_of(DRAWN["everything"], FILTERS["window and low pass"][0])
+
+    def end(stiffness: Any) -> Any:
+        return loop.simulate(stiffness, WALL[1], force=1.0, samples=50).position[-1]
+
+    slope = (end(300.5) - end(299.5)).item()
+    assert float(jax.grad(end)(300.0)) == pytest.approx(slope, rel=1e-5)
+    lanes = jax.jit(jax.vmap(end))(jax.numpy.array([300.0, 400.0]))
+    np.testing.assert_allclose(lanes, [end(300.0), end(400.0)], rtol=1e-12)
+
+
 def test_what_a_blow_cannot_throw_or_a_force_not_hold_is_refused() -> None:
     damper = Device.transfer_function([1.0], [1.0, 5.0])
     with pytest.raises(ValueError, match="a blow does not throw"):
-        simulate_device(damper, PERIOD, 0.0, None, 1.0, 0.0, initial_velocity=0.1)
+        HapticLoop(device=damper, sample_time=PERIOD).simulate(1.0, 0.0, initial_velocity=0.1)
     washed = Device.transfer_function([1.0, 0.0], [1.0, 2.0, 5.0])
+    loop = HapticLoop(device=washed, sample_time=PERIOD)
     with pytest.raises(ValueError, match="does not give way"):
-        simulate_device(washed, PERIOD, 0.0, None, 1.0, 0.0, force=1.0)
+        loop.simulate(1.0, 0.0, force=1.0)
+    with pytest.raises(ValueError, match="does not give way"):
+        loop.settling_time(1.0, 0.0)
     moves = mechanics(damper, PERIOD, 0.0, (0.0, 1.0))
     np.testing.assert_allclose(moves.seen[0, 1], [-5.0 * PERIOD, 0.0, PERIOD, PERIOD], rtol=1e-14)
