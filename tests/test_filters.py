@@ -530,3 +530,22 @@ def test_a_region_that_proofs_contradict_claims_nothing() -> None:
     assert jaxstab.verdict(1.5e-5, 5.6e-6, *plant, **filters) == STABLE
     region = jaxstab.stable_region(*plant, **filters)
     assert region.contains(1.5e-5, 5.6e-6) or region.status == jaxstab.RegionStatus.UNRESOLVED
+
+
+def test_audits_ask_no_wall_on_a_corner() -> None:
+    # One edge of the outline joins two equal points, a corner; its wall is stable by a rounding.
+    window = Filter.average(window=0.02) * Filter.exponential(0.15)
+    loop = jaxstab.HapticLoop(
+        sample_time=0.0005,
+        device_mass=0.2,
+        device_damping=0.1,
+        hand_mass=0.0144069853970622,
+        hand_damping=3.030643694449534,
+        hand_stiffness=39.39331295976678,
+        delay=0.0,
+        velocity=Velocity(filter=window),
+    )
+    assert loop.region().status == jaxstab.RegionStatus.COMPLETE
+    largest = loop.damping_limits(0.0)[1]
+    assert loop.verdict(0.0, 0.99 * largest) == STABLE
+    assert loop.verdict(0.0, 1.01 * largest) == UNSTABLE

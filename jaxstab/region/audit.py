@@ -2,7 +2,8 @@
 
 The curve and the count of the other roots of such loops may lose digits that no status tells. So
 walls on both sides of the outline are asked for their verdict, which is a proof. That does not
-prove a region; but one that a proof contradicts is not given.
+prove a region; but one that a proof contradicts is not given. Walls are asked at a distance:
+rounding of a corner contradicts nothing.
 """
 
 import numpy as np
@@ -11,6 +12,8 @@ from jaxtyping import Float64
 from jaxstab.conventions import STABLE, UNSTABLE
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.region import measures
+from jaxstab.region.curve import SliceCoefficients
 from jaxstab.region.outline import Outline
 from jaxstab.region.polygons import are_inside, edges_of
 
@@ -21,12 +24,13 @@ _GAINS = np.geomspace(1e-8, 1.0, 9)  # of alpha and of beta, of both signs
 Points = Float64[np.ndarray, "_ 2"]
 
 
-def is_contradicted(outline: Outline, loop: LinearLoop) -> bool:
+def is_contradicted(c: SliceCoefficients, outline: Outline, loop: LinearLoop) -> bool:
     """Return whether a wall inside is proved unstable, or one outside stable.
 
     An outline without a loop says that no wall is stable: there gains of all sizes are tried.
 
     Args:
+        c: the coefficients of the slice.
         outline: of the region.
         loop: the same loop, by which verdicts are proved.
     """
@@ -34,23 +38,27 @@ def is_contradicted(outline: Outline, loop: LinearLoop) -> bool:
     if size == 0:
         alpha, beta = _walls_of_all_sizes().T
         return bool(np.any(linear_verdict(alpha, beta, loop) == STABLE))
-    vertices = outline.vertices[:size]
-    walls = _beside(vertices).T
+    edges = edges_of(outline.vertices[:size], outline.branches[: size - 1])
+    walls = _beside(edges).T
     alpha, beta = walls
-    is_inside = are_inside(edges_of(vertices, outline.branches[: size - 1]), walls)
     codes = linear_verdict(alpha, beta, loop)
-    return bool(np.any(codes == np.where(is_inside, UNSTABLE, STABLE)))
+    doubtful = codes == np.where(are_inside(edges, walls), UNSTABLE, STABLE)
+    if not np.any(doubtful):
+        return False
+    is_inside = measures.contains(c, outline, *walls[:, doubtful])  # a polygon is not exact
+    return bool(np.any(codes[doubtful] == np.where(is_inside, UNSTABLE, STABLE)))
 
 
-def _beside(vertices: Points) -> Points:
-    """Return walls on both sides of some edges of an outline."""
-    edges = np.linspace(0, len(vertices) - 2, _WALLS).round().astype(int)
-    step = vertices[edges + 1] - vertices[edges]
-    extent = np.ptp(vertices, axis=0)
-    normal = step[:, ::-1] * [-1.0, 1.0] / extent[::-1]
-    length = np.hypot(*normal.T)[:, None]
-    aside = _ASIDE * extent * normal / np.where(length > 0.0, length, 1.0)
-    middle = vertices[edges] + 0.5 * step
+def _beside(edges: Float64[np.ndarray, "edge 4"]) -> Points:
+    """Return walls on both sides of some edges of an outline, of those that have a length."""
+    extent = np.ptp(edges[:, :2], axis=0)
+    here, there = edges[:, :2], edges[:, 2:]
+    normal = (there - here)[:, ::-1] * [-1.0, 1.0] / extent[::-1]
+    length = np.hypot(*normal.T)
+    long = np.flatnonzero(length > 0.0)
+    chosen = long[np.linspace(0, len(long) - 1, _WALLS).round().astype(int)]
+    aside = _ASIDE * extent * normal[chosen] / length[chosen, None]
+    middle = 0.5 * (here[chosen] + there[chosen])
     return np.concatenate([middle + aside, middle - aside])
 
 

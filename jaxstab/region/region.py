@@ -357,9 +357,9 @@ def region_of(
     if region.status == RegionStatus.COMPLETE and deviation > tolerance:
         points = _enough_points(1.2 * points * sqrt(deviation / tolerance), fewest)
         region = _region(c, pieces, points=points)
-    if loop is None or not region.outline.resolved or not is_contradicted(region.outline, loop):
-        return region
-    return _region(c, pieces._replace(resolved=np.bool_(False)), points=points)
+    if loop is not None and region.outline.resolved and is_contradicted(c, region.outline, loop):
+        region = _region(c, pieces._replace(resolved=np.bool_(False)), points=points)
+    return region
 
 
 def _enough_points(wanted: float, fewest: int) -> int:
