@@ -49,6 +49,13 @@ def is_any_traced(*trees: object) -> bool:
     return "jax" in sys.modules and any(is_traced(leaf) for tree in trees for leaf in leaves(tree))
 
 
+def are_numbers(*trees: object) -> bool:
+    """Return whether all leaves of nested values are real numbers that are known, as for a repr."""
+    if is_any_traced(*trees):
+        return False
+    return all(np.asarray(leaf).dtype.kind in "biuf" for tree in trees for leaf in leaves(tree))
+
+
 def namespace(*values: object) -> Any:
     """Return ``jax.numpy`` if a leaf of the values is a JAX array or a tracer, else ``numpy``."""
     if _unregistered and hasattr(sys.modules.get("jax"), "Array"):  # JAX is loaded by now

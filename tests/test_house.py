@@ -21,7 +21,7 @@ FLOORS_THAT_COMPUTE = tuple(
     )
 )  # fmt: skip
 CONVERSIONS = {  # of a loop: nothing is asked of it
-    "alpha", "beta", "stiffness", "damping", "in_floats", "to_control", "tree_flatten",
+    "alpha", "beta", "stiffness", "damping", "in_floats", "plot", "to_control", "tree_flatten",
     "tree_unflatten",
 }  # fmt: skip
 

@@ -1,6 +1,6 @@
 """The haptic loop: one value in SI units, its answers as methods."""
 
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from jaxtyping import Float64
 
@@ -18,6 +18,9 @@ from jaxstab.loop.walls import LoopWithWalls
 from jaxstab.motion.settling import Excitation
 from jaxstab.numbers import checked_number
 from jaxstab.ranges import HandRange, RobustLimit, WorstHand
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @pytree
@@ -264,6 +267,31 @@ class HapticLoop(LoopWithWalls):
         self._refuse_tracers("robust_limit")
         self._refuse_devices("robust_limit")
         return ranges.robust_limit(self, hands)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the stable walls, the stiffest of them, islands and, if it applies, the linear rule.
+
+        Args:
+            ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
+
+        Returns:
+            The axes, K in N/m and B in N s/m.
+
+        Raises:
+            ValueError: no wall is stable, or the region is unresolved.
+            TypeError: JAX traces the loop.
+
+        Source: sec. V and VI of Hulin, Preusche, Hirzinger (2008).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.plot().get_xlabel()
+            'stiffness K (N/m)'
+        """
+        self._refuse_tracers("plot")
+        from jaxstab.pictures.shown import plot_loop
+
+        return plot_loop(self, ax)
 
     def to_control(self, stiffness: float, damping: float) -> Any:
         """Return the open loop of a wall as a transfer function in z of python-control.

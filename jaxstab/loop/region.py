@@ -19,6 +19,7 @@ from jaxstab.region import (
     stable_region,
 )
 from jaxstab.region.linear import linear_region
+from jaxstab.region.shown import GainNames, ShownRegion
 
 TOLERANCE = 1e-6  # of the outline, where none is asked for
 _REMEMBERED = 64  # regions
@@ -57,8 +58,8 @@ class WallLimits(NamedTuple):
     islands: tuple["WallLimits", ...] = ()
 
 
-@dataclass(frozen=True)
-class WallRegion:
+@dataclass(frozen=True, repr=False)
+class WallRegion(ShownRegion):
     """The stable walls of a loop: its exact stable region, in N/m and N s/m.
 
     ``HapticLoop.region`` makes one. Every number is NaN where no wall is stable, and where the
@@ -71,6 +72,8 @@ class WallRegion:
 
     loop: LoopParameters
     region: StableRegion
+
+    names = GainNames("K", "B", "N/m", "N s/m")
 
     @property
     def status(self) -> RegionStatus:
@@ -108,6 +111,11 @@ class WallRegion:
     def most_damped(self) -> Gains:
         """The point of the largest B."""
         return self._gains(self.region.max_beta)
+
+    @property
+    def extremes(self) -> tuple[Gains, Gains]:
+        """The points of the largest K and of the largest B."""
+        return self.stiffest, self.most_damped
 
     @property
     def area(self) -> float:

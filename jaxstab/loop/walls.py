@@ -14,7 +14,7 @@ from jaxstab.point import SpectralRadius
 from jaxstab.point.poles import linear_poles
 from jaxstab.point.radius.door import linear_spectral_radius
 from jaxstab.point.verdict.linear import linear_verdict
-from jaxstab.ranges import Margins
+from jaxstab.ranges import Margins, WallMargins
 
 
 class LoopWithWalls(LoopInTime):
@@ -154,10 +154,13 @@ class LoopWithWalls(LoopInTime):
             )
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
         found = ranges.margins(*self._wall(stiffness, damping), *plant, **self.filters)
-        return found._replace(
-            stiffness=self.stiffness(found.stiffness),
-            damping=self.damping(found.damping),
-            extra_delay=self.sample_time * found.extra_delay,
+        return WallMargins(
+            found.verdict,
+            self.stiffness(found.stiffness),
+            self.damping(found.damping),
+            found.stiffness_gain,
+            found.damping_gain,
+            self.sample_time * found.extra_delay,
         )
 
     def oscillation(self, stiffness: Numbers, damping: Numbers) -> Oscillation:

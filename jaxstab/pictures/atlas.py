@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas import Atlas
 from jaxstab.conventions import Verdict
-from jaxstab.pictures.style import ALPHA_LABEL, BETA_LABEL, SKY, picture
+from jaxstab.pictures.shown import html_with_picture, new_axes
+from jaxstab.pictures.style import ALPHA_LABEL, BETA_LABEL, SKY, hand_label, picture
 
 _RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
@@ -62,10 +63,7 @@ def draw_atlas(
     figure.set_layout_engine("constrained")
     panels = figure.subplots(len(rows), len(numbers), squeeze=False)
     for column, number in zip(panels.T, numbers, strict=True):
-        nodes = atlas.nodes(number)
-        alpha, beta = (
-            np.linspace(nodes[name][0], nodes[name][-1], _RASTER) for name in ("alpha", "beta")
-        )
+        alpha, beta = _raster(atlas, number)
         answer = atlas.query(alpha, beta[:, None], gamma, delta, atlas.delays[number])
         for panel, row in zip(column, rows, strict=True):
             if row == "verdict":
@@ -85,6 +83,52 @@ def draw_atlas(
         figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(rf"$\gamma = {gamma:g}$,  $\delta = {delta:g}$", fontsize=11)
     return picture(figure, "png")
+
+
+def plot_atlas(
+    atlas: Atlas, ax: Axes | None, gamma: float | None, delta: float | None, delay: float | None
+) -> Axes:
+    """Draw the verdicts of an atlas in one plane on axes, or on new ones: ``Atlas.plot``.
+
+    Raises:
+        ValueError: gamma or delta is outside of the atlas, the delay is none of its own, or it
+            answers with no verdicts.
+    """
+    if _ANSWERED_BY["verdict"].isdisjoint(atlas.products):
+        raise ValueError(f"this atlas holds {', '.join(atlas.products)}, and no verdicts to draw.")
+    (number,) = _numbers_of(atlas, [float(atlas.delays[0]) if delay is None else delay])
+    middle = {name: float(axis[len(axis) // 2]) for name, axis in atlas.nodes(number).items()}
+    hand = (
+        middle["gamma"] if gamma is None else gamma,
+        middle["delta"] if delta is None else delta,
+        float(atlas.delays[number]),
+    )
+    alpha, beta = _raster(atlas, number)
+    panel = new_axes() if ax is None else ax
+    _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], *hand))
+    panel.set(xlabel=ALPHA_LABEL, ylabel=BETA_LABEL)
+    panel.set_title(rf"{hand_label(*hand[:2])}, $d = {hand[2]:g}$", fontsize=10)
+    panel.legend(handles=_legend(), fontsize=8, loc="upper right")
+    return panel
+
+
+def atlas_html(atlas: Atlas) -> str:
+    """Return a picture of an atlas at its first delay, and what it holds in words."""
+    figure = Figure(layout="constrained", figsize=(1.5 * _WIDTH, 1.2 * _HEIGHT))
+    try:
+        plot_atlas(atlas, figure.subplots(), None, None, None)
+    except ValueError:
+        return html_with_picture(repr(atlas), None)
+    return html_with_picture(repr(atlas), figure)
+
+
+def _raster(atlas: Atlas, number: int) -> tuple[Floats, Floats]:
+    """Return alpha and beta of the points of a plane at one delay."""
+    nodes = atlas.nodes(number)
+    alpha, beta = (
+        np.linspace(nodes[name][0], nodes[name][-1], _RASTER) for name in ("alpha", "beta")
+    )
+    return alpha, beta
 
 
 def _numbers_of(atlas: Atlas, delays: Sequence[float] | None) -> list[int]:

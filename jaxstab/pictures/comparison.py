@@ -7,7 +7,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxstab.pictures.region import closed_outline
+from jaxstab.pictures.shown import closed_outline
 from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
 from jaxstab.scene.loops import loop_of, reachable, wall_region
 from jaxstab.scene.many import Variant, short
@@ -42,7 +42,7 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
     walls, largest = figure.subplots(1, 2, width_ratios=(3, 2))
     for variant, region, colour in zip(variants, regions, colours, strict=True):
         if not region.is_empty:
-            outline = region.in_si_units(closed_outline(region.region))
+            outline = closed_outline(region)
             walls.plot(*outline.T, color=colour, lw=1.2, label=_label(variant))
     walls.set_title("stable walls, as far as gains are turned up")
     _name_axes(walls, scenes[0])

@@ -15,7 +15,7 @@ from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from jaxstab.criteria import linear_alpha_limit, linear_validity, passive_region, resolved_region
-from jaxstab.pictures.region import closed_outline
+from jaxstab.pictures.shown import closed_outline
 from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, RED, hand_label, panels
 
 _NYQUIST_STEPS = 6

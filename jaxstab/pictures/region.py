@@ -4,12 +4,11 @@ from decimal import ROUND_FLOOR
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from jaxstab.criteria import linear_alpha_limit, passive_region, resolved_region
 from jaxstab.numbers import without_noise
+from jaxstab.pictures.shown import closed_outline
 from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, RED, hand_label, panels
-from jaxstab.region import StableRegion
 from jaxstab.scene.answers import Quantity
 
 _LIMIT = Quantity(digits=5, rounding=ROUND_FLOOR)
@@ -54,10 +53,3 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
     panel.set_title(f"{hand_label(gamma, delta)}, $d = {delay:g}$")
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
-
-
-def closed_outline(region: StableRegion) -> NDArray[np.float64]:
-    """Return the outline, with NaN between two loops."""
-    jumps = np.flatnonzero(np.asarray(region.branch) < 0)
-    broken: NDArray[np.float64] = np.insert(np.asarray(region.points), jumps + 1, np.nan, axis=0)
-    return broken

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from jaxstab.criteria import passive_region
 from jaxstab.loop import HapticLoop, WallRegion
-from jaxstab.pictures.region import closed_outline
-from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
+from jaxstab.pictures.shown import draw_islands, draw_linear_rule, draw_stable
+from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE
 from jaxstab.pictures.walls import draw_responses, draw_walls, name_walls
 from jaxstab.scene.answers import Quantity
 from jaxstab.scene.basis import basis_of
@@ -94,8 +94,8 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     for panel in planes:
         panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
         panel.set_ylabel(f"damping B ({scene.units.damping})")
-        _draw_stable(panel, region)
-        _draw_islands(panel, islands)
+        draw_stable(panel, region)
+        draw_islands(panel, islands)
         _draw_parts(panel, loop, parts)
         draw_walls(panel, walls)
     if checked is not None:
@@ -190,30 +190,11 @@ def _set_window(panel: Axes, points: Floats) -> None:
     panel.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def _draw_stable(panel: Axes, region: WallRegion) -> None:
-    outline = region.in_si_units(closed_outline(region.region))
-    panel.fill(*outline.T, color=SKY, alpha=0.35, lw=0, label="stable")
-    panel.plot(*outline.T, color=BLUE, lw=1.2)
-
-
-def _draw_islands(panel: Axes, islands: list[WallRegion]) -> None:
-    label = "stable, not reachable by turning gains up"
-    for number, island in enumerate(islands):
-        outline = island.in_si_units(closed_outline(island.region))
-        panel.fill(*outline.T, color=PURPLE, alpha=0.35, lw=0, label="" if number else label)
-        panel.plot(*outline.T, color=PURPLE, lw=1.2)
-
-
 def _draw_parts(panel: Axes, loop: HapticLoop, parts: list[_Part]) -> None:
     """Draw parts of the stable walls, and the linear rule, which knows of no filter."""
     for part in parts:
         panel.fill(*part.outline.T, **part.look)
-    if not is_plain(loop):
-        return
-    damping = np.array(panel.get_ylim())
-    lag = loop.delay + 0.5 * loop.sample_time
-    linear = (damping + loop.device_damping + loop.hand_damping) / lag
-    panel.plot(linear, damping, "--", color=RED, lw=1.4, label="linear rule")
+    draw_linear_rule(panel, loop)
 
 
 def _draw_best(panel: Axes, loop: HapticLoop, region: WallRegion, units: Units) -> None:

@@ -4,6 +4,7 @@ from .hands import HandRange as HandRange
 from .hands import WorstHand as WorstHand
 from .hands import worst_hand as worst_hand
 from .margins import Margins as Margins
+from .margins import WallMargins as WallMargins
 from .margins import margins as margins
 from .robust_limit import RobustLimit as RobustLimit
 from .robust_limit import robust_limit as robust_limit

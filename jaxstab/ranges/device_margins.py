@@ -19,7 +19,7 @@ from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.point.verdict.linear import linear_verdict
-from jaxstab.ranges.margins import Margins
+from jaxstab.ranges.margins import Margins, WallMargins
 
 Walls = Float64[np.ndarray, "wall 2"]
 
@@ -82,7 +82,7 @@ def device_margins(
         for gain, limit in zip(grid, limits, strict=True)
     ]
     unknown = np.reshape(codes != Verdict.STABLE, shape)
-    return Margins(
+    return WallMargins(
         codes.reshape(shape),
         limits[0].reshape(*shape, 2),
         limits[1].reshape(*shape, 2),

@@ -17,6 +17,7 @@ from jaxstab.model.loop import refuses_loops
 from jaxstab.numbers import checked
 from jaxstab.ranges.first_crossings import MOST_DELAY as MOST_DELAY
 from jaxstab.ranges.first_crossings import WAYS, first_crossings
+from jaxstab.ranges.shown import DIMENSIONLESS, IN_SI_UNITS, margins_text
 
 _ROUNDING = 2.0**-52
 
@@ -47,6 +48,18 @@ class Margins(NamedTuple):
     stiffness_gain: Float64[Array, "*grid"]
     damping_gain: Float64[Array, "*grid"]
     extra_delay: Float64[Array, "*grid"]
+
+    def __repr__(self) -> str:
+        """Return a table: a row for each quantity of one wall, or one for each of some walls."""
+        return margins_text(self, DIMENSIONLESS)
+
+
+class WallMargins(Margins):
+    """Margins in SI units, which their table shows."""
+
+    def __repr__(self) -> str:
+        """Return the table of ``Margins`` with units."""
+        return margins_text(self, IN_SI_UNITS)
 
 
 @refuses_loops("margins(K, B)")

@@ -23,6 +23,7 @@ from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import Pieces, find_pieces
 from jaxstab.region.scan import scan_angles
 from jaxstab.region.search import coefficient_count, refined_pieces
+from jaxstab.region.shown import ShownRegion
 
 LONGEST_DELAY = 500.0  # samples: the work grows as the third power
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
@@ -45,8 +46,8 @@ class RegionStatus(Status):
 
 
 @pytree
-@dataclass(frozen=True)
-class StableRegion:
+@dataclass(frozen=True, repr=False)
+class StableRegion(ShownRegion):
     """The gains (alpha, beta) for which all roots of p(z) lie inside of a circle about 0.
 
     ``stable_region`` makes one of NumPy arrays; ``region_outline`` makes one in arrays of fixed
@@ -60,8 +61,7 @@ class StableRegion:
         max_alpha: the point (alpha, beta) of the largest alpha; NaN where there is none.
         max_beta: the point (alpha, beta) of the largest beta; NaN where there is none.
 
-    Source: design of eq. (9): the D-decomposition, of which the pieces around the stable set are
-    kept.
+    Source: eq. (9) by the D-decomposition, of which the pieces around the stable set are kept.
     """
 
     coefficients: SliceCoefficients

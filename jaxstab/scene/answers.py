@@ -8,19 +8,18 @@ have the units of rotation, and inertia for mass.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN
 from enum import IntEnum
 from functools import cache
 from math import isfinite, isinf, isnan
 from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
 from jaxstab.scene.units import Units
+from jaxstab.shown import rounded_text
 
 _LIMIT_DIGITS = 4
-_TRUE_DIGITS = 11  # 2999.9999999999 is 3000 but for rounding
 _MOST_DIGITS = 17
 _COLUMN = 34  # where values begin
-_WRITTEN_OUT = range(-4, 9)  # powers of ten of the first digit
 
 
 @dataclass(frozen=True)
@@ -46,13 +45,8 @@ class Quantity:
     def _text(self, value: float, rounding: str, digits: int) -> str:
         if isinf(value):
             return self.infinite
-        scale = {"s": 1000, "m": 10**6}.get(self.unit, 1)
-        exact = Context(prec=max(_TRUE_DIGITS, digits)).multiply(Decimal(value), scale)
-        rounded = exact.normalize(Context(prec=digits, rounding=rounding))
-        if not rounded:
-            return "0"
-        is_written_out = rounded.adjusted() in _WRITTEN_OUT
-        return format(rounded, "f") if is_written_out else f"{float(rounded):.{digits}g}"
+        factor = {"s": 1000, "m": 10**6}.get(self.unit, 1)
+        return rounded_text(value, digits, rounding, factor=factor)
 
     def _with_unit(self, text: str, units: Units) -> str:
         unit = {"s": "ms", "m": f"u{units.length}"}.get(self.unit, units.unit(self.unit))

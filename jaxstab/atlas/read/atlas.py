@@ -29,6 +29,7 @@ from jaxstab.atlas.read.cells import decided_share
 from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.read.points import answer_at_delay, find_outside, nodes_of
+from jaxstab.atlas.read.shown import ShownAtlas
 from jaxstab.atlas.read.xarray_view import to_xarray
 from jaxstab.conventions import AXES, UNDECIDED
 from jaxstab.numbers import checked_number, checked_word
@@ -38,7 +39,7 @@ Range = tuple[float, float]
 Outside = Literal["error", "undecided"]
 
 
-class Atlas:
+class Atlas(ShownAtlas):
     """An atlas in memory; ``open_atlas`` makes it.
 
     Attributes:

@@ -1,6 +1,7 @@
 """The spectral radius of the closed loop, each with a proved bound of its error."""
 
 from collections.abc import Callable
+from decimal import ROUND_CEILING
 from functools import partial
 from math import prod
 from typing import Any, NamedTuple
@@ -8,7 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, constant, is_any_traced, namespace, tree_map
+from jaxstab.arrays import (
+    Array,
+    Numbers,
+    are_numbers,
+    constant,
+    is_any_traced,
+    namespace,
+    tree_map,
+)
 from jaxstab.batches import compiled
 from jaxstab.conventions import RadiusStatus
 from jaxstab.model import (
@@ -33,6 +42,7 @@ from jaxstab.point.radius.dominant_root import Complex, Loop, newton
 from jaxstab.point.radius.fast_radius import LONGEST_DELAY, TOLERANCE, fast_radius
 from jaxstab.point.verdict.loop import float_plant, is_plant_lost
 from jaxstab.point.verdict.points import Points
+from jaxstab.shown import number_text, text_with_bound
 
 _MANY = 1 << 14  # points of one delay from which on XLA looks for dominant roots
 _LIST = 1 << 12  # points whose companion matrices are made at once
@@ -41,15 +51,48 @@ _NEWTON_STEPS = 3
 # digits; what is lost beside 1, divided by powers of a small radius, is more than a rounding.
 _DAMPED, _SMALL_RADIUS = 10.0, 0.5
 
+_KNOWN = {
+    RadiusStatus.NOT_COMPUTED: "not computed",
+    RadiusStatus.PROVED: "proved",
+    RadiusStatus.NO_BOUND: "no bound proved",
+}
+
 Values = np.ndarray[Any, np.dtype[Any]]
 
 
 class SpectralRadius(NamedTuple):
-    """The largest modulus of a root of p(z), how wrong it may be, and how that is known."""
+    """The largest modulus of a root of p(z), how wrong it may be, and how that is known.
+
+    Attributes:
+        value: the largest modulus, per sample.
+        error: all roots are inside value + error, and not all of them inside value - error.
+        status: a RadiusStatus.
+
+    Example:
+        >>> jaxstab.spectral_radius(0.1, 0.2, 0.0, 0.015, 1.0)
+        0.938... +/- ...e-1... (proved)
+    """
 
     value: Float64[Array, "*grid"]
     error: Float64[Array, "*grid"]
     status: Int8[Array, "*grid"]
+
+    def __repr__(self) -> str:
+        """Return the radius with its bound, or a summary of many."""
+        if not are_numbers(self):
+            return f"SpectralRadius{tuple(self)}"
+        values, errors, codes = map(np.ravel, self)
+        if np.ndim(self.value) == 0:
+            shown = text_with_bound(float(values[0]), float(errors[0]))
+            return f"{shown} ({_KNOWN[RadiusStatus(int(codes[0]))]})"
+        if not len(values):
+            return "SpectralRadius of no loop"
+        bound = number_text(float(errors.max()), 2, ROUND_CEILING)
+        counts = ", ".join(
+            f"{count} {words}" for code, words in _KNOWN.items() if (count := np.sum(codes == code))
+        )
+        ends = f"{values.min():.6g} to {values.max():.6g}"
+        return f"SpectralRadius of {len(values)} loops: {ends}, bound {bound} at most ({counts})"
 
 
 def spectral_radius(

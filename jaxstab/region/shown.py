@@ -1,0 +1,103 @@
+"""What a region shows of itself: four lines of words, and a picture."""
+
+from decimal import ROUND_FLOOR
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from jaxstab.arrays import is_jax
+from jaxstab.shown import number_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_DIGITS = 5
+_MOST_ISLANDS = 2  # that are described
+
+
+class GainNames(NamedTuple):
+    """What stiffness and damping of a plane are called, and their units."""
+
+    stiffness: str = "alpha"
+    damping: str = "beta"
+    stiffness_unit: str = ""
+    damping_unit: str = ""
+
+    def at_largest_stiffness(self, point: Any) -> str:
+        """Return a point in words, the stiffness first and rounded down."""
+        return f"{self._stiffness(point, floors=True)} at {self._damping(point)}"
+
+    def at_largest_damping(self, point: Any) -> str:
+        """Return a point in words, the damping first and rounded down."""
+        return f"{self._damping(point, floors=True)} at {self._stiffness(point)}"
+
+    def _stiffness(self, point: Any, **way: bool) -> str:
+        return f"{self.stiffness} = {_text(point[0], self.stiffness_unit, **way)}"
+
+    def _damping(self, point: Any, **way: bool) -> str:
+        return f"{self.damping} = {_text(point[1], self.damping_unit, **way)}"
+
+
+class ShownRegion:
+    """A region that shows itself. Its class has its components, and says what is its largest."""
+
+    names = GainNames()
+
+    @property
+    def extremes(self) -> tuple[Any, Any]:
+        """The points of the largest stiffness and of the largest damping."""
+        region: Any = self
+        return region.max_alpha, region.max_beta
+
+    def __repr__(self) -> str:
+        """Return status, extremes and islands in four lines; limits are rounded down."""
+        region: Any = self  # a StableRegion or a WallRegion
+        name = type(self).__name__
+        if is_jax(region.status) or np.ndim(region.status):
+            return f"{name} of arrays that JAX maps over; status {region.status}"
+        if not region.components:
+            return f"{name}: {region.status.words}"
+        islands, largest = region.islands, region.main or region.components[0]
+        unreachable = "" if region.main else "; small gains are not stable"
+        described = [self.names.at_largest_stiffness(one.extremes[0]) for one in islands]
+        if len(islands) > _MOST_ISLANDS:
+            described[_MOST_ISLANDS:] = ["..."]
+        return "\n".join(
+            [
+                f"{name} ({self.names.stiffness}, {self.names.damping}): "
+                f"{region.status.words}{unreachable}",
+                f"  stiffest     {self.names.at_largest_stiffness(largest.extremes[0])}",
+                f"  most damped  {self.names.at_largest_damping(largest.extremes[1])}",
+                f"  islands      {len(islands) or 'none found'}"
+                + (f", the stiffest of each: {'; '.join(described)}" if islands else ""),
+            ]
+        )
+
+    def _repr_html_(self) -> str:
+        """Return the picture and the words for a notebook."""
+        from jaxstab.pictures.shown import region_html
+
+        region: Any = self
+        return region_html(region)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the region: what turning gains up from 0 reaches in blue, islands in purple.
+
+        Args:
+            ax: the axes to draw in; None makes a figure with matplotlib.pyplot.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ValueError: the region is empty or unresolved, or made of arrays of JAX.
+        """
+        from jaxstab.pictures.shown import plot_region
+
+        region: Any = self
+        return plot_region(region, ax)
+
+
+def _text(value: float, unit: str, *, floors: bool = False) -> str:
+    rounding = {"rounding": ROUND_FLOOR} if floors else {}
+    return number_text(float(value), _DIGITS, unit=unit, **rounding)

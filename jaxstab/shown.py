@@ -1,0 +1,71 @@
+"""How answers show themselves to a person: numbers with as many digits as are known, and tables.
+
+What is printed claims no more than what was computed: limits are rounded to the side that is given,
+and what the rounding of a value takes away is added to its printed error. Standard library only.
+"""
+
+from collections.abc import Sequence
+from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Context, Decimal
+from math import floor, isfinite, isnan, log10
+from typing import Any
+
+_TRUE_DIGITS = 11  # 2999.9999999999 is 3000 but for rounding
+_FLOAT_DIGITS = 17  # of a float64: more say nothing
+_WRITTEN_OUT = range(-4, 9)  # powers of ten of the first digit
+_EXACT = Context(prec=1100)  # every float64, and differences of them
+
+
+def rounded_text(
+    value: Any, digits: int, rounding: str = ROUND_HALF_EVEN, *, factor: int = 1
+) -> str:
+    """Return a finite number times a factor, rounded to significant digits.
+
+    Args:
+        value: the number.
+        digits: significant digits; zeros at the end are left out.
+        rounding: in the words of the module ``decimal``.
+        factor: from the number's unit to the one that is printed.
+    """
+    exact = Context(prec=max(_TRUE_DIGITS, digits)).multiply(Decimal(value), factor)
+    rounded = exact.normalize(Context(prec=digits, rounding=rounding))
+    if not rounded:
+        return "0"
+    is_written_out = rounded.adjusted() in _WRITTEN_OUT
+    return format(rounded, "f") if is_written_out else f"{float(rounded):.{digits}g}"
+
+
+def text_with_bound(value: float, error: float) -> str:
+    """Return a number and how wrong it may be, such as "0.8380204612 +/- 2.4e-11".
+
+    The printed bound is of the printed digits: it holds what their rounding takes away. It has two
+    digits and is rounded up.
+    """
+    if not isfinite(value) or not isfinite(error):
+        return f"{value:.10g}"
+    exact = Decimal(value)
+    places = exact.adjusted() + 1 - _FLOAT_DIGITS
+    if error > 0.0:
+        places = max(places, floor(log10(error)) - 1)
+    rounded = exact.quantize(Decimal(1).scaleb(places), context=_EXACT)
+    bound = _EXACT.add(Decimal(error), abs(_EXACT.subtract(rounded, exact)))
+    shown = rounded if bound else rounded.normalize(_EXACT)
+    digits = format(shown, "f" if exact.adjusted() in _WRITTEN_OUT or not exact else "e")
+    return f"{digits} +/- {bound.normalize(Context(prec=2, rounding=ROUND_CEILING)):.2g}"
+
+
+def table_text(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of cells as lines with aligned columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+
+
+def number_text(value: float, digits: int, rounding: str = ROUND_HALF_EVEN, unit: str = "") -> str:
+    """Return a number with its unit; what is infinite or NaN is said in words."""
+    if isnan(value):
+        return "none"
+    if not isfinite(value):
+        return "unlimited"
+    return f"{rounded_text(value, digits, rounding)} {unit}".rstrip()

@@ -1,0 +1,185 @@
+"""What answers print and draw of themselves says no more than what was computed."""
+
+import re
+from base64 import b64decode
+from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+
+import jaxstab
+from jaxstab.region import RegionStatus
+from jaxstab.shown import text_with_bound
+
+GOLDEN = Path(__file__).parents[1] / "data" / "golden" / "atlas-v3.h5"
+OMEGA = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": 1e-3, "delay": 1e-3}
+WINDOW = jaxstab.HapticLoop(**OMEGA, velocity=jaxstab.Velocity.difference(window=0.02))
+PLAIN = jaxstab.HapticLoop(**OMEGA)
+
+
+@given(
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.floats(0.0, allow_nan=False, allow_infinity=False),
+)
+def test_what_is_printed_with_a_bound_holds_all_that_the_bound_held(
+    value: float, error: float
+) -> None:
+    digits, bound = text_with_bound(value, error).split(" +/- ")
+    moved = abs(Fraction(Decimal(digits)) - Fraction(value))
+    assert moved + Fraction(error) <= Fraction(Decimal(bound))
+
+
+def test_a_radius_prints_its_bound_and_how_it_is_known() -> None:
+    radius = PLAIN.spectral_radius(1000.0, 10.0)
+    shown = re.fullmatch(r"(\S+) \+/- (\S+) \(proved\)", repr(radius))
+    assert shown
+    assert float(shown[1]) == pytest.approx(float(radius.value), abs=float(shown[2]))
+    assert float(shown[2]) >= float(radius.error)
+    assert len(shown[0]) < 50
+
+
+def test_many_radii_print_one_line() -> None:
+    many = PLAIN.spectral_radius(np.linspace(0.0, 1e5, 100), 10.0)
+    shown = repr(many)
+    assert "100 loops" in shown
+    assert f"{np.max(many.value):.6g}" in shown
+    assert len(shown) < 120
+    none = PLAIN.spectral_radius(np.zeros(0), 10.0)
+    assert repr(none) == "SpectralRadius of no loop"
+
+
+def test_margins_print_a_table_that_is_rounded_inwards() -> None:
+    margins = PLAIN.margins(1000.0, 10.0)
+    head, stiffness, damping, delay = repr(margins).splitlines()
+    assert head.split() == ["Margins:", "stable", "least", "largest", "factor"]
+    for row, limits, gain in (
+        (stiffness, margins.stiffness, margins.stiffness_gain),
+        (damping, margins.damping, margins.damping_gain),
+    ):
+        low, high, factor = map(float, row.split()[-3:])
+        assert limits[0] <= low <= high <= limits[1]
+        assert 0.9999 * gain <= factor <= gain
+    assert "(N/m)" in stiffness
+    assert "(N s/m)" in damping
+    assert float(delay.split()[-1]) <= margins.extra_delay
+    plain = repr(jaxstab.margins(0.1, 0.2, 0.0, 0.015, 1.0))
+    assert "alpha" in plain
+    assert "N/m" not in plain
+
+
+def test_margins_of_many_walls_are_a_row_each() -> None:
+    few = repr(PLAIN.margins([1000.0, 1e6], 10.0)).splitlines()
+    assert few[0] == "Margins of 2 walls"
+    assert few[2].startswith("stable")
+    assert few[3].split() == ["unstable", *["none"] * 7]
+    many = repr(PLAIN.margins(np.linspace(10.0, 1000.0, 50), 10.0)).splitlines()
+    assert many[-1] == "... and 42 more"
+
+
+@pytest.mark.parametrize("loop", [PLAIN, WINDOW], ids=["plain", "window"])
+def test_a_region_prints_four_lines_with_units(loop: jaxstab.HapticLoop) -> None:
+    region = loop.region()
+    lines = repr(region).splitlines()
+    assert len(lines) == 4
+    stiffest = re.search(r"stiffest +K = (\S+) N/m at B = (\S+) N s/m", lines[1])
+    damped = re.search(r"most damped +B = (\S+) N s/m at K = (\S+) N/m", lines[2])
+    assert stiffest
+    assert damped
+    limits = loop.limits()
+    assert 0.9999 * limits.stiffness <= float(stiffest[1]) <= limits.stiffness
+    assert 0.9999 * limits.damping <= float(damped[1]) <= limits.damping
+    assert ("none found" in lines[3]) == (not region.islands)
+    assert "N/m" not in repr(region.region)
+    assert len(repr(region.region).splitlines()) == 4
+
+
+def test_a_region_that_claims_nothing_prints_one_line() -> None:
+    empty = jaxstab.stable_region(np.pi**2, 0.0, 0.0)
+    assert empty.status != RegionStatus.COMPLETE
+    assert repr(empty) == f"StableRegion: {empty.status.words}"
+    assert empty._repr_html_() == f"<pre>{empty!r}</pre>"
+    with pytest.raises(ValueError, match="nothing to draw"):
+        empty.plot()
+
+
+def test_what_jax_maps_over_prints_itself() -> None:
+    printed = []
+
+    def radius(alpha: jax.Array) -> jax.Array:
+        found = jaxstab.spectral_radius(alpha, 0.2, 0.0, 0.015, 1.0)
+        margins = jaxstab.margins(alpha, 0.2, 0.0, 0.015, 1.0)
+        printed.extend([repr(found), repr(margins)])
+        return found.value
+
+    jax.eval_shape(radius, jnp.asarray(0.1))
+    assert [text.split("(")[0] for text in printed] == ["SpectralRadius", "Margins"]
+    region = jaxstab.stable_region(0.0, 0.015, 1.0)
+    many = replace(region, status=jnp.ones(3, jnp.int8))
+    assert repr(many).startswith("StableRegion of arrays")
+
+
+def test_an_atlas_prints_six_lines() -> None:
+    atlas = jaxstab.open_atlas(GOLDEN)
+    lines = repr(atlas).splitlines()
+    assert len(lines) == 6
+    assert all(product in lines[0] for product in atlas.products)
+    assert atlas.filters_in_words in lines[1]
+    assert [line.split()[0] for line in lines[2:]] == ["delays", "alpha", "beta", "gamma"]
+
+
+def picture_in(html: str) -> bytes:
+    (encoded,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
+    return b64decode(encoded)
+
+
+def test_notebooks_show_a_picture_and_the_words() -> None:
+    atlas = jaxstab.open_atlas(GOLDEN)
+    for answer in (WINDOW.region(), PLAIN.region().region, atlas):
+        html = answer._repr_html_()
+        assert picture_in(html).startswith(b"\x89PNG")
+        assert "<pre>" in html
+        assert repr(answer).splitlines()[0].split("(")[0] in html
+
+
+def test_plots_draw_what_is_asked_on_the_axes_that_are_given() -> None:
+    axes = Figure().subplots()
+    assert WINDOW.region().plot(axes) is axes
+    filled = [patch.get_label() for patch in axes.patches]
+    assert filled == ["stable", "stable, not reachable by turning gains up"]
+    outline = axes.lines[0].get_xydata()
+    assert np.nanmax(outline[:, 0]) == pytest.approx(WINDOW.limits().stiffness, rel=1e-6)
+    axes = Figure().subplots()
+    labels = [line.get_label() for line in PLAIN.plot(axes).lines]
+    assert "linear rule" in labels
+    linear = axes.lines[labels.index("linear rule")].get_xydata()
+    assert linear[:, 0] == pytest.approx((linear[:, 1] + 0.1) / 1.5e-3)
+    assert "linear rule" not in [
+        line.get_label() for line in WINDOW.plot(Figure().subplots()).lines
+    ]
+
+
+def test_an_atlas_draws_the_verdicts_of_a_plane() -> None:
+    atlas = jaxstab.open_atlas(GOLDEN)
+    axes = atlas.plot(Figure().subplots(), delay=float(atlas.delays[-1]))
+    (mesh,) = axes.collections
+    assert set(np.unique(mesh.get_array())) <= {1, 2, 3}
+    with pytest.raises(ValueError, match="none of this atlas"):
+        atlas.plot(Figure().subplots(), delay=77.0)
+
+
+def test_without_axes_a_figure_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    from matplotlib import pyplot
+
+    try:
+        assert PLAIN.plot().figure.number in pyplot.get_fignums()
+    finally:
+        pyplot.close("all")
