@@ -16,6 +16,10 @@ class Verdict(IntEnum):
     A loop is stable when every root of its characteristic polynomial (paper, eq. (9)) lies inside
     the unit circle. Zero means that nothing was computed: a block of a file that was wiped or never
     written cannot be taken for a verdict.
+
+    Example:
+        >>> jaxstab.Verdict(jaxstab.verdict(0.1, 0.2, 0.0, 0.015, 1.0))
+        <Verdict.STABLE: 1>
     """
 
     NOT_COMPUTED = 0
@@ -41,7 +45,12 @@ class Status(IntEnum):
 
 
 class RadiusStatus(Status):
-    """How far the error of a spectral radius can be trusted."""
+    """How far the error of a spectral radius can be trusted.
+
+    Example:
+        >>> jaxstab.RadiusStatus(1).words
+        'the error bound is proved'
+    """
 
     NOT_COMPUTED = 0, "not computed"
     PROVED = 1, "the error bound is proved"

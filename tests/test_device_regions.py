@@ -9,7 +9,8 @@ from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters
 from jaxstab.point.verdict.linear import linear_verdict
 from jaxstab.region.linear import linear_region
-from jaxstab.region.region import RegionStatus, StableRegion
+from jaxstab.region.region import StableRegion
+from jaxstab.region.status import RegionStatus
 
 ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
 MODE = Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)

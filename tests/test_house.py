@@ -99,7 +99,7 @@ def test_every_public_name_can_be_imported(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [*jaxstab.__all__, *sorted(computing_methods())])
-def test_every_public_callable_says_what_it_is_what_it_refuses_and_where_it_is_from(
+def test_every_public_callable_says_what_it_is_refuses_and_shows_and_where_it_is_from(
     name: str,
 ) -> None:
     value = attrgetter(name)(jaxstab)
@@ -109,6 +109,7 @@ def test_every_public_callable_says_what_it_is_what_it_refuses_and_where_it_is_f
     text = value.__doc__ or ""
     assert text
     assert not text.startswith(f"{name}(")
+    assert ">>> " in text, "shows no example"
     if is_function(value):
         assert re.search(r"\bRaises:", text), "says nothing about errors"
     if computes(value):

@@ -8,7 +8,8 @@ import numpy as np
 from jaxstab.criteria.passive import passive_region
 from jaxstab.criteria.validity import ValidityStatus, linear_validity
 from jaxstab.numbers import require_x64, without_noise
-from jaxstab.region.region import RegionStatus, StableRegion, stable_region
+from jaxstab.region.region import StableRegion, stable_region
+from jaxstab.region.status import RegionStatus
 
 _FINE = 1e-7  # of delta: the tolerance of the passive region
 _ROUNDING = 1e-15
@@ -26,6 +27,10 @@ def resolved_region(
         RuntimeError: JAX arrays are given without x64.
 
     Source: sec. V of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> jaxstab.resolved_region(0.0, 0.015, 1.0).loops
+        1
     """
     require_x64(gamma, delta, delay, radius)
     region = _kept_region(float(gamma), float(delta), float(delay), float(radius))
@@ -56,6 +61,11 @@ def region_facts(
         ValueError: an argument is outside its range, or the region is empty or unresolved.
 
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> facts = jaxstab.region_facts(0.0, 0.015, 1.0)
+        >>> [round(float(number), 4) for number in facts["largest_alpha"]]
+        [0.1522, 0.4233]
     """
     region = resolved_region(gamma, delta, delay, radius)
     extent = np.ptp(region.points, axis=0)

@@ -24,6 +24,10 @@ def linear_alpha_limit(beta: Numbers, delta: Numbers, delay: Numbers) -> Float64
         RuntimeError: JAX arrays are given without x64.
 
     Source: eqs. (22) and (23) of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> round(float(jaxstab.linear_alpha_limit(0.2, 0.015, 1.0)), 9)
+        0.143333333
     """
     _, beta, _, delta, lag = checked_loop(0.0, beta, 0.0, delta, delay)
     return (beta + delta) / lag
@@ -49,6 +53,10 @@ def linear_condition(
         RuntimeError: JAX arrays are given without x64.
 
     Source: eqs. (19), (22) and (23) of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> bool(jaxstab.linear_condition(0.1, 0.2, 0.0, 0.015, 1.0))
+        True
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
     return (alpha > -gamma) & (beta + delta > alpha * lag)
@@ -74,6 +82,11 @@ def linear_error(
         RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (24) of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> alpha, beta = jaxstab.boundary_curve(0.2, 0.0, 0.0, 0.0)
+        >>> round(float(jaxstab.linear_error(alpha, beta, 0.0, 0.0, 0.0)), 4)
+        0.0203
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
     with np.errstate(all="ignore"):

@@ -43,6 +43,10 @@ class PassiveRegion:
     ``outline`` holds the vertices, shape (n, 2), counterclockwise, first one not repeated; no
     vertex at all where delta = 0. Every point of the polygon is proved passive (vertices within
     1e-12 of their size); the region reaches at most about ``tolerance`` times delta beyond it.
+
+    Example:
+        >>> jaxstab.passive_region(delta=1.0).max_alpha.round(9).tolist()
+        [2.0, 0.0]
     """
 
     delta: float
@@ -59,7 +63,12 @@ class PassiveRegion:
         return vertex
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
-        """Return True where (alpha, beta) is proved passive, tested by its own supremum."""
+        """Return True where (alpha, beta) is proved passive, tested by its own supremum.
+
+        Example:
+            >>> jaxstab.passive_region(delta=1.0).contains([1.0, 2.5], 0.1).tolist()
+            [True, False]
+        """
         gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
         grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
         flat = grid.reshape(-1, 2)

@@ -26,6 +26,10 @@ def routh_hurwitz_condition(
         RuntimeError: JAX arrays are given without x64.
 
     Source: eqs. (17)-(21) of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> bool(jaxstab.routh_hurwitz_condition(0.1, 0.2, 0.0, 0.015, 1.0))
+        True
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
     damped = beta + delta + gamma * lag > 0

@@ -42,7 +42,12 @@ _NEWTON_STEPS = 60
 
 
 class ValidityStatus(Status):
-    """What is known about the point where the linear condition loses its validity."""
+    """What is known about the point where the linear condition loses its validity.
+
+    Example:
+        >>> jaxstab.ValidityStatus(1).words
+        "a point of the stable region's boundary"
+    """
 
     NOT_COMPUTED = 0, "not computed"
     FOUND = 1, "a point of the stable region's boundary"
@@ -52,7 +57,13 @@ class ValidityStatus(Status):
 
 
 class LinearValidity(NamedTuple):
-    """A point (alpha, beta) of the boundary, its angle on the curve, and a ValidityStatus."""
+    """A point (alpha, beta) of the boundary, its angle on the curve, and a ValidityStatus.
+
+    Example:
+        >>> found = jaxstab.linear_validity(0.02, 0.0, 0.0, 0.0)
+        >>> round(float(found.alpha), 9)
+        0.038827412
+    """
 
     alpha: Float64[Array, "*grid"]
     beta: Float64[Array, "*grid"]

@@ -92,6 +92,11 @@ class HapticLoop(LoopWithWalls):
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition; see
         ``jaxstab.stable_region``.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().status.words
+            'the boundary closes to loops'
         """
         if is_any_traced(self):
             return traced_region(self)
@@ -138,6 +143,11 @@ class HapticLoop(LoopWithWalls):
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.stiffness_limits(20.0).round(1).tolist()
+            [0.0, 35325.0]
         """
         return self._reachable().stiffness_limits(damping)
 
@@ -155,6 +165,11 @@ class HapticLoop(LoopWithWalls):
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.damping_limits(20000.0).round(3).tolist()
+            [9.457, 181.026]
         """
         return self._reachable().damping_limits(stiffness)
 
@@ -178,6 +193,11 @@ class HapticLoop(LoopWithWalls):
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.boundary_distance(1000.0, 10.0)), 6)
+            0.01
         """
         return self.region().distance(stiffness, damping)
 
@@ -221,6 +241,12 @@ class HapticLoop(LoopWithWalls):
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9); settling as in later papers of the same authors.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> best = loop.tune()
+            >>> print(f"settles in {1e3 * best.settling_time:.0f} ms")
+            settles in 6 ms
         """
         self._refuse_tracers("tune")
         self._refuse_general_devices("tune")
@@ -245,6 +271,12 @@ class HapticLoop(LoopWithWalls):
             NotImplementedError: the loop has a ``device``, with hands of its own.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B6 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> hands = jaxstab.HandRange(mass=(0.0, 1.0), stiffness=(0.0, 700.0))
+            >>> loop.worst_hand(hands, 1000.0, 10.0).verdict.name
+            'STABLE'
         """
         self._refuse_tracers("worst_hand")
         self._refuse_devices("worst_hand")
@@ -263,6 +295,11 @@ class HapticLoop(LoopWithWalls):
             NotImplementedError: the loop has a ``device``, with hands of its own.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.robust_limit(jaxstab.HandRange(mass=(0.0, 1.0))).is_proved
+            True
         """
         self._refuse_tracers("robust_limit")
         self._refuse_devices("robust_limit")
@@ -312,6 +349,10 @@ class HapticLoop(LoopWithWalls):
             ValueError: a gain is infinite or NaN.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008), before the loop is closed.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.to_control(1000.0, 10.0).dt  # doctest: +SKIP
         """
         self._refuse_tracers("to_control")
         try:

@@ -26,7 +26,13 @@ _REMEMBERED = 64  # regions
 
 
 class Gains(NamedTuple):
-    """A wall: stiffness K in N/m and damping B in N s/m."""
+    """A wall: stiffness K in N/m and damping B in N s/m.
+
+    Example:
+        >>> wall = jaxstab.Gains(stiffness=1000.0, damping=10.0)
+        >>> wall.damping
+        10.0
+    """
 
     stiffness: float
     damping: float
@@ -47,6 +53,12 @@ class WallLimits(NamedTuple):
         status: of the region; of an UNRESOLVED one all four are NaN, though walls may be stable.
         is_reachable: whether turning gains up from 0 reaches the walls.
         islands: the same of each set of stable walls that turning gains up does not reach.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> limits = loop.limits()
+        >>> print(f"K up to {limits.stiffness:.1f} N/m, at B = {limits.at_damping:.2f} N s/m")
+        K up to 70643.1 N/m, at B = 82.55 N s/m
     """
 
     stiffness: float
@@ -68,6 +80,14 @@ class WallRegion(ShownRegion):
     Attributes:
         loop: the loop.
         region: the same set in the (alpha, beta) plane.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> loop.region()
+        WallRegion (K, B): the boundary closes to loops
+          stiffest     K = 70643 N/m at B = 82.549 N s/m
+          most damped  B = 202 N s/m at K = 0 N/m
+          islands      none found
     """
 
     loop: LoopParameters

@@ -24,6 +24,12 @@ class OptimalWall(NamedTuple):
 
     The spectral radius of the gains as they are given is ``radius``, to ``radius_error``, proved.
     ``chatter`` is how far in m an encoder can drive the position, proved, if one is given.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> best = loop.tune("radius")
+        >>> print(f"K = {best.stiffness:.0f} N/m, B = {best.damping:.1f} N s/m, {best.status.name}")
+        K = 7297 N/m, B = 40.1 N s/m, TRIPLE_ROOT
     """
 
     stiffness: float

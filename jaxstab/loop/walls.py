@@ -71,6 +71,11 @@ class LoopWithWalls(LoopInTime):
             RuntimeError: JAX arrays are given without x64.
 
         Source: sec. V of Hulin, Preusche, Hirzinger (2008).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.is_stable([1000.0, 1e6], 10.0).tolist()
+            [True, False]
         """
         return self.verdict(stiffness, damping) == Verdict.STABLE
 
@@ -89,6 +94,11 @@ class LoopWithWalls(LoopInTime):
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.spectral_radius(1000.0, 10.0)
+            0.9407239707335... +/- ... (proved)
         """
         wall = self._wall(stiffness, damping)
         if self.body is None:
@@ -110,6 +120,11 @@ class LoopWithWalls(LoopInTime):
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> abs(loop.poles(1000.0, 10.0)).round(4).tolist()
+            [0.9407, 0.9407, 0.0559]
         """
         wall = self._wall(stiffness, damping)
         if self.body is None:
@@ -139,7 +154,7 @@ class LoopWithWalls(LoopInTime):
             ...     device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1.5e-3
             ... )
             >>> float(loop.margins(300.0, 2.0).stiffness_gain)
-            3.8...
+            5.719...
         """
         sampled = self.sampled
         if sampled is not None:
@@ -178,6 +193,11 @@ class LoopWithWalls(LoopInTime):
             RuntimeError: JAX arrays are given without x64.
 
         Source: as ``jaxstab.dominant_mode``; Table I.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.oscillation(20000.0, 20.0).frequency), 1)  # Hz
+            77.5
         """
         mode = mode_of(self.poles(stiffness, damping))
         return Oscillation(mode.damping_ratio, mode.frequency / (2.0 * np.pi * self.sample_time))

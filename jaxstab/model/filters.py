@@ -52,6 +52,10 @@ class Filter:
             TypeError: not exactly one of the two is given, or it is no number of its kind.
             ValueError: it is out of range; a window that is no whole number of samples is refused
                 where the sampling period is known.
+
+        Example:
+            >>> print(jaxstab.Filter.average(4))
+            a window of 4 samples
         """
         if (samples is None) == (window is None):
             raise TypeError("give samples or window, and not both.")
@@ -72,6 +76,10 @@ class Filter:
         Raises:
             TypeError: the cut-off is no number, or the order no whole one.
             ValueError: one of them is out of range.
+
+        Example:
+            >>> print(jaxstab.Filter.low_pass(300.0))
+            a low pass at 300 Hz of order 1
         """
         return cls((LowPass(_positive("cutoff", cutoff), _checked_order(order)),))
 
@@ -89,6 +97,10 @@ class Filter:
                 refused where that is known.
 
         Source: Butterworth (1930); the transfer function is that of ``scipy.signal.butter``.
+
+        Example:
+            >>> print(jaxstab.Filter.butterworth(300.0, order=2))
+            a Butterworth filter at 300 Hz of order 2
         """
         return cls((Butterworth(_positive("cutoff", cutoff), _checked_order(order)),))
 
@@ -118,6 +130,10 @@ class Filter:
         Raises:
             TypeError: the coefficients are no numbers.
             ValueError: the filter is not proper, not stable, zero, or of an order above 40.
+
+        Example:
+            >>> print(jaxstab.Filter.transfer_function([0.5, 0.5], [1.0, 0.0]))
+            a transfer function of order 1
         """
         return cls((Rational(*_checked_rational(numerator, denominator)),))
 
@@ -192,22 +208,41 @@ class Velocity:
             TypeError: not exactly one of the two is given, or it is no number of its kind.
             ValueError: it is out of range; a window that is no whole number of samples is refused
                 where the sampling period is known.
+
+        Example:
+            >>> print(jaxstab.Velocity.difference(window=0.02))
+            the difference over a window of 0.02 s
         """
         return cls(Filter.average(samples, window=window))
 
     @classmethod
     def low_pass(cls, cutoff: Numbers, order: int = 1) -> "Velocity":
-        """Return the one-sample difference behind first-order low passes: ``Filter.low_pass``."""
+        """Return the one-sample difference behind first-order low passes: ``Filter.low_pass``.
+
+        Example:
+            >>> print(jaxstab.Velocity.low_pass(100.0))
+            the difference over one sample, a low pass at 100 Hz of order 1
+        """
         return cls(Filter.low_pass(cutoff, order))
 
     @classmethod
     def butterworth(cls, cutoff: Numbers, order: int) -> "Velocity":
-        """Return the one-sample difference behind Butterworth's filter: ``Filter.butterworth``."""
+        """Return the one-sample difference behind Butterworth's filter: ``Filter.butterworth``.
+
+        Example:
+            >>> print(jaxstab.Velocity.butterworth(100.0, order=2))
+            the difference over one sample, a Butterworth filter at 100 Hz of order 2
+        """
         return cls(Filter.butterworth(cutoff, order))
 
     @classmethod
     def exponential(cls, factor: Numbers) -> "Velocity":
-        """Return the one-sample difference, smoothed: ``Filter.exponential``."""
+        """Return the one-sample difference, smoothed: ``Filter.exponential``.
+
+        Example:
+            >>> print(jaxstab.Velocity.exponential(0.9))
+            the difference over one sample, exponential smoothing by 0.9
+        """
         return cls(Filter.exponential(factor))
 
     @classmethod
@@ -225,6 +260,10 @@ class Velocity:
             TypeError: the coefficients are no numbers.
             ValueError: the filter is not proper, not stable, zero, of an order above 40, or does
                 not differentiate: V(1) is not 0.
+
+        Example:
+            >>> print(jaxstab.Velocity.transfer_function([500.0, -500.0], [1.0, 0.0]))
+            a transfer function of order 1
         """
         above, below = _checked_rational(numerator, denominator)
         rest = abs(float(sum(map(Fraction, above))))

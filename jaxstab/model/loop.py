@@ -232,22 +232,46 @@ class LoopParameters:
         return self.sample_time**2 / self.mass, self.sample_time / self.mass
 
     def alpha(self, stiffness: Values) -> Values:
-        """Dimensionless stiffness K T^2/m of a wall of stiffness K in N/m (Table I)."""
+        """Dimensionless stiffness K T^2/m of a wall of stiffness K in N/m (Table I).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.alpha(2000.0)), 9)
+            0.02
+        """
         return stiffness * self._units[0]
 
     def beta(self, damping: Values) -> Values:
-        """Dimensionless damping B T/m of a wall of damping B in N s/m (Table I)."""
+        """Dimensionless damping B T/m of a wall of damping B in N s/m (Table I).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> float(loop.beta(20.0))
+            0.2
+        """
         return damping * self._units[1]
 
     def stiffness(self, alpha: Values) -> Values:
-        """Wall stiffness K in N/m for a dimensionless stiffness alpha (Table I)."""
+        """Wall stiffness K in N/m for a dimensionless stiffness alpha (Table I).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.stiffness(0.02)), 6)
+            2000.0
+        """
         sampled = self.sampled
         if sampled is not None:
             return alpha / sampled.stiffness_unit
         return alpha * (self.mass / self.sample_time**2)
 
     def damping(self, beta: Values) -> Values:
-        """Wall damping B in N s/m for a dimensionless damping beta (Table I)."""
+        """Wall damping B in N s/m for a dimensionless damping beta (Table I).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> float(loop.damping(0.2))
+            20.0
+        """
         sampled = self.sampled
         if sampled is not None:
             return beta / sampled.damping_unit

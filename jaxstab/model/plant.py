@@ -63,6 +63,11 @@ class PlantCoefficients(NamedTuple):
 
     For a whole delay N(z) is z times the zero-order-hold numerator, so n0 = 0. The remaining fields
     are N(1), N(-1) and D(1) = gamma N(1), each with a relative accuracy of its own.
+
+    Example:
+        >>> plant = jaxstab.plant_coefficients(0.0, 0.0)
+        >>> float(plant.n1), float(plant.n0)
+        (0.5, 0.0)
     """
 
     d1: Float64[Array, "*grid"]
@@ -109,6 +114,10 @@ def plant_coefficients(gamma: Numbers, delta: Numbers, delay: Numbers = 0.0) -> 
 
     Source: eqs. (2)-(6) and (9) of Hulin, Preusche, Hirzinger (2008), rewritten; for a fractional
     delay the modified z-transform.
+
+    Example:
+        >>> float(jaxstab.plant_coefficients(0.0, 0.0).n1)  # N(z) = (z + 1)/2 without hand
+        0.5
     """
     require_x64(gamma, delta)
     delay = checked_delay(delay)

@@ -82,6 +82,10 @@ def characteristic_polynomial(
         RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) divided by -2 c1 gamma.
+
+    Example:
+        >>> jaxstab.characteristic_polynomial(0.1, 0.2, 0.0, 0.0, 0.0).tolist()
+        [1.0, -1.85, 1.05, -0.1]
     """
     require_x64(alpha, beta, gamma, delta)
     whole_part, fraction = whole_and_fraction(delay)
@@ -115,6 +119,10 @@ def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degr
         RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: theorem 3.3.14 of Horn and Johnson, Matrix Analysis, in the layout of numpy.roots.
+
+    Example:
+        >>> jaxstab.companion_matrix([1.0, -0.5, 0.25]).tolist()
+        [[0.5, -0.25], [1.0, 0.0]]
     """
     require_x64(coefficients)
     xp = namespace(coefficients)

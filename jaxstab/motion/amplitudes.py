@@ -27,7 +27,12 @@ _SAFETY = 1.0 + 2.0**-40  # on sums of a few bounds
 
 
 class AmplitudeStatus(Status):
-    """What is known about amplitudes; small integers, so that arrays store int8."""
+    """What is known about amplitudes; small integers, so that arrays store int8.
+
+    Example:
+        >>> jaxstab.AmplitudeStatus(1).words
+        'proved: no such disturbance drives the loop further'
+    """
 
     NOT_COMPUTED = 0, "not computed"
     PROVED = 1, "proved: no such disturbance drives the loop further"
@@ -46,6 +51,12 @@ class Amplitude(NamedTuple):
         force_per_count: by which the computed force changes at once where the position is read one
             resolution of the encoder further.
         status: an AmplitudeStatus.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> found = loop.amplitude(1000.0, 20.0, encoder=1e-5)
+        >>> print(f"{1e6 * found.position:.1f} um, {1e3 * found.velocity:.1f} mm/s")
+        6.3 um, 2.1 mm/s
     """
 
     position: Float64[Array, "*grid"]
@@ -109,7 +120,7 @@ def amplitude(
     Example:
         >>> found = jaxstab.amplitude(0.1, 0.4, 0.0, 0.001, 0.0, encoder=1.0)
         >>> round(float(found.position), 2)
-        1.0
+        1.03
     """
     given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
     require_x64(alpha, beta, gamma, delta, *given.values())

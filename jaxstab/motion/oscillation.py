@@ -17,6 +17,12 @@ class Oscillation(NamedTuple):
     ``damping_ratio`` is 1 for a mode that creeps without oscillation, 0 on the edge of stability,
     negative where the oscillation grows. ``frequency`` is that of the oscillation itself (not of
     the undamped one): between 0 and the Nyquist frequency, which is a pole on the negative axis.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> mode = loop.oscillation(20000.0, 20.0)
+        >>> print(f"damping ratio {mode.damping_ratio:.3f}, {mode.frequency:.1f} Hz")
+        damping ratio 0.109, 77.5 Hz
     """
 
     damping_ratio: Float64[Array, "*grid"]
@@ -56,6 +62,11 @@ def dominant_mode(
         RuntimeError: JAX arrays are given without x64.
 
     Source: the poles of eq. (9); z = exp(s T).
+
+    Example:
+        >>> mode = jaxstab.dominant_mode(0.2, 0.2, 0.0, 0.015, 0.0)
+        >>> round(float(mode.damping_ratio), 4)
+        0.1086
     """
     require_x64(alpha, beta, gamma, delta)
     point = alpha, beta, gamma, delta, delay

@@ -26,6 +26,12 @@ class Response(NamedTuple):
 
     The force is the one that acts on the device from this time on, after hold and delay. The
     arrays but ``time`` have the shape of the walls and the initial values, then one axis of time.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> response = loop.simulate(1000.0, 20.0, samples=400, force=1.0)
+        >>> round(float(response.position[-1]), 6)  # of 1 N on 1000 N/m
+        0.001
     """
 
     time: Float64[Array, " time"]

@@ -55,6 +55,12 @@ def sweep(
         RuntimeError: JAX arrays are given without x64.
 
     Source: Table I for the parameters.
+
+    Example:
+        >>> alpha = np.linspace(0.0, 0.2, 1000)
+        >>> parts = jaxstab.sweep(jaxstab.verdict, alpha, 0.2, 0.0, 0.015, 1.0, chunk=400)
+        >>> sum(int((codes == jaxstab.STABLE).sum()) for _, codes in parts)
+        558
     """
     require_x64(alpha, beta, gamma, delta, delay)
     checked_count("chunk", chunk, 1)

@@ -48,8 +48,8 @@ def closed_loop_poles(
     error), so a root of multiplicity k is only good to about ulp^(1/k).
 
     Example:
-        >>> abs(jaxstab.closed_loop_poles(0.1, 0.2, 0.0, 0.015, 1.0)).max()
-        0.9382...
+        >>> float(abs(jaxstab.closed_loop_poles(0.1, 0.2, 0.0, 0.015, 1.0)).max())
+        0.98712203...
     """
     point = alpha, beta, gamma, delta, delay
     return over_grid(companion_poles, *point, velocity=velocity, position=position)

@@ -60,8 +60,11 @@ def device_margins(
     Source: lemmas B5 and B13 of docs/proofs.md.
 
     Example:
-        >>> device = sampled_device(Device.mass_spring_damper(0.1, 1.5), 1e-3, delay=1.5)
-        >>> device_margins(device, 300.0, 2.0).stiffness_gain
+        >>> device = jaxstab.Device.mass_spring_damper(0.1, 1.5)
+        >>> device = device.with_actuator(500.0)
+        >>> loop = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1.5e-3)
+        >>> float(device_margins(loop.sampled, 300.0, 2.0).stiffness_gain)
+        4.930...
     """
     filters = known_filters(velocity, position)
     grid = np.broadcast_arrays(

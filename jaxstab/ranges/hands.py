@@ -34,7 +34,12 @@ _SMALLEST = 2.0**-20  # of the ranges: boxes are not halved beyond
 
 
 class HandRange(NamedTuple):
-    """Hands from the lowest to the highest mass in kg, stiffness in N/m and damping in N s/m."""
+    """Hands from the lowest to the highest mass in kg, stiffness in N/m and damping in N s/m.
+
+    Example:
+        >>> jaxstab.HandRange(mass=(0.0, 1.0), stiffness=(0.0, 700.0), damping=(0.0, 12.0))
+        HandRange(mass=(0.0, 1.0), stiffness=(0.0, 700.0), damping=(0.0, 12.0))
+    """
 
     mass: Range = (0.0, 0.0)
     stiffness: Range = (0.0, 0.0)
@@ -46,6 +51,12 @@ class WorstHand(NamedTuple):
 
     ``verdict``: STABLE is proved for every hand, UNSTABLE is proved for ``loop``, the loop with the
     worst hand: the one of the largest spectral ``radius`` of those sampled.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> worst = loop.worst_hand(jaxstab.HandRange(mass=(0.0, 1.0)), 1000.0, 10.0)
+        >>> worst.verdict.name, worst.loop.hand_mass
+        ('STABLE', 1.0)
     """
 
     verdict: Verdict

@@ -40,6 +40,13 @@ class Margins(NamedTuple):
         damping_gain: the factor by which B may be multiplied; infinite for B <= 0.
         extra_delay: the time by which the delay may grow; infinite where no delay is too much, or
             none up to 1024 samples (MOST_DELAY) more.
+
+    Example:
+        >>> jaxstab.margins(0.1, 0.2, 0.0, 0.015, 1.0)
+        Margins: stable        least       largest  factor
+        alpha                  3.7804e-14  0.11185  1.1185
+        beta                   0.1689      0.6702   3.351
+        extra delay (samples)              0.15444
     """
 
     verdict: Int8[Array, "*grid"]
@@ -101,7 +108,8 @@ def margins(
 
     Example:
         >>> window = jaxstab.Velocity.difference(samples=20)
-        >>> margins(0.003, 0.04, 0.0, 0.001, 1.0, velocity=window).stiffness_gain
+        >>> float(margins(0.003, 0.04, 0.0, 0.001, 1.0, velocity=window).stiffness_gain)
+        2.7159...
     """
     filters = known_filters(velocity, position)
     values = (

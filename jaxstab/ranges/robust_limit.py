@@ -46,6 +46,12 @@ class RobustLimit(NamedTuple):
             sampled hands' stable regions is proved unstable for one of them. With an estimator or a
             filter the span is that of the components that small gains lead to.
         loop: the loop with the hand that sets the limit.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> found = loop.robust_limit(jaxstab.HandRange(mass=(0.0, 1.0)))
+        >>> found.is_proved, found.stiffness < found.limit
+        (True, True)
     """
 
     stiffness: float

@@ -27,7 +27,8 @@ from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_ga
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
-from jaxstab.region.region import RegionStatus, StableRegion, stable_region
+from jaxstab.region.region import StableRegion, stable_region
+from jaxstab.region.status import RegionStatus
 
 Range = tuple[float, float]
 Points = Float64[np.ndarray, "points 2"]
@@ -43,7 +44,12 @@ _OUTLINE_TOLERANCE = 1e-4
 
 
 class RobustStatus(Status):
-    """What is known of a robust region."""
+    """What is known of a robust region.
+
+    Example:
+        >>> jaxstab.RobustStatus(1).words
+        'every wall of the outline is proved stable for every hand'
+    """
 
     NOT_COMPUTED = 0, "not computed"
     PROVED = 1, "every wall of the outline is proved stable for every hand"
@@ -63,6 +69,11 @@ class RobustRegion:
     proof that there is none between them. With ``filters``, velocity estimator and position filter
     in units of one sample, it is that of the components that hold small gains, or of the largest
     one of a hand that has no such component.
+
+    Example:
+        >>> region = jaxstab.robust_region((0.0, 0.001), (0.0, 0.015), 1.0)
+        >>> region.status.name, bool(region.contains(0.05, 0.3))
+        ('PROVED', True)
     """
 
     gamma: Range
@@ -161,7 +172,9 @@ def robust_region(
 
     Example:
         >>> window = jaxstab.Velocity.difference(samples=20)
-        >>> robust_region((0.0, 1e-3), (0.002, 0.01), delay=1.0, velocity=window).max_alpha
+        >>> region = robust_region((0.0, 1e-3), (0.002, 0.01), delay=1.0, velocity=window)
+        >>> float(region.max_alpha[0])
+        0.0078...
     """
     filters = known_filters(velocity, position)
     for name, ends, check in (("gamma", gamma, checked_gamma), ("delta", delta, checked_delta)):

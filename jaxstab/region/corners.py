@@ -18,7 +18,12 @@ _ROUNDING = 4.0 * 2.0**-53  # of angles
 
 
 class Branch(IntEnum):
-    """Which root lies on the circle along a piece of the boundary."""
+    """Which root lies on the circle along a piece of the boundary.
+
+    Example:
+        >>> [branch.name for branch in jaxstab.Branch]
+        ['CURVE', 'Z_PLUS_ONE', 'Z_MINUS_ONE']
+    """
 
     CURVE = 0
     Z_PLUS_ONE = 1

@@ -72,11 +72,7 @@ class SliceCoefficients(NamedTuple):
 
 
 def boundary_curve(
-    theta: Numbers,
-    gamma: Numbers,
-    delta: Numbers,
-    delay: Numbers,
-    radius: Numbers = 1.0,
+    theta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid"]]:
     """Return the wall gains (alpha, beta) that put a pair of roots at radius exp(+-i theta).
 
@@ -101,6 +97,11 @@ def boundary_curve(
         RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) solved for (alpha, beta).
+
+    Example:
+        >>> alpha, beta = jaxstab.boundary_curve(1.0, 0.0, 0.0, 0.0)
+        >>> round(float(alpha), 6), round(float(beta), 6)
+        (0.645005, 0.596893)
     """
     require_x64(theta, gamma, delta, radius)
     angle = float_arrays(checked("theta", theta, 0.0, pi))[0]
@@ -108,11 +109,7 @@ def boundary_curve(
 
 
 def plus_line(
-    beta: Numbers,
-    gamma: Numbers,
-    delta: Numbers,
-    delay: Numbers,
-    radius: Numbers = 1.0,
+    beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = +radius; for radius 1 it is -gamma.
 
@@ -131,6 +128,10 @@ def plus_line(
         RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = radius.
+
+    Example:
+        >>> float(jaxstab.plus_line(0.5, 0.001, 0.015, 0.0))
+        -0.001
     """
     require_x64(beta, gamma, delta, radius)
     coefficients = slice_coefficients(gamma, delta, delay, radius)
@@ -140,11 +141,7 @@ def plus_line(
 
 
 def minus_line(
-    beta: Numbers,
-    gamma: Numbers,
-    delta: Numbers,
-    delay: Numbers,
-    radius: Numbers = 1.0,
+    beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = -radius.
 
@@ -156,6 +153,10 @@ def minus_line(
     Raises: as ``plus_line``.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = -radius.
+
+    Example:
+        >>> round(float(jaxstab.minus_line(0.5, 0.0, 0.015, 0.0)), 4)
+        1599.036
     """
     require_x64(beta, gamma, delta, radius)
     coefficients = slice_coefficients(gamma, delta, delay, radius)

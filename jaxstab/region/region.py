@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float64, Int
 
 from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, pytree, stored
 from jaxstab.batches import compiled
-from jaxstab.conventions import Status
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
@@ -24,25 +23,12 @@ from jaxstab.region.pieces import Pieces, find_pieces
 from jaxstab.region.scan import scan_angles
 from jaxstab.region.search import coefficient_count, refined_pieces
 from jaxstab.region.shown import ShownRegion
+from jaxstab.region.status import RegionStatus
 
 LONGEST_DELAY = 500.0  # samples: the work grows as the third power
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 _FINEST = 1e-10
-
-
-class RegionStatus(Status):
-    """What is known of a stable region.
-
-    COMPLETE: the pieces that were found close to loops. EMPTY: the scan found none.
-    UNRESOLVED: the pieces do not close, more are there than arrays hold, or, of loops with filters,
-    a proved verdict says otherwise. Such a region claims nothing: it has no points, its numbers are
-    NaN, ``contains`` is False everywhere; that does not mean that points are unstable.
-    """
-
-    COMPLETE = 0, "the boundary closes to loops"
-    EMPTY = 1, "no (alpha, beta) is stable"
-    UNRESOLVED = 2, "the boundary was not resolved: nothing is claimed"
 
 
 @pytree
@@ -62,6 +48,10 @@ class StableRegion(ShownRegion):
         max_beta: the point (alpha, beta) of the largest beta; NaN where there is none.
 
     Source: eq. (9) by the D-decomposition, of which the pieces around the stable set are kept.
+
+    Example:
+        >>> round(float(jaxstab.stable_region(0.0, 0.0, 0.0).area), 6)
+        0.909645
     """
 
     coefficients: SliceCoefficients
@@ -256,6 +246,11 @@ def stable_region(
         TypeError: an argument is traced by JAX (``region_outline`` takes tracers), or no number.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+
+    Example:
+        >>> region = jaxstab.stable_region(0.0, 0.0, 0.0)
+        >>> round(float(region.max_alpha[0]), 9)  # 12 - 8 sqrt(2)
+        0.686291501
     """
     if any(map(is_traced, (gamma, delta, delay, radius, tolerance))):
         raise TypeError(
@@ -309,6 +304,10 @@ def region_outline(
         RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+
+    Example:
+        >>> round(float(jaxstab.region_outline(0.001, 0.015, 1.0).max_alpha[0]), 6)
+        0.15172
     """
     require_x64(gamma, delta, radius)
     slots, fineness = checked_count("slots", slots, 1), checked_count("fineness", fineness, 1)

@@ -33,7 +33,12 @@ _ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are doub
 
 
 class TraceStatus(Status):
-    """What is known about one point of a trace."""
+    """What is known about one point of a trace.
+
+    Example:
+        >>> [status.name for status in jaxstab.TraceStatus]
+        ['NOT_COMPUTED', 'CONVERGED', 'STALLED']
+    """
 
     NOT_COMPUTED = 0, "not computed"
     CONVERGED = 1, "Newton's method converged to full precision"
@@ -50,6 +55,15 @@ class BoundaryTrace:
     residual: the two equations' error, in units of p(z) with leading coefficient 1. status: a
     ``TraceStatus``. unresolved: boxes (k, 2, 2), lower and upper corner, that could neither be
     proved free nor traced; ``complete`` says that there is none.
+
+    Example:
+        >>> window = (0.0, 0.2), (0.0, 0.8)
+        >>> hand = {"gamma": 0.0, "delta": 0.0, "delay": 1.0}
+        >>> trace = jaxstab.trace_boundary(("alpha", "beta"), window, **hand)
+        >>> trace
+        BoundaryTrace(plane=('alpha', 'beta'), resolution=0.015625)
+        >>> bool(trace.edge.any())
+        True
     """
 
     plane: tuple[str, str]
@@ -99,6 +113,13 @@ def trace_boundary(
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; pseudo-arclength
     continuation (Keller 1977); exclusion boxes, ``exclude`` of jaxstab/boxes/exclusion.py.
+
+    Example:
+        >>> window = (0.0, 0.2), (0.0, 0.8)
+        >>> hand = {"gamma": 0.0, "delta": 0.0, "delay": 1.0}
+        >>> trace = jaxstab.trace_boundary(("alpha", "beta"), window, **hand)
+        >>> round(float(trace.points[trace.edge, 0].max()), 3)
+        0.144
     """
     resolution = checked_number("resolution", resolution, 1e-3, 0.25, unit="of the window")
     if loop is not None:

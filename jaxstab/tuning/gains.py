@@ -75,6 +75,11 @@ def minimize_radius_damping(
         RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9).
+
+    Example:
+        >>> best = jaxstab.minimize_radius_damping(0.05, 0.0, 0.015, 1.0)
+        >>> round(float(best.beta), 4), round(float(best.value), 4)
+        (0.3203, 0.823)
     """
     require_x64(alpha, gamma, delta)
     loop = _one_loop(gamma, delta, delay, velocity, position)
@@ -133,6 +138,11 @@ def minimize_settling(
         RuntimeError: JAX arrays are given without x64.
 
     Source: the loop of eqs. (1)-(5); settling as in later papers of the same authors.
+
+    Example:
+        >>> best = jaxstab.minimize_settling(0.0, 0.015, 0.0)
+        >>> int(best.value)  # samples
+        6
     """
     level = checked_level(level, excitation)
     require_x64(alpha, gamma, delta)

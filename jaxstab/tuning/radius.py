@@ -75,6 +75,10 @@ def minimize_radius(
         RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) for the poles; the theorem of Blondel et al. (2012), IEEE TAC 57(12).
+
+    Example:
+        >>> round(float(jaxstab.minimize_radius(0.0, 0.0, 0.0).value), 9)  # 4^(1/3) - 1
+        0.587401052
     """
     require_x64(gamma, delta)
     checked_delay(delay)

@@ -72,6 +72,11 @@ class Plan:
     Attributes:
         spec: what is asked for.
         grid: the nodes.
+
+    Example:
+        >>> plan = jaxstab.plan_atlas(jaxstab.AtlasSpec(delay=(1.0,)))
+        >>> len(plan.tiles)
+        3
     """
 
     spec: AtlasSpec
@@ -183,6 +188,11 @@ def plan_atlas(spec: AtlasSpec) -> Plan:
     Raises:
         ValueError: a parameter is too large for the model, an axis cannot be fitted, or the grid or
             the limits of alpha in a tile are too large.
+
+    Example:
+        >>> plan = jaxstab.plan_atlas(jaxstab.AtlasSpec(delay=(1.0,)))
+        >>> plan.grid.shape  # alpha, beta, gamma, delta, delay
+        (128, 112, 3, 9, 1)
     """
     plan = Plan(spec, lay_out(spec))
     for name in plan.variables:

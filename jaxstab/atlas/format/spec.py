@@ -46,6 +46,10 @@ class FittedAxis:
     Raises:
         TypeError: ``count`` is not a whole number.
         ValueError: ``count`` is too small.
+
+    Example:
+        >>> jaxstab.AtlasSpec(alpha=jaxstab.FittedAxis(64)).alpha
+        FittedAxis(count=64)
     """
 
     count: int
@@ -67,6 +71,11 @@ class ToleranceAxis:
     Raises:
         TypeError: a value is not a real number.
         ValueError: a value is out of range.
+
+    Example:
+        >>> axis = jaxstab.ToleranceAxis(0.0, 0.001, tolerance=0.01)
+        >>> jaxstab.AtlasSpec(gamma=axis).gamma.stop
+        0.001
     """
 
     start: float | int
@@ -103,6 +112,11 @@ class AtlasSpec:
     Raises:
         TypeError: a value is not of the kind above.
         ValueError: a value is out of range, out of order, or the atlas would be too large.
+
+    Example:
+        >>> spec = jaxstab.AtlasSpec(delay=(0.0, 0.5, 1.0), products=("verdict", "alpha_limits"))
+        >>> spec.delay
+        (0.0, 0.5, 1.0)
     """
 
     alpha: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 128))

@@ -16,7 +16,12 @@ Numbers = ArrayLike | float | int
 
 
 class QueryStatus(Status):
-    """How an atlas knows what it answers for a point."""
+    """How an atlas knows what it answers for a point.
+
+    Example:
+        >>> [status.name for status in jaxstab.QueryStatus]
+        ['NODE', 'CELL', 'UNDECIDED_CELL', 'BETWEEN_DELAYS', 'OUTSIDE', 'EXACT']
+    """
 
     NODE = 1, "a node: the atlas holds verdict and radius of this very point"
     CELL = (
@@ -41,6 +46,12 @@ class AtlasAnswer:
             atlas holds none.
         radius_error: proved bound of the error of ``spectral_radius``; infinite without one.
         status: int8 codes of ``QueryStatus``: how this is known.
+
+    Example:
+        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+        >>> answer = atlas.query([0.05, 0.3], 0.3, 0.0005, 0.01, 1.0)
+        >>> [jaxstab.QueryStatus(int(code)).name for code in answer.status]
+        ['CELL', 'CELL']
     """
 
     verdict: NDArray[np.int8]

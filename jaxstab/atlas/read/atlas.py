@@ -48,6 +48,18 @@ class Atlas(ShownAtlas):
         spec: the TOML text from which the atlas was built.
         created_by: the program and version that built it.
         filters_in_words: the velocity estimator and the position filter of its loops.
+
+    Example:
+        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+        >>> atlas.query([0.05, 0.3], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
+        [1, 2]
+        >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, 0.0005, 0.01, 1.0))
+        <Verdict.STABLE: 1>
+        >>> round(float(atlas.alpha_limits(0.3, 0.0005, 0.01, delay=1.0).upper), 6)
+        0.136756
+        >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
+        >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0))
+        <Verdict.STABLE: 1>
     """
 
     arrays: file.PackedArrays
@@ -366,5 +378,9 @@ def open_atlas(path: str | PathLike[str]) -> Atlas:
     Raises:
         OSError: the file is missing or unreadable.
         ValueError: it is foreign, damaged, of another version of the schema, or beyond 2 GiB.
+
+    Example:
+        >>> jaxstab.open_atlas("data/golden/atlas-v3.h5").delays.tolist()
+        [0.0, 1.0, 1.5]
     """
     return Atlas(file.read(Path(path)))

@@ -27,6 +27,12 @@ class AlphaLimits(NamedTuple):
     below ``lower - lower_error`` or above ``upper + upper_error`` in the atlas is unstable. Where
     none is stable both are NaN with an error of 0; an infinite limit is beyond the atlas, and with
     an infinite error nothing is known.
+
+    Example:
+        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+        >>> limits = atlas.alpha_limits(0.3, 0.0005, 0.01, delay=1.0)
+        >>> print(f"up to {limits.upper:.6f}, wrong by less than {limits.upper_error:.0e}")
+        up to 0.136756, wrong by less than 4e-04
     """
 
     lower: Floats
@@ -40,6 +46,12 @@ class MaxAlpha(NamedTuple):
 
     A hand is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha of the atlas
     above ``bound``, whatever beta.
+
+    Example:
+        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+        >>> largest = atlas.max_alpha(0.0005, 0.01, delay=1.0)
+        >>> print(f"{largest.alpha:.4f} at {largest.beta:.4f}, none above {largest.bound:.4f}")
+        0.1489 at 0.4343, none above 0.1496
     """
 
     alpha: Floats

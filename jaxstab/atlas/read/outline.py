@@ -18,6 +18,12 @@ class AtlasOutline(NamedTuple):
             z = 1, 2 a root at z = -1; -1 between two loops.
         corners: (m, 2), where two branches meet, to full precision.
         status: 0 complete, 1 the region is empty, 2 unresolved: do not use it.
+
+    Example:
+        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
+        >>> spec = jaxstab.AtlasSpec(**hand, products=("outline",))
+        >>> atlas = jaxstab.build_atlas(spec, "outline.h5")  # doctest: +SKIP
+        >>> atlas.outline(0.0, 0.01, 1.0).vertices  # doctest: +SKIP
     """
 
     points: NDArray[np.float64]

@@ -65,6 +65,10 @@ class ShownAtlas:
         Raises:
             ValueError: gamma or delta is outside of the atlas, the delay is none of its own, or it
                 answers with no verdicts.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> axes = atlas.plot(delay=1.0)
         """
         from jaxstab.pictures.atlas import plot_atlas
 

@@ -30,6 +30,10 @@ def build_atlas(
         OSError, RuntimeError: as ``write_atlas``.
 
     Source: the verdicts, the radii and the proofs for cells name theirs.
+
+    Example:
+        >>> spec = jaxstab.AtlasSpec(delay=(1.0,), gamma=(0.0,), delta=(0.0, 0.015))
+        >>> atlas = jaxstab.build_atlas(spec, "atlas.h5")  # doctest: +SKIP
     """
     write_atlas(spec, path, progress, executor)
     return open_atlas(path)
@@ -63,6 +67,9 @@ def write_atlas(
         RuntimeError: a worker computed what the schema does not allow, or workers died.
 
     Source: the verdicts, the radii and the proofs for cells name theirs.
+
+    Example:
+        >>> jaxstab.write_atlas(jaxstab.AtlasSpec(), "atlas.h5")  # doctest: +SKIP
     """
     path = Path(path)
     created_by = f"jaxstab {jaxstab.__version__}"

@@ -68,6 +68,10 @@ class Device:
         Raises:
             TypeError: a value is no real number.
             ValueError: a value is out of range.
+
+        Example:
+            >>> print(jaxstab.Device.mass_spring_damper(0.25, 0.1))
+            0.25 kg, 0.1 N s/m
         """
         return cls(
             MassSpringDamper(
@@ -121,6 +125,11 @@ class Device:
         Raises:
             TypeError: the coefficients are no numbers.
             ValueError: a polynomial is 0, or the degrees do not fit.
+
+        Example:
+            >>> device = jaxstab.Device.transfer_function([1.0], [0.25, 0.1, 0.0])
+            >>> device.poles().tolist()
+            [0j, (-0.4+0j)]
         """
         what = "position over force is strictly proper, a force moves a device, in time"
         return cls(checked_transfer_function(numerator, denominator, -1, what))._checked()
@@ -140,6 +149,11 @@ class Device:
         Raises:
             TypeError: a matrix is not made of real numbers.
             ValueError: the shapes do not fit, the position never moves, or something hidden grows.
+
+        Example:
+            >>> device = jaxstab.Device.state_space([[0, 1], [0, -0.4]], [[0], [4]], [[1, 0]])
+            >>> sorted(device.poles().real.tolist())
+            [-0.4, 0.0]
         """
         return cls(checked_state_space(A, B, C))._checked()
 
@@ -154,6 +168,12 @@ class Device:
         Raises:
             TypeError: the system is of another kind.
             ValueError: it is sampled (in z), not strictly proper, or has more inputs or outputs.
+
+        Example:
+            >>> import control
+            >>> device = jaxstab.Device.from_control(control.tf([1], [0.25, 0.1, 0.0]))
+            >>> len(device.poles())
+            2
         """
         matrices = matrices_of(system)
         return (
@@ -170,6 +190,12 @@ class Device:
         Raises:
             TypeError: the hand is no Hand.
             ValueError: the hand and the device cancel out, or are of an order above 40.
+
+        Example:
+            >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
+            >>> device = jaxstab.Device.mass_spring_damper(0.25, 0.1).held_by(arm)
+            >>> device.one_mass()
+            MassSpringDamper(mass=1.25, damping=5.1, stiffness=300.0)
         """
         if not isinstance(hand, Hand):
             raise TypeError(f"hand is {hand!r}; give a jaxstab.Hand.")
@@ -186,6 +212,11 @@ class Device:
         Raises:
             TypeError: the bandwidth is no real number.
             ValueError: it is out of range.
+
+        Example:
+            >>> device = jaxstab.Device.mass_spring_damper(0.25, 0.1).with_actuator(500.0)
+            >>> round(float(abs(device.poles()).max() / (2 * np.pi)))  # Hz
+            500
         """
         bandwidth = checked_number("bandwidth", bandwidth, 0.0, is_open=True, unit="Hz")
         return replace(self, bandwidths=(*self.bandwidths, bandwidth))._checked()
@@ -202,6 +233,10 @@ class Device:
         """Return the poles without a wall in rad/s, each as often as it counts, rightmost first.
 
         Each is the nearest complex float64, or next to it.
+
+        Example:
+            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1).poles().real.round(3).tolist()
+            [0.0, -0.4]
         """
         balls = [ball for ball, count in _pole_balls(self) for _ in range(count)]
         numbers = np.array([complex(float(ball.real), _imaginary(ball)) for ball in balls])
@@ -219,7 +254,12 @@ class Device:
         return "stable" if all(part < 0 for part in parts) else "marginal"
 
     def one_mass(self) -> MassSpringDamper | None:
-        """Return device and hands as one mass where they are: glued together, without actuators."""
+        """Return device and hands as one mass where they are: glued together, without actuators.
+
+        Example:
+            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1).one_mass()
+            MassSpringDamper(mass=0.25, damping=0.1, stiffness=0.0)
+        """
         parts: list[Any] = [self.mechanism]
         for hand in self.hands:
             parts.append(hand.dynamics if hand.grip is None else None)

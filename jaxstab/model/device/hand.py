@@ -46,6 +46,10 @@ class Hand:
         Raises:
             TypeError: a value is no real number.
             ValueError: a value is out of range.
+
+        Example:
+            >>> print(jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0))
+            a hand of 1 kg, 5 N s/m, 300 N/m
         """
         return cls(
             MassSpringDamper(
@@ -67,6 +71,10 @@ class Hand:
         Raises:
             TypeError: the coefficients are no numbers.
             ValueError: a polynomial is 0, or the degrees do not fit.
+
+        Example:
+            >>> print(jaxstab.Hand.transfer_function([1.0, 5.0, 300.0], [1.0]))
+            a hand of a transfer function in s of order 0
         """
         what = "the force on a hand grows with the acceleration at most, two degrees"
         return cls(checked_transfer_function(numerator, denominator, 2, what))
@@ -81,6 +89,11 @@ class Hand:
         Raises:
             TypeError: a value is no real number.
             ValueError: a value is out of range, or both are 0, or there is a grip already.
+
+        Example:
+            >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
+            >>> print(arm.with_grip(stiffness=2000.0, damping=4.0))
+            a hand of 1 kg, 5 N s/m, 300 N/m behind a grip of 4 N s/m, 2000 N/m
         """
         if self.grip is not None:
             raise ValueError(f"the hand has a grip of {self.grip}; give one to a hand without.")

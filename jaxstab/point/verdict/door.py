@@ -147,8 +147,8 @@ def is_stable(
     Source: sec. V of the paper.
 
     Example:
-        >>> jaxstab.is_stable(0.1, 0.2, 0.0, 0.015, 1.0)
-        True
+        >>> jaxstab.is_stable([0.1, 1.5], 0.2, 0.0, 0.015, 1.0).tolist()
+        [True, False]
     """
     point = alpha, beta, gamma, delta, delay
     return verdict(*point, velocity=velocity, position=position) == Verdict.STABLE
