@@ -24,10 +24,12 @@ from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.conventions import STABLE, UNSTABLE, Verdict
 from jaxstab.model.filters import given_filters
+from jaxstab.ranges.device_delays import extra_delays
 from jaxstab.ranges.device_margins import device_ends
 from jaxstab.ranges.first_crossings import WAYS, first_crossings
 
 _PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged
+_DELAY_PARTS = (0.1, 0.37, 0.71, 0.93, 1.0 - 1e-9)
 _FARTHER = 1e-6  # of the way
 _SHARE = 1e-9  # of the region's size
 _FARTHEST_DELAY = 20.0
@@ -75,8 +77,11 @@ def device_margins(rng: np.random.Generator, count: int) -> Campaign:
         filters = given_filters(*loop.filters[:2])
         start = process_time()
         codes, ends = device_ends(loop.sampled, np.array([wall]), filters)
+        is_stable = codes[0] == Verdict.STABLE
+        later = extra_delays(loop.sampled, np.array([wall]), filters) if is_stable else None
         seconds.append(process_time() - start)
-        if codes[0] == Verdict.STABLE:
+        if later is not None:
+            tally += _judged_delay(loop, wall, float(later[0]))
             steps = ends[0] - np.repeat(wall, 2)
             size = np.ptp(_finite(region), axis=0)
             for way, step in enumerate(steps):
@@ -156,6 +161,23 @@ def _judged_steps(
         if is_stable is not None:
             tally += Tally(1, int(not is_stable))
     return tally
+
+
+def _judged_delay(loop: DeviceLoop, wall: np.ndarray, step: float) -> Tally:
+    """Judge an extra delay; none is claimed of a device that is too fast."""
+    if np.isnan(step):
+        return Tally(short=1)
+
+    def is_stable(way: float) -> bool | None:
+        balls = loop.balls_at(float(loop.device.delay + way))
+        return balls.is_stable(*map(float, wall))
+
+    within = [is_stable(part * min(step, _FARTHEST_DELAY)) for part in _DELAY_PARTS]
+    farther = min(step * (1.0 + _FARTHER), _FARTHEST_DELAY) + _SHARE
+    is_short = step < _FARTHEST_DELAY and is_stable(farther) is True
+    return Tally(
+        sum(one is not None for one in within), sum(one is False for one in within), int(is_short)
+    )
 
 
 def _judged_gain(balls: BallLoop, wall: np.ndarray, axis: int, step: float, size: float) -> Tally:

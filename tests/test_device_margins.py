@@ -5,7 +5,9 @@ import pytest
 
 import jaxstab
 from benchmarks import filtered_ranges
-from jaxstab import Filter, Velocity, Verdict
+from benchmarks.truth import devices, filtered
+from benchmarks.truth.random_loops import device_of
+from jaxstab import STABLE, UNSTABLE, Filter, HapticLoop, Velocity, Verdict
 from jaxstab.model.device import Device, Hand, Mode, sampled_device
 from jaxstab.ranges import device_margins, is_stable_along
 
@@ -32,12 +34,36 @@ def test_a_device_of_one_mass_has_the_margins_of_the_five_numbers(
     np.testing.assert_allclose(found.damping, expected.damping, rtol=1e-9, atol=1e-10)
     np.testing.assert_allclose(found.stiffness_gain, expected.stiffness_gain, rtol=1e-9)
     np.testing.assert_allclose(found.damping_gain, expected.damping_gain, rtol=1e-9)
-    assert np.isnan(found.extra_delay).all()
+    np.testing.assert_allclose(found.extra_delay, expected.extra_delay, rtol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.5])
+def test_an_extra_delay_ends_where_the_equations_of_motion_do(delay: float) -> None:
+    """A mode, a grip and a motor; judged by certified roots for delays up to it and beyond."""
+    arm = (1.0, 5.0, 300.0, (4.0, 2000.0))
+    drawn = devices.Drawn(0.25, 0.1, [(80.0, 0.02, 0.5)], arm, 200.0, PERIOD, delay)
+    loop = HapticLoop(device=device_of(drawn), sample_time=PERIOD, delay=delay * PERIOD)
+    wall = 300.0, 3.0
+    extra = float(loop.margins(*wall).extra_delay) / PERIOD
+    rest = filtered.difference(1), filtered.average(1)
+    for part, code in ((0.3, STABLE), (0.8, STABLE), (1 - 1e-8, STABLE), (1 + 1e-8, UNSTABLE)):
+        later = delay + part * extra
+        balls = devices.DeviceLoop(drawn.mechanism.system(), PERIOD, later, *rest)
+        assert balls.code(*wall) == code
+
+
+def test_no_extra_delay_is_claimed_of_a_device_that_is_too_fast() -> None:
+    arm = Hand.mass_spring_damper(1.0, 5.0, 300.0).with_grip(1e11, 20.0)
+    device = Device.mass_spring_damper(0.25, 0.1).held_by(arm)
+    found = HapticLoop(device=device, sample_time=PERIOD).margins(300.0, 3.0)
+    assert found.verdict == Verdict.STABLE
+    assert found.stiffness_gain > 1.0
+    assert np.isnan(found.extra_delay)
 
 
 def test_margins_of_random_devices_end_where_certified_roots_cross() -> None:
     tally, _ = filtered_ranges.device_margins(np.random.default_rng(4), 3)
-    assert tally.judged > 20
+    assert tally.judged > 30
     assert tally.wrong == tally.short == 0
 
 

@@ -87,7 +87,11 @@ class DeviceLoop:
     @cached_property
     def balls(self) -> BallLoop:
         """The truth."""
-        rest = _PERIOD, self.device.delay, *self.filters.truths
+        return self.balls_at(self.device.delay)
+
+    def balls_at(self, delay: float) -> BallLoop:
+        """The truth of the same gains with another delay in samples."""
+        rest = _PERIOD, delay, *self.filters.truths
         balls = devices.DeviceLoop(self.device.mechanism.system(), *rest).balls()
         return balls.in_units(self.sampled.stiffness_unit, self.sampled.damping_unit)
 

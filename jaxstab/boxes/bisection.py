@@ -35,6 +35,13 @@ class Extent(NamedTuple):
         return cls(center, Loops(*by_axis.sum(axis=0)), by_axis)
 
 
+class Proof(NamedTuple):
+    """Which boxes are proved free, and how much each axis has to do with those that are not."""
+
+    free: Bool[np.ndarray, " boxes"]
+    share: Corners
+
+
 class Paving(NamedTuple):
     """The boxes that could not be excluded, at their smallest size, and whether all were tried."""
 
@@ -54,16 +61,30 @@ def pave(
     Axes of half-width zero are not split. The work is given up, unfinished, when more than ``most``
     boxes are open at once.
     """
+
+    def proof(boxes: Boxes) -> Proof:
+        span = extent(boxes)
+        exclusion = prove(span.center, span.radius)
+        return Proof(exclusion.free, np.sum(exclusion.slopes * span.by_axis, axis=1).T)
+
+    return pave_by(boxes, smallest, proof, most)
+
+
+def pave_by(
+    boxes: Boxes,
+    smallest: float | Float64[np.ndarray, " axis"],
+    prove: Callable[[Boxes], Proof],
+    most: int = 60_000,
+) -> Paving:
+    """Do the same with any proof of boxes."""
     kept: list[Boxes] = []
     while len(boxes.center):
         if len(boxes.center) > most:
             return Paving(_joined([*kept, boxes]), finished=False)
-        span = extent(boxes)
-        exclusion = prove(span.center, span.radius)
+        free, share = prove(boxes)
         divisible = boxes.half > smallest
-        kept.append(boxes.select(~exclusion.free & ~divisible.any(axis=1)))
-        going = ~exclusion.free & divisible.any(axis=1)
-        share = np.sum(exclusion.slopes * span.by_axis, axis=1).T
+        kept.append(boxes.select(~free & ~divisible.any(axis=1)))
+        going = ~free & divisible.any(axis=1)
         axis = np.argmax(np.where(divisible, share, -1.0), axis=1)[going]
         boxes = _halved(boxes.select(going), axis)
     return Paving(_joined(kept), finished=True)

@@ -18,6 +18,7 @@ from jaxtyping import Float64
 from jaxstab.arrays import PI_REST
 from jaxstab.boxes.filter_cells import (
     Circle,
+    Factor,
     FilterCells,
     cells_of,
     factors_of,
@@ -45,21 +46,25 @@ class GainLines(NamedTuple):
 @lru_cache(maxsize=16)
 def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
     """Return D, F_K and F_B over cells of the angle."""
-    plant = device.plant
-    of_position, of_velocity = factors_of(filters or (Velocity(), Filter()), device.sample_time)
-    unit = DoubleDouble.of(device.stiffness_unit / device.damping_unit) / device.sample_time
-    of_velocity = [((unit,), ONE), *of_velocity]
+    plant, chains = device.plant, chains_of(device, filters)
     late = plant.lag + len(plant.denominator) - len(plant.numerator)
     shifted = plant.shifted or (None,) * 4
 
     def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
-        place = _Place(middle, half, is_wide)
+        place = Place(middle, half, is_wide)
         free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
         force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
         force = force * place.chain([(_delay(late), ONE)])
-        return [free, *(force * place.chain(chain) for chain in (of_position, of_velocity))]
+        return [free, *(force * place.chain(chain) for chain in chains)]
 
     return cells_of(functions)
+
+
+def chains_of(device: SampledDevice, filters: Filters | None) -> tuple[list[Factor], list[Factor]]:
+    """Return short factors of P and of V, the first one 1 - 1/z, in the units of a device."""
+    of_position, of_velocity = factors_of(filters or (Velocity(), Filter()), device.sample_time)
+    unit = DoubleDouble.of(device.stiffness_unit / device.damping_unit) / device.sample_time
+    return of_position, [((unit,), ONE), *of_velocity]
 
 
 def _delay(samples: int) -> Polynomial:
@@ -67,7 +72,7 @@ def _delay(samples: int) -> Polynomial:
     return (zero,) * samples + ONE
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
     """Cells in whose middles, or in all of which, functions are known."""
 
     middle: Cells

@@ -139,8 +139,9 @@ class LoopWithWalls(LoopInTime):
             damping: B in N s/m.
 
         Returns:
-            Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, also for JAX. Of a
-            device that is not one mass the extra delay is not looked for: it is NaN.
+            Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, also for JAX. The
+            extra delay is NaN for a device that is not one mass and has poles of a hundred rad per
+            sample or more: none is proved then.
 
         Raises:
             ValueError: a gain is infinite or NaN.

@@ -1,4 +1,4 @@
-"""Margins of K and B, and robust regions, of loops with any linear device.
+"""Margins, and robust regions, of loops with any linear device.
 
 As for the device of one mass (``first_crossings``, ``robust_region``), with the functions of
 ``boxes.linear_circle`` in place of the closed form.
@@ -19,6 +19,7 @@ from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.ranges.device_delays import extra_delays
 from jaxstab.ranges.margins import Margins, WallMargins
 
 Walls = Float64[np.ndarray, "wall 2"]
@@ -40,7 +41,7 @@ def device_margins(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Margins:
-    """Return how far K and B of a wall on any linear device may change, each alone.
+    """Return how far K, B and delay of a wall on any linear device may change, each alone.
 
     Args:
         device: with its hands and actuators, sampled: ``sampled_device``.
@@ -50,14 +51,15 @@ def device_margins(
         position: the position filter in SI units; None for none.
 
     Returns:
-        Margins in N/m and N s/m, proved as those of one mass. The extra delay is not looked for: it
-        is NaN.
+        Margins in N/m, N s/m and s, proved as those of one mass. The extra delay is NaN for a
+        device with poles far beyond the sampling rate, of which no delay is proved: of about a
+        hundred rad per sample, or some thousand where they decay.
 
     Raises:
         ValueError: a gain is infinite or NaN.
         TypeError: velocity or position is no estimator or filter, or JAX traces its parameters.
 
-    Source: lemmas B5 and B13 of docs/proofs.md.
+    Source: lemmas B5, B13 and B14 of docs/proofs.md.
 
     Example:
         >>> device = jaxstab.Device.mass_spring_damper(0.1, 1.5)
@@ -74,10 +76,13 @@ def device_margins(
     units = np.array([device.stiffness_unit, device.damping_unit])
     walls = np.stack(grid, axis=-1).reshape(-1, 2) * units
     codes = np.empty(len(walls), np.int8)
-    ends = np.full((len(walls), 4), nan)
+    ends, later = np.full((len(walls), 4), nan), np.full(len(walls), nan)
     for first in range(0, len(walls), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         codes[some], ends[some] = device_ends(device, walls[some], filters)
+        stable = first + np.flatnonzero(codes[some] == Verdict.STABLE)
+        if stable.size:
+            later[stable] = extra_delays(device, walls[stable], filters)
     shape = grid[0].shape
     limits = [ends[:, :2] / units[0], ends[:, 2:] / units[1]]
     factors = [
@@ -91,7 +96,7 @@ def device_margins(
         limits[1].reshape(*shape, 2),
         np.where(unknown, nan, factors[0]),
         np.where(unknown, nan, factors[1]),
-        np.full(shape, nan),
+        device.sample_time * later.reshape(shape),
     )
 
 

@@ -164,6 +164,11 @@ def _critical_angles(
     boxes = _angles_and_fractions(numbers)
     extent, most = partial(_at_any_delay, walls), _MOST_ANGLES * len(numbers)
     left, _ = pave(boxes, smallest, extent, most, partial(exclude_any_delay, filters=filters))
+    return joined_angles(left)
+
+
+def joined_angles(left: Boxes) -> Parts:
+    """Return the angles of boxes of a wall's number, a fraction of the delay, and theta / pi."""
     wall = left.center[:, 0].astype(np.int64)
     middle, half = pi * left.center[:, 2], pi * left.half[:, 2]
     low, high = middle - half, middle + half

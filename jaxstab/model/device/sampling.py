@@ -43,12 +43,16 @@ class SampledDevice:
         sample_time: T in s.
         stiffness_unit: a power of two in m/N: alpha is K stiffness_unit, without rounding.
         damping_unit: a power of two in m/(N s): beta is B damping_unit, without rounding.
+        device: with its hands and actuators.
+        delay: in samples.
     """
 
     plant: SampledPlant
     sample_time: float
     stiffness_unit: float
     damping_unit: float
+    device: Device
+    delay: float
 
     def transfers(self, filters: Filters | None = None) -> tuple[Transfer, Transfer]:
         """Return what ``linear_loop`` takes: V(z), for beta, less its difference, and P(z).
@@ -119,7 +123,8 @@ def _sampled(device: Device, sample_time: float, delay: float) -> SampledDevice:
             f"the device ({device}) moves by about 2^{unit} m per N within a sampling period of "
             f"{sample_time:g} s; give SI units, and no pole so unstable that float64 ends."
         )
-    return SampledDevice(plant, sample_time, ldexp(1.0, unit), ldexp(1.0, unit - period))
+    units = ldexp(1.0, unit), ldexp(1.0, unit - period)
+    return SampledDevice(plant, sample_time, *units, device, delay)
 
 
 def _balls(compliance: Rational, sample_time: float, fraction: float) -> _Balls:
@@ -175,60 +180,86 @@ def _of_samples(
     import flint
 
     part = flint.arb(exact(fraction))
-    # In the time of the fastest pole numbers are of size 1.
-    order, speed = len(below) - 1, _speed(below)
-    above, below = (
-        [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(one)]
-        for one in (above, below)
-    )
-    last, first = (held(below, time * flint.arb(2) ** speed) for time in (1 - part, part))
-    transition, later = _without_force(last), _force(last)
+    above, below, speed = in_fastest_time(above, below)
+    last, first = (held(below, time * speed) for time in (1 - part, part))
+    transition, later = without_force(last), force_of(last)
     columns = [later]
     if fraction:
-        columns.append(transition * _force(first))
-        transition = transition * _without_force(first)
+        columns.append(transition * force_of(first))
+        transition = transition * without_force(first)
     denominator = transition.charpoly()
-    row = flint.arb_mat([above])
-    numerators = []
-    for column in columns:
-        responses = []
-        for _ in range(order):
-            responses.append((row * column)[0, 0])
-            column = transition * column
-        # N is the part without negative powers of D(z) (h_1/z + h_2/z^2 + ...).
-        falling = [
-            sum((denominator[order - i] * responses[k - i] for i in range(k + 1)), flint.arb(0))
-            for k in range(order)
-        ]
-        numerators.append(flint.arb_poly(falling[::-1]))
+    numerators = [
+        flint.arb_poly(position_after(above, transition, denominator, column)) for column in columns
+    ]
     if fraction:
         return numerators[0] * flint.arb_poly([0, 1]) + numerators[1], denominator
     return numerators[0], denominator
 
 
+def in_fastest_time(above: list["arb"], below: list["arb"]) -> "tuple[list[arb], list[arb], arb]":
+    """Return a device in a unit of time in which its numbers are of size 1.
+
+    The last number is how many of them a sample has, a power of two.
+    """
+    import flint
+
+    order, speed = len(below) - 1, _speed(below)
+    above, below = (
+        [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(one)]
+        for one in (above, below)
+    )
+    return above, below, flint.arb(2) ** speed
+
+
+def position_after(
+    above: list["arb"], transition: "arb_mat", denominator: "arb_poly", column: "arb_mat"
+) -> list["arb"]:
+    """Return C adj(z - A) v, the lowest power first, by det(z - A): what a state v does to z^k."""
+    import flint
+
+    order, row = len(above), flint.arb_mat([above])
+    responses = []
+    for _ in range(order):
+        responses.append((row * column)[0, 0])
+        column = transition * column
+    # It is the part without negative powers of D(z) (h_1/z + h_2/z^2 + ...).
+    falling = [
+        sum((denominator[order - i] * responses[k - i] for i in range(k + 1)), flint.arb(0))
+        for k in range(order)
+    ]
+    return falling[::-1]
+
+
 def held(below: list["arb"], time: "arb") -> "arb_mat":
-    """Return exp of [[A, B], [0, 0]] times a time, A the companion matrix, B the last unit vector.
+    """Return exp of [[A, B], [0, 0]] times a time.
 
     Source: Van Loan (1978).
     """
+    return (generator(below) * time).exp()
+
+
+def generator(below: list["arb"]) -> "arb_mat":
+    """Return [[A, B], [0, 0]], A the companion matrix, B the last unit vector."""
     import flint
 
     order = len(below) - 1
     matrix = flint.arb_mat(order + 1, order + 1)
     for row in range(order):
-        matrix[row, row + 1] = time  # beyond the states: the force
+        matrix[row, row + 1] = flint.arb(1)  # beyond the states: the force
     for column in range(order):
-        matrix[order - 1, column] = -below[column] * time
-    return matrix.exp()
+        matrix[order - 1, column] = -below[column]
+    return matrix
 
 
-def _without_force(matrix: "arb_mat") -> "arb_mat":
+def without_force(matrix: "arb_mat") -> "arb_mat":
+    """Return how the states move, of what ``held`` returns."""
     import flint
 
     return flint.arb_mat([row[:-1] for row in matrix.tolist()[:-1]])
 
 
-def _force(matrix: "arb_mat") -> "arb_mat":
+def force_of(matrix: "arb_mat") -> "arb_mat":
+    """Return what a force adds to the states, of what ``held`` returns."""
     import flint
 
     return flint.arb_mat([row[-1:] for row in matrix.tolist()[:-1]])
