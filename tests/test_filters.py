@@ -15,14 +15,17 @@ import pytest
 import scipy.linalg
 import scipy.signal
 
+import benchmarks.loops
 import jaxstab
 from benchmarks.truth import filtered as truth
+from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
 from jaxstab.point.verdict.dense import dense_codes, rounded_loop, without_zeros
 from jaxstab.point.verdict.recursion import FLOAT_UNIT
+from jaxstab.region.curve import curve_and_lift, mass_coefficients
 
 # Each estimator beside T V(z), each filter beside P(z), by the truth.
 ESTIMATORS: dict[str, tuple[Velocity, truth.Rational]] = {
@@ -530,6 +533,45 @@ def test_a_region_that_proofs_contradict_claims_nothing() -> None:
     assert jaxstab.verdict(1.5e-5, 5.6e-6, *plant, **filters) == STABLE
     region = jaxstab.stable_region(*plant, **filters)
     assert region.contains(1.5e-5, 5.6e-6) or region.status == jaxstab.RegionStatus.UNRESOLVED
+
+
+def wall_with_roots_at(balls: BallLoop, theta: float) -> list[float]:
+    """The wall that puts a pair of roots at exp(+-i theta), by Cramer's rule in balls."""
+    with flint.ctx.workprec(balls.bits):
+        z = (flint.acb(0, 1) * theta).exp()
+        base, stiffness, damping = (part(z) for part in balls[:3])
+        walls = [
+            (damping.conjugate() * base).imag / (stiffness.conjugate() * damping).imag,
+            (stiffness.conjugate() * base).imag / (damping.conjugate() * stiffness).imag,
+        ]
+        return [float(gain.mid()) for gain in walls]
+
+
+@pytest.mark.parametrize("number", [7, 13, 30, 45, 72, 111])
+def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(number: int) -> None:
+    # W is up to 1e16 at z = -1, or V is: divided by z + 1 they took 8 to 16 digits.
+    loop = MassLoop.drawn(np.random.default_rng([20121120, number]))
+    angles = np.linspace(1.6, 3.1, 12)
+    coefficients = mass_coefficients(*loop.plant, loop.filters[:2])
+    walls = np.stack(curve_and_lift(coefficients, angles)[:2], axis=1)
+    truths = np.array([wall_with_roots_at(loop.balls, theta) for theta in angles.tolist()])
+    size = np.max(np.abs(truths), axis=1, keepdims=True)
+    assert np.max(np.abs(walls - truths) / size) < 1e-12
+
+
+@pytest.mark.parametrize("loop", [(MassLoop, 300), (MassLoop, 573), (DeviceLoop, 310)])
+def test_regions_of_undamped_hands_and_devices(loop: tuple[Any, int]) -> None:
+    kind, number = loop
+    rng = np.random.default_rng([20121120, number])
+    tally = benchmarks.loops.region(kind.drawn(rng), rng)
+    assert tally.open == tally.wrong == 0
+
+
+@pytest.mark.parametrize("number", [120, 367, 546, 771, 1231, 1497])
+def test_regions_that_were_wrong_next_to_their_curve(number: int) -> None:
+    rng = np.random.default_rng([20121120, number])
+    tally = benchmarks.loops.region(MassLoop.drawn(rng), rng)
+    assert tally.open == tally.wrong == 0
 
 
 def test_audits_ask_no_wall_on_a_corner() -> None:

@@ -7,7 +7,8 @@ circle, z = +-zeta with |arg zeta| <= pi/2, everything is divided by s = zeta - 
     V = V1 + s V',     W = W1 + s W',     a = alpha + beta V1 - W1,     a/s + beta V' = W'
 
 with V1, W1 the values at z = +-1. As 1/s = -1/2 - i/(2 tan(u/2)), u = arg zeta, both gains follow
-without cancellation, and a is how far the wall is from the line of a real root at +-1.
+without cancellation, and a is how far the wall is from the line of a real root at +-1. Where V1 or
+W1 is large at z = -1 the same is done with 1/V or 1/W (``Form``).
 
 Where Im V < 0 the stable side of the curve is its right one: such angles count as negative ones,
 which run the other way, so the stable set lies to the left everywhere. V is real at its *poles*,
@@ -15,6 +16,7 @@ where the curve goes to infinity.
 """
 
 from collections.abc import Sequence
+from enum import IntEnum
 from functools import lru_cache, reduce
 from itertools import accumulate
 from typing import NamedTuple, TypeVar
@@ -40,34 +42,38 @@ Angles = Float64[np.ndarray, " _"]  # of any length
 System = TypeVar("System", SampledPlant, Transfer)
 
 
+class Form(IntEnum):
+    """How the imaginary part of V or of W is had near zeta = 1 without a loss of digits.
+
+    DIRECT is the form above. Where the value at zeta = 1 is large it takes the digits, and the same
+    is done with 1/V, or with -z^w/W = N/D: INVERSE. WHOLE divides nothing by s: 0/0 at zeta = 1.
+    """
+
+    DIRECT = 0
+    INVERSE = 1
+    WHOLE = 2
+
+
 class Half(NamedTuple):
     """One half of the circle: polynomials in powers of zeta and of s, the lowest power first.
 
-    With a dash for the quotient (Q - Q(1)) / s the rows are D, N, Y, X' Y(1) - Y' X(1), which is
-    V' Y Y(1), and D' N(1) - N' D(1); but where W is infinite at zeta = 1 the fourth one is X. The
-    powers of s have the smaller terms where |s| < ``close``.
+    With a dash for the quotient (Q - Q(1)) / s the rows are D, N, Y, X, X' Y(1) - Y' X(1), which is
+    V' Y Y(1), and D' N(1) - N' D(1). The powers of s have the smaller terms where |s| < ``close``.
     """
 
-    straight: Float64[np.ndarray, "5 power"]
-    shifted: Float64[np.ndarray, "5 power"]
-    close: Float64[np.ndarray, "5"]
+    straight: Float64[np.ndarray, "6 power"]
+    shifted: Float64[np.ndarray, "6 power"]
+    close: Float64[np.ndarray, "6"]
     at_one: Float64[np.ndarray, "4"]  # D, N, Y, X at zeta = 1
     sign: float  # of z^w at zeta = 1
+    forms: tuple[Form, Form]  # of W and of V
 
     @property
-    def is_far(self) -> bool:
-        """Whether W is infinite at zeta = 1."""
-        return bool(self.at_one[1] == 0.0)
-
-    @property
-    def plant(self) -> float:
-        """W at zeta = 1, where it is finite."""
-        return float(-self.sign * self.at_one[0] / self.at_one[1])
-
-    @property
-    def estimate(self) -> float:
-        """V at zeta = 1, where W is finite."""
-        return float(self.at_one[3] / self.at_one[2])
+    def constants(self) -> list[float]:
+        """D, N, Y and X at zeta = 1, W and V there if their form is DIRECT, and ``sign``."""
+        d, n, y, x = self.at_one
+        plant, estimate = (form == Form.DIRECT for form in self.forms)
+        return [d, n, y, x, -self.sign * d / n if plant else 0.0, x / y if estimate else 0.0]
 
 
 class FilteredCurve(NamedTuple):
@@ -137,6 +143,7 @@ def _curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> Filte
             reduce(_Around.times, (_around(factor, sign) for factor in below)),
             reduce(_Around.times, (_around(factor, sign) for factor in above)),
             sign=float(sign**whole),
+            is_plus=sign > 0,
         )
         for (d, n), sign in zip(_plants_around(plant), (1, -1), strict=True)
     ]
@@ -204,10 +211,10 @@ def _plants_around(plant: SampledPlant) -> list[tuple[_Around, _Around]]:
     ]
 
 
-def _half(d: _Around, n: _Around, y: _Around, x: _Around, *, sign: float) -> Half:
+def _half(d: _Around, n: _Around, y: _Around, x: _Around, *, sign: float, is_plus: bool) -> Half:
     values = _rounded((d.value, n.value, y.value, x.value))
-    fourth = x if values[1] == 0.0 else _minor(x, y)
-    rows = [d, n, y, fourth, _minor(d, n)]
+    rows = [d, n, y, x, _minor(x, y), _minor(d, n)]
+    direct = Form.DIRECT, Form.DIRECT
     length = max(len(row.straight) for row in rows)
     straight, shifted = (
         np.array([_padded(_rounded(row[form]), length) for row in rows]) for form in range(2)
@@ -220,7 +227,17 @@ def _half(d: _Around, n: _Around, y: _Around, x: _Around, *, sign: float) -> Hal
         close=np.max(np.where(grown < size, _STEPS, 0.0), axis=1),
         at_one=values,
         sign=sign,
+        forms=direct if is_plus else (_form(d, n), _form(x, y)),
     )
+
+
+def _form(above: _Around, below: _Around) -> Form:
+    """Return the form for the quotient of two polynomials."""
+    sizes = (abs(one.value.hi) / size_of(one.straight) for one in (above, below))
+    of_above, of_below = sizes
+    if of_above == of_below == 0.0:
+        return Form.WHOLE
+    return Form.DIRECT if of_below >= of_above else Form.INVERSE
 
 
 def _minor(one: _Around, other: _Around) -> _Around:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Complex128
 
 from jaxstab.arrays import PI_REST, Array
-from jaxstab.region.filtered_curve import Angles, FilteredCurve, Half
+from jaxstab.region.filtered_curve import Angles, FilteredCurve, Form, Half
 
 Values = Any  # an array, or a Dual
 _TINY = 1e-100  # in place of the angle 0, where quotients of sines have a limit
@@ -87,48 +87,68 @@ def _gains(
     curve: FilteredCurve, upper: Array, u: Array, *, with_slopes: bool
 ) -> tuple[Values, Values, Values]:
     """Return alpha, beta and the lift, by the angles u of zeta on one half of the circle each."""
-    d, n, y, rise, fall = _rows(curve, upper, u, with_slopes=with_slopes)
-    plant_one, estimate_one, n_one, y_one, sign = _constants(curve, upper)
+    d, n, y, x, rise, fall = _rows(curve, upper, u, with_slopes=with_slopes)
+    d_one, n_one, y_one, x_one, plant_one, estimate_one, sign = _constants(curve, upper)
     sine, cosine = _sinusoids(0.5, u, with_slopes=with_slopes)
-    plant = (_geometric(curve.lag, u, with_slopes=with_slopes) * d * n_one + fall) / n
-    plant = plant * (-sign / n_one)
-    estimate = rise / y / y_one
     tangent = sine / cosine
-    beta = (plant.real - tangent * plant.imag) / (estimate.real - tangent * estimate.imag)
+    rolled = _geometric(curve.lag, u, with_slopes=with_slopes)
+    plant = (rolled * d * n_one + fall) / n
+    plant = plant * (-sign / _divisor(n_one))
+    estimate = rise / y / _divisor(y_one)
+    plant_swing, estimate_swing = _swing(plant, tangent), _swing(estimate, tangent)
+    beta = plant_swing / estimate_swing
     swing = beta * estimate.imag - plant.imag
     alpha = tangent * swing * 2.0 + plant_one - beta * estimate_one
-    if curve.minus.is_far:  # alpha Y + beta X = W Y, without the division by s
-        turned = _turn(curve.lag, u, with_slopes=with_slopes) * d / n * y * -sign
-        determinant = _cross(y, rise)
-        alpha = _where(upper, _cross(turned, rise) / determinant, alpha)
-        beta = _where(upper, _cross(y, turned) / determinant, beta)
-    far_lift = (alpha - curve.plus.plant) / (cosine * cosine * 2.0)
+    of_plant, of_estimate = curve.minus.forms
+    if of_plant or of_estimate:
+        turn = _turn(curve.lag, u, with_slopes=with_slopes)
+        whole, speed = turn * d / n * -sign, x / y  # W and V
+        if of_plant == Form.INVERSE:
+            gain, fallen = n / d, fall / d / -_divisor(d_one)
+            moved = rolled * (n_one / _divisor(d_one)) - fallen
+            plant_swing = _swing(moved, tangent) + tangent * _cross(fallen, rolled) * 2.0
+            plant_swing = plant_swing * -sign / _square(gain)
+        elif of_plant == Form.WHOLE:
+            plant_swing = whole.imag / (sine * cosine * 2.0)
+        if of_estimate == Form.INVERSE:
+            estimate_swing = _swing(rise / x / _divisor(x_one), tangent) * _square(speed)
+        elif of_estimate == Form.WHOLE:
+            estimate_swing = speed.imag / (sine * cosine * 2.0)
+        beta = _where(upper, plant_swing / estimate_swing, beta)
+        alpha = _where(upper, whole.real - beta * speed.real, alpha)
+    far_lift = (alpha - curve.plus.constants[4]) / (cosine * cosine * 2.0)
     return alpha, beta, _where(upper, far_lift, swing / (sine * cosine))
 
 
-def _constants(curve: FilteredCurve, upper: Array) -> list[Array]:
-    """Return W, V, N and Y at zeta = 1 and the sign of z^w there, of the half of each angle.
+def _swing(quotient: Values, tangent: Values) -> Values:
+    """Return the imaginary part of a value, over sin u, by its quotient by s."""
+    return quotient.real - tangent * quotient.imag
 
-    Where W is infinite nobody needs them.
-    """
-    columns = [
-        [0.0, 0.0, 1.0, 1.0, half.sign]
-        if half.is_far
-        else [half.plant, half.estimate, half.at_one[1], half.at_one[2], half.sign]
-        for half in (curve.minus, curve.plus)
-    ]
+
+def _square(one: Values) -> Values:
+    return one.real * one.real + one.imag * one.imag
+
+
+def _divisor(number: Array) -> Array:
+    """Return a number, but 1 for 0: what is divided by it is not used."""
+    return np.where(number == 0.0, 1.0, number)
+
+
+def _constants(curve: FilteredCurve, upper: Array) -> list[Array]:
+    """Return the constants of the half of each angle, and the sign of z^w at zeta = 1."""
+    columns = ([*half.constants, half.sign] for half in (curve.minus, curve.plus))
     return [np.where(upper, *pair) for pair in zip(*columns, strict=True)]
 
 
 def _rows(curve: FilteredCurve, upper: Array, u: Array, *, with_slopes: bool) -> list[Values]:
     """Return the rows of the halves at zeta = e^(iu), in the powers that have smaller terms."""
-    values = np.empty((1 + with_slopes, 5, len(u)), complex)
+    values = np.empty((1 + with_slopes, 6, len(u)), complex)
     for half, chosen in ((curve.plus, ~upper), (curve.minus, upper)):
         values[..., chosen] = _row_values(half, u[chosen], with_slopes=with_slopes)
     return [Dual(*pair) for pair in zip(*values, strict=True)] if with_slopes else list(values[0])
 
 
-def _row_values(half: Half, u: Array, *, with_slopes: bool) -> Complex128[np.ndarray, "_ 5 angle"]:
+def _row_values(half: Half, u: Array, *, with_slopes: bool) -> Complex128[np.ndarray, "_ 6 angle"]:
     zeta = np.exp(1j * u)
     size = 2.0 * np.sin(0.5 * u)
     count = half.straight.shape[1]
@@ -197,12 +217,16 @@ def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle
     size = np.abs(theta)
     upper = size > np.pi / 2
     folded = np.where(upper, np.pi - size, size)
-    _, _, y, rise, _ = _rows(curve, upper, folded, with_slopes=False)
-    _, estimate_one, _, y_one, _ = _constants(curve, upper)
-    step = 2j * np.sin(0.5 * folded) * np.exp(0.5j * folded)
-    near = step * rise / y_one + estimate_one * y
-    rise = _where(upper & curve.minus.is_far, rise, near)
-    is_left: np.ndarray = ((_cross(y, rise) > 0.0) != upper) == (theta > 0.0)
+    _, _, y, x, rise, _ = _rows(curve, upper, folded, with_slopes=False)
+    _, _, y_one, x_one, *_ = _constants(curve, upper)
+    tangent = np.tan(0.5 * folded)
+    swing = _swing(rise / y / _divisor(y_one), tangent)
+    of_estimate = curve.minus.forms[1]
+    if of_estimate == Form.INVERSE:
+        swing = np.where(upper, _swing(rise / x / _divisor(x_one), tangent), swing)
+    elif of_estimate == Form.WHOLE:
+        swing = np.where(upper, (x / y).imag, swing)
+    is_left: np.ndarray = ((swing > 0.0) != upper) == (theta > 0.0)
     return is_left
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from jaxstab.arrays import tree_map
 from jaxstab.region.crossings import crossings
 from jaxstab.region.curve import SliceCoefficients
 from jaxstab.region.pieces import Pieces, find_pieces
@@ -47,7 +48,8 @@ def _searched(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Piec
             return pieces
         if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.exists[0]:
             return pieces
-    return pieces._replace(resolved=np.bool_(False))
+    first = tree_map(lambda x: x[:1] if x.ndim else x, pieces)  # there may be 1e5 of them
+    return first._replace(successor=np.zeros(1, int), resolved=np.bool_(False))
 
 
 def _settled_pieces(
