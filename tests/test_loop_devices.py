@@ -140,7 +140,6 @@ def test_fields_of_both_kinds_are_not_mixed(fields: dict[str, Any], message: str
 @pytest.mark.parametrize(
     "call",
     [
-        lambda loop: loop.tune(),
         lambda loop: loop.worst_hand(HandRange(), 1000.0, 10.0),
         lambda loop: loop.robust_limit(HandRange()),
     ],

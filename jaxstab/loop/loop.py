@@ -217,7 +217,9 @@ class HapticLoop(LoopWithWalls):
         over gamma and delta. The best gains for the radius are sensitive: next to a triple pole the
         radius grows with the cube root of a change, so gains of six digits may miss the smallest
         one by 0.01. With an estimator or a filter the walls are those that turning gains up from 0
-        reaches; where small gains are not stable, those of an island, and the status says so.
+        reaches; where small gains are not stable, those of an island, and the status says so. So it
+        is with a device that is not one mass; of such walls none is taken for settled that rings on
+        within the band and decays sixteen times slower than the one of the smallest radius.
 
         Args:
             goal: "radius", the smallest spectral radius, or "settling", the smallest settling time.
@@ -235,9 +237,10 @@ class HapticLoop(LoopWithWalls):
             in m the encoder can drive the position, proved.
 
         Raises:
-            ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
+            ValueError: an argument is outside its range, infinite or NaN, or an unknown word, or
+                the device does not give way to a constant force.
             TypeError: an argument is not one number.
-            NotImplementedError: the device is not one mass.
+            NotImplementedError: an encoder is given, and the device is not one mass.
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9); settling as in later papers of the same authors.
@@ -249,8 +252,9 @@ class HapticLoop(LoopWithWalls):
             settles in 6 ms
         """
         self._refuse_tracers("tune")
-        self._refuse_general_devices("tune")
         disturbed = checked_chatter(encoder, chatter)
+        if disturbed is not None:
+            self._refuse_general_devices("tune with an encoder")
         return optimal_wall(self, goal, stiffness, level, excitation, disturbed)
 
     def worst_hand(self, hands: HandRange, stiffness: float, damping: float) -> WorstHand:

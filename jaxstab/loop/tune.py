@@ -7,16 +7,12 @@ import numpy as np
 from jaxstab.arrays import Numbers
 from jaxstab.loop.calm import Chatter, fastest_calm_wall
 from jaxstab.model import LoopParameters
-from jaxstab.motion import settling_samples
+from jaxstab.model.filters import given_filters
 from jaxstab.motion.settling import Excitation, checked_level
 from jaxstab.numbers import checked_number, checked_word
-from jaxstab.point import spectral_radius
-from jaxstab.tuning import (
-    TuningStatus,
-    minimize_radius,
-    minimize_radius_damping,
-    minimize_settling,
-)
+from jaxstab.tuning import TuningStatus
+from jaxstab.tuning.gains import shortest_settling, smallest_radius_damping
+from jaxstab.tuning.loops import DeviceLoop, MassLoop, TunedLoop
 
 
 class OptimalWall(NamedTuple):
@@ -53,22 +49,20 @@ def optimal_wall(
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
     alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness))
-    filters = loop.filters
+    tuned = _tuned(loop)
     if goal == "settling":
-        best = minimize_settling(*loop.slice, level, alpha=alpha, excitation=excitation, **filters)
+        best = shortest_settling(tuned, alpha, level, excitation)
     elif alpha is None:
-        best = minimize_radius(*loop.slice, **filters)
+        best = tuned.smallest_radius()
     else:
-        best = minimize_radius_damping(alpha, *loop.slice, **filters)
+        best = smallest_radius_damping(tuned, alpha)
     wall, status = (float(best.alpha), float(best.beta)), TuningStatus(int(best.status))
 
     def radii(alphas: Numbers, betas: Numbers) -> np.ndarray:
-        return np.asarray(spectral_radius(alphas, betas, *loop.slice, **filters).value)
+        return np.asarray(tuned.spectral_radius(alphas, betas).value)
 
     def settling(alphas: Numbers, betas: Numbers) -> np.ndarray:
-        gains = alphas, betas
-        found = settling_samples(*gains, *loop.slice, level, excitation=excitation, **filters)
-        return np.asarray(found.value)
+        return np.asarray(tuned.settling(alphas, betas, level, excitation).value)
 
     reached = np.nan if chatter is None else float(chatter.of(loop, *wall))
     is_stable = status != TuningStatus.NO_STABLE_GAINS
@@ -77,7 +71,7 @@ def optimal_wall(
         wall, reached, status = fastest_calm_wall(loop, objective, chatter, alpha)
     if status == TuningStatus.NOT_CALM:
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
-    radius = spectral_radius(*wall, *loop.slice, **filters)
+    radius = tuned.spectral_radius(*wall)
     return OptimalWall(
         loop.stiffness(wall[0]),
         loop.damping(wall[1]),
@@ -87,6 +81,15 @@ def optimal_wall(
         status,
         reached,
     )
+
+
+def _tuned(loop: LoopParameters) -> TunedLoop:
+    loop = loop.in_floats()
+    sampled = loop.sampled
+    if sampled is not None:
+        return DeviceLoop.of(sampled, given_filters(loop.velocity, loop.position))
+    gamma, delta, delay = loop.slice
+    return MassLoop.of((gamma, delta, delay), given_filters(**loop.filters))
 
 
 def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.model.filters import Filters
-from jaxstab.region import RegionStatus, stable_region
+from jaxstab.region import RegionStatus, StableRegion, stable_region
 from jaxstab.region.components import holds_small_gains
 from jaxstab.region.polygons import are_inside, edges_of
 from jaxstab.tuning.status import TuningStatus
@@ -50,7 +50,11 @@ ALL_GAINS = Component()
 def searched_component(gamma: float, delta: float, delay: float, filters: Filters) -> Component:
     """Return the component of small gains; all gains, with what to say, if there is none."""
     velocity, position = filters
-    region = stable_region(gamma, delta, delay, velocity=velocity, position=position)
+    return component_of(stable_region(gamma, delta, delay, velocity=velocity, position=position))
+
+
+def component_of(region: StableRegion) -> Component:
+    """Return the component of small gains of a stable set; all gains if there is none."""
     if region.status == RegionStatus.UNRESOLVED:
         return Component(None, TuningStatus.ANY_COMPONENT)
     components = region.components

@@ -9,7 +9,7 @@ taken: they are unique, and inside the set of all gains that settle as fast.
 from collections.abc import Callable
 from functools import partial
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,27 +17,16 @@ from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.response import propagator
-from jaxstab.motion.settling import (
-    Excitation,
-    checked_level,
-    positions,
-    settling_samples,
-)
-from jaxstab.motion.state_space import bank_for
-from jaxstab.motion.transition import loops_of
+from jaxstab.motion.settling import Excitation, checked_level, positions
 from jaxstab.numbers import checked_number
-from jaxstab.point.radius.door import spectral_radius
-from jaxstab.point.verdict.door import verdict
-from jaxstab.tuning.component import ALL_GAINS, Component, searched_component
+from jaxstab.tuning.component import ALL_GAINS
 from jaxstab.tuning.grid import FINE, Grid, zoomed
-from jaxstab.tuning.radius import filtered_walls, minimize_radius
+from jaxstab.tuning.loops import MassLoop, TunedLoop
 from jaxstab.tuning.status import OptimalGains, TuningStatus
-
-Plant = tuple[float, float, float]
 
 _STEPS = np.geomspace(2.0**-24, 2.0**8, 129)  # from a stable point until the loop is unstable
 _COARSE = 65  # points on an axis of the first grid
+_SLOWEST = 1.0 / 16.0  # of the decay of the wall of the smallest radius
 _NUMBERS = 1 << 20  # of an array that walls side by side fill, about
 _DAMPINGS = np.geomspace(1e-7, 1e2, 600)  # of either sign, tried where the stiffness is given
 
@@ -83,7 +72,11 @@ def minimize_radius_damping(
     """
     require_x64(alpha, gamma, delta)
     loop = _one_loop(gamma, delta, delay, velocity, position)
-    alpha = checked_number("alpha", checked_gain("alpha", alpha))
+    return smallest_radius_damping(loop, checked_number("alpha", checked_gain("alpha", alpha)))
+
+
+def smallest_radius_damping(loop: TunedLoop, alpha: float) -> OptimalGains:
+    """Return the damping with the smallest radius for a stiffness: ``minimize_radius_damping``."""
     betas = np.concatenate([-_DAMPINGS[::-1], [0.0], _DAMPINGS])
     radii = loop.radii(alpha, betas)
     if not radii.min() < 1.0:
@@ -147,60 +140,43 @@ def minimize_settling(
     level = checked_level(level, excitation)
     require_x64(alpha, gamma, delta)
     loop = _one_loop(gamma, delta, delay, velocity, position)
-    plant, filters = loop.plant, loop.filters
-    if alpha is None:
-        start = minimize_radius(*plant, **filters)
-    else:
-        start = minimize_radius_damping(alpha, *plant, **filters)
-    options = {"level": level, "excitation": excitation, **filters}
-    samples = float(settling_samples(start.alpha, start.beta, *plant, **options).value)
+    if alpha is not None:
+        alpha = checked_number("alpha", checked_gain("alpha", alpha))
+    return shortest_settling(loop, alpha, level, excitation)
+
+
+def shortest_settling(
+    loop: TunedLoop, alpha: float | None, level: float, excitation: Excitation
+) -> OptimalGains:
+    """Return the gains that settle after the fewest samples: ``minimize_settling``."""
+    start = loop.smallest_radius() if alpha is None else smallest_radius_damping(loop, alpha)
+    samples = float(loop.settling(start.alpha, start.beta, level, excitation).value)
     status = TuningStatus(int(start.status))
     if status == TuningStatus.NO_STABLE_GAINS or not isfinite(samples):
         return start._replace(value=np.array(np.inf))
     if status in (TuningStatus.ISLAND, TuningStatus.ANY_COMPONENT):
-        loop = loop._replace(component=ALL_GAINS)
+        loop = loop.anywhere()
     else:
         status = TuningStatus.SCANNED
     best = _fewest_samples(start, loop, level, excitation, int(samples), alpha is not None)
-    reached = settling_samples(*best, *plant, **options).value
-    return _as_gains(*best, float(reached), status)
-
-
-class _Loop(NamedTuple):
-    """One loop, of which the best wall is looked for: gamma, delta, delay; estimator and filter."""
-
-    plant: Plant
-    filters: dict[str, Any]
-    component: Component = ALL_GAINS
-
-    def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
-        """Return the codes of walls."""
-        return np.asarray(verdict(alpha, beta, *self.plant, **self.filters))
-
-    def radii(self, alpha: Any, beta: Any) -> np.ndarray:
-        """Return the spectral radii of walls; with filters, infinite for those not looked for."""
-        filters = given_filters(**self.filters)
-        if filters is None:
-            return np.asarray(spectral_radius(alpha, beta, *self.plant).value)
-        alpha, beta = np.broadcast_arrays(alpha, beta)
-        walls = filtered_walls(*self.plant, filters)._replace(component=self.component)
-        radii = np.full(alpha.shape, np.inf)
-        searched = self.verdicts(alpha, beta) == Verdict.STABLE
-        if not np.any(searched):
-            searched[...] = True
-        radii[searched] = walls.largest_pole(alpha[searched], beta[searched])
-        return radii
+    reached = float(loop.settling(*best, level, excitation).value)
+    if not reached <= samples:  # a mode of the best wall leaves the level after what was seen
+        return start._replace(value=np.array(samples), status=np.array(status, np.int8))
+    return _as_gains(*best, reached, status)
 
 
 def _fewest_samples(
     start: OptimalGains,
-    loop: _Loop,
+    loop: TunedLoop,
     level: float,
     excitation: Excitation,
     samples: int,
     is_stiffness_given: bool,
 ) -> tuple[float, float]:
-    tails = partial(_smallest_tails, loop=loop, excitation=excitation, length=2 * samples + 8)
+    radius = float(loop.spectral_radius(start.alpha, start.beta).value)
+    slowest = 1.0 - _SLOWEST * (1.0 - radius)
+    settled = _Settled(level, samples, 2 * samples + 8, slowest)
+    tails = partial(_smallest_tails, loop=loop, excitation=excitation, settled=settled)
 
     def least_after(sample: int) -> Callable[[Grid], tuple[float, int]]:
         def least(grid: Grid) -> tuple[float, int]:
@@ -225,7 +201,7 @@ def _fewest_samples(
     return calmest if tail <= level else best
 
 
-def _stable_box(start: OptimalGains, loop: _Loop, is_stiffness_given: bool) -> Grid:
+def _stable_box(start: OptimalGains, loop: TunedLoop, is_stiffness_given: bool) -> Grid:
     """Return a box that reaches from the first gains to the edge of stability on each side."""
     alpha, beta = float(start.alpha), float(start.beta)
 
@@ -240,28 +216,41 @@ def _stable_box(start: OptimalGains, loop: _Loop, is_stiffness_given: bool) -> G
     return Grid((alpha - reach(-1.0, 0.0), alpha + reach(1.0, 0.0)), betas, _COARSE)
 
 
+class _Settled(NamedTuple):
+    """The level, the samples after which a wall is known to be within, and how many are seen.
+
+    slowest: the largest radius that a device may have: one that rings for ever settles, too, where
+        it rings within the level.
+    """
+
+    level: float
+    samples: int
+    length: int
+    slowest: float
+
+
 def _smallest_tails(
-    grid: Grid, loop: _Loop, excitation: str, length: int
+    grid: Grid, loop: TunedLoop, excitation: Excitation, settled: _Settled
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return, for every sample, the smallest of all walls' largest deviations from then on."""
-    gamma, delta, delay = loop.plant
-    bank = bank_for(given_filters(**loop.filters))
-    entries = propagator(gamma, delta, delay % 1.0, np.ones(1))[0, :, :4].reshape(8, 1)
     alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
-    size = 4 + int(delay) + len(bank.steps)
-    count = max(1, _NUMBERS // (length + size**2 * 32))
+    size = loop.deviations(alphas[:1], betas[:1], excitation).transition.shape[1]
+    count = max(1, _NUMBERS // (settled.length + size**2 * 32))
     smallest: list[tuple[np.ndarray, np.ndarray]] = []
     for begin in range(0, alphas.size, count):
         some = slice(begin, begin + count)
-        same = np.broadcast_to(entries, (8, alphas[some].size))
-        loops = loops_of(alphas[some], betas[some], same, int(delay), excitation, bank)
+        loops = loop.deviations(alphas[some], betas[some], excitation)
         with np.errstate(all="ignore"):  # unstable walls overflow
-            deviation = np.abs(positions(loops, length))
+            deviation = np.abs(positions(loops, settled.length))
             tails = np.maximum.accumulate(deviation[:, ::-1], axis=1)[:, ::-1]
             if excitation == "impact":
                 tails = tails / tails[:, :1]
         tails = np.nan_to_num(tails, nan=np.inf, posinf=np.inf)
         tails[~loop.component.holds(alphas[some], betas[some])] = np.inf
+        # A mode that grows, or goes on ringing, may be small for as long as this.
+        quiet = np.flatnonzero(tails[:, settled.samples] <= settled.level)
+        decays = loop.decays(alphas[some][quiet], betas[some][quiet], settled.slowest)
+        tails[quiet[~decays]] = np.inf
         smallest.append((np.min(tails, axis=0), begin + np.argmin(tails, axis=0)))
     values, places = (np.array(part) for part in zip(*smallest, strict=True))
     best = np.argmin(values, axis=0), np.arange(values.shape[1])
@@ -274,15 +263,13 @@ def _one_loop(
     delay: Numbers,
     velocity: Velocity | None,
     position: Filter | None,
-) -> _Loop:
+) -> MassLoop:
     plant = (
         checked_number("gamma", checked_gamma(gamma)),
         checked_number("delta", checked_delta(delta)),
         checked_number("delay", delay, 0.0),
     )
-    filters = given_filters(velocity, position)
-    component = searched_component(*plant, filters) if filters else ALL_GAINS
-    return _Loop(plant, {"velocity": velocity, "position": position}, component)
+    return MassLoop.of(plant, given_filters(velocity, position))
 
 
 def _as_gains(alpha: float, beta: float, value: float, status: TuningStatus) -> OptimalGains:

@@ -8,6 +8,7 @@ precision.
 See Blondel, Gurbuzbalaban, Megretski, Overton (2012) for why roots coalesce.
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -25,10 +26,10 @@ from jaxstab.model import (
     require_x64,
 )
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
-from jaxstab.model.linear_loop import filtered_loop
+from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdict.door import verdict
-from jaxstab.tuning.component import searched_component
+from jaxstab.tuning.component import Component, searched_component
 from jaxstab.tuning.multiple_root import Family, Pair, family_of, family_of_loop, newton_step
 from jaxstab.tuning.search import Walls, scan_angles, searched
 from jaxstab.tuning.status import OptimalGains, TuningStatus
@@ -92,9 +93,22 @@ def minimize_radius(
     xp = namespace(gamma, delta)
     if xp is not np:
         best = _followed(family, best, kind)
-    value = xp.hypot(best.x, best.y)
     scene = constant((best.alpha, best.beta, gamma, delta))
     codes = verdict(*scene, delay, velocity=velocity, position=position)
+    return _as_gains(best, kind, codes)
+
+
+def smallest_radius(walls: Walls, verdicts: Callable[[Array, Array], Array]) -> OptimalGains:
+    """Return the best gains of one loop, of those that ``walls`` are searched for."""
+    *best, kind = searched([walls], ())
+    known = walls.component.status
+    kind = np.int8(known) if known != TuningStatus.NOT_COMPUTED else kind
+    return _as_gains(Pair(*best), kind, verdicts(best[0], best[1]))
+
+
+def _as_gains(best: Pair, kind: Array, codes: Array) -> OptimalGains:
+    xp = namespace(best)
+    value = xp.hypot(best.x, best.y)
     is_stable = xp.asarray(codes == Verdict.STABLE)
     status = xp.where(is_stable, kind, TuningStatus.NO_STABLE_GAINS).astype(np.int8)
     return OptimalGains(best.alpha, best.beta, value, status)
@@ -156,10 +170,15 @@ def _filtered_searched(
 def filtered_walls(gamma: float, delta: float, delay: float, filters: Filters) -> Walls:
     """Return all walls of a loop with filters in units of one sample."""
     plant = np.float64(gamma), np.float64(delta)
-    family = family_of_loop(filtered_loop(*plant, int(delay), delay % 1.0, filters))
+    loop = filtered_loop(*plant, int(delay), delay % 1.0, filters)
+    return walls_of(loop, searched_component(gamma, delta, delay, filters))
+
+
+def walls_of(loop: LinearLoop, component: Component) -> Walls:
+    """Return all walls of any linear loop, and in which component they are searched."""
+    family = family_of_loop(loop)
     zeros = np.roots(family.stiff)
     near = zeros[np.abs(zeros) > _NEAR_CIRCLE] + 0j
-    component = searched_component(gamma, delta, delay, filters)
     return Walls(family, scan_angles(family.base.size - 1, near), component)
 
 

@@ -1,0 +1,173 @@
+"""One loop, of one mass or any linear device, of which the best wall is looked for."""
+
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from jaxstab.conventions import Verdict
+from jaxstab.model.device import SampledDevice
+from jaxstab.model.device.mechanics import mechanics
+from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords
+from jaxstab.model.linear_loop import LinearLoop
+from jaxstab.motion.response import propagator
+from jaxstab.motion.settling import Excitation, Settling, device_settling_samples, settling_samples
+from jaxstab.motion.state_space import bank_for
+from jaxstab.motion.transition import Loops, device_loops, loops_of
+from jaxstab.point import SpectralRadius, spectral_radius
+from jaxstab.point.radius.door import linear_spectral_radius
+from jaxstab.point.verdict.door import verdict
+from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.region.linear import linear_region
+from jaxstab.tuning.component import ALL_GAINS, Component, component_of, searched_component
+from jaxstab.tuning.radius import filtered_walls, minimize_radius, smallest_radius, walls_of
+from jaxstab.tuning.search import Walls
+from jaxstab.tuning.status import OptimalGains
+
+Plant = tuple[float, float, float]
+
+_TOLERANCE = 1e-6  # of the outline of a component, of its size
+
+
+class MassLoop(NamedTuple):
+    """Device and hand of one mass: gamma, delta, delay; estimator and filter, T = 1."""
+
+    plant: Plant
+    filters: Filters | None
+    component: Component
+
+    @classmethod
+    def of(cls, plant: Plant, filters: Filters | None) -> "MassLoop":
+        """Return a loop, of which small gains are searched, or what leads to them."""
+        return cls(plant, filters, searched_component(*plant, filters) if filters else ALL_GAINS)
+
+    def anywhere(self) -> "MassLoop":
+        """Return the same loop, of which all gains are searched."""
+        return self._replace(component=ALL_GAINS)
+
+    def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
+        """Return the codes of walls."""
+        return np.asarray(verdict(alpha, beta, *self.plant, **as_keywords(self.filters)))
+
+    def spectral_radius(self, alpha: Any, beta: Any) -> SpectralRadius:
+        """Return the radii of walls, with bounds."""
+        return spectral_radius(alpha, beta, *self.plant, **as_keywords(self.filters))
+
+    def radii(self, alpha: Any, beta: Any) -> np.ndarray:
+        """Return the radii of walls; with filters, infinite for those not looked for."""
+        if self.filters is None:
+            return np.asarray(self.spectral_radius(alpha, beta).value)
+        walls = filtered_walls(*self.plant, self.filters)
+        return _radii(walls._replace(component=self.component), self.verdicts, alpha, beta)
+
+    def decays(self, alpha: np.ndarray, beta: np.ndarray, slowest: float) -> np.ndarray:
+        """Return which walls are stable; a mass alone has no mode that rings unseen."""
+        return self.verdicts(alpha, beta) == Verdict.STABLE
+
+    def smallest_radius(self) -> OptimalGains:
+        """Return the gains of the smallest radius."""
+        return minimize_radius(*self.plant, **as_keywords(self.filters))
+
+    def settling(self, alpha: Any, beta: Any, level: float, excitation: Excitation) -> Settling:
+        """Return the settling of walls in samples."""
+        loop, filters = self.plant, as_keywords(self.filters)
+        return settling_samples(alpha, beta, *loop, level, excitation=excitation, **filters)
+
+    def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
+        """Return how walls, side by side, come to rest."""
+        gamma, delta, delay = self.plant
+        entries = propagator(gamma, delta, delay % 1.0, np.ones(1))[0, :, :4].reshape(8, 1)
+        same, bank = np.broadcast_to(entries, (8, alpha.size)), bank_for(self.filters)
+        return loops_of(alpha, beta, same, int(delay), excitation, bank)
+
+
+class DeviceLoop(NamedTuple):
+    """Any linear device, in its units; estimator and filter in SI units."""
+
+    device: SampledDevice
+    filters: Filters | None
+    component: Component
+
+    @classmethod
+    def of(cls, device: SampledDevice, filters: Filters | None) -> "DeviceLoop":
+        """Return a loop, of which small gains are searched, or what leads to them.
+
+        Raises:
+            ValueError: the device does not give way to a constant force.
+        """
+        return cls(device, filters, _device_walls(device, filters).component)
+
+    def anywhere(self) -> "DeviceLoop":
+        """Return the same loop, of which all gains are searched."""
+        return self._replace(component=ALL_GAINS)
+
+    def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
+        """Return the codes of walls."""
+        return np.asarray(linear_verdict(*_as_arrays(alpha, beta), self._linear))
+
+    def spectral_radius(self, alpha: Any, beta: Any) -> SpectralRadius:
+        """Return the radii of walls, with bounds."""
+        return linear_spectral_radius(*_as_arrays(alpha, beta), self._linear)
+
+    def radii(self, alpha: Any, beta: Any) -> np.ndarray:
+        """Return the radii of walls, infinite for those not looked for."""
+        walls = _device_walls(self.device, self.filters)
+        return _radii(walls._replace(component=self.component), self.verdicts, alpha, beta)
+
+    def decays(self, alpha: np.ndarray, beta: np.ndarray, slowest: float) -> np.ndarray:
+        """Return which walls have a radius that is no larger than some."""
+        return _device_walls(self.device, self.filters).largest_pole(alpha, beta) <= slowest
+
+    def smallest_radius(self) -> OptimalGains:
+        """Return the gains of the smallest radius."""
+        walls = _device_walls(self.device, self.filters)
+        return smallest_radius(walls, self.verdicts)
+
+    def settling(self, alpha: Any, beta: Any, level: float, excitation: Excitation) -> Settling:
+        """Return the settling of walls in samples."""
+        one = self.device
+        gains = np.asarray(alpha) / one.stiffness_unit, np.asarray(beta) / one.damping_unit
+        loop = one.device, one.sample_time, one.delay, self.filters
+        return device_settling_samples(*loop, *gains, level, excitation=excitation)
+
+    def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
+        """Return how walls, side by side, come to rest."""
+        one = self.device
+        moves = mechanics(one.device, one.sample_time, one.delay % 1.0, (1.0,))
+        bank = bank_for(self.filters, one.sample_time)
+        rate = one.damping_unit * one.sample_time
+        walls = alpha / one.stiffness_unit, beta / rate
+        return device_loops(*walls, moves, int(one.delay), excitation, bank)
+
+    @property
+    def _linear(self) -> LinearLoop:
+        return _linear(self.device, self.filters)
+
+
+TunedLoop: TypeAlias = MassLoop | DeviceLoop
+
+
+@lru_cache(maxsize=64)
+def _linear(device: SampledDevice, filters: Filters | None) -> LinearLoop:
+    return device.loop(filters)
+
+
+@lru_cache(maxsize=64)
+def _device_walls(device: SampledDevice, filters: Filters | None) -> Walls:
+    transfers = device.transfers(filters or (Velocity(), Filter()))
+    component = component_of(linear_region(device.plant, *transfers, _TOLERANCE))
+    return walls_of(_linear(device, filters), component)
+
+
+def _radii(walls: Walls, verdicts: Any, alpha: Any, beta: Any) -> np.ndarray:
+    alpha, beta = np.broadcast_arrays(alpha, beta)
+    radii = np.full(alpha.shape, np.inf)
+    searched = verdicts(alpha, beta) == Verdict.STABLE
+    if not np.any(searched):
+        searched[...] = True
+    radii[searched] = walls.largest_pole(alpha[searched], beta[searched])
+    return radii
+
+
+def _as_arrays(alpha: Any, beta: Any) -> tuple[np.ndarray, np.ndarray]:
+    return np.asarray(alpha, np.float64), np.asarray(beta, np.float64)
