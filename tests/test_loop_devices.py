@@ -155,7 +155,9 @@ def test_margins_of_a_general_device_end_at_its_region() -> None:
     np.testing.assert_allclose(found.stiffness, loop.stiffness_limits(10.0), rtol=1e-6, atol=1e-3)
     np.testing.assert_allclose(found.damping, loop.damping_limits(1000.0), rtol=1e-6, atol=1e-6)
     assert found.stiffness_gain == pytest.approx(found.stiffness[1] / 1000.0)
-    assert np.isnan(found.extra_delay)
+    late = loop.delay + found.extra_delay
+    assert replace(loop, delay=float(late * (1.0 - 1e-8))).is_stable(1000.0, 10.0)
+    assert not replace(loop, delay=float(late * (1.0 + 1e-8))).is_stable(1000.0, 10.0)
     with pytest.raises(TypeError, match="outside of jit"):
         jax.jit(lambda gain: loop.margins(gain, 10.0).damping)(1000.0)
 
