@@ -183,6 +183,18 @@ def coefficients(value: Any) -> tuple[float, ...]:
     return tuple(numbers)
 
 
+def not_zero(unit: str) -> Check:
+    """Return the check of a finite number in a unit, positive or negative."""
+
+    def check(value: Any) -> float:
+        number = _finite(value)
+        if number in (0.0, inf):
+            raise ValueError(f"give a finite number in {unit}, not 0")
+        return number
+
+    return check
+
+
 def nested(kind: type["Table"]) -> Check:
     """Return the check of a table within a table."""
 
@@ -199,18 +211,15 @@ def nested(kind: type["Table"]) -> Check:
     return check
 
 
-def some_of(names: Iterable[str]) -> Check:
-    """Return the check of a list of names, each of which is one of some."""
-    check_name = one_of(names)
+def each(check: Check) -> Check:
+    """Return the check of a list, of which each entry is checked."""
 
-    def check(value: Any) -> tuple[str, ...]:
+    def check_list(value: Any) -> tuple[Any, ...]:
         if not isinstance(value, list | tuple):
             raise ValueError("give a list")
-        for number, name in enumerate(value):
-            _checked(str(number), name, check_name)
-        return tuple(value)
+        return tuple(_checked(str(number), entry, check) for number, entry in enumerate(value))
 
-    return check
+    return check_list
 
 
 def _checked_values(kind: type[Table], values: Mapping[str, Any]) -> dict[str, Any]:

@@ -273,6 +273,11 @@ def test_the_plan_computes_only_what_is_asked_for() -> None:
         | {"walls": {"a": {"stiffness": 1.0, "damping": 1.0}}, "hand": {"mass": [0.0, 1.0]}}
     )
     computed = {step.what for step in plan_scene(asked) if step.computed}
-    assert computed == {"certified verdicts", "radius", "proof and worst case over the hands"}
+    assert computed == {
+        "certified verdicts",
+        "radius",
+        "worst case over the hands",
+        "proof for all hands",
+    }
     assert set(MEASURES) <= {step.what for step in plan_scene(asked)}
     assert all(step.why for step in plan_scene(asked))

@@ -194,6 +194,14 @@ class WallRegion(ShownRegion):
         limits = self.loop.damping(self._last_interval(columns, axis=0))
         return limits if is_jax(limits) else without_noise(limits, self.extent.damping)
 
+    def stiffness_intervals(
+        self, damping: Float64[np.ndarray, " row"]
+    ) -> Float64[np.ndarray, "row interval 2"]:
+        """Return all intervals of stable K at dampings B in N s/m, rising; NaN behind the last."""
+        rows = self.loop.beta(np.asarray(checked_gain("damping", damping)))
+        ends = measures.crossings(self.region.coefficients, self.region.outline, rows, axis=1)
+        return self.loop.stiffness(ends).reshape(len(rows), -1, 2)
+
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
         """Return whether walls (K, B) lie inside of the exact boundary; all False if UNRESOLVED."""
         return self.region.contains(*self._points(stiffness, damping))

@@ -16,17 +16,16 @@ from jaxstab.pictures.walls import draw_responses, draw_walls, name_walls
 from jaxstab.scene.answers import Quantity
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import Check
+from jaxstab.scene.hands import common_outline
 from jaxstab.scene.loops import corner_loops, hands_of, is_plain, loop_of, reachable, wall_region
-from jaxstab.scene.scene import Encoder, Scene
+from jaxstab.scene.mechanics import Encoder
+from jaxstab.scene.scene import Scene
 from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
 
 _HEIGHT = 4.6  # inches
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
 _SEEN = 0.05  # of the region, in K or in B: what is smaller is enlarged
-_ROWS = 400  # of B, in which walls are stable for all hands
-_CORNER = 1e-6  # of all rows: how far the outer ones are inside
-_ZOOMS = 3  # towards the rows that are
 _COLUMNS = 64  # of the map of settling times, and rows
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
 _CALM_COLUMNS = 40  # of the map of amplitudes, and rows
@@ -63,7 +62,7 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     islands = [island for island in everything.components if island is not region]
     if region is everything:
         islands = []
-    parts = [part for part in (_common(scene, loop), _passive(scene, loop)) if len(part.outline)]
+    parts = [part for part in (_common(scene), _passive(scene, loop)) if len(part.outline)]
     is_small = [(np.ptp(part.outline, axis=0) < _SEEN * np.array(region.extent)) for part in parts]
     small = [part.outline for part, axes in zip(parts, is_small, strict=True) if axes.any()]
 
@@ -99,9 +98,12 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
         _draw_parts(panel, loop, parts)
         draw_walls(panel, walls)
     if checked is not None:
-        draw_responses(panels[-1], loop, walls)
+        draw_responses(panels[-1], scene, walls)
         panels[-1].set_title("a constant push, and the band of 2 %")
-    remarks = [f"velocity: {basis_of(scene).velocity}"]
+    basis = basis_of(scene)
+    remarks = [f"velocity: {basis.velocity}"]
+    if basis.mechanics:
+        remarks.append(basis.mechanics)
     if hands_of(scene):
         remarks.append(
             "region, settling and fastest wall: hand at its lowest values"
@@ -127,51 +129,20 @@ class _Part(NamedTuple):
     look: dict[str, Any]
 
 
-def _common(scene: Scene, loop: HapticLoop) -> _Part:
+def _common(scene: Scene) -> _Part:
     """Return the walls that are stable for the hands at all corners of the range, if it is one."""
-    hands = hands_of(scene)
-    outline = _common_outline(corner_loops(loop, hands)) if hands else np.zeros((0, 2))
+    outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
     label = f"for all corners of the hands' range: {_up_to(outline, scene.units)}"
     look = {"facecolor": "none", "edgecolor": BLUE, "hatch": "///", "lw": 0.6, "label": label}
     return _Part(outline, look)
 
 
-def _common_outline(loops: list[HapticLoop]) -> Floats:
-    """Return the walls that are stable for each of some loops, row by row of B."""
-    regions = [reachable(wall_region(loop)) for loop in loops]
-    nothing = np.zeros((0, 2))
-    if any(region.is_empty for region in regions):
-        return nothing
-    low = max(region.outline[:, 1].min() for region in regions)
-    high = min(region.outline[:, 1].max() for region in regions)
-    for _ in range(_ZOOMS):  # the rows that meet may be few of those tried
-        if not low < high:
-            return nothing
-        rows = _rows(low, high)
-        ends = np.stack([region.stiffness_limits(rows) for region in regions])
-        left, right = ends[..., 0].max(axis=0), ends[..., 1].min(axis=0)
-        met = np.flatnonzero(left < right)
-        if not len(met):
-            return nothing
-        if len(met) == _ROWS:
-            break
-        low, high = rows[max(met[0] - 1, 0)], rows[min(met[-1] + 1, _ROWS - 1)]
-    left, right, rows = left[met], right[met], rows[met]
-    return np.column_stack([np.append(left, right[::-1]), np.append(rows, rows[::-1])])
-
-
-def _rows(low: float, high: float) -> Floats:
-    """Return values of B, the outer ones close to the ends, where corners are."""
-    rows: Floats = np.linspace(low, high, _ROWS)
-    rows[[0, -1]] = low + _CORNER * (high - low), high - _CORNER * (high - low)
-    return rows
-
-
 def _passive(scene: Scene, loop: HapticLoop) -> _Part:
-    own = loop.device_damping * loop.sample_time / loop.mass
-    corners = passive_region(own, loop.delay_samples).outline
-    outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
-    outline = outline if is_plain(loop) else np.zeros((0, 2))  # the theorem is of one difference
+    outline = np.zeros((0, 2))
+    if is_plain(loop):  # the theorem is of one mass and one difference
+        own = loop.device_damping * loop.sample_time / loop.mass
+        corners = passive_region(own, loop.delay_samples).outline
+        outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
     label = f"passive: {_up_to(outline, scene.units)}"
     return _Part(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
 
@@ -201,7 +172,10 @@ def _draw_best(panel: Axes, loop: HapticLoop, region: WallRegion, units: Units) 
     stiffest = f"stiffest: {_LARGEST.words(region.stiffest.stiffness, units)}"
     damping = _DAMPING.words(region.stiffest.damping, units)
     panel.plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"{stiffest}, {damping}")
-    fastest = loop.tune("settling")
+    try:
+        fastest = loop.tune("settling")
+    except NotImplementedError:  # of a device that is not one mass
+        return
     if fastest.status == TuningStatus.NO_STABLE_GAINS:
         return
     gains = (
@@ -225,7 +199,10 @@ def _draw_chatter(
     """Draw lines of equal bounds of what the encoder's rounding does to the position."""
     resolution = encoder.resolution
     stiffness, damping = _columns_and_rows(region, _CALM_COLUMNS)
-    found = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
+    try:
+        found = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
+    except NotImplementedError:  # of a device that is not one mass
+        return
     counts = np.where(np.isfinite(found.position), found.position / resolution, np.nan)
     fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
     levels = [count for count in _COUNTS if fewest < count < most]

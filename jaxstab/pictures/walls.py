@@ -1,7 +1,6 @@
 """The walls of a scene in its picture: marks by their verdicts, names, and responses."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from itertools import product
 from math import isfinite
 from typing import NamedTuple
@@ -11,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import Bbox
 
 from jaxstab.conventions import Verdict
-from jaxstab.loop import HapticLoop
 from jaxstab.pictures.style import BLACK, BLUE, RED
 from jaxstab.scene.answers import in_words
 from jaxstab.scene.check import WallCheck
-from jaxstab.scene.limits import HeldBy
+from jaxstab.scene.loops import OneHand, loop_of
+from jaxstab.scene.scene import Scene
 
 Walls = Mapping[str, WallCheck]
 
@@ -88,30 +87,25 @@ def name_walls(panel: Axes, checked: Walls) -> None:
         taken.append(box)
 
 
-def draw_responses(panel: Axes, loop: HapticLoop, checked: Walls) -> None:
+def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
     """Draw the response to a step of force, relative to the final displacement."""
+    period = scene.controller.sample_time
     times = [wall.settling.settling_time_2_percent for wall in checked.values() if wall.settling]
     settled = [time for time in times if isfinite(time)] or [0.0]
     longest = min(1.2 * max(settled), 6.0 * min(settled))
-    samples = int(np.clip(longest / loop.sample_time, _FEWEST, _MOST))
+    samples = int(np.clip(longest / period, _FEWEST, _MOST))
     for name, wall in checked.items():
-        held = _held(loop, wall.worst_hand)
+        hand = wall.worst_hand
+        held = loop_of(scene, None if hand is None else OneHand(*vars(hand).values()))
+        spring = held.device.static_stiffness() if held.device else held.hand_stiffness
         response = held.simulate(
             wall.stiffness, wall.damping, samples=samples, force=1.0, between=_MOST // samples
         )
-        relative = np.asarray(response.position) * (wall.stiffness + held.hand_stiffness)
+        relative = np.asarray(response.position) * (wall.stiffness + spring)
         gone = np.logical_or.accumulate(np.abs(relative) > _GONE)
         shown = np.where(gone, np.nan, relative)
         panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict].line, label=name)
     panel.axhspan(1.0 - _LEVEL, 1.0 + _LEVEL, color=BLACK, alpha=0.12, lw=0)
-    panel.set(xlim=(0.0, samples * loop.sample_time), ylim=(-0.3, 2.3))
+    panel.set(xlim=(0.0, samples * period), ylim=(-0.3, 2.3))
     panel.set(xlabel="time (s)", ylabel="position / final position")
     panel.legend(fontsize=8, frameon=True)
-
-
-def _held(loop: HapticLoop, hand: HeldBy | None) -> HapticLoop:
-    if hand is None:
-        return loop
-    return replace(
-        loop, hand_mass=hand.mass, hand_stiffness=hand.stiffness, hand_damping=hand.damping
-    )

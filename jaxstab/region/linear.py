@@ -4,8 +4,9 @@ import numpy as np
 
 from jaxstab.model.linear_loop import SampledPlant, linear_loop
 from jaxstab.model.transfer import Transfer
+from jaxstab.numbers import checked_number
 from jaxstab.region.curve import filtered_coefficients
-from jaxstab.region.region import StableRegion, region_of
+from jaxstab.region.region import LONGEST_DELAY, StableRegion, region_of
 
 
 def linear_region(
@@ -21,8 +22,10 @@ def linear_region(
             diameter, > 1e-10.
 
     Raises:
-        ValueError: the plant does not give way to a constant force, N(1) = 0.
+        ValueError: the plant does not give way to a constant force, N(1) = 0, or the delay is
+            longer than 500 samples.
     """
+    checked_number("delay", float(plant.lag), 0.0, LONGEST_DELAY, unit="samples")
     if float(plant.at_one[0].value.hi) == 0.0:
         raise ValueError(
             "the device does not give way to a constant force: its transfer function in s is 0 at "

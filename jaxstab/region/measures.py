@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float64
 
 from jaxstab.arrays import Array, constant, first_indices, namespace, repeat_while
 from jaxstab.batches import compiled
@@ -47,6 +48,15 @@ def limits(
         return xp.where(xp.any(exist, axis=-1)[:, None], xp.stack([least, most], axis=-1), xp.nan)
 
     return _in_batches(ends, outline, values).reshape(*values.shape, 2)
+
+
+def crossings(
+    c: SliceCoefficients, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
+) -> Float64[np.ndarray, "row crossing"]:
+    """Return all the ends of intervals on lines as in ``limits``, rising; NaN behind the last."""
+    with np.errstate(all="ignore"):  # as where it is compiled
+        coordinates, exist = _crossings(c, outline, values, axis)
+    return np.sort(np.where(exist, coordinates, np.nan), axis=-1)
 
 
 @compiled()

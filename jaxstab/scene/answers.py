@@ -160,12 +160,13 @@ class Answer:
 
 @dataclass(frozen=True)
 class Basis(Answer):
-    """What a scene's answers hold for: its estimator, its filter, and whether the device turns."""
+    """What a scene's answers hold for: estimator, filter, what moves beside one mass, rotation."""
 
     is_part = True
 
     velocity: str
     position: str | None
+    mechanics: str | None
     motion: str | None
 
     @property

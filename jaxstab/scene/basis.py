@@ -1,6 +1,7 @@
 """What the answers of a scene hold for, said in front of them."""
 
-from jaxstab.scene.answers import Basis
+from jaxstab.scene.answers import Basis, Quantity
+from jaxstab.scene.mechanics import Grip
 from jaxstab.scene.scene import Scene
 from jaxstab.scene.units import Units
 
@@ -8,10 +9,30 @@ _ASSUMED = "the difference over one sample (assumed: the scene names no estimato
 
 
 def basis_of(scene: Scene) -> Basis:
-    """Return the estimator, the filter and the kind of motion of a scene, in words."""
+    """Return what the answers hold for: estimator, filter, what moves, the kind of motion."""
     controller = scene.controller
     return Basis(
         velocity=_ASSUMED if controller.velocity is None else str(controller.velocity),
         position=None if controller.position is None else str(controller.position_filter),
+        mechanics=_beside_one_mass(scene),
         motion=None if scene.units is Units.LINE else "rotation",
     )
+
+
+def grip_in_words(grip: Grip, units: Units) -> str:
+    """Return stiffness and damping of a grip."""
+    spring = Quantity("N/m").words(grip.stiffness, units)
+    return f"{spring}, {Quantity('N s/m').words(grip.damping, units)}"
+
+
+def _beside_one_mass(scene: Scene) -> str | None:
+    """Return in words what moves beside the mass of device and hand; None for nothing."""
+    device, grip, units = scene.device, scene.hand.grip if scene.hand else None, scene.units
+    words = []
+    if device.modes:
+        words.append(f"modes at {', '.join(f'{mode.frequency:g}' for mode in device.modes)} Hz")
+    if device.actuator is not None:
+        words.append(f"an actuator of {device.actuator.bandwidth:g} Hz")
+    if grip is not None:
+        words.append(f"a grip of {grip_in_words(grip, units)}")
+    return "; ".join(words) or None

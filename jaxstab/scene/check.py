@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import inf, isinf, nan
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -14,7 +14,7 @@ from jaxstab.loop import Gains, HapticLoop
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
-from jaxstab.ranges import HandRange, margins
+from jaxstab.ranges import margins
 from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.scene.answers import (
     Answer,
@@ -30,13 +30,16 @@ from jaxstab.scene.answers import (
     Time,
 )
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.limits import HeldBy, held_by
+from jaxstab.scene.hands import HeldBy, worst_held
 from jaxstab.scene.loops import corner_loops, hands_of, loop_of, walls_of
-from jaxstab.scene.scene import Encoder, Scene
+from jaxstab.scene.scene import Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
+_OF_ONE_MASS = "answered for a device and a hand that are one mass"
 
 
+Ends = Float64[np.ndarray, "hand 2"]
+Least = Float64[np.ndarray, "3 hand"]
 LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
@@ -121,6 +124,7 @@ class WallCheck(Answer):
     stiffness: Stiffness
     damping: Damping
     verdict: Verdict
+    hands_are: str | None
     worst_hand: HeldBy | None
     margins: Margins | None = None
     distance: Distance | None = None
@@ -128,6 +132,7 @@ class WallCheck(Answer):
     settling: Settling | None = None
     oscillation: Oscillation | None = None
     chatter: Chatter | None = None
+    not_answered: str | None = None
 
 
 @dataclass(frozen=True)
@@ -146,30 +151,24 @@ class Check(Answer):
 def check_walls(scene: Scene) -> Check:
     """Return for each wall its verdict and the measures that are wanted, at the worst hand.
 
+    What the loop of a device that is not one mass does not answer is said in words.
+
     Raises:
         ValueError: there is no wall, or a quantity is out of range.
     """
     scene.require_walls()
-    loop, hands, wanted = loop_of(scene), hands_of(scene), scene.wanted.measures
-    encoder, walls = scene.device.encoder, walls_of(scene).items()
     return Check(
         basis_of(scene),
-        {name: _checked(loop, hands, gains, wanted, encoder) for name, gains in walls},
+        {name: _checked(scene, gains) for name, gains in walls_of(scene).items()},
     )
 
 
-def _checked(
-    loop: HapticLoop,
-    hands: HandRange | None,
-    gains: Gains,
-    wanted: tuple[str, ...],
-    encoder: Encoder | None,
-) -> WallCheck:
-    loops, hand = [loop], None
+def _checked(scene: Scene, gains: Gains) -> WallCheck:
+    hands, encoder, loop = hands_of(scene), scene.device.encoder, loop_of(scene)
+    loops, hand, tried = [loop], None, None
     if hands:
-        worst = loop.worst_hand(hands, *gains)
-        loops = list(dict.fromkeys([loop, *corner_loops(loop, hands)]))
-        code, loop, hand = worst.verdict, worst.loop, held_by(worst.loop)
+        loops = list(dict.fromkeys([loop, *corner_loops(scene)]))
+        code, loop, hand, tried = worst_held(scene, hands, gains)
     else:
         code = Verdict(int(loop.verdict(*gains)))
     measures: dict[str, Callable[[], Answer]] = {
@@ -182,28 +181,52 @@ def _checked(
     if encoder is not None:
         held = list(dict.fromkeys([*loops, loop]))
         measures["chatter"] = lambda: _chatter(held, gains, encoder.resolution)
-    measured = {name: measure() for name, measure in measures.items() if name in wanted}
-    return WallCheck(*gains, code, hand, **measured)  # type: ignore[arg-type]
+    measured: dict[str, Any] = {}
+    refused = []
+    for name, measure in measures.items():
+        if name in scene.wanted.measures:
+            try:
+                measured[name] = measure()
+            except NotImplementedError:
+                refused.append(name)
+    words = f"{', '.join(refused)}: {_OF_ONE_MASS}" if refused else None
+    return WallCheck(*gains, code, tried, hand, **measured, not_answered=words)
 
 
 def _margins(loops: list[HapticLoop], gains: Gains) -> Margins:
     """Return the least margins over some loops of one sample time and delay."""
-    points = [(loop.alpha(gains[0]), loop.beta(gains[1]), *loop.slice) for loop in loops]
-    found = margins(*np.array(points).T, **loops[0].filters)
-    mass = np.array([loop.mass for loop in loops])
-    # NaN, of a hand with which the wall is not stable, goes through.
+    stiffness, damping, factors = _margins_of(loops, gains)
     period = loops[0].sample_time
-    stiffness = np.asarray(found.stiffness) * (mass / period**2)[:, None]
-    damping = np.asarray(found.damping) * (mass / period)[:, None]
-    extra_delay = period * float(np.min(found.extra_delay))
+    # NaN, of a hand with which the wall is not stable, goes through.
+    stiffness_gain, damping_gain, extra_delay = (float(least) for least in factors.min(axis=1))
     return Margins(
-        float(np.min(found.stiffness_gain)),
-        float(np.min(found.damping_gain)),
+        stiffness_gain,
+        damping_gain,
         _common(stiffness),
         _common(damping),
         extra_delay,
         MOST_DELAY * period if isinf(extra_delay) else None,
         f"the least of {len(loops)} hands" if len(loops) > 1 else None,
+    )
+
+
+def _margins_of(loops: list[HapticLoop], gains: Gains) -> tuple[Ends, Ends, Least]:
+    """Return limits of K and of B (hand, 2), and the three factors and delays (3, hand), in SI."""
+    if loops[0].body is None:
+        found = [loop.margins(*gains) for loop in loops]
+        return (
+            np.array([one.stiffness for one in found]),
+            np.array([one.damping for one in found]),
+            np.array([[one.stiffness_gain, one.damping_gain, one.extra_delay] for one in found]).T,
+        )
+    points = [(loop.alpha(gains[0]), loop.beta(gains[1]), *loop.slice) for loop in loops]
+    both = margins(*np.array(points).T, **loops[0].filters)
+    mass, period = np.array([[loop.mass] for loop in loops]), loops[0].sample_time
+    delay = period * np.asarray(both.extra_delay)
+    return (
+        np.asarray(both.stiffness) * mass / period**2,
+        np.asarray(both.damping) * mass / period,
+        np.array([both.stiffness_gain, both.damping_gain, delay]),
     )
 
 

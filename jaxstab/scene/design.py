@@ -19,7 +19,7 @@ from jaxstab.scene.answers import (
     Stiffness,
 )
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.limits import LOWEST_HAND
+from jaxstab.scene.hands import LOWEST_HAND
 from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
 from jaxstab.scene.scene import Scene
 

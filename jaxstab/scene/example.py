@@ -8,11 +8,15 @@ EXAMPLE = """\
 mass = 0.1                # kg, effective mass at the handle; inertia in kg m^2 for one that turns
 damping = 1.5             # N s/m, physical damping of the device
 # encoder.resolution = 1e-5   # m at the handle: check bounds what its rounding does
+# actuator.bandwidth = 200.0  # Hz, at which motor and amplifier lose 3 dB
+# modes = [{ frequency = 80.0, damping_ratio = 0.02, modal_mass = 1.5 }]  # Hz, 1, kg: it vibrates
 
 [hand]                    # leave this table out for no hand
 mass = [0.0, 0.3]         # kg; each of the three is a number or [lowest, highest]
 stiffness = [0.0, 200.0]  # N/m
 damping = 1.0             # N s/m
+# grip.stiffness = 2000.0 # N/m, between the device and the hand, which is glued to it otherwise
+# grip.damping = 4.0      # N s/m
 
 [controller]
 sample_time = 0.001       # s

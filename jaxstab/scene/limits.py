@@ -3,11 +3,9 @@
 from dataclasses import dataclass, replace
 from math import nan
 
-from jaxstab.conventions import Verdict
 from jaxstab.criteria import linear_alpha_limit, passive_region
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
 from jaxstab.model import Velocity
-from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -15,19 +13,16 @@ from jaxstab.scene.answers import (
     DampingLimits,
     LargestDamping,
     LargestStiffness,
-    Mass,
     Number,
     Stiffness,
-    StiffnessBound,
     StiffnessLimits,
 )
 from jaxstab.scene.basis import basis_of
+from jaxstab.scene.hands import LOWEST_HAND, AllHands, limit_for_all
 from jaxstab.scene.loops import hands_of, is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
-LOWEST_HAND = "at its lowest values, where nothing else is said"
 _NOT_REACHABLE = "not reachable by turning gains up"
-_NO_FILTERS = "with an estimator or a filter"
 _FAR = "small gains are not stable: no wall is reachable by turning gains up"
 _WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
 
@@ -89,26 +84,6 @@ class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
 
 
 @dataclass(frozen=True)
-class HeldBy(Answer):
-    """A hand."""
-
-    mass: Mass
-    stiffness: Stiffness
-    damping: Damping
-
-
-@dataclass(frozen=True)
-class AllHands(Answer):
-    """A wall for all hands of a range, nearly the stiffest, and a proved bound of all."""
-
-    largest_stiffness: LargestStiffness
-    at_damping: Damping
-    certainty: str
-    none_is_stiffer_than: StiffnessBound
-    worst_hand: HeldBy
-
-
-@dataclass(frozen=True)
 class Limits(Answer):
     """What a scene allows, with the hand at its lowest values."""
 
@@ -126,7 +101,6 @@ class Limits(Answer):
     walls: dict[str, AroundWall]
     hand: str | None
     all_hands: AllHands | None
-    not_answered: str | None
 
 
 def scene_limits(scene: Scene) -> Limits:
@@ -139,13 +113,12 @@ def scene_limits(scene: Scene) -> Limits:
     Raises:
         ValueError: a quantity is out of range, or the stable region is not resolved.
     """
-    loop, wanted, hands = loop_of(scene), scene.wanted, hands_of(scene)
+    loop, wanted = loop_of(scene), scene.wanted
     region, safety = wall_region(loop), scene.wanted.safety or 1.0
     limits = region.limits()
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
     rows = _Rows(loop, reachable(region), safety)
     has_rules = is_plain(loop)
-    all_hands = _for_all(loop, hands, safety) if hands else None
     return Limits(
         basis=basis_of(scene),
         safety=wanted.safety,
@@ -163,15 +136,9 @@ def scene_limits(scene: Scene) -> Limits:
         at_given_damping=None if damping is None else rows.at_damping(damping),
         at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
         walls={f"wall {name}": rows.around(*wall) for name, wall in walls_of(scene).items()},
-        hand=LOWEST_HAND if hands else None,
-        all_hands=all_hands,
-        not_answered=f"all hands, {_NO_FILTERS}" if hands and all_hands is None else None,
+        hand=LOWEST_HAND if hands_of(scene) else None,
+        all_hands=limit_for_all(scene, safety),
     )
-
-
-def held_by(loop: HapticLoop) -> HeldBy:
-    """Return the hand of a loop."""
-    return HeldBy(loop.hand_mass, loop.hand_stiffness, loop.hand_damping)
 
 
 @dataclass(frozen=True)
@@ -248,21 +215,3 @@ def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
         stiffest = OtherWindow(safety * limits.stiffness, limits.at_damping)
         answers[f"with a window of {samples} samples"] = stiffest
     return answers
-
-
-def _for_all(loop: HapticLoop, hands: HandRange, safety: float) -> AllHands | None:
-    """Return what all hands allow; None where that is not computed for the loop's filters yet."""
-    try:
-        found = loop.robust_limit(hands)
-    except NotImplementedError:
-        return None
-    is_proved, stiffness = found.is_proved, safety * found.stiffness
-    if safety < 1.0:
-        is_proved = loop.worst_hand(hands, stiffness, found.damping).verdict == Verdict.STABLE
-    return AllHands(
-        largest_stiffness=stiffness,
-        at_damping=found.damping,
-        certainty="proved for every hand" if is_proved else "not proved",
-        none_is_stiffer_than=found.limit,
-        worst_hand=held_by(found.loop),
-    )

@@ -1,15 +1,26 @@
 """The loops of a scene, and the stable walls of a loop."""
 
-from dataclasses import replace
-from itertools import product
+from typing import NamedTuple
 
 from jaxstab.loop import Gains, HapticLoop, WallRegion
+from jaxstab.model import Device, Mode
+from jaxstab.model import Hand as Arm
 from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.ranges import HandRange
+from jaxstab.ranges.hands import spread_hands
 from jaxstab.region import RegionStatus
 from jaxstab.region.region import LONGEST_DELAY
-from jaxstab.scene.scene import Hand, Scene
+from jaxstab.scene.mechanics import Hand
+from jaxstab.scene.scene import Scene
+
+
+class OneHand(NamedTuple):
+    """A hand of the range: mass, stiffness and damping, in the units of the scene."""
+
+    mass: float
+    stiffness: float
+    damping: float
 
 
 def wall_region(loop: HapticLoop) -> WallRegion:
@@ -26,37 +37,43 @@ def wall_region(loop: HapticLoop) -> WallRegion:
     region = loop.region()
     if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(
-            f"the stable region of gamma = {loop.gamma:g}, delta = {loop.delta:g}, "
-            f"delay = {loop.delay_samples:g} samples{_with_filters(loop)} was not resolved; change "
-            "one value a little."
+            f"the stable region of {_in_words(loop)} was not resolved; change one value a little."
         )
     return region
 
 
-def loop_of(scene: Scene) -> HapticLoop:
-    """Return the loop of a scene with the hand at the lowest ends of its range.
+def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
+    """Return the loop of a scene with a hand; without, the one at the lowest ends of its range.
 
     Raises:
         ValueError: a quantity is out of range.
     """
-    hand = scene.hand or Hand()
+    if hand is None:
+        hand = OneHand(*(low for low, _ in _range_of(scene.hand or Hand())))
     _check_scale(scene)
+    controller = scene.controller
+    mechanics = _one_mass(scene, hand) if is_one_mass(scene) else {"device": _device(scene, hand)}
     return HapticLoop(
-        device_mass=scene.device.effective_mass,
-        device_damping=scene.device.damping,
-        sample_time=scene.controller.sample_time,
-        hand_mass=hand.effective_mass[0],
-        hand_damping=hand.damping[0],
-        hand_stiffness=hand.stiffness[0],
-        delay=scene.controller.time_delay,
-        velocity=scene.controller.estimator,
-        position=scene.controller.position_filter,
+        **mechanics,
+        sample_time=controller.sample_time,
+        delay=controller.time_delay,
+        velocity=controller.estimator,
+        position=controller.position_filter,
     )
 
 
+def is_one_mass(scene: Scene) -> bool:
+    """Return whether the device and the hand that is glued to it are one mass."""
+    device, hand = scene.device, scene.hand or Hand()
+    return not device.modes and device.actuator is None and hand.grip is None
+
+
 def is_plain(loop: HapticLoop) -> bool:
-    """Return whether the velocity is the difference over one sample, and nothing is filtered."""
-    return given_filters(**loop.filters) is None
+    """Return whether the loop is that of the simple rules: one mass, and nothing is filtered.
+
+    The velocity is then the difference over one sample.
+    """
+    return loop.body is not None and given_filters(**loop.filters) is None
 
 
 def reachable(region: WallRegion) -> WallRegion:
@@ -69,7 +86,7 @@ def hands_of(scene: Scene) -> HandRange | None:
     hand = scene.hand
     if hand is None or not hand.varies:
         return None
-    return HandRange(hand.effective_mass, hand.stiffness, hand.damping)
+    return _range_of(hand)
 
 
 def walls_of(scene: Scene) -> dict[str, Gains]:
@@ -77,16 +94,57 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
     return {name: Gains(wall.stiffness, wall.damping) for name, wall in scene.walls.items()}
 
 
-def corner_loops(loop: HapticLoop, hands: HandRange) -> list[HapticLoop]:
-    """Return the loop with each hand at the corners of a range.
+def hands_among(scene: Scene, count: int) -> list[OneHand]:
+    """Return so many hands along each quantity of the scene's range; two are the corners."""
+    hands = spread_hands(_range_of(scene.hand or Hand()), count)
+    return [OneHand(*hand) for hand in hands.tolist()]
+
+
+def corner_loops(scene: Scene) -> list[HapticLoop]:
+    """Return the loop of a scene with each hand at the corners of its range.
 
     Raises:
         ValueError: a quantity is out of range.
     """
-    return [
-        replace(loop, hand_mass=mass, hand_stiffness=stiffness, hand_damping=damping)
-        for mass, stiffness, damping in product(*(sorted(set(ends)) for ends in hands))
+    return [loop_of(scene, hand) for hand in hands_among(scene, 2)]
+
+
+def _range_of(hand: Hand) -> HandRange:
+    return HandRange(hand.effective_mass, hand.stiffness, hand.damping)
+
+
+def _one_mass(scene: Scene, hand: OneHand) -> dict[str, float]:
+    return {
+        "device_mass": scene.device.effective_mass,
+        "device_damping": scene.device.damping,
+        "hand_mass": hand.mass,
+        "hand_damping": hand.damping,
+        "hand_stiffness": hand.stiffness,
+    }
+
+
+def _device(scene: Scene, hand: OneHand) -> Device:
+    """Return the device with its modes and its actuator, held by a hand."""
+    table = scene.device
+    modes = [
+        Mode(
+            frequency=mode.frequency,
+            damping_ratio=mode.damping_ratio,
+            modal_mass=mode.effective_mass,
+        )
+        for mode in table.modes
     ]
+    own = table.effective_mass, table.damping
+    device = Device.mass_spring_damper(*own)
+    if modes:
+        device = Device.modes(modes, mass=own[0], damping=own[1])
+    if table.actuator is not None:
+        device = device.with_actuator(table.actuator.bandwidth)
+    if scene.hand is None:
+        return device
+    arm = Arm.mass_spring_damper(hand.mass, hand.damping, hand.stiffness)
+    grip = scene.hand.grip
+    return device.held_by(arm if grip is None else arm.with_grip(grip.stiffness, grip.damping))
 
 
 def _check_scale(scene: Scene) -> None:
@@ -105,5 +163,13 @@ def _check_scale(scene: Scene) -> None:
             )
 
 
-def _with_filters(loop: HapticLoop) -> str:
-    return "" if is_plain(loop) else f", {loop.velocity or Velocity()}"
+def _in_words(loop: HapticLoop) -> str:
+    """Return what decides about the region of a loop."""
+    velocity = loop.velocity or Velocity()
+    filters = "" if given_filters(**loop.filters) is None else f", {velocity}"
+    if loop.body is None:
+        return f"this device and hand, delay = {loop.delay_samples:g} samples{filters}"
+    return (
+        f"gamma = {loop.gamma:g}, delta = {loop.delta:g}, delay = {loop.delay_samples:g} "
+        f"samples{filters}"
+    )

@@ -2,7 +2,9 @@
 
 from typing import NamedTuple
 
-from jaxstab.scene.scene import ANSWERS, MEASURES, Hand, Scene
+from jaxstab.scene.loops import is_one_mass
+from jaxstab.scene.mechanics import Hand
+from jaxstab.scene.scene import ANSWERS, MEASURES, Scene
 
 
 class Step(NamedTuple):
@@ -28,7 +30,12 @@ def plan_scene(scene: Scene) -> list[Step]:
     for name in MEASURES:
         is_wanted = name in wanted.measures
         why = checked if is_wanted else "wanted.measures does not have it"
+        if name == "chatter" and scene.device.encoder is None:
+            is_wanted, why = False, "device.encoder is not given"
         steps.append(Step(name, asked["check"] and is_wanted, why))
     why = "the hand is a range" if hand.varies else "there is one hand at most"
-    steps.append(Step("proof and worst case over the hands", hand.varies, why))
+    steps.append(Step("worst case over the hands", hand.varies, why))
+    if hand.varies and not is_one_mass(scene):
+        why = "device and hand are not one mass: hands are tried, none between is proved"
+    steps.append(Step("proof for all hands", hand.varies and is_one_mass(scene), why))
     return steps

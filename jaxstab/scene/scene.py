@@ -1,112 +1,30 @@
 """A haptic scene in SI units: what a TOML file or the command line says, checked; no JAX here."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, NamedTuple
 
 from jaxstab.model import Filter, Velocity
 from jaxstab.scene.estimators import PositionTable, VelocityTable
-from jaxstab.scene.presets import device_presets
+from jaxstab.scene.mechanics import LENGTH, Device, Hand
 from jaxstab.scene.units import Units
 from jaxstab.tables import (
     Table,
     check_keys,
-    interval,
+    each,
     key,
     nested,
     one_of,
     quantity,
     read_table,
     share,
-    some_of,
 )
 
 ANSWERS = ("limits", "check", "tune", "design")
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter")
 MOST_SAMPLES = 1024  # of delay: the degree of what is solved
 _MANY_SAMPLES = 1000  # of delay: more likely a slip of the unit
-_LENGTH = "m, or in rad for a device that turns"
-_NO_MASS = "mass is missing; give it a value."
-
-
-@dataclass(frozen=True, kw_only=True)
-class Encoder(Table):
-    """What the position is rounded to: the resolution at the handle."""
-
-    resolution: float = key(quantity(_LENGTH, is_positive=True))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Device(Table):
-    """The haptic device: effective mass in kg and physical damping in N s/m, or a preset.
-
-    A device that turns has a moment of inertia in kg m^2 in place of the mass, and its damping is
-    in N m s/rad.
-    """
-
-    preset: str | None = key(lambda name: one_of(device_presets())(name), None)
-    mass: float | None = key(quantity("kg", is_positive=True), None)
-    inertia: float | None = key(quantity("kg m^2", is_positive=True), None)
-    damping: float = key(quantity("N s/m"))
-    encoder: Encoder | None = key(nested(Encoder), None)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.mass is not None and self.inertia is not None:
-            raise ValueError(
-                f"mass is {self.mass:g} beside inertia; give mass for a device that moves along a "
-                "line, or inertia for one that turns."
-            )
-        if self.mass is None and self.inertia is None:
-            raise ValueError(_NO_MASS)
-
-    @classmethod
-    def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Let a preset give what the table does not."""
-        preset = device_presets().get(str(table.get("preset")))
-        if preset is None:
-            if "mass" not in table and "inertia" not in table:
-                raise ValueError(_NO_MASS)
-            return table
-        known = preset.values(("mass", "damping"))
-        for name in ("mass", "damping"):
-            if name not in known and name not in table:
-                raise ValueError(
-                    f"{name} is missing; no source has that of the preset {table['preset']!r}, so "
-                    "give it a value."
-                )
-        return {**known, **table}
-
-    @property
-    def units(self) -> Units:
-        """The units of whatever belongs to the device."""
-        return Units.LINE if self.inertia is None else Units.ROTATION
-
-    @property
-    def effective_mass(self) -> float:
-        """The mass in kg, or the moment of inertia in kg m^2."""
-        return self.mass or self.inertia or 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Hand(Table):
-    """The hand that holds the device; each quantity a range from lowest to highest."""
-
-    mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0))
-    inertia: tuple[float, float] | None = key(interval("kg m^2"), None)
-    stiffness: tuple[float, float] = key(interval("N/m"), (0.0, 0.0))
-    damping: tuple[float, float] = key(interval("N s/m"), (0.0, 0.0))
-
-    @property
-    def effective_mass(self) -> tuple[float, float]:
-        """The mass in kg, or the moment of inertia in kg m^2."""
-        return self.inertia or self.mass
-
-    @property
-    def varies(self) -> bool:
-        """Whether this is more than one hand."""
-        return any(low < high for low, high in (self.effective_mass, self.stiffness, self.damping))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,12 +87,12 @@ class Wall(Table):
 class Wanted(Table):
     """What to answer, and with which measures of a wall beside its verdict."""
 
-    answers: tuple[str, ...] = key(some_of(ANSWERS), ("limits",))
-    measures: tuple[str, ...] = key(some_of(MEASURES), MEASURES)
+    answers: tuple[str, ...] = key(each(one_of(ANSWERS)), ("limits",))
+    measures: tuple[str, ...] = key(each(one_of(MEASURES)), MEASURES)
     at_damping: float | None = key(quantity("N s/m"), None)
     at_stiffness: float | None = key(quantity("N/m"), None)
     stiffness: float | None = key(quantity("N/m", is_positive=True), None)
-    chatter: float | None = key(quantity(_LENGTH, is_positive=True), None)
+    chatter: float | None = key(quantity(LENGTH, is_positive=True), None)
     safety: float | None = key(share, None)
 
     def __post_init__(self) -> None:
@@ -257,7 +175,7 @@ class Scene:
         found = [
             _outside(f"device.{mass}", device.effective_mass, *usual.device_mass, kilogram),
             _outside("device.damping", device.damping, *usual.device_damping, damping),
-            _coarse(device),
+            *_unusual_mechanics(device, hand, usual),
             _outside(f"hand.{mass}", hand.effective_mass[1], *usual.hand_mass, kilogram),
             _outside("hand.stiffness", hand.stiffness[1], *usual.stiffness, stiffness),
             _outside("hand.damping", hand.damping[1], *usual.hand_damping, damping),
@@ -318,15 +236,29 @@ def _walls(table: Any) -> dict[str, Wall]:
 def _outside(name: str, value: float, low: float, high: float, unit: str) -> str:
     if low <= value <= high:
         return ""
-    return f"{name} is {value:g} {unit}, usual are {low:g} to {high:g} {unit}"
+    words = f"{name} is {value:g} {unit}, usual are {low:g} to {high:g} {unit}"
+    return " ".join(words.split()).replace(" ,", ",")
 
 
-def _coarse(device: Device) -> str:
-    """Return a warning for a resolution that was meant in other units."""
-    if device.encoder is None:
-        return ""
-    unit = device.units.length
-    return _outside("device.encoder.resolution", device.encoder.resolution, 1e-9, 1e-3, unit)
+def _unusual_mechanics(device: Device, hand: Hand, usual: _Usual) -> Iterator[str]:
+    """Yield warnings for an encoder, modes, an actuator and a grip in other units."""
+    units = device.units
+    if device.encoder is not None:
+        resolution = device.encoder.resolution
+        yield _outside("device.encoder.resolution", resolution, 1e-9, 1e-3, units.length)
+    for number, mode in enumerate(device.modes):
+        name = f"device.modes.{number}"
+        yield _outside(f"{name}.frequency", mode.frequency, 0.1, 1e4, "Hz")
+        yield _outside(f"{name}.damping_ratio", mode.damping_ratio, 0.0, 1.0, "")
+        low, high = usual.device_mass
+        moved = abs(mode.effective_mass)
+        yield _outside(f"{name}.modal_{units.moved}", moved, low, 100.0 * high, units.kilogram)
+    if device.actuator is not None:
+        yield _outside("device.actuator.bandwidth", device.actuator.bandwidth, 1.0, 1e5, "Hz")
+    if hand.grip is not None:
+        grip, limits = hand.grip, (usual.stiffness, usual.hand_damping)
+        yield _outside("hand.grip.stiffness", grip.stiffness, *limits[0], units.stiffness)
+        yield _outside("hand.grip.damping", grip.damping, *limits[1], units.damping)
 
 
 def _many_samples(controller: Controller) -> str:

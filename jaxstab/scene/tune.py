@@ -10,7 +10,7 @@ from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import Answer, Basis, Bound, Damping, Number, Stiffness, rounded_gain
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import Amplitude, SettlingTime, settled
-from jaxstab.scene.limits import LOWEST_HAND
+from jaxstab.scene.hands import LOWEST_HAND
 from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
 from jaxstab.scene.scene import Scene
 from jaxstab.scene.units import Units

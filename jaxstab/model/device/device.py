@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from jaxstab.model.device.parts import (
 from jaxstab.model.device.rational import Rational, balls_of, polynomial, turn
 from jaxstab.numbers import checked_number
 
-_POLE_BITS, _POLE_DIGITS = 1024, 200  # of the computation, and behind the point of a pole
+_BITS, _POLE_DIGITS = 1024, 200  # of what is computed, and behind the point of a pole
 
 
 @dataclass(frozen=True)
@@ -229,6 +230,17 @@ class Device:
         """Return position over a force at the handle, where no actuator is, in exact numbers."""
         return _compliance(replace(self, bandwidths=()))
 
+    def static_stiffness(self) -> float:
+        """Return the force in N that holds the handle 1 m from where it stands, without a wall.
+
+        It is 0 for a free mass, and infinite where a constant force moves nothing.
+        """
+        import flint
+
+        with flint.ctx.workprec(_BITS):
+            above, below = (balls_of(part)[0] for part in self.handle_compliance())
+            return inf if above == 0 else float((below / above).mid())
+
     def poles(self) -> Complex128[np.ndarray, " pole"]:
         """Return the poles without a wall in rad/s, each as often as it counts, rightmost first.
 
@@ -302,7 +314,7 @@ def _pole_balls(device: Device) -> list[tuple[Any, int]]:
     import flint
 
     _, factors = device.compliance().denominator.factor_squarefree()
-    with flint.ctx.workprec(_POLE_BITS):
+    with flint.ctx.workprec(_BITS):
         return [
             (root, count)
             for factor, count in factors

@@ -1,0 +1,210 @@
+"""All hands of a scene: the worst one for a wall, and the stiffest wall for all of them.
+
+Where device and hand are one mass this is proved for every hand of the range. For any other device
+hands are tried: what one of them contradicts is proved, and all else is said to be tried.
+"""
+
+from dataclasses import dataclass
+from functools import reduce
+from math import nan
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxstab.conventions import Verdict
+from jaxstab.loop import Gains, HapticLoop
+from jaxstab.ranges import HandRange
+from jaxstab.scene.answers import (
+    Answer,
+    Damping,
+    LargestStiffness,
+    Mass,
+    Stiffness,
+    StiffnessBound,
+)
+from jaxstab.scene.loops import (
+    OneHand,
+    corner_loops,
+    hands_among,
+    hands_of,
+    is_one_mass,
+    loop_of,
+    reachable,
+    wall_region,
+)
+from jaxstab.scene.scene import Scene
+
+LOWEST_HAND = "at its lowest values, where nothing else is said"
+_TRIED = 3  # hands along each quantity
+_ROWS = 400  # of B, in which walls are stable for all hands
+_CORNER = 1e-6  # of all rows: how far the outer ones are inside
+_ZOOMS = 3  # towards the rows that are
+_PULL = 0.01  # of the limit: the wall that is tried lies so far below, then twice as far
+_ATTEMPTS = 4
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HeldBy(Answer):
+    """A hand."""
+
+    mass: Mass
+    stiffness: Stiffness
+    damping: Damping
+
+
+@dataclass(frozen=True)
+class AllHands(Answer):
+    """A wall for all hands of a range, nearly the stiffest, and a proved bound of all."""
+
+    largest_stiffness: LargestStiffness
+    at_damping: Damping
+    certainty: str
+    none_is_stiffer_than: StiffnessBound | None
+    worst_hand: HeldBy
+
+
+class WorstHeld(NamedTuple):
+    """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
+
+    ``tried`` says how many hands were tried where nothing is proved of those between.
+    """
+
+    verdict: Verdict
+    loop: HapticLoop
+    hand: HeldBy
+    tried: str | None
+
+
+def worst_held(scene: Scene, hands: HandRange, gains: Gains) -> WorstHeld:
+    """Return what is known of a wall for all hands of a range, and the worst hand."""
+    if is_one_mass(scene):
+        worst = loop_of(scene).worst_hand(hands, *gains)
+        return WorstHeld(worst.verdict, worst.loop, held_by(worst.loop), None)
+    among = hands_among(scene, _TRIED)
+    loops = [loop_of(scene, hand) for hand in among]
+    codes = np.array([int(loop.verdict(*gains)) for loop in loops])
+    radii = np.array([float(loop.spectral_radius(*gains).value) for loop in loops])
+    is_unstable = codes == Verdict.UNSTABLE
+    number = int(np.argmax(np.where(is_unstable | ~is_unstable.any(), radii, -1.0)))
+    hand = HeldBy(*among[number])
+    if is_unstable.any():
+        return WorstHeld(Verdict.UNSTABLE, loops[number], hand, None)
+    are = "all are stable, " if np.all(codes == Verdict.STABLE) else ""
+    words = f"{len(loops)} hands were tried: {are}nothing is proved of those between"
+    return WorstHeld(Verdict.UNDECIDED, loops[number], hand, words)
+
+
+def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
+    """Return what all hands of a scene allow; None where there is one hand at most."""
+    hands = hands_of(scene)
+    if hands is None:
+        return None
+    if not is_one_mass(scene):
+        return _tried_limit(scene, hands, safety)
+    loop = loop_of(scene)
+    found = loop.robust_limit(hands)
+    is_proved, stiffness = found.is_proved, safety * found.stiffness
+    if safety < 1.0:
+        is_proved = loop.worst_hand(hands, stiffness, found.damping).verdict == Verdict.STABLE
+    return AllHands(
+        largest_stiffness=stiffness,
+        at_damping=found.damping,
+        certainty="proved for every hand" if is_proved else "not proved",
+        none_is_stiffer_than=found.limit,
+        worst_hand=held_by(found.loop),
+    )
+
+
+def held_by(loop: HapticLoop) -> HeldBy:
+    """Return the hand of a loop of one mass."""
+    return HeldBy(loop.hand_mass, loop.hand_stiffness, loop.hand_damping)
+
+
+def common_outline(loops: list[HapticLoop]) -> Floats:
+    """Return walls (K, B) that are stable for each of some loops, row by row of B.
+
+    Of several intervals of K in a row it is the widest.
+    """
+    regions = [reachable(wall_region(loop)) for loop in loops]
+    nothing = np.zeros((0, 2))
+    if any(region.is_empty for region in regions):
+        return nothing
+    low = max(region.outline[:, 1].min() for region in regions)
+    high = min(region.outline[:, 1].max() for region in regions)
+    for _ in range(_ZOOMS):  # the rows that meet may be few of those tried
+        if not low < high:
+            return nothing
+        rows = _rows(low, high)
+        left, right = _widest(reduce(_shared, (one.stiffness_intervals(rows) for one in regions)))
+        met = np.flatnonzero(left < right)
+        if not len(met):
+            return nothing
+        if len(met) == _ROWS:
+            break
+        low, high = rows[max(met[0] - 1, 0)], rows[min(met[-1] + 1, _ROWS - 1)]
+    left, right, rows = left[met], right[met], rows[met]
+    return np.column_stack([np.append(left, right[::-1]), np.append(rows, rows[::-1])])
+
+
+def _shared(one: Floats, other: Floats) -> Floats:
+    """Return the intervals (row, interval, 2) that two sets of intervals share; NaN for none."""
+    low = np.maximum(one[:, :, None, 0], other[:, None, :, 0])
+    high = np.minimum(one[:, :, None, 1], other[:, None, :, 1])
+    both = np.where((low < high)[..., None], np.stack([low, high], axis=-1), np.nan)
+    shared = both.reshape(len(one), low.shape[1] * low.shape[2], 2)
+    return shared[:, ~np.isnan(shared[..., 0]).all(axis=0)]
+
+
+def _widest(intervals: Floats) -> Floats:
+    """Return the lower and the upper ends (2, row) of the widest intervals; NaN for none."""
+    if not intervals.shape[1]:
+        return np.full((2, len(intervals)), np.nan)
+    widths = np.nan_to_num(intervals[..., 1] - intervals[..., 0], nan=-np.inf)
+    widest: Floats = intervals[np.arange(len(intervals)), np.argmax(widths, axis=1)].T
+    return widest
+
+
+def _tried_limit(scene: Scene, hands: HandRange, safety: float) -> AllHands:
+    """Return nearly the stiffest wall of the hands at the corners, tried for hands between."""
+    among: list[OneHand | HeldBy] = [*hands_among(scene, 2)]
+    loops, pull = corner_loops(scene), _PULL
+    for _ in range(_ATTEMPTS):
+        outline = common_outline(loops)
+        if not len(outline):
+            return AllHands(nan, nan, "no wall was found", None, _as_answer(among[0]))
+        most, damping = outline[np.argmax(outline[:, 0])]
+        setter = int(np.argmin([_reach(one, most, damping) for one in loops]))
+        stiffness = safety * float(most - pull * abs(most))
+        worst = worst_held(scene, hands, Gains(stiffness, float(damping)))
+        if worst.tried:
+            break
+        loops.append(worst.loop)
+        among.append(worst.hand)
+        pull *= 2.0
+    return AllHands(
+        largest_stiffness=stiffness if worst.tried else nan,
+        at_damping=float(damping),
+        certainty=worst.tried or "unstable for a hand that was tried",
+        none_is_stiffer_than=None,
+        worst_hand=_as_answer(among[setter]),
+    )
+
+
+def _reach(loop: HapticLoop, stiffness: float, damping: float) -> float:
+    """Return how far the interval of stable K goes that a wall is in, or ends nearest to."""
+    ends = reachable(wall_region(loop)).stiffness_intervals(np.array([damping]))[0, :, 1]
+    return float(ends[np.nanargmin(np.abs(ends - stiffness))])
+
+
+def _as_answer(hand: OneHand | HeldBy) -> HeldBy:
+    return hand if isinstance(hand, HeldBy) else HeldBy(*hand)
+
+
+def _rows(low: float, high: float) -> Floats:
+    """Return values of B, the outer ones close to the ends, where corners are."""
+    rows: Floats = np.linspace(low, high, _ROWS)
+    rows[[0, -1]] = low + _CORNER * (high - low), high - _CORNER * (high - low)
+    return rows
