@@ -40,7 +40,7 @@ def main() -> int:
         "name",
         nargs="?",
         choices=[*BENCHMARKS, "plot", "table"],
-        help="what to measure, or plot: draw all records and put the README's table into it, "
+        help="what to measure, or plot: draw all records and put their table into the pages, "
         "or table: print that table; without a name all benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
@@ -57,7 +57,7 @@ def main() -> int:
     if choice.name == "plot":
         import_module("benchmarks.plots").draw_all(folder)
         if folder == record.RESULTS:
-            table.put_into_readme(record.read_all(folder))
+            table.put_into_pages(record.read_all(folder))
         return 0
     if choice.name is None and not choice.small:
         return _each_in_its_process(sys.argv[1:])

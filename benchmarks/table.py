@@ -1,4 +1,7 @@
-"""The README's table: a line for each task and method, with its run time and its error."""
+"""The table of benchmarks: a line for each task and method, with its run time and its error.
+
+All of it stands in docs/accuracy.md, and a few lines in the README.
+"""
 
 import re
 from collections import Counter
@@ -7,35 +10,53 @@ from pathlib import Path
 
 from benchmarks.record import Record, Row
 
-README = Path(__file__).parents[1] / "README.md"
+ROOT = Path(__file__).parents[1]
+README, PAGE = ROOT / "README.md", ROOT / "docs" / "accuracy.md"
 _BEGIN, _END = "<!-- table of benchmarks: begin -->", "<!-- table of benchmarks: end -->"
 
 _HEADING = ("task", "method", "run time", "error", "LAPACK's CPU time is so many times")
 _DELAYS = (0.0, 1.0, 5.0, 20.0, 60.0)  # of the throughput: the plot has others, and more rivals
 _METHODS = ("verdict", "spectral_radius")
 _OWN_REGIONS = ("stable_region", "vmapped outlines")
+_IN_README = {  # parts of tasks, and their methods
+    ("one region,", "stable_region"),
+    ("boundary of a slice", "closed form"),
+    ("points, delay 1", "verdict"),
+    ("points, delay 1", "spectral_radius"),
+    ("random points of the default atlas", "atlas, many points"),
+    ("random and adversarial loops", "verdict"),
+}
 
 Line = tuple[str, str, str, str, str]
 
 
-def markdown(records: list[Record]) -> str:
-    """Return the table of the machine that has the most records, under the machine's name."""
+def markdown(records: list[Record], *, brief: bool = False) -> str:
+    """Return the table of the machine that has the most records, under the machine's name.
+
+    The brief one has the lines of the README alone.
+    """
     machines = Counter(one["machine"]["name"] for one in records)
     machine = machines.most_common(1)[0][0]
     chosen = {one["benchmark"]: one for one in records if one["machine"]["name"] == machine}
     lines = [
-        line for name in _LINES if name in chosen for line in _LINES[name](chosen[name]["rows"])
+        line
+        for name in _LINES
+        if name in chosen
+        for line in _LINES[name](chosen[name]["rows"])
+        if not brief or any(part in line[0] and line[1] == method for part, method in _IN_README)
     ]
     table = map(_row, [_HEADING, ("---",) * len(_HEADING), *lines])
     return "\n".join([_caption(list(chosen.values())), "", *table])
 
 
-def put_into_readme(records: list[Record]) -> None:
-    """Replace what is between the markers in the README."""
-    text = README.read_text(encoding="utf-8")
-    between = f"{_BEGIN}\n{markdown(records)}\n{_END}"
-    pattern = f"{re.escape(_BEGIN)}.*{re.escape(_END)}"
-    README.write_text(re.sub(pattern, lambda _: between, text, flags=re.DOTALL), encoding="utf-8")
+def put_into_pages(records: list[Record]) -> None:
+    """Replace what is between the markers in the README and in docs/accuracy.md."""
+    for page in (README, PAGE):
+        text = page.read_text(encoding="utf-8")
+        between = f"{_BEGIN}\n{markdown(records, brief=page == README)}\n{_END}"
+        pattern = f"{re.escape(_BEGIN)}.*{re.escape(_END)}"
+        new = re.sub(pattern, lambda _, table=between: table, text, flags=re.DOTALL)
+        page.write_text(new, encoding="utf-8")
 
 
 def _caption(records: list[Record]) -> str:

@@ -218,12 +218,16 @@ def _users_cache() -> Path:
 
 
 def on_host(
-    function: Callable[..., Result], *arrays: Array, shape: tuple[int, ...], like: Any
+    function: Callable[..., Result],
+    *arrays: Array,
+    shape: tuple[int, ...],
+    like: Any,
+    is_count: bool = True,
 ) -> Result:
     """Call a NumPy function of arrays that all have one shape, also from JAX, jit and vmap.
 
     A search with branches for each loop is no kernel for XLA: JAX hands its arrays to NumPy and
-    goes on with the answer, which has no derivative.
+    goes on with the answer, which has no derivative: that of a count is 0, others JAX refuses.
 
     Args:
         function: takes NumPy arrays, returns a tree of NumPy arrays of the same shape; it must not
@@ -231,9 +235,11 @@ def on_host(
         arrays: what it is called with, broadcast to the shape.
         shape: of arguments and results.
         like: a tree like the result, with the dtype in place of each array.
+        is_count: whether the results jump between constants.
     """
     xp = namespace(arrays)
-    arrays = constant(tuple(xp.broadcast_to(array, shape) for array in arrays))
+    arrays = tuple(xp.broadcast_to(array, shape) for array in arrays)
+    arrays = constant(arrays) if is_count else arrays
     if xp is np:
         return function(*arrays)
     import jax

@@ -1,5 +1,6 @@
 """Commands, run as a user runs them, and what is expected of every failure."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,18 @@ def run(*arguments: str | Path, stdin: str = "") -> Result:
 def run_process(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", START, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def run_code(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run lines of Python in a process of their own, without a screen."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env=os.environ | {"MPLBACKEND": "Agg"},
         capture_output=True,
         text=True,
         check=False,

@@ -284,3 +284,14 @@ def test_tune_of_a_scene_keeps_to_its_limit() -> None:
     device = {"mass": 0.25, "damping": 0.1}
     with pytest.raises(ValueError, match=r"wanted.chatter is 1.2e-05, but no encoder is known"):
         Scene.from_table(SCENE | {"wanted": wanted, "device": device})
+
+
+def test_jax_refuses_derivatives_that_are_not_known() -> None:
+    def position(alpha: jax.Array, encoder: jax.Array) -> jax.Array:
+        return amplitude(alpha, 0.5, 0.0, 0.015, 0.0, encoder=encoder).position
+
+    wall, resolution = jnp.asarray(0.1), jnp.asarray(2.0)
+    by_resolution = jax.grad(position, argnums=1)(wall, resolution)
+    assert by_resolution == pytest.approx(float(position(wall, resolution)) / 2.0)
+    with pytest.raises(ValueError, match="do not support JVP"):
+        jax.grad(position)(wall, resolution)

@@ -91,4 +91,13 @@ def test_pictures_and_pages_are_there() -> None:
 
 
 def test_the_table_is_that_of_the_records() -> None:
-    assert run("-m", "benchmarks", "table", folder=ROOT) in README
+    table = run("-m", "benchmarks", "table", folder=ROOT)
+    assert table in (ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8")
+    lines = [line for line in README.splitlines() if line.startswith("| ") and " per point" in line]
+    assert len(lines) == 3
+    assert set(lines) <= set(table.splitlines())
+
+
+def test_the_first_answer_is_what_the_command_prints() -> None:
+    (shown,) = re.findall(r"^```\n\$ (jaxstab .*)\n((?:.*\n)+?)```", README, re.MULTILINE)
+    assert jaxstab_command(shown[0], ROOT).startswith(shown[1])

@@ -108,9 +108,11 @@ def amplitude(
     Returns:
         Amplitude in U, U/T and m U/T^2. What is proved holds for the gains, the plant and the
         filter coefficients as float64 has them; rounding and the tails of all sums are bounded.
+        Differentiable in what disturbs the loop alone.
 
     Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or nothing disturbs the loop.
+        ValueError: an argument is outside its range, infinite or NaN, or nothing disturbs the loop;
+            or JAX differentiates by gains or plant.
         TypeError: the delay or a filter is traced.
         RuntimeError: JAX arrays are given without x64.
 
@@ -146,7 +148,7 @@ def amplitude(
     search = partial(gains_of_disturbances, bank=bank, causes=causes)
     lanes = *gains, *entries, *middle, gamma, delta, np.floor(delay)
     like = (Gains(*[np.float64] * 4),) * 3
-    found = on_host(search, *lanes, shape=grid, like=like)
+    found = on_host(search, *lanes, shape=grid, like=like, is_count=False)
     sampled = Gains(*(_total(bounds, parts) for parts in zip(*found, strict=True)))
     is_proved = xp.isfinite(sum(one.position for one in found))
     bounded = _at_all_times(sampled, rubbing, gamma, delta, fraction)

@@ -1,0 +1,70 @@
+"""What JAX's transformations make of each public function: the table of docs/transforms.md."""
+
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from operator import attrgetter
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from calls import COMPUTING_CALLS, OBJECTS
+
+import jaxstab
+from jaxstab.arrays import leaves
+
+WORD = {True: "yes", False: "no"}
+REFUSALS = (TypeError, ValueError, NotImplementedError, jax.errors.JAXTypeError)
+
+
+def row(name: str) -> tuple[str, str, str, str]:
+    """What is traced, and whether jit, vmap and grad go through; nothing is compiled."""
+    what, function, value = _of_one_argument(name)
+    return (
+        what,
+        WORD[_goes(lambda: jax.make_jaxpr(jax.jit(function))(value))],
+        WORD[_goes(lambda: jax.make_jaxpr(jax.vmap(function))(_stacked(value)))],
+        WORD[_goes(lambda: jax.make_jaxpr(jax.grad(_summed(function), allow_int=True))(value))],
+    )
+
+
+def _of_one_argument(name: str) -> tuple[str, Callable[[Any], Any], Any]:
+    """The argument that is traced: the first number or, where there is none, the loop itself."""
+    given = [
+        OBJECTS[value]() if isinstance(value, str) else value for value in COMPUTING_CALLS[name]
+    ]
+    options = given.pop() if isinstance(given[-1], dict) else {}
+    function = attrgetter(name)(jaxstab)
+    keywords = dict(enumerate(given)) | options
+    traced = next((key for key, value in keywords.items() if isinstance(value, float)), 0)
+    value = keywords[traced]
+    what = "loop" if is_dataclass(value) else "a number"
+
+    def of_one(argument: Any) -> Any:
+        every = keywords | {traced: argument}
+        named = {key: every[key] for key in options}
+        answer = function(*(every[index] for index in range(len(given))), **named)
+        return [leaf for leaf in leaves(answer) if isinstance(leaf, jax.Array)] or answer
+
+    return what, of_one, value if is_dataclass(value) else jnp.asarray(value)
+
+
+def _stacked(value: Any) -> Any:
+    return jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 2), value)
+
+
+def _summed(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def total(argument: Any) -> Any:
+        floats = [leaf for leaf in leaves(function(argument)) if leaf.dtype.kind == "f"]
+        if not floats:
+            raise TypeError("no real number depends on it")
+        return sum(leaf.sum() for leaf in floats)
+
+    return total
+
+
+def _goes(trace: Callable[[], object]) -> bool:
+    try:
+        trace()
+    except REFUSALS:
+        return False
+    return True
