@@ -4,16 +4,19 @@ The plant coefficients and the coefficients of p(z) are sums that can cancel for
 may choose; computed in pairs and rounded once, each is right to the last digit.
 
 Algorithms: Dekker (1971) and Knuth (TAOCP 4.2.2), in the accurate variants of Joldes, Muller and
-Popescu (2017). All operations are polynomial or one division, so JAX differentiates through them.
+Popescu (2017). JAX is told the derivatives of the operations, in float64: those of each of their
+steps would tell no more, and take four times as long to compile.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from struct import Struct
-from typing import Union
+from typing import Any, Union
 
 import numpy as np
 
-from jaxstab.arrays import Array, constant, is_jax, kept, namespace, pytree
+from jaxstab.arrays import Array, is_jax, kept, namespace, pytree, tree_map
 
 _UPPER_HALF = np.uint64(0xFFFFFFFFF8000000)  # sign, exponent and 26 bits of the significand
 _UPPER_BITS = int(_UPPER_HALF)
@@ -45,13 +48,7 @@ class DoubleDouble:
         return DoubleDouble(hi, xp.zeros_like(hi))
 
     def __add__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
-        if not isinstance(other, DoubleDouble):
-            high, high_error = two_sum(self.hi, other)
-            return DoubleDouble(*_quick_two_sum(high, high_error + self.lo))
-        high, high_error = two_sum(self.hi, other.hi)
-        low, low_error = two_sum(self.lo, other.lo)
-        high, high_error = _quick_two_sum(high, high_error + low)
-        return DoubleDouble(*_quick_two_sum(high, high_error + low_error))
+        return _of_namespace(_sum, self, other)
 
     def __neg__(self) -> "DoubleDouble":
         return DoubleDouble(-self.hi, -self.lo)
@@ -60,21 +57,10 @@ class DoubleDouble:
         return self + (-other)
 
     def __mul__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
-        if not isinstance(other, DoubleDouble):
-            high, error = two_product(self.hi, other)
-            return DoubleDouble(*_quick_two_sum(high, error + self.lo * other))
-        high, error = two_product(self.hi, other.hi)
-        return DoubleDouble(
-            *_quick_two_sum(high, error + (self.hi * other.lo + self.lo * other.hi))
-        )
+        return _of_namespace(_product, self, other)
 
     def __truediv__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
-        other = DoubleDouble.of(other)
-        first = self.hi / other.hi
-        remainder = self - other * first
-        second = remainder.hi / other.hi
-        third = (remainder - other * second).hi / other.hi
-        return DoubleDouble(*_quick_two_sum(first, second)) + third
+        return _of_namespace(_quotient, self, other)
 
     def scaled(self, power_of_two: float) -> "DoubleDouble":
         """Multiply by a power of two, which is exact."""
@@ -83,6 +69,71 @@ class DoubleDouble:
     def rounded(self) -> Array:
         """Return the nearest float64."""
         return self.hi + self.lo
+
+
+Factor = Array | float | DoubleDouble
+Operation = Callable[[DoubleDouble, Factor], DoubleDouble]
+
+
+def _sum(one: DoubleDouble, other: Factor) -> DoubleDouble:
+    if not isinstance(other, DoubleDouble):
+        high, high_error = two_sum(one.hi, other)
+        return DoubleDouble(*_quick_two_sum(high, high_error + one.lo))
+    high, high_error = two_sum(one.hi, other.hi)
+    low, low_error = two_sum(one.lo, other.lo)
+    high, high_error = _quick_two_sum(high, high_error + low)
+    return DoubleDouble(*_quick_two_sum(high, high_error + low_error))
+
+
+def _product(one: DoubleDouble, other: Factor) -> DoubleDouble:
+    if not isinstance(other, DoubleDouble):
+        high, error = two_product(one.hi, other)
+        return DoubleDouble(*_quick_two_sum(high, error + one.lo * other))
+    high, error = two_product(one.hi, other.hi)
+    return DoubleDouble(*_quick_two_sum(high, error + (one.hi * other.lo + one.lo * other.hi)))
+
+
+def _quotient(one: DoubleDouble, other: Factor) -> DoubleDouble:
+    other = DoubleDouble.of(other)
+    first = one.hi / other.hi
+    remainder = _sum(one, -_product(other, first))
+    second = remainder.hi / other.hi
+    third = _sum(remainder, -_product(other, second)).hi / other.hi
+    return _sum(DoubleDouble(*_quick_two_sum(first, second)), third)
+
+
+_SLOPES: dict[Operation, Callable[..., Array]] = {  # of result, numbers and how these move
+    _sum: lambda result, one, other, move, other_move: move + other_move,
+    _product: lambda result, one, other, move, other_move: move * other + one * other_move,
+    _quotient: lambda result, one, other, move, other_move: (move - result * other_move) / other,
+}
+
+
+def _of_namespace(operation: Operation, one: DoubleDouble, other: Factor) -> DoubleDouble:
+    if not is_jax(one.hi) and not is_jax(_high(other)):
+        return operation(one, other)
+    return _differentiable(operation)(*tree_map(namespace(one, other).asarray, (one, other)))
+
+
+def _high(number: Factor) -> Array | float:
+    return number.hi if isinstance(number, DoubleDouble) else number
+
+
+@cache
+def _differentiable(operation: Operation) -> Operation:
+    import jax
+
+    known: Any = jax.custom_jvp(operation)
+
+    def moved(numbers: tuple[Any, ...], moves: tuple[Any, ...]) -> tuple[DoubleDouble, ...]:
+        result = known(*numbers)
+        steps = [part.rounded() if isinstance(part, DoubleDouble) else part for part in moves]
+        step = _SLOPES[operation](result.hi, *map(_high, numbers), *steps)
+        step = namespace(result).broadcast_to(step, result.hi.shape)
+        return result, DoubleDouble.of(step)
+
+    known.defjvp(moved)
+    return known
 
 
 def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
@@ -124,7 +175,7 @@ def _halves(a: Array) -> tuple[Array, Array]:
     elif is_jax(a):
         from jax import lax
 
-        bits = lax.bitcast_convert_type(constant(a), np.uint64) & _UPPER_HALF
+        bits = lax.bitcast_convert_type(a, np.uint64) & _UPPER_HALF
         high = lax.bitcast_convert_type(bits, np.float64)
     else:
         bits = np.asarray(a, np.float64).view(np.uint64)
