@@ -91,21 +91,26 @@ def solved_corners(
             step, gap = xp.where(is_it, its_step, step), xp.where(is_it, its_gap, gap)
         return xp.stack([step, partner]), gap
 
-    def is_open(state: tuple[Array, Array, Array]) -> Array:
-        count, _, moved = state
+    def is_open(state: tuple[Array, ...]) -> Array:
+        count, *_, moved = state
         return (count < _STEPS) & xp.any(moved)
 
-    def step(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        count, here, _ = state
+    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        count, _, here, *_ = state
         near = abs(here[0] - angles[0]) <= half_width
-        steps = xp.where(near, newton(known, here)[0], 0.0)
-        return count + 1, here - steps, abs(steps) > _TOLERANCE * (1.0 + abs(here))
+        steps, gap = newton(known, here)
+        taken = xp.where(near, steps, 0.0)
+        return count + 1, here, here - taken, steps, gap, abs(taken) > _TOLERANCE * (1.0 + abs(here))
 
     known = constant(c)
     is_of = [branch == each for each in Branch]
-    start = (xp.asarray(0), angles, xp.ones(angles.shape, bool))
-    here = constant(repeat_while(is_open, step, start)[1])
-    steps, mismatch = newton(c, here)  # one more has the derivative in the slice
+    nothing = xp.zeros_like(angles)
+    start = (xp.asarray(0), angles, angles, nothing, nothing[0], xp.ones(angles.shape, bool))
+    _, last, here, steps, mismatch, _ = constant(repeat_while(is_open, step, start))
+    if xp is np and np.all(mismatch < _TOLERANCE):
+        here = last  # the last step has all that one more would tell
+    else:
+        steps, mismatch = newton(c, here)  # one more has the derivative in the slice
     solved = here - steps
     low = constant((here - kept(solved)) - steps)
     if c.filtered is None:

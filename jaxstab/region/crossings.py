@@ -86,6 +86,8 @@ def _self_crossings(
     turning = _turning_parts(slopes)
     loops = np.stack([np.tile(turning, 2), np.append(turning, turning + 1)])
     pairs = np.concatenate([_touching_parts(controls), loops], axis=1)
+    if not pairs.size:
+        return np.empty(0)
     parts, shares = _starts(controls, pairs)
     width = angles[parts + 1] - angles[parts]
     return _meetings(c, angles[parts] + shares * width, angles[parts], width)

@@ -115,7 +115,7 @@ def find_pieces(
         & links.exists
         & (xp.sum(follows, axis=0) == 1)
         & xp.all(is_solved, axis=0)
-        & (~links.via | lines_crossing_is_stable(known, length))
+        & (~links.via | _may_turn(known, links.via, length))
         & (begin < end)
     )
     return Pieces(
@@ -219,6 +219,13 @@ def _solved(
 
 
 # ------------------------------------------------------------------------ what follows a piece
+
+
+def _may_turn(c: SliceCoefficients, via: Array, length: int) -> Array:
+    """Return whether the boundary may turn where the lines cross, if any piece asks for it."""
+    if namespace(c, via) is np and not np.any(via):
+        return np.False_
+    return lines_crossing_is_stable(c, length)
 
 
 def _linked(

@@ -80,7 +80,7 @@ def closer_angles(c: SliceCoefficients, angles: Angles, centers: Angles) -> Angl
 def suspects(
     c: SliceCoefficients, pieces: Pieces, known: Angles, outside: float, *, length: int
 ) -> Angles:
-    """Return the angles around which something may hide between two of the scan, with those known.
+    """Return angles beside those known around which something may hide between two of the scan.
 
     They are the corners that the pieces have and the angles of the roots that are on the circle
     there, or close.
@@ -95,21 +95,19 @@ def suspects(
         partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
     if c.filtered is not None:
         partners = np.where(is_oriented(c.filtered, partners), partners, -partners)
-    return nearly_stable(c, np.concatenate([known, corners, partners]), outside, length=length)
+    every = np.concatenate([corners, partners])
+    away = np.min(np.abs(every[:, None] - known), axis=1, initial=np.inf)
+    return nearly_stable(c, every[away >= _SAME], outside, length=length)
 
 
 def nearly_stable(c: SliceCoefficients, angles: Angles, outside: float, *, length: int) -> Angles:
     """Return those angles, in order, at which no other root is farther than that outside."""
+    if not angles.size:
+        return angles
     angles = np.sort(angles)
     angles = angles[np.diff(angles, prepend=-np.inf) > _CLOSEST]
     chosen: Angles = angles[others_inside(c, angles, length, within=1.0 + outside)]
     return chosen
-
-
-def are_among(angles: Angles, known: Angles) -> bool:
-    """Return whether each of these angles is one of those known."""
-    away = np.abs(angles[:, None] - known)
-    return bool(np.all(np.min(away, axis=1, initial=np.inf) < _SAME))
 
 
 def _angles_near_circle(polynomials: Float64[np.ndarray, "polynomial coefficient"]) -> Angles:

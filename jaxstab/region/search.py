@@ -8,7 +8,6 @@ from jaxstab.region.curve import SliceCoefficients
 from jaxstab.region.pieces import Pieces, find_pieces
 from jaxstab.region.scan import (
     Angles,
-    are_among,
     closer_angles,
     nearly_stable,
     slice_angles,
@@ -64,10 +63,11 @@ def _settled_pieces(
         pieces = find_pieces(c, closer_angles(c, scan, closer[:most]), length=length)
         if not pieces.exists[0]:
             return pieces, closer, False
-        known, closer = closer, suspects(c, pieces, closer, outside, length=length)
-        is_all = are_among(closer, known)
-        if is_all or len(closer) > most:
-            return pieces, closer, is_all and len(closer) <= most and bool(pieces.resolved)
+        fresh = suspects(c, pieces, closer, outside, length=length)
+        closer = np.sort(np.concatenate([closer, fresh]))
+        if not fresh.size or len(closer) > most:
+            is_all = not fresh.size and len(closer) <= most
+            return pieces, closer, is_all and bool(pieces.resolved)
     return pieces, closer, False
 
 
