@@ -52,9 +52,8 @@ def checked(
         TypeError: the value is not made of real numbers.
         ValueError: a number is outside the range, infinite or NaN.
     """
-    if type(value) is float and low <= value <= high and abs(value) < inf:
-        if value > low or not is_open:  # most numbers, at once
-            return np.array(value)
+    if type(value) is float and low < value <= high and value < inf:  # most numbers, at once
+        return np.array(value)
     if is_traced(value):
         return value
     if isinstance(value, np.ma.MaskedArray):

@@ -100,7 +100,8 @@ def solved_corners(
         near = abs(here[0] - angles[0]) <= half_width
         steps, gap = newton(known, here)
         taken = xp.where(near, steps, 0.0)
-        return count + 1, here, here - taken, steps, gap, abs(taken) > _TOLERANCE * (1.0 + abs(here))
+        moved = abs(taken) > _TOLERANCE * (1.0 + abs(here))
+        return count + 1, here, here - taken, steps, gap, moved
 
     known = constant(c)
     is_of = [branch == each for each in Branch]
