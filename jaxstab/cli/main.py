@@ -10,6 +10,7 @@ import click
 
 import jaxstab
 from jaxstab.cli.atlas import build, info, plan, upgrade, verify
+from jaxstab.cli.papers import papers
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import check, design, limits, scene, tune
@@ -65,7 +66,7 @@ def main() -> None:
     """Stability of haptic rendering loops."""
 
 
-for _command in (limits, check, tune, design, scene, region, figure):
+for _command in (limits, check, tune, design, scene, region, figure, papers):
     main.add_command(_command)
 
 
