@@ -29,6 +29,18 @@ def picture_file(_: click.Context, option: click.Parameter, path: Path | None) -
         return None
     if path.suffix not in (".png", ".svg"):
         raise click.BadParameter(f"{path} ends in neither .png nor .svg.", param=option)
+    return _writable(option, path)
+
+
+def page_file(_: click.Context, option: click.Parameter, path: Path) -> Path:
+    """Return the name of a page for browsers."""
+    if path.suffix not in (".html", ".htm"):
+        raise click.BadParameter(f"{path} ends in neither .html nor .htm.", param=option)
+    return _writable(option, path)
+
+
+def _writable(option: click.Parameter, path: Path) -> Path:
+    """Return the name of a file that may be written."""
     try:
         folder = target_of(path)[0].parent
     except OSError as error:

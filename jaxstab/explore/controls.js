@@ -1,0 +1,107 @@
+// The controls: a slider and a number for each quantity, and a choice of software.
+"use strict";
+
+const PLACES = 400; // of a slider
+
+const byId = (id) => document.getElementById(id);
+const units = () => initial.units[state.motion];
+
+/** An element of HTML with properties. */
+function html(name, properties, ...children) {
+  const made = Object.assign(document.createElement(name), properties);
+  made.append(...children);
+  return made;
+}
+
+/** A label, a slider and a number for a quantity; change gets values in SI units. */
+function rowOf(quantity, context, change) {
+  const { key, label, unit, scale } = quantity, name = `${context}${label}`;
+  const slider = html("input", { type: "range", min: 0, max: PLACES, step: 1, id: `${key}-slider` });
+  const number = html("input", { type: "number", step: "any", id: `${key}-number` });
+  if (!quantity.isFree) number.min = 0;
+  slider.setAttribute("aria-label", name);
+  number.setAttribute("aria-label", `${name} in ${unit}`);
+  slider.addEventListener("input", () => change(valueAtPlace(quantity, slider.value / PLACES), slider));
+  number.addEventListener("change", () => change(Number(number.value) / scale, number));
+  const text = html("span", { textContent: label });
+  const shown = html("span", { className: "unit", textContent: unit });
+  return html("div", { className: "row" }, text, slider, number, shown);
+}
+
+/** Show a value in its row, but not in what the user is moving. */
+function showIn(quantity, value, moved) {
+  const slider = byId(`${quantity.key}-slider`), number = byId(`${quantity.key}-number`);
+  if (slider !== moved) slider.value = Math.round(placeOfValue(quantity, value) * PLACES);
+  const isNone = quantity.key === "cutoff" && !(value > 0);
+  number.value = isNone ? "" : Number((value * quantity.scale).toPrecision(6));
+  number.placeholder = isNone ? "none" : "";
+  slider.setAttribute("aria-valuetext", isNone ? "none" : `${number.value} ${quantity.unit}`);
+}
+
+/** Build the controls of the loop. */
+function buildControls() {
+  const groups = { device: "Device", hand: "Hand", controller: "Controller", velocity: "How the velocity is estimated" };
+  for (const [group, title] of Object.entries(groups)) {
+    const set = html("fieldset", {}, html("legend", { textContent: title }));
+    if (group === "velocity") set.append(softwareChoice());
+    for (const quantity of quantitiesOf(state.motion).filter((one) => one.group === group)) {
+      set.append(rowOf(quantity, `${title}: `, (value, moved) => changeTo(quantity.key, value, moved)));
+    }
+    set.append(html("p", { className: "hint", id: `${group}-hint` }));
+    byId("controls").append(set);
+  }
+}
+
+/** A choice of estimators by the software that has them. */
+function softwareChoice() {
+  const choice = html("select", { id: "software" }, html("option", { value: "", textContent: "as set below" }));
+  choice.setAttribute("aria-label", "Velocity as a software estimates it");
+  initial.software.forEach(({ title }, index) => choice.append(html("option", { value: index, textContent: title })));
+  choice.addEventListener("change", () => {
+    const chosen = initial.software[choice.value];
+    if (chosen) update({ ...estimatorOf(chosen, state.period), software: Number(choice.value) });
+  });
+  return choice;
+}
+
+/** The estimator of a software at a sampling period: its window becomes whole samples. */
+function estimatorOf({ window, cutoff, order, kind, factor, numerator, denominator }, period) {
+  const samples = window ? acceptable("window", window / period) : 1;
+  return {
+    window: samples, cutoff: cutoff || 0, order: order || 1, kind: kind || "low-pass",
+    factor: factor || 1, numerator: numerator || null, denominator: denominator || null,
+  };
+}
+
+/** Take a value of a control over, if it is one that can be computed. */
+function changeTo(key, value, moved) {
+  const next = { [key]: acceptable(key, value) };
+  if (Number.isNaN(next[key])) return update({});
+  if (key === "window" || key === "cutoff") {
+    Object.assign(next, { numerator: null, denominator: null, software: null });
+  }
+  return update(next, moved);
+}
+
+/** The cursor's two sliders, which go as far as the axes. */
+function cursorQuantities() {
+  const ends = drawn ? drawn.frame.ends : [[0, 1], [0, 1]];
+  return ["Stiffness", "Damping"].map((word, axis) => ({
+    key: `cursor${word}`, label: `${word.toLowerCase()} ${"KB"[axis]}`,
+    unit: [units().stiffness, units().damping][axis], scale: 1, map: "linear", isFree: true,
+    low: ends[axis][0], high: ends[axis][1],
+  }));
+}
+
+function buildCursor() {
+  for (const quantity of cursorQuantities()) {
+    byId("cursor-controls").append(rowOf({ ...quantity, map: "linear" }, "Cursor: ", (value, moved) => {
+      const own = cursorQuantities().find(({ key }) => key === quantity.key);
+      const isSlider = moved.type === "range";
+      const share = moved.value / PLACES;
+      const next = isSlider ? rounded(own.low + share * (own.high - own.low), 4) : value;
+      update(Number.isFinite(next) ? { [quantity.key]: next } : {}, moved);
+    }));
+  }
+}
+

@@ -1,0 +1,205 @@
+// The page: controls that move the state, and what is drawn and said of it.
+"use strict";
+
+const QUIET = 150; // ms without a change, until what takes longer is computed
+const initial = JSON.parse(document.getElementById("initial").textContent);
+let state = stateOfHash(location.hash.slice(1), initial.state);
+let drawn = null; // setup, loop, region and frame of the picture
+let waiting = 0;
+
+// ----------------------------------------------------------------------------------------- drawing
+
+/** Change the state, and show it. */
+function update(changes, moved) {
+  state = { ...state, ...changes };
+  showState(moved);
+  draw();
+  clearTimeout(waiting);
+  waiting = setTimeout(sayMore, QUIET);
+}
+
+/** Show the state in the controls. */
+function showState(moved) {
+  for (const quantity of quantitiesOf(state.motion)) showIn(quantity, state[quantity.key], moved);
+  for (const quantity of cursorQuantities()) {
+    const place = (state[quantity.key] - quantity.low) / (quantity.high - quantity.low);
+    const linear = { ...quantity, map: "whole", low: 0, high: 1 };
+    const slider = byId(`${quantity.key}-slider`);
+    showIn(linear, state[quantity.key], moved);
+    if (slider !== moved) slider.value = Math.round(PLACES * Math.min(1, Math.max(0, place)));
+  }
+  byId("software").value = state.software === null ? "" : String(state.software);
+  const setup = setupOf(state), rate = 1 / state.period;
+  byId("controller-hint").textContent =
+    `${short(rate)} Hz; a delay of ${short(rounded(state.delay * state.period * 1e3, 3))} ms`;
+  byId("velocity-hint").textContent = estimatorInWords(setup);
+  document.querySelectorAll("[name=view]").forEach((one) => {
+    one.checked = one.value === state.view;
+    one.disabled = one.value === "sample" && isPlain(setup);
+  });
+}
+
+/** How the velocity is estimated, in words. */
+function estimatorInWords({ estimator, period }) {
+  const { window, cutoff, order, kind, factor, numerator } = estimator;
+  if (numerator) return "a transfer function of the scene or the software";
+  const time = `${short(rounded(window * period * 1e3, 3))} ms`;
+  const parts = [window === 1 ? "the difference over one sample" : `the difference over ${window} samples, ${time}`];
+  if (cutoff > 0) parts.push(`a ${kind === "butterworth" ? "Butterworth filter" : "low pass"} at ${short(rounded(cutoff, 3))} Hz of order ${order}`);
+  if (factor > 0 && factor < 1) parts.push(`smoothing by ${factor}`);
+  return parts.join(", ");
+}
+
+/** The outlines of components, in N/m and N s/m. */
+function outlinesOf(components, { stiffness, damping }) {
+  return components.map(({ points }) => points.map(([a, b]) => [a * stiffness, b * damping]));
+}
+
+/** All that is computed of a state for the picture. */
+function computed() {
+  const setup = setupOf(state), loop = loopOf(setup), region = regionOf(loop), scale = unitsOf(setup);
+  const main = mainOf(region), rest = region.components.filter((one) => one !== main);
+  const plain = isPlain(setup) ? null : oneSampleOf(setup);
+  const best = main && farthest(loop, main, 0);
+  return {
+    setup, loop, region, scale, plain,
+    main: outlinesOf(main ? [main] : [], scale),
+    islands: outlinesOf(rest, scale),
+    stiffest: best && [best[0] * scale.stiffness, best[1] * scale.damping],
+  };
+}
+
+/** The region that the difference over one sample would have. */
+function oneSampleOf(setup) {
+  const other = withOneSample(setup), loop = loopOf(other), scale = unitsOf(other);
+  const main = mainOf(regionOf(loop));
+  if (!main) return null;
+  const [alpha] = farthest(loop, main, 0);
+  return { outline: outlinesOf([main], scale)[0], stiffness: alpha * scale.stiffness };
+}
+
+/** The points that the axes hold. */
+function pointsInView({ main, islands, plain }) {
+  const region = state.view === "near" && main.length ? main.flat() : [...main.flat(), ...islands.flat()];
+  const sample = state.view === "sample" && plain ? plain.outline : [];
+  const points = [...region, ...sample];
+  const most = extentOf([...points, [0, 0]]).high.map((end) => FARTHEST_WALL * end);
+  const walls = state.walls.map(({ stiffness, damping }) => [stiffness, damping]);
+  return [...points, ...walls.filter((wall) => wall.every((gain, axis) => gain <= most[axis]))];
+}
+
+/** Compute and draw the picture, and what stands beside it. */
+function draw() {
+  const now = computed(), { setup, loop, scale, plain } = now;
+  const ends = windowAround(pointsInView(now));
+  const walls = state.walls.map((wall) => ({ ...wall, ...factsAtOnce(loop, scale, wall) }));
+  const rule = ends[1].map((damping) => [linearRule(setup, damping), damping]);
+  const view = {
+    ends, rule, walls, units: units(), main: now.main, islands: now.islands,
+    passive: passiveWalls(setup), oneSample: plain && plain.outline,
+    cursor: [state.cursorStiffness, state.cursorDamping],
+  };
+  view.isMapNeeded = Boolean(plain && now.main.length && plain.stiffness > 1.5 * ends[0][1]);
+  const frame = drawPlane(byId("picture"), view);
+  drawn = { ...now, frame, walls };
+  sayHeadline(now);
+  showLegend(now, view);
+  showVerdicts(walls);
+  showCursorVerdict(factsAtOnce(loop, scale, cursorWall()));
+}
+
+function cursorWall() {
+  return { stiffness: state.cursorStiffness, damping: state.cursorDamping };
+}
+
+/** Verdict and radius of a wall. */
+function factsAtOnce(loop, scale, { stiffness, damping }) {
+  return verdictAndRadius(loop, stiffness / scale.stiffness, damping / scale.damping);
+}
+
+// ----------------------------------------------------------------------------------- after a pause
+
+/** Compute and show what takes longer: margins, settling, the link, the scene. */
+function sayMore() {
+  const { setup, loop, region } = drawn, facts = wallFacts(setup, loop, region, cursorWall());
+  showFacts(facts);
+  showResponse(facts);
+  const hash = `#${hashOf(state)}`;
+  byId("link").href = hash;
+  if (location.hash !== hash) history.replaceState(null, "", hash);
+  byId("scene").textContent = sceneOf(state);
+  const stable = drawn.walls.filter(({ code }) => code === STABLE).length;
+  byId("status").textContent =
+    `${byId("headline").textContent} ${stable} of ${drawn.walls.length} walls are stable. Cursor: ${byId("cursor-verdict").textContent}.`;
+}
+
+/** Show margins and settling of the cursor. */
+function showFacts(facts) {
+  const rows = facts.code === STABLE ? rowsOfFacts(facts) : [["margins", "none: the wall is not stable"]];
+  byId("cursor-facts").replaceChildren(...rows.flatMap(([term, text]) =>
+    [html("dt", { textContent: term }), html("dd", { textContent: text })]));
+}
+
+function rowsOfFacts({ stiffness, damping, extraDelay, settling, island }) {
+  const range = ([low, high], words) =>
+    Number.isFinite(high) ? `${short(Math.abs(low) < NOTHING * high ? 0 : rounded(low, 4))} to ${words(high)}` : "not found";
+  const factor = (high, own) => (own > 0 && high > own ? `, ${short(rounded(high / own, 3))} times` : "");
+  const late = Number.isFinite(extraDelay)
+    ? `${short(rounded(extraDelay * 1e3, 3))} ms`
+    : `more than ${MOST_DELAY} samples`;
+  const settled = Number.isFinite(settling) ? `${short(rounded(settling * 1e3, 4))} ms` : "longer than is looked at";
+  const rows = [
+    ["stable for K", range(stiffness, stiffnessInWords) + factor(stiffness[1], state.cursorStiffness)],
+    ["stable for B", range(damping, dampingInWords) + factor(damping[1], state.cursorDamping)],
+    ["extra delay", late],
+    ["settles to 2 % in", settled],
+  ];
+  if (island) rows.push(["note", "on an island: turning gains up from 0 leads through unstable walls"]);
+  return rows;
+}
+
+/** Draw how the device moves at the cursor. */
+function showResponse({ code, settling }) {
+  const { setup, scale } = drawn;
+  const alpha = state.cursorStiffness / scale.stiffness, beta = state.cursorDamping / scale.damping;
+  const wanted = code === STABLE && settling > 0 ? (1.5 * settling) / setup.period : RESPONSE_SAMPLES;
+  const samples = Math.round(Math.min(4000, Math.max(40, wanted)));
+  drawResponse(byId("response"), responseOf(setup, alpha, beta, samples), setup.period);
+  byId("response-title").textContent = code === STABLE ? "The response to a push comes to rest." : "The response to a push.";
+}
+
+// ------------------------------------------------------------------------------------------- start
+
+/** Put the cursor where the picture is touched. */
+function pointAt(event) {
+  const { box, ends } = drawn.frame, frame = byId("picture").getBoundingClientRect();
+  const across = (event.clientX - frame.left - box.x) / box.width;
+  const up = 1 - (event.clientY - frame.top - box.y) / box.height;
+  if (across < 0 || across > 1 || up < 0 || up > 1) return;
+  const gain = ([low, high], share) => rounded(low + share * (high - low), 4);
+  update({ cursorStiffness: gain(ends[0], across), cursorDamping: gain(ends[1], up) });
+}
+
+function start() {
+  byId("source").textContent = initial.notes.join(" ");
+  document.querySelectorAll(".stiffness-unit").forEach((one) => (one.textContent = `(${units().stiffness})`));
+  document.querySelectorAll(".damping-unit").forEach((one) => (one.textContent = `(${units().damping})`));
+  buildControls();
+  buildCursor();
+  const picture = byId("picture");
+  picture.addEventListener("pointerdown", pointAt);
+  picture.addEventListener("pointermove", (event) => event.buttons & 1 && pointAt(event));
+  for (const form of document.forms) form.addEventListener("submit", (event) => event.preventDefault());
+  byId("wall-form").addEventListener("submit", () => {
+    const name = byId("wall-name").value.trim() || "wall";
+    const walls = state.walls.filter((wall) => wall.name !== name);
+    update({ walls: [...walls, { name, ...cursorWall() }] });
+  });
+  byId("views").addEventListener("change", (event) => update({ view: event.target.value }));
+  window.addEventListener("resize", () => update({}));
+  window.addEventListener("hashchange", () => update(stateOfHash(location.hash.slice(1), initial.state)));
+  draw();
+  update({});
+}
+
+start();

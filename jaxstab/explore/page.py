@@ -1,0 +1,148 @@
+"""One self-contained page that draws the stable walls of a scene while sliders move it."""
+
+import json
+from importlib.resources import files
+from math import isfinite
+from typing import Any
+
+from jaxstab.scene import Scene
+from jaxstab.scene.estimators import KINDS, VelocityTable
+from jaxstab.scene.loops import hands_of, loop_of, wall_region, walls_of
+from jaxstab.scene.presets import software_presets
+from jaxstab.scene.scene import Hand
+from jaxstab.scene.units import Units
+
+SCRIPTS = (
+    *("plant", "polynomial", "loop", "region", "wall", "rules", "state"),
+    *("picture", "controls", "words", "page"),
+)
+"""The page's scripts, in their order; those of the first line need no page."""
+
+_HALF = 0.5
+
+
+def explorer_page(scene: Scene, title: str = "") -> str:
+    """Return a page of HTML with all that it needs, which begins with a scene.
+
+    Args:
+        scene: the scene; of a range of hands the page begins with the lowest values.
+        title: where the scene is from.
+
+    Raises:
+        ValueError: a quantity is out of range, or the page cannot compute the scene: it has a
+            filter of the position.
+    """
+    initial = json.dumps(_initial(scene, title), allow_nan=False)
+    parts = {
+        "/*STYLE*/": _text("page.css"),
+        "/*SCRIPT*/": "\n".join(map(script, SCRIPTS)),
+        "/*INITIAL*/": initial.replace("<", "\\u003c"),  # nothing in it ends the script
+    }
+    page = _text("page.html")
+    for marker, part in parts.items():
+        page = page.replace(marker, part)
+    return page
+
+
+def script(name: str) -> str:
+    """Return one of the page's scripts."""
+    return _text(f"{name}.js")
+
+
+def _text(name: str) -> str:
+    return files("jaxstab.explore").joinpath(name).read_text(encoding="utf-8")
+
+
+def _initial(scene: Scene, title: str) -> dict[str, Any]:
+    """Return what the page begins with."""
+    if scene.controller.position is not None:
+        raise ValueError(
+            "controller.position is given, but the explorer knows of no filter of the position; "
+            "leave it out, or draw the scene with jaxstab limits --plot."
+        )
+    return {
+        "state": _state(scene),
+        "units": {"line": _units(Units.LINE), "rotation": _units(Units.ROTATION)},
+        "software": _software(),
+        "notes": _notes(scene, title),
+    }
+
+
+def _units(units: Units) -> dict[str, str]:
+    return {"stiffness": units.stiffness, "damping": units.damping}
+
+
+def _state(scene: Scene) -> dict[str, Any]:
+    """Return the numbers of a scene by the page's own names."""
+    loop, hand, device = loop_of(scene), scene.hand or Hand(), scene.device
+    stiffness, damping = _cursor(scene)
+    return {
+        "mass": device.effective_mass,
+        "damping": device.damping,
+        "handMass": hand.effective_mass[0],
+        "handStiffness": hand.stiffness[0],
+        "handDamping": hand.damping[0],
+        "period": scene.controller.sample_time,
+        "delay": loop.delay_samples,
+        **_estimator(scene.controller.velocity, scene.controller.sample_time),
+        "software": _index_of(scene.controller.velocity),
+        "cursorStiffness": stiffness,
+        "cursorDamping": damping,
+        "motion": "line" if scene.units is Units.LINE else "rotation",
+        "view": "near",
+        "walls": [
+            {"name": name, "stiffness": wall.stiffness, "damping": wall.damping}
+            for name, wall in walls_of(scene).items()
+        ],
+    }
+
+
+def _cursor(scene: Scene) -> tuple[float, float]:
+    """Return K and B of the wall that is looked at first: half as stiff as the stiffest."""
+    limits = wall_region(loop_of(scene)).limits()
+    if not isfinite(limits.stiffness):  # no wall is stable
+        return 0.0, 0.0
+    return _rounded(_HALF * limits.stiffness), _rounded(limits.at_damping)
+
+
+def _rounded(gain: float) -> float:
+    return float(f"{gain:.2g}")
+
+
+def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
+    """Return the estimator of a scene, or of a software, by the page's own names."""
+    window = None if table is None else table.window
+    samples = None if table is None else table.window_samples
+    return {
+        "window": samples or (1 if window is None else max(1, round(window / period))),
+        "cutoff": (table and table.cutoff) or 0.0,
+        "order": (table and table.order) or 1,
+        "kind": (table and table.kind) or KINDS[0],
+        "factor": (table and table.factor) or 1.0,
+        "numerator": table and table.numerator,
+        "denominator": table and table.denominator,
+    }
+
+
+def _index_of(table: VelocityTable | None) -> int | None:
+    """Return which of the page's estimators a scene names."""
+    names = [software["title"] for software in _software()]
+    return names.index(table.preset) if table is not None and table.preset in names else None
+
+
+def _software() -> list[dict[str, Any]]:
+    """Return the velocity estimators of software, as far as their makers document them."""
+    keys = ("window", "cutoff", "order", "kind", "factor", "numerator", "denominator")
+    known = {name: preset.values(keys) for name, preset in software_presets().items()}
+    plain: list[dict[str, Any]] = [{"title": "the difference over one sample, as in the paper"}]
+    return plain + [{"title": name, **values} for name, values in known.items() if values]
+
+
+def _notes(scene: Scene, title: str) -> list[str]:
+    """Return what has to be known of the numbers that the page begins with."""
+    notes = [f"It begins with {title}."] if title else []
+    if hands_of(scene) is not None:
+        notes.append("The scene has a range of hands: the page begins with their lowest values.")
+    if scene.controller.velocity is None:
+        notes.append("The scene names no estimator: the difference over one sample is assumed.")
+    return notes

@@ -1,0 +1,177 @@
+// The picture: regions and walls in the plane of K and B as SVG, whose colours are the page's.
+"use strict";
+
+const SVG = "http://www.w3.org/2000/svg";
+const MARGINS = { left: 62, right: 30, top: 14, bottom: 42 };
+const NICE_ENDS = [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10];
+const NICE_STEPS = [1, 2, 2.5, 5, 10];
+const FARTHEST_WALL = 4; // times the region: walls beyond are drawn at the edge
+
+/** A new element of SVG with attributes. */
+function element(name, attributes, text) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== undefined) made.textContent = text;
+  return made;
+}
+
+/** The next round number away from 0, so that axes stay while a slider moves a little. */
+function niceEnd(value) {
+  if (!(Math.abs(value) > 0) || !Number.isFinite(value)) return 0;
+  const power = 10 ** Math.floor(Math.log10(Math.abs(value)));
+  const end = NICE_ENDS.find((one) => one * power >= Math.abs(value) * 0.999999) * power;
+  return Math.sign(value) * end;
+}
+
+/** Places of ticks from low to high, about so many. */
+function ticksOf(low, high, about) {
+  const rough = (high - low) / about, power = 10 ** Math.floor(Math.log10(rough));
+  const step = NICE_STEPS.find((one) => one * power >= rough) * power, ticks = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) ticks.push(k * step);
+  return ticks;
+}
+
+/** The ends of both axes around some points (K, B) and the origin. */
+function windowAround(points) {
+  const { low, high } = extentOf([...points, [0, 0]]);
+  return [0, 1].map((axis) => {
+    const end = niceEnd(high[axis] * 1.06) || 1, start = niceEnd(low[axis] * 1.06);
+    return start < -0.04 * end ? [start, end] : [-0.04 * end, end];
+  });
+}
+
+/** How points (K, B) become pixels of a frame. */
+function frameOf(ends, box) {
+  const [[left, right], [bottom, top]] = ends;
+  const x = (stiffness) => box.x + (box.width * (stiffness - left)) / (right - left);
+  const y = (damping) => box.y + (box.height * (top - damping)) / (top - bottom);
+  return { ends, box, x, y };
+}
+
+/** The outline of points (K, B) in a frame, as SVG has it. */
+function pathOf(frame, points, isClosed = true) {
+  const parts = points.map(([stiffness, damping]) =>
+    `${near(frame.x(stiffness), frame.box.x, frame.box.width)} ${near(frame.y(damping), frame.box.y, frame.box.height)}`);
+  return parts.length ? `M${parts.join("L")}${isClosed ? "Z" : ""}` : "";
+}
+
+/** A pixel, not so far away that the browser's own numbers end. */
+function near(pixel, start, size) {
+  return Math.min(start + 40 * size, Math.max(start - 40 * size, pixel)).toFixed(1);
+}
+
+/** Draw the plane: see picture() of page.js for what is in a scene. */
+function drawPlane(svg, view) {
+  const { width, height } = svg.getBoundingClientRect();
+  svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  const box = {
+    x: MARGINS.left, y: MARGINS.top,
+    width: width - MARGINS.left - MARGINS.right, height: height - MARGINS.top - MARGINS.bottom,
+  };
+  const frame = frameOf(view.ends, box);
+  const inner = element("g", { "clip-path": "url(#frame)", "aria-hidden": "true" });
+  const clip = element("clipPath", { id: "frame" });
+  clip.append(element("rect", box));
+  drawParts(inner, frame, view);
+  const parts = [clip, axesOf(frame, view), inner, wallsOf(frame, view), cursorOf(frame, view)];
+  if (view.isMapNeeded) parts.push(mapOf(frame, view));
+  svg.replaceChildren(svg.querySelector("title"), ...parts);
+  return frame;
+}
+
+/** Regions and rules, the largest first. */
+function drawParts(group, frame, view) {
+  if (view.oneSample) group.append(element("path", { class: "ghost", d: pathOf(frame, view.oneSample) }));
+  for (const points of view.islands) group.append(element("path", { class: "island", d: pathOf(frame, points) }));
+  for (const points of view.main) group.append(element("path", { class: "stable", d: pathOf(frame, points) }));
+  if (view.passive.length) group.append(element("path", { class: "passive", d: pathOf(frame, view.passive) }));
+  group.append(element("path", { class: "rule", d: pathOf(frame, view.rule, false) }));
+}
+
+/** Grid, ticks, their numbers and the names of the axes. */
+function axesOf(frame, view) {
+  const { box, ends } = frame, group = element("g", { "aria-hidden": "true" });
+  const bottom = box.y + box.height;
+  for (const tick of ticksOf(...ends[0], box.width / 90)) {
+    const x = frame.x(tick);
+    group.append(element("path", { class: tick === 0 ? "axis" : "grid", d: `M${x} ${box.y}V${bottom}` }));
+    group.append(element("text", { class: "quiet", x, y: bottom + 17, "text-anchor": "middle" }, short(tick)));
+  }
+  for (const tick of ticksOf(...ends[1], box.height / 55)) {
+    const y = frame.y(tick);
+    group.append(element("path", { class: tick === 0 ? "axis" : "grid", d: `M${box.x} ${y}H${box.x + box.width}` }));
+    group.append(element("text", { class: "quiet", x: box.x - 7, y: y + 4, "text-anchor": "end" }, short(tick)));
+  }
+  group.append(element("text", { x: box.x + box.width, y: bottom + 36, "text-anchor": "end" }, `stiffness K (${view.units.stiffness})`));
+  const turned = { transform: `translate(14 ${box.y}) rotate(-90)`, "text-anchor": "end" };
+  group.append(element("text", turned, `damping B (${view.units.damping})`));
+  return group;
+}
+
+/** A number as people write it. */
+function short(value) {
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e6 || size < 1e-3) return value.toPrecision(2).replace(/\.?0+e/, "e");
+  return Number(value.toPrecision(4)).toLocaleString("en");
+}
+
+/** The user's walls: a disc where stable, a cross where not, a square where that is undecided. */
+function wallsOf(frame, view) {
+  const group = element("g", { "aria-hidden": "true" }), { box } = frame;
+  for (const { name, stiffness, damping, code } of view.walls) {
+    const x = Math.min(box.x + box.width - 8, Math.max(box.x + 8, frame.x(stiffness)));
+    const y = Math.min(box.y + box.height - 8, Math.max(box.y + 8, frame.y(damping)));
+    const isBeyond = Math.abs(x - frame.x(stiffness)) + Math.abs(y - frame.y(damping)) > 1;
+    if (code === STABLE) group.append(element("circle", { class: "wall-good", cx: x, cy: y, r: 6 }));
+    else if (code === UNSTABLE) group.append(element("path", { class: "wall-bad", d: `M${x - 5} ${y - 5}l10 10m0 -10l-10 10` }));
+    else group.append(element("rect", { class: "cursor", x: x - 5, y: y - 5, width: 10, height: 10 }));
+    const isRight = x > box.x + 0.7 * box.width;
+    const at = { class: "halo", x: isRight ? x - 10 : x + 10, y: y - 7, "text-anchor": isRight ? "end" : "start" };
+    group.append(element("text", at, isBeyond ? `${name} (beyond)` : name));
+  }
+  return group;
+}
+
+/** Cross hairs at the cursor. */
+function cursorOf(frame, view) {
+  const { box } = frame, [stiffness, damping] = view.cursor;
+  const x = frame.x(stiffness), y = frame.y(damping);
+  const group = element("g", { class: "cursor", "clip-path": "url(#frame)", "aria-hidden": "true" });
+  group.append(element("path", { "stroke-dasharray": "2 4", d: `M${x} ${box.y}V${box.y + box.height}M${box.x} ${y}H${box.x + box.width}` }));
+  group.append(element("circle", { cx: x, cy: y, r: 5 }));
+  return group;
+}
+
+/** A small map at one scale: the region beside that of the difference over one sample. */
+function mapOf(frame, view) {
+  const width = Math.min(190, 0.42 * frame.box.width), height = 0.62 * width;
+  const box = { x: frame.box.x + frame.box.width - width - 8, y: frame.box.y + 8, width, height };
+  const group = element("g", { "aria-hidden": "true" });
+  group.append(element("rect", { class: "back", ...box, rx: 4 }));
+  const inner = { x: box.x + 8, y: box.y + 22, width: width - 16, height: height - 30 };
+  const map = frameOf(windowAround([...view.oneSample, ...view.main.flat()]), inner);
+  group.append(element("path", { class: "ghost", d: pathOf(map, view.oneSample) }));
+  for (const points of view.main) group.append(element("path", { class: "stable", d: pathOf(map, points) }));
+  group.append(element("text", { x: box.x + 8, y: box.y + 16 }, "same scale"));
+  return group;
+}
+
+/** Draw shares of a final position beside the band of 2 %. */
+function drawResponse(svg, shares, period) {
+  const { width, height } = svg.getBoundingClientRect();
+  svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  const box = { x: 30, y: 8, width: width - 38, height: height - 28 };
+  const largest = shares.reduce((most, share) => Math.max(most, Math.abs(share)), 1.2);
+  const end = Math.min(largest * 1.05, 3);
+  const frame = frameOf([[0, shares.length - 1], [Math.min(0, Math.max(-1, Math.min(...shares))), end]], box);
+  const points = Array.from(shares, (share, k) => [k, share]);
+  const band = { class: "band", x: box.x, y: frame.y(1 + LEVEL), width: box.width, height: frame.y(1 - LEVEL) - frame.y(1 + LEVEL) };
+  const parts = [element("rect", band), element("path", { class: "trace", d: pathOf(frame, points, false) })];
+  for (const share of [0, 1]) {
+    parts.push(element("text", { class: "quiet", x: box.x - 6, y: frame.y(share) + 4, "text-anchor": "end" }, String(share)));
+  }
+  const time = `${short(rounded((shares.length - 1) * period * 1e3, 3))} ms`;
+  parts.push(element("text", { class: "quiet", x: box.x + box.width, y: height - 6, "text-anchor": "end" }, time));
+  svg.replaceChildren(svg.querySelector("title"), ...parts);
+}

@@ -1,0 +1,157 @@
+// The state of the page: what the controls say, as numbers in SI units, and as a link.
+"use strict";
+
+const MOST_WINDOW = 40; // samples, with what stands behind the window
+const MOST_SLIDER_DELAY = 40;
+
+/**
+ * What can be moved. scale: how many of the shown units are one SI unit. map: how the place of a
+ * slider gives the value: "log" from low to high, with 0 at its beginning if hasZero, "square"
+ * from 0 to high, "whole" numbers from low to high.
+ */
+function quantitiesOf(motion) {
+  const turns = motion === "rotation";
+  const [kilogram, stiffness, damping] = turns
+    ? ["kg m²", "N m/rad", "N m s/rad"]
+    : ["kg", "N/m", "N s/m"];
+  const moved = turns ? "inertia" : "mass";
+  const ofMass = turns ? [1e-6, 0.1] : [0.01, 10];
+  const ofDamping = turns ? [1e-5, 1] : [0.01, 100];
+  const ofStiffness = turns ? [0.01, 1e3] : [1, 1e5];
+  const log = (low, high, hasZero) => ({ map: "log", low, high, hasZero, scale: 1 });
+  return [
+    { key: "mass", group: "device", label: moved, unit: kilogram, ...log(...ofMass, false) },
+    { key: "damping", group: "device", label: "damping", unit: damping, ...log(...ofDamping, true) },
+    { key: "handMass", group: "hand", label: moved, unit: kilogram, ...log(...ofMass, true) },
+    { key: "handStiffness", group: "hand", label: "stiffness", unit: stiffness, ...log(...ofStiffness, true) },
+    { key: "handDamping", group: "hand", label: "damping", unit: damping, ...log(...ofDamping, true) },
+    { key: "period", group: "controller", label: "sampling period", unit: "ms", map: "log", low: 1e-4, high: 1e-2, scale: 1e3 },
+    { key: "delay", group: "controller", label: "delay", unit: "samples", map: "square", low: 0, high: MOST_SLIDER_DELAY, scale: 1 },
+    { key: "window", group: "velocity", label: "window", unit: "samples", map: "whole", low: 1, high: MOST_WINDOW, scale: 1 },
+    { key: "cutoff", group: "velocity", label: "low pass at", unit: "Hz", map: "log", low: 5, high: 5e3, hasZero: true, isInverse: true, scale: 1 },
+  ];
+}
+
+/** The value at a place of a slider, between 0 and 1. */
+function valueAtPlace(quantity, place) {
+  const { map, low, high, hasZero, isInverse } = quantity;
+  const share = isInverse ? 1 - place : place; // the least effect is at the left
+  if (map === "whole") return Math.round(low + share * (high - low));
+  if (map === "square") return Math.round(20 * high * share * share) / 20;
+  if (hasZero && place === 0) return 0;
+  return rounded(low * (high / low) ** share, 3);
+}
+
+/** The place of a slider for a value. */
+function placeOfValue(quantity, value) {
+  const { map, low, high, hasZero, isInverse } = quantity;
+  let share;
+  if (map === "whole") share = (value - low) / (high - low);
+  else if (map === "square") share = Math.sqrt(value / high);
+  else if (hasZero && !(value > 0)) return 0;
+  else share = Math.log(value / low) / Math.log(high / low);
+  share = Math.min(1, Math.max(0, share));
+  return isInverse ? 1 - share : share;
+}
+
+/** A number with so many digits. */
+function rounded(value, digits) {
+  return Number(value.toPrecision(digits));
+}
+
+/** A value within what can be computed, or NaN for what is no such number. */
+function acceptable(key, value) {
+  if (!Number.isFinite(value) || value < 0) return NaN;
+  if (key === "mass" || key === "period") return value > 0 ? value : NaN;
+  if (key === "window") return Math.min(MOST_WINDOW, Math.max(1, Math.round(value)));
+  if (key === "delay") return Math.min(200, value);
+  return value;
+}
+
+/** The setup of a state: what loopOf takes. A low pass ends below half of the sampling rate. */
+function setupOf(state) {
+  const { mass, damping, handMass, handStiffness, handDamping, period, delay } = state;
+  const { cutoff, order, kind, factor, numerator, denominator } = state;
+  const most = 0.499 / period;
+  const estimator = {
+    window: state.window,
+    cutoff: cutoff > 0 ? Math.min(cutoff, kind === "butterworth" ? most : 200 * most) : 0,
+    order, kind, factor, numerator, denominator,
+  };
+  return { mass, damping, handMass, handStiffness, handDamping, period, delay, estimator };
+}
+
+// ------------------------------------------------------------------------------- as a link, as TOML
+
+const NUMBERS = [
+  "mass", "damping", "handMass", "handStiffness", "handDamping", "period", "delay", "window",
+  "cutoff", "order", "factor", "cursorStiffness", "cursorDamping",
+];
+const WORDS = { motion: ["line", "rotation"], kind: ["low-pass", "butterworth"], view: ["near", "all", "sample"] };
+const LISTS = ["numerator", "denominator"];
+
+/** The state as what stands behind # of a link. */
+function hashOf(state) {
+  const parts = new URLSearchParams();
+  for (const key of [...NUMBERS, ...Object.keys(WORDS)]) parts.set(key, String(state[key]));
+  for (const key of LISTS) if (state[key]) parts.set(key, state[key].join(" "));
+  for (const { name, stiffness, damping } of state.walls) {
+    parts.append("wall", [stiffness, damping, name].join(" "));
+  }
+  return parts.toString();
+}
+
+/** The state of a link; what it does not say, or says wrongly, is that of another state. */
+function stateOfHash(hash, state) {
+  const parts = new URLSearchParams(hash), next = { ...state };
+  if (!parts.has("mass")) return next;
+  for (const key of NUMBERS) {
+    const value = parts.has(key) ? acceptable(key, Number(parts.get(key))) : NaN;
+    const free = key.startsWith("cursor") ? Number(parts.get(key)) : value;
+    if (Number.isFinite(free)) next[key] = free;
+  }
+  next.order = Math.min(8, Math.max(1, Math.round(next.order)));
+  for (const [key, words] of Object.entries(WORDS)) {
+    if (words.includes(parts.get(key))) next[key] = parts.get(key);
+  }
+  for (const key of LISTS) {
+    const numbers = (parts.get(key) || "").split(" ").map(Number);
+    next[key] = parts.get(key) && numbers.every(Number.isFinite) ? numbers : null;
+  }
+  next.walls = parts.getAll("wall").map(wallOfWords).filter(Boolean);
+  return next;
+}
+
+/** A wall of "K B name"; null where there are no such numbers. */
+function wallOfWords(words) {
+  const [stiffness, damping, ...name] = words.split(" ");
+  const wall = { name: name.join(" ").slice(0, 40), stiffness: Number(stiffness), damping: Number(damping) };
+  return Number.isFinite(wall.stiffness + wall.damping) ? wall : null;
+}
+
+/** The state as a scene, which `jaxstab check` takes. */
+function sceneOf(state) {
+  const mass = state.motion === "rotation" ? "inertia" : "mass";
+  const lines = [
+    "[device]", `${mass} = ${state.mass}`, `damping = ${state.damping}`, "",
+    "[hand]", `${mass} = ${state.handMass}`, `stiffness = ${state.handStiffness}`,
+    `damping = ${state.handDamping}`, "",
+    "[controller]", `sample_time = ${state.period}`, `delay_samples = ${state.delay}`, "",
+    "[controller.velocity]", ...velocityLines(state),
+  ];
+  state.walls.forEach(({ name, stiffness, damping }) => {
+    lines.push("", `[walls.${JSON.stringify(name)}]`, `stiffness = ${stiffness}`, `damping = ${damping}`);
+  });
+  return `${lines.join("\n")}\n`;
+}
+
+function velocityLines(state) {
+  const list = (numbers) => `[${numbers.join(", ")}]`;
+  if (state.numerator) {
+    return [`numerator = ${list(state.numerator)}`, `denominator = ${list(state.denominator)}`];
+  }
+  const lines = [`window_samples = ${state.window}`];
+  if (state.cutoff > 0) lines.push(`cutoff = ${state.cutoff}`, `order = ${state.order}`, `kind = "${state.kind}"`);
+  if (state.factor > 0 && state.factor < 1) lines.push(`factor = ${state.factor}`);
+  return lines;
+}

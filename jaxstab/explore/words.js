@@ -1,0 +1,115 @@
+// What is said of a state in words, beside and below the picture.
+"use strict";
+
+const NOTHING = 1e-9; // of the other limit: rounding
+
+/** A stiffness with its unit, rounded towards 0. */
+function stiffnessInWords(stiffness) {
+  const power = 10 ** (Math.floor(Math.log10(Math.abs(stiffness))) - 3);
+  return `${(Math.trunc(stiffness / power + 1e-9) * power || 0).toLocaleString("en", { maximumSignificantDigits: 4 })} ${units().stiffness}`;
+}
+
+function dampingInWords(damping) {
+  return `${short(rounded(damping, 3))} ${units().damping}`;
+}
+
+/** Say what is the stiffest wall, and what the estimator costs. */
+function sayHeadline({ stiffest, plain, region, setup }) {
+  byId("headline").textContent = headlineOf(stiffest, region);
+  byId("comparison").textContent = comparisonOf(stiffest, plain, setup);
+  byId("picture-title").textContent =
+    `The plane of stiffness K and damping B. ${byId("headline").textContent} ${byId("comparison").textContent}`;
+}
+
+function headlineOf(stiffest, region) {
+  const open = region.isClosed ? "" : " Its outline was not resolved: it may be wrong.";
+  if (stiffest) return `The stiffest stable wall: ${stiffnessInWords(stiffest[0])}, at a damping of ${dampingInWords(stiffest[1])}.${open}`;
+  const none = region.components.length ? "Small gains are not stable, but others are." : "No wall is stable.";
+  return `${none}${open}`;
+}
+
+function comparisonOf(stiffest, plain, setup) {
+  if (!plain) return "The velocity is the difference over one sample. Software that people run takes a window or a filter.";
+  if (!stiffest) return `With the difference over one sample it would be ${stiffnessInWords(plain.stiffness)}.`;
+  const ratio = plain.stiffness / stiffest[0];
+  const cost = ratio > 1.01 ? `${short(rounded(ratio, 3))} times as stiff` : "about as stiff";
+  return `With the velocity over one sample it would be ${stiffnessInWords(plain.stiffness)}, ${cost}: now it is ${estimatorInWords(setup)}.`;
+}
+
+/** Name what is drawn. */
+function showLegend({ islands, setup, plain }, view) {
+  const rows = [["stable", "stable"]];
+  if (islands.length) rows.push(["island", "stable, but turning gains up does not reach it"]);
+  if (plain) rows.push(["ghost", "stable with the difference over one sample"]);
+  rows.push(["rule", `linear rule${plain ? ", which knows of no filter" : ""}: stable to its left`]);
+  if (view.passive.length) {
+    const most = Math.max(...view.passive.map(([stiffness]) => stiffness));
+    rows.push(["passive", `passive for any hand, up to ${stiffnessInWords(most)}`]);
+  } else {
+    rows.push(["", setup.damping > 0 ? "the passive region is known for the difference over one sample only" : "without damping of the device no wall is passive"]);
+  }
+  const words = rows.map(([, text]) => text).join("|");
+  if (byId("legend").dataset.words === words) return;
+  byId("legend").dataset.words = words;
+  byId("legend").replaceChildren(...rows.map(([look, text]) => html("li", {}, sampleOf(look), text)));
+}
+
+/** A sample of how something is drawn. */
+function sampleOf(look) {
+  if (!look) return "";
+  const svg = element("svg", { viewBox: "0 0 26 14", "aria-hidden": "true" });
+  const isLine = look === "ghost" || look === "rule";
+  svg.append(isLine ? element("path", { class: look, d: "M0 7H26" }) : element("rect", { class: look, x: 1, y: 1, width: 24, height: 12 }));
+  return svg;
+}
+
+const VERDICTS = { [STABLE]: "stable", [UNSTABLE]: "unstable", [UNDECIDED]: "undecided" };
+const LOOKS_OF_VERDICTS = { [STABLE]: "good", [UNSTABLE]: "bad", [UNDECIDED]: "" };
+
+/** Show the verdicts of the walls in their rows, which are built anew where walls come or go. */
+function showVerdicts(walls) {
+  const body = byId("walls").tBodies[0], key = state.walls.map(({ name }) => name).join("|");
+  if (body.dataset.key !== key) buildWalls(body, key);
+  walls.forEach(({ stiffness, damping, code, radius }, index) => {
+    const cells = body.rows[index].cells;
+    const [first, second] = [cells[1].firstChild, cells[2].firstChild];
+    if (document.activeElement !== first) first.value = stiffness;
+    if (document.activeElement !== second) second.value = damping;
+    cells[3].textContent = VERDICTS[code];
+    cells[3].className = LOOKS_OF_VERDICTS[code];
+    cells[4].textContent = radius.toFixed(5);
+  });
+}
+
+function buildWalls(body, key) {
+  body.dataset.key = key;
+  body.replaceChildren(...state.walls.map((wall, index) => {
+    const input = (field, words) => {
+      const made = html("input", { type: "number", step: "any", value: wall[field] });
+      made.setAttribute("aria-label", `${words} of wall ${wall.name}`);
+      made.addEventListener("change", () => changeWall(index, { [field]: Number(made.value) }));
+      return html("td", {}, made);
+    };
+    const remove = html("button", { type: "button", textContent: "Remove" });
+    remove.setAttribute("aria-label", `Remove wall ${wall.name}`);
+    remove.addEventListener("click", () => {
+      update({ walls: state.walls.filter((_, other) => other !== index) });
+      byId("wall-name").focus();
+    });
+    const name = html("th", { scope: "row", textContent: wall.name });
+    return html("tr", {}, name, input("stiffness", "stiffness"), input("damping", "damping"), html("td", {}), html("td", {}), html("td", {}, remove));
+  }));
+}
+
+function changeWall(index, change) {
+  if (Object.values(change).some((value) => !Number.isFinite(value))) return;
+  update({ walls: state.walls.map((wall, other) => (other === index ? { ...wall, ...change } : wall)) });
+}
+
+/** Say at once whether the cursor is stable, and by which radius. */
+function showCursorVerdict({ code, radius }) {
+  const words = byId("cursor-verdict");
+  words.textContent = `${VERDICTS[code]}, spectral radius ${radius.toFixed(6)} (computed here, not proved)`;
+  words.className = `verdict ${LOOKS_OF_VERDICTS[code]}`;
+}
+

@@ -1,0 +1,62 @@
+// What the tests ask of the explorer's scripts, in node and in a browser.
+"use strict";
+
+/** Points (alpha, beta) of the curve at angles. */
+function curves(cases) {
+  return cases.map(({ gamma, delta, delay, estimator, theta }) => {
+    const loop = dimensionlessLoop(gamma, delta, delay, velocityOf(estimator, 1));
+    return theta.map((angle) => {
+      const { alpha, beta } = curvePoint(loop, angle);
+      return [alpha, beta];
+    });
+  });
+}
+
+/** Verdicts and radii of walls. */
+function verdicts(cases) {
+  return cases.map((setup) => {
+    const loop = loopOf(setup), scale = unitsOf(setup);
+    return setup.walls.map(({ stiffness, damping }) => {
+      const { code, radius } = verdictAndRadius(loop, stiffness / scale.stiffness, damping / scale.damping);
+      return [code, radius];
+    });
+  });
+}
+
+/** Regions in SI units. */
+function regions(cases) {
+  return cases.map((setup) => {
+    const loop = loopOf(setup), scale = unitsOf(setup), region = regionOf(loop);
+    const inUnits = ([alpha, beta]) => [alpha * scale.stiffness, beta * scale.damping];
+    return {
+      isClosed: region.isClosed,
+      hasMain: Boolean(mainOf(region)),
+      areas: region.components.map(({ area }) => area * scale.stiffness * scale.damping),
+      farthest: region.components.map((one) => [0, 1].map((axis) => inUnits(farthest(loop, one, axis)))),
+    };
+  });
+}
+
+/** Margins and settling times of walls; JSON has null for what is NaN or infinite. */
+function walls(cases) {
+  return cases.map((setup) => {
+    const loop = loopOf(setup), region = regionOf(loop);
+    return setup.walls.map((wall) => wallFacts(setup, loop, region, wall));
+  });
+}
+
+/** Outlines of passive walls in SI units. */
+function passives(cases) {
+  return cases.map(passiveWalls);
+}
+
+/** States that went through a link. */
+function links(states) {
+  const other = { ...states[0], mass: 77, walls: [], view: "all" };
+  return states.map((state) => stateOfHash(hashOf(state), other));
+}
+
+/** States as scenes. */
+function scenes(states) {
+  return states.map(sceneOf);
+}

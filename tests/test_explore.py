@@ -1,0 +1,372 @@
+"""The explorer: its page, its command, and its scripts against Python and certified balls.
+
+Its scripts are asked by node here, and by a browser where there is one (a campaign).
+"""
+
+import json
+import os
+import re
+import subprocess
+import tomllib
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import MISSING, Browser, browser
+from commands import assert_one_sentence, run
+from explorer import (
+    ANSWERS,
+    NODE,
+    asked_of_node,
+    curve_cases,
+    loop_of,
+    random_setup,
+    setups_with_walls,
+    true_curve,
+)
+
+import jaxstab
+from jaxstab.explore import SCRIPTS, explorer_page, script
+from jaxstab.scene import Scene
+
+SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))
+LARGEST_PAGE = 1.8e6  # bytes
+WITHIN_REACH = 20.0  # alpha and beta of stable walls are below 4
+needs_node = pytest.mark.skipif(NODE is None, reason="there is no node here")
+AXE = os.environ.get("JAXSTAB_AXE")  # the file axe.min.js of axe-core
+
+
+def page_of(table: dict[str, Any]) -> str:
+    device, controller = {"mass": 0.1, "damping": 1.0}, {"sample_time": 1e-3}
+    return explorer_page(Scene.from_table({"device": device, "controller": controller} | table))
+
+
+def initial_of(page: str) -> Any:
+    """What the page begins with, as a browser reads it."""
+    found = re.search(r'<script type="application/json" id="initial">(.*?)</script>', page, re.S)
+    assert found is not None
+    return json.loads(found[1])
+
+
+# ------------------------------------------------------------------------------------ the page
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda path: path.stem)
+def test_a_page_is_one_small_file_that_asks_for_nothing(scene: Path) -> None:
+    page = explorer_page(Scene.from_file(scene))
+    assert len(page.encode()) < LARGEST_PAGE
+    assert set(re.findall(r"https?://[^\"'\s]+", page)) == {"http://www.w3.org/2000/svg"}
+    assert not re.search(r"\b(src|href)=\"(?!#|data:)", page)
+    assert "default-src 'none'" in page
+
+
+def test_a_page_begins_with_the_numbers_of_the_scene() -> None:
+    state = initial_of(explorer_page(Scene.from_file(SCENES[0].parent / "omega.toml")))["state"]
+    known = {"mass": 0.25, "damping": 0.1, "period": 1e-3, "delay": 1.0, "window": 20}
+    assert {name: state[name] for name in known} == known
+    assert [wall["name"] for wall in state["walls"]] == ["chai3d", "soft"]
+    assert state["cursorStiffness"] == pytest.approx(1017.0, rel=0.05)  # half of the stiffest
+
+
+def test_names_of_walls_do_not_end_the_script() -> None:
+    name = "</script><script>alert(1)</script>"
+    page = page_of({"walls": {name: {"stiffness": 100.0, "damping": 1.0}}})
+    assert initial_of(page)["state"]["walls"][0]["name"] == name
+    counted = _Tags()
+    counted.feed(page)
+    assert counted.scripts == 2
+
+
+class _Tags(HTMLParser):
+    scripts = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.scripts += tag == "script"
+
+
+def test_a_device_that_turns_has_its_own_units() -> None:
+    table = {"device": {"inertia": 1e-3, "damping": 1e-3}, "hand": {"inertia": [1e-4, 1e-3]}}
+    initial = initial_of(page_of(table))
+    assert initial["state"]["motion"] == "rotation"
+    assert initial["state"]["handMass"] == 1e-4
+    assert initial["units"]["rotation"] == {"stiffness": "N m/rad", "damping": "N m s/rad"}
+    assert "lowest values" in " ".join(initial["notes"])
+
+
+def test_a_filter_of_the_position_is_refused() -> None:
+    controller = {"sample_time": 1e-3, "position": {"cutoff": 100.0}}
+    with pytest.raises(ValueError, match=r"controller\.position is given"):
+        page_of({"controller": controller})
+
+
+# --------------------------------------------------------------------------------- the command
+
+
+def test_the_command_writes_a_page_and_says_where(tmp_path: Path) -> None:
+    for arguments in ([], [SCENES[0]]):
+        output = tmp_path / "walls.html"
+        answer = run("explore", *arguments, "-o", output)
+        assert answer.exit_code == 0, answer.stderr
+        assert answer.stdout == f"{output}\n"
+        assert output.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-o", "walls.png"], "ends in neither .html nor .htm"),
+        (["-o", "nowhere/walls.html"], "is no file in a folder that exists"),
+        (["none.toml"], "No such file"),
+        (["--mass", "1"], "No such option"),
+    ],
+)
+def test_the_command_refuses_in_one_sentence(
+    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = run("explore", *arguments)
+    assert answer.exit_code == 2
+    assert words in answer.stderr
+    if "Usage" not in answer.stderr:
+        assert_one_sentence(answer.stderr)
+    assert list(tmp_path.iterdir()) == []
+
+
+# ------------------------------------------------------------------------------ scripts by node
+
+
+@needs_node
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_scripts_have_no_errors_of_syntax_and_are_short(name: str, tmp_path: Path) -> None:
+    file = tmp_path / f"{name}.js"
+    file.write_text(script(name), encoding="utf-8")
+    checked = subprocess.run([str(NODE), "--check", str(file)], capture_output=True, check=False)
+    assert checked.returncode == 0, checked.stderr
+    assert len(script(name).splitlines()) <= 400
+
+
+def assert_curves_are_true(cases: list[dict[str, Any]], answers: list[Any]) -> int:
+    """The number of points that were compared."""
+    count = 0
+    for case, answer in zip(cases, answers, strict=True):
+        points, (truth, moved) = np.array(answer, np.float64), true_curve(case)
+        size = np.max(np.abs(truth), axis=1, keepdims=True)
+        is_near = size[:, 0] < WITHIN_REACH
+        error = np.abs(points - truth) - moved
+        assert np.all(error[is_near] <= 1e-12 * size[is_near]), case
+        count += int(is_near.sum())
+    return count
+
+
+@needs_node
+def test_the_curve_is_that_of_certified_balls(rng: np.random.Generator) -> None:
+    cases = curve_cases(rng, 120, 40)
+    assert assert_curves_are_true(cases, asked_of_node("curves", cases)) > 1000
+
+
+def assert_verdicts_are_right(found: list[Any], answers: list[Any]) -> tuple[int, float]:
+    """The number of walls that were compared, and the share that the page leaves undecided."""
+    undecided, count = 0, 0
+    for (loop, _, stiffness, damping), answer in zip(found, answers, strict=True):
+        codes, radii = np.array(answer).T
+        proved = loop.verdict(stiffness, damping)
+        is_decided = (codes != jaxstab.Verdict.UNDECIDED) & (proved != jaxstab.Verdict.UNDECIDED)
+        assert np.all(codes[is_decided] == proved[is_decided])
+        radius = loop.spectral_radius(stiffness, damping)
+        assert np.all(np.abs(radii - radius.value) <= radius.error + 1e-6)
+        undecided += int(np.sum(codes == jaxstab.Verdict.UNDECIDED))
+        count += len(codes)
+    return count, undecided / count
+
+
+@needs_node
+def test_verdicts_are_those_that_are_proved(rng: np.random.Generator) -> None:
+    found = setups_with_walls(rng, 4, 100)
+    answers = asked_of_node("verdicts", [setup for _, setup, *_ in found])
+    _, undecided = assert_verdicts_are_right(found, answers)
+    assert undecided < 0.3  # half of the walls are next to the boundary
+
+
+def assert_regions_are_right(setups: list[Any], answers: list[Any]) -> int:
+    """The number of regions that the page did not resolve."""
+    unresolved = 0
+    for setup, answer in zip(setups, answers, strict=True):
+        region = loop_of(setup).region()
+        if region.status == jaxstab.RegionStatus.UNRESOLVED or not answer["isClosed"]:
+            unresolved += 1
+            continue
+        components = region.components
+        assert len(components) == len(answer["areas"]), setup
+        assert (region.main is not None) == answer["hasMain"], setup
+        for component, farthest, area in zip(
+            components, answer["farthest"], answer["areas"], strict=True
+        ):
+            assert area == pytest.approx(component.area, rel=1e-2)
+            (stiffest, _), (_, most_damped) = farthest
+            size = component.extent
+            assert abs(stiffest - component.stiffest.stiffness) < 1e-7 * size.stiffness, setup
+            assert abs(most_damped - component.most_damped.damping) < 1e-7 * size.damping, setup
+    return unresolved
+
+
+@needs_node
+def test_regions_have_the_components_and_extremes_of_the_exact_ones(
+    rng: np.random.Generator,
+) -> None:
+    setups = [random_setup(rng) for _ in range(6)]
+    assert assert_regions_are_right(setups, asked_of_node("regions", setups)) == 0
+
+
+@needs_node
+def test_margins_and_settling_times_of_walls(rng: np.random.Generator) -> None:
+    found = setups_with_walls(rng, 2, 20)
+    answers = asked_of_node("walls", [setup for _, setup, *_ in found])
+    compared = 0
+    for (loop, _, stiffness, damping), answer in zip(found, answers, strict=True):
+        margins = loop.margins(stiffness, damping)
+        settling = loop.settling_time(stiffness, damping, horizon=1 << 15)
+        for index, wall in enumerate(answer):
+            if wall["settling"] is None or not np.isfinite(settling.value[index]):
+                continue
+            compared += 1
+            assert wall["settling"] == pytest.approx(
+                settling.value[index], abs=1e-3 * loop.sample_time
+            )
+            for name in ("stiffness", "damping"):
+                known = getattr(margins, name)[index]
+                assert wall[name] == pytest.approx(known, abs=1e-5 * np.ptp(known))
+            if wall["extraDelay"] is not None:
+                known = margins.extra_delay[index]
+                assert wall["extraDelay"] == pytest.approx(known, abs=1e-4 * loop.sample_time)
+    assert compared > 3
+
+
+@needs_node
+def test_passive_walls_are_those_of_python(rng: np.random.Generator) -> None:
+    plain = {"window": 1, "cutoff": 0.0, "order": 1, "kind": "low-pass", "factor": 1.0}
+    setups = [random_setup(rng) | {"damping": 0.5, "estimator": plain} for _ in range(8)]
+    for setup, outline in zip(setups, asked_of_node("passives", setups), strict=True):
+        loop = loop_of(setup)
+        alpha, beta = loop.alpha(1.0), loop.beta(1.0)
+        own = setup["damping"] * float(beta)
+        region = jaxstab.passive_region(own, setup["delay"])
+        points = np.array(outline[:-1]) * [alpha, beta]
+        assert np.all(region.contains(*(0.995 * points).T))
+        assert not np.any(region.contains(*(1.005 * points).T))
+
+
+@needs_node
+def test_a_link_reproduces_the_state_and_a_scene_is_one(rng: np.random.Generator) -> None:
+    states = [initial_of(explorer_page(Scene.from_file(path)))["state"] for path in SCENES]
+    table = {"velocity": {"preset": "hapkit"}, "sample_time": 1e-4}
+    states.append(initial_of(page_of({"controller": table}))["state"])
+    words = {"stiffness": 1.5, "damping": -2.0, "name": 'a "b" & c=d #é'}
+    states[0]["walls"].append(words)
+    assert [state | {"software": None} for state in asked_of_node("links", states)] == [
+        state | {"software": None} for state in states
+    ]
+    del states[0]["walls"][-1]
+    for state, text in zip(states, asked_of_node("scenes", states), strict=True):
+        scene = Scene.from_table(tomllib.loads(text))
+        again = initial_of(explorer_page(scene))["state"]
+        assert again | {"software": None} == state | {"software": None}
+
+
+# --------------------------------------------------------------------------- in a real browser
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Browser]:
+    if MISSING:
+        pytest.skip(MISSING)
+    with browser() as opened:
+        yield opened
+
+
+@pytest.fixture
+def omega(page: Browser, tmp_path: Path) -> Browser:
+    file = tmp_path / "walls.html"
+    file.write_text(explorer_page(Scene.from_file(SCENES[0].parent / "omega.toml")), "utf-8")
+    page.look("light", 1360, 1000)
+    page.complaints()
+    page.open(file.as_uri())
+    return page
+
+
+def answer_of(page: Browser, question: str, cases: Any) -> Any:
+    return page.run(f"{ANSWERS}\nreturn {question}(arguments[0]);", cases)
+
+
+@pytest.mark.campaign
+def test_a_hundred_thousand_points_of_the_curve_in_a_browser(
+    omega: Browser, rng: np.random.Generator
+) -> None:
+    count = 0
+    while count < 100_000:
+        cases = curve_cases(rng, 500, 40)
+        count += assert_curves_are_true(cases, answer_of(omega, "curves", cases))
+
+
+@pytest.mark.campaign
+def test_a_hundred_thousand_verdicts_in_a_browser(omega: Browser, rng: np.random.Generator) -> None:
+    count = 0
+    while count < 100_000:
+        found = setups_with_walls(rng, 50, 400)
+        answers = answer_of(omega, "verdicts", [setup for _, setup, *_ in found])
+        count += assert_verdicts_are_right(found, answers)[0]
+
+
+@pytest.mark.campaign
+def test_many_regions_in_a_browser(omega: Browser, rng: np.random.Generator) -> None:
+    setups = [random_setup(rng) for _ in range(150)]
+    assert assert_regions_are_right(setups, answer_of(omega, "regions", setups)) <= 3
+
+
+@pytest.mark.campaign
+def test_the_console_stays_empty_and_nothing_is_fetched(omega: Browser) -> None:
+    omega.run(MOVE_ALL)
+    fetched = omega.run("return performance.getEntriesByType('resource').map((one) => one.name);")
+    assert [name for name in fetched if not name.startswith("data:")] == []
+    assert omega.complaints() == []
+
+
+MOVE_ALL = """
+for (const slider of document.querySelectorAll("input[type=range]")) {
+  const before = slider.value;
+  for (const place of [0, 90, 200, 310, 400, before]) {
+    slider.value = place;
+    slider.dispatchEvent(new Event("input", { bubbles: true }));
+  }
+}
+sayMore();
+"""
+
+
+@pytest.mark.campaign
+def test_sliders_move_by_keys_and_the_link_brings_the_state_back(omega: Browser) -> None:
+    omega.run("document.getElementById('window-slider').focus();")
+    before = omega.run("return document.getElementById('headline').textContent;")
+    omega.press("\ue012" * 60)  # arrow to the left
+    after = omega.run("sayMore(); return document.getElementById('headline').textContent;")
+    assert before != after
+    address = omega.run("return location.href;")
+    assert "#mass=" in address
+    omega.open("about:blank")
+    omega.open(address)
+    assert omega.run("return document.getElementById('headline').textContent;") == after
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("look", ["light", "dark"])
+@pytest.mark.parametrize("width", [1360, 390])
+def test_axe_finds_nothing(omega: Browser, look: str, width: int) -> None:
+    if AXE is None:
+        pytest.skip("JAXSTAB_AXE names no axe.min.js")
+    omega.look(look, width, 1000)
+    omega.run("window.dispatchEvent(new Event('resize')); sayMore();")
+    omega.run(Path(AXE).read_text(encoding="utf-8"))
+    found = omega.run("return axe.run().then(({ violations }) => violations);")
+    assert [(one["id"], one["nodes"][0]["html"]) for one in found] == []
