@@ -96,10 +96,20 @@ def test_a_device_that_turns_has_its_own_units() -> None:
     assert "lowest values" in " ".join(initial["notes"])
 
 
-def test_a_filter_of_the_position_is_refused() -> None:
-    controller = {"sample_time": 1e-3, "position": {"cutoff": 100.0}}
-    with pytest.raises(ValueError, match=r"controller\.position is given"):
-        page_of({"controller": controller})
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (
+            {"controller": {"sample_time": 1e-3, "position": {"cutoff": 100.0}}},
+            r"controller\.position is given",
+        ),
+        ({"device": {"mass": 0.1, "damping": 1.0, "actuator": {"bandwidth": 300.0}}}, "one mass"),
+        ({"controller": {"sample_time": 1e-3, "delay_samples": 300.0}}, "at most 200"),
+    ],
+)
+def test_what_the_page_cannot_compute_is_refused(table: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        page_of(table)
 
 
 # --------------------------------------------------------------------------------- the command
@@ -343,6 +353,37 @@ for (const slider of document.querySelectorAll("input[type=range]")) {
 }
 sayMore();
 """
+
+
+TIMES = """
+const times = [];
+for (const slider of document.querySelectorAll("#controls input[type=range]")) {
+  const before = slider.value;
+  for (let place = 0; place <= 400; place += 10) {
+    let least = Infinity;
+    for (let turn = 0; turn < 5; turn++) {
+      const start = performance.now();
+      slider.value = place;
+      slider.dispatchEvent(new Event("input", { bubbles: true }));
+      document.body.getBoundingClientRect();
+      least = Math.min(least, performance.now() - start);
+    }
+    times.push(least);
+  }
+  slider.value = before;
+  slider.dispatchEvent(new Event("input", { bubbles: true }));
+}
+return times.sort((a, b) => a - b);
+"""
+
+
+@pytest.mark.campaign
+def test_a_slider_is_followed_by_its_picture(omega: Browser, record_property: Any) -> None:
+    """What it takes, with layout, without what other processes take; no time is asserted."""
+    times = omega.run(TIMES)
+    record_property("milliseconds", {q: float(np.quantile(times, q)) for q in (0.5, 0.99, 1.0)})
+    assert len(times) == 9 * 41
+    assert omega.complaints() == []
 
 
 @pytest.mark.campaign

@@ -6,10 +6,10 @@ from math import isfinite
 from typing import Any
 
 from jaxstab.scene import Scene
-from jaxstab.scene.estimators import KINDS, VelocityTable
-from jaxstab.scene.loops import hands_of, loop_of, wall_region, walls_of
+from jaxstab.scene.estimators import VelocityTable
+from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
+from jaxstab.scene.mechanics import Hand
 from jaxstab.scene.presets import software_presets
-from jaxstab.scene.scene import Hand
 from jaxstab.scene.units import Units
 
 SCRIPTS = (
@@ -19,6 +19,7 @@ SCRIPTS = (
 """The page's scripts, in their order; those of the first line need no page."""
 
 _HALF = 0.5
+_LONGEST_DELAY = 200.0  # samples
 
 
 def explorer_page(scene: Scene, title: str = "") -> str:
@@ -30,7 +31,8 @@ def explorer_page(scene: Scene, title: str = "") -> str:
 
     Raises:
         ValueError: a quantity is out of range, or the page cannot compute the scene: it has a
-            filter of the position.
+            filter of the position, a device that is not one mass, or more than 200 samples of
+            delay.
     """
     initial = json.dumps(_initial(scene, title), allow_nan=False)
     parts = {
@@ -55,17 +57,33 @@ def _text(name: str) -> str:
 
 def _initial(scene: Scene, title: str) -> dict[str, Any]:
     """Return what the page begins with."""
-    if scene.controller.position is not None:
-        raise ValueError(
-            "controller.position is given, but the explorer knows of no filter of the position; "
-            "leave it out, or draw the scene with jaxstab limits --plot."
-        )
+    _refuse_others(scene)
     return {
         "state": _state(scene),
         "units": {"line": _units(Units.LINE), "rotation": _units(Units.ROTATION)},
         "software": _software(),
         "notes": _notes(scene, title),
     }
+
+
+def _refuse_others(scene: Scene) -> None:
+    """Refuse what the page's scripts cannot compute."""
+    remedy = "leave it out, or draw the scene with jaxstab limits --plot."
+    if scene.controller.position is not None:
+        raise ValueError(
+            "controller.position is given, but the explorer knows of no filter of the position; "
+            f"{remedy}"
+        )
+    if not is_one_mass(scene):
+        raise ValueError(
+            "the device has a mode, an actuator or a grip, but the explorer knows of devices and "
+            f"hands of one mass only; {remedy}"
+        )
+    if scene.controller.samples > _LONGEST_DELAY:
+        raise ValueError(
+            f"the delay is {scene.controller.samples:g} samples, and the explorer computes at most "
+            f"{_LONGEST_DELAY:g}; draw the scene with jaxstab limits --plot."
+        )
 
 
 def _units(units: Units) -> dict[str, str]:
@@ -117,7 +135,7 @@ def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
         "window": samples or (1 if window is None else max(1, round(window / period))),
         "cutoff": (table and table.cutoff) or 0.0,
         "order": (table and table.order) or 1,
-        "kind": (table and table.kind) or KINDS[0],
+        "kind": (table and table.kind) or "low-pass",
         "factor": (table and table.factor) or 1.0,
         "numerator": table and table.numerator,
         "denominator": table and table.denominator,

@@ -2,6 +2,7 @@
 "use strict";
 
 const MOST_WINDOW = 40; // samples, with what stands behind the window
+const LONGEST_DELAY = 200; // samples
 const MOST_SLIDER_DELAY = 40;
 
 /**
@@ -64,7 +65,7 @@ function acceptable(key, value) {
   if (!Number.isFinite(value) || value < 0) return NaN;
   if (key === "mass" || key === "period") return value > 0 ? value : NaN;
   if (key === "window") return Math.min(MOST_WINDOW, Math.max(1, Math.round(value)));
-  if (key === "delay") return Math.min(200, value);
+  if (key === "delay") return Math.min(LONGEST_DELAY, value);
   return value;
 }
 
