@@ -164,6 +164,14 @@ def share(value: Any) -> float:
     return number
 
 
+def tolerance(value: Any) -> float:
+    """Return a number >= 0 and below 1."""
+    number = _finite(value)
+    if not 0.0 <= number < 1.0:
+        raise ValueError("give a number >= 0 and below 1, such as 0.1 for 10 %")
+    return number
+
+
 def whole(low: int, high: int) -> Check:
     """Return the check of a whole number in [low, high]."""
 

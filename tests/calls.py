@@ -1,7 +1,8 @@
 """One good call of each public function or method that computes, and what it answers as a text.
 
 A call is a list of arguments, with a dict of keywords at its end where there are some; "loop" is
-for a HapticLoop, "hands" for a HandRange, "function" for one that a sweep calls.
+for a HapticLoop, "loops" for several, "hands" for a HandRange, "function" for one that a sweep
+calls.
 """
 
 import sys
@@ -66,11 +67,16 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.tune": ["loop"],
     "HapticLoop.worst_hand": ["loop", "hands", 1000.0, 10.0],
     "HapticLoop.robust_limit": ["loop", "hands"],
+    "tune_for_all": ["loops"],
 }
 
 
 OBJECTS: dict[str, Callable[[], Any]] = {
     "loop": lambda: jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3),
+    "loops": lambda: [
+        jaxstab.HapticLoop(device_mass=mass, device_damping=1.5, sample_time=1e-3)
+        for mass in (0.1, 0.12)
+    ],
     "hands": lambda: jaxstab.HandRange(mass=(0.0, 1.0)),
     "function": lambda: jaxstab.verdict,
 }

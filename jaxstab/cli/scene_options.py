@@ -129,6 +129,8 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         "at_stiffness": ("wanted", "at_stiffness"),
         "stiffness": ("wanted", "stiffness"),
         "safety": ("wanted", "safety"),
+        "mass_tolerance": ("wanted", "mass_tolerance"),
+        "delay_tolerance": ("wanted", "delay_tolerance"),
     }
     merged = {"device": {}, "controller": {}} | table
     options = {option: value for option, value in given.items() if value is not None}

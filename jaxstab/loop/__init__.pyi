@@ -1,3 +1,5 @@
+from .common_wall import CommonWall as CommonWall
+from .common_wall import tune_for_all as tune_for_all
 from .loop import HapticLoop as HapticLoop
 from .region import Gains as Gains
 from .region import WallLimits as WallLimits

@@ -47,5 +47,7 @@ answers = ["limits", "check"]    # of limits, check, tune, design
 # at_stiffness = 1000.0   # N/m, limits: the damping allowed at this stiffness
 # safety = 0.8            # limits and design: what limits are multiplied by
 # chatter = 2e-5          # m, tune: how far the encoder's rounding may drive a wall
+# mass_tolerance = 0.1    # tune: over the device's mass +-10 %, and over all hands
+# delay_tolerance = 2e-4  # s, tune: over delays so far to both sides
 # stiffness = 3000.0      # N/m, design: what the sample time or the delay is to allow
 """

@@ -33,6 +33,10 @@ def plan_scene(scene: Scene) -> list[Step]:
         if name == "chatter" and scene.device.encoder is None:
             is_wanted, why = False, "device.encoder is not given"
         steps.append(Step(name, asked["check"] and is_wanted, why))
+    is_over = hand.varies or bool(wanted.mass_tolerance) or bool(wanted.delay_tolerance)
+    why = "neither a hand nor a tolerance of mass or delay is a range"
+    why = "a hand or a tolerance is a range" if is_over else why
+    steps.append(Step("tune over ranges", is_over and asked["tune"], why))
     why = "the hand is a range" if hand.varies else "there is one hand at most"
     steps.append(Step("worst case over the hands", hand.varies, why))
     if hand.varies and not is_one_mass(scene):

@@ -19,6 +19,7 @@ from jaxstab.tables import (
     quantity,
     read_table,
     share,
+    tolerance,
 )
 
 ANSWERS = ("limits", "check", "tune", "design")
@@ -94,6 +95,8 @@ class Wanted(Table):
     stiffness: float | None = key(quantity("N/m", is_positive=True), None)
     chatter: float | None = key(quantity(LENGTH, is_positive=True), None)
     safety: float | None = key(share, None)
+    mass_tolerance: float | None = key(tolerance, None)
+    delay_tolerance: float | None = key(quantity("s"), None)
 
     def __post_init__(self) -> None:
         super().__post_init__()

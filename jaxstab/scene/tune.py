@@ -10,8 +10,9 @@ from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import Answer, Basis, Bound, Damping, Number, Stiffness, rounded_gain
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import Amplitude, SettlingTime, settled
-from jaxstab.scene.hands import LOWEST_HAND
-from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
+from jaxstab.scene.hands import LOWEST_HAND, worst_held
+from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, reachable, wall_region
+from jaxstab.scene.over_ranges import WallOverRanges, tune_over_ranges
 from jaxstab.scene.scene import Scene
 from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
@@ -55,7 +56,7 @@ class BestWall(Answer):
     rounded: RoundedWall | None
     share_of_largest: Number | None
     status: TuningStatus
-    for_all_hands: Verdict | None
+    for_all_hands: Verdict | str | None
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return the lines of the rounded wall, and the rest."""
@@ -73,6 +74,7 @@ class Tuned(Answer):
     walls: dict[str, BestWall]
     at_given_stiffness: BestWall | None
     hand: str | None
+    over_ranges: WallOverRanges | None
 
 
 class _Encoder(NamedTuple):
@@ -83,7 +85,9 @@ class _Encoder(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> "_Encoder":
-        """Return what a scene says."""
+        """Return what a scene says, as far as it is answered for its device."""
+        if not is_one_mass(scene) and scene.wanted.chatter is None:
+            return cls(None, None)
         encoder, limit = scene.device.encoder, scene.wanted.chatter
         return cls(
             None if encoder is None else encoder.resolution,
@@ -98,21 +102,24 @@ def tune_walls(scene: Scene) -> Tuned:
         ValueError: a quantity is out of range, or the stable region is not resolved.
     """
     loop, hands = loop_of(scene), hands_of(scene)
-    best = partial(_best, loop, hands, _Encoder.of(scene))
-    given = scene.wanted.at_stiffness
+    best = partial(_best, scene, loop, hands, _Encoder.of(scene))
+    given, fastest = scene.wanted.at_stiffness, best("settling")
+    gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
     return Tuned(
         basis=basis_of(scene),
         least_radius=best("radius"),
-        least_settling=best("settling"),
+        least_settling=fastest,
         walls={
             f"wall {name}": best("settling", wall.stiffness) for name, wall in scene.walls.items()
         },
         at_given_stiffness=None if given is None else best("settling", given),
         hand=LOWEST_HAND if hands else None,
+        over_ranges=tune_over_ranges(scene, gains),
     )
 
 
 def _best(
+    scene: Scene,
     loop: HapticLoop,
     hands: HandRange | None,
     encoder: _Encoder,
@@ -130,8 +137,13 @@ def _best(
         _tuned(RoundedWall, loop, rounded, encoder),
         best.stiffness / reachable(wall_region(loop)).stiffest.stiffness,
         best.status,
-        loop.worst_hand(hands, *rounded).verdict if hands else None,
+        _over_hands(scene, hands, rounded) if hands else None,
     )
+
+
+def _over_hands(scene: Scene, hands: HandRange, gains: Gains) -> Verdict | str:
+    worst = worst_held(scene, hands, gains)
+    return worst.tried or worst.verdict
 
 
 def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: _Encoder) -> Tuning:
