@@ -348,30 +348,43 @@ def quantities(gamma: jax.Array, delta: jax.Array) -> tuple[jax.Array, StableReg
     return jnp.stack([end_of_curve, region.alpha_limits(ROW)[1], region.max_alpha[0]]), region
 
 
-def test_many_slices_at_once_are_the_single_ones() -> None:
-    places = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
-    batch = jax.vmap(lambda place: region_outline(*place, DELAY))(jnp.asarray(places))
-    assert batch.outline.vertices.shape == (len(places), 256, 2)
+PLACES = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
+
+
+@pytest.fixture(scope="module")
+def mapped() -> tuple[np.ndarray, np.ndarray, StableRegion]:
+    """Slopes (place, quantity, argument), values and the region of all places: compiled once.
+
+    Eagerly, in several programs: all in one takes 2 GB to compile.
+    """
+
+    def values_twice(*place: jax.Array) -> tuple[jax.Array, tuple[jax.Array, StableRegion]]:
+        values, region = quantities(*place)
+        return values, (values, region)
+
+    differentiated = jax.jacfwd(values_twice, argnums=(0, 1), has_aux=True)
+    by_both, (values, region) = jax.vmap(differentiated)(*jnp.asarray(PLACES).T)
+    return np.stack(by_both, axis=-1), np.asarray(values), region
+
+
+def test_many_slices_at_once_are_the_single_ones(
+    mapped: tuple[np.ndarray, np.ndarray, StableRegion],
+) -> None:
+    _, _, batch = mapped
+    assert batch.outline.vertices.shape == (len(PLACES), 256, 2)
     np.testing.assert_array_equal(batch.status, RegionStatus.COMPLETE)
-    for index, place in enumerate(places):
+    for index, place in enumerate(PLACES):
         single = stable_region(*place, DELAY)
         np.testing.assert_allclose(batch.max_alpha[index], single.max_alpha, rtol=1e-13)
         found = batch.outline.corners[index][: len(single.corners)]
         np.testing.assert_allclose(found, single.corners, rtol=1e-13)
 
 
-def test_corners_limits_and_the_largest_alpha_are_differentiable() -> None:
-    """Eagerly, in several programs: all in one takes 2 GB to compile."""
-
-    def values_twice(*place: jax.Array) -> tuple[jax.Array, jax.Array]:
-        values, _ = quantities(*place)
-        return values, values
-
+def test_corners_limits_and_the_largest_alpha_are_differentiable(
+    mapped: tuple[np.ndarray, np.ndarray, StableRegion],
+) -> None:
     step = mpf(10) ** -15
-    differentiated = jax.jacfwd(values_twice, argnums=(0, 1), has_aux=True)
-    for place in [(0.05, 0.1), (1e-3, 0.015)]:
-        by_both, values = differentiated(*map(jnp.asarray, place))
-        slopes = np.stack(by_both, axis=1)
+    for place, slopes, values in list(zip(PLACES, *mapped[:2], strict=True))[:2]:
         region = stable_region(*place, DELAY)
         points = [(-place[0], float(values[0])), (float(values[1]), ROW), tuple(region.max_alpha)]
         exact: list[Callable[[mpf, mpf, float], mpf]] = [exact_corner, exact_limit, exact_largest]
