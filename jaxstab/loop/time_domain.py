@@ -8,6 +8,7 @@ from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.motion import Amplitude, Response, Settling
+from jaxstab.motion.device_amplitudes import device_amplitude
 from jaxstab.motion.response import simulate_device
 from jaxstab.motion.settling import HORIZON, Excitation, device_settling_samples
 from jaxstab.numbers import checked
@@ -110,7 +111,11 @@ class LoopInTime(LoopParameters):
             '6.3e-06 m, 0.24 N'
         """
         self._refuse_tracers("amplitude")
-        self._refuse_general_devices("amplitude")
+        if self.body is None:
+            causes = {"encoder": encoder, "force_step": force_step, "friction": friction}
+            return device_amplitude(
+                *self._device_and_filters, stiffness, damping, **causes, noise=noise
+            )
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         found = motion.amplitude(
             *self._wall(stiffness, damping),

@@ -125,10 +125,10 @@ def _systems(loops: _Loops, whole_delay: int, bank: Bank, causes: Causes) -> Sys
     """
     alpha, beta, rows, middle, gamma, _ = loops
     row_sizes, middle_sizes = loops.sizes()
-    step = _with_inputs(-alpha, -beta, rows, bank.outputs, bank.steps, whole_delay)
+    step = with_inputs(-alpha, -beta, rows, bank.outputs, bank.steps, whole_delay)
     size = step.shape[1]
     step[:, DIFFERENCE, size] -= 1.0
-    sizes = _with_inputs(np.abs(alpha), np.abs(beta), row_sizes, *bank.sizes, whole_delay)
+    sizes = with_inputs(np.abs(alpha), np.abs(beta), row_sizes, *bank.sizes, whole_delay)
     sizes[:, DIFFERENCE, [POSITION, size]] += [2.0, 1.0]  # the modulus of -1, for the difference
     step = np.concatenate([step, _pushes(rows, size)], axis=2)
     sizes = np.concatenate([sizes, _pushes(row_sizes, size)], axis=2)
@@ -154,7 +154,7 @@ def _systems(loops: _Loops, whole_delay: int, bank: Bank, causes: Causes) -> Sys
     )
 
 
-def _with_inputs(
+def with_inputs(
     alpha: PerLoop,
     beta: PerLoop,
     rows: Matrices,

@@ -83,7 +83,7 @@ def device_loops(
 
 def balanced(loops: Loops) -> Loops:
     """Return the same loops in units, powers of two, in which powers of A have small norms."""
-    return _in_units(loops.transition, loops.start[..., 0], _balance(loops.transition))
+    return _in_units(loops.transition, loops.start[..., 0], balance(loops.transition))
 
 
 def _in_units(step: Matrices, start: np.ndarray, units: np.ndarray) -> Loops:
@@ -102,7 +102,7 @@ def _gain(bank: Bank) -> float:
     return float(bank.outputs[0] @ np.array([1.0, 0.0, *bank.at_rest]))
 
 
-def _balance(step: Matrices) -> Float64[np.ndarray, "loop state"]:
+def balance(step: Matrices) -> Float64[np.ndarray, "loop state"]:
     """Return powers of two, the first one 1, in whose units all powers of A are nearly small.
 
     How large each state becomes from others of the same size, after 1, 2, 4 ... samples, is the

@@ -63,9 +63,9 @@ def mechanics(
     while True:
         with flint.ctx.workprec(bits):
             above, below = in_samples(device.handle_compliance(), sample_time)
-            matrix = _matrix(device, above, below, sample_time)
+            matrix = equations(device, above, below, sample_time)
             rows = [_held(matrix, fraction, offset) for offset in offsets]
-            if all(map(_are_known, rows)) or bits >= _MOST_BITS:
+            if all(map(are_known, rows)) or bits >= _MOST_BITS:
                 break
         bits *= 2
     with flint.ctx.workprec(bits):
@@ -100,7 +100,7 @@ def mechanics(
     )
 
 
-def _matrix(
+def equations(
     device: Device, above: list["arb"], below: list["arb"], sample_time: float
 ) -> "arb_mat":
     """Return [[A, B], [0, 0]] of states, the wall's force and the hand's."""
@@ -141,7 +141,8 @@ def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
     return flint.arb_mat(rows)
 
 
-def _are_known(matrix: "arb_mat") -> bool:
+def are_known(matrix: "arb_mat") -> bool:
+    """Return whether entries are known to more digits than float64 has, or next to 0."""
     entries = matrix.entries()
     nothing = max((one.abs_lower() for one in entries), key=float) * _NOTHING
     return all(
