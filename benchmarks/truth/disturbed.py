@@ -11,19 +11,32 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from benchmarks.truth.march import Taps
+from benchmarks.truth.march import Plant, Taps
 
 PARTS = 4  # of a sample between events: as many moments are looked at
 
 
 @dataclass(frozen=True)
 class Disturbed:
-    """A loop for T = m = 1, with chains of filters for velocity and position."""
+    """A loop for T = m = 1, with chains of filters for velocity and position.
+
+    ``device`` is in place of gamma and delta where it is given, in units of one sample.
+    """
 
     wall: tuple[float, float]
     plant: tuple[float, float, float]
     velocity: Sequence[Taps]
     position: Sequence[Taps]
+    device: Plant | None = None
+
+    @property
+    def motion(self) -> Plant:
+        """The equations of motion."""
+        if self.device is not None:
+            return self.device
+        gamma, delta, _ = self.plant
+        force = np.array([0.0, 1.0])
+        return Plant(np.array([[0.0, 1.0], [-gamma, -delta]]), force, force, np.array([1.0, 0.0]))
 
 
 @dataclass(frozen=True)
@@ -61,7 +74,7 @@ def largest(
 
 def responses(loop: Disturbed, disturbance: Disturbance, runs: int, samples: int) -> np.ndarray:
     """Position, velocity and force at the ends of parts, from rest: (samples, parts, 3, runs)."""
-    states = _Runs(loop, disturbance, np.zeros((2, runs)))
+    states = _Runs(loop, disturbance, np.zeros((len(loop.motion.c), runs)))
     return np.array([list(states.sample(sample)) for sample in range(samples)])
 
 
@@ -98,13 +111,15 @@ def worst_signals(loop: Disturbed, samples: int, sizes: tuple[float, float, floa
 
 class _Runs:
     def __init__(self, loop: Disturbed, disturbance: Disturbance, start: np.ndarray) -> None:
-        gamma, delta, delay = loop.plant
-        self.loop, self.disturbance = loop, disturbance
-        whole, fraction = divmod(delay, 1.0)
-        rates = np.array([[0.0, 1.0, 0.0], [-gamma, -delta, 1.0], [0.0, 0.0, 0.0]])
+        self.loop, self.disturbance, self.motion = loop, disturbance, loop.motion
+        whole, fraction = divmod(loop.plant[2], 1.0)
+        size = len(self.motion.c)
+        rates = np.zeros((size + 2, size + 2))
+        rates[:size] = np.column_stack([self.motion.a, self.motion.wall, self.motion.hand])
         lengths = [fraction / PARTS] * PARTS * (fraction > 0.0) + [(1.0 - fraction) / PARTS] * PARTS
         self.is_late = [False] * PARTS * (fraction > 0.0) + [True] * PARTS
-        self.moves = [scipy.linalg.expm(rates * length)[:2] for length in lengths]
+        self.moves = [scipy.linalg.expm(rates * length)[:size] for length in lengths]
+        self.seen = np.stack([self.motion.c, self.motion.c @ self.motion.a])
         zero = np.zeros(start.shape[1])
         self.state, self.acting, self.queue = start.copy(), zero, [zero] * int(whole)
         self.memories = [
@@ -115,7 +130,7 @@ class _Runs:
     def sample(self, number: int):  # type: ignore[no-untyped-def]
         """Yield position, velocity and force at the end of each part of a sample."""
         given = self.disturbance
-        read = self.state[0]
+        read = self.seen[0] @ self.state
         if given.phase is not None:
             read = np.rint(read + given.phase) - given.phase
         if given.errors is not None:
@@ -137,11 +152,11 @@ class _Runs:
         arriving = self.queue.pop(0)
         for part, (move, is_late) in enumerate(zip(self.moves, self.is_late, strict=True)):
             acting = arriving if is_late else self.acting
-            push = acting - given.friction * np.sign(self.state[1])
+            rub = -given.friction * np.sign(self.seen[1] @ self.state)
             if given.rubs is not None:
-                push = push + given.rubs[number, part]
-            self.state = move @ np.array([*self.state, push])
-            yield np.array([*self.state, acting])
+                rub = rub + given.rubs[number, part]
+            self.state = move @ np.array([*self.state, acting, rub])
+            yield np.array([*(self.seen @ self.state), acting])
         self.acting = arriving
 
 

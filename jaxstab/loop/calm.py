@@ -5,9 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxstab.loop.region import TOLERANCE, wall_region
 from jaxstab.model import LoopParameters
+from jaxstab.model.filters import given_filters
 from jaxstab.motion import amplitude
-from jaxstab.region import StableRegion, stable_region
+from jaxstab.motion.device_amplitudes import device_amplitude
+from jaxstab.region import StableRegion
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.grid import Grid
 
@@ -25,7 +28,16 @@ class Chatter(NamedTuple):
 
     def of(self, loop: LoopParameters, alpha: Any, beta: Any) -> np.ndarray:
         """Return proved amplitudes of walls in m."""
-        found = amplitude(alpha, beta, *loop.slice, encoder=self.encoder, **loop.filters)
+        sampled = loop.sampled
+        if sampled is None:
+            found = amplitude(alpha, beta, *loop.slice, encoder=self.encoder, **loop.filters)
+        else:
+            filters = given_filters(loop.velocity, loop.position)
+            found = device_amplitude(
+                *(sampled.device, sampled.sample_time, sampled.delay, filters),
+                *(loop.stiffness(alpha), loop.damping(beta)),
+                encoder=self.encoder,
+            )
         return np.asarray(found.position)
 
 
@@ -56,10 +68,10 @@ def fastest_calm_wall(
         grid = Grid((alpha, alpha), (low, high), _POINTS**2)
     for _ in range(_ZOOMS):
         alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
-        reached = chatter.of(loop, alphas, betas)
-        calm = np.flatnonzero(
-            (reached <= chatter.limit) & np.asarray(region.contains(alphas, betas))
-        )
+        inside = np.asarray(region.contains(alphas, betas))
+        reached = np.full(alphas.shape, np.inf)
+        reached[inside] = chatter.of(loop, alphas[inside], betas[inside])
+        calm = np.flatnonzero(reached <= chatter.limit)
         if calm.size:
             values = np.nan_to_num(np.asarray(objective(alphas[calm], betas[calm])), nan=np.inf)
             first = np.lexsort((reached[calm], values))[0]
@@ -76,5 +88,5 @@ def fastest_calm_wall(
 
 def _searched(loop: LoopParameters) -> StableRegion:
     """Return the component of small gains, or all of the region where small gains do not hold."""
-    region = stable_region(*loop.slice, **loop.filters)
+    region = wall_region(loop.in_floats(), TOLERANCE).region
     return region.main or region

@@ -240,7 +240,6 @@ class HapticLoop(LoopWithWalls):
             ValueError: an argument is outside its range, infinite or NaN, or an unknown word, or
                 the device does not give way to a constant force.
             TypeError: an argument is not one number.
-            NotImplementedError: an encoder is given, and the device is not one mass.
             RuntimeError: JAX arrays are given without x64.
 
         Source: eq. (9); settling as in later papers of the same authors.
@@ -253,8 +252,6 @@ class HapticLoop(LoopWithWalls):
         """
         self._refuse_tracers("tune")
         disturbed = checked_chatter(encoder, chatter)
-        if disturbed is not None:
-            self._refuse_general_devices("tune with an encoder")
         return optimal_wall(self, goal, stiffness, level, excitation, disturbed)
 
     def worst_hand(self, hands: HandRange, stiffness: float, damping: float) -> WorstHand:

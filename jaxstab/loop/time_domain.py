@@ -88,7 +88,8 @@ class LoopInTime(LoopParameters):
             damping: B in N s/m.
             encoder: resolution of the position in m, as it is rounded to the nearest multiple.
             force_step: resolution of the force in N, as it is rounded to the nearest multiple.
-            friction: largest Coulomb friction of the device in N, taken for any bounded force.
+            friction: largest Coulomb friction of the device in N, taken for any bounded force at
+                the handle.
             noise: largest error of the position in m, beside that of the resolution.
 
         Returns:
@@ -96,9 +97,9 @@ class LoopInTime(LoopParameters):
             of stability and beyond.
 
         Raises:
-            ValueError: an argument is negative, infinite or NaN, or nothing disturbs the loop.
+            ValueError: an argument is negative, infinite or NaN, nothing disturbs the loop, or the
+                device does not give way to a constant force.
             TypeError: a filter is traced.
-            NotImplementedError: the device is not one mass.
             RuntimeError: JAX arrays are given without x64.
 
         Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5);
@@ -214,12 +215,4 @@ class LoopInTime(LoopParameters):
             raise TypeError(
                 f"{method} takes no loop that JAX traces: give one of concrete numbers, made "
                 "outside of jit, vmap and grad."
-            )
-
-    def _refuse_general_devices(self, method: str) -> None:
-        """Refuse a device that is not one mass where what computes cannot take one yet."""
-        if self.body is None:
-            raise NotImplementedError(
-                f"{method} is answered for devices and hands of one mass; this device is not: "
-                f"{self.device}."
             )

@@ -20,7 +20,7 @@ from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filters
 from jaxstab.motion.amplitudes import Amplitude, AmplitudeStatus
 from jaxstab.motion.controller import Bank
-from jaxstab.motion.disturbed import with_inputs
+from jaxstab.motion.disturbed import Causes, with_inputs
 from jaxstab.motion.impulse import Systems, impulse_sums
 from jaxstab.motion.state_space import DIFFERENCE, POSITION, bank_for, groups
 from jaxstab.motion.transition import balance
@@ -126,35 +126,38 @@ def _bounds(
     wholes = np.full(columns.shape[1], plant.whole_delay)
     memory = len(plant.rows) - 2 + len(plant.bank.steps)
     is_any = np.ones(columns.shape[1], bool)
-    with_friction = bool(np.any(columns[4]))
+    causes = Causes(*(bool(np.any(size)) for size in columns[2:]))
     for _, some in groups(wholes, is_any, memory, _NUMBERS):
-        found[:, some] = _bounds_of(columns[:, some], plant, with_friction)
-    x, v, force = found.reshape(3, *lanes[0].shape)
+        found[:, some] = _bounds_of(columns[:, some], plant, causes)
+    x, v, force = (one.reshape(lanes[0].shape) for one in found)
     return x, v, force
 
 
 def _bounds_of(
-    columns: Float64[np.ndarray, "5 loop"], plant: _Plant, with_friction: bool
+    columns: Float64[np.ndarray, "5 loop"], plant: _Plant, causes: Causes
 ) -> Float64[np.ndarray, "3 loop"]:
     stiffness, damping, *sizes = columns
-    systems, direct = _systems(stiffness, damping, plant, with_friction)
+    systems, direct = _systems(stiffness, damping, plant, causes)
     sums = impulse_sums(systems)
-    sums[:, :, :2] += direct
-    totals = sums[:, :, 0] * sizes[0][:, None] + sums[:, :, 1] * sizes[1][:, None]
-    path = np.zeros((2, len(stiffness)))
-    if with_friction:
-        totals += _of_friction(sums[:, :, 2:], plant.between) * sizes[2][:, None]
+    is_proved = np.isfinite(sums).all(axis=(1, 2))
+    sums = np.where(is_proved[:, None, None], sums, 0.0)
+    simple = [number for number, cause in enumerate(causes[:2]) if cause]
+    totals, path = np.zeros(sums.shape[:2]), np.zeros((2, len(stiffness)))
+    for place, number in enumerate(simple):
+        totals += (sums[:, :, place] + direct[:, :, number]) * sizes[number][:, None]
+    if causes.friction:
+        totals += _of_friction(sums[:, :, len(simple) :], plant.between) * sizes[2][:, None]
         path = np.array(plant.between.path)[:, None] * sizes[2]
-    return _at_all_times(_SAFETY * totals, plant.between) + np.stack([*path, 0.0 * path[0]])
+    found = _at_all_times(_SAFETY * totals, plant.between) + np.stack([*path, 0.0 * path[0]])
+    return np.where(is_proved, found, np.inf)
 
 
 def _at_all_times(
     totals: Float64[np.ndarray, "loop output"], between: Between
 ) -> Float64[np.ndarray, "3 loop"]:
     """Return bounds at all times by those at the ends of pieces, without friction's last share."""
-    pieces = len(between.half)
-    ends = totals[:, : 8 * pieces].reshape(-1, pieces, 2, 2, 2)  # end, derivatives, which
-    states = totals[:, 8 * pieces :]  # and the acting force, which the arriving one does not pass
+    ends = totals[:, between.ends].reshape(len(totals), -1, 2, 2, 2)  # end, derivatives, which
+    states = totals[:, between.states]  # and the acting force, which the arriving one does not pass
     states = np.concatenate([states, states[:, -1:]], axis=1)
     bent = 0.5 * between.half**2
     rest = np.einsum("pwc,lc->lpw", between.rest, states)
@@ -179,11 +182,11 @@ def _of_friction(
 
 
 def _systems(
-    stiffness: PerLoop, damping: PerLoop, plant: _Plant, with_friction: bool
+    stiffness: PerLoop, damping: PerLoop, plant: _Plant, causes: Causes
 ) -> tuple[Systems, Float64[np.ndarray, "loop output 2"]]:
     """Return the loops with inputs: encoder, computed force, and blows; what acts at once, too.
 
-    The outputs: the ends of pieces, then the states of the device, then the acting force.
+    The outputs are the rows of ``Between``.
     """
     bank, whole, states = plant.bank, plant.whole_delay, len(plant.rows)
     count, between = stiffness.size, plant.between
@@ -196,10 +199,12 @@ def _systems(
     sizes[:, DIFFERENCE, [POSITION, size]] += [2.0, 1.0]  # the modulus of -1, for the difference
     outputs, direct = _outputs(step, plant)
     output_sizes, _ = _outputs(sizes, plant, np.abs)
-    if with_friction:
-        step = np.concatenate([step, _blows(between, count, size, states)], axis=2)
-        blows = np.abs(_blows(between, count, size, states))
-        sizes = np.concatenate([sizes, blows], axis=2)
+    is_wanted = np.array([True] * size + [*causes[:2]])
+    step, sizes = step[:, :, is_wanted], sizes[:, :, is_wanted]
+    if causes.friction:
+        blows = _blows(between, count, size, states)
+        step = np.concatenate([step, blows], axis=2)
+        sizes = np.concatenate([sizes, np.abs(blows)], axis=2)
     units = balance(step[:, :, :size])
     for matrix in (step[:, :, :size], sizes[:, :, :size], outputs, output_sizes):
         matrix *= units[:, None, :]
@@ -222,14 +227,11 @@ def _outputs(
     """Return rows of the state, and of the two inputs that act at once."""
     size, places = step.shape[1], plant.places
     first = places[-1]
-    ends = part(plant.between.ends.reshape(-1, len(places) + 1))
-    rows = np.zeros((len(step), len(ends) + len(places), size))
-    rows[:, : len(ends), places] = ends[:, :-1]
-    rows[:, : len(ends)] += ends[:, -1:] * step[:, [first], :size]
-    rows[:, np.arange(len(ends), rows.shape[1]), places] = 1.0
-    direct = np.zeros((len(step), rows.shape[1], 2))
-    direct[:, : len(ends)] = ends[:, -1:] * step[:, [first], size : size + 2]
-    return rows, direct
+    known = part(plant.between.rows)
+    rows = np.zeros((len(step), len(known), size))
+    rows[:, :, places] = known[:, :-1]
+    rows += known[:, -1:] * step[:, [first], :size]
+    return rows, known[:, -1:] * step[:, [first], size : size + 2]
 
 
 def _blows(between: Between, count: int, size: int, states: int) -> np.ndarray:

@@ -7,22 +7,22 @@ bounded within them; so it is with what a blow at the handle does to the states 
 
 from functools import lru_cache
 from itertools import pairwise
+from math import ceil
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.mechanics import are_known, equations
 from jaxstab.model.device.rational import exact
-from jaxstab.model.device.sampling import in_samples
+from jaxstab.model.device.sampling import in_fastest_time, in_samples
 
 if TYPE_CHECKING:
     from flint import arb, arb_mat
 
 _FIRST_BITS, _MOST_BITS = 256, 1 << 14
-_PIECES = 4  # of a sample, at least
-_MOST_PIECES = 24
+_MOST_PIECES = 24  # of a sample
 _ROUNDED_UP = 1.0 + 2.0**-40
 
 
@@ -32,7 +32,10 @@ class Between(NamedTuple):
     Columns: the states, the force that acts up to the fraction of the delay, the one from then on.
 
     Attributes:
-        ends: position, velocity and their second derivatives at both ends of each piece.
+        rows: all that is asked for, once each.
+        ends: which of it are position, velocity and their second derivatives at both ends of each
+            piece; what it is at the next sample, it is at this one.
+        states: which of it are the states, and then the acting force.
         half: half the lengths of the pieces.
         rest: bounds of the fourth derivatives in each piece, of position and velocity.
         blows: the states a time after a unit impulse at the handle, and their second derivatives,
@@ -43,7 +46,9 @@ class Between(NamedTuple):
             a sample, at most.
     """
 
-    ends: Float64[np.ndarray, "piece 2 4 column"]
+    rows: Float64[np.ndarray, "row column"]
+    ends: Int64[np.ndarray, "piece 2 4"]
+    states: Int64[np.ndarray, " state"]
     half: Float64[np.ndarray, " piece"]
     rest: Float64[np.ndarray, "piece 2 column"]
     blows: Float64[np.ndarray, "2 end state"]
@@ -61,9 +66,17 @@ def between_samples(device: Device, sample_time: float, fraction: float) -> Betw
     while True:
         with flint.ctx.workprec(bits):
             above, below = in_samples(device.handle_compliance(), sample_time)
-            motion = _Motion(equations(device, above, below, sample_time), fraction)
-            pieces = motion.pieces()
-            rows = [[motion.rows(time, is_late) for time in ends] for *ends, is_late in pieces]
+            matrix = equations(device, above, below, sample_time)
+            rates = [
+                in_fastest_time(above, below)[2],
+                *(-matrix[k, k] for k in range(len(above), matrix.ncols() - 2)),
+            ]
+            motion = _Motion(matrix, fraction)
+            pieces = motion.pieces(max(map(float, rates)))
+            rows = [
+                [motion.rows(first, is_late), motion.rows(last % 1.0, is_late and last < 1.0)]
+                for first, last, is_late in pieces
+            ]
             if all(are_known(one) for pair in rows for one in pair) or bits >= _MOST_BITS:
                 return _rounded(motion, pieces, rows)
         bits *= 2
@@ -79,16 +92,15 @@ class _Motion(NamedTuple):
     def states(self) -> int:
         return int(self.matrix.ncols()) - 2
 
-    def pieces(self) -> list[tuple[float, float, bool]]:
+    def pieces(self, speed: float) -> list[tuple[float, float, bool]]:
         """Return the ends of pieces, and whether the force has changed by then."""
-        speed = max(float(abs(one).upper()) for one in self.matrix.entries())
-        count = min(max(_PIECES, int(_PIECES * speed)), _MOST_PIECES)
+        count = min(speed, _MOST_PIECES)
         parts = [(0.0, self.fraction, False), (self.fraction, 1.0, True)]
         pieces = []
         for first, last, is_late in parts:
             if first == last:
                 continue
-            ends = np.linspace(first, last, max(2, round(count * (last - first))) + 1).tolist()
+            ends = np.linspace(first, last, max(1, ceil(count * (last - first))) + 1).tolist()
             pieces += [(a, b, is_late) for a, b in pairwise(ends)]
         return pieces
 
@@ -135,6 +147,13 @@ def _rounded(
     import flint
 
     ends = np.array([[_floats(one)[:4] for one in pair] for pair in rows])
+    columns, states = ends.shape[-1], motion.states + 1
+    known, number = np.unique(
+        np.concatenate([ends.reshape(-1, columns), np.eye(states, columns)]),
+        axis=0,
+        return_inverse=True,
+    )
+    number = np.ravel(number)
     half = np.array([0.5 * (last - first) for first, last, _ in pieces]) * _ROUNDED_UP
     rest = np.array([_sizes(motion.rows(_over(*piece[:2]), piece[2]))[4:] for piece in pieces])
     count = len(pieces)
@@ -162,7 +181,9 @@ def _rounded(
     ]
     direct = float(abs(motion.blows(flint.arb(0))[0][0]).upper())
     return Between(
-        ends=ends,
+        rows=known,
+        ends=number[:-states].reshape(ends.shape[:-1]),
+        states=number[-states:],
         half=half,
         rest=rest,
         blows=np.moveaxis(blows[:, [0, 2]], 1, 0),
