@@ -574,6 +574,13 @@ def test_regions_that_were_wrong_next_to_their_curve(number: int) -> None:
     assert tally.open == tally.wrong == 0
 
 
+@pytest.mark.parametrize("number", [943, 1246, 2516])
+def test_a_curve_that_is_rounding_bounds_no_region(number: int) -> None:
+    # Seven poles of a low pass within 0.02 of z = 1, of which float64 tells nothing.
+    rng = np.random.default_rng([20121120, number])
+    assert benchmarks.loops.region(MassLoop.drawn(rng), rng).wrong == 0
+
+
 def test_audits_ask_no_wall_on_a_corner() -> None:
     # One edge of the outline joins two equal points, a corner; its wall is stable by a rounding.
     window = Filter.average(window=0.02) * Filter.exponential(0.15)

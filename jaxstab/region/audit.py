@@ -18,6 +18,7 @@ from jaxstab.region.outline import Outline
 from jaxstab.region.polygons import are_inside, edges_of
 
 _ASIDE = 1e-3  # of the outline's size
+_ROUGH = 1e-3  # of the same: edges that leave the boundary by more
 _WALLS = 24  # on each side
 _GAINS = np.geomspace(1e-8, 1.0, 9)  # of alpha and of beta, of both signs
 
@@ -27,7 +28,8 @@ Points = Float64[np.ndarray, "_ 2"]
 def is_contradicted(c: SliceCoefficients, outline: Outline, loop: LinearLoop) -> bool:
     """Return whether a wall inside is proved unstable, or one outside stable.
 
-    An outline without a loop says that no wall is stable: there gains of all sizes are tried.
+    An outline without a loop says that no wall is stable: there gains of all sizes are tried. One
+    that many vertices do not bring near a curve is of a curve that is rounding.
 
     Args:
         c: the coefficients of the slice.
@@ -38,6 +40,8 @@ def is_contradicted(c: SliceCoefficients, outline: Outline, loop: LinearLoop) ->
     if size == 0:
         alpha, beta = _walls_of_all_sizes().T
         return bool(np.any(linear_verdict(alpha, beta, loop) == STABLE))
+    if float(measures.deviation(c, outline)) > _ROUGH:
+        return True
     edges = edges_of(outline.vertices[:size], outline.branches[: size - 1])
     walls = _beside(edges).T
     alpha, beta = walls
