@@ -19,7 +19,7 @@ import benchmarks.loops
 import jaxstab
 from benchmarks.truth import filtered as truth
 from benchmarks.truth.balls import BallLoop
-from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
+from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, hostile_walls
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
@@ -572,6 +572,45 @@ def test_regions_that_were_wrong_next_to_their_curve(number: int) -> None:
     rng = np.random.default_rng([20121120, number])
     tally = benchmarks.loops.region(MassLoop.drawn(rng), rng)
     assert tally.open == tally.wrong == 0
+
+
+@pytest.mark.parametrize(
+    ("window", "average", "delay", "gamma"),
+    [
+        *((window, 1, 1.0, 0.0) for window in (3, 6, 9, 12)),
+        (1, 4, 0.0, 0.0),  # the line beta = 2 between two halves of the curve
+        (1, 4, 0.0, 0.01),
+        (1, 6, 0.5, 0.0),
+        (1, 8, 1.0, 0.01),
+        (3, 14, 3.0, 0.3),  # two such lines meet
+        (11, 11, 2.0, 0.3),  # where P and V are zero there is none
+        (12, 7, 2.5, 0.3),
+    ],
+)
+def test_lines_at_poles_of_the_curve_bound_regions(
+    window: int, average: int, delay: float, gamma: float
+) -> None:
+    filters = Filters(
+        Velocity.difference(samples=window),
+        Filter.average(samples=average) if average > 1 else Filter(),
+        (truth.difference(window), truth.average(average)),
+    )
+    loop = MassLoop((gamma, 0.0, delay), filters)
+    tally = benchmarks.loops.region(loop, np.random.default_rng(window))
+    assert tally.open == tally.wrong == tally.unjudged == 0
+
+
+def test_a_line_at_a_pole_is_part_of_the_boundary() -> None:
+    region = jaxstab.stable_region(0.0, 0.0, 0.0, position=Filter.average(samples=4))
+    assert region.max_alpha == pytest.approx([8.0 / 3.0, 2.0], rel=1e-12)
+    on_line = np.abs(region.points[:, 1] - 2.0) < 1e-12
+    assert np.ptp(region.points[on_line, 0]) == pytest.approx(8.0 / 3.0)
+    for alpha in (0.1, 1.0, 2.6):
+        assert region.contains(alpha, 2.0 - 1e-9)
+        assert not region.contains(alpha, 2.0 + 1e-9)
+        assert jaxstab.verdict(
+            alpha, [2.0 - 1e-9, 2.0 + 1e-9], 0.0, 0.0, 0.0, position=Filter.average(samples=4)
+        ).tolist() == [STABLE, UNSTABLE]
 
 
 @pytest.mark.parametrize("number", [943, 1246, 2516])

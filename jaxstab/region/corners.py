@@ -14,6 +14,7 @@ _STEPS = 16
 _SMALLEST = 0.1  # of the largest corner: the size of those at 0
 _ROUGH = 1e-8  # the same mismatch next to a zero of N, of which coefficients in float64 tell less
 _TOLERANCE = 1e-10  # of the last step: its square is below rounding
+_PARALLEL = 1e-12  # the sine of the angle between two tangents that are
 _ROUNDING = 4.0 * 2.0**-53  # of angles
 
 
@@ -155,6 +156,10 @@ def _newton_steps(c: SliceCoefficients, angles: Array, scale: Scales) -> _Steps:
     alpha_slope, beta_slope, lift_slope, margin_slope = constant(slopes)
     first, second = steps_to_meeting(alpha, beta, alpha_slope, beta_slope)
     gap = xp.maximum(abs(alpha[0] - alpha[1]), abs(beta[0] - beta[1]))
+    if c.filtered is not None and c.filtered.lines:  # straight: a line never meets itself
+        lengths = np.hypot(alpha_slope, beta_slope)
+        turn = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
+        first = np.where(abs(turn) < _PARALLEL * lengths[0] * lengths[1], np.inf, first)
     return _Steps(  # in the order of Branch
         steps=(first, lift / nonzero(lift_slope, np.inf), margin / nonzero(margin_slope, np.inf)),
         partner=second,

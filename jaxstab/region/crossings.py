@@ -47,6 +47,7 @@ def crossings(c: SliceCoefficients, angles: Angles, length: int) -> Angles:
         is_near = others_inside(c, angles, length, within=_NEARLY_STABLE)
         is_near &= may_be_stable(c.filtered, *values[:2])
         is_far = ~(is_near[1:] | is_near[:-1])
+        is_far &= _lines_of_parts(c.filtered, angles) == 0  # their parts may be long
         controls[..., is_far | _spans_a_pole(c.filtered, angles)] = np.nan  # touches nothing
     of_curve = _self_crossings(c, angles, controls[:, :2], slopes[:2])
     of_lines = _line_crossings(c, angles, controls[:, 2:], slopes[2:])
@@ -77,6 +78,14 @@ def _spans_a_pole(curve: FilteredCurve, angles: Angles) -> np.ndarray:
     return spans
 
 
+def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
+    """Return the number of the line at a pole on which a part lies, which does not meet itself."""
+    number = np.zeros(len(angles), int)
+    for index, line in enumerate(curve.lines):
+        number[line.is_straight(np.abs(angles))] = index + 1
+    return np.where(number[1:] == number[:-1], number[1:], 0)
+
+
 # ---------------------------------------------------------------------------- of two parts
 
 
@@ -86,6 +95,9 @@ def _self_crossings(
     turning = _turning_parts(slopes)
     loops = np.stack([np.tile(turning, 2), np.append(turning, turning + 1)])
     pairs = np.concatenate([_touching_parts(controls), loops], axis=1)
+    if c.filtered is not None and c.filtered.lines:
+        line = _lines_of_parts(c.filtered, angles)[pairs]
+        pairs = pairs[:, (line[0] != line[1]) | (line[0] == 0)]
     if not pairs.size:
         return np.empty(0)
     parts, shares = _starts(controls, pairs)

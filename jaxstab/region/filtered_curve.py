@@ -28,6 +28,7 @@ from jaxstab.arrays import Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.linear_loop import SampledPlant, linear_loop, loop_factors
 from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
+from jaxstab.region.pole_lines import PoleLine, pole_lines
 
 _ZERO = DoubleDouble(0.0, 0.0)
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
@@ -88,6 +89,7 @@ class FilteredCurve(NamedTuple):
     poles: Float64[np.ndarray, "2 pole"]  # angles in [0, pi], and how far they are from the circle
     resonances: Float64[np.ndarray, "2 root"]  # the same of zeros and poles of a general device
     steep: Angles  # those at which beta is 0: where V is small the curve is there for an instant
+    lines: tuple[PoleLine, ...]  # whole lines at poles
     is_exact: bool = False  # whether other roots are tested in double-double
 
 
@@ -148,6 +150,9 @@ def _curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> Filte
         for (d, n), sign in zip(_plants_around(plant), (1, -1), strict=True)
     ]
     loop = linear_loop(plant, velocity, position)
+    real_angles = _real_angles(*(_rounded(reduce(product, factors)) for factors in (above, below)))
+    is_exact = _lose_digits((velocity.denominator, position.denominator))
+    lines = () if is_exact else pole_lines(loop[:3], real_angles)
     zeros = _rounded(product(plant.numerator, position.numerator))
     poles = plant.denominator, position.denominator
     return FilteredCurve(
@@ -157,10 +162,11 @@ def _curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> Filte
         parts=np.array([_rounded(part) for part in loop[:3]]),
         shifted=_shifted_parts(plant, velocity, position),
         at_minus_one=_rounded(tuple(part.value for part in loop.at_minus_one)),
-        poles=_poles(_rounded(reduce(product, above)), _rounded(reduce(product, below)), zeros),
+        poles=_poles(real_angles, zeros, lines),
         resonances=_resonances(plant),
         steep=_real_angles(_rounded(product(reduce(product, poles), _power(whole))), zeros),
-        is_exact=_lose_digits((velocity.denominator, position.denominator)),
+        lines=lines,
+        is_exact=is_exact,
     )
 
 
@@ -291,13 +297,19 @@ def _in_floats(system: System) -> System:
     return tree_map(float, system)._replace(lag=system.lag)
 
 
-def _poles(above: Angles, below: Angles, numerator: Angles) -> Float64[np.ndarray, "2 pole"]:
+def _poles(
+    estimator: Angles, numerator: Angles, lines: Sequence[PoleLine]
+) -> Float64[np.ndarray, "2 pole"]:
     """Return the angles in [0, pi] where Im V = 0 or N is small, and how far their roots are."""
-    estimator, roots = _real_angles(above, below), np.roots(numerator)
+    roots = np.roots(numerator)
     roots = roots[roots.imag >= 0.0]
     distance = np.abs(np.log(np.maximum(np.abs(roots), 1e-300)))
     distances = np.concatenate([np.zeros(len(estimator)), distance])
     angles = np.concatenate([estimator, np.abs(np.angle(roots))])
+    for line in lines:
+        others = ~line.holds(angles)
+        angles = np.concatenate([angles[others], line.poles])
+        distances = np.concatenate([distances[others], np.zeros(len(line.poles))])
     return np.stack([angles, np.clip(distances, _CLOSEST, _FARTHEST)])
 
 

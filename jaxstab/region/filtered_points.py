@@ -9,10 +9,11 @@ from math import comb
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Complex128
+from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array
 from jaxstab.region.filtered_curve import Angles, FilteredCurve, Form, Half
+from jaxstab.region.pole_lines import PoleLine
 
 Values = Any  # an array, or a Dual
 _TINY = 1e-100  # in place of the angle 0, where quotients of sines have a limit
@@ -74,13 +75,41 @@ def filtered_point(
     u = np.where(upper, (np.pi - size) + (PI_REST - rest), size + rest)
     u = np.where(u == 0.0, _TINY, u)
     if not np.iscomplexobj(theta):
-        gains = _gains(curve, upper, u, with_slopes=False)
-        alpha, beta, lift = (one.reshape(theta.shape) for one in gains)
-        return alpha, beta, lift
-    step = 1j * flat.imag * np.where(upper, -turned, turned)
-    gains = _gains(curve, upper, u, with_slopes=True)
-    alpha, beta, lift = ((one.value + step * one.slope).reshape(theta.shape) for one in gains)
+        values = np.stack(_gains(curve, upper, u, with_slopes=False))
+        for line in curve.lines:
+            held = line.holds(size)
+            values[:, held] = _on_line(curve, line, size[held] + rest[held])[0]
+    else:
+        step = 1j * flat.imag * np.where(upper, -turned, turned)
+        gains = _gains(curve, upper, u, with_slopes=True)
+        values = np.stack([one.value + step * one.slope for one in gains])
+        for line in curve.lines:
+            held = line.holds(size)
+            real, slopes = _on_line(curve, line, size[held] + rest[held])
+            values[:, held] = real + 1j * (flat.imag * turned)[held] * slopes
+    alpha, beta, lift = values.reshape(3, *theta.shape)
     return alpha, beta, lift
+
+
+def _on_line(
+    curve: FilteredCurve, line: PoleLine, size: Angles
+) -> tuple[Float64[np.ndarray, "3 angle"], Float64[np.ndarray, "3 angle"]]:
+    """Return alpha, beta and the lift next to a line at a pole, and their slopes."""
+    (alpha, beta, angle), (alpha_slope, beta_slope, turn) = line.gains(size)
+    below = 2.0 * np.sin(0.5 * angle) ** 2
+    lift = (alpha - curve.plus.constants[4]) / below
+    lift_slope = (alpha_slope - lift * np.sin(angle) * turn) / below
+    return np.stack([alpha, beta, lift]), np.stack([alpha_slope, beta_slope, lift_slope])
+
+
+def root_angles(curve: FilteredCurve, theta: Array) -> Array:
+    """Return the angles of the roots: next to a line at a pole they are closer to it."""
+    size = np.abs(theta).ravel()
+    for line in curve.lines:
+        held = line.holds(size)
+        if np.any(held):
+            size[held] = line.gains(size[held])[0][2]
+    return size.reshape(theta.shape)
 
 
 def _gains(
@@ -215,6 +244,9 @@ def _where(mask: Array, one: Values, other: Values) -> Values:
 def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle"]:
     """Return where the sign of angles is that of Im V: the stable side is the left one."""
     size = np.abs(theta)
+    for line in curve.lines:  # the curve beside it has the same sign
+        side = np.where(size < line.angle, -line.half_width, line.half_width)
+        size = np.where(line.holds(size), line.angle + side, size)
     upper = size > np.pi / 2
     folded = np.where(upper, np.pi - size, size)
     _, _, y, x, rise, _ = _rows(curve, upper, folded, with_slopes=False)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxstab.arrays import Array, namespace, repeat, scan, stored
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift
 from jaxstab.region.exact_roots import all_inside
-from jaxstab.region.filtered_points import filtered_quotient
+from jaxstab.region.filtered_points import filtered_quotient, root_angles
 from jaxstab.region.lines import lines_crossing
 
 _REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
@@ -49,7 +49,8 @@ def other_roots(c: SliceCoefficients, theta: Array, length: int) -> Array:
     There are ``length`` of them, the last ones zeros: roots at 0 are inside of any circle.
     """
     wall = stored(curve_and_lift(c, theta)[:2])
-    return _quotient(c, wall, 2.0 * namespace(c, theta).cos(theta), 1.0, length)
+    angle = theta if c.filtered is None else root_angles(c.filtered, theta)
+    return _quotient(c, wall, 2.0 * namespace(c, theta).cos(angle), 1.0, length)
 
 
 def _quotient(

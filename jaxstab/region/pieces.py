@@ -51,7 +51,8 @@ class Pieces(NamedTuple):
 class _Ends(NamedTuple):
     """The ends of all pieces, first the begins, then the ends.
 
-    ``pinned`` ones are at a ``limit`` of the angles, 0 or +-pi, on a ``line``. ``outer`` and
+    ``pinned`` ones are at a ``limit`` of the angles: 0 or +-pi, on a ``line``, or a knot, where a
+    line at a pole meets the curve and the next piece begins. ``outer`` and
     ``inner`` fail and pass the test of the other roots; ``rough`` lies between them and ``points``
     (2, end) are the curve's there.
     """
@@ -97,6 +98,8 @@ def find_pieces(
     met = nearest_branch(known, to_join, ends.scale)
     branch = xp.where(ends.exists, xp.where(ends.pinned, ends.line, met), NO_BRANCH)
     to_join, following, preceding = _joined(ends, branch == Branch.CURVE)
+    if c.filtered is not None and c.filtered.lines:
+        following, preceding = _across_knots(ends, following, preceding)
     theta, low, is_solved = _solved(c, ends, branch, to_join)
 
     begin, end = (
@@ -142,7 +145,11 @@ def _found_ends(
     xp = namespace(c, angles)
     inside = partial(others_inside, c, length=length)
     passes = xp.concatenate([xp.zeros(1, bool), kept(inside(angles)), xp.zeros(1, bool)])
-    is_begin, is_end = passes[1:-1] & ~passes[:-2], passes[1:-1] & ~passes[2:]
+    before, after = passes[:-2], passes[2:]
+    is_knot = _are_knots(c, angles)
+    if is_knot is not None:
+        before, after = before & ~is_knot[0], after & ~is_knot[1]
+    is_begin, is_end = passes[1:-1] & ~before, passes[1:-1] & ~after
     count = xp.sum(is_begin)
     slots = max(int(count), 1) if slots is None else slots
     begins, ends = first_indices(is_begin, slots), first_indices(is_end, slots)
@@ -152,6 +159,20 @@ def _found_ends(
     pinned = xp.concatenate([at_zero | (begins == 0), ends == len(angles) - 1])
     limit = xp.concatenate([xp.where(at_zero, 0.0, -xp.pi), xp.full(slots, xp.pi)])
     line = xp.where(limit == 0.0, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)
+    if is_knot is not None:
+        at_knot = (
+            np.concatenate(
+                [
+                    part[np.minimum(k, len(angles) - 1)]
+                    for part, k in zip(is_knot, (begins, ends), strict=True)
+                ]
+            )
+            & exists
+        )
+        pinned = pinned | at_knot
+        at_ends = angles[np.minimum(np.concatenate([begins, ends]), len(angles) - 1)]
+        limit = np.where(at_knot, at_ends, limit)
+        line = np.where(at_knot, Branch.CURVE, line)
     # Both ends of all pieces are solved in one batch.
     padded = xp.concatenate([xp.zeros(1), angles, xp.full(1, xp.pi)])
     neighbours = padded[xp.minimum(xp.concatenate([begins, ends + 2]), len(angles) + 1)]
@@ -164,6 +185,27 @@ def _found_ends(
     points = kept(xp.stack(curve_and_lift(c, rough)[:2]))
     scale = scales(c, points[0], points[1], rough)
     return _Ends(exists, pinned, limit, line, outer, inner, rough, points, scale), count <= slots
+
+
+def _are_knots(c: SliceCoefficients, angles: Array) -> tuple[Array, Array] | None:
+    """Return which angles are knots at which pieces begin, and which are those where they end.
+
+    A scan has them twice; without lines at poles there are none.
+    """
+    if c.filtered is None or not c.filtered.lines:
+        return None
+    knots = np.concatenate([line.knots for line in c.filtered.lines])
+    twice = (np.diff(angles) == 0.0) & np.isin(np.abs(angles[1:]), knots)
+    return np.append(False, twice), np.append(twice, False)
+
+
+def _across_knots(ends: _Ends, following: Array, preceding: Array) -> tuple[Array, Array]:
+    """Join the pieces that end at a knot and the next ones, which begin there."""
+    count = len(following)
+    at_knot = ends.exists & ends.pinned & (ends.line == Branch.CURVE)
+    number = np.arange(count)
+    following = np.where(at_knot[count:], number + 1, following)
+    return following, np.where(at_knot[:count], number - 1, preceding)
 
 
 def _narrowed(inside: Callable[[Array], Array], outer: Array, inner: Array) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ from jaxstab.region.filtered_curve import FilteredCurve
 from jaxstab.region.filtered_points import is_oriented
 from jaxstab.region.other_roots import other_roots, others_inside
 from jaxstab.region.pieces import Pieces
+from jaxstab.region.pole_lines import PoleLine
 
 _FIRST, _PI_MINUS_LAST = 1e-7, 1e-7
 _CLOSEST = 1e-11
@@ -19,6 +20,7 @@ _OFFSETS = 24  # to each side of an angle to look closer at
 _NEAR_CIRCLE = 1e-2
 _SAME = 1e-10
 _WIDTHS, _STEPS_AROUND = 8.0, 16  # of a resonance
+_STEPS_OF_LINE = 48  # on each side of a line at a pole
 
 Angles = Float64[np.ndarray, " _"]  # of any length
 
@@ -51,7 +53,8 @@ def slice_angles(c: SliceCoefficients, length: int, fineness: int) -> Angles:
     offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
     centers = np.concatenate([c.filtered.poles[0], c.filtered.steep])
     around = centers[:, None] + np.concatenate([-offsets, offsets])
-    around = np.append(around, _around_resonances(c.filtered, fineness))
+    lines = [_around_line(line, fineness) for line in c.filtered.lines]
+    around = np.concatenate([around.ravel(), _around_resonances(c.filtered, fineness), *lines])
     inner = around[(around > angles[0]) & (around < angles[-1])]
     angles = np.sort(np.concatenate([angles, inner]))
     return np.sort(np.where(is_oriented(c.filtered, angles), angles, -angles))
@@ -65,6 +68,17 @@ def _around_resonances(curve: FilteredCurve, fineness: int) -> Angles:
     offsets = width / _WIDTHS * (reach / (width / _WIDTHS)) ** growth
     around: Angles = (angle + np.concatenate([-offsets, offsets], axis=1)).ravel()
     return around
+
+
+def _around_line(line: PoleLine, fineness: int) -> Angles:
+    """Return angles of a line at a pole: the knots twice, as pieces end there."""
+    count = _STEPS_OF_LINE * fineness
+    even = line.half_width * (np.arange(count) + 0.5) / count
+    close = np.geomspace(_CLOSEST, even[0], 8 * fineness)
+    offsets = np.concatenate([-even, even, -close, close])
+    knots = np.array(line.knots)
+    beside = knots[:, None] + np.concatenate([-close, close, [0.0, 0.0]])
+    return np.concatenate([line.angle + offsets, beside.ravel()])
 
 
 def closer_angles(c: SliceCoefficients, angles: Angles, centers: Angles) -> Angles:
