@@ -1,0 +1,78 @@
+"""What an installed jaxstab must answer, wherever it is installed: python -W error .ci/smoke.py.
+
+It needs nothing but the package and its dependencies, and runs outside of the repository.
+"""
+
+import tempfile
+from pathlib import Path
+
+import jax
+import numpy as np
+from click.testing import CliRunner
+
+import jaxstab
+from jaxstab.cli.main import main
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def commands() -> None:
+    """The commands that a first user gives."""
+    scene = str(REPOSITORY / "data" / "scenes" / "omega.toml")
+    golden = str(REPOSITORY / "data" / "golden" / "atlas-v3.h5")
+    point = [
+        "--alpha",
+        "0.05",
+        "--beta",
+        "0.3",
+        "--gamma",
+        "0.0005",
+        "--delta",
+        "0.01",
+        "--delay",
+        "1",
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        picture = str(Path(folder) / "limits.png")
+        for command in (
+            ["limits", scene, "--plot", picture],
+            ["atlas", "query", golden, *point],
+            ["scene", "presets"],
+        ):
+            result = CliRunner().invoke(main, command)
+            assert result.exit_code == 0, result.output
+
+
+def answers() -> None:
+    """Numbers in, NumPy out; and the same by JAX."""
+    loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1e-3)
+    assert loop.verdict(2000.0, 20.0) == jaxstab.STABLE
+    assert "N/m" in repr(loop.region())
+    assert "<img" in loop.region()._repr_html_()
+    device = jaxstab.Device.mass_spring_damper(0.1, 1.5).with_actuator(500.0)
+    general = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1e-3)
+    assert general.limits().stiffness < loop.limits().stiffness
+    jax.config.update("jax_enable_x64", True)
+    alpha = np.linspace(0.0, 0.2, 101)
+    radii = jaxstab.spectral_radius(alpha, 0.2, 0.0, 0.015, 1.0).value
+    traced = jax.jit(lambda a: jaxstab.spectral_radius(a, 0.2, 0.0, 0.015, 1.0).value)(alpha)
+    assert np.allclose(radii, traced, rtol=0.0, atol=1e-12)
+
+
+def atlas() -> None:
+    """An atlas is built, verified by its digest, and asked."""
+    axes = {"gamma": (0.0,), "delta": (0.015,), "delay": (1.0,)}
+    spec = jaxstab.AtlasSpec(
+        alpha=jaxstab.FittedAxis(16),
+        beta=jaxstab.FittedAxis(16),
+        **axes,
+        products=("verdict", "alpha_limits"),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        built = jaxstab.build_atlas(spec, Path(folder) / "atlas.h5")
+        assert built.verdict(0.05, 0.3, 0.0, 0.015, 1.0) == jaxstab.STABLE
+
+
+commands()
+answers()
+atlas()

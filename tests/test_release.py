@@ -1,0 +1,49 @@
+"""What is published says the same of itself everywhere; `.ci/release` tries it out."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import jaxstab
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+OF_CONDA = {"lazy-loader": "lazy_loader", "matplotlib": "matplotlib-base"}
+
+
+def loaded(path: str) -> Any:
+    return yaml.safe_load((ROOT / path).read_text(encoding="utf-8"))
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = loaded("CITATION.cff")
+    assert citation["version"] == jaxstab.__version__
+    assert citation["license"] == PROJECT["license"]
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
+
+
+def test_the_conda_recipe_has_the_dependencies_of_the_wheel() -> None:
+    recipe = loaded(".ci/conda/recipe.yaml")
+    assert recipe["context"]["version"] == jaxstab.__version__
+    needed = {f"python {PROJECT['requires-python']}"}
+    for requirement in PROJECT["dependencies"]:
+        name, version = requirement.split(">=")
+        needed.add(f"{OF_CONDA.get(name, name)} >={version}")
+    assert set(recipe["requirements"]["run"]) == needed
+    (entry,) = recipe["build"]["python"]["entry_points"]
+    assert entry == f"jaxstab = {PROJECT['scripts']['jaxstab']}"
+
+
+def test_every_dependency_has_a_lowest_version() -> None:
+    for requirement in PROJECT["dependencies"]:
+        assert re.fullmatch(r"[a-z0-9-]+>=[0-9.]+", requirement), requirement
+
+
+def test_the_changelog_has_a_place_for_what_comes_next() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    heads = re.findall(r"^## \[(.+?)\]", text, re.MULTILINE)
+    assert heads[0] == "Unreleased"
+    assert len(set(heads)) == len(heads)
