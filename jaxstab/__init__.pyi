@@ -32,12 +32,14 @@ from .criteria import passive_region as passive_region
 from .criteria import region_facts as region_facts
 from .criteria import resolved_region as resolved_region
 from .criteria import routh_hurwitz_condition as routh_hurwitz_condition
+from .loop import CommonRegion as CommonRegion
 from .loop import CommonWall as CommonWall
 from .loop import Gains as Gains
 from .loop import HapticLoop as HapticLoop
 from .loop import OptimalWall as OptimalWall
 from .loop import WallLimits as WallLimits
 from .loop import WallRegion as WallRegion
+from .loop import common_region as common_region
 from .loop import tune_for_all as tune_for_all
 from .model import Device as Device
 from .model import Filter as Filter

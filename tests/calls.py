@@ -68,6 +68,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.worst_hand": ["loop", "hands", 1000.0, 10.0],
     "HapticLoop.robust_limit": ["loop", "hands"],
     "tune_for_all": ["loops"],
+    "common_region": ["loops"],
 }
 
 

@@ -1,3 +1,5 @@
+from .common_region import CommonRegion as CommonRegion
+from .common_region import common_region as common_region
 from .common_wall import CommonWall as CommonWall
 from .common_wall import tune_for_all as tune_for_all
 from .loop import HapticLoop as HapticLoop

@@ -12,6 +12,7 @@ on one loop says that it is zero (lemma B7 of docs/proofs.md).
 Where the proof fails, the hand at which it fails joins the sample, and it is tried again.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from math import pi, sqrt
@@ -48,13 +49,13 @@ class RobustStatus(Status):
 
     Example:
         >>> jaxstab.RobustStatus(1).words
-        'every wall of the outline is proved stable for every hand'
+        'every wall of the outline is proved stable for every hand or loop'
     """
 
     NOT_COMPUTED = 0, "not computed"
-    PROVED = 1, "every wall of the outline is proved stable for every hand"
-    EMPTY = 2, "no wall was found that is stable for all of the sampled hands"
-    UNPROVED = 3, "stable for the sampled hands, but not proved between them"
+    PROVED = 1, "every wall of the outline is proved stable for every hand or loop"
+    EMPTY = 2, "no wall was found that is stable for all of the sampled hands or loops"
+    UNPROVED = 3, "stable for the sampled hands or loops, but not proved between them"
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ def robust_region(
         if not len(outer):
             status = RobustStatus.EMPTY if sample.regions else RobustStatus.UNPROVED
             return region(status, outer)
-        outline = _pulled_in(outer, tolerance)
+        outline = pulled_in(outer, tolerance)
         failures = _failures(
             outline, np.roll(outline, -1, axis=0), gamma, delta, delay, filters=filters
         )
@@ -244,18 +245,7 @@ class _Sample:
             return np.zeros((0, 2))
         tops = [region.points[:, 1] for region in self.regions]
         low, high = max(t.min() for t in tops), min(t.max() for t in tops)
-        for _ in range(3):  # the intersection may end before the regions do
-            rows = np.linspace(low, high, _ROWS + 2)[1:-1]
-            left, right = self._limits(rows)
-            met = np.flatnonzero(left < right)
-            if not len(met):
-                return np.zeros((0, 2))
-            step = rows[1] - rows[0]
-            low, high = rows[met[0]] - step, rows[met[-1]] + step
-        rows, left, right = rows[met], left[met], right[met]
-        upwards = np.stack([right, rows], axis=-1)
-        downwards = np.stack([left, rows], axis=-1)[::-1]
-        return np.concatenate([upwards, downwards])
+        return polygon_of_rows(self._limits, low, high)
 
     def holds(self, outline: Points) -> bool:
         """Tell whether one wall of the outline is proved stable for one hand."""
@@ -268,6 +258,31 @@ class _Sample:
         return limits[..., 0].max(axis=0), limits[..., 1].min(axis=0)
 
 
+def polygon_of_rows(
+    limits: Callable[[Rows], tuple[Rows, Rows]], low: float, high: float, count: int = _ROWS
+) -> Points:
+    """Return a polygon of the spans that rows from low to high have; no point if none has one.
+
+    Args:
+        limits: takes rows, returns the left and the right end of each.
+        low: no row is looked for below.
+        high: nor above.
+        count: of rows.
+    """
+    for _ in range(3):  # the spans may end before the rows do
+        rows = np.linspace(low, high, count + 2)[1:-1]
+        left, right = limits(rows)
+        met = np.flatnonzero(left < right)
+        if not len(met):
+            return np.zeros((0, 2))
+        step = rows[1] - rows[0]
+        low, high = rows[met[0]] - step, rows[met[-1]] + step
+    rows, left, right = rows[met], left[met], right[met]
+    upwards = np.stack([right, rows], axis=-1)
+    downwards = np.stack([left, rows], axis=-1)[::-1]
+    return np.concatenate([upwards, downwards])
+
+
 def reachable(region: StableRegion, filters: Filters | None) -> StableRegion:
     """Return what is looked at of a hand's region: with filters it may have islands."""
     if filters is None or region.is_empty:
@@ -275,7 +290,7 @@ def reachable(region: StableRegion, filters: Filters | None) -> StableRegion:
     return region.main or region.components[0]
 
 
-def _pulled_in(outline: Points, tolerance: float) -> Points:
+def pulled_in(outline: Points, tolerance: float) -> Points:
     """Return the outline shrunk towards its centroid."""
     following = np.roll(outline, -1, axis=0)
     cross = outline[:, 0] * following[:, 1] - following[:, 0] * outline[:, 1]

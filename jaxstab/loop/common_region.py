@@ -1,0 +1,174 @@
+"""Walls that several loops render stably: the intersection of their exact regions, proved."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8
+
+from jaxstab.arrays import Numbers
+from jaxstab.conventions import Verdict
+from jaxstab.loop.region import TOLERANCE, Gains, WallRegion, wall_region
+from jaxstab.model import LoopParameters
+from jaxstab.model.device import Device, SampledDevice, sampled_device
+from jaxstab.numbers import checked_number
+from jaxstab.ranges.device_margins import is_stable_along
+from jaxstab.ranges.robust_region import RobustStatus, polygon_of_rows, pulled_in
+from jaxstab.region import RegionStatus
+
+if TYPE_CHECKING:
+    from jaxstab.loop.loop import HapticLoop
+
+_ROWS = 33
+_WIDER = (1.0, 2.0, 4.0)  # times the tolerance, by which the polygon is pulled in
+
+Points = Float64[np.ndarray, "vertex 2"]
+Rows = Float64[np.ndarray, " row"]
+
+
+@dataclass(frozen=True)
+class CommonRegion:
+    """Walls that are stable in each of several loops, reached by turning gains up from 0.
+
+    Attributes:
+        loops: the loops.
+        status: PROVED where every wall of the outline is proved stable in every loop; EMPTY where
+            no row of damping was found that has such a wall; UNPROVED else.
+        outline: a polygon of walls (K, B), counter-clockwise, the first vertex not repeated; none
+            unless the status is PROVED.
+        tolerance: by which part of its size it was pulled in to be proved: the intersection of the
+            regions is larger by about so much.
+
+    Example:
+        >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
+        >>> common = jaxstab.common_region([light, heavy])
+        >>> common.status.name, bool(common.contains(5000.0, 50.0))
+        ('PROVED', True)
+    """
+
+    loops: "tuple[HapticLoop, ...]"
+    status: RobustStatus
+    outline: Points = field(repr=False)
+    tolerance: float
+
+    @property
+    def stiffest(self) -> Gains:
+        """The vertex of the largest stiffness; NaN without an outline."""
+        if not len(self.outline):
+            return Gains(np.nan, np.nan)
+        stiffness, damping = self.outline[np.argmax(self.outline[:, 0])].tolist()
+        return Gains(stiffness, damping)
+
+    def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[np.ndarray, "*grid"]:
+        """Return proved codes of ``Verdict`` for walls and all of the loops.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+
+        Returns:
+            STABLE where a wall is proved stable in every loop, also outside of the outline;
+            UNSTABLE where it is proved unstable in one; UNDECIDED between.
+
+        Raises:
+            ValueError: a gain is infinite or NaN.
+        """
+        codes = np.stack([np.asarray(loop.verdict(stiffness, damping)) for loop in self.loops])
+        is_stable = np.all(codes == Verdict.STABLE, axis=0)
+        known = np.where(is_stable, Verdict.STABLE, Verdict.UNDECIDED)
+        is_unstable = np.any(codes == Verdict.UNSTABLE, axis=0)
+        return np.asarray(np.where(is_unstable, Verdict.UNSTABLE, known), np.int8)
+
+    def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[np.ndarray, "*grid"]:
+        """Return where walls are proved stable in every loop; see ``verdict``.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+
+        Raises:
+            ValueError: a gain is infinite or NaN.
+        """
+        return np.asarray(self.verdict(stiffness, damping) == Verdict.STABLE)
+
+
+def common_region(loops: "Sequence[HapticLoop]", *, tolerance: float = 0.02) -> CommonRegion:
+    """Return the walls that are stable in each of several loops, with a polygon that is proved.
+
+    The loops may differ in anything: devices, hands, estimators, delays, sampling periods. It
+    answers for these loops alone, not for what lies between them.
+
+    Args:
+        loops: at least one.
+        tolerance: by which part of its size the polygon is pulled in to be proved, in [1e-3, 0.1];
+            where that is not enough, by twice or four times as much.
+
+    Returns:
+        CommonRegion with its status. An empty one is an answer, not an error.
+
+    Raises:
+        ValueError: there is no loop, the tolerance is out of range, or a device does not give way
+            to a constant force.
+        TypeError: JAX traces a loop.
+
+    Source: lemmas B11 and B13 of docs/proofs.md.
+
+    Example:
+        >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
+        >>> free = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
+        >>> loops = [
+        ...     jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1e-3)
+        ...     for device in (free, free.held_by(arm.with_grip(2000.0, 4.0)))
+        ... ]
+        >>> jaxstab.common_region(loops).status.name
+        'PROVED'
+    """
+    given = tuple(loops)
+    if not given:
+        raise ValueError("loops is empty; give at least one HapticLoop.")
+    tolerance = checked_number("tolerance", tolerance, 1e-3, 0.1)
+    regions = [wall_region(loop.in_floats(), TOLERANCE) for loop in given]
+    nothing = np.zeros((0, 2))
+    if any(region.status == RegionStatus.UNRESOLVED for region in regions):
+        return CommonRegion(given, RobustStatus.UNPROVED, nothing, tolerance)
+    if any(region.is_empty for region in regions):
+        return CommonRegion(given, RobustStatus.EMPTY, nothing, tolerance)
+    outer = _intersection([region.main or region.components[0] for region in regions])
+    if not len(outer):
+        return CommonRegion(given, RobustStatus.EMPTY, nothing, tolerance)
+    for times in _WIDER:
+        outline = pulled_in(outer, times * tolerance)
+        if all(_is_proved(loop.in_floats(), outline) for loop in given):
+            return CommonRegion(given, RobustStatus.PROVED, outline, times * tolerance)
+    return CommonRegion(given, RobustStatus.UNPROVED, nothing, tolerance)
+
+
+def _intersection(regions: list[WallRegion]) -> Points:
+    """Return a polygon of the spans of some rows; what lies between two rows may be missed."""
+    tops = [region.outline[:, 1] for region in regions]
+
+    def limits(rows: Rows) -> tuple[Rows, Rows]:
+        ends = np.stack([np.asarray(region.stiffness_limits(rows)) for region in regions])
+        ends = np.where(np.isnan(ends), [np.inf, -np.inf], ends)
+        return ends[..., 0].max(axis=0), ends[..., 1].min(axis=0)
+
+    low, high = max(top.min() for top in tops), min(top.max() for top in tops)
+    return polygon_of_rows(limits, low, high, _ROWS)
+
+
+def _is_proved(loop: LoopParameters, outline: Points) -> bool:
+    (proved,) = is_stable_along(
+        [_as_device(loop)], outline, velocity=loop.velocity, position=loop.position
+    )
+    return bool(proved)
+
+
+def _as_device(loop: LoopParameters) -> SampledDevice:
+    if loop.sampled is not None:
+        return loop.sampled
+    body = loop.body
+    assert body is not None  # else it would be sampled
+    device = Device.mass_spring_damper(body.mass, body.damping, body.stiffness)
+    return sampled_device(device, loop.sample_time, loop.delay_samples)
