@@ -21,6 +21,7 @@ TESTS = Path(__file__).parent
 
 # No JAX array can be given to them: they take names, numbers, a HapticLoop and a HandRange.
 WITHOUT_ARRAYS = {
+    "common_region",
     "tune_for_all",
     "trace_boundary",
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),

@@ -11,10 +11,11 @@ from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.loop.region import TOLERANCE, Gains, WallRegion, wall_region
 from jaxstab.model import LoopParameters
-from jaxstab.model.device import Device, SampledDevice, sampled_device
+from jaxstab.model.filters import given_filters
 from jaxstab.numbers import checked_number
+from jaxstab.point import verdict
 from jaxstab.ranges.device_margins import is_stable_along
-from jaxstab.ranges.robust_region import RobustStatus, polygon_of_rows, pulled_in
+from jaxstab.ranges.robust_region import RobustStatus, failures, polygon_of_rows, pulled_in
 from jaxstab.region import RegionStatus
 
 if TYPE_CHECKING:
@@ -113,7 +114,8 @@ def common_region(loops: "Sequence[HapticLoop]", *, tolerance: float = 0.02) -> 
             to a constant force.
         TypeError: JAX traces a loop.
 
-    Source: lemmas B11 and B13 of docs/proofs.md.
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008) for ranges of hands; lemmas B11 and B13
+    of docs/proofs.md.
 
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
@@ -159,16 +161,15 @@ def _intersection(regions: list[WallRegion]) -> Points:
 
 
 def _is_proved(loop: LoopParameters, outline: Points) -> bool:
-    (proved,) = is_stable_along(
-        [_as_device(loop)], outline, velocity=loop.velocity, position=loop.position
-    )
-    return bool(proved)
-
-
-def _as_device(loop: LoopParameters) -> SampledDevice:
     if loop.sampled is not None:
-        return loop.sampled
-    body = loop.body
-    assert body is not None  # else it would be sampled
-    device = Device.mass_spring_damper(body.mass, body.damping, body.stiffness)
-    return sampled_device(device, loop.sample_time, loop.delay_samples)
+        (proved,) = is_stable_along(
+            [loop.sampled], outline, velocity=loop.velocity, position=loop.position
+        )
+        return bool(proved)
+    gamma, delta, delay = loop.slice
+    walls = np.stack([loop.alpha(outline[:, 0]), loop.beta(outline[:, 1])], axis=-1)
+    hand, ends = ((gamma, gamma), (delta, delta)), (walls, np.roll(walls, -1, axis=0))
+    is_free = not len(failures(*ends, *hand, delay, filters=given_filters(**loop.filters)))
+    alpha, beta = walls[0]
+    one = verdict(alpha, beta, gamma, delta, delay, **loop.filters)
+    return is_free and int(one) == Verdict.STABLE

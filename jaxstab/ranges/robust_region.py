@@ -132,10 +132,8 @@ class RobustRegion:
         proved = np.zeros(len(walls), bool)
         for number in np.flatnonzero(likely):
             wall = walls[number : number + 1]
-            failures = _failures(
-                wall, wall, self.gamma, self.delta, self.delay, filters=self.filters
-            )
-            proved[number] = not len(failures)
+            failed = failures(wall, wall, self.gamma, self.delta, self.delay, filters=self.filters)
+            proved[number] = not len(failed)
         codes = np.where(proved, Verdict.STABLE, Verdict.UNDECIDED)
         codes = np.where(unstable, Verdict.UNSTABLE, codes).astype(np.int8)
         return codes.reshape(grid.shape[:-1])
@@ -195,13 +193,13 @@ def robust_region(
             status = RobustStatus.EMPTY if sample.regions else RobustStatus.UNPROVED
             return region(status, outer)
         outline = pulled_in(outer, tolerance)
-        failures = _failures(
+        failed = failures(
             outline, np.roll(outline, -1, axis=0), gamma, delta, delay, filters=filters
         )
-        if not len(failures):
+        if not len(failed):
             holds = sample.holds(outline)
             return region(RobustStatus.PROVED if holds else RobustStatus.UNPROVED, outline)
-        sample.add(failures)
+        sample.add(failed)
     return region(RobustStatus.UNPROVED, outline)
 
 
@@ -299,7 +297,7 @@ def pulled_in(outline: Points, tolerance: float) -> Points:
     return pulled
 
 
-def _failures(
+def failures(
     start: Points,
     end: Points,
     gamma: Range,
