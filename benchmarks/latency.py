@@ -37,6 +37,11 @@ _LOOP = (GAMMA, DELTA, float(DELAY))
 _SCENE = [
     "--mass", "0.25", "--damping", "0.1", "--sample-time", "0.001", "--delay", "0.001",
 ]  # fmt: skip
+_HANDS = ["--hand-mass", "0:1", "--hand-stiffness", "0:400", "--hand-damping", "0:5"]
+_FOUR_WALLS = [
+    "--wall", "soft", "500", "10", "--wall", "medium", "2000", "20",
+    "--wall", "hard", "8000", "40", "--wall", "harder", "20000", "80",
+]  # fmt: skip
 _LOOP_CODE = (
     "import jaxstab\n"
     "loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, "
@@ -126,7 +131,13 @@ def _questions() -> list[Question]:
         Question("jaxstab limits", 2.5, _command("limits", *_SCENE)),
         Question("jaxstab check, a range of hands", 4.0, _command(
             "check", *_SCENE, "--wall", "wall", "20000", "80",
-            "--hand-mass", "0:1", "--hand-stiffness", "0:400", "--hand-damping", "0:5",
+            *_HANDS,
+        )),
+        Question("jaxstab check, a range of hands and four walls", 4.0, _command(
+            "check", *_SCENE, *_HANDS, *_FOUR_WALLS,
+        )),
+        Question("jaxstab check, a hundred such scenes", 9.0, _command(
+            "check", *_SCENE, *_HANDS, *_FOUR_WALLS, "--sweep", "device.mass=0.2:0.3:100",
         )),
         Question("jaxstab tune", 4.0, _command("tune", *_SCENE)),
         Question("jaxstab design", 3.0, _command("design", *_SCENE, "--stiffness", "5000")),

@@ -12,6 +12,7 @@ from jaxstab.model.polynomial import loop_polynomial
 from jaxstab.point.grid import MANY, over_grid
 
 _HUGE = 2.0**400
+_MANY = 64 * MANY  # coefficients of as many points, or more: both namespaces call LAPACK
 
 
 def closed_loop_poles(
@@ -69,7 +70,7 @@ def linear_poles(alpha: Array, beta: Array, loop: LinearLoop) -> Complex128[Arra
     return companion_poles(loop_polynomial(alpha, beta, loop))
 
 
-@compiled(many=MANY)
+@compiled(many=_MANY)
 def companion_poles(
     coefficients: Float64[Array, "*grid coefficient"],
 ) -> Complex128[Array, "*grid degree"]:

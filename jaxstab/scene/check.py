@@ -38,8 +38,8 @@ _HORIZON = 2**17  # samples within which settling is looked for
 _OF_ONE_MASS = "answered for a device and a hand that are one mass"
 
 
-Ends = Float64[np.ndarray, "hand 2"]
-Least = Float64[np.ndarray, "3 hand"]
+Ends = Float64[np.ndarray, "wall hand 2"]
+Spare = Float64[np.ndarray, "3 wall hand"]
 LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
@@ -157,22 +157,28 @@ def check_walls(scene: Scene) -> Check:
         ValueError: there is no wall, or a quantity is out of range.
     """
     scene.require_walls()
-    return Check(
-        basis_of(scene),
-        {name: _checked(scene, gains) for name, gains in walls_of(scene).items()},
-    )
+    hands, walls = hands_of(scene), walls_of(scene)
+    loops = list(dict.fromkeys([loop_of(scene), *(corner_loops(scene) if hands else [])]))
+    wanted = "margins" in scene.wanted.measures
+    margins = _margins(loops, list(walls.values())) if wanted else [None] * len(walls)
+    checked = {
+        name: _checked(scene, loops, gains, own)
+        for (name, gains), own in zip(walls.items(), margins, strict=True)
+    }
+    return Check(basis_of(scene), checked)
 
 
-def _checked(scene: Scene, gains: Gains) -> WallCheck:
-    hands, encoder, loop = hands_of(scene), scene.device.encoder, loop_of(scene)
-    loops, hand, tried = [loop], None, None
+def _checked(
+    scene: Scene, loops: list[HapticLoop], gains: Gains, margins: Margins | None
+) -> WallCheck:
+    """Return what is known of a wall; the loops are those of the corners of the hands' range."""
+    hands, encoder, loop = hands_of(scene), scene.device.encoder, loops[0]
+    hand, tried = None, None
     if hands:
-        loops = list(dict.fromkeys([loop, *corner_loops(scene)]))
         code, loop, hand, tried = worst_held(scene, hands, gains)
     else:
         code = Verdict(int(loop.verdict(*gains)))
     measures: dict[str, Callable[[], Answer]] = {
-        "margins": lambda: _margins(loops, gains),
         "distance": lambda: Distance(float(loop.boundary_distance(*gains))),
         "radius": lambda: _radius(loop, gains),
         "settling": lambda: _settling(loop, gains),
@@ -190,43 +196,57 @@ def _checked(scene: Scene, gains: Gains) -> WallCheck:
             except NotImplementedError:
                 refused.append(name)
     words = f"{', '.join(refused)}: {_OF_ONE_MASS}" if refused else None
-    return WallCheck(*gains, code, tried, hand, **measured, not_answered=words)
+    return WallCheck(*gains, code, tried, hand, margins, **measured, not_answered=words)
 
 
-def _margins(loops: list[HapticLoop], gains: Gains) -> Margins:
-    """Return the least margins over some loops of one sample time and delay."""
-    stiffness, damping, factors = _margins_of(loops, gains)
+def _margins(loops: list[HapticLoop], walls: list[Gains]) -> list[Margins]:
+    """Return the least margins of each wall over some loops of one sample time and delay."""
+    stiffness, damping, spare = _margins_of(loops, walls)
     period = loops[0].sample_time
-    # NaN, of a hand with which the wall is not stable, goes through.
-    stiffness_gain, damping_gain, extra_delay = (float(least) for least in factors.min(axis=1))
-    return Margins(
-        stiffness_gain,
-        damping_gain,
-        _common(stiffness),
-        _common(damping),
-        extra_delay,
-        MOST_DELAY * period if isinf(extra_delay) else None,
-        f"the least of {len(loops)} hands" if len(loops) > 1 else None,
-    )
-
-
-def _margins_of(loops: list[HapticLoop], gains: Gains) -> tuple[Ends, Ends, Least]:
-    """Return limits of K and of B (hand, 2), and the three factors and delays (3, hand), in SI."""
-    if loops[0].body is None:
-        found = [loop.margins(*gains) for loop in loops]
-        return (
-            np.array([one.stiffness for one in found]),
-            np.array([one.damping for one in found]),
-            np.array([[one.stiffness_gain, one.damping_gain, one.extra_delay] for one in found]).T,
+    words = f"the least of {len(loops)} hands" if len(loops) > 1 else None
+    answers = []
+    for number in range(len(walls)):
+        # NaN, of a hand with which the wall is not stable, goes through.
+        stiffer, damper, extra_delay = (float(least) for least in spare[:, number].min(axis=1))
+        answers.append(
+            Margins(
+                stiffer,
+                damper,
+                _common(stiffness[number]),
+                _common(damping[number]),
+                extra_delay,
+                MOST_DELAY * period if isinf(extra_delay) else None,
+                words,
+            )
         )
-    points = [(loop.alpha(gains[0]), loop.beta(gains[1]), *loop.slice) for loop in loops]
-    both = margins(*np.array(points).T, **loops[0].filters)
+    return answers
+
+
+def _margins_of(loops: list[HapticLoop], walls: list[Gains]) -> tuple[Ends, Ends, Spare]:
+    """Return the limits of K and of B, and factors of K, of B, and extra delays, in SI units."""
+    stiffness, damping = np.array(walls).T
+    if loops[0].body is None:
+        single = [loop.margins(stiffness, damping) for loop in loops]
+        spare = [(one.stiffness_gain, one.damping_gain, one.extra_delay) for one in single]
+        return (
+            np.stack([one.stiffness for one in single], axis=1),
+            np.stack([one.damping for one in single], axis=1),
+            np.stack(spare, axis=2),
+        )
+    alpha, beta = (
+        np.stack([unit(gains) for unit in units], axis=1)
+        for gains, units in (
+            (stiffness, [loop.alpha for loop in loops]),
+            (damping, [loop.beta for loop in loops]),
+        )
+    )
+    found = margins(alpha, beta, *np.array([loop.slice for loop in loops]).T, **loops[0].filters)
     mass, period = np.array([[loop.mass] for loop in loops]), loops[0].sample_time
-    delay = period * np.asarray(both.extra_delay)
+    delay = period * np.asarray(found.extra_delay)
     return (
-        np.asarray(both.stiffness) * mass / period**2,
-        np.asarray(both.damping) * mass / period,
-        np.array([both.stiffness_gain, both.damping_gain, delay]),
+        np.asarray(found.stiffness) * mass / period**2,
+        np.asarray(found.damping) * mass / period,
+        np.stack([found.stiffness_gain, found.damping_gain, delay]),
     )
 
 
