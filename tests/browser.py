@@ -17,6 +17,7 @@ DRIVER = shutil.which("chromedriver")
 CHROME = shutil.which("chromium") or shutil.which("google-chrome")
 MISSING = None if DRIVER and CHROME else "there is no chromium with its chromedriver here"
 
+_PATIENCE = 300  # s, for an answer of the page
 _OFFLINE = {"offline": True, "latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
 
 
@@ -28,6 +29,7 @@ class Browser:
         self._session = ""
         made = self._ask("POST", "/session", {"capabilities": {"alwaysMatch": capabilities}})
         self._session = f"/session/{made['sessionId']}"
+        self._ask("POST", f"{self._session}/timeouts", {"script": 1000 * _PATIENCE})
         self.devtools("Network.enable", {})
         self.devtools("Network.emulateNetworkConditions", _OFFLINE)
 
@@ -71,7 +73,7 @@ class Browser:
     def _ask(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(self._address + path, data, method=method)
-        with urllib.request.urlopen(request, timeout=300) as answer:
+        with urllib.request.urlopen(request, timeout=_PATIENCE) as answer:
             return json.loads(answer.read())["value"]
 
 

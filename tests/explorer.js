@@ -12,13 +12,14 @@ function curves(cases) {
   });
 }
 
-/** Verdicts and radii of walls. */
+/** Verdicts and radii of walls, with their bounds. */
 function verdicts(cases) {
   return cases.map((setup) => {
     const loop = loopOf(setup), scale = unitsOf(setup);
     return setup.walls.map(({ stiffness, damping }) => {
-      const { code, radius } = verdictAndRadius(loop, stiffness / scale.stiffness, damping / scale.damping);
-      return [code, radius];
+      const gains = [stiffness / scale.stiffness, damping / scale.damping];
+      const { code, radius, bound } = verdictAndRadius(loop, ...gains);
+      return [code, radius, bound];
     });
   });
 }

@@ -92,6 +92,7 @@ def test_a_device_that_turns_has_its_own_units() -> None:
     initial = initial_of(page_of(table))
     assert initial["state"]["motion"] == "rotation"
     assert initial["state"]["handMass"] == 1e-4
+    assert initial["hands"]["highest"]["handMass"] == 1e-3
     assert initial["units"]["rotation"] == {"stiffness": "N m/rad", "damping": "N m s/rad"}
     assert "lowest values" in " ".join(initial["notes"])
 
@@ -181,12 +182,12 @@ def assert_verdicts_are_right(found: list[Any], answers: list[Any]) -> tuple[int
     """The number of walls that were compared, and the share that the page leaves undecided."""
     undecided, count = 0, 0
     for (loop, _, stiffness, damping), answer in zip(found, answers, strict=True):
-        codes, radii = np.array(answer).T
+        codes, radii, bounds = np.array(answer).T
         proved = loop.verdict(stiffness, damping)
         is_decided = (codes != jaxstab.Verdict.UNDECIDED) & (proved != jaxstab.Verdict.UNDECIDED)
         assert np.all(codes[is_decided] == proved[is_decided])
         radius = loop.spectral_radius(stiffness, damping)
-        assert np.all(np.abs(radii - radius.value) <= radius.error + 1e-6)
+        assert np.all(np.abs(radii - radius.value) <= radius.error + bounds)
         undecided += int(np.sum(codes == jaxstab.Verdict.UNDECIDED))
         count += len(codes)
     return count, undecided / count
@@ -217,8 +218,8 @@ def assert_regions_are_right(setups: list[Any], answers: list[Any]) -> int:
             assert area == pytest.approx(component.area, rel=1e-2)
             (stiffest, _), (_, most_damped) = farthest
             size = component.extent
-            assert abs(stiffest - component.stiffest.stiffness) < 1e-7 * size.stiffness, setup
-            assert abs(most_damped - component.most_damped.damping) < 1e-7 * size.damping, setup
+            assert abs(stiffest - component.stiffest.stiffness) < 1e-6 * size.stiffness, setup
+            assert abs(most_damped - component.most_damped.damping) < 1e-6 * size.damping, setup
     return unresolved
 
 

@@ -40,16 +40,26 @@ function showIn(quantity, value, moved) {
 
 /** Build the controls of the loop. */
 function buildControls() {
-  const groups = { device: "Device", hand: "Hand", controller: "Controller", velocity: "How the velocity is estimated" };
+  const groups = { velocity: "How the velocity is estimated", controller: "Controller", device: "Device", hand: "Hand" };
   for (const [group, title] of Object.entries(groups)) {
     const set = html("fieldset", {}, html("legend", { textContent: title }));
     if (group === "velocity") set.append(softwareChoice());
     for (const quantity of quantitiesOf(state.motion).filter((one) => one.group === group)) {
       set.append(rowOf(quantity, `${title}: `, (value, moved) => changeTo(quantity.key, value, moved)));
     }
+    if (group === "hand" && initial.hands) set.append(...handChoices());
     set.append(html("p", { className: "hint", id: `${group}-hint` }));
     byId("controls").append(set);
   }
+}
+
+/** Buttons for the ends of the scene's range of hands. */
+function handChoices() {
+  return Object.entries(initial.hands).map(([end, hand]) => {
+    const button = html("button", { type: "button", textContent: `${end} hand of the scene` });
+    button.addEventListener("click", () => update(hand));
+    return button;
+  });
 }
 
 /** A choice of estimators by the software that has them. */

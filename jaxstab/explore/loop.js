@@ -98,13 +98,16 @@ function errorOf(loop, alpha, beta) {
 }
 
 /**
- * What float64 can say of a wall: the largest modulus of the roots, and the verdict; no proof.
- * @returns {{code: number, radius: number}} the code is STABLE, UNSTABLE or UNDECIDED
+ * What float64 can say of a wall: the verdict, the largest modulus of the roots and how far the
+ * discs around them reach beyond it; no proof.
+ * @returns {{code: number, radius: number, bound: number}} the code is STABLE, UNSTABLE or UNDECIDED
  */
 function verdictAndRadius(loop, alpha, beta) {
   const discs = rootDiscs(closedLoop(loop, alpha, beta), errorOf(loop, alpha, beta));
-  const radius = discs.re.reduce((most, x, k) => Math.max(most, Math.hypot(x, discs.im[k])), 0);
-  return { code: verdictOf(discs), radius };
+  const moduli = Array.from(discs.re, (x, k) => Math.hypot(x, discs.im[k]));
+  const radius = Math.max(0, ...moduli);
+  const reach = Math.max(0, ...moduli.map((modulus, k) => modulus + discs.width[k]));
+  return { code: verdictOf(discs), radius, bound: reach - radius };
 }
 
 /** Whether a wall is stable, as far as float64 tells: for searches. */

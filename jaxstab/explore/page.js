@@ -98,8 +98,9 @@ function draw() {
     ends, rule, walls, units: units(), main: now.main, islands: now.islands,
     passive: passiveWalls(setup), oneSample: plain && plain.outline,
     cursor: [state.cursorStiffness, state.cursorDamping],
+    stiffest: now.stiffest, stiffestInWords: now.stiffest && stiffnessInWords(now.stiffest[0]),
   };
-  view.isMapNeeded = Boolean(plain && now.main.length && plain.stiffness > 1.5 * ends[0][1]);
+  view.isMapNeeded = state.view === "near" && Boolean(plain && now.main.length && plain.stiffness > 1.5 * ends[0][1]);
   const frame = drawPlane(byId("picture"), view);
   drawn = { ...now, frame, walls };
   sayHeadline(now);
@@ -143,7 +144,7 @@ function showFacts(facts) {
 function rowsOfFacts({ stiffness, damping, extraDelay, settling, island }) {
   const range = ([low, high], words) =>
     Number.isFinite(high) ? `${short(Math.abs(low) < NOTHING * high ? 0 : rounded(low, 4))} to ${words(high)}` : "not found";
-  const factor = (high, own) => (own > 0 && high > own ? `, ${short(rounded(high / own, 3))} times` : "");
+  const factor = (high, own) => (own > 0 && high > own ? ` (× ${short(rounded(high / own, 3))})` : "");
   const late = Number.isFinite(extraDelay)
     ? `${short(rounded(extraDelay * 1e3, 3))} ms`
     : `more than ${MOST_DELAY} samples`;

@@ -62,6 +62,7 @@ def _initial(scene: Scene, title: str) -> dict[str, Any]:
         "state": _state(scene),
         "units": {"line": _units(Units.LINE), "rotation": _units(Units.ROTATION)},
         "software": _software(),
+        "hands": _hands(scene),
         "notes": _notes(scene, title),
     }
 
@@ -92,14 +93,12 @@ def _units(units: Units) -> dict[str, str]:
 
 def _state(scene: Scene) -> dict[str, Any]:
     """Return the numbers of a scene by the page's own names."""
-    loop, hand, device = loop_of(scene), scene.hand or Hand(), scene.device
+    loop, device = loop_of(scene), scene.device
     stiffness, damping = _cursor(scene)
     return {
         "mass": device.effective_mass,
         "damping": device.damping,
-        "handMass": hand.effective_mass[0],
-        "handStiffness": hand.stiffness[0],
-        "handDamping": hand.damping[0],
+        **_hand(scene, 0),
         "period": scene.controller.sample_time,
         "delay": loop.delay_samples,
         **_estimator(scene.controller.velocity, scene.controller.sample_time),
@@ -113,6 +112,24 @@ def _state(scene: Scene) -> dict[str, Any]:
             for name, wall in walls_of(scene).items()
         ],
     }
+
+
+def _hand(scene: Scene, end: int) -> dict[str, float]:
+    """Return the hand at the lowest (0) or highest (1) ends of its range."""
+    hand = scene.hand or Hand()
+    ranges = {
+        "handMass": hand.effective_mass,
+        "handStiffness": hand.stiffness,
+        "handDamping": hand.damping,
+    }
+    return {name: ends[end] for name, ends in ranges.items()}
+
+
+def _hands(scene: Scene) -> dict[str, dict[str, float]] | None:
+    """Return two hands of the range, or None where there is one hand at most."""
+    if hands_of(scene) is None:
+        return None
+    return {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)}
 
 
 def _cursor(scene: Scene) -> tuple[float, float]:

@@ -73,7 +73,8 @@ function drawPlane(svg, view) {
   const clip = element("clipPath", { id: "frame" });
   clip.append(element("rect", box));
   drawParts(inner, frame, view);
-  const parts = [clip, axesOf(frame, view), inner, wallsOf(frame, view), cursorOf(frame, view)];
+  const parts = [clip, axesOf(frame, view), inner, cursorOf(frame, view), wallsOf(frame, view)];
+  if (view.stiffest) parts.push(peakOf(frame, view));
   if (view.isMapNeeded) parts.push(mapOf(frame, view));
   svg.replaceChildren(svg.querySelector("title"), ...parts);
   return frame;
@@ -112,7 +113,7 @@ function axesOf(frame, view) {
 function short(value) {
   if (value === 0) return "0";
   const size = Math.abs(value);
-  if (size >= 1e6 || size < 1e-3) return value.toPrecision(2).replace(/\.?0+e/, "e");
+  if (size >= 1e9 || size < 1e-3) return value.toPrecision(2).replace(/\.?0+e/, "e");
   return Number(value.toPrecision(4)).toLocaleString("en");
 }
 
@@ -130,6 +131,17 @@ function wallsOf(frame, view) {
     const at = { class: "halo", x: isRight ? x - 10 : x + 10, y: y - 7, "text-anchor": isRight ? "end" : "start" };
     group.append(element("text", at, isBeyond ? `${name} (beyond)` : name));
   }
+  return group;
+}
+
+/** The stiffest stable wall, with its number. */
+function peakOf(frame, { stiffest, stiffestInWords }) {
+  const x = frame.x(stiffest[0]), y = frame.y(stiffest[1]);
+  const group = element("g", { "aria-hidden": "true" });
+  group.append(element("path", { class: "peak", d: `M${x} ${y}l-9 -6v12Z` }));
+  const isRight = x > frame.box.x + 0.75 * frame.box.width;
+  const at = { class: "halo", x: isRight ? x - 14 : x + 6, y: y + 4, "text-anchor": isRight ? "end" : "start" };
+  group.append(element("text", at, stiffestInWords));
   return group;
 }
 

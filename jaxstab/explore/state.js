@@ -18,7 +18,7 @@ function quantitiesOf(motion) {
   const moved = turns ? "inertia" : "mass";
   const ofMass = turns ? [1e-6, 0.1] : [0.01, 10];
   const ofDamping = turns ? [1e-5, 1] : [0.01, 100];
-  const ofStiffness = turns ? [0.01, 1e3] : [1, 1e5];
+  const ofStiffness = turns ? [0.01, 1e4] : [1, 1e6];
   const log = (low, high, hasZero) => ({ map: "log", low, high, hasZero, scale: 1 });
   return [
     { key: "mass", group: "device", label: moved, unit: kilogram, ...log(...ofMass, false) },

@@ -108,8 +108,8 @@ function settlingSamples(setup, alpha, beta, radius) {
 function wallFacts(setup, loop, region, wall) {
   const units = unitsOf(setup);
   const point = [wall.stiffness / units.stiffness, wall.damping / units.damping];
-  const { code, radius } = verdictAndRadius(loop, ...point);
-  const facts = { code, radius, settling: NaN, island: false };
+  const { code, radius, bound } = verdictAndRadius(loop, ...point);
+  const facts = { code, radius, bound, settling: NaN, island: false };
   if (code !== STABLE) return facts;
   const own = region.components.find((component) => holds(component.points, point));
   const limit = (axis, sign) => limitFrom(loop, region, point, axis, sign);

@@ -30,10 +30,9 @@ function headlineOf(stiffest, region) {
 
 function comparisonOf(stiffest, plain, setup) {
   if (!plain) return "The velocity is the difference over one sample. Software that people run takes a window or a filter.";
-  if (!stiffest) return `With the difference over one sample it would be ${stiffnessInWords(plain.stiffness)}.`;
-  const ratio = plain.stiffness / stiffest[0];
-  const cost = ratio > 1.01 ? `${short(rounded(ratio, 3))} times as stiff` : "about as stiff";
-  return `With the velocity over one sample it would be ${stiffnessInWords(plain.stiffness)}, ${cost}: now it is ${estimatorInWords(setup)}.`;
+  const now = `The velocity is ${estimatorInWords(setup)}. Over one sample the stiffest wall would be ${stiffnessInWords(plain.stiffness)}`;
+  const ratio = stiffest ? plain.stiffness / stiffest[0] : 1;
+  return ratio > 1.01 ? `${now}: ${short(rounded(ratio, 3))} times as stiff.` : `${now}.`;
 }
 
 /** Name what is drawn. */
@@ -107,9 +106,9 @@ function changeWall(index, change) {
 }
 
 /** Say at once whether the cursor is stable, and by which radius. */
-function showCursorVerdict({ code, radius }) {
+function showCursorVerdict({ code, radius, bound }) {
   const words = byId("cursor-verdict");
-  words.textContent = `${VERDICTS[code]}, spectral radius ${radius.toFixed(6)} (computed here, not proved)`;
+  words.textContent = `${VERDICTS[code]}, spectral radius ${radius.toFixed(bound < 1e-6 ? 6 : 4)} (computed here, not proved)`;
   words.className = `verdict ${LOOKS_OF_VERDICTS[code]}`;
 }
 
