@@ -110,6 +110,22 @@ def setups_with_walls(
     return found
 
 
+def hostile_state(rng: np.random.Generator) -> dict[str, Any]:
+    """What a link may say: numbers of any size, of which most are refused."""
+    sizes = ("mass", "damping", "handMass", "handStiffness", "handDamping", "period", "cutoff")
+    state: dict[str, Any] = {key: 10.0 ** rng.uniform(-12.0, 12.0) for key in sizes}
+    if rng.random() < 0.8:
+        state |= random_setup(rng)
+        state |= state.pop("estimator")
+    gains = (rng.choice([-1.0, 1.0], 4) * 10.0 ** rng.uniform(-6.0, 12.0, 4)).tolist()
+    state["delay"] = float(rng.choice([state.get("delay", 0.0), rng.uniform(0.0, 200.0)]))
+    state["order"] = int(rng.integers(1, 9))
+    state["view"] = str(rng.choice(["near", "all", "sample"]))
+    state["cursorStiffness"], state["cursorDamping"] = gains[:2]
+    state["walls"] = [{"name": "</b>&", "stiffness": gains[2], "damping": gains[3]}]
+    return state
+
+
 def curve_cases(rng: np.random.Generator, count: int, angles: int) -> list[Setup]:
     """Loops in numbers without units, and angles between 0 and pi, half of them close to an end."""
     cases = []

@@ -22,6 +22,7 @@ from explorer import (
     NODE,
     asked_of_node,
     curve_cases,
+    hostile_state,
     loop_of,
     random_setup,
     setups_with_walls,
@@ -325,15 +326,15 @@ def test_a_hundred_thousand_points_of_the_curve_in_a_browser(
 def test_a_hundred_thousand_verdicts_in_a_browser(omega: Browser, rng: np.random.Generator) -> None:
     count = 0
     while count < 100_000:
-        found = setups_with_walls(rng, 50, 400)
+        found = setups_with_walls(rng, 25, 1000)
         answers = answer_of(omega, "verdicts", [setup for _, setup, *_ in found])
         count += assert_verdicts_are_right(found, answers)[0]
 
 
 @pytest.mark.campaign
 def test_many_regions_in_a_browser(omega: Browser, rng: np.random.Generator) -> None:
-    setups = [random_setup(rng) for _ in range(150)]
-    assert assert_regions_are_right(setups, answer_of(omega, "regions", setups)) <= 3
+    setups = [random_setup(rng) for _ in range(80)]
+    assert assert_regions_are_right(setups, answer_of(omega, "regions", setups)) <= 2
 
 
 @pytest.mark.campaign
@@ -356,6 +357,22 @@ sayMore();
 """
 
 
+@pytest.mark.campaign
+def test_links_of_any_kind_are_drawn_or_refused(omega: Browser, rng: np.random.Generator) -> None:
+    states = [hostile_state(rng) for _ in range(150)]
+    drawn = omega.run(TAKE_OVER, states)
+    assert sum(drawn) > 50  # the others are not resolved, or refused
+    assert omega.complaints() == []
+
+
+TAKE_OVER = """
+return arguments[0].map((change) => {
+  const link = hashOf({ ...initial.state, ...change });
+  update(stateOfHash(link, initial.state));
+  sayMore();
+  return drawn.region.isClosed;
+});
+"""
 TIMES = """
 const times = [];
 for (const slider of document.querySelectorAll("#controls input[type=range]")) {
@@ -379,10 +396,11 @@ return times.sort((a, b) => a - b);
 
 
 @pytest.mark.campaign
-def test_a_slider_is_followed_by_its_picture(omega: Browser, record_property: Any) -> None:
+def test_a_slider_is_followed_by_its_picture(omega: Browser) -> None:
     """What it takes, with layout, without what other processes take; no time is asserted."""
     times = omega.run(TIMES)
-    record_property("milliseconds", {q: float(np.quantile(times, q)) for q in (0.5, 0.99, 1.0)})
+    middle, slow, slowest = np.quantile(times, (0.5, 0.99, 1.0))
+    print(f"{middle:.1f} ms in the middle, {slow:.1f} ms for 99 %, {slowest:.1f} ms at most")
     assert len(times) == 9 * 41
     assert omega.complaints() == []
 

@@ -2,6 +2,8 @@
 // form on which a pair of its roots lies on the unit circle (docs/model.md, "the boundary").
 "use strict";
 
+const LARGEST_GAMMA = 1e4, LARGEST_DELTA = 1e3, LARGEST_RATE = 1e6; // Hz
+
 /**
  * Device, hand and controller in SI units, as the controls have them.
  * @typedef {object} Setup
@@ -29,11 +31,22 @@
  * @property {Float64Array} work what closedLoop is divided in, one wall after the other
  */
 
-/** @returns {Loop} */
-function loopOf(setup) {
+/** The hand without units: gamma = k T^2/m and delta = b T/m. */
+function handOf(setup) {
   const moved = setup.mass + setup.handMass, { period } = setup;
   const gamma = (setup.handStiffness * period * period) / moved;
-  const delta = ((setup.damping + setup.handDamping) * period) / moved;
+  return { gamma, delta: ((setup.damping + setup.handDamping) * period) / moved };
+}
+
+/** Whether a setup is within the range that jaxstab computes. */
+function isComputable(setup) {
+  const { gamma, delta } = handOf(setup);
+  return gamma <= LARGEST_GAMMA && delta <= LARGEST_DELTA && setup.period * LARGEST_RATE >= 1;
+}
+
+/** @returns {Loop} */
+function loopOf(setup) {
+  const { gamma, delta } = handOf(setup), { period } = setup;
   const velocity = velocityOf(setup.estimator, period);
   return dimensionlessLoop(gamma, delta, setup.delay, velocity);
 }

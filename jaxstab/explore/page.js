@@ -3,6 +3,7 @@
 
 const QUIET = 150; // ms without a change, until what takes longer is computed
 const initial = JSON.parse(document.getElementById("initial").textContent);
+const BEYOND = "Not taken over: with T the sampling period and m what is moved, k T²/m of the hand is at most 1e4, b T/m at most 1e3, and T at least 1 µs.";
 let state = stateOfHash(location.hash.slice(1), initial.state);
 let drawn = null; // setup, loop, region and frame of the picture
 let waiting = 0;
@@ -11,7 +12,9 @@ let waiting = 0;
 
 /** Change the state, and show it. */
 function update(changes, moved) {
-  state = { ...state, ...changes };
+  const next = { ...state, ...changes }, isIn = isComputable(setupOf(next));
+  if (isIn) state = next;
+  byId("refusal").textContent = isIn ? "" : BEYOND;
   showState(moved);
   draw();
   clearTimeout(waiting);

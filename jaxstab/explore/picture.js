@@ -5,6 +5,7 @@ const SVG = "http://www.w3.org/2000/svg";
 const MARGINS = { left: 62, right: 30, top: 14, bottom: 42 };
 const NICE_ENDS = [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10];
 const NICE_STEPS = [1, 2, 2.5, 5, 10];
+const LARGEST_SHARE = 1e3; // of a final position
 const FARTHEST_WALL = 4; // times the region: walls beyond are drawn at the edge
 
 /** A new element of SVG with attributes. */
@@ -50,7 +51,8 @@ function frameOf(ends, box) {
 
 /** The outline of points (K, B) in a frame, as SVG has it. */
 function pathOf(frame, points, isClosed = true) {
-  const parts = points.map(([stiffness, damping]) =>
+  const finite = points.filter(([stiffness, damping]) => Number.isFinite(stiffness + damping));
+  const parts = finite.map(([stiffness, damping]) =>
     `${near(frame.x(stiffness), frame.box.x, frame.box.width)} ${near(frame.y(damping), frame.box.y, frame.box.height)}`);
   return parts.length ? `M${parts.join("L")}${isClosed ? "Z" : ""}` : "";
 }
@@ -169,8 +171,10 @@ function mapOf(frame, view) {
   return group;
 }
 
-/** Draw shares of a final position beside the band of 2 %. */
-function drawResponse(svg, shares, period) {
+/** Draw shares of a final position beside the band of 2 %; what grows is drawn while it is small. */
+function drawResponse(svg, every, period) {
+  const beyond = every.findIndex((share) => !(Math.abs(share) < LARGEST_SHARE));
+  const shares = every.slice(0, beyond < 0 ? every.length : Math.max(2, beyond)).map((one) => one || 0);
   const { width, height } = svg.getBoundingClientRect();
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   const box = { x: 30, y: 8, width: width - 38, height: height - 28 };

@@ -6,6 +6,8 @@ const FIRST_ANGLE = 1e-7; // from both ends of the curve
 const CLOSE = 1e-5; // to a resonance
 const HALVINGS = 40; // of an interval of angles in which something changes
 const LOOKS = 4; // at a region that does not close, each closer
+const MOST_PIECES = 150; // of a curve: more are rounding
+const MOST_SUSPECTS = 60;
 const NEAR_CIRCLE = 3e-3; // roots that may be on it next to a corner
 const OPEN = 1e-4; // of the region's size: ends that are farther from each other do not meet
 const SMOOTH = 4e-4; // of the region's size: how far the boundary may leave its polygon
@@ -61,7 +63,7 @@ function suspectsOf(loop, curve) {
       });
     }
   }
-  return found;
+  return found.slice(0, MOST_SUSPECTS);
 }
 
 /** Whether all roots but the pair at exp(+-i theta) are inside, at a point of the curve. */
@@ -88,6 +90,11 @@ function edgeBetween(loop, inside, outside) {
     else outside = middle;
   }
   return inside;
+}
+
+/** How many pieces of the curve begin in a scan. */
+function startsIn(scan) {
+  return scan.filter((point, k) => point.bounds && !(k && scan[k - 1].bounds)).length;
 }
 
 /** The pieces of the curve that bound the stable set. */
@@ -309,6 +316,7 @@ function regionOf(loop) {
   let suspects = [], found;
   for (let look = 1; look <= LOOKS; look++) {
     const scan = scanAngles(loop, look, suspects).map((theta) => lookAt(loop, theta));
+    if (startsIn(scan) > MOST_PIECES) return { components: [], isClosed: false };
     const curve = curvePieces(loop, scan);
     found = regionWithin(loop, curve);
     if (found.isClosed) break;

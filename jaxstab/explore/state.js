@@ -62,7 +62,7 @@ function rounded(value, digits) {
 
 /** A value within what can be computed, or NaN for what is no such number. */
 function acceptable(key, value) {
-  if (!Number.isFinite(value) || value < 0) return NaN;
+  if (!Number.isFinite(value) || value < 0 || value > 1e12) return NaN;
   if (key === "mass" || key === "period") return value > 0 ? value : NaN;
   if (key === "window") return Math.min(MOST_WINDOW, Math.max(1, Math.round(value)));
   if (key === "delay") return Math.min(LONGEST_DELAY, value);
@@ -120,14 +120,14 @@ function stateOfHash(hash, state) {
     next[key] = parts.get(key) && numbers.every(Number.isFinite) ? numbers : null;
   }
   next.walls = parts.getAll("wall").map(wallOfWords).filter(Boolean);
-  return next;
+  return isComputable(setupOf(next)) ? next : { ...state };
 }
 
 /** A wall of "K B name"; null where there are no such numbers. */
 function wallOfWords(words) {
   const [stiffness, damping, ...name] = words.split(" ");
   const wall = { name: name.join(" ").slice(0, 40), stiffness: Number(stiffness), damping: Number(damping) };
-  return Number.isFinite(wall.stiffness + wall.damping) ? wall : null;
+  return Math.abs(wall.stiffness) + Math.abs(wall.damping) < 1e12 ? wall : null;
 }
 
 /** The state as a scene, which `jaxstab check` takes. */

@@ -24,6 +24,7 @@ function sayHeadline({ stiffest, plain, region, setup }) {
 function headlineOf(stiffest, region) {
   const open = region.isClosed ? "" : " Its outline was not resolved: it may be wrong.";
   if (stiffest) return `The stiffest stable wall: ${stiffnessInWords(stiffest[0])}, at a damping of ${dampingInWords(stiffest[1])}.${open}`;
+  if (!region.isClosed && !region.components.length) return "The stable region was not resolved here; jaxstab limits knows more.";
   const none = region.components.length ? "Small gains are not stable, but others are." : "No wall is stable.";
   return `${none}${open}`;
 }
