@@ -28,14 +28,21 @@ function rowOf(quantity, context, change) {
   return html("div", { className: "row" }, text, slider, number, shown);
 }
 
+/** Set a property where it changes: what is set is laid out anew. */
+function assign(target, name, value) {
+  if (target[name] !== value) target[name] = value;
+}
+
 /** Show a value in its row, but not in what the user is moving. */
 function showIn(quantity, value, moved) {
   const slider = byId(`${quantity.key}-slider`), number = byId(`${quantity.key}-number`);
-  if (slider !== moved) slider.value = Math.round(placeOfValue(quantity, value) * PLACES);
+  const place = Math.round(placeOfValue(quantity, value) * PLACES);
+  if (slider !== moved) assign(slider, "value", String(place));
   const isNone = quantity.key === "cutoff" && !(value > 0);
-  number.value = isNone ? "" : Number((value * quantity.scale).toPrecision(6));
-  number.placeholder = isNone ? "none" : "";
-  slider.setAttribute("aria-valuetext", isNone ? "none" : `${number.value} ${quantity.unit}`);
+  const words = isNone ? "" : String(Number((value * quantity.scale).toPrecision(6)));
+  assign(number, "value", words);
+  assign(number, "placeholder", isNone ? "none" : "");
+  assign(slider, "ariaValueText", isNone ? "none" : `${words} ${quantity.unit}`);
 }
 
 /** Build the controls of the loop. */
@@ -104,14 +111,12 @@ function cursorQuantities() {
 }
 
 function buildCursor() {
-  for (const quantity of cursorQuantities()) {
-    byId("cursor-controls").append(rowOf({ ...quantity, map: "linear" }, "Cursor: ", (value, moved) => {
-      const own = cursorQuantities().find(({ key }) => key === quantity.key);
-      const isSlider = moved.type === "range";
-      const share = moved.value / PLACES;
-      const next = isSlider ? rounded(own.low + share * (own.high - own.low), 4) : value;
+  cursorQuantities().forEach((quantity, axis) => {
+    const row = rowOf(quantity, "Cursor: ", (value, moved) => {
+      const place = moved.value / PLACES; // of the axes as they are now
+      const next = moved.type === "range" ? valueAtPlace(cursorQuantities()[axis], place) : value;
       update(Number.isFinite(next) ? { [quantity.key]: next } : {}, moved);
-    }));
-  }
+    });
+    byId("cursor-controls").append(row);
+  });
 }
-

@@ -6,6 +6,7 @@ const initial = JSON.parse(document.getElementById("initial").textContent);
 const BEYOND = "Not taken over: with T the sampling period and m what is moved, k T²/m of the hand is at most 1e4, b T/m at most 1e3, and T at least 1 µs.";
 let state = stateOfHash(location.hash.slice(1), initial.state);
 let drawn = null; // setup, loop, region and frame of the picture
+let size = { width: 0, height: 0 }; // of the picture
 let waiting = 0;
 
 // ----------------------------------------------------------------------------------------- drawing
@@ -14,9 +15,9 @@ let waiting = 0;
 function update(changes, moved) {
   const next = { ...state, ...changes }, isIn = isComputable(setupOf(next));
   if (isIn) state = next;
-  byId("refusal").textContent = isIn ? "" : BEYOND;
-  showState(moved);
+  assign(byId("refusal"), "textContent", isIn ? "" : BEYOND);
   draw();
+  showState(moved);
   clearTimeout(waiting);
   waiting = setTimeout(sayMore, QUIET);
 }
@@ -24,21 +25,15 @@ function update(changes, moved) {
 /** Show the state in the controls. */
 function showState(moved) {
   for (const quantity of quantitiesOf(state.motion)) showIn(quantity, state[quantity.key], moved);
-  for (const quantity of cursorQuantities()) {
-    const place = (state[quantity.key] - quantity.low) / (quantity.high - quantity.low);
-    const linear = { ...quantity, map: "whole", low: 0, high: 1 };
-    const slider = byId(`${quantity.key}-slider`);
-    showIn(linear, state[quantity.key], moved);
-    if (slider !== moved) slider.value = Math.round(PLACES * Math.min(1, Math.max(0, place)));
-  }
-  byId("software").value = state.software === null ? "" : String(state.software);
+  for (const quantity of cursorQuantities()) showIn(quantity, state[quantity.key], moved);
+  assign(byId("software"), "value", state.software === null ? "" : String(state.software));
   const setup = setupOf(state), rate = 1 / state.period;
-  byId("controller-hint").textContent =
-    `${short(rate)} Hz; a delay of ${short(rounded(state.delay * state.period * 1e3, 3))} ms`;
-  byId("velocity-hint").textContent = estimatorInWords(setup);
+  const late = `${short(rounded(state.delay * state.period * 1e3, 3))} ms`;
+  assign(byId("controller-hint"), "textContent", `${short(rate)} Hz; a delay of ${late}`);
+  assign(byId("velocity-hint"), "textContent", estimatorInWords(setup));
   document.querySelectorAll("[name=view]").forEach((one) => {
-    one.checked = one.value === state.view;
-    one.disabled = one.value === "sample" && isPlain(setup);
+    assign(one, "checked", one.value === state.view);
+    assign(one, "disabled", one.value === "sample" && isPlain(setup));
   });
 }
 
@@ -98,7 +93,7 @@ function draw() {
   const walls = state.walls.map((wall) => ({ ...wall, ...factsAtOnce(loop, scale, wall) }));
   const rule = ends[1].map((damping) => [linearRule(setup, damping), damping]);
   const view = {
-    ends, rule, walls, units: units(), main: now.main, islands: now.islands,
+    size, ends, rule, walls, units: units(), main: now.main, islands: now.islands,
     passive: passiveWalls(setup), oneSample: plain && plain.outline,
     cursor: [state.cursorStiffness, state.cursorDamping],
     stiffest: now.stiffest, stiffestInWords: now.stiffest && stiffnessInWords(now.stiffest[0]),
@@ -184,6 +179,13 @@ function pointAt(event) {
   update({ cursorStiffness: gain(ends[0], across), cursorDamping: gain(ends[1], up) });
 }
 
+/** Take the size of the picture; return whether it has changed. */
+function measure() {
+  const { width, height } = byId("picture").getBoundingClientRect(), before = size;
+  size = { width, height };
+  return width !== before.width || height !== before.height;
+}
+
 function start() {
   byId("source").textContent = initial.notes.join(" ");
   document.querySelectorAll(".stiffness-unit").forEach((one) => (one.textContent = `(${units().stiffness})`));
@@ -200,9 +202,9 @@ function start() {
     update({ walls: [...walls, { name, ...cursorWall() }] });
   });
   byId("views").addEventListener("change", (event) => update({ view: event.target.value }));
-  window.addEventListener("resize", () => update({}));
+  new ResizeObserver(() => measure() && update({})).observe(picture);
   window.addEventListener("hashchange", () => update(stateOfHash(location.hash.slice(1), initial.state)));
-  draw();
+  measure();
   update({});
 }
 

@@ -64,7 +64,7 @@ function near(pixel, start, size) {
 
 /** Draw the plane: see picture() of page.js for what is in a scene. */
 function drawPlane(svg, view) {
-  const { width, height } = svg.getBoundingClientRect();
+  const { width, height } = view.size;
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   const box = {
     x: MARGINS.left, y: MARGINS.top,

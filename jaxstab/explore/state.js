@@ -8,7 +8,7 @@ const MOST_SLIDER_DELAY = 40;
 /**
  * What can be moved. scale: how many of the shown units are one SI unit. map: how the place of a
  * slider gives the value: "log" from low to high, with 0 at its beginning if hasZero, "square"
- * from 0 to high, "whole" numbers from low to high.
+ * from 0 to high, "linear" from low to high, "whole" the same in whole numbers.
  */
 function quantitiesOf(motion) {
   const turns = motion === "rotation";
@@ -38,6 +38,7 @@ function valueAtPlace(quantity, place) {
   const { map, low, high, hasZero, isInverse } = quantity;
   const share = isInverse ? 1 - place : place; // the least effect is at the left
   if (map === "whole") return Math.round(low + share * (high - low));
+  if (map === "linear") return rounded(low + share * (high - low), 4);
   if (map === "square") return Math.round(20 * high * share * share) / 20;
   if (hasZero && place === 0) return 0;
   return rounded(low * (high / low) ** share, 3);
@@ -47,7 +48,7 @@ function valueAtPlace(quantity, place) {
 function placeOfValue(quantity, value) {
   const { map, low, high, hasZero, isInverse } = quantity;
   let share;
-  if (map === "whole") share = (value - low) / (high - low);
+  if (map === "whole" || map === "linear") share = (value - low) / (high - low);
   else if (map === "square") share = Math.sqrt(value / high);
   else if (hasZero && !(value > 0)) return 0;
   else share = Math.log(value / low) / Math.log(high / low);

@@ -15,10 +15,11 @@ function dampingInWords(damping) {
 
 /** Say what is the stiffest wall, and what the estimator costs. */
 function sayHeadline({ stiffest, plain, region, setup }) {
-  byId("headline").textContent = headlineOf(stiffest, region);
-  byId("comparison").textContent = comparisonOf(stiffest, plain, setup);
-  byId("picture-title").textContent =
-    `The plane of stiffness K and damping B. ${byId("headline").textContent} ${byId("comparison").textContent}`;
+  const headline = headlineOf(stiffest, region), comparison = comparisonOf(stiffest, plain, setup);
+  assign(byId("headline"), "textContent", headline);
+  assign(byId("comparison"), "textContent", comparison);
+  const title = `The plane of stiffness K and damping B. ${headline} ${comparison}`;
+  assign(byId("picture-title"), "textContent", title);
 }
 
 function headlineOf(stiffest, region) {
@@ -73,11 +74,11 @@ function showVerdicts(walls) {
   walls.forEach(({ stiffness, damping, code, radius }, index) => {
     const cells = body.rows[index].cells;
     const [first, second] = [cells[1].firstChild, cells[2].firstChild];
-    if (document.activeElement !== first) first.value = stiffness;
-    if (document.activeElement !== second) second.value = damping;
-    cells[3].textContent = VERDICTS[code];
+    if (document.activeElement !== first) assign(first, "value", String(stiffness));
+    if (document.activeElement !== second) assign(second, "value", String(damping));
+    assign(cells[3], "textContent", VERDICTS[code]);
     cells[3].className = LOOKS_OF_VERDICTS[code];
-    cells[4].textContent = radius.toFixed(5);
+    assign(cells[4], "textContent", radius.toFixed(5));
   });
 }
 
