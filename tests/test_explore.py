@@ -379,6 +379,7 @@ const slider = document.getElementById(arguments[0]);
 slider.value = arguments[1];
 slider.dispatchEvent(new Event("input", { bubbles: true }));
 document.body.getBoundingClientRect();
+clearTimeout(waiting); // what comes after a pause
 """
 
 
