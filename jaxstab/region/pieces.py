@@ -5,8 +5,8 @@ circle (``other_roots``). So the search is one-dimensional: a *piece* is an inte
 passes that test. The stable set lies to the left of a piece in the direction of growing th, because
 z -> (alpha, beta) preserves orientation. A piece ends where another root reaches the circle: a real
 one (a corner with one of the two lines) or a pair (a corner with another piece, which begins
-there). The stable set is bounded and two lines bound nothing, so each loop of its boundary holds a
-piece: what a scan of th can miss are loops of which every piece is shorter than a step of the scan.
+there). The stable set is bounded and two lines bound nothing, so each component has a piece (lemma
+G1): what a scan of th can miss are components of which it meets no piece (docs/proofs.md, G3).
 """
 
 from collections.abc import Callable

@@ -12,7 +12,7 @@ g = 2 sin(e/2), U = z0 e^(ie/2)
 The curve has q = 0, the line g = 0, and both are one limit of the curves with a small Im W0. So the
 line gets a part of the angles around t, as if they were those of such a curve: the curve is drawn
 closer to t, and between its two halves the line comes from infinity or goes there. Where Re(U V')
-is 0 at t, the curve goes to infinity at t, and the whole line lies between its halves.
+is 0 at t, the curve goes to infinity at t, and the whole line lies between its halves (lemma G2).
 """
 
 from fractions import Fraction

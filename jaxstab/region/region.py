@@ -93,8 +93,8 @@ class StableRegion(ShownRegion):
     def components(self) -> list["StableRegion"]:
         """The connected parts of the region: first the one that holds small gains, then by area.
 
-        Estimators cut islands off. All are there whose boundary the scan of the curve found, as
-        for the region itself.
+        Estimators cut islands off. All are there whose boundary the search found, as for the
+        region itself: see ``stable_region``.
         """
         if int(self.outline.size) == 0:
             return []
@@ -224,8 +224,8 @@ def stable_region(
     Every corner is where the curve crosses itself or a line: all crossings are searched for, and
     the scan of the boundary is refined around them until its pieces close to loops. What may be
     missed are crossings where the curve bends more, between two angles of the first scan, than a
-    cubic with the same ends and tangents; with filters, parts of it at which another root is beyond
-    1.1 are not searched, and islands are found by the scan alone.
+    cubic with the same ends and tangents, and, with filters, parts of it at which another root is
+    beyond 1.1. That all components are found is argued so, not proved (docs/proofs.md, G1 to G3).
 
     Args:
         gamma: physical stiffness k T^2/m in [0, 1e4], a number like all arguments.
