@@ -119,7 +119,7 @@ def sync_folder(folder: Path) -> None:
 
 
 class PatientStream(io.RawIOBase):
-    """A file for HDF5 to write to, which never tells it of an error.
+    """A file for HDF5 to write to, which keeps errors from it.
 
     After the first error nothing more goes to the disk: what is written is kept in memory, so that
     what is read is what was written, and ``check`` raises the error. Whoever writes much calls it

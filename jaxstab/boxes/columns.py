@@ -137,7 +137,7 @@ def _gaps(
     high: Float64[np.ndarray, "*column strip"],
     of: Domain,
 ) -> tuple[Float64[np.ndarray, "*column gap"], Float64[np.ndarray, "*column gap"]]:
-    """Return where gaps begin and end; NaN for those that a column has not."""
+    """Return the ends of gaps; NaN where a column has fewer."""
     *shape, _ = low.shape
     lowest, highest = (np.full((*shape, 1), end) for end in of.alpha)
     begins = np.concatenate([lowest, high], axis=-1)
@@ -226,7 +226,7 @@ def _ends_at(
 
 
 def _of_strip(part: np.ndarray, strip: Int64[np.ndarray, " column"]) -> np.ndarray:
-    """Return what is said of one strip of each column; NaN where there is no such strip."""
+    """Return the limits by one strip of each column; NaN where there is no such strip."""
     count = part.shape[1]
     some = part[np.arange(strip.size), np.clip(strip, 0, count - 1)]
     outside = (strip < 0) | (strip >= count)

@@ -1,4 +1,4 @@
-"""Functions over whole boxes, with proved bounds: a value, slopes, and what is left.
+"""Functions over whole boxes, with proved bounds: a value, slopes, and a remainder.
 
 A linear model stands for every function f with
 

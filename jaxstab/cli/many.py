@@ -107,7 +107,7 @@ def _json(rows: list["Row"]) -> str:
 
 
 def _table(rows: list["Row"]) -> str:
-    """Return what matters most of each scene, in columns; of what is refused, why."""
+    """Return the main numbers of each scene, in columns, or the reason why it was refused."""
     from jaxstab.scene.many import short
 
     paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]

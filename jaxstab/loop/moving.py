@@ -122,7 +122,7 @@ def _on_circle(polynomial: Array, angle: Array) -> tuple[Array, Array]:
 
 
 def _root_equations(value: Array, angle: Array, start: Array) -> Array:
-    """Return what is 0 where a root is on the circle; a real one stays at its angle."""
+    """Return the residual, 0 where a root is on the circle; a real root keeps its angle."""
     is_real = (start < _REAL) | (start > pi - _REAL)
     end = jnp.round(start / pi) * pi
     # At a real root the value, turned back, is real or imaginary.

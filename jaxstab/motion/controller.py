@@ -89,14 +89,14 @@ class Controller:
 
     @classmethod
     def of(cls, filters: Filters, sample_time: float = 1.0) -> "Controller":
-        """Return what runs an estimator and a filter."""
+        """Return the difference equations of an estimator and a filter."""
         window, behind = filters[0].stages(sample_time)
         chains = behind, filters[1].stages(sample_time)
         velocity, position = (tuple(map(Equation.of, chain)) for chain in chains)
         return cls(velocity, position, window)
 
     def at_rest(self, position: Array) -> Any:
-        """Return what is remembered of a device that always stood at a position."""
+        """Return the memory after a device has always stood at one position."""
         _, behind = _rest_of_chain(self.velocity, 0.0 * position)
         return (position,) * self.window, behind, _rest_of_chain(self.position, position)[1]
 

@@ -248,7 +248,7 @@ class _Search(NamedTuple):
 
     @classmethod
     def begun(cls, loops: Loops) -> "_Search":
-        """Return what is known before the first stretch."""
+        """Return the state of the search before its first stretch."""
         power, states = loops
         count = len(power)
         rows = np.zeros((count, 1, power.shape[1]))

@@ -1,6 +1,6 @@
 """A second look at regions of loops with any plant, estimator and filter, by proved verdicts.
 
-The curve and the count of the other roots of such loops may lose digits that no status tells. So
+The curve and the count of the other roots of such loops may lose digits, and no status shows it. So
 walls on both sides of the outline are asked for their verdict, which is a proof. That does not
 prove a region; but one that a proof contradicts is not given. Walls are asked at a distance:
 rounding of a corner contradicts nothing.

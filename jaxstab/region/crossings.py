@@ -22,7 +22,7 @@ from jaxstab.region.scan import Angles
 
 _AT_ONCE = 1 << 20  # pairs of boxes that are held in memory
 _CUBIC_STEPS = 12  # of Newton's method on the cubics
-_NEWTON_STEPS = 6  # on the curve; where two parts all but touch each step halves what is left
+_NEWTON_STEPS = 6  # on the curve; where two parts nearly touch, each step halves the rest
 _BEYOND = 0.5  # how far Newton's method may leave a part, as a share of it
 _ARRIVED = 1e-3  # the last step, and the least distance of two angles that meet; likewise
 _SAME = 1e-4  # starts closer to each other are one; likewise

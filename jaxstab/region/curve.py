@@ -43,7 +43,7 @@ from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve
 from jaxstab.region.filtered_points import filtered_point
 from jaxstab.region.sines import sines
 
-_CLOSE, _FAR = 1e-9, 4.0  # of the distance of a pole from the circle: closer is as close
+_CLOSE, _FAR = 1e-9, 4.0  # between these the distances of poles from the circle are clipped
 _VANISHING = 1e-3  # N(r) this small beside its terms: the line z = r is no anchor any more
 _MANY = 1 << 18  # angles that are worth compiling for
 

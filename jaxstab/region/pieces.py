@@ -23,7 +23,7 @@ from jaxstab.region.other_roots import lines_crossing_is_stable, others_inside
 
 _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
 _NARROWING = {"numpy": (2, 23), "jax": (9, 2)}  # rounds, parts: few calls, or few angles
-_STRAY = 16.0  # of a bracket: Newton's method does not come back from there
+_STRAY = 16.0  # brackets: an iterate of Newton's method this far outside is given up
 NO_BRANCH = -1
 
 

@@ -64,7 +64,7 @@ class Share(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """The work that a specification asks for; its text says how much, and what is left out and why.
+    """The work that a specification asks for; its text gives the amount, and what is omitted.
 
     ``plan_atlas`` makes one. A product is computed variable by variable: on the nodes of the grid,
     or in its cells, and nothing of a product that was not chosen.

@@ -158,7 +158,7 @@ class AtlasSpec:
 
     @classmethod
     def from_toml(cls, text: str) -> "AtlasSpec":
-        """Read a specification in TOML; what is left out has its default.
+        """Read a specification in TOML; missing keys have their defaults.
 
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
         ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have

@@ -161,7 +161,7 @@ def _check_version(text: bytes) -> None:
 
 
 def _stored(line: str, where: str) -> Stored:
-    """Return what two lines say of a variable; they are as long as its chunks are many."""
+    """Return a variable from its two lines, whose length grows with its chunks."""
     found, there = _LINE.fullmatch(line), _WHERE.fullmatch(where)
     if found is None or there is None:
         raise RefusalError(DAMAGED)

@@ -1,4 +1,4 @@
-"""What a file, and each of its datasets, says of itself in words and numbers. No JAX."""
+"""Attributes of a file and of its datasets, in words and numbers. No JAX."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from jaxstab.atlas.format.schema import Variable
 
 
 def head_attributes(created_by: str, filters: str) -> dict[str, Any]:
-    """Return what a file says of itself, but for the digest of its values."""
+    """Return the attributes of a file, without the digest of its values."""
     return {
         "format": schema.FORMAT,
         "title": "Stability of a haptic rendering loop over its dimensionless parameters",
@@ -24,7 +24,7 @@ def head_attributes(created_by: str, filters: str) -> dict[str, Any]:
 
 
 def attributes_of(variable: Variable) -> dict[str, Any]:
-    """Return what a dataset says of itself."""
+    """Return the attributes of a dataset."""
     attributes: dict[str, Any] = {
         "long_name": variable.long_name,
         "interpretation": variable.interpretation,

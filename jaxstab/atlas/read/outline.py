@@ -55,7 +55,7 @@ def outline_at(
 
 
 def _part(arrays: Mapping[str, NDArray[Any]], counts: str, place: tuple[int, int, int]) -> slice:
-    """Return where the values of a slice are, without the NaN that ends them."""
+    """Return the range of the values of a slice, without the NaN at its end."""
     gamma, delta, delay = place
     in_order = np.transpose(arrays[counts], (2, 0, 1))
     ends = np.cumsum(in_order).reshape(in_order.shape)

@@ -122,7 +122,7 @@ def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArra
 
 
 def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str, int]:
-    """Return how long all tiles together are along the dimensions that the grid does not have."""
+    """Return the total length of all tiles along each dimension that is not one of the grid."""
     flat = [
         n for n in names if not (plan.is_gridded(n) or VARIABLES[n].is_axis or n == schema.SPEC)
     ]

@@ -34,7 +34,7 @@ _ATTEMPTS = 100
 
 
 def build_key(spec: AtlasSpec, created_by: str) -> str:
-    """Return what tells the tiles of a build from those of others: a digest of what it builds."""
+    """Return the hash of a specification; tiles of other builds do not match it."""
     words = "\n".join([spec.to_toml(), str(SCHEMA_VERSION), created_by])
     return hashlib.sha256(words.encode()).hexdigest()
 

@@ -82,7 +82,7 @@ def _write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any
 
 
 def places_of(dataset: h5py.Dataset) -> list[Place]:
-    """Return where the chunks of a dataset lie in its file, which was flushed, in their order."""
+    """Return the offsets of the chunks of a dataset in a flushed file, in order."""
     found: dict[tuple[int, ...], Place] = {}
 
     def note(chunk: Any) -> None:

@@ -128,7 +128,7 @@ def is_stable(
     """Return True where all poles are proved to lie inside the unit circle.
 
     False where the loop is unstable, marginal, or closer to the boundary than float64 can decide:
-    ``verdict`` tells these apart.
+    ``verdict`` distinguishes the two.
 
     Args:
         alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
