@@ -297,7 +297,7 @@ def test_the_derivative_in_a_cut_off_against_differences_of_balls(way: str) -> N
 
     cutoff = -np.log(0.75) / (2.0 * np.pi)  # the same filter as by a factor of 0.25
     slope = slope_of_true_radius(0.25) * 2.0 * np.pi * 0.75  # d factor / d cutoff
-    derivative = jax.jacfwd(radius) if way == "forwards" else jax.grad(radius)
+    derivative = jax.jit(jax.jacfwd(radius) if way == "forwards" else jax.grad(radius))
     assert derivative(cutoff) == pytest.approx(slope, rel=1e-9)
 
 

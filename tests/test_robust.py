@@ -111,18 +111,21 @@ def test_robust_region_refuses_bad_input(arguments, message):
         robust_region(*arguments)
 
 
+@pytest.mark.parametrize("samples", [5, pytest.param(20, marks=pytest.mark.campaign)])
 def test_a_robust_region_with_a_window_holds_for_hands_that_certified_roots_judge(
-    rng: np.random.Generator,
+    rng: np.random.Generator, samples: int
 ) -> None:
     gamma, delta, delay = (0.0, 1e-3), (0.002, 0.01), 1.0
-    window = jaxstab.Velocity.difference(samples=20)
+    window = jaxstab.Velocity.difference(samples=samples)
     region = robust_region(gamma, delta, delay, velocity=window)
     assert region.status == RobustStatus.PROVED
     hands = [(g, d) for g in gamma for d in delta] + list(
         zip(rng.uniform(*gamma, 2), rng.uniform(*delta, 2), strict=True)
     )
     one = filtered.average(1)
-    loops = [filtered.FilteredLoop(g, d, delay, filtered.difference(20), one) for g, d in hands]
+    loops = [
+        filtered.FilteredLoop(g, d, delay, filtered.difference(samples), one) for g, d in hands
+    ]
     for wall in region.outline[:: len(region.outline) // 4]:
         assert all(loop.code(*wall) == Verdict.STABLE for loop in loops)
     # No more is given away than the tolerance: some hand forbids what lies a little farther out.

@@ -105,7 +105,7 @@ class TestSpectralRadius:
     @pytest.mark.parametrize("delay", [0, pytest.param(1.5, marks=pytest.mark.campaign)])
     def test_gradient_is_the_motion_of_the_dominant_root(self, delay: float) -> None:
         function = lambda *scene: jaxstab.spectral_radius(*scene, delay).value  # noqa: E731
-        gradient = jax.grad(function, argnums=(0, 1, 2, 3))(*SCENE)
+        gradient = jax.jit(jax.grad(function, argnums=(0, 1, 2, 3)))(*SCENE)
         for axis, derivative in enumerate(gradient):
             with mp.workdps(60):
                 moved = [list(map(mpf, SCENE)) for _ in range(2)]

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from functools import partial
 
 import jax
 import numpy as np
@@ -62,6 +63,12 @@ def multiple_root(plant: Plant, near: jaxstab.OptimalGains, angle: float) -> lis
 
 TRIPLE_ROOTS = [(0.0, 0.0, 0.0), (1e-3, 0.015, 1.0), (0.1, 1.0, 0.5), (0.0, 0.3, 2.3)]
 DOUBLE_PAIRS = [((1.0, 0.0, 1.0), 0.94862), ((5.0, 0.3, 0.5), 2.11121)]
+
+
+@partial(jax.jit, static_argnums=2)
+def slopes_in_gamma(gamma: jax.Array, delta: jax.Array, delay: float) -> tuple[jax.Array, ...]:
+    """The derivatives of the smallest radius and of its gains: compiled once for each delay."""
+    return jax.jacfwd(lambda g: jaxstab.minimize_radius(g, delta, delay)[:3])(gamma)
 
 
 class TestMinimizeRadius:
@@ -178,7 +185,7 @@ class TestMinimizeRadius:
         self, plant: Plant, angle: float
     ) -> None:
         gamma, delta, delay = plant
-        slopes = jax.jacfwd(lambda g: jaxstab.minimize_radius(g, delta, delay)[:3])(gamma)
+        slopes = slopes_in_gamma(gamma, delta, delay)
         step = mpf(10) ** -8
         best = jaxstab.minimize_radius(*plant)
         below, above = (
