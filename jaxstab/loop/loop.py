@@ -41,7 +41,10 @@ class HapticLoop(LoopWithWalls):
     checked.
 
     Device and hand are one mass by the fields ``device_mass`` to ``hand_stiffness``, or any linear
-    system by ``device`` alone, which has its hands.
+    system by ``device`` alone, which has its hands. Of any device all is answered but
+    ``worst_hand`` and ``robust_limit``, which put other hands to it: ask ``jaxstab.common_region``
+    of a list of loops. One that does not give way to a constant force, G(0) = 0, has verdicts,
+    radii, poles and margins alone.
 
     Source: eqs. (1) and (12), Table I.
 

@@ -1,0 +1,51 @@
+"""A device that does not give way to a constant force, G(0) = 0: what it is asked, and what not."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxstab import Device, HapticLoop, Verdict, common_region
+
+WASHED = HapticLoop(
+    device=Device.transfer_function([1.0, 0.0], [1.0, 20.0, 500.0]), sample_time=1e-3, delay=1e-3
+)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda loop: loop.region(),
+        lambda loop: loop.limits(),
+        lambda loop: loop.stiffness_limits(1.0),
+        lambda loop: loop.damping_limits(1.0),
+        lambda loop: loop.boundary_distance(1.0, 1.0),
+        lambda loop: loop.tune(),
+        lambda loop: loop.settling_time(1.0, 1.0),
+        lambda loop: loop.simulate(1.0, 1.0, force=1.0),
+        lambda loop: loop.amplitude(1.0, 1.0, encoder=1e-5),
+        lambda loop: common_region([loop]),
+    ],
+)
+def test_what_needs_a_rest_is_refused_in_a_sentence(ask: Any) -> None:
+    with pytest.raises(ValueError, match="does not give way to a constant force") as caught:
+        ask(WASHED)
+    assert "\n" not in str(caught.value)
+
+
+def test_its_walls_have_verdicts_radii_and_margins() -> None:
+    margins = WASHED.margins(60.0, 0.0)
+    assert margins.verdict == Verdict.STABLE
+    least, most = margins.stiffness
+    assert WASHED.is_stable(least + 1e-6 * abs(least), 0.0)
+    for gain in (least - 1e-4 * abs(least), most * (1.0 + 1e-4)):
+        assert WASHED.verdict(gain, 0.0) == Verdict.UNSTABLE
+    later = HapticLoop(
+        device=WASHED.device, sample_time=1e-3, delay=1e-3 + 0.999 * float(margins.extra_delay)
+    )
+    assert later.is_stable(60.0, 0.0)
+    assert np.isinf(WASHED.margins(10.0, 0.0).extra_delay)  # |K G| < 1 at all frequencies
+    mode = WASHED.oscillation(60.0, 0.0)
+    radius = float(WASHED.spectral_radius(60.0, 0.0).value)
+    assert radius < 1.0
+    assert np.isfinite(float(mode.frequency))
