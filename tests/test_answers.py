@@ -320,7 +320,7 @@ def test_what_is_zero_by_the_geometry_is_printed_as_zero() -> None:
 
 def test_what_is_not_proved_is_said_so_and_an_unstable_wall_never_settles() -> None:
     lines = dict(printed("check", *FREE, "--wall", "b", "1000", "10", exit_code=1))
-    assert lines["stiffness gain"] == lines["extra delay"] == "none is proved"
+    assert lines["stiffness gain"] == lines["extra delay"] == "none: the wall is not stable"
     assert lines["settling time 2 percent"] == "never"
     assert lines["settling status"] == "the loop is unstable and never settles"
     slow = dict(printed("check", *FREE, "--wall", "c", "1e-9", "1e-3"))

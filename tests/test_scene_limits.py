@@ -13,7 +13,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
 from jaxstab.pictures.scene import scene_figure
-from jaxstab.scene import Scene, check_walls, scene_limits
+from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
 from jaxstab.scene.explained import DIAGRAM
 from jaxstab.scene.limits import inwards
 
@@ -255,3 +255,41 @@ def assert_printed_walls_are_stable(rng: np.random.Generator) -> None:
     (_, _, stiffness), (_, _, at_damping), (_, _, damping), (_, _, at_stiffness) = numbers[:4]
     for wall in ((stiffness, at_damping), (at_stiffness, damping)):
         assert loop.verdict(*map(float, wall)) != Verdict.UNSTABLE, (device, controller, wall)
+
+
+def test_limits_around_a_wall_are_those_of_the_interval_that_it_is_in() -> None:
+    """At a damping of 2 N s/m walls of 0 to 900 N/m and, far above them, others are stable."""
+    table: dict[str, Any] = {
+        "device": {
+            "mass": 0.25,
+            "damping": 0.1,
+            "actuator": {"bandwidth": 200.0},
+            "modes": [{"frequency": 80.0, "damping_ratio": 0.02, "modal_mass": 1.5}],
+        },
+        "hand": {"mass": 0.2, "damping": 0.5, "grip": {"stiffness": 2000.0, "damping": 4.0}},
+        "controller": {
+            "sample_time": 1e-3,
+            "delay_samples": 1.0,
+            "velocity": {"window_samples": 20},
+        },
+        "walls": {"low": {"stiffness": 100.0, "damping": 2.0}},
+    }
+    scene = Scene.from_table(table)
+    low, high = scene_limits(scene).walls["wall low"].stiffness_limits
+    loop = loop_of(scene)
+    assert low <= 100.0 <= high < 3000.0
+    assert loop.verdict(0.999 * high, 2.0) == Verdict.STABLE
+    assert loop.verdict(1.001 * high, 2.0) == Verdict.UNSTABLE
+    farthest = float(loop.stiffness_limits(2.0)[1])
+    assert farthest > 1.2 * high
+    assert loop.verdict(0.999 * farthest, 2.0) == Verdict.STABLE
+
+
+def test_the_hand_that_limits_are_of_stands_before_them_and_the_linear_rule_is_no_limit() -> None:
+    lines = run("limits", *OMEGA, "--hand-mass", "0:0.2").stdout.splitlines()
+    assert re.match(r"hand +at its lowest values; below stands what all hands allow$", lines[1])
+    assert lines[2] == "best"
+    rule = answered("limits", *OMEGA)["linear_rule"]
+    best = answered("limits", *OMEGA)["best"]
+    share = rule["largest_stiffness"] / best["largest_stiffness"]
+    assert rule["linear_rule_is"].endswith(f"here {share:.2g} times the exact limit")

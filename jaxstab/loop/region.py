@@ -199,8 +199,14 @@ class WallRegion(ShownRegion):
     ) -> Float64[np.ndarray, "row interval 2"]:
         """Return all intervals of stable K at dampings B in N s/m, rising; NaN behind the last."""
         rows = self.loop.beta(np.asarray(checked_gain("damping", damping)))
-        ends = measures.crossings(self.region.coefficients, self.region.outline, rows, axis=1)
-        return self.loop.stiffness(ends).reshape(len(rows), -1, 2)
+        return self.loop.stiffness(self._intervals(rows, axis=1))
+
+    def damping_intervals(
+        self, stiffness: Float64[np.ndarray, " row"]
+    ) -> Float64[np.ndarray, "row interval 2"]:
+        """Return all intervals of stable B at stiffnesses K in N/m, rising; NaN behind the last."""
+        columns = self.loop.alpha(np.asarray(checked_gain("stiffness", stiffness)))
+        return self.loop.damping(self._intervals(columns, axis=0))
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
         """Return whether walls (K, B) lie inside of the exact boundary; all False if UNRESOLVED."""
@@ -229,6 +235,12 @@ class WallRegion(ShownRegion):
         return Gains(
             *(float(without_noise(*pair)) for pair in zip(exact, self.extent, strict=True))
         )
+
+    def _intervals(self, values: Float64[np.ndarray, " row"], axis: int) -> np.ndarray:
+        region = self.region
+        ends = measures.crossings(region.coefficients, region.outline, values, axis=axis)
+        count = ends.shape[1] // 2  # lines that meet nothing have one column of NaN
+        return ends[:, : 2 * count].reshape(len(values), count, 2)
 
     def _last_interval(self, values: Array, axis: int) -> Array:
         region = self.region

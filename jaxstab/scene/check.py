@@ -64,6 +64,13 @@ class Margins(Answer):
 
 
 @dataclass(frozen=True)
+class NoMargins(Margins):
+    """The margins of a wall that is not stable."""
+
+    absent = "none: the wall is not stable"
+
+
+@dataclass(frozen=True)
 class Distance(Answer):
     """The distance to the edge of stability in units of alpha and beta."""
 
@@ -195,6 +202,8 @@ def _checked(
                 measured[name] = measure()
             except NotImplementedError:
                 refused.append(name)
+    if code == Verdict.UNSTABLE and margins is not None:
+        margins = NoMargins(**vars(margins))
     words = f"{', '.join(refused)}: {_OF_ONE_MASS}" if refused else None
     return WallCheck(*gains, code, tried, hand, margins, **measured, not_answered=words)
 

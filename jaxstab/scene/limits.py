@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from math import nan
 
+import numpy as np
+
 from jaxstab.criteria import linear_alpha_limit, passive_region
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
 from jaxstab.model import Velocity
@@ -18,11 +20,12 @@ from jaxstab.scene.answers import (
     StiffnessLimits,
 )
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.hands import LOWEST_HAND, AllHands, limit_for_all
+from jaxstab.scene.hands import AllHands, Floats, limit_for_all
 from jaxstab.scene.loops import hands_of, is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 _NOT_REACHABLE = "not reachable by turning gains up"
+_LOWEST_HAND = "at its lowest values; below stands what all hands allow"
 _FAR = "small gains are not stable: no wall is reachable by turning gains up"
 _WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
 
@@ -48,6 +51,13 @@ class OtherWindow(StiffestWall):
     """The same for another window of the velocity."""
 
     absent = "not resolved"
+
+
+@dataclass(frozen=True)
+class LinearRule(StiffestWall):
+    """What the linear rule allows at the damping of the stiffest wall: it is no limit."""
+
+    linear_rule_is: str
 
 
 @dataclass(frozen=True)
@@ -89,17 +99,17 @@ class Limits(Answer):
 
     basis: Basis | None
     safety: Number | None
+    hand: str | None
     best: StiffestWall
     most_damped: MostDampedWall
     reached: str | None
     islands: dict[str, Island]
     passive: StiffestWall | None
-    linear_rule: StiffestWall | None
+    linear_rule: LinearRule | None
     windows: dict[str, OtherWindow]
     at_given_damping: StiffnessesAtDamping | None
     at_given_stiffness: DampingsAtStiffness | None
     walls: dict[str, AroundWall]
-    hand: str | None
     all_hands: AllHands | None
 
 
@@ -122,21 +132,19 @@ def scene_limits(scene: Scene) -> Limits:
     return Limits(
         basis=basis_of(scene),
         safety=wanted.safety,
+        hand=_LOWEST_HAND if hands_of(scene) else None,
         best=StiffestWall(*rows.scaled_stiffness(limits.stiffness, limits.at_damping)),
         most_damped=MostDampedWall(*rows.scaled_damping(limits.damping, limits.at_stiffness)),
         reached=None if limits.is_reachable or region.is_empty else _FAR,
         islands={} if wanted.safety else _islands(limits),
         passive=_passive(loop, safety) if has_rules else None,
         linear_rule=(
-            StiffestWall(rows.linear_rule(limits.at_damping), limits.at_damping)
-            if has_rules and not region.is_empty
-            else None
+            _linear_rule(rows, limits, safety) if has_rules and not region.is_empty else None
         ),
         windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
         at_given_damping=None if damping is None else rows.at_damping(damping),
         at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
         walls={f"wall {name}": rows.around(*wall) for name, wall in walls_of(scene).items()},
-        hand=LOWEST_HAND if hands_of(scene) else None,
         all_hands=limit_for_all(scene, safety),
     )
 
@@ -161,26 +169,39 @@ class _Rows:
         is_inside = self.safety == 1.0 or bool(self.region.contains(stiffness, scaled))
         return scaled if is_inside else nan, stiffness
 
-    def at_damping(self, damping: float) -> StiffnessesAtDamping:
-        """Return the stable stiffnesses at a damping."""
-        low, high = self.region.stiffness_limits(damping).tolist()
+    def at_damping(self, damping: float, stiffness: float = nan) -> StiffnessesAtDamping:
+        """Return the stable stiffnesses at a damping: around one, if that is stable there."""
+        around = _around(self.region.stiffness_intervals(np.array([damping])), stiffness)
+        low, high = around or self.region.stiffness_limits(damping).tolist()
         rule = self.linear_rule(damping) if is_plain(self.loop) else None
         return StiffnessesAtDamping(damping, inwards(low, high, self.safety), rule)
 
-    def at_stiffness(self, stiffness: float) -> DampingsAtStiffness:
-        """Return the stable dampings at a stiffness."""
-        low, high = self.region.damping_limits(stiffness).tolist()
+    def at_stiffness(self, stiffness: float, damping: float = nan) -> DampingsAtStiffness:
+        """Return the stable dampings at a stiffness: around one, if that is stable there."""
+        around = _around(self.region.damping_intervals(np.array([stiffness])), damping)
+        low, high = around or self.region.damping_limits(stiffness).tolist()
         return DampingsAtStiffness(stiffness, inwards(low, high, self.safety))
 
     def around(self, stiffness: float, damping: float) -> AroundWall:
         """Return both for a wall."""
-        return AroundWall(**vars(self.at_damping(damping)), **vars(self.at_stiffness(stiffness)))
+        by_damping = self.at_damping(damping, stiffness)
+        return AroundWall(**vars(by_damping), **vars(self.at_stiffness(stiffness, damping)))
 
     def linear_rule(self, damping: float) -> float:
         """Return the largest stiffness of the linear rule at a damping."""
         loop = self.loop
         limit = linear_alpha_limit(loop.beta(damping), loop.delta, loop.delay_samples)
         return self.safety * loop.stiffness(float(limit))
+
+
+def _around(intervals: Floats, value: float) -> tuple[float, float] | None:
+    """Return the interval of the first row that a value is in, where there are several."""
+    ends = intervals[0]
+    inside = np.flatnonzero((ends[:, 0] <= value) & (value <= ends[:, 1]))
+    if np.isfinite(ends[:, 0]).sum() < 2 or not inside.size:
+        return None
+    low, high = ends[inside[0]].tolist()
+    return low, high
 
 
 def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
@@ -199,6 +220,14 @@ def _islands(limits: WallLimits) -> dict[str, Island]:
         f"island {number}": Island(*island[:4], _NOT_REACHABLE)
         for number, island in enumerate(limits.islands, 1)
     }
+
+
+def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule:
+    stiffness = rows.linear_rule(limits.at_damping)
+    exact, words = safety * limits.stiffness, "an approximation for small gains"
+    if exact > 0.0:
+        words += f", here {stiffness / exact:.2g} times the exact limit"
+    return LinearRule(stiffness, limits.at_damping, words)
 
 
 def _passive(loop: HapticLoop, safety: float) -> StiffestWall:
