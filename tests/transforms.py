@@ -37,7 +37,9 @@ def _of_one_argument(name: str) -> tuple[str, Callable[[Any], Any], Any]:
     keywords = dict(enumerate(given)) | options
     traced = next((key for key, value in keywords.items() if isinstance(value, float)), 0)
     value = keywords[traced]
-    what = "loop" if is_dataclass(value) else "a number"
+    loops = value if isinstance(value, list) else [value]
+    is_of_loops = all(is_dataclass(loop) for loop in loops)
+    what = ("loop" if value is loops[0] else "loops") if is_of_loops else "a number"
 
     def of_one(argument: Any) -> Any:
         every = keywords | {traced: argument}
@@ -45,7 +47,7 @@ def _of_one_argument(name: str) -> tuple[str, Callable[[Any], Any], Any]:
         answer = function(*(every[index] for index in range(len(given))), **named)
         return [leaf for leaf in leaves(answer) if isinstance(leaf, jax.Array)] or answer
 
-    return what, of_one, value if is_dataclass(value) else jnp.asarray(value)
+    return what, of_one, value if is_of_loops else jnp.asarray(value)
 
 
 def _stacked(value: Any) -> Any:
