@@ -61,3 +61,8 @@ function links(states) {
 function scenes(states) {
   return states.map(sceneOf);
 }
+
+/** Lines of the linear rule between two stiffnesses. */
+function rules(cases) {
+  return cases.map((setup) => linearRule(setup, [0, 1000]));
+}

@@ -33,6 +33,7 @@ from explorer import (
 import jaxstab
 from jaxstab.explore import SCRIPTS, explorer_page, script
 from jaxstab.scene import Scene
+from jaxstab.scene import loop_of as scene_loop
 
 SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))
 LARGEST_PAGE = 1.8e6  # bytes
@@ -234,6 +235,16 @@ def test_regions_have_the_components_and_extremes_of_the_exact_ones(
 
 
 @needs_node
+def test_an_estimator_by_its_coefficients_has_its_own_region() -> None:
+    table = {"velocity": {"preset": "hapkit"}, "sample_time": 1e-4}
+    scene = Scene.from_table({"device": {"mass": 0.1, "damping": 1.0}, "controller": table})
+    state = initial_of(explorer_page(scene))["state"]
+    (answer,) = asked_of_node("regions", [state | {"estimator": state}])
+    limits = scene_loop(scene).limits()
+    assert answer["farthest"][0][0] == pytest.approx([limits.stiffness, limits.at_damping])
+
+
+@needs_node
 def test_margins_and_settling_times_of_walls(rng: np.random.Generator) -> None:
     found = setups_with_walls(rng, 2, 20)
     answers = asked_of_node("walls", [setup for _, setup, *_ in found])
@@ -269,6 +280,17 @@ def test_passive_walls_are_those_of_python(rng: np.random.Generator) -> None:
         points = np.array(outline[:-1]) * [alpha, beta]
         assert np.all(region.contains(*(0.995 * points).T))
         assert not np.any(region.contains(*(1.005 * points).T))
+
+
+@needs_node
+def test_the_linear_rule_is_that_of_python(rng: np.random.Generator) -> None:
+    setups = [random_setup(rng) for _ in range(20)]
+    for setup, line in zip(setups, asked_of_node("rules", setups), strict=True):
+        loop = loop_of(setup)
+        for stiffness, damping in line:
+            limit = jaxstab.linear_alpha_limit(loop.beta(damping), loop.delta, loop.delay_samples)
+            size = abs(loop.delta) + loop.beta(abs(damping))
+            assert abs(limit - loop.alpha(stiffness)) <= 1e-12 * size
 
 
 @needs_node

@@ -91,7 +91,7 @@ function draw() {
   const now = computed(), { setup, loop, scale, plain } = now;
   const ends = windowAround(pointsInView(now));
   const walls = state.walls.map((wall) => ({ ...wall, ...factsAtOnce(loop, scale, wall) }));
-  const rule = ends[1].map((damping) => [linearRule(setup, damping), damping]);
+  const rule = linearRule(setup, ends[0]);
   const view = {
     size, ends, rule, walls, units: units(), main: now.main, islands: now.islands,
     passive: passiveWalls(setup), oneSample: plain && plain.outline,

@@ -6,6 +6,7 @@ const MARGINS = { left: 62, right: 30, top: 14, bottom: 42 };
 const NICE_ENDS = [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10];
 const NICE_STEPS = [1, 2, 2.5, 5, 10];
 const LARGEST_SHARE = 1e3; // of a final position
+const FARTHEST = 2000; // times the frame: a pixel still has its place in float32
 const FARTHEST_WALL = 4; // times the region: walls beyond are drawn at the edge
 
 /** A new element of SVG with attributes. */
@@ -59,7 +60,7 @@ function pathOf(frame, points, isClosed = true) {
 
 /** A pixel, not so far away that the browser's own numbers end. */
 function near(pixel, start, size) {
-  return Math.min(start + 40 * size, Math.max(start - 40 * size, pixel)).toFixed(1);
+  return Math.min(start + FARTHEST * size, Math.max(start - FARTHEST * size, pixel)).toFixed(1);
 }
 
 /** Draw the plane: see picture() of page.js for what is in a scene. */

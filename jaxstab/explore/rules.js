@@ -68,7 +68,8 @@ function passiveWalls(setup) {
   return passiveShape(setup.delay).map(([a, b]) => [a * per, b * setup.damping]);
 }
 
-/** The stiffness up to which the linear rule promises stability at a damping of the wall. */
-function linearRule(setup, damping) {
-  return (damping + setup.damping + setup.handDamping) / ((setup.delay + 0.5) * setup.period);
+/** The line (K, B) of the linear rule, which promises stability to its left, between two K. */
+function linearRule(setup, ends) {
+  const lag = (setup.delay + 0.5) * setup.period, own = setup.damping + setup.handDamping;
+  return ends.map((stiffness) => [stiffness, stiffness * lag - own]);
 }

@@ -42,7 +42,7 @@ function showLegend({ islands, setup, plain }, view) {
   const rows = [["stable", "stable"]];
   if (islands.length) rows.push(["island", "stable, but turning gains up does not reach it"]);
   if (plain) rows.push(["ghost", "stable with the difference over one sample"]);
-  rows.push(["rule", `linear rule${plain ? ", which knows of no filter" : ""}: stable to its left`]);
+  rows.push(["rule", `linear rule${plain ? ", which knows of no filter" : ""}: promises stability above it`]);
   if (view.passive.length) {
     const most = Math.max(...view.passive.map(([stiffness]) => stiffness));
     rows.push(["passive", `passive for any hand, up to ${stiffnessInWords(most)}`]);
