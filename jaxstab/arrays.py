@@ -27,6 +27,7 @@ Kept = TypeVar("Kept")
 Class = TypeVar("Class", bound=type)
 
 _PLAIN = frozenset({float, int, np.ndarray, np.float64})
+_PLAIN_OR_NONE = _PLAIN | {type(None)}
 
 _unregistered: list[type] = []
 
@@ -46,7 +47,7 @@ def is_traced(value: object) -> bool:
 
 def is_any_traced(*trees: object) -> bool:
     """Return whether a leaf of nested values is known to JAX's transformations alone."""
-    return "jax" in sys.modules and any(is_traced(leaf) for tree in trees for leaf in leaves(tree))
+    return "jax" in sys.modules and any(map(is_traced, leaves(trees, plain=False)))
 
 
 def are_numbers(*trees: object) -> bool:
@@ -60,7 +61,7 @@ def namespace(*values: object) -> Any:
     """Return ``jax.numpy`` if a leaf of the values is a JAX array or a tracer, else ``numpy``."""
     if _unregistered and hasattr(sys.modules.get("jax"), "Array"):  # JAX is loaded by now
         _register()
-    if "jax" in sys.modules and any(is_jax(leaf) for value in values for leaf in leaves(value)):
+    if "jax" in sys.modules and any(map(is_jax, leaves(values, plain=False))):
         import jax.numpy
 
         return jax.numpy
@@ -73,15 +74,20 @@ def float_arrays(*values: Numbers) -> list[Array]:
     return [xp.asarray(value, xp.float64) for value in values]
 
 
-def leaves(tree: object) -> Iterator[Any]:
-    """Yield the arrays and numbers of nested tuples, lists, dicts and pytree dataclasses."""
+def leaves(tree: object, *, plain: bool = True) -> Iterator[Any]:
+    """Yield the arrays and numbers of nested tuples, lists, dicts and pytree dataclasses.
+
+    Those of NumPy and Python are passed over if they are not asked for (``plain``).
+    """
     pending = [tree]  # no recursion: kernels ask often, and a generator in another costs time
     while pending:
         part = pending.pop()
         if type(part) in _PLAIN:
-            yield part
+            if plain:
+                yield part
         elif isinstance(part, tuple | list):
-            pending.extend(reversed(part))
+            if plain or not _PLAIN_OR_NONE.issuperset(map(type, part)):
+                pending.extend(reversed(part))
         elif isinstance(part, dict):
             pending.extend(reversed(part.values()))
         elif is_dataclass(part) and not isinstance(part, type):
