@@ -172,10 +172,7 @@ def _draw_best(panel: Axes, loop: HapticLoop, region: WallRegion, units: Units) 
     stiffest = f"stiffest: {_LARGEST.words(region.stiffest.stiffness, units)}"
     damping = _DAMPING.words(region.stiffest.damping, units)
     panel.plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"{stiffest}, {damping}")
-    try:
-        fastest = loop.tune("settling")
-    except NotImplementedError:  # of a device that is not one mass
-        return
+    fastest = loop.tune("settling")
     if fastest.status == TuningStatus.NO_STABLE_GAINS:
         return
     gains = (
@@ -199,10 +196,7 @@ def _draw_chatter(
     """Draw lines of equal bounds of what the encoder's rounding does to the position."""
     resolution = encoder.resolution
     stiffness, damping = _columns_and_rows(region, _CALM_COLUMNS)
-    try:
-        found = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
-    except NotImplementedError:  # of a device that is not one mass
-        return
+    found = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
     counts = np.where(np.isfinite(found.position), found.position / resolution, np.nan)
     fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
     levels = [count for count in _COUNTS if fewest < count < most]

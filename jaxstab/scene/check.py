@@ -35,7 +35,6 @@ from jaxstab.scene.loops import corner_loops, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
-_OF_ONE_MASS = "answered for a device and a hand that are one mass"
 
 
 Ends = Float64[np.ndarray, "wall hand 2"]
@@ -139,7 +138,6 @@ class WallCheck(Answer):
     settling: Settling | None = None
     oscillation: Oscillation | None = None
     chatter: Chatter | None = None
-    not_answered: str | None = None
 
 
 @dataclass(frozen=True)
@@ -157,8 +155,6 @@ class Check(Answer):
 
 def check_walls(scene: Scene) -> Check:
     """Return for each wall its verdict and the measures that are wanted, at the worst hand.
-
-    What the loop of a device that is not one mass does not answer is said in words.
 
     Raises:
         ValueError: there is no wall, or a quantity is out of range.
@@ -194,18 +190,11 @@ def _checked(
     if encoder is not None:
         held = list(dict.fromkeys([*loops, loop]))
         measures["chatter"] = lambda: _chatter(held, gains, encoder.resolution)
-    measured: dict[str, Any] = {}
-    refused = []
-    for name, measure in measures.items():
-        if name in scene.wanted.measures:
-            try:
-                measured[name] = measure()
-            except NotImplementedError:
-                refused.append(name)
+    wanted = scene.wanted.measures
+    measured: dict[str, Any] = {name: ask() for name, ask in measures.items() if name in wanted}
     if code == Verdict.UNSTABLE and margins is not None:
         margins = NoMargins(**vars(margins))
-    words = f"{', '.join(refused)}: {_OF_ONE_MASS}" if refused else None
-    return WallCheck(*gains, code, tried, hand, margins, **measured, not_answered=words)
+    return WallCheck(*gains, code, tried, hand, margins, **measured)
 
 
 def _margins(loops: list[HapticLoop], walls: list[Gains]) -> list[Margins]:

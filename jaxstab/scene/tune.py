@@ -11,7 +11,7 @@ from jaxstab.scene.answers import Answer, Basis, Bound, Damping, Number, Stiffne
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import Amplitude, SettlingTime, settled
 from jaxstab.scene.hands import LOWEST_HAND, worst_held
-from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, reachable, wall_region
+from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
 from jaxstab.scene.over_ranges import WallOverRanges, tune_over_ranges
 from jaxstab.scene.scene import Scene
 from jaxstab.scene.units import Units
@@ -85,9 +85,7 @@ class _Encoder(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> "_Encoder":
-        """Return what a scene says, as far as it is answered for its device."""
-        if not is_one_mass(scene) and scene.wanted.chatter is None:
-            return cls(None, None)
+        """Return what a scene says."""
         encoder, limit = scene.device.encoder, scene.wanted.chatter
         return cls(
             None if encoder is None else encoder.resolution,
