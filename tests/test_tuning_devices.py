@@ -77,7 +77,9 @@ def test_the_best_damping_of_a_stiffness_is_that_of_a_scan(case: str) -> None:
     assert best.radius == pytest.approx(values.min(), abs=1e-4)
 
 
-@pytest.mark.parametrize("excitation", ["force", "impact"])
+@pytest.mark.parametrize(
+    "excitation", ["force", pytest.param("impact", marks=pytest.mark.campaign)]
+)
 @pytest.mark.parametrize("case", CASES)
 def test_no_wall_of_the_region_settles_much_faster(case: str, excitation: Any) -> None:
     """A wall may settle a little faster that rings on for very long; those are not taken."""
