@@ -150,6 +150,7 @@ def test_a_device_of_one_mass_is_the_loop_of_five_numbers() -> None:
     np.testing.assert_allclose(plain.value, PERIOD * general.value, rtol=1e-13)
 
 
+@pytest.mark.campaign
 def test_motions_of_a_device_go_through_jit_and_have_derivatives() -> None:
     """The derivative against differences; each lane of vmap against its own wall."""
     loop = loop_of(DRAWN["everything"], FILTERS["window and low pass"][0])
