@@ -1,0 +1,74 @@
+"""The command that writes a guard for C."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxstab.cli.options import number_or_range, picture_file
+from jaxstab.cli.scene_options import refused, scene_of, scene_options, warn
+
+
+def _range(context: click.Context, option: click.Parameter, text: str | None) -> Any:
+    ends = number_or_range(context, option, text)
+    if ends is not None and (not isinstance(ends, list) or len(ends) != 2):
+        raise click.BadParameter(f"{text!r} is no range; give LOW:HIGH.", param=option)
+    return ends and tuple(ends)
+
+
+def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
+    if text is None:
+        return None
+    try:
+        counts = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        counts = ()
+    if len(counts) != 3:
+        raise click.BadParameter(f"{text!r} is not MASS,DELAY,DAMPING.", param=option)
+    return counts
+
+
+@click.command()
+@scene_options
+@click.option("-o", "--output", type=Path, required=True, help="The header; its name names all.")
+@click.option("--masses", callback=_range, help="Of the device, LOW:HIGH; else 0.8 to 1.25 times.")
+@click.option("--delays", callback=_range, help="LOW:HIGH in s; else a sample less and more.")
+@click.option("--cells", callback=_cells, help="Cells along mass, delay, damping: powers of two.")
+@click.option("--plot", type=Path, callback=picture_file, help="PNG or SVG file of the limits.")
+def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
+    """Write a C header that clamps K and B to what is proved stable, for a running loop."""
+    if len(given["files"]) > 1 or given["sweep"] or given["csv_file"] or as_json:
+        raise click.UsageError("a guard is of one scene; give one FILE, no --sweep, --csv, --json.")
+    scene = scene_of(given)
+    warn(*scene.unusual())
+    with refused():
+        from jaxstab.durable import publish
+        from jaxstab.scene.guard import guard_about, header_of, scene_guard
+
+        cells = {"cells": given["cells"]} if given["cells"] else {}
+        with _progress() as show:
+            made = scene_guard(scene, given["masses"], given["delays"], progress=show, **cells)
+        publish(header_of(scene, made, output.stem).encode(), output)
+        if plot:
+            from jaxstab.pictures.guard import guard_figure
+            from jaxstab.pictures.style import picture
+
+            publish(picture(guard_figure(made, scene.units), plot.suffix[1:]), plot)
+    click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{guard_about(scene, made)}")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[float], None]]:
+    """Yield a function that draws a bar on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("proving", total=1.0)
+        yield lambda share: bar.update(task, completed=share)

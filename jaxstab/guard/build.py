@@ -1,0 +1,172 @@
+"""Building a guard: limits a little below the exact ones, lowered until all of them are proved."""
+
+from collections.abc import Callable
+from math import frexp
+
+import numpy as np
+from jaxtyping import Int64
+
+from jaxstab.guard.grid import Grid, interpolated
+from jaxstab.guard.guard import Guard, Range
+from jaxstab.guard.limits import boundary_of
+from jaxstab.guard.proof import are_stable, unproved
+from jaxstab.model import LoopParameters
+from jaxstab.numbers import checked_number
+from jaxstab.ranges import HandRange
+from jaxstab.ranges.hands import checked_range
+
+CELLS = 4, 8, 16
+"""Cells along mass, delay and damping, powers of two."""
+
+_PULL = 0.03  # of each limit
+_PULL_ALL = 0.02  # of the largest limit of the same mass and delay
+_PULL_TOP = 0.015  # of the largest damping
+_LOWER = 0.05  # of a limit whose proof was given up
+_ATTEMPTS = 12
+_FINER = 4  # parts of a cell, in which largest dampings are looked at
+_PLACES = 64  # in each cell, at which walls are tried before the proof
+_CODES = 0xFFFF
+
+
+def build_guard(
+    loop: LoopParameters,
+    hands: HandRange,
+    mass: Range,
+    delay: Range,
+    *,
+    cells: tuple[int, int, int] = CELLS,
+    progress: Callable[[float], None] | None = None,
+) -> Guard:
+    """Return the guard of a loop: walls that are proved stable for all hands, masses and delays.
+
+    Args:
+        loop: the loop, with its velocity estimator and position filter. The mass of its device,
+            its hand and its delay are not used.
+        hands: the range of hands.
+        mass: the lowest and the highest mass of the device in kg, such as it has over its postures.
+        delay: the shortest and the longest delay of the loop in s.
+        cells: how many cells there are along mass, delay and damping, powers of two. More of them
+            grant more, in a larger table that takes longer to prove.
+        progress: is told which share of the proof is done.
+
+    Raises:
+        ValueError: a range is empty or out of order, or the number of cells no power of two.
+        NotImplementedError: the loop has a device of other than one mass.
+        RuntimeError: the limits could not be proved.
+
+    Source: lemmas B3, B6, B10 and B14 of docs/proofs.md.
+
+    Example:
+        >>> guard = build_guard(loop, jaxstab.HandRange(), (0.2, 0.3), (1e-3, 2e-3))
+        >>> guard.largest_stiffness(10.0, 0.25, 1.5e-3)
+    """
+    _check(loop, hands, mass, delay, cells)
+    nodes = [
+        np.linspace(*ends, count + 1)
+        for ends, count in ((mass, cells[0]), (_in_samples(loop, delay), cells[1]))
+    ]
+    boundary = boundary_of(loop, hands, *nodes)
+    top, damping_unit = _coded(_tops(loop, hands, nodes) * (1.0 - _PULL_TOP))
+    share = np.linspace(0.0, 1.0, cells[2] + 1)
+    exact = boundary.largest_stiffness(top[..., None] * share)
+    if not (np.all(top > 0.0) and np.all(np.isfinite(exact))):
+        raise RuntimeError(
+            "no wall is stable for every hand at some mass and delay of the ranges; narrow them."
+        )
+    largest = exact.max(axis=-1, keepdims=True)
+    limit = np.maximum(exact * (1.0 - _PULL) - _PULL_ALL * largest, 0.0)
+    unit = _coded(limit)[1]
+    grid = Grid(*nodes, top, np.floor(limit / unit) * unit)
+    grid = _stable_at_places(loop, hands, grid, unit)
+    failed: Int64[np.ndarray, "3 cell"] | None = None
+    for _ in range(_ATTEMPTS):
+        failed = unproved(loop, hands, grid, failed, progress)
+        if not failed.shape[1]:
+            break
+        grid = _lowered(grid, failed, unit)
+    else:
+        raise RuntimeError(
+            "the limits could not be proved for all masses, delays and hands; narrow the ranges."
+        )
+    if not _is_stable_once(loop, hands, grid):
+        raise RuntimeError("no wall of the guard is proved stable; narrow the ranges.")
+    return Guard(loop, hands, mass, delay, grid, (unit, damping_unit))
+
+
+def _check(
+    loop: LoopParameters,
+    hands: HandRange,
+    mass: Range,
+    delay: Range,
+    cells: tuple[int, int, int],
+) -> None:
+    checked_range(hands)
+    if getattr(loop, "device", None) is not None:
+        raise NotImplementedError(
+            "the loop has a device of its own; a guard is proved for devices of one mass and "
+            "damping."
+        )
+    for name, ends, least in (("mass", mass, 0.0), ("delay", delay, 0.0)):
+        for end in ends:
+            checked_number(name, end, least)
+        if not ends[0] < ends[1] or (name == "mass" and ends[0] <= 0.0):
+            raise ValueError(f"{name} is {ends}; give the lower end first, then a higher one.")
+    for count in cells:
+        if count < 1 or count & (count - 1):
+            raise ValueError(f"cells are {cells}; give powers of two.")
+
+
+def _in_samples(loop: LoopParameters, delay: Range) -> Range:
+    return delay[0] / loop.sample_time, delay[1] / loop.sample_time
+
+
+def _tops(loop: LoopParameters, hands: HandRange, nodes: list[np.ndarray]) -> np.ndarray:
+    """Return largest dampings at nodes, low enough for those between nodes."""
+    fine = [
+        np.interp(np.arange((axis.size - 1) * _FINER + 1) / _FINER, np.arange(axis.size), axis)
+        for axis in nodes
+    ]
+    exact = boundary_of(loop, hands, *fine).largest_damping()
+    top = exact[::_FINER, ::_FINER]
+    places = np.indices(exact.shape).reshape(2, -1) / _FINER
+    share = np.minimum(exact / interpolated(top, places).reshape(exact.shape), 1.0)
+    windows = np.pad(share, _FINER, constant_values=1.0)
+    around = np.lib.stride_tricks.sliding_window_view(windows, (2 * _FINER + 1,) * 2)
+    lowest: np.ndarray = top * around[::_FINER, ::_FINER].min(axis=(2, 3))
+    return lowest
+
+
+def _coded(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return values rounded down to multiples of a power of two, and that unit."""
+    unit = 2.0 ** frexp(float(np.max(values)) / _CODES)[1]
+    return np.floor(values / unit) * unit, unit
+
+
+def _lowered(grid: Grid, cells: Int64[np.ndarray, "3 cell"], unit: float) -> Grid:
+    """Return a grid whose limits at all corners of some cells are lower."""
+    corners = np.zeros(grid.limit.shape, bool)
+    for corner in np.ndindex(2, 2, 2):
+        corners[tuple(cells + np.array(corner)[:, None])] = True
+    by = _LOWER * grid.limit + 0.2 * _PULL_ALL * grid.limit.max(axis=-1, keepdims=True)
+    lower = np.maximum(grid.limit - by, 0.0)
+    return grid._replace(limit=np.where(corners, np.floor(lower / unit) * unit, grid.limit))
+
+
+def _stable_at_places(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
+    """Return a grid lowered where walls at random places are not stable: no proof is tried there."""
+    rng = np.random.default_rng(0)
+    cells = np.indices(grid.cells).reshape(3, -1)
+    for _ in range(_ATTEMPTS):
+        places = np.repeat(cells, _PLACES, axis=1)
+        stable = are_stable(loop, hands, grid, places + rng.random(places.shape))
+        if stable.all():
+            break
+        cells = np.unique(places[:, ~stable], axis=1)
+        grid = _lowered(grid, cells, unit)
+    return grid
+
+
+def _is_stable_once(loop: LoopParameters, hands: HandRange, grid: Grid) -> bool:
+    """Return whether the stiffest wall of the grid is proved stable for one hand."""
+    best = np.unravel_index(np.argmax(grid.limit), grid.limit.shape)
+    return bool(are_stable(loop, hands, grid, np.array(best, float)[:, None])[0])

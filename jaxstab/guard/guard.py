@@ -1,0 +1,107 @@
+"""A guard: the walls that it lets through, and how much of what is stable these are."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.arrays import Numbers
+from jaxstab.guard.grid import Grid, interpolated
+from jaxstab.guard.limits import boundary_of
+from jaxstab.model import LoopParameters
+from jaxstab.ranges import HandRange
+
+Range = tuple[float, float]
+
+_SAMPLES = 25  # of mass and of delay
+_DAMPINGS = 100
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Walls that are proved stable for every hand of a range, for any mass and delay of ranges.
+
+    Attributes:
+        loop: the loop; its device's mass, its hand and its delay are those of the ranges.
+        hands: the range of hands.
+        mass: the lowest and the highest mass of the device in kg.
+        delay: the shortest and the longest delay in s.
+        grid: the proved limits between which the guard interpolates.
+        units: of the stiffness and the damping of the grid: all are whole multiples.
+    """
+
+    loop: LoopParameters
+    hands: HandRange
+    mass: Range
+    delay: Range
+    grid: Grid = field(repr=False)
+    units: tuple[float, float] = field(repr=False)
+
+    def largest_stiffness(
+        self, damping: Numbers, mass: Numbers, delay: Numbers
+    ) -> Float64[np.ndarray, "*grid"]:
+        """Return the stiffness up to which all walls are proved stable, as the header does.
+
+        Args:
+            damping: B in N s/m, any shape; all broadcast.
+            mass: of the device in kg.
+            delay: in s.
+
+        Returns:
+            Stiffness in N/m; 0 where nothing is proved, outside of the ranges too.
+        """
+        values = np.broadcast_arrays(
+            *(np.asarray(value, np.float64) for value in (damping, mass, delay))
+        )
+        damping_, *place = (value.ravel() for value in values)
+        index = np.stack(
+            [
+                (value - low) * (count / (high - low))
+                for value, (low, high), count in zip(
+                    place, (self.mass, self.delay), self.grid.cells[:2], strict=True
+                )
+            ]
+        )
+        ends = zip(place, (self.mass, self.delay), strict=True)
+        inside = np.all([(value >= low) & (value <= high) for value, (low, high) in ends], axis=0)
+        index = np.where(inside, index, 0.0)
+        top = interpolated(self.grid.top, index)
+        inside &= (damping_ >= 0.0) & (damping_ <= top)
+        row = np.where(inside, damping_ / top * self.grid.cells[2], 0.0)
+        limits = np.where(inside, interpolated(self.grid.limit, np.vstack([index, row])), 0.0)
+        return limits.reshape(values[0].shape)
+
+    def exact_stiffness(
+        self,
+        damping: Float64[np.ndarray, "mass delay damping"],
+        mass: Float64[np.ndarray, " mass"],
+        delay: Float64[np.ndarray, " delay"],
+    ) -> Float64[np.ndarray, "mass delay damping"]:
+        """Return the stiffness at which the first hand at a corner of the range is unstable.
+
+        Args:
+            damping: B in N s/m for each mass and delay.
+            mass: of the device in kg.
+            delay: in s.
+
+        Returns:
+            Stiffness in N/m, good to about 1e-3; 0 where no stiffness is stable.
+        """
+        boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
+        limits = boundary.largest_stiffness(damping)
+        inside = damping < boundary.largest_damping()[..., None]
+        return np.where(inside & np.isfinite(limits), limits, 0.0)
+
+    @property
+    def granted(self) -> float:
+        """The mean of what is granted over the mean of what is stable, over all of the range."""
+        mass, delay = (
+            low + (high - low) * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+            for low, high in (self.mass, self.delay)
+        )
+        boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
+        share = (np.arange(_DAMPINGS) + 0.5) / _DAMPINGS
+        damping = boundary.largest_damping()[..., None] * share
+        exact = self.exact_stiffness(damping, mass, delay)
+        own = self.largest_stiffness(damping, mass[:, None, None], delay[:, None])
+        return float(np.sum(own) / np.sum(exact))

@@ -1,0 +1,94 @@
+"""A guard as one header of C, with the table in it."""
+
+import re
+from importlib.resources import files
+
+import numpy as np
+
+from jaxstab.guard.guard import Guard
+
+LARGEST = 1_000_000
+"""Bytes of a header at most."""
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_WIDTH = 96
+_LINE = ("kg", "N/m", "N s/m")
+
+
+def guard_header(
+    guard: Guard, name: str, about: str = "", units: tuple[str, str, str] = _LINE
+) -> str:
+    """Return a C99 header with NAME_clamp and NAME_largest_stiffness.
+
+    Args:
+        guard: what is proved.
+        name: with which all names begin.
+        about: lines that say of which loop the guard is.
+        units: of mass, stiffness and damping.
+
+    Raises:
+        ValueError: the name is none of C, or the header would be larger than 1 MB.
+
+    Example:
+        >>> Path("omega_guard.h").write_text(guard_header(guard, "omega_guard"))
+    """
+    if not _NAME.fullmatch(name):
+        raise ValueError(
+            f"name is {name!r}; give letters, digits and underscores, a letter first."
+        )
+    grid, (stiffness_step, damping_step) = guard.grid, guard.units
+    masses, delays, rows = grid.limit.shape
+    values = {
+        "NAME": name,
+        "MACRO": name.upper(),
+        "VERSION": _version(),
+        "ABOUT": "\n".join(f" * {line}".rstrip() for line in about.replace("*/", "").splitlines()),
+        "KG": units[0],
+        "STIFFNESS_UNIT": units[1],
+        "DAMPING_UNIT": units[2],
+        "MASS_LOW": repr(float(guard.mass[0])),
+        "MASS_HIGH": repr(float(guard.mass[1])),
+        "DELAY_LOW": repr(float(guard.delay[0])),
+        "DELAY_HIGH": repr(float(guard.delay[1])),
+        "PER_MASS": repr((masses - 1) / (guard.mass[1] - guard.mass[0])),
+        "PER_DELAY": repr((delays - 1) / (guard.delay[1] - guard.delay[0])),
+        "STIFFNESS": repr(float(grid.limit.max())),
+        "DAMPING": repr(float(grid.top.max())),
+        "TOP_STEP": repr(damping_step),
+        "LIMIT_STEP": repr(stiffness_step),
+        "M": str(masses),
+        "D": str(delays),
+        "B": str(rows),
+        "M_LAST": str(masses - 2),
+        "D_LAST": str(delays - 2),
+        "B_LAST": str(rows - 2),
+        "ROWS": str(rows - 1),
+        "TOP": _table(grid.top / damping_step),
+        "LIMIT": _table(grid.limit / stiffness_step),
+    }
+    template = files("jaxstab.guard").joinpath("guard.h.in").read_text(encoding="utf-8")
+    text = re.sub(r"@([A-Z_]+)@", lambda match: values[match[1]], template)
+    if len(text.encode()) > LARGEST:
+        raise ValueError(f"the header would have {len(text)} bytes; give fewer cells.")
+    return text
+
+
+def _version() -> str:
+    import jaxstab
+
+    return jaxstab.__version__
+
+
+def _table(values: np.ndarray) -> str:
+    """Return whole numbers as an initialiser, a row of the last axis on lines of its own."""
+    if values.ndim > 1:
+        inner = ",\n".join("{" + _table(row) + "}" for row in values)
+        return inner if values.ndim == 2 else inner
+    lines, line = [], ""
+    for number in values:
+        word = f"{int(number)},"
+        if len(line) + len(word) > _WIDTH:
+            lines.append(line)
+            line = ""
+        line += word
+    return "\n".join([*lines, line]).rstrip(",")

@@ -1,0 +1,114 @@
+"""Where the stable walls of a loop end, for many devices, hands and delays at once.
+
+It is the closed form of the boundary at some angles, joined by straight lines: what the nodes of a
+guard are drawn from. Nothing here is a bound; the proof is ``jaxstab.guard.proof``.
+"""
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.boxes.circle import quick_plant
+from jaxstab.boxes.filter_cells import responses_at
+from jaxstab.model import LoopParameters
+from jaxstab.model.filters import known_filters
+from jaxstab.ranges import HandRange
+
+_ANGLES = 800
+_BEND = 1.5  # angles are closer to each other near 0
+
+Curves = Float64[np.ndarray, "mass delay hand angle"]
+
+
+class Boundary(NamedTuple):
+    """Walls with a root on the unit circle, for each mass, delay and hand at the corners.
+
+    Attributes:
+        stiffness: of walls with a pair of roots, in N/m.
+        damping: of the same in N s/m.
+        joined: whether two that follow each other are on one branch.
+        line: of walls with a root at -1: coefficients of K and B, and their sum.
+    """
+
+    stiffness: Curves
+    damping: Curves
+    joined: np.ndarray
+    line: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    def largest_damping(self) -> Float64[np.ndarray, "mass delay"]:
+        """Return the damping at which, without stiffness, the first hand becomes unstable."""
+        first, last = self.stiffness[..., :-1], self.stiffness[..., 1:]
+        crosses = self.joined & ((first > 0.0) != (last > 0.0))
+        share = first / np.where(crosses, first - last, 1.0)
+        damping = self.damping[..., :-1] + share * np.diff(self.damping, axis=-1)
+        curve = np.min(np.where(crosses & (damping > 0.0), damping, np.inf), axis=-1)
+        _, per_damping, total = self.line
+        line = total / np.where(per_damping == 0.0, np.inf, per_damping)
+        line = np.where(line > 0.0, line, np.inf)
+        largest: np.ndarray = np.minimum(curve, line).min(axis=-1)
+        return largest
+
+    def largest_stiffness(
+        self, damping: Float64[np.ndarray, "mass delay damping"]
+    ) -> Float64[np.ndarray, "mass delay damping"]:
+        """Return the stiffness at which, from 0 upwards, the first hand becomes unstable."""
+        rows = [self._first_stiffness(row) for row in np.moveaxis(damping, -1, 0)]
+        return np.stack(rows, axis=-1)
+
+    def _first_stiffness(self, damping: Float64[np.ndarray, "mass delay"]) -> np.ndarray:
+        here = damping[..., None]
+        run = np.diff(self.damping, axis=-1)
+        share = (here[..., None] - self.damping[..., :-1]) / np.where(run == 0.0, np.inf, run)
+        stiffness = self.stiffness[..., :-1] + share * np.diff(self.stiffness, axis=-1)
+        meets = self.joined & (share >= 0.0) & (share <= 1.0) & (stiffness > 0.0)
+        curve = np.min(np.where(meets, stiffness, np.inf), axis=-1)
+        per_stiffness, per_damping, total = self.line
+        line = (total - per_damping * here) / np.where(per_stiffness == 0.0, np.inf, per_stiffness)
+        line = np.where(line > 0.0, line, np.inf)
+        first: np.ndarray = np.minimum(curve, line).min(axis=-1)
+        return first
+
+
+def boundary_of(
+    loop: LoopParameters,
+    hands: HandRange,
+    mass: Float64[np.ndarray, " mass"],
+    delay: Float64[np.ndarray, " delay"],
+) -> Boundary:
+    """Return the boundary for devices of some masses, at delays in samples."""
+    period = loop.sample_time
+    corners = np.array(list(product(*(sorted(set(ends)) for ends in hands))))
+    moved = mass[:, None, None] + corners[:, 0]
+    per_force, per_speed = period**2 / moved, period / moved
+    lag = np.broadcast_to(delay[:, None], (*moved.shape[:1], len(delay), len(corners)))
+    gamma = np.broadcast_to(corners[:, 1] * per_force, lag.shape)
+    delta = np.broadcast_to((loop.device_damping + corners[:, 2]) * per_speed, lag.shape)
+    plant = quick_plant(gamma, delta, lag)
+    turns = np.floor(lag) + 1.0
+    filters = known_filters(**loop.filters)
+    z = np.exp(1j * np.pi * (np.arange(1, _ANGLES) / _ANGLES) ** _BEND)
+
+    def force(z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        d1, d0, n2, n1, n0, m = (
+            part[..., None] for part in (plant.d1, plant.d0, plant.n2, plant.n1, plant.n0, turns)
+        )
+        position, velocity = (
+            (np.ones_like(z), 1.0 - 1.0 / z) if filters is None else responses_at(filters, z)
+        )
+        return position, velocity, -(z**m) * (z + d1 + d0 / z) / (n2 * z + n1 + n0 / z)
+
+    position, velocity, wanted = force(z)
+    twist = np.imag(np.conj(position) * velocity)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        alpha = np.imag(np.conj(velocity) * wanted) / -twist
+        beta = np.imag(np.conj(position) * wanted) / twist
+    at_end = force(np.array([-1.0 + 0.0j]))
+    per_alpha, per_beta, total = (part[..., 0].real for part in at_end)
+    return Boundary(
+        np.nan_to_num(alpha / per_force[..., None]),
+        np.nan_to_num(beta / per_speed[..., None]),
+        np.signbit(twist[1:]) == np.signbit(twist[:-1]),
+        (per_alpha * per_force, per_beta * per_speed, total),
+    )
