@@ -32,6 +32,9 @@ from .criteria import passive_region as passive_region
 from .criteria import region_facts as region_facts
 from .criteria import resolved_region as resolved_region
 from .criteria import routh_hurwitz_condition as routh_hurwitz_condition
+from .guard import Guard as Guard
+from .guard import build_guard as build_guard
+from .guard import guard_header as guard_header
 from .loop import CommonRegion as CommonRegion
 from .loop import CommonWall as CommonWall
 from .loop import Gains as Gains

@@ -11,6 +11,7 @@ import click
 import jaxstab
 from jaxstab.cli.atlas import build, info, plan, upgrade, verify
 from jaxstab.cli.explore import explore
+from jaxstab.cli.guard import guard
 from jaxstab.cli.papers import papers
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
@@ -67,7 +68,7 @@ def main() -> None:
     """Stability of haptic rendering loops."""
 
 
-for _command in (limits, check, tune, design, scene, explore, region, figure, papers):
+for _command in (limits, check, tune, design, scene, explore, guard, region, figure, papers):
     main.add_command(_command)
 
 

@@ -54,7 +54,7 @@ def build_guard(
         NotImplementedError: the loop has a device of other than one mass.
         RuntimeError: the limits could not be proved.
 
-    Source: lemmas B3, B6, B10 and B14 of docs/proofs.md.
+    Source: lemmas B3, B6, B10 and B15 of docs/proofs.md.
 
     Example:
         >>> guard = build_guard(loop, jaxstab.HandRange(), (0.2, 0.3), (1e-3, 2e-3))
@@ -76,7 +76,7 @@ def build_guard(
     largest = exact.max(axis=-1, keepdims=True)
     limit = np.maximum(exact * (1.0 - _PULL) - _PULL_ALL * largest, 0.0)
     unit = _coded(limit)[1]
-    grid = Grid(*nodes, top, np.floor(limit / unit) * unit)
+    grid = Grid(nodes[0], nodes[1], top, np.floor(limit / unit) * unit)
     grid = _stable_at_places(loop, hands, grid, unit)
     failed: Int64[np.ndarray, "3 cell"] | None = None
     for _ in range(_ATTEMPTS):
@@ -153,7 +153,7 @@ def _lowered(grid: Grid, cells: Int64[np.ndarray, "3 cell"], unit: float) -> Gri
 
 
 def _stable_at_places(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
-    """Return a grid lowered where walls at random places are not stable: no proof is tried there."""
+    """Return a grid lowered where walls at random places are not stable."""
     rng = np.random.default_rng(0)
     cells = np.indices(grid.cells).reshape(3, -1)
     for _ in range(_ATTEMPTS):

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 Reals = Float64[np.ndarray, " box"]
-Spans = tuple[Float64[np.ndarray, "3 box"], Float64[np.ndarray, "3 box"]]
+Ends = Float64[np.ndarray, "axis box"]  # in cells
 
 _SLACK = 1e-9  # of the largest value: more than the arithmetic of the header rounds
 
@@ -55,7 +55,9 @@ class Pyramid:
         self._high = _heaps(_of_cells(grid.top, np.maximum), np.maximum)
         self._low = _heaps(_of_cells(grid.top, np.minimum), np.minimum)
 
-    def limits(self, low: Float64[np.ndarray, "3 box"], high: Float64[np.ndarray, "3 box"]) -> Models:
+    def limits(
+        self, low: Float64[np.ndarray, "3 box"], high: Float64[np.ndarray, "3 box"]
+    ) -> Models:
         """Bound the limit from above, by models without a rest, over boxes of three axes."""
         large = self._most[self._heap_of(low, high)]
         known = _model(self._grid.limit, low, high)
@@ -66,7 +68,7 @@ class Pyramid:
             np.zeros_like(large),
         )
 
-    def tops(self, low: Float64[np.ndarray, "2 box"], high: Float64[np.ndarray, "2 box"]) -> Models:
+    def tops(self, low: Ends, high: Ends) -> Models:
         """Enclose the largest damping over boxes of mass and delay."""
         heap = self._heap_of(low, high)
         least, most = self._low[heap], self._high[heap]
@@ -128,7 +130,7 @@ def _heap(low: Reals, high: Reals, count: int) -> Int64[np.ndarray, " box"]:
     return place
 
 
-def _at_corners(nodes: np.ndarray, ends: Spans) -> np.ndarray:
+def _at_corners(nodes: np.ndarray, ends: tuple[Ends, Ends]) -> np.ndarray:
     """Return the interpolation at the corners of boxes within one cell, (corner, box)."""
     low, high = ends
     count = np.array(nodes.shape)[:, None] - 1

@@ -13,8 +13,9 @@ from jaxstab.ranges import HandRange
 
 Range = tuple[float, float]
 
-_SAMPLES = 25  # of mass and of delay
-_DAMPINGS = 100
+_SAMPLES = 9  # of mass and of delay
+_DAMPINGS = 64
+_ROUNDED = 1.0 + 1e-12  # the largest damping, however it was summed
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,8 @@ class Guard:
         inside = np.all([(value >= low) & (value <= high) for value, (low, high) in ends], axis=0)
         index = np.where(inside, index, 0.0)
         top = interpolated(self.grid.top, index)
-        inside &= (damping_ >= 0.0) & (damping_ <= top)
-        row = np.where(inside, damping_ / top * self.grid.cells[2], 0.0)
+        inside &= (damping_ >= 0.0) & (damping_ <= top * _ROUNDED)
+        row = np.where(inside, np.minimum(damping_ / top, 1.0) * self.grid.cells[2], 0.0)
         limits = np.where(inside, interpolated(self.grid.limit, np.vstack([index, row])), 0.0)
         return limits.reshape(values[0].shape)
 

@@ -33,9 +33,7 @@ def guard_header(
         >>> Path("omega_guard.h").write_text(guard_header(guard, "omega_guard"))
     """
     if not _NAME.fullmatch(name):
-        raise ValueError(
-            f"name is {name!r}; give letters, digits and underscores, a letter first."
-        )
+        raise ValueError(f"name is {name!r}; give letters, digits and underscores, a letter first.")
     grid, (stiffness_step, damping_step) = guard.grid, guard.units
     masses, delays, rows = grid.limit.shape
     values = {
@@ -82,8 +80,7 @@ def _version() -> str:
 def _table(values: np.ndarray) -> str:
     """Return whole numbers as an initialiser, a row of the last axis on lines of its own."""
     if values.ndim > 1:
-        inner = ",\n".join("{" + _table(row) + "}" for row in values)
-        return inner if values.ndim == 2 else inner
+        return ",\n".join("{" + _table(row) + "}" for row in values)
     lines, line = [], ""
     for number in values:
         word = f"{int(number)},"

@@ -1,4 +1,4 @@
-"""Proof that every wall which a guard lets through is stable (lemmas B3, B6, B10, B14).
+"""Proof that every wall which a guard lets through is stable (lemmas B3, B6, B10, B15).
 
 Boxes of damping, mass and delay (in cells of the grid), of the hand, and of the angle hold all
 walls from no stiffness up to the limit of the grid. They are halved until none has a root on the
@@ -28,9 +28,12 @@ Reals = Float64[np.ndarray, " box"]
 
 _AXES = 7  # mass, delay and damping in cells; mass, stiffness, damping of the hand; theta
 _AT_ONCE = 1 << 15
-_MOST_OF_CELL = 20_000  # boxes; then the proof of the cell is given up
+_MOST_OF_CELL = 20_000  # boxes; then the proof of a cell is given up
+_MOST_OF_GRID = 10_000_000  # or this, over the cells, where they are few
+_MOST = 100_000_000  # boxes of all cells
 _ANY_WAY = 0.05  # of how far an axis moves g: halving it may help in another direction
 _BEYOND = 1e-9  # of pi: angles go so far beyond it
+_ROUNDING = 1e-14  # of a product
 _SMALL = 1e-6  # of the largest limit
 _POSITIVE_UP_TO = 9.0  # of gamma: the impulse response has no zero within a sample (pi^2)
 
@@ -81,7 +84,7 @@ def are_stable(
     moved = grid.mass[0] + places[0] * _step(grid.mass) + mass
     gain = places[2] / grid.cells[2] * interpolated(grid.top, places[:2])
     period = loop.sample_time
-    least = _SMALL * np.max(grid.limit)  # without stiffness a free device is not asymptotically stable
+    least = _SMALL * np.max(grid.limit)  # without, a free device drifts
     codes = verdict(
         np.maximum(interpolated(grid.limit, places), least) * period**2 / moved,
         gain * period / moved,
@@ -101,12 +104,14 @@ class _Family(NamedTuple):
         moves: of alpha, beta, gamma and delta along the axes but theta, (parameter, axis, box).
         rest: how far they may be from these, (parameter, box).
         radius: a bound of both together.
+        bending: how much mass, delay, damping and the hand's mass vary in a box, relative.
     """
 
     center: Loops
     moves: Float64[np.ndarray, "4 6 box"]
     rest: Float64[np.ndarray, "4 box"]
     radius: Loops
+    bending: Float64[np.ndarray, "4 box"]
 
 
 class _Proof:
@@ -122,17 +127,23 @@ class _Proof:
         """Return the cells in which the proof is given up."""
         cells = self._grid.cells
         tried = np.zeros(cells, int)
+        count = 0
         failed = np.zeros(cells, bool)
         while center.shape[1]:
             now = slice(-_AT_ONCE, None)
             at, by = center[:, now], half[:, now]
             center, half = center[:, : -at.shape[1]], half[:, : -at.shape[1]]
+            count += at.shape[1]
+            if count > _MOST:
+                raise RuntimeError(
+                    "the proof has no end; narrow the ranges of mass, delay and hands."
+                )
             free, shares = self._judged(at, by)
             at, by, shares = at[:, ~free], by[:, ~free], shares[:, ~free]
             cell = tuple(np.floor(at[:3]).astype(int))
             is_small = np.all(by[:3] <= 0.5, axis=0)
             np.add.at(tried, tuple(part[is_small] for part in cell), 1)
-            failed |= tried > _MOST_OF_CELL
+            failed |= tried > max(_MOST_OF_CELL, _MOST_OF_GRID // failed.size)
             going = ~(failed[cell] & is_small)
             at, by, axis = at[:, going], by[:, going], np.argmax(shares[:, going], axis=0)
             box = np.arange(axis.size)
@@ -145,6 +156,7 @@ class _Proof:
 
     def _judged(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
         """Say which boxes are free of roots, and what halving along each axis would help."""
+        half = np.concatenate([half[:3], half[3:] * (1.0 + _BEYOND)])  # whose ends are rounded
         families = self._families(center, half)
         seen = [_Seen.of(family, center, half, self._filters) for family in families]
         free, shares = _parted(seen)
@@ -177,7 +189,15 @@ class _Proof:
             (Models(limit.centre, stiffness, still), damper),
         ]
         delay = grid.delay[0] + center[1] * _step(grid.delay)
-        by_delay = half[1] * _step(grid.delay) * (1.0 + _BEYOND)
+        by_delay = half[1] * _step(grid.delay) * (1.0 + _BEYOND) + _ROUNDING * delay
+        bending = np.stack(
+            [
+                by_mass[0] / mass,
+                np.abs(top.moves[1]) / top.centre,
+                half[2] / np.maximum(center[2], 0.5),
+                by_mass[3] / mass,
+            ]
+        )
         units = period**2, period, period**2, period
         families = []
         for wall in walls:
@@ -190,16 +210,17 @@ class _Proof:
             reach = np.abs(moves).sum(axis=1) + rest
             families.append(
                 _Family(
-                    Loops(*(one.centre for one in products), delay, center[6]),
+                    Loops._make([*(one.centre for one in products), delay, center[6]]),
                     moves,
                     rest,
-                    Loops(*reach, by_delay, half[6]),
+                    Loops._make([*reach, by_delay, half[6]]),
+                    bending,
                 )
             )
         return families[0], families[1]
 
     def _is_slow(self, family: _Family) -> Bool[np.ndarray, " box"]:
-        """Say which boxes lemma B14 frees: all of their angles are next to 0."""
+        """Say which boxes lemma B15 frees: all of their angles are next to 0."""
         center, radius = family.center, family.radius
         theta = center.theta + radius.theta
         turns = np.floor(center.delay + radius.delay) + 2.0
@@ -240,6 +261,7 @@ class _Seen(NamedTuple):
     moves: np.ndarray
     disc: Reals
     slopes: Boxes  # of the disc along the axes
+    bending: Float64[np.ndarray, "4 box"]
 
     @classmethod
     def of(cls, family: _Family, center: Boxes, half: Boxes, filters: Filters | None) -> "_Seen":
@@ -254,7 +276,7 @@ class _Seen(NamedTuple):
         slopes[:6] += np.einsum("pb,pab->ab", g.rest_slopes[:4], np.abs(family.moves))
         slopes[6] = g.rest_slopes[5] * half[6]
         slopes[2] += g.rest * half[2] / np.maximum(center[2], 0.5)
-        return cls(g.value, moves, g.rest, slopes)
+        return cls(g.value, moves, g.rest, slopes, family.bending)
 
 
 def _parted(seen: list[_Seen]) -> tuple[Bool[np.ndarray, " box"], Boxes]:
@@ -264,7 +286,9 @@ def _parted(seen: list[_Seen]) -> tuple[Bool[np.ndarray, " box"], Boxes]:
     """
     none, most = seen
     between = most.value - none.value
-    normals = [none.value + most.value, most.value, none.value, 1j * between, 1j * most.moves[2], 1j * most.moves[6]]
+    # Across a value, or along what moves g most: the stiffness, the damping, the angle
+    normals = [none.value + most.value, most.value, none.value]
+    normals += [1j * way for way in (between, most.moves[2], most.moves[6])]
     clear = np.full(between.shape, -np.inf)
     shares = np.zeros(none.slopes.shape)
     lengths = _ANY_WAY * np.abs(most.moves[:_AXES])
@@ -282,18 +306,17 @@ def _parted(seen: list[_Seen]) -> tuple[Bool[np.ndarray, " box"], Boxes]:
         clear = np.where(better, nearest, clear)
         is_none = distances[0] < distances[1]
         parts = [
-            _by_axis(one_projected) + one.slopes
+            _by_axis(one_projected, one.bending) + one.slopes
             for one, one_projected in zip(seen, projected, strict=True)
         ]
         shares = np.where(better, np.where(is_none, *parts), shares)
     return clear > 0.0, shares + lengths
 
 
-def _by_axis(projected: np.ndarray) -> np.ndarray:
+def _by_axis(projected: np.ndarray, bending: np.ndarray) -> np.ndarray:
     """Return moves along the axes; what rests move is that of the axes that bend them."""
     axes, rests = projected[:_AXES].copy(), projected[_AXES:].sum(axis=0)
-    bending = axes[[0, 1, 2, 3]]
-    axes[[0, 1, 2, 3]] += rests * (bending + 1e-300) / (bending.sum(axis=0) + 4e-300)
+    axes[:4] += rests * bending / bending.sum(axis=0)
     return axes
 
 
@@ -313,6 +336,7 @@ def _product(one: Models, other: Models, unit: float) -> Models:
     swings = [np.abs(model.moves).sum(axis=0) for model in (one, other)]
     rest = swings[0] * swings[1] + one.rest * (other.centre + swings[1] + other.rest)
     rest = rest + (np.abs(one.centre) + swings[0]) * other.rest
+    rest = rest + _ROUNDING * (np.abs(one.centre) + swings[0]) * (other.centre + swings[1])
     return Models(unit * one.centre * other.centre, unit * moves, unit * rest)
 
 

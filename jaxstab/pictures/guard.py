@@ -19,7 +19,7 @@ def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
     On the left for delays of the range, at the middle mass, on the right for masses, at the middle
     delay.
 
-    Source: the D-decomposition of eq. (9) of Hulin, Preusche, Hirzinger (2008), and lemma B14.
+    Source: the D-decomposition of eq. (9) of Hulin, Preusche, Hirzinger (2008), and lemma B15.
     """
     figure = Figure(figsize=_SIZE)
     figure.set_layout_engine("constrained")
@@ -55,6 +55,4 @@ def _draw(
     exact = guard.exact_stiffness(damping[None, None], np.array([mass]), np.array([delay]))[0, 0]
     panel.plot(damping, np.where(exact > 0.0, exact, np.nan), color=colour, lw=0.8, ls="--")
     granted = guard.largest_stiffness(damping, mass, delay)
-    panel.plot(
-        damping, np.where(granted > 0.0, granted, np.nan), color=colour, lw=1.6, label=label
-    )
+    panel.plot(damping, np.where(granted > 0.0, granted, np.nan), color=colour, lw=1.6, label=label)

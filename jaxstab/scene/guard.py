@@ -64,7 +64,7 @@ def guard_about(scene: Scene, guard: Guard) -> str:
             _line("stiffness of the hand", hands.stiffness, units.stiffness),
             _line("damping of the hand", hands.damping, units.damping),
             "",
-            f"It grants {100.0 * guard.granted:.1f} % of the stiffness that is stable, in the mean.",
+            f"It grants {100.0 * guard.granted:.1f} % of the stable stiffness, in the mean.",
         ]
     )
 

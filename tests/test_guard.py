@@ -1,0 +1,277 @@
+"""Guards: what a header lets through is stable; its callers may be hostile."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import assert_one_sentence, run
+from programs_in_c import compiled
+
+import jaxstab
+from benchmarks.truth.filtered import FilteredLoop, average, difference
+from jaxstab import STABLE, Guard, HandRange, HapticLoop, Velocity, build_guard, guard_header
+from jaxstab.guard.limits import boundary_of
+
+ROOT = Path(__file__).resolve().parents[1]
+STRICT = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+CHECKED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+HANDS = HandRange(mass=(0.0, 0.1), stiffness=(0.0, 100.0), damping=(0.0, 1.0))
+LOOP = HapticLoop(
+    device_mass=0.25,
+    device_damping=0.5,
+    sample_time=1e-3,
+    delay=1e-3,
+    velocity=Velocity.difference(samples=4),
+)
+REFUSED = 2
+
+
+@pytest.fixture(scope="module")
+def guard() -> Guard:
+    return build_guard(LOOP, HANDS, (0.24, 0.26), (0.9e-3, 1.1e-3), cells=(1, 1, 16))
+
+
+@pytest.fixture(scope="module")
+def folder(guard: Guard, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("guard")
+    (folder / "test_guard.h").write_text(guard_header(guard, "test_guard", "of a test */ too"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def program(folder: Path) -> Path:
+    source = ROOT / "tests" / "guard.c"
+    return compiled(source, folder, ["-O2", "-D_POSIX_C_SOURCE=200809L", f"-I{folder}", *STRICT])
+
+
+def rows_of(program: Path, count: int, seed: int) -> np.ndarray:
+    """Calls at random: K, B, mass and delay, then K, B and the code, and the largest K there."""
+    done = subprocess.run(
+        [program, "calls", str(count), str(seed)], capture_output=True, check=True
+    )
+    return np.frombuffer(done.stdout).reshape(-1, 8)
+
+
+def held(
+    guard: Guard, rows: np.ndarray, rng: np.random.Generator, *, corners: bool
+) -> dict[str, Any]:
+    """The loops of calls in dimensionless numbers, each with a hand of its own."""
+    share = rng.random((3, len(rows)))
+    share = np.round(share) if corners else share
+    mass, stiffness, damping = (
+        low + (high - low) * part for (low, high), part in zip(guard.hands, share, strict=True)
+    )
+    period, moved = guard.loop.sample_time, rows[:, 2] + mass
+    stiff = np.maximum(rows[:, 4], 1e-6)  # a free device without stiffness drifts
+    return {
+        "alpha": stiff * period**2 / moved,
+        "beta": rows[:, 5] * period / moved,
+        "gamma": stiffness * period**2 / moved,
+        "delta": (guard.loop.device_damping + damping) * period / moved,
+        "delay": rows[:, 3] / period,
+    }
+
+
+def unstable(guard: Guard, program: Path, count: int, seed: int) -> int:
+    """How many of some calls left a wall that is not proved stable."""
+    rng = np.random.default_rng(seed)
+    rows = rows_of(program, count, seed)
+    assert np.all(rows[:, 4] <= rows[:, 0])
+    assert np.all(rows[:, 5] <= rows[:, 1])
+    assert np.all(rows[:, 4] <= rows[:, 7] * (1.0 + 1e-12))
+    assert np.all(rows[:, 6] < REFUSED)
+    loops = held(guard, rows, rng, corners=bool(seed % 2))
+    codes = jaxstab.verdict(**loops, **guard.loop.filters)
+    return int(np.sum(np.asarray(codes) != STABLE))
+
+
+def test_what_the_header_lets_through_is_stable(guard: Guard, program: Path) -> None:
+    assert sum(unstable(guard, program, 4_000, seed) for seed in range(2)) == 0
+
+
+@pytest.mark.campaign
+def test_what_the_header_lets_through_is_stable_in_many_calls(guard: Guard, program: Path) -> None:
+    """1e6 calls; GUARD_CALLS=1e9 for the full size."""
+    calls, chunk = float(os.environ.get("GUARD_CALLS", "1e6")), 1 << 18
+    assert sum(unstable(guard, program, chunk, seed) for seed in range(int(calls / chunk) + 1)) == 0
+
+
+def test_certified_roots_agree(guard: Guard, program: Path) -> None:
+    rows = rows_of(program, 100, 7)
+    loops = held(guard, rows, np.random.default_rng(7), corners=True)
+    for alpha, beta, gamma, delta, delay in zip(*loops.values(), strict=True):
+        loop = FilteredLoop(gamma, delta, delay, difference(4), average(1))
+        assert loop.code(alpha, beta) == STABLE
+
+
+def test_the_header_is_of_the_same_numbers_as_python(guard: Guard, program: Path) -> None:
+    rows = rows_of(program, 5_000, 3)
+    own = guard.largest_stiffness(rows[:, 5], rows[:, 2], rows[:, 3])
+    assert own == pytest.approx(rows[:, 7], rel=1e-9, abs=1e-6)
+
+
+def test_it_grants_nine_tenths_and_never_more_than_is_stable(guard: Guard) -> None:
+    assert 0.9 < guard.granted < 1.0
+    mass, delay = np.linspace(*guard.mass, 5), np.linspace(*guard.delay, 5)
+    damping = np.broadcast_to(np.linspace(0.0, 200.0, 100), (5, 5, 100))
+    exact = guard.exact_stiffness(damping, mass, delay)
+    own = guard.largest_stiffness(damping, mass[:, None, None], delay[:, None])
+    assert np.all(own <= exact)
+
+
+def test_exact_limits_are_those_of_the_region() -> None:
+    boundary = boundary_of(LOOP, HandRange(), np.array([0.25]), np.array([1.0]))
+    dampings = np.array([[[2.0, 10.0, 20.0, 40.0]]])
+    limits = LOOP.stiffness_limits(dampings[0, 0])[:, 1]
+    assert boundary.largest_stiffness(dampings)[0, 0] == pytest.approx(limits, rel=1e-3)
+    last = LOOP.damping_limits(1e-3)[1]
+    assert boundary.largest_damping()[0, 0] == pytest.approx(last, rel=1e-3)
+
+
+HOSTILE = """
+#include <stdio.h>
+#include "test_guard.h"
+int main(void)
+{
+    volatile double zero = 0.0;
+    double none = zero / zero, all = 1.0 / zero;
+    double numbers[] = {none, -none, all, -all, -1.0, -1e-300, 1e308, 5e-324, -0.0, 0.0,
+                        0.25, 1e-3, 10.0, 0.24, 0.26, 0.9e-3, 1.1e-3, 0.2400000001, 1e15};
+    int count = (int)(sizeof numbers / sizeof *numbers), refused = 0;
+    for (int a = 0; a < count; ++a)
+        for (int b = 0; b < count; ++b)
+            for (int c = 0; c < count; ++c)
+                for (int d = 0; d < count; ++d) {
+                    double k = numbers[a], f = numbers[b];
+                    int code = test_guard_clamp(&k, &f, numbers[c], numbers[d]);
+                    double most = test_guard_largest_stiffness(f, numbers[c], numbers[d]);
+                    int good = (a > 5 && b > 5 && c > 5 && d > 5) && numbers[c] >= 0.24
+                        && numbers[c] <= 0.26 && numbers[d] >= 0.9e-3 && numbers[d] <= 1.1e-3;
+                    if ((code == TEST_GUARD_REFUSED) == good)
+                        return 1;
+                    if (!good && (k != 0.0 || f != 0.0))
+                        return 2;
+                    if (!(k >= 0.0 && f >= 0.0 && k <= most) && good)
+                        return 3;
+                    refused += code == TEST_GUARD_REFUSED;
+                }
+    return refused ? 0 : 4;
+}
+"""
+
+
+@pytest.mark.parametrize(
+    "compiler",
+    [
+        ["gcc", "-std=c99", "-O2", *CHECKED],
+        ["g++", "-std=c++17", "-O2", *CHECKED],
+        ["gcc", "-std=c99", "-O3", "-ffast-math"],
+        ["gcc", "-std=c99", "-O0"],
+    ],
+    ids=["C99, sanitized", "C++17, sanitized", "fast-math", "not optimised"],
+)
+def test_numbers_that_are_none_and_numbers_out_of_range_leave_no_gains(
+    compiler: list[str], folder: Path
+) -> None:
+    """-ffast-math leaves out comparisons with NaN; the header asks the bits."""
+    if shutil.which(compiler[0]) is None:
+        pytest.skip(f"there is no {compiler[0]}")
+    source = folder / f"hostile.{'c' if compiler[0] == 'gcc' else 'cpp'}"
+    source.write_text(HOSTILE)
+    program = folder / "hostile"
+    warned = [word for word in STRICT if "-ffast-math" not in compiler]
+    subprocess.run([*compiler, *warned, source, "-o", program], check=True)
+    assert subprocess.run([program], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("example", ["chai3d_guard.cpp", "ros2_control_guard.cpp"])
+def test_examples_compile_against_stubs(example: str, guard: Guard, tmp_path: Path) -> None:
+    if shutil.which("g++") is None:
+        pytest.skip("there is no g++")
+    (tmp_path / "omega_guard.h").write_text(guard_header(guard, "omega_guard"))
+    words = ["g++", "-std=c++17", *STRICT, f"-I{tmp_path}", f"-I{ROOT / 'tests' / 'stubs'}"]
+    source = ROOT / "docs" / "examples" / example
+    subprocess.run([*words, "-c", source, "-o", tmp_path / "example.o"], check=True)
+
+
+def test_nothing_crosses_the_circle_next_to_one() -> None:
+    """Lemma B15: the angles that it frees, against the polynomial at 50 random loops each."""
+    rng = np.random.default_rng(4)
+    for _ in range(40):
+        gamma, delta, delay = 10 ** rng.uniform(-6, -1), 10 ** rng.uniform(-5, 0), rng.uniform(0, 4)
+        beta = 10 ** rng.uniform(-5, 0)
+        turns = np.floor(delay) + 2.0
+        angles = np.geomspace(1e-4, 1.0, 400)
+        cosine = 1.0 - 0.5 * (turns * angles) ** 2
+        force = max(0.0, 1.0 - gamma / 12.0 - delta / 2.0)
+        holds = -np.expm1(-delta) * (1.0 - angles**2 / 6.0) * cosine
+        holds += force * cosine**2 * beta * (1.0 - 0.5 * angles)
+        freed = (cosine > 0.0) & (holds > turns * angles**2)
+        z = np.exp(1j * angles)
+        base = np.polyval(jaxstab.characteristic_polynomial(0.0, beta, gamma, delta, delay), z)
+        full = np.polyval(jaxstab.characteristic_polynomial(1.0, beta, gamma, delta, delay), z)
+        twist = np.imag(base * np.conj(full - base))
+        assert np.all(twist[freed] > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"mass": (0.3, 0.2)}, "mass is"),
+        ({"mass": (0.0, 0.2)}, "mass is"),
+        ({"delay": (1e-3, 1e-3)}, "delay is"),
+        ({"delay": (-1e-3, 1e-3)}, "delay is -0.001"),
+        ({"cells": (3, 1, 1)}, "powers of two"),
+        ({"hands": HandRange(mass=(1.0, 0.0))}, "hands.mass"),
+    ],
+)
+def test_bad_ranges_are_refused(change: dict[str, Any], words: str) -> None:
+    given: dict[str, Any] = {
+        "loop": LOOP,
+        "hands": HANDS,
+        "mass": (0.2, 0.3),
+        "delay": (0.0, 1e-3),
+        "cells": (1, 1, 1),
+    }
+    with pytest.raises(ValueError, match=words):
+        build_guard(**given | change)
+
+
+def test_bad_names_are_refused(guard: Guard) -> None:
+    for name in ("", "9lives", "a-b", "a b", "ä"):
+        with pytest.raises(ValueError, match="name is"):
+            guard_header(guard, name)
+
+
+def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
+    words = [
+        "guard", "--mass", "0.25", "--damping", "0.5", "--sample-time", "0.001", "--window-samples",
+        "4", "--delay-samples", "1", "-o", tmp_path / "my_guard.h", "--plot", tmp_path / "a.svg",
+        "--cells", "1,1,16", "--masses", "0.24:0.26", "--delays", "0.9e-3:1.1e-3",
+    ]  # fmt: skip
+    answer = run(*words)
+    assert answer.exit_code == 0, answer.output
+    assert "my_guard_clamp" in (tmp_path / "my_guard.h").read_text()
+    assert (tmp_path / "a.svg").stat().st_size > 1000
+    assert "It grants" in answer.output
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--masses", "0.2"],
+        ["--masses", "0.3:0.2"],
+        ["--cells", "1,2"],
+        ["--cells", "3,3,3"],
+        ["--json"],
+    ],
+)
+def test_the_command_refuses_in_one_sentence(words: list[str], tmp_path: Path) -> None:
+    scene = ["--mass", "0.25", "--damping", "0.5", "--sample-time", "0.001"]
+    answer = run("guard", *scene, "-o", tmp_path / "a.h", *words)
+    assert answer.exit_code != 0
+    assert_one_sentence(answer.stderr)
