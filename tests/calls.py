@@ -68,11 +68,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.worst_hand": ["loop", "hands", 1000.0, 10.0],
     "HapticLoop.robust_limit": ["loop", "hands"],
     "tune_for_all": ["loops"],
-<<<<<<< HEAD
     "common_region": ["loops"],
-=======
-    "build_guard": ["loop", "hand", (0.1, 0.11), (0.0, 2e-4), {"cells": (1, 1, 4)}],
->>>>>>> 45c0374 (Guards proved by lines that part whole families of walls from 0; command, picture, header, examples, tests)
 }
 
 
@@ -82,7 +78,6 @@ OBJECTS: dict[str, Callable[[], Any]] = {
         jaxstab.HapticLoop(device_mass=mass, device_damping=1.5, sample_time=1e-3)
         for mass in (0.1, 0.12)
     ],
-    "hand": jaxstab.HandRange,
     "hands": lambda: jaxstab.HandRange(mass=(0.0, 1.0)),
     "function": lambda: jaxstab.verdict,
 }

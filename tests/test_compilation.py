@@ -23,7 +23,6 @@ TESTS = Path(__file__).parent
 WITHOUT_ARRAYS = {
     "common_region",
     "tune_for_all",
-    "build_guard",
     "trace_boundary",
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
 }

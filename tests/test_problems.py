@@ -68,7 +68,7 @@ ELSEWHERE = {
     "stable_region": "test_region", "region_outline": "test_region",
     "region_facts": "test_region", "resolved_region": "test_region",
     "robust_region": "test_robust", "trace_boundary": "test_trace",
-    "amplitude": "test_amplitude", "build_guard": "test_guard",
+    "amplitude": "test_amplitude",
 }  # fmt: skip
 
 

@@ -29,6 +29,10 @@ class Guard:
         delay: the shortest and the longest delay in s.
         grid: the proved limits between which the guard interpolates.
         units: of the stiffness and the damping of the grid: all are whole multiples.
+
+    Example:
+        >>> guard = build_guard(loop, jaxstab.HandRange(), (0.2, 0.3), (1e-3, 2e-3))
+        >>> guard.largest_stiffness(10.0, 0.25, 1.5e-3)
     """
 
     loop: LoopParameters
