@@ -7,7 +7,7 @@ from pathlib import Path
 
 import h5py
 
-from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, write_atlas
+from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, build_atlas, write_atlas
 from jaxstab.atlas.format import footer
 from jaxstab.atlas.format.digest import digest_of
 from jaxstab.atlas.format.schema import VARIABLES
@@ -21,6 +21,8 @@ SMALL = AtlasSpec(
     gamma=[0.0, 0.001],
     delta=[0.0, 0.005, 0.015],
     delay=[0.0, 1.5],
+    limit_cells=512,
+    delay_cells=0,
 )
 
 SMALL_TOML = """
@@ -29,6 +31,8 @@ beta = { fitted = 20 }
 gamma = [0, 0.001]
 delta = { values = [0.0, 0.005, 0.015] }
 delay = [0, 1.5]
+limit_cells = 512
+delay_cells = 0
 """
 
 
@@ -38,6 +42,21 @@ def small_file() -> bytes:
         path = Path(folder) / "small.h5"
         write_atlas(SMALL, path)
         return path.read_bytes()
+
+
+@functools.cache
+def moving_atlas() -> Atlas:
+    """Limits of alpha at all delays to 1.5, whole ones inside, and nothing else."""
+    spec = AtlasSpec(
+        gamma=[0.0, 0.001],
+        delta=[0.0, 0.005, 0.015],
+        delay=[0.0, 1.5],
+        products=["alpha_limits"],
+        limit_cells=96,
+        delay_cells=16,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        return build_atlas(spec, Path(folder) / "moving.h5")
 
 
 @functools.cache

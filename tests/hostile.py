@@ -117,21 +117,48 @@ def without(*names: str) -> Edit:
 
 
 def errors(value: float) -> Edit:
-    return put(schema.ALPHA_LIMITS, value, (..., [4, 9]))
+    return put(schema.ALPHA_LIMITS, value, (..., [6, 13]))
 
 
 VALUES: dict[str, Edit] = {
     "negative error bounds": errors(-1e-3),
     "error bounds of NaN": errors(np.nan),
-    "an upper error of NaN": put(schema.ALPHA_LIMITS, np.nan, (0, 0, 0, 0, 9)),
+    "an upper error of NaN": put(schema.ALPHA_LIMITS, np.nan, (0, 0, 0, 0, 13)),
     "limits of NaN": put(schema.ALPHA_LIMITS, np.nan, (0, 0, 0, 0, 0)),
     "an infinite slope": put(schema.ALPHA_LIMITS, -np.inf, (0, 0, 0, 0, 1)),
     "reversed gamma": become("gamma", lambda v: v[::-1]),
-    "reversed delays": become("delay", lambda v: v[::-1]),
-    "reversed alpha": become("alpha", lambda v: v[::-1]),
+    "an infinite slope along the delay": put(schema.ALPHA_LIMITS, np.inf, (0, 0, 0, 0, 5)),
+    "cells of delays reversed": become(schema.LIMIT_RANGE, lambda v: v[::-1]),
+    "cells of delays that overlap": put(schema.LIMIT_RANGE, 1.25, (0, 1)),
+    "a cell of delays twice": become(schema.LIMIT_RANGE, lambda v: v[[0, *range(len(v) - 1)]]),
+    "a cell that ends before it begins": put(schema.LIMIT_RANGE, 0.5, (-1, 1)),
+    "limits at a negative delay": put(schema.LIMIT_RANGE, -1.0, (0, 0)),
+    "limits at a delay of NaN": put(schema.LIMIT_RANGE, np.nan, (-1, 1)),
+    "limits at a delay of 1000": put(schema.LIMIT_RANGE, 1000.0, (-1, 1)),
+    "limits at an infinite beta": put(schema.LIMIT_RANGE, np.inf, (0, 5)),
+    "limits at an alpha of NaN": put(schema.LIMIT_RANGE, np.nan, (0, 2)),
+    "limits at too wide a beta": put(schema.LIMIT_RANGE, [-1.5e308, 1.5e308], (0, [4, 5])),
+    "limits at a thin beta": put(schema.LIMIT_RANGE, [0.0, 1e-302], (0, [4, 5])),
+    "limits at one alpha": put(schema.LIMIT_RANGE, 0.1, (0, [2, 3])),
+    "five ends": become(schema.LIMIT_RANGE, lambda v: v[:, :5]),
     "gamma twice": become("gamma", lambda v: np.full_like(v, v[0])),
     "negative gamma": become("gamma", lambda v: v - 1.0),
     "negative delta": put("delta", -1e-300),
+    "five terms": become(schema.ALPHA_LIMITS, lambda v: v[..., :5]),
+    "a delay too few": become(schema.ALPHA_LIMITS, lambda v: v[:, :, :, :1]),
+    "cells as nodes": become(schema.ALPHA_LIMITS, lambda v: v[:, :1]),
+    "limits in double precision": become(schema.ALPHA_LIMITS, lambda v: v.astype("<f8")),
+    "single precision": become("gamma", lambda v: v.astype("<f4")),
+    "big endian": become("gamma", lambda v: v.astype(">f8")),
+    "whole numbers": become("gamma", lambda v: v.astype("<i8")),
+    "one dimension more": become("gamma", lambda v: v[:, None]),
+    "a dimension less": become(schema.ALPHA_LIMITS, lambda v: v[0]),
+}
+"""What C and Octave read as well."""
+
+ELSEWHERE: dict[str, Edit] = {
+    "reversed delays": become("delay", lambda v: v[::-1]),
+    "reversed alpha": become("alpha", lambda v: v[::-1]),
     "a negative delay": put("delay", -1.0),
     "a delay of NaN": put("delay", np.nan, -1),
     "a delay of 1000": put("delay", 1000.0, -1),
@@ -146,19 +173,7 @@ VALUES: dict[str, Edit] = {
     "too thin a beta": become(
         "beta", lambda v: np.arange(len(v))[:, None] * np.full((1, v.shape[1]), 5e-324)
     ),
-    "five terms": become(schema.ALPHA_LIMITS, lambda v: v[..., :5]),
-    "a delay too few": become(schema.ALPHA_LIMITS, lambda v: v[:, :, :, :1]),
-    "cells as nodes": become(schema.ALPHA_LIMITS, lambda v: v[:, :1]),
     "one alpha": become("alpha", lambda v: v[:1]),
-    "single precision": become("gamma", lambda v: v.astype("<f4")),
-    "big endian": become("gamma", lambda v: v.astype(">f8")),
-    "whole numbers": become("gamma", lambda v: v.astype("<i8")),
-    "one dimension more": become("gamma", lambda v: v[:, None]),
-    "a dimension less": become(schema.ALPHA_LIMITS, lambda v: v[0]),
-}
-"""What C and Octave read as well."""
-
-ELSEWHERE: dict[str, Edit] = {
     "node numbers": put("alpha_node", 7),
     "cell numbers": become("limit_cell", lambda v: v[::-1]),
     "a code beyond": put(schema.VERDICT, 4),
@@ -191,33 +206,33 @@ TABLES: dict[str, Callable[[str], str]] = {
     "no table": lambda _: "\n\n\n\n",
     "a nul byte": sub("\nalpha_limits ", "\nalpha\0limits "),
     "a block less": lambda table: table[: table.rindex("\n\n") + 1],
-    "a huge array": sub(r"alpha_limits <f8 \d+", "alpha_limits <f8 999999999999"),
+    "a huge array": sub(r"alpha_limits <f4 \d+", "alpha_limits <f4 999999999999"),
     "a product of 0 modulo 2^64": sub(
-        r"alpha_limits <f8 \S+", "alpha_limits <f8 4294967296x4294967296x1x1x10"
+        r"alpha_limits <f4 \S+", "alpha_limits <f4 4294967296x4294967296x1x1x14"
     ),
-    "a huge chunk": sub(r"(alpha_limits <f8 \S+) \d+", r"\1 999999999999"),
-    "a chunk larger than the array": sub(r"(alpha_limits <f8 \S+) 4x", r"\1 5x"),
-    "a chunk of nothing": sub(r"(alpha_limits <f8 \S+) 4x", r"\1 0x"),
-    "an array of nothing": sub(r"alpha_limits <f8 4x", "alpha_limits <f8 0x"),
-    "a negative length": sub(r"alpha_limits <f8 4x", "alpha_limits <f8 -4x"),
-    "a length with a sign": sub(r"alpha_limits <f8 4x", "alpha_limits <f8 +4x"),
-    "a length in hexadecimal": sub(r"alpha_limits <f8 4x", "alpha_limits <f8 0x4x"),
-    "a long length": sub(r"alpha_limits <f8 4x", f"alpha_limits <f8 {'0' * 5000}4x"),
-    "an object": sub(r"alpha_limits <f8", "alpha_limits |O"),
+    "a huge chunk": sub(r"(alpha_limits <f4 \S+) \d+", r"\1 999999999999"),
+    "a chunk larger than the array": sub(r"(alpha_limits <f4 \S+) 4x", r"\1 5x"),
+    "a chunk of nothing": sub(r"(alpha_limits <f4 \S+) 4x", r"\1 0x"),
+    "an array of nothing": sub(r"alpha_limits <f4 4x", "alpha_limits <f4 0x"),
+    "a negative length": sub(r"alpha_limits <f4 4x", "alpha_limits <f4 -4x"),
+    "a length with a sign": sub(r"alpha_limits <f4 4x", "alpha_limits <f4 +4x"),
+    "a length in hexadecimal": sub(r"alpha_limits <f4 4x", "alpha_limits <f4 0x4x"),
+    "a long length": sub(r"alpha_limits <f4 4x", f"alpha_limits <f4 {'0' * 5000}4x"),
+    "an object": sub(r"alpha_limits <f4", "alpha_limits |O"),
     "a place beyond the image": sub(_AT, "9999999+1924"),
     "a place at the end of numbers": sub(_AT, "18446744073709551615+1924"),
     "a negative place": sub(_AT, "-1+1924"),
     "a size of nothing": sub(_AT, "8+0"),
     "a size too large": sub(_AT, "8+999999"),
-    "another place": sub(_AT, "8+3844"),
+    "another place": sub(_AT, "8+5380"),
     "no place": sub(r"(\nalpha_limits) \d+\+\d+", r"\1"),
     "places too many": sub(f"({_AT})", r"\1 \1"),
     "other names": sub(r"\ngamma ", "\ngamme ", 0),
     "no filters": sub("\nfilters [^\n]*", ""),
-    "a wrong digest": sub(r"(alpha_limits <f8 \S+ \S+) [0-9a-f]", r"\1 g"),
-    "a digest of others": sub(r"(alpha_limits <f8 \S+ \S+) [0-9a-f]{8}", r"\1 01234567"),
-    "a short digest": sub(r"(alpha_limits <f8 \S+ \S+ [0-9a-f]+)[0-9a-f]\n", "\\1\n"),
-    "no digest": sub(r"(alpha_limits <f8 \S+ \S+) [0-9a-f]+\n", "\\1\n"),
+    "a wrong digest": sub(r"(alpha_limits <f4 \S+ \S+) [0-9a-f]", r"\1 g"),
+    "a digest of others": sub(r"(alpha_limits <f4 \S+ \S+) [0-9a-f]{8}", r"\1 01234567"),
+    "a short digest": sub(r"(alpha_limits <f4 \S+ \S+ [0-9a-f]+)[0-9a-f]\n", "\\1\n"),
+    "no digest": sub(r"(alpha_limits <f4 \S+ \S+) [0-9a-f]+\n", "\\1\n"),
 }
 WORDS: dict[str, Callable[[str], str]] = {
     "a nul byte at the end": lambda table: table + "\0",
@@ -245,10 +260,10 @@ def long_tables(base: Arrays) -> dict[str, bytes]:
             assembled(base), sub(r"(\nalpha_limits) (?=\d+\+)", r"\1" + " 1" * 10**6)
         ),
         "many lengths": retold(
-            assembled(base), sub("alpha_limits <f8 ", f"alpha_limits <f8 {'1x' * 10**6}")
+            assembled(base), sub("alpha_limits <f4 ", f"alpha_limits <f4 {'1x' * 10**6}")
         ),
         "many digests": retold(
-            assembled(base), sub(r"(alpha_limits <f8 \S+ \S+)", r"\1" + " a" * 10**6)
+            assembled(base), sub(r"(alpha_limits <f4 \S+ \S+)", r"\1" + " a" * 10**6)
         ),
     }
 
@@ -274,7 +289,7 @@ def bomb(base: Arrays) -> bytes:
             if number in arrays:
                 count = max(size - number.endswith("cell"), 1)
                 arrays[number] = np.arange(count, dtype=np.int32)
-    for name in (schema.VERDICT, schema.CELL_VERDICT, "limit_cell", "limit_term", "alpha_limits"):
+    for name in (schema.VERDICT, schema.CELL_VERDICT, *schema.PRODUCTS[schema.ALPHA_LIMITS]):
         del arrays[name]
     cells = tuple(max(size - 1, 1) for size in [*sizes.values()][:4])
     shapes = [tuple(sizes.values())] * 2 + [(*cells, 1)]
@@ -313,7 +328,7 @@ def hostile_files(base: Arrays) -> dict[str, tuple[bytes, bool]]:
 
 def mutants(base: Arrays, rng: np.random.Generator, count: int) -> Iterator[bytes]:
     """Files with some bytes of table or chunks changed; digests are right again, but some."""
-    whole = assembled(base, chunks={schema.ALPHA_LIMITS: (3, 1, 2, 1, 10)})
+    whole = assembled(base, chunks={schema.ALPHA_LIMITS: (3, 1, 2, 1, 14)})
     for _ in range(count):
         if rng.random() < 0.7:
             yield retold(whole, lambda text: _mutated_text(text, rng))

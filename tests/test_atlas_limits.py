@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from atlases import small_atlas, small_contents
+from atlases import moving_atlas, small_atlas, small_contents
 
 from jaxstab import AXES, STABLE, UNDECIDED, UNSTABLE, Atlas, QueryStatus, stable_region, verdict
+from jaxstab.atlas.format.schema import PRODUCTS
 from jaxstab.atlas.read import file
 from jaxstab.atlas.read.answer import checked_range
 
@@ -143,10 +144,72 @@ def test_what_is_no_number_is_refused_by_its_name(atlas: Atlas, ask, words: str)
 
 def test_without_the_product_there_are_verdicts_but_no_limits() -> None:
     contents = small_contents()
-    names = {"alpha_limits", "limit_cell", "limit_term"}
+    names = set(PRODUCTS["alpha_limits"])
     arrays = {name: array for name, array in contents.arrays.items() if name not in names}
     atlas = Atlas(file.Contents(arrays, contents.created_by, contents.filters))
     point = dict(zip(AXES, (0.1, 0.3, 0.0005, 0.004, 0.0), strict=True))
     assert atlas.verdict(**point) == STABLE
     with pytest.raises(ValueError, match="holds no limits of alpha"):
         atlas.max_alpha(0.0, 0.0, 0.0)
+
+
+# -------------------------------------------------------------------------------- between delays
+
+
+@pytest.fixture(scope="module")
+def moving() -> Atlas:
+    return moving_atlas()
+
+
+def points_between(atlas: Atlas, count: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """Points of all delays, with many on the edges of cells of delays."""
+    ends = atlas.arrays["limit_range"]
+    edges = ends[:, :2].ravel()
+    beside = [np.nextafter(edges[1:-1], side) for side in (-np.inf, np.inf)]
+    at_edges = rng.choice(np.concatenate([edges, *beside]), count)
+    delay = np.where(rng.random(count) < 0.5, at_edges, rng.uniform(0.0, 1.5, count))
+    row = ends[np.searchsorted(ends[:, 0], delay, "right") - 1]
+    alpha, beta = (rng.uniform(*row[:, side].T) for side in ((2, 3), (4, 5)))
+    return [alpha, beta, rng.uniform(0.0, 0.001, count), rng.uniform(0.0, 0.015, count), delay]
+
+
+def test_verdicts_between_delays_are_those_of_the_recursion(
+    moving: Atlas, rng: np.random.Generator
+) -> None:
+    points = points_between(moving, 6000, rng)
+    assert np.mean(moving.verdict(*points) != UNDECIDED) > 0.99
+    at = moving.alpha_limits(*(values[:3000] for values in points[1:]))
+    with np.errstate(invalid="ignore"):
+        beside = rng.choice([at.lower + 1.01 * at.lower_error, at.upper - 1.01 * at.upper_error])
+    points[0][:3000] = np.where(np.isfinite(beside), beside, points[0][:3000])
+    answered = moving.query(*points, outside="undecided").verdict
+    exact = np.asarray(verdict(*points, resolve="exact"))
+    decided = answered != UNDECIDED
+    np.testing.assert_array_equal(answered[decided], exact[decided])
+
+
+def test_limits_between_delays_hold_the_exact_ones(moving: Atlas) -> None:
+    delays = np.array([0.0, 0.3, 0.999, 1.0, 1.37, 1.5])
+    found = moving.alpha_limits(0.3, 0.0004, 0.003, delays)
+    for index, delay in enumerate(delays.tolist()):
+        region = stable_region(0.0004, 0.003, delay)
+        low, high = (float(limit) for limit in region.alpha_limits(0.3))
+        assert abs(found.lower[index] - low) <= found.lower_error[index] + 1e-15
+        assert abs(found.upper[index] - high) <= found.upper_error[index] <= 0.02 * high
+        largest = moving.max_alpha(0.0004, 0.003, delay)
+        assert largest.alpha <= float(region.max_alpha[0]) <= largest.bound
+
+
+def test_a_delay_is_a_number_or_an_array(moving: Atlas, rng: np.random.Generator) -> None:
+    points = points_between(moving, 300, rng)
+    many = moving.verdict(*points)
+    np.testing.assert_array_equal(many, moving.query(*points).verdict)
+    for index, point in enumerate(zip(*(values.tolist() for values in points), strict=True)):
+        assert moving.verdict(*point) == many[index]
+    status = moving.query(*points).status
+    assert set(status.tolist()) <= {QueryStatus.CELL, QueryStatus.UNDECIDED_CELL}
+    assert moving.worst_verdict(0.05, 0.3, (0.0, 0.001), (0.001, 0.01), 1.37) == STABLE
+    with pytest.raises(ValueError, match=r"^alpha is 0.5, and .* at delay 1.37; ask inside"):
+        moving.verdict(0.5, 0.3, 0.0, 0.0, 1.37)
+    with pytest.raises(ValueError, match=r"^delay is 1.6, and this atlas reaches from 0.0 to 1.5"):
+        moving.alpha_limits(0.3, 0.0, 0.0, [0.3, 1.6])

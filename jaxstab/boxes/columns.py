@@ -1,12 +1,13 @@
-"""Limits of alpha over columns: boxes of (beta, gamma, delta) in which the stable alphas are known.
+"""Limits of alpha over columns: boxes of beta, gamma, delta and delay with known stable alphas.
 
-In a column the boundary is a few strips, each within an error of a plane over (beta, gamma, delta):
+In a column the boundary is a few strips, each within an error of a plane over its parameters:
 the line of a root at 1, the parts of the curve (``enclosure``), and the line of a root at -1.
 Between two strips, and below and above them all, no root crosses the unit circle, so that one
 certified verdict speaks for the whole gap. This needs nothing to be known about the shape of the
 stable set; where strips meet, or more than one gap is stable, what lies between stays undecided.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,17 +15,35 @@ from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
-from jaxstab.boxes.strips import Columns, Strips, columns_of, strips_of, widened
+from jaxstab.boxes.runs import Columns, columns_of
+from jaxstab.boxes.strips import (
+    Strips,
+    above_line,
+    apart,
+    holds_line,
+    strips_of,
+    widened,
+)
 from jaxstab.conventions import NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
 
-TERMS = ("constant", "per_beta", "per_gamma", "per_delta", "error")
-"""A plane over (beta, gamma, delta) and how far from it the true limit can be."""
+TERMS = (
+    "constant",
+    "per_beta",
+    "per_gamma",
+    "per_delta",
+    "per_delay",
+    "per_delay_squared",
+    "error",
+)
+"""A surface over (beta, gamma, delta, delay) and how far from it the true limit can be."""
 
+_INSIDE = 1.0 - 1e-6  # of the way to a corner of a column
+_EVERYWHERE = Domain((-np.inf, np.inf), (-np.inf, np.inf))
 _ROUNDING = 1e-14  # of the domain: sums of the terms of a plane
 
-Planes = Float64[np.ndarray, "*column 5"]
+Planes = Float64[np.ndarray, "*column 7"]
 
 
 class StableColumns(NamedTuple):
@@ -35,8 +54,8 @@ class StableColumns(NamedTuple):
     a column that has no stable alpha, upper planes in one that has no end of them in the domain.
     """
 
-    lower: Float64[np.ndarray, "box beta_cell 5"]
-    upper: Float64[np.ndarray, "box beta_cell 5"]
+    lower: Float64[np.ndarray, "box beta_cell 7"]
+    upper: Float64[np.ndarray, "box beta_cell 7"]
 
 
 class ColumnGaps(NamedTuple):
@@ -62,6 +81,7 @@ def stable_columns(
     delay: float,
     domain: Domain,
     filters: Filters | None = None,
+    half_delay: float = 0.0,
 ) -> StableColumns:
     """Return which alphas of a domain are proved stable in each column.
 
@@ -73,17 +93,26 @@ def stable_columns(
         filters: velocity estimator and position filter in units of one sample, whose gain P(1) is
             not 0; None for the difference over one sample. Then a column may have several stable
             gaps, and between the first and the last of them nothing is said.
+        half_delay: how far the delay is from this at most. No whole sample may lie between.
 
     Raises:
         ValueError: gamma, delta or delay is outside the range of the model, or P(1) is 0.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle, and the certified
-    verdict; lemmas B8 and B12 of docs/proofs.md.
+    verdict; lemmas B8, B12 and B16 of docs/proofs.md.
     """
-    columns = columns_of(beta, hands)
-    strips = strips_of(beta, columns, hands, delay, domain, filters)
-    codes = _gap_verdicts(strips, columns, delay, domain, filters)
-    lower, upper = _limits(strips, codes, columns, domain)
+    columns = columns_of(beta, hands, delay, half_delay)
+    strips = strips_of(beta, columns, hands, domain, filters)
+    lower, upper = (np.empty((columns.centre.shape[0], len(TERMS))) for _ in range(2))
+    rest = np.arange(columns.centre.shape[0])
+    for ordered in (above_line, apart) if holds_line(filters) else (apart,):
+        some, there = strips.some(rest), columns.some(rest)
+        some = _straight_where_partial(ordered, some, there, domain)
+        codes = _gap_verdicts(some, there, domain, filters)
+        lower[rest], upper[rest] = _limits(some, codes, there, domain)
+        rest = rest[upper[rest, -1] == np.inf]
+        if not rest.size:
+            break
     shape = (hands.gamma.size, beta.size - 1, len(TERMS))
     return StableColumns(lower.reshape(shape), upper.reshape(shape))
 
@@ -99,9 +128,9 @@ def column_gaps(
 
     Args, errors and source: as ``stable_columns``.
     """
-    columns = columns_of(beta, hands)
-    strips = strips_of(beta, columns, hands, delay, domain, filters)
-    codes = _gap_verdicts(strips, columns, delay, domain, filters)
+    columns = columns_of(beta, hands, delay)
+    strips = apart(strips_of(beta, columns, hands, domain, filters), columns)
+    codes = _gap_verdicts(strips, columns, domain, filters)
     terms = np.sum(np.abs(strips.slope * columns.centre[:, None]), axis=-1)
     error = strips.error + _ROUNDING * (np.abs(strips.centre) + 2.0 * terms)
     low, high = _gaps(*strips._replace(error=error).ends(columns), widened(domain))
@@ -112,24 +141,72 @@ def column_gaps(
 
 
 def _gap_verdicts(
-    strips: Strips, columns: Columns, delay: float, domain: Domain, filters: Filters | None
+    strips: Strips, columns: Columns, domain: Domain, filters: Filters | None
 ) -> Int8[np.ndarray, "column gap"]:
-    """Return a verdict for each gap of a domain, from below; NOT_COMPUTED where there is none."""
-    low, high = strips.centre - strips.error, strips.centre + strips.error
-    floor, ceiling = _gaps(low, high, widened(domain))
-    exists = floor < ceiling
-    column, _ = np.nonzero(exists)
-    middle = 0.5 * (floor + ceiling)[exists]
+    """Return a verdict for each gap of a domain, from below; NOT_COMPUTED where there is none.
+
+    A gap is connected: where it is not all along its column strips are straight, and it is convex.
+    """
+    inside = columns.corners * _INSIDE
+    middle = np.zeros_like(inside[:1])
+    if columns.half_delay:  # the square of the delay is not free
+        middle[..., 4] = -columns.half[:, 4]
+        inside[..., 4] = (2.0 * _INSIDE**2 - 1.0) * columns.half[:, 4]
+    points = np.concatenate([middle, inside])
+    begins, ends = _gaps(*strips.ends_at(points), widened(domain))
+    width = ends - begins
+    widest = np.argmax(np.where(np.isnan(width), -np.inf, width), axis=0)
+    chosen = np.where(width[0] > 0.0, 0, widest)
+    exists = np.take_along_axis(width, chosen[None], 0)[0] > 0.0
+    column, gap = np.nonzero(exists)
+    chosen = chosen[exists]
+    alpha = 0.5 * (begins + ends)[chosen, column, gap]
+    deviation = points[chosen, column]
+    beta, gamma, delta = (columns.centre[column] + deviation)[:, :3].T
     codes = np.full(exists.shape, NOT_COMPUTED, np.int8)
-    beta, gamma, delta = columns.centre[column].T
     resolve = "exact" if filters is None else None
-    codes[exists] = verdict(
-        middle, beta, gamma, delta, delay, resolve=resolve, **as_keywords(filters)
-    )
-    # What the middle of a column does not see of it
-    begins, ends = _gaps(*strips.ends(columns), domain)
-    codes[~exists & np.any(begins < ends, axis=0)] = UNDECIDED
+    some = np.empty(alpha.size, np.int8)
+    shares = np.sign(deviation[:, 3]) if columns.half_delay else np.zeros_like(alpha)
+    for share in np.unique(shares).tolist():
+        here = shares == share
+        delay = columns.delay + share * _INSIDE * columns.half_delay
+        walls = alpha[here], beta[here], np.maximum(gamma[here], 0.0), np.maximum(delta[here], 0.0)
+        some[here] = verdict(*walls, delay, resolve=resolve, **as_keywords(filters))
+    codes[exists] = some
+    codes[(codes == NOT_COMPUTED) & _may_be(strips, columns, domain)] = UNDECIDED
+    low, high = strips.ends(columns)
+    crosses = np.any(low[..., 1:] <= high[..., :1], axis=0)
+    codes[:, 2:][crosses & (codes[:, 2:] == STABLE)] = UNDECIDED  # its lower limit has a corner
     return codes
+
+
+def _may_be(strips: Strips, columns: Columns, domain: Domain) -> Bool[np.ndarray, "column gap"]:
+    """Say which gaps may reach into a domain somewhere in their columns."""
+    begins, ends = _gaps(*strips.ends(columns), _EVERYWHERE)
+    reach: np.ndarray = np.any(begins < ends, axis=0)
+    reach &= np.any(ends > domain.alpha[0], axis=0) & np.any(begins < domain.alpha[1], axis=0)
+    return reach
+
+
+def _straight_where_partial(
+    ordered: Callable[[Strips, Columns], Strips], strips: Strips, columns: Columns, domain: Domain
+) -> Strips:
+    """Order strips, straight ones in columns that hold a part of a gap alone."""
+    first = ordered(strips, columns)
+    if not columns.half_delay:
+        return first
+    begins, ends = _gaps(*first.ends(columns), widened(domain))
+    exists = begins < ends
+    partial = np.any(np.any(exists, axis=0) & ~np.all(exists, axis=0), axis=1)
+    straight = strips.straightened(columns)
+    bent = partial.reshape(-1, 1)
+    return ordered(
+        strips._replace(
+            slope=np.where(bent[..., None], straight.slope, strips.slope),
+            error=np.where(bent, straight.error, strips.error),
+        ),
+        columns,
+    )
 
 
 def _gaps(
@@ -140,7 +217,7 @@ def _gaps(
     """Return the ends of gaps; NaN where a column has fewer."""
     *shape, _ = low.shape
     lowest, highest = (np.full((*shape, 1), end) for end in of.alpha)
-    begins = np.concatenate([lowest, high], axis=-1)
+    begins = np.concatenate([lowest, np.maximum(high, high[..., :1])], axis=-1)
     ends = np.concatenate([low, np.full_like(highest, np.nan)], axis=-1)
     ends = np.where(np.isnan(ends) & ~np.isnan(begins), highest, ends)
     return np.maximum(begins, lowest), np.minimum(ends, highest)
@@ -171,8 +248,9 @@ def _limits(
     lost = np.any(codes == UNDECIDED, axis=1) | np.any(strips.error == np.inf, axis=1)
     lost |= hides & is_open
     low, high = (np.where(hides & ~lost, end, 0.0) for end in (low, high))
-    span = _flat(0.5 * (low + high), 0.5 * (high - low))
-    unknown = _flat(np.zeros_like(low), np.full_like(low, np.inf))
+    variables = columns.centre.shape[1]
+    span = _flat(0.5 * (low + high), 0.5 * (high - low), variables)
+    unknown = _flat(np.zeros_like(low), np.full_like(low, np.inf), variables)
     limits = []
     for strip, outermost in ((first - 1, -np.inf), (first, np.inf)):
         limit = _ends_at(strips, strip, outermost, count > 0)
@@ -194,7 +272,7 @@ class _Limits(NamedTuple):
     """One limit of each column: a plane by its value at the centre, its slopes and its error."""
 
     centre: Float64[np.ndarray, " column"]
-    slope: Float64[np.ndarray, "column 3"]
+    slope: Float64[np.ndarray, "column variable"]
     error: Float64[np.ndarray, " column"]
 
     def replaced(self, where: Bool[np.ndarray, " column"], others: "_Limits") -> "_Limits":
@@ -207,8 +285,10 @@ class _Limits(NamedTuple):
         )
 
 
-def _flat(centre: Float64[np.ndarray, " column"], error: Float64[np.ndarray, " column"]) -> _Limits:
-    return _Limits(centre, np.zeros((centre.size, 3)), error)
+def _flat(
+    centre: Float64[np.ndarray, " column"], error: Float64[np.ndarray, " column"], variables: int
+) -> _Limits:
+    return _Limits(centre, np.zeros((centre.size, variables)), error)
 
 
 def _ends_at(
@@ -235,8 +315,16 @@ def _of_strip(part: np.ndarray, strip: Int64[np.ndarray, " column"]) -> np.ndarr
 
 
 def _planes(limits: _Limits, columns: Columns) -> Planes:
+    """Return the terms of limits, in the parameters themselves."""
     centre, slope, error = limits
     constant = centre - np.sum(slope * columns.centre, axis=1)
     size = np.abs(centre) + 2.0 * np.sum(np.abs(slope * columns.centre), axis=1)
+    per_delay = per_square = np.zeros_like(constant)
+    if columns.half_delay:  # t = d - d0 in rate t + bend (t^2 - half), where centres are 0
+        rate, bend = slope[:, 3:].T
+        per_delay, per_square = rate - 2.0 * columns.delay * bend, bend
+        constant -= rate * columns.delay - bend * (columns.delay**2 - columns.half[:, 4])
+        latest = columns.delay + columns.half_delay
+        size += 4.0 * (np.abs(rate) + 2.0 * latest * np.abs(bend)) * latest
     error = error + _ROUNDING * np.where(np.isfinite(size), size, 0.0)
-    return np.column_stack([constant, slope, error])
+    return np.column_stack([constant, slope[:, :3], per_delay, per_square, error])

@@ -44,7 +44,8 @@ class Domain(NamedTuple):
 class Patches(NamedTuple):
     """Parts of the curve over boxes of hands, in the order of the boxes and then of theta.
 
-    Linear models in (theta, gamma, delta); where their rest is infinite the curve may be anywhere.
+    Linear models in theta and the variables of the plant; where their rest is infinite the curve
+    may be anywhere.
     """
 
     box: Box
@@ -61,6 +62,7 @@ def curve_patches(
     domain: Domain,
     width: tuple[float, float],
     filters: Filters | None = None,
+    half_delay: float = 0.0,
 ) -> Patches:
     """Enclose the curve of a pair of roots on the unit circle where it may meet a domain.
 
@@ -73,8 +75,9 @@ def curve_patches(
         domain: of the gains.
         width: patches are halved until theta moves alpha and beta no farther.
         filters: velocity estimator and position filter, in units of one sample.
+        half_delay: how far the delay is from this at most, between the whole samples around it.
     """
-    plant = plant_models(hands, delay)
+    plant = plant_models(hands, delay, half_delay)
     turns = int(np.floor(delay)) + 1
     count = max(_FIRST_PATCHES, _PER_TURN * (turns + _order_of(filters)))
     angles = pi * (np.arange(count + 1) / count) ** 1.5
@@ -99,12 +102,14 @@ def curve_patches(
     return Patches(*parts, curve.alpha.value, curve.beta.value, may_turn)
 
 
-def minus_line_models(hands: HandBoxes, delay: float) -> tuple[LinearModel, LinearModel]:
+def minus_line_models(
+    hands: HandBoxes, delay: float, half_delay: float = 0.0
+) -> tuple[LinearModel, LinearModel]:
     """Enclose value and weight of the line of a root at -1: weight (alpha + 2 beta) = value.
 
     With filters it is weight (alpha P(-1) + beta V(-1)) = value.
     """
-    plant = plant_models(hands, delay)
+    plant = plant_models(hands, delay, half_delay)
     sign = -1.0 if int(np.floor(delay)) % 2 == 0 else 1.0
     return (1.0 - plant.d1 + plant.d0) * -sign, plant.difference
 
@@ -148,7 +153,7 @@ class _Curve(NamedTuple):
     square_gains: tuple[Moving, ...]  # beta; with filters alpha, too
     square: Moving
     lift: Moving
-    forces: Float64[np.ndarray, "3 patch"] | None = None
+    forces: Float64[np.ndarray, "3 patch"]
 
     @property
     def rests(self) -> Float64[np.ndarray, "2 patch"]:
@@ -169,8 +174,8 @@ class _Curve(NamedTuple):
             moves = 2.0 * np.abs(gain.slope[0]) * gain.half[0]
             short &= (moves <= np.maximum(wanted, gain.rest)) & np.isfinite(gain.rest)
             is_vain = gain.rest > _HELPS * former
-            if self.forces is not None:  # next to a pole halving helps later
-                is_vain &= square.swing < _CLEAR * np.abs(square.centre)
+            # Next to a pole halving helps later.
+            is_vain &= square.swing < _CLEAR * np.abs(square.centre)
             short &= (gain.rest <= _TOLERATED * wanted) | is_vain
         return short
 
@@ -187,10 +192,9 @@ class _Curve(NamedTuple):
         for gain, limits in zip(self.square_gains, (domain.beta, domain.alpha), strict=False):
             ends = np.stack([square * end for end in limits]).reshape(4, -1)
             outside |= gain.value.is_off(ends.min(axis=0), ends.max(axis=0))
-        if self.forces is not None:
-            by_position, by_velocity, least = self.forces
-            most = [np.max(np.abs(limits)) for limits in domain]
-            outside |= most[0] * by_position + most[1] * by_velocity < least * (1.0 - _ROUNDING)
+        by_position, by_velocity, least = self.forces
+        most = [np.max(np.abs(limits)) for limits in domain]
+        outside |= most[0] * by_position + most[1] * by_velocity < least * (1.0 - _ROUNDING)
         return outside
 
 
@@ -216,17 +220,16 @@ def _curve(
         + rest * (waves.sine_ratio * slope + nu * (plant.gamma * nu - eps))
         + waves.lag_ratio * real
     )
+    sizes = _least(d.value), np.sin(theta) * _least(eps), np.sqrt(square.value.high)
+    forces = _forces(filters, theta, half_theta, sizes)
     if filters is not None:
         plain = _Plain(h, plant.gamma, square, square_beta, rise - square_beta)
-        sizes = _least(d.value), np.sin(theta) * _least(eps), np.sqrt(square.value.high)
-        return _filtered(plain, theta, filters)._replace(
-            forces=_forces(filters, theta, half_theta, sizes)
-        )
+        return _filtered(plain, theta, filters, forces)
     over_square = square.reciprocal()
     beta = square_beta * over_square
     lift = over_square * rise
     lift = lift - beta
-    return _Curve(h * lift - plant.gamma, beta, (square_beta,), square, lift)
+    return _Curve(h * lift - plant.gamma, beta, (square_beta,), square, lift, forces)
 
 
 class _Plain(NamedTuple):
@@ -239,7 +242,9 @@ class _Plain(NamedTuple):
     square_lift: Moving
 
 
-def _filtered(plain: _Plain, theta: Patch, filters: Filters) -> _Curve:
+def _filtered(
+    plain: _Plain, theta: Patch, filters: Filters, forces: Float64[np.ndarray, "3 patch"]
+) -> _Curve:
     """Return the curve with filters: a linear map of the one without, see lemma B12."""
     h, gamma, square, square_beta, square_lift = plain
     p_rise, p_slope, v_rise, v_slope = filter_models(filters, theta, gamma.half)
@@ -256,18 +261,22 @@ def _filtered(plain: _Plain, theta: Patch, filters: Filters) -> _Curve:
     lift = both_lift * over_both
     alpha = h * lift - gamma * (1.0 / at_one)
     beta = both_beta * over_both
-    return _Curve(alpha, beta, (both_beta, both_alpha), both, _scaled(lift, at_one))
+    return _Curve(alpha, beta, (both_beta, both_alpha), both, _scaled(lift, at_one), forces)
 
 
 def _forces(
-    filters: Filters, theta: Patch, half: Patch, sizes: tuple[Patch, Patch, Patch]
+    filters: Filters | None, theta: Patch, half: Patch, sizes: tuple[Patch, Patch, Patch]
 ) -> Float64[np.ndarray, "3 patch"]:
     """Bound |P N| and |V N| from above and |D| from below; ``sizes`` are of D and of N."""
     real, imaginary, numerator = sizes
-    cells = filter_cells(filters)
-    values, _, lost = responses(cells, theta)
-    steep = largest_within(cells.steepness, cells, theta, half)
-    most = (np.abs(values) + lost[:2] + half * steep[:2]) * (1.0 + _ROUNDING)
+    if filters is None:  # P = 1 and V = 1 - 1/z
+        most = np.stack([np.ones_like(theta), 2.0 * np.sin(0.5 * theta) + half])
+    else:
+        cells = filter_cells(filters)
+        values, _, lost = responses(cells, theta)
+        steep = largest_within(cells.steepness, cells, theta, half)
+        most = np.abs(values) + lost[:2] + half * steep[:2]
+    most = most * (1.0 + _ROUNDING)
     least = np.hypot(real, np.maximum(imaginary - 2.0 * half, 0.0))  # |eps| <= 1
     return np.stack([*(most * numerator), least])
 
@@ -291,7 +300,7 @@ class _Waves(NamedTuple):
     lag_ratio: Moving  # (1 - cos(m theta)) / (1 - cos(theta))
 
 
-def _waves(theta: Patch, turns: int, half: Float64[np.ndarray, "3 patch"]) -> _Waves:
+def _waves(theta: Patch, turns: int, half: Float64[np.ndarray, "variable patch"]) -> _Waves:
     lag = np.arange(turns)
     sines = np.arange(turns - 1, -turns, -2)
     sine = np.sin(theta)
@@ -310,7 +319,7 @@ def _cosines(
     theta: Patch,
     order: Int64[np.ndarray, " term"],
     weight: Int64[np.ndarray, " term"],
-    half: Float64[np.ndarray, "3 patch"],
+    half: Float64[np.ndarray, "variable patch"],
 ) -> Moving:
     """Return the sum of weight cos(order theta)."""
     phase, factor = np.multiply.outer(theta, order), weight.astype(float)
@@ -325,9 +334,13 @@ def _cosines(
 
 
 def _of_theta(
-    value: Patch, slope: Patch, bend: float, size: float, half: Float64[np.ndarray, "3 patch"]
+    value: Patch,
+    slope: Patch,
+    bend: float,
+    size: float,
+    half: Float64[np.ndarray, "variable patch"],
 ) -> LinearModel:
     """Return the model of a function of theta alone, from a bound of its second derivative."""
-    still = np.zeros_like(value)
+    still = np.zeros_like(half[1:])
     rest = 0.5 * bend * half[0] ** 2 + _ROUNDING * size
-    return LinearModel(value, np.stack([slope, still, still]), rest, half)
+    return LinearModel(value, np.concatenate([slope[None], still]), rest, half)

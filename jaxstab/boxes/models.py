@@ -29,12 +29,16 @@ class LinearModel:
         slope: derivatives there, (variable, *box).
         rest: bound of what these leave, (*box).
         half: half-widths of the boxes, (variable, *box).
+        has_products: whether the variables are x_1 ... x_n, t, the square of t less half of what it
+            can be, and t x_1 ... t x_n. Then arithmetic keeps these products, which it adds to what
+            is left otherwise.
     """
 
     centre: Floats
     slope: Floats
     rest: Floats
     half: Floats
+    has_products: bool = False
 
     @property
     def swing(self) -> Floats:
@@ -60,7 +64,7 @@ class LinearModel:
         if not isinstance(other, LinearModel):
             return self._with(self.centre + other, self.slope, self.rest)
         rest = self.rest + other.rest
-        return self._with(self.centre + other.centre, self.slope + other.slope, rest)
+        return self._like(other)._with(self.centre + other.centre, self.slope + other.slope, rest)
 
     def __neg__(self) -> "LinearModel":
         return self._of(-self.centre, -self.slope, self.rest)
@@ -78,8 +82,12 @@ class LinearModel:
         with np.errstate(invalid="ignore"):  # what has no bound has none when it is taken 0 times
             rest = abs(self.centre) * other.rest + self.rest * other.size
             rest = rest + self._sloped * other.swing
+            product, like = self.centre * other.centre, self._like(other)
+            if like.has_products:
+                products = _products(self.slope, other.slope)
+                product, slope, rest = like._with_products(products, product, slope, rest)
         rest = _namespace(rest).where(rest >= 0.0, rest, np.inf)
-        return self._with(self.centre * other.centre, slope, rest)
+        return like._with(product, slope, rest)
 
     __radd__ = __add__
     __rmul__ = __mul__
@@ -91,8 +99,15 @@ class LinearModel:
         is_known = clear > 0.0
         clear, centre = where(is_known, clear, 1.0), where(is_known, self.centre, 1.0)
         square, size = centre**2, abs(centre) ** 2
-        rest = self.rest / size + self.swing**2 / (size * clear)
-        inverse = self._with(1.0 / centre, -self.slope / square, rest)
+        inverse, slope = 1.0 / centre, -self.slope / square
+        if self.has_products:
+            products = (part * inverse**3 for part in _products(self.slope, self.slope))
+            rest = self.swing**2 / (size * abs(centre))
+            inverse, slope, rest = self._with_products(tuple(products), inverse, slope, rest)
+            rest = rest + self.swing**3 / (size * abs(centre) * clear)
+        else:
+            rest = self.swing**2 / (size * clear)
+        inverse = self._with(inverse, slope, rest + self.rest / size)
         return self._of(inverse.centre, inverse.slope, where(is_known, inverse.rest, np.inf))
 
     def is_off(self, low: Number, high: Number) -> Floats:
@@ -109,7 +124,33 @@ class LinearModel:
         return self._of(centre, slope, rest + _ROUNDING * exact.size)
 
     def _of(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
-        return LinearModel(centre, slope, rest, self.half)
+        return LinearModel(centre, slope, rest, self.half, self.has_products)
+
+    def _like(self, other: "LinearModel") -> "LinearModel":
+        """Return one of two models of the same boxes, if possible one that keeps products."""
+        return other if other.has_products else self
+
+    def _with_products(
+        self, products: tuple[Floats, Floats, Floats], centre: Floats, slope: Floats, rest: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Put products of t with the variables from what is left into their own variables."""
+        square, *parts = products
+        t = len(self.half) // 2 - 1
+        half, halves = self.half[t + 1], self.half[t + 2 :]
+        added = [
+            slope[: t + 1],
+            (slope[t + 1] + square)[None],
+            slope[t + 2 :] + parts[0] + parts[1],
+        ]
+        taken = 2.0 * abs(square) * half + ((abs(parts[0]) + abs(parts[1])) * halves).sum(axis=0)
+        rest = rest * (1.0 + _ROUNDING) - taken
+        return centre + square * half, _namespace(rest).concatenate(added), rest
+
+
+def _products(one: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return coefficients of the square of t in a product, and twice those of t and the others."""
+    t = len(one) // 2 - 1
+    return one[t] * other[t], one[t] * other[:t], one[:t] * other[t]
 
 
 def _namespace(array: Floats) -> Any:

@@ -9,32 +9,40 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from jaxstab.boxes.circle import motion
 from jaxstab.boxes.models import Floats, LinearModel
 from jaxstab.model.plant import pairs_error, plant_coefficients
 
 
 class Bend(NamedTuple):
-    """Bounds of a function's second derivatives by gamma and delta."""
+    """Bounds of a function's second derivatives by gamma, delta and delay.
+
+    ``delay_thrice`` times gamma + delta bounds the third one by the delay.
+    """
 
     gamma_twice: float
     mixed: float
     delta_twice: float
+    gamma_delay: float = 0.0
+    delta_delay: float = 0.0
+    delay_thrice: float = 0.0
 
-    def rest(self, half_gamma: Floats, half_delta: Floats) -> Floats:
-        """Bound how far the function is from its tangent within half-widths of gamma and delta."""
+    def rest(self, half_gamma: Floats, half_delta: Floats, half_delay: float = 0.0) -> Floats:
+        """Bound how far the function is from its tangent within these half-widths."""
         pure = self.gamma_twice * half_gamma**2 + self.delta_twice * half_delta**2
-        return 0.5 * pure + self.mixed * half_gamma * half_delta
+        hand = 0.5 * pure + self.mixed * half_gamma * half_delta
+        return hand + half_delay * (self.gamma_delay * half_gamma + self.delta_delay * half_delta)
 
 
-# The tables of lemma B2.
+# The tables of lemmas B2 and B16.
 BENDS = {
     "d1": Bend(1 / 6, 1 / 2, 1.0),
     "d0": Bend(0.0, 0.0, 1.0),
-    "n2": Bend(1 / 360, 1 / 60, 1 / 12),
-    "n1": Bend(1 / 180, 1 / 24, 1 / 3),
-    "n0": Bend(1 / 360, 1 / 40, 1 / 4),
+    "n2": Bend(1 / 360, 1 / 60, 1 / 12, 1 / 6, 1 / 2, 1),
+    "n1": Bend(1 / 180, 1 / 24, 1 / 3, 1 / 6, 1 / 2, 2),
+    "n0": Bend(1 / 360, 1 / 40, 1 / 4, 1 / 6, 1 / 2, 1),
     "sum": Bend(1 / 180, 1 / 24, 1 / 3),
-    "difference": Bend(1 / 180, 1 / 24, 1 / 3),
+    "difference": Bend(1 / 180, 1 / 24, 1 / 3, 1 / 3, 1.0, 4),
 }
 NUMERATOR_SLOPES = (1 / 12, 1 / 2, 2.0)
 """Bounds of the slopes of N by gamma, delta and delay, as sums over its coefficients."""
@@ -55,7 +63,7 @@ class HandBoxes(NamedTuple):
 
 
 class PlantModels(NamedTuple):
-    """Linear models of the plant over boxes, of which the last two variables are gamma and delta.
+    """Linear models of the plant over boxes of gamma, delta and perhaps delay.
 
     The names are those of ``PlantCoefficients``.
     """
@@ -73,26 +81,41 @@ class PlantModels(NamedTuple):
         """Return the models of chosen boxes."""
         return PlantModels(
             *(
-                LinearModel(m.centre[box], m.slope[:, box], m.rest[box], m.half[:, box])
+                LinearModel(
+                    m.centre[box], m.slope[:, box], m.rest[box], m.half[:, box], m.has_products
+                )
                 for m in self
             )
         )
 
     def beside(self, half: Float64[np.ndarray, "other box"]) -> "PlantModels":
-        """Return the same models with other variables before gamma and delta."""
+        """Return the same models with other variables before theirs."""
         still = np.zeros_like(half)
-        halves = np.concatenate([half, self.gamma.half])
+        has_products = self.gamma.has_products
+
+        def joined(front: np.ndarray, products: np.ndarray, own: np.ndarray) -> np.ndarray:
+            if not has_products:
+                return np.concatenate([front, own])
+            return np.concatenate([front, own[:4], products, own[4:]])
+
+        halves = self.gamma.half
+        halves = joined(half, half * halves[2] if has_products else half, halves)
         return PlantModels(
-            *(LinearModel(m.centre, np.concatenate([still, m.slope]), m.rest, halves) for m in self)
+            *(
+                LinearModel(m.centre, joined(still, still, m.slope), m.rest, halves, has_products)
+                for m in self
+            )
         )
 
 
-def plant_models(hands: HandBoxes, delay: float) -> PlantModels:
+def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> PlantModels:
     """Enclose the plant's coefficients: secants for slopes, and the table for what they leave.
 
     Args:
         hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, of which the fraction enters.
+        half_delay: how far the delay is from this at most, between the whole samples around it;
+            where it is not 0, it is a variable of the models, with its products.
 
     Raises:
         ValueError: gamma, delta or delay is outside the range of the model.
@@ -103,6 +126,11 @@ def plant_models(hands: HandBoxes, delay: float) -> PlantModels:
     delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
     values = plant_coefficients(gamma, delta, delay)
     half = np.stack([h_gamma, h_delta])
+    moves = _delay_moves(hands, delay) if half_delay else {}
+    if half_delay:
+        of_delay = [np.full_like(h_gamma, by) for by in (half_delay, 0.5 * half_delay**2)]
+        half = np.concatenate([half, of_delay, half_delay * half])
+    third = (gamma.max(axis=0) + delta.max(axis=0)) * half_delay**3 / 6.0
     widths = gamma[2] - gamma[1], delta[4] - delta[3]
     # More than a rounding is lost of N where it nearly vanishes, and of D where it decays.
     lost = 8.0 * np.asarray(pairs_error(np.max(gamma, axis=0), np.max(delta, axis=0)))
@@ -114,12 +142,36 @@ def plant_models(hands: HandBoxes, delay: float) -> PlantModels:
         # A secant differs from the tangent by as much as the function from its tangent.
         bend = BENDS[name]
         secant = bend.rest(h_gamma, 0.0) + bend.rest(0.0, h_delta)
-        rest = bend.rest(h_gamma, h_delta) + secant + _ROUNDING * np.max(np.abs(at), axis=0)
+        rest = bend.rest(h_gamma, h_delta, half_delay) + bend.delay_thrice * third + secant
+        rest += _ROUNDING * (np.max(np.abs(at), axis=0) + half_delay)
+        centre = at[0]
+        if half_delay:
+            rate, twice = moves.get(name, (still, still))
+            slope += [rate, twice, still, still]
+            centre = centre + twice * half[3]
         rest += lost * (1.0 if name in ("d1", "d0") else size_n) + _UNDERFLOW
-        return LinearModel(at[0], np.stack(slope), rest, half)
+        return LinearModel(centre, np.stack(slope), rest, half, bool(half_delay))
 
-    exact = LinearModel(hands.gamma, np.stack([np.ones_like(still), still]), still, half)
+    along_gamma = np.stack([np.ones_like(still), *[still] * (len(half) - 1)])
+    exact = LinearModel(hands.gamma, along_gamma, still, half, bool(half_delay))
     return PlantModels(exact, *map(model, PlantModels._fields[1:]))
+
+
+def _delay_moves(hands: HandBoxes, delay: float) -> dict[str, Float64[np.ndarray, "order box"]]:
+    """Return the first and half of the second derivatives of N by the delay.
+
+    Those of others are 0. See lemma B16.
+    """
+    part = delay - np.floor(delay)
+    (went, early), (gone, velocity) = (
+        motion(hands.gamma, hands.delta, np.full_like(hands.gamma, time))
+        for time in (1.0 - part, part)
+    )
+    fading = np.exp(-hands.delta * (1.0 - part))
+    bend = 0.5 * (1.0 - hands.delta * early - hands.gamma * went)
+    n2 = np.stack([-early, bend])
+    n0 = fading * np.stack([velocity, 0.5 * (1.0 - hands.gamma * gone)])
+    return {"n2": n2, "n1": -n2 - n0, "n0": n0, "difference": 2.0 * (n2 + n0)}
 
 
 def _secant(before: Floats, after: Floats, width: Floats) -> Floats:

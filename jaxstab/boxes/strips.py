@@ -1,6 +1,7 @@
 """Strips: where in a column roots may cross the unit circle.
 
-A strip lies within an error of a plane alpha(beta, gamma, delta). The boundary in a column is a few
+A strip lies within an error of a surface alpha(beta, gamma, delta, delay): a plane
+but for the square of the delay. The boundary in a column is a few
 of them: the line of a root at 1, the runs of patches of the curve (``enclosure``), and the line of
 a root at -1. Strips that touch somewhere in a column become one flat strip (lemma B8 of
 docs/proofs.md).
@@ -9,50 +10,56 @@ docs/proofs.md).
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64
 
 from jaxstab.boxes.enclosure import Domain, Patches, curve_patches, minus_line_models
 from jaxstab.boxes.filter_parts import Ends, filter_ends
 from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.plant import HandBoxes
+from jaxstab.boxes.runs import Columns, distances, runs_of, surfaces
 from jaxstab.model.filters import Filters
 
 _PATCHES_PER_CELL = 2.0
+_PATCHES_PER_MOVING_CELL = 3.0  # of which the delay is an interval
 _PATCHES_PER_DOMAIN = 256.0  # along alpha
 _MARGIN = 0.1  # of the domain along alpha: a strip that leaves it leaves it for good
 _EPS = 16 * np.finfo(np.float64).eps
-_EDGE = 1e-9  # of a column: it reaches beyond its edges, so that rounding finds no gap
-
-
-class Columns(NamedTuple):
-    """Boxes of (beta, gamma, delta); corners are deviations from the centre, (8, column, 3)."""
-
-    centre: Float64[np.ndarray, "column 3"]
-    half: Float64[np.ndarray, "column 3"]
-
-    @property
-    def corners(self) -> Float64[np.ndarray, "8 column 3"]:
-        """The corners of the columns."""
-        signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(8, 1, 3)
-        corners: np.ndarray = self.half * signs
-        return corners
 
 
 class Strips(NamedTuple):
-    """Planes by centre value, slopes and error; NaN in columns that have fewer strips.
+    """Surfaces by centre value, slopes and error; NaN in columns that have fewer strips.
 
     A strip ``folds`` where for one beta and hand it may hold more than one root on the circle:
     there it may hide stable alphas, though on both sides all are unstable.
     """
 
     centre: Float64[np.ndarray, "column strip"]
-    slope: Float64[np.ndarray, "column strip 3"]
+    slope: Float64[np.ndarray, "column strip variable"]
     error: Float64[np.ndarray, "column strip"]
     folds: Bool[np.ndarray, "column strip"]
 
+    def some(self, which: np.ndarray) -> "Strips":
+        """Return the strips of some of the columns."""
+        return Strips(*(part[which] for part in self))
+
+    def straightened(self, columns: Columns) -> "Strips":
+        """Return the strips with the square of the delay as a part of their errors."""
+        if not columns.half_delay:
+            return self
+        slope = self.slope.copy()
+        slope[..., 4] = 0.0
+        bent = np.abs(self.slope[..., 4]) * columns.half[:, None, 4]
+        return self._replace(slope=slope, error=self.error + bent)
+
     def ends(self, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
-        """Return the low and high ends at the corners of the columns, (8, column, strip)."""
-        planes = self.centre + np.einsum("kcv,cbv->kcb", columns.corners, self.slope)
+        """Return the low and high ends at the corners of the columns, (corner, column, strip)."""
+        return self.ends_at(columns.corners)
+
+    def ends_at(
+        self, deviations: Float64[np.ndarray, "point column variable"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the low and high ends at points of each column, (point, column, strip)."""
+        planes = self.centre + np.einsum("kcv,cbv->kcb", deviations, self.slope)
         return planes - self.error, planes + self.error
 
 
@@ -60,22 +67,47 @@ def strips_of(
     beta: Float64[np.ndarray, " edge"],
     columns: Columns,
     hands: HandBoxes,
-    delay: float,
     domain: Domain,
     filters: Filters | None = None,
 ) -> Strips:
-    """Return the strips of all columns, in order from below and apart from each other.
+    """Return the strips of all columns: first the line of a root at 1, then others in any order.
 
     ``filters`` are the velocity estimator and the position filter, in units of one sample.
     """
     height = domain.alpha[1] - domain.alpha[0]
     cell = (beta[-1] - beta[0]) / (beta.size - 1)
-    width = (height / _PATCHES_PER_DOMAIN, cell / _PATCHES_PER_CELL)
+    per_cell = _PATCHES_PER_MOVING_CELL if columns.half_delay else _PATCHES_PER_CELL
+    width = (height / _PATCHES_PER_DOMAIN, cell / per_cell)
     wide = widened(domain)
     ends = Ends(1.0, (1.0, 2.0), 0.0) if filters is None else _checked_ends(filters)
-    patches = curve_patches(hands, delay, wide, width, filters)
-    lines = _line_strips(columns, hands, delay, wide, ends)
-    return _merged(_joined(_curve_strips(patches, columns, beta, height), lines), columns)
+    patches = curve_patches(hands, columns.delay, wide, width, filters, columns.half_delay)
+    lines = _line_strips(columns, hands, wide, ends)
+    return _joined(lines, _curve_strips(patches, columns, beta, height))
+
+
+def apart(strips: Strips, columns: Columns) -> Strips:
+    """Return the strips in order from below, and none of them touches another one."""
+    return _merged(strips, columns)
+
+
+def above_line(strips: Strips, columns: Columns) -> Strips:
+    """Return the line of a root at 1 and then, in order and apart, the strips not all below it.
+
+    The first of these may cross the line, which the others do not touch.
+    """
+    low, high = strips.ends(columns)
+    is_below = np.all(high < low[..., :1], axis=0)
+    centre = np.where(is_below, np.nan, strips.centre)
+    line, others = (
+        Strips(*(part[:, some] for part in strips._replace(centre=centre)))
+        for some in (slice(0, 1), slice(1, None))
+    )
+    return _joined(line, _merged(others, columns, high[..., :1]))
+
+
+def holds_line(filters: Filters | None) -> bool:
+    """Whether a root lies beyond 1 at all alphas below the line of a root at 1."""
+    return filters is None or filter_ends(filters).position_at_one > 0.0
 
 
 def _checked_ends(filters: Filters) -> Ends:
@@ -95,32 +127,22 @@ def widened(domain: Domain) -> Domain:
     return Domain((low - margin, high + margin), domain.beta)
 
 
-def columns_of(beta: Float64[np.ndarray, " edge"], hands: HandBoxes) -> Columns:
-    """Return the columns of all boxes, those of one box side by side."""
-    cells, boxes = beta.size - 1, hands.gamma.size
-    middle, half = 0.5 * (beta[1:] + beta[:-1]), (0.5 + _EDGE) * np.diff(beta)
-    along_beta = np.tile(middle, boxes), np.tile(half, boxes)
-    of_hands = [np.repeat(part, cells) for part in hands]
-    return Columns(
-        np.stack([along_beta[0], *of_hands[:2]], axis=-1),
-        np.stack([along_beta[1], *of_hands[2:]], axis=-1),
-    )
-
-
-def _line_strips(
-    columns: Columns, hands: HandBoxes, delay: float, domain: Domain, ends: Ends
-) -> Strips:
+def _line_strips(columns: Columns, hands: HandBoxes, domain: Domain, ends: Ends) -> Strips:
     """Return the lines of a real root at 1, alpha P(1) = -gamma, and at -1."""
-    beta, gamma, _ = columns.centre.T
+    beta, gamma, *_ = columns.centre.T
     cells = beta.size // hands.gamma.size
     per_gamma = -1.0 / ends.position_at_one
-    at_one = np.broadcast_to([0.0, per_gamma, 0.0], columns.centre.shape)
+    at_one = np.zeros_like(columns.centre)
+    at_one[:, 1] = per_gamma
     lost_at_one = ends.lost * np.abs(per_gamma) * (gamma + columns.half[:, 1])
-    value, weight = minus_line_models(hands, delay)
+    value, weight = minus_line_models(hands, columns.delay, columns.half_delay)
     line, per_beta, error = _minus_line(value, weight, columns, domain, ends)
+    known = columns.centre.shape[1] - 1
+    products = np.sum(np.abs(line.slope[known:]) * line.half[known:], axis=0)
+    error = error + np.repeat(products, cells)
     centre, *slope = (
         np.where(np.isnan(error), np.nan, np.repeat(part, cells))
-        for part in (line.centre, *line.slope)
+        for part in (line.centre, *line.slope[:known])
     )
     at_minus_one = np.stack([np.full_like(beta, per_beta), *slope], axis=-1)
     return Strips(
@@ -162,29 +184,16 @@ def _minus_line(
     return line, -per_damping / per_alpha, np.repeat(error, cells)
 
 
-class _Runs(NamedTuple):
-    """Patches of the curve that follow each other through a column, run after run."""
-
-    patch: Int64[np.ndarray, " entry"]
-    column: Int64[np.ndarray, " entry"]
-    number: Int64[np.ndarray, " entry"]  # of the run
-    start: Int64[np.ndarray, " run"]  # its first entry
-
-
 def _curve_strips(
     patches: Patches, columns: Columns, beta: Float64[np.ndarray, " edge"], height: float
 ) -> Strips:
     """Return one strip for each run of patches through a column."""
-    runs = _runs(patches, beta)
+    runs = runs_of(patches, beta)
     if not runs.patch.size:
         return _no_strips(columns, 0)
-    stops = np.append(runs.start[1:], runs.patch.size)
-    typical, column = runs.patch[(runs.start + stops) // 2], runs.column[runs.start]
-    slope = _slopes(patches, typical, columns.half[column, 0], height)
-    middle = patches.alpha.centre[typical] - slope[:, 0] * (
-        patches.beta.centre[typical] - columns.centre[column, 0]
-    )
-    off, half_width = _distances(patches, columns, runs, middle, slope)
+    column = runs.column[runs.start]
+    middle, slope = surfaces(patches, columns, runs, height)
+    off, half_width = distances(patches, columns, runs, middle, slope)
     low = np.minimum.reduceat(off - half_width, runs.start)
     high = np.maximum.reduceat(off + half_width, runs.start)
 
@@ -200,65 +209,24 @@ def _curve_strips(
     return strips
 
 
-def _runs(patches: Patches, beta: Float64[np.ndarray, " edge"]) -> _Runs:
-    cells = beta.size - 1
-    beyond = 2.0 * _EDGE * np.max(np.diff(beta))
-    low, high = patches.beta.low - beyond, patches.beta.high + beyond
-    first = np.searchsorted(beta[1:], np.where(np.isnan(low), -np.inf, low))
-    last = np.searchsorted(beta[:-1], np.where(np.isnan(high), np.inf, high), "right") - 1
-    counts = np.maximum(last - first + 1, 0)
-    patch = np.repeat(np.arange(counts.size), counts)
-    column = np.arange(patch.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    column += (patches.box * cells + first)[patch]
-    order = np.lexsort((patch, column))
-    patch, column = patch[order], column[order]
-    follows = (patch[1:] == patch[:-1] + 1) & (column[1:] == column[:-1])
-    follows &= patches.first[patch[1:]] == patches.last[patch[:-1]]
-    begins = np.append(True, ~follows)[: patch.size]
-    return _Runs(patch, column, np.cumsum(begins) - 1, np.flatnonzero(begins))
-
-
-def _distances(
-    patches: Patches,
-    columns: Columns,
-    runs: _Runs,
-    middle: Float64[np.ndarray, " run"],
-    slope: Float64[np.ndarray, "run 3"],
-) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
-    """Return how far each patch is from its run's plane at its centre, and within how much."""
-    alpha, gain, patch = patches.alpha, patches.beta, runs.patch
-    per_beta = slope[runs.number, 0]
-    off = alpha.centre[patch] - middle[runs.number]
-    off -= per_beta * (gain.centre[patch] - columns.centre[runs.column, 0])
-    tilt = alpha.slope[:, patch] - per_beta * gain.slope[:, patch]
-    tilt[1:] -= slope[runs.number, 1:].T
-    half_width = np.sum(np.abs(tilt) * alpha.half[:, patch], axis=0)
-    with np.errstate(invalid="ignore"):  # a slope of 0 times no bound
-        return off, half_width + alpha.rest[patch] + np.abs(per_beta) * gain.rest[patch]
-
-
-def _slopes(
-    patches: Patches, typical: Int64[np.ndarray, " run"], half: np.ndarray, height: float
-) -> Float64[np.ndarray, "run 3"]:
-    """Return how alpha changes with beta along the curve, and with gamma and delta beside it."""
-    of_alpha, of_beta = patches.alpha.slope[:, typical], patches.beta.slope[:, typical]
-    steep = np.abs(of_alpha[0]) * half > height * np.abs(of_beta[0])
-    per_beta = np.where(steep, 0.0, of_alpha[0] / np.where(steep, 1.0, of_beta[0]))
-    return np.stack([per_beta, *(of_alpha - per_beta * of_beta)[1:]], axis=-1)
-
-
 def _no_strips(columns: Columns, count: int) -> Strips:
-    shape = (columns.centre.shape[0], count)
+    number, variables = columns.centre.shape
+    shape = (number, count)
     nothing = np.full(shape, np.nan)
-    return Strips(nothing, np.full((*shape, 3), np.nan), nothing.copy(), np.zeros(shape, bool))
+    return Strips(
+        nothing, np.full((*shape, variables), np.nan), nothing.copy(), np.zeros(shape, bool)
+    )
 
 
 def _joined(one: Strips, other: Strips) -> Strips:
     return Strips(*(np.concatenate(parts, axis=1) for parts in zip(one, other, strict=True)))
 
 
-def _merged(strips: Strips, columns: Columns) -> Strips:
-    """Put strips in order from below, those that touch somewhere in a column as one flat strip."""
+def _merged(strips: Strips, columns: Columns, line: np.ndarray | float = -np.inf) -> Strips:
+    """Put strips in order from below, those that touch somewhere in a column as one flat strip.
+
+    Two of them touch, too, where the upper one touches a line.
+    """
     while True:
         order = np.argsort(strips.centre, axis=1)
         slope = np.take_along_axis(strips.slope, order[..., None], 1)
@@ -268,7 +236,7 @@ def _merged(strips: Strips, columns: Columns) -> Strips:
         )
         strips = Strips(centre, slope, error, folds)
         low, high = strips.ends(columns)
-        touching = np.any(low[..., 1:] <= high[..., :-1], axis=0)
+        touching = np.any(low[..., 1:] <= np.maximum(high[..., :-1], line), axis=0)
         if not touching.any():
             return strips
         low, high = low.min(axis=0), high.max(axis=0)

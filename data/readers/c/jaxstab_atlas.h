@@ -36,7 +36,7 @@
 #include "jaxstab_table.h"
 
 enum {
-    JAXSTAB_OUTSIDE = -1,  /* NaN, outside of the atlas, or not one of its delays: not known */
+    JAXSTAB_OUTSIDE = -1,  /* NaN, outside of the atlas, or between its delays: not known */
     JAXSTAB_STABLE = 1,    /* proved */
     JAXSTAB_UNSTABLE = 2,  /* proved */
     JAXSTAB_UNDECIDED = 3  /* too close to the boundary for the atlas */
@@ -51,18 +51,21 @@ typedef struct {
 } jaxstab_limits;
 
 typedef struct {
-    double lowest_alpha, highest_alpha, lowest_beta, highest_beta;
+    double lowest_delay, highest_delay, lowest_alpha, highest_alpha, lowest_beta, highest_beta;
     double cells_per_beta;
-} jaxstab_walls_; /* at one delay */
+} jaxstab_walls_; /* in one cell of delays */
 
 typedef struct {
-    size_t delays, gammas, deltas; /* nodes */
-    size_t beta_cells, gamma_cells, delta_cells;
-    const jaxstab_walls_ *walls;          /* one for each delay */
-    const double *delay, *gamma, *delta;  /* ascending nodes */
-    const double *planes;                 /* [beta_cell][gamma_cell][delta_cell][delay][10] */
-    const char *filters;                  /* velocity estimator and position filter, in words */
+    size_t gammas, deltas; /* nodes */
+    size_t beta_cells, gamma_cells, delta_cells, delay_cells;
+    const jaxstab_walls_ *walls;  /* one for each cell of delays, ascending */
+    const double *gamma, *delta;  /* ascending nodes */
+    const float *limits;          /* [beta_cell][gamma_cell][delta_cell][delay_cell][16] */
+    double cells_per_delay;       /* a guess */
+    const char *filters;          /* velocity estimator and position filter, in words */
 } jaxstab_atlas;
+
+enum { JAXSTAB_TERMS_ = 14, JAXSTAB_ROW_ = 16 }; /* a row of limits, in a line of the cache */
 
 /* ---- queries ---- */
 
@@ -83,7 +86,12 @@ static inline size_t jaxstab_rank_(const double *values, size_t count, double nu
 /* The cell between nodes: an inner node belongs to the cell above it, the last to that below. */
 static inline size_t jaxstab_cell_(const double *nodes, size_t count, double number)
 {
-    return count > 2 ? jaxstab_rank_(nodes + 1, count - 2, number) : 0;
+    size_t cell = 0;
+    if (count > 32)
+        return jaxstab_rank_(nodes + 1, count - 2, number);
+    for (size_t i = 1; i + 1 < count; i++) /* without branches that depend on the number */
+        cell += nodes[i] <= number;
+    return cell;
 }
 
 static inline int jaxstab_holds_(double lowest, double highest, double number)
@@ -91,17 +99,43 @@ static inline int jaxstab_holds_(double lowest, double highest, double number)
     return lowest <= number && number <= highest;
 }
 
-static inline double jaxstab_plane_(const double *plane, double beta, double gamma, double delta)
+static inline double jaxstab_limit_(const float *terms, double beta, double gamma, double delta,
+                                    double delay)
 {
-    return plane[0] + plane[1] * beta + plane[2] * gamma + plane[3] * delta;
+    const double moved = ((double)terms[4] + (double)terms[5] * delay) * delay;
+    return (double)terms[0] + (double)terms[1] * beta + (double)terms[2] * gamma +
+           (double)terms[3] * delta + moved;
 }
 
-/* Find the walls of a delay and the limits at a point; 0 where the atlas says nothing. */
+/* The last cell of delays that begins at a delay or before, and one more; 0 for none and NaN. Cells
+ * are mostly even, so that the first guess is right. */
+static inline size_t jaxstab_delay_rank_(const jaxstab_atlas *atlas, double delay)
+{
+    const jaxstab_walls_ *walls = atlas->walls;
+    const double place = (delay - walls[0].lowest_delay) * atlas->cells_per_delay;
+    size_t low = 0, high = atlas->delay_cells;
+    if (place >= 0.0 && place < (double)high) {
+        const size_t guess = (size_t)place;
+        if (walls[guess].lowest_delay <= delay &&
+            (guess + 1 == high || delay < walls[guess + 1].lowest_delay))
+            return guess + 1;
+    }
+    while (low < high) {
+        const size_t middle = low + (high - low) / 2;
+        if (walls[middle].lowest_delay <= delay)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+/* Find the walls of a cell of delays and the limits at a point; 0 where the atlas says nothing. */
 static inline int jaxstab_find_(const jaxstab_atlas *atlas, double beta, double gamma, double delta,
                                 double delay, const jaxstab_walls_ **walls, jaxstab_limits *limits)
 {
-    const size_t rank = jaxstab_rank_(atlas->delay, atlas->delays, delay);
-    if (rank == 0 || atlas->delay[rank - 1] != delay)
+    const size_t rank = jaxstab_delay_rank_(atlas, delay);
+    if (rank == 0 || !(delay <= atlas->walls[rank - 1].highest_delay))
         return 0;
     *walls = &atlas->walls[rank - 1];
     if (!jaxstab_holds_((*walls)->lowest_beta, (*walls)->highest_beta, beta) ||
@@ -114,11 +148,11 @@ static inline int jaxstab_find_(const jaxstab_atlas *atlas, double beta, double 
     cell = cell * atlas->gamma_cells + jaxstab_cell_(atlas->gamma, atlas->gammas, gamma);
     cell = cell * atlas->delta_cells + jaxstab_cell_(atlas->delta, atlas->deltas, delta);
 
-    const double *column = atlas->planes + 10 * (cell * atlas->delays + rank - 1);
-    limits->lower = jaxstab_plane_(column, beta, gamma, delta);
-    limits->lower_error = column[4];
-    limits->upper = jaxstab_plane_(column + 5, beta, gamma, delta);
-    limits->upper_error = column[9];
+    const float *column = atlas->limits + JAXSTAB_ROW_ * (cell * atlas->delay_cells + rank - 1);
+    limits->lower = jaxstab_limit_(column, beta, gamma, delta, delay);
+    limits->lower_error = column[6];
+    limits->upper = jaxstab_limit_(column + 7, beta, gamma, delta, delay);
+    limits->upper_error = column[13];
     return 1;
 }
 
@@ -156,85 +190,91 @@ static inline int jaxstab_alpha_limits(const jaxstab_atlas *atlas, double beta, 
 
 /* ---- what a file may hold ---- */
 
-/* Whether the nodes in one column of a table are finite and ascending. */
-static inline int jaxstab_ascends_(const double *nodes, size_t count, size_t columns, size_t column)
+/* Whether nodes are finite, ascending and not negative. */
+static inline int jaxstab_ascends_(const double *nodes, size_t count)
 {
     for (size_t i = 0; i < count; i++)
-        if (!isfinite(nodes[i * columns + column]) ||
-            (i && !(nodes[(i - 1) * columns + column] < nodes[i * columns + column])))
+        if (!isfinite(nodes[i]) || nodes[i] < 0.0 || (i && !(nodes[i - 1] < nodes[i])))
             return 0;
     return 1;
 }
 
 enum {
-    JAXSTAB_ALPHA_,
-    JAXSTAB_BETA_,
     JAXSTAB_GAMMA_,
     JAXSTAB_DELTA_,
-    JAXSTAB_DELAY_,
-    JAXSTAB_PLANES_,
+    JAXSTAB_RANGE_,
+    JAXSTAB_LIMITS_,
     JAXSTAB_ARRAYS_ /* so many */
 };
 
-/* Whether nodes ascend so far that cells between them have a width. */
-static inline int jaxstab_spans_(const double *nodes, size_t count, size_t columns, size_t column)
+/* Whether cells between two ends have a width. */
+static inline int jaxstab_spans_(const double *ends)
 {
-    const double span = nodes[(count - 1) * columns + column] - nodes[column];
-    return isfinite(span) && span >= 1e-300;
+    const double span = ends[1] - ends[0];
+    return isfinite(ends[0]) && isfinite(ends[1]) && isfinite(span) && span >= 1e-300;
+}
+
+/* Whether cells of delays follow each other, in rows of the ends of delay, alpha and beta. */
+static inline int jaxstab_follow_(const double *ends, size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        const double *row = ends + 6 * i;
+        if (!isfinite(row[0]) || row[0] < 0.0 || !(row[0] <= row[1]) || !(row[1] <= 100.0) ||
+            !jaxstab_spans_(row + 2) || !jaxstab_spans_(row + 4) ||
+            (i && (!(row[-6] < row[0]) || !(row[-5] <= row[0]))))
+            return 0;
+    }
+    return 1;
 }
 
 /* Whether constants are numbers or infinite, slopes finite, and errors not negative. */
-static inline int jaxstab_are_planes_(const double *planes, size_t count)
+static inline int jaxstab_are_limits_(const float *terms, size_t count)
 {
     int are = 1;
-    for (size_t i = 0; are && i < count; i += 5)
-        are = !isnan(planes[i]) && isfinite(planes[i + 1]) && isfinite(planes[i + 2]) &&
-              isfinite(planes[i + 3]) && planes[i + 4] >= 0.0;
+    for (size_t i = 0; are && i < count; i += 7) {
+        are = !isnan(terms[i]) && terms[i + 6] >= 0.0f;
+        for (size_t k = 1; are && k < 6; k++)
+            are = isfinite(terms[i + k]);
+    }
     return are;
 }
 
 /* Whether shapes and axes fit together, and all numbers may be. */
-static inline int jaxstab_fits_(double *const values[], const size_t shape[][5])
+static inline int jaxstab_fits_(void *const values[], const size_t shape[][5])
 {
-    const size_t *planes = shape[JAXSTAB_PLANES_], delays = shape[JAXSTAB_DELAY_][0];
-    int fits = planes[1] == (shape[JAXSTAB_GAMMA_][0] > 1 ? shape[JAXSTAB_GAMMA_][0] - 1 : 1) &&
-               planes[2] == (shape[JAXSTAB_DELTA_][0] > 1 ? shape[JAXSTAB_DELTA_][0] - 1 : 1) &&
-               planes[3] == delays && planes[4] == 10;
-    for (int i = JAXSTAB_ALPHA_; i <= JAXSTAB_BETA_; i++) {
-        fits = fits && shape[i][1] == delays && shape[i][0] > 1;
-        for (size_t k = 0; fits && k < delays; k++)
-            fits = jaxstab_ascends_(values[i], shape[i][0], delays, k) &&
-                   jaxstab_spans_(values[i], shape[i][0], delays, k);
-    }
-    for (int i = JAXSTAB_GAMMA_; i <= JAXSTAB_DELAY_; i++)
-        fits = fits && jaxstab_ascends_(values[i], shape[i][0], 1, 0) && values[i][0] >= 0.0;
-    return fits && values[JAXSTAB_DELAY_][delays - 1] <= 100.0 &&
-           jaxstab_are_planes_(values[JAXSTAB_PLANES_],
-                               planes[0] * planes[1] * planes[2] * planes[3] * planes[4]);
+    const size_t *limits = shape[JAXSTAB_LIMITS_], delays = shape[JAXSTAB_RANGE_][0];
+    int fits = limits[1] == (shape[JAXSTAB_GAMMA_][0] > 1 ? shape[JAXSTAB_GAMMA_][0] - 1 : 1) &&
+               limits[2] == (shape[JAXSTAB_DELTA_][0] > 1 ? shape[JAXSTAB_DELTA_][0] - 1 : 1) &&
+               limits[3] == delays && limits[4] == JAXSTAB_TERMS_ && shape[JAXSTAB_RANGE_][1] == 6;
+    for (int i = JAXSTAB_GAMMA_; i <= JAXSTAB_DELTA_; i++)
+        fits = fits && jaxstab_ascends_((const double *)values[i], shape[i][0]);
+    return fits && jaxstab_follow_((const double *)values[JAXSTAB_RANGE_], delays) &&
+           jaxstab_are_limits_((const float *)values[JAXSTAB_LIMITS_],
+                               limits[0] * limits[1] * limits[2] * limits[3] * limits[4]);
 }
 
-static inline double *jaxstab_copied_(const double *values, size_t count, double **free_space)
+static inline double *jaxstab_copied_(const void *values, size_t count, double **free_space)
 {
     double *copy = *free_space;
-    memcpy(copy, values, count * sizeof *values);
+    memcpy(copy, values, count * sizeof *copy);
     *free_space += count;
     return copy;
 }
 
-/* Return an atlas in one block: itself, walls of each delay, nodes, planes, and words up to a
- * newline. */
-static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const size_t shape[][5],
+/* Return an atlas in one block: itself, walls of each cell of delays, nodes, limits, and words up to
+ * a newline. */
+static inline jaxstab_atlas *jaxstab_assembled_(void *const values[], const size_t shape[][5],
                                                 const char *filters)
 {
     const size_t letters = strcspn(filters, "\n");
-    const size_t *planes = shape[JAXSTAB_PLANES_];
-    const size_t delays = shape[JAXSTAB_DELAY_][0];
-    const size_t gammas = shape[JAXSTAB_GAMMA_][0];
+    const size_t *limits = shape[JAXSTAB_LIMITS_];
+    const size_t delays = limits[3], gammas = shape[JAXSTAB_GAMMA_][0];
     const size_t deltas = shape[JAXSTAB_DELTA_][0];
-    const size_t numbers = planes[0] * planes[1] * planes[2] * planes[3] * planes[4];
+    const size_t rows = limits[0] * limits[1] * limits[2] * delays;
     const size_t head = (sizeof(jaxstab_atlas) + sizeof(double) - 1) / sizeof(double);
     const size_t walls_size = delays * (sizeof(jaxstab_walls_) / sizeof(double));
-    const size_t count = head + walls_size + gammas + deltas + delays + numbers +
+    const size_t line = 64 / sizeof(double), row = JAXSTAB_ROW_ / 2; /* two floats in a double */
+    const size_t count = head + walls_size + gammas + deltas + line + rows * row +
                          letters / sizeof(double) + 1;
     double *block = (double *)malloc(count * sizeof *block);
     if (!block)
@@ -242,28 +282,29 @@ static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const si
     jaxstab_atlas *atlas = (jaxstab_atlas *)(void *)block;
     jaxstab_walls_ *walls = (jaxstab_walls_ *)(void *)(block + head);
     double *free_space = block + head + walls_size;
-    atlas->delays = delays;
     atlas->gammas = gammas;
     atlas->deltas = deltas;
-    atlas->beta_cells = planes[0];
-    atlas->gamma_cells = planes[1];
-    atlas->delta_cells = planes[2];
+    atlas->beta_cells = limits[0];
+    atlas->gamma_cells = limits[1];
+    atlas->delta_cells = limits[2];
+    atlas->delay_cells = delays;
+    const double *range = (const double *)values[JAXSTAB_RANGE_];
+    const double span = range[6 * (delays - 1)] - range[0];
+    atlas->cells_per_delay = span > 0.0 ? (double)(delays - 1) / span : 0.0;
     atlas->walls = walls;
-    atlas->delay = jaxstab_copied_(values[JAXSTAB_DELAY_], delays, &free_space);
     atlas->gamma = jaxstab_copied_(values[JAXSTAB_GAMMA_], gammas, &free_space);
     atlas->delta = jaxstab_copied_(values[JAXSTAB_DELTA_], deltas, &free_space);
-    atlas->planes = jaxstab_copied_(values[JAXSTAB_PLANES_], numbers, &free_space);
+    while ((uintptr_t)free_space % 64)
+        free_space++;
+    atlas->limits = (const float *)(void *)free_space;
+    for (size_t i = 0; i < rows; i++, free_space += row)
+        memcpy(free_space, (const float *)values[JAXSTAB_LIMITS_] + i * JAXSTAB_TERMS_,
+               JAXSTAB_TERMS_ * sizeof(float));
     memcpy(free_space, filters, letters);
     ((char *)free_space)[letters] = 0;
     atlas->filters = (const char *)free_space;
-    const double *lowest[] = {values[JAXSTAB_ALPHA_], values[JAXSTAB_BETA_]}, *highest[2];
-    for (int i = JAXSTAB_ALPHA_; i <= JAXSTAB_BETA_; i++)
-        highest[i] = values[i] + (shape[i][0] - 1) * delays;
     for (size_t k = 0; k < delays; k++) {
-        walls[k].lowest_alpha = lowest[JAXSTAB_ALPHA_][k];
-        walls[k].highest_alpha = highest[JAXSTAB_ALPHA_][k];
-        walls[k].lowest_beta = lowest[JAXSTAB_BETA_][k];
-        walls[k].highest_beta = highest[JAXSTAB_BETA_][k];
+        memcpy(&walls[k], (const double *)values[JAXSTAB_RANGE_] + 6 * k, 6 * sizeof(double));
         walls[k].cells_per_beta =
             (double)atlas->beta_cells / (walls[k].highest_beta - walls[k].lowest_beta);
     }
@@ -274,16 +315,17 @@ static inline jaxstab_atlas *jaxstab_assembled_(double *const values[], const si
 static inline jaxstab_atlas *jaxstab_loaded_(const unsigned char *bytes, size_t image, char *text,
                                              size_t length, const char **problem)
 {
-    static const char *const names[] = {"alpha", "beta", "gamma", "delta", "delay", "alpha_limits"};
-    static const int ranks[] = {2, 2, 1, 1, 1, 5};
+    static const char *const names[] = {"gamma", "delta", "limit_range", "alpha_limits"};
+    static const int ranks[] = {1, 1, 2, 5};
     jaxstab_file_ file = {bytes, image, {NULL}};
-    double *values[JAXSTAB_ARRAYS_] = {NULL};
+    void *values[JAXSTAB_ARRAYS_] = {NULL};
     size_t shape[JAXSTAB_ARRAYS_][5] = {{0}};
     jaxstab_atlas *atlas = NULL;
     *problem = jaxstab_parse_(text, length, file.blocks);
     int is_read = !*problem;
     for (int i = 0; is_read && i < JAXSTAB_ARRAYS_; i++) {
-        values[i] = jaxstab_read_(&file, image, names[i], ranks[i], shape[i]);
+        const size_t width = i == JAXSTAB_LIMITS_ ? sizeof(float) : sizeof(double);
+        values[i] = jaxstab_read_(&file, image, names[i], ranks[i], width, shape[i]);
         is_read = values[i] != NULL;
     }
     if (is_read && jaxstab_fits_(values, (const size_t (*)[5])shape)) {

@@ -54,7 +54,7 @@ static double between(double low, double high, uint64_t *state)
 static double now(void)
 {
     struct timespec time;
-    clock_gettime(CLOCK_MONOTONIC, &time);
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &time);
     return (double)time.tv_sec * 1e9 + (double)time.tv_nsec;
 }
 
@@ -67,12 +67,12 @@ static int bench(const jaxstab_atlas *atlas)
     if (!p)
         return 1;
     for (size_t i = 0; i < POINTS; i++) {
-        const size_t k = (size_t)between(0.0, (double)atlas->delays, &state);
+        const size_t k = (size_t)between(0.0, (double)atlas->delay_cells, &state);
         p[i][0] = between(atlas->walls[k].lowest_alpha, atlas->walls[k].highest_alpha, &state);
         p[i][1] = between(atlas->walls[k].lowest_beta, atlas->walls[k].highest_beta, &state);
         p[i][2] = between(atlas->gamma[0], atlas->gamma[atlas->gammas - 1], &state);
         p[i][3] = between(atlas->delta[0], atlas->delta[atlas->deltas - 1], &state);
-        p[i][4] = atlas->delay[k];
+        p[i][4] = between(atlas->walls[k].lowest_delay, atlas->walls[k].highest_delay, &state);
     }
     for (int round = 0; round < ROUNDS; round++) {
         const double start = now();

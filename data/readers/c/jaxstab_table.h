@@ -23,6 +23,7 @@ typedef struct {
 typedef struct {
     uint64_t shape[5], chunk[5]; /* from the last dimension on, 1 beyond the first */
     uint64_t count, chunks, size; /* all numbers, all chunks, and bytes of a chunk */
+    uint64_t width;               /* bytes of a number */
     const char *digests, *places; /* of the chunks */
 } jaxstab_stored_;
 
@@ -70,13 +71,14 @@ static inline const char *jaxstab_line_(const char *block, const char *name)
     return NULL;
 }
 
-/* Find an array of float64 in the table; 0 where it is missing, or promises more than there is. */
+/* Find an array of float64 or float32, by the width of a number, in the table; 0 where it is
+ * missing, or promises more than there is. */
 static inline int jaxstab_stored_of_(const jaxstab_file_ *file, const char *name, int rank,
-                                     jaxstab_stored_ *stored)
+                                     size_t width, jaxstab_stored_ *stored)
 {
     const char *line = jaxstab_line_(file->blocks[1], name);
     stored->places = jaxstab_line_(file->blocks[2], name);
-    if (!line || !stored->places || !jaxstab_take_(&line, " <f8") ||
+    if (!line || !stored->places || !jaxstab_take_(&line, width == 8 ? " <f8" : " <f4") ||
         !jaxstab_take_shape_(&line, rank, stored->shape) ||
         !jaxstab_take_shape_(&line, rank, stored->chunk))
         return 0;
@@ -90,16 +92,18 @@ static inline int jaxstab_stored_of_(const jaxstab_file_ *file, const char *name
         inside *= part;
     }
     stored->digests = line;
-    stored->size = inside * 8 + 4; /* with the checksum of HDF5 */
+    stored->width = width;
+    stored->size = inside * width + 4; /* with the checksum of HDF5 */
     return stored->chunks <= file->rest / stored->size;
 }
 
 /* Copy one chunk into its array, the bytes of its values one after the other as well; return how
  * many values those are. */
 static inline size_t jaxstab_copy_chunk_(const jaxstab_stored_ *stored, uint64_t number,
-                                         const unsigned char *chunk, double *values,
+                                         const unsigned char *chunk, unsigned char *values,
                                          unsigned char *ordered)
 {
+    const size_t wide = (size_t)stored->width;
     uint64_t start[5], size[5], step[5], next = 1, count = 1;
     for (int i = 0; i < 5; i++) {
         const uint64_t along = (stored->shape[i] - 1) / stored->chunk[i] + 1;
@@ -120,17 +124,19 @@ static inline size_t jaxstab_copy_chunk_(const jaxstab_stored_ *stored, uint64_t
             to += (start[i] + place) * step[i];
             width *= stored->chunk[i];
         }
-        memcpy(ordered + 8 * k, chunk + 8 * from, 8);
-        for (int i = 7; i >= 0; i--)
-            bits = bits << 8 | chunk[8 * from + (uint64_t)i];
-        memcpy(&values[to], &bits, sizeof bits);
+        const unsigned char *bytes = chunk + wide * from;
+        memcpy(ordered + wide * k, bytes, wide);
+        for (size_t i = wide; i-- > 0;)
+            bits = bits << 8 | bytes[i];
+        const uint32_t low_bits = (uint32_t)bits;
+        memcpy(values + wide * to, wide == 8 ? (const void *)&bits : (const void *)&low_bits, wide);
     }
     return (size_t)count;
 }
 
 /* Fill in an array from its chunks; 0 where one is not what its digest says. */
 static inline int jaxstab_fill_(jaxstab_file_ *file, size_t length, jaxstab_stored_ *stored,
-                                double *values, unsigned char *ordered)
+                                unsigned char *values, unsigned char *ordered)
 {
     for (uint64_t number = 0; number < stored->chunks; number++) {
         uint64_t offset, size;
@@ -142,7 +148,7 @@ static inline int jaxstab_fill_(jaxstab_file_ *file, size_t length, jaxstab_stor
             return 0;
         const size_t count =
             jaxstab_copy_chunk_(stored, number, file->image + offset, values, ordered);
-        if (!jaxstab_has_digest_(ordered, 8 * count, stored->digests))
+        if (!jaxstab_has_digest_(ordered, (size_t)stored->width * count, stored->digests))
             return 0;
         stored->digests += 64;
         file->rest -= size;
@@ -151,13 +157,13 @@ static inline int jaxstab_fill_(jaxstab_file_ *file, size_t length, jaxstab_stor
 }
 
 /* Return the numbers of an array, to be freed, and its shape; or NULL. */
-static inline double *jaxstab_read_(jaxstab_file_ *file, size_t length, const char *name, int rank,
-                                    size_t *shape)
+static inline void *jaxstab_read_(jaxstab_file_ *file, size_t length, const char *name, int rank,
+                                  size_t width, size_t *shape)
 {
     jaxstab_stored_ stored;
-    if (!jaxstab_stored_of_(file, name, rank, &stored))
+    if (!jaxstab_stored_of_(file, name, rank, width, &stored))
         return NULL;
-    double *values = (double *)malloc((size_t)stored.count * sizeof *values);
+    unsigned char *values = (unsigned char *)malloc((size_t)stored.count * width);
     unsigned char *ordered = (unsigned char *)malloc((size_t)stored.size);
     if (!values || !ordered || !jaxstab_fill_(file, length, &stored, values, ordered)) {
         free(values);

@@ -9,7 +9,7 @@ function [code, lower, lower_error, upper, upper_error] = ...
 %   code = jaxstab_query(atlas, alpha, beta, gamma, delta, delay)
 %       answers for points, arrays of one shape or scalars:
 %         1 stable, 2 unstable (both proved), 3 undecided: too close to the boundary for the atlas,
-%        -1 NaN, outside of the atlas, or not one of its delays: it says nothing.
+%        -1 NaN, outside of the atlas, or between its delays: it says nothing.
 %
 %   [code, lower, lower_error, upper, upper_error] = jaxstab_query(...)
 %       gives the limits of the stable alpha too, which do not depend on the alpha asked about.
@@ -41,20 +41,25 @@ function [code, lower, lower_error, upper, upper_error] = ...
   lower_error = Inf(size(none));
   upper = lower;
   upper_error = lower_error;
-  for k = 1:numel(atlas.delay)
-    walls = {atlas.alpha(k, :), atlas.beta(k, :)};
-    here = find(delay == atlas.delay(k) & is_inside(point{1}, walls{2}) & ...
+  cells = zeros(size(delay));
+  for k = 1:size(atlas.range, 1)
+    cells = cells + (delay >= atlas.range(k, 1));
+  end
+  for k = unique(reshape(cells(cells > 0), 1, []))
+    ends = atlas.range(k, :);
+    here = find(cells == k & delay <= ends(2) & is_inside(point{1}, ends(5:6)) & ...
                 is_inside(point{2}, atlas.gamma) & is_inside(point{3}, atlas.delta));
-    at = cellfun(@(values) reshape(values(here), 1, []), point, 'UniformOutput', false);
-    columns = atlas.planes(:, k, cells_of(atlas, walls{2}, at{:}));
-    [low, low_error] = plane(columns(1:5, :), at{:});
-    [high, high_error] = plane(columns(6:10, :), at{:});
+    at = cellfun(@(values) reshape(values(here), 1, []), [point, {delay}], ...
+                 'UniformOutput', false);
+    columns = double(atlas.limits(:, k, cells_of(atlas, ends(5:6), at{1:3})));
+    [low, low_error] = limit_of(columns(1:7, :), at{:});
+    [high, high_error] = limit_of(columns(8:14, :), at{:});
 
     a = reshape(alpha(here), 1, []);
     found = 3 * ones(size(a));
     found(a < low - low_error | a > high + high_error) = 2;
     found(a > low + low_error & a < high - high_error) = 1;
-    found(~is_inside(a, walls{1})) = -1;
+    found(~is_inside(a, ends(3:4))) = -1;
     code(here) = found;
 
     high(low == Inf) = NaN;
@@ -86,9 +91,10 @@ function cells = cell_of(values, nodes)
   end
 end
 
-function [limit, limit_error] = plane(terms, beta, gamma, delta)
-  limit = terms(1, :) + terms(2, :) .* beta + terms(3, :) .* gamma + terms(4, :) .* delta;
-  limit_error = terms(5, :);
+function [limit, limit_error] = limit_of(terms, beta, gamma, delta, delay)
+  moved = (terms(5, :) + terms(6, :) .* delay) .* delay;
+  limit = terms(1, :) + terms(2, :) .* beta + terms(3, :) .* gamma + terms(4, :) .* delta + moved;
+  limit_error = terms(7, :);
 end
 
 function atlas = opened(file)
@@ -106,10 +112,11 @@ function atlas = opened(file)
   if isempty(filters)
     refuse_damaged(file);
   end
-  names = {'alpha', 'beta', 'gamma', 'delta', 'delay', 'alpha_limits'};
-  ranks = [2, 2, 1, 1, 1, 5];
-  for i = 1:6
-    [values, is_read] = array_of(image, shapes, places, names{i}, ranks(i));
+  names = {'gamma', 'delta', 'limit_range', 'alpha_limits'};
+  kinds = {'double', 'double', 'double', 'single'};
+  ranks = [1, 1, 2, 5];
+  for i = 1:4
+    [values, is_read] = array_of(image, shapes, places, names{i}, kinds{i}, ranks(i));
     if ~is_read
       refuse_damaged(file);
     end
@@ -117,37 +124,33 @@ function atlas = opened(file)
   end
 
   % The dimensions of arrays are reversed here.
-  atlas = struct('alpha', raw.alpha, 'beta', raw.beta, 'filters', filters{1});
-  for name = {'gamma', 'delta', 'delay'}
-    atlas.(name{1}) = raw.(name{1})';
-  end
-  planes = raw.alpha_limits;
-  atlas.cells = [size(planes, 5), size(planes, 4), size(planes, 3)];
-  atlas.planes = reshape(planes, 10, size(planes, 2), []);
-  if ~may_be(atlas, size(planes, 1))
+  limits = raw.alpha_limits;
+  atlas = struct('gamma', raw.gamma', 'delta', raw.delta', 'range', raw.limit_range', ...
+                 'filters', filters{1});
+  atlas.cells = [size(limits, 5), size(limits, 4), size(limits, 3)];
+  atlas.limits = reshape(limits, size(limits, 1), size(limits, 2), []);
+  if ~may_be(atlas)
     refuse_damaged(file);
   end
 end
 
-function yes = may_be(atlas, terms)
+function yes = may_be(atlas)
 % Whether shapes and axes fit together, and all numbers may be.
-  delays = numel(atlas.delay);
   hands = max([numel(atlas.gamma), numel(atlas.delta)] - 1, 1);
-  yes = terms == 10 && size(atlas.planes, 2) == delays && isequal(atlas.cells(2:3), hands) && ...
-        atlas.delay(end) <= 100;
-  for axis = {atlas.gamma, atlas.delta, atlas.delay}
+  yes = size(atlas.limits, 1) == 14 && size(atlas.range, 2) == 6 && ...
+        size(atlas.limits, 2) == size(atlas.range, 1) && isequal(atlas.cells(2:3), hands);
+  for axis = {atlas.gamma, atlas.delta}
     yes = yes && all(isfinite(axis{1})) && all(diff(axis{1}) > 0) && axis{1}(1) >= 0;
   end
-  for axis = {atlas.alpha, atlas.beta}
-    span = axis{1}(:, end) - axis{1}(:, 1);
-    yes = yes && size(axis{1}, 1) == delays && size(axis{1}, 2) > 1 && ...
-          all(isfinite(axis{1}(:))) && all(all(diff(axis{1}, 1, 2) > 0)) && ...
-          all(isfinite(span)) && all(span >= 1e-300);
-  end
   if yes
-    slopes = atlas.planes([2:4, 7:9], :);
-    errors = atlas.planes([5, 10], :);
-    yes = all(isfinite(slopes(:))) && all(errors(:) >= 0) && ~any(isnan(atlas.planes(:)));
+    ends = atlas.range;
+    spans = ends(:, [4, 6]) - ends(:, [3, 5]);
+    slopes = atlas.limits([2:6, 9:13], :);
+    errors = atlas.limits([7, 14], :);
+    yes = all(isfinite(ends(:))) && ends(1, 1) >= 0 && ends(end, 2) <= 100 && ...
+          all(ends(:, 1) <= ends(:, 2)) && all(ends(1:end - 1, 2) <= ends(2:end, 1)) && ...
+          all(diff(ends(:, 1)) > 0) && all(isfinite(spans(:))) && all(spans(:) >= 1e-300) && ...
+          all(isfinite(slopes(:))) && all(errors(:) >= 0) && ~any(isnan(atlas.limits(:)));
   end
 end
 
@@ -185,13 +188,14 @@ function [image, head, shapes, places] = table_of(file)
   end
 end
 
-function [values, is_read] = array_of(image, shapes, places, name, rank)
-% An array of float64 from its chunks; not read where they are not what their digests say.
+function [values, is_read] = array_of(image, shapes, places, name, kind, rank)
+% An array of numbers of a kind, double or single, from its chunks; not read where they are not what their digests say.
   values = [];
   is_read = false;
+  width = 4 * (1 + strcmp(kind, 'double'));
   number = '[1-9]\d{0,11}';
   shape = [number, repmat(['x', number], 1, rank - 1)];
-  line = regexp(shapes, ['(?:^|\n)', name, ' <f8 (', shape, ') (', shape, ') ([0-9a-f ]+)\n'], ...
+  line = regexp(shapes, ['(?:^|\n)', name, ' <f', int2str(width), ' (', shape, ') (', shape, ') ([0-9a-f ]+)\n'], ...
                 'tokens', 'once');
   where = regexp(places, ['(?:^|\n)', name, '((?: \d{1,12}\+\d{1,12})+)\n'], 'tokens', 'once');
   if isempty(line) || isempty(where)
@@ -201,7 +205,7 @@ function [values, is_read] = array_of(image, shapes, places, name, rank)
   part = [fliplr(sscanf(line{2}, '%fx')'), 1];
   along = ceil(whole ./ part);
   chunks = prod(along);
-  size_of_chunk = 8 * prod(part) + 4;
+  size_of_chunk = width * prod(part) + 4;
   if any(part > whole) || chunks * size_of_chunk > numel(image) || ...
      numel(line{3}) ~= 65 * chunks - 1 || sum(where{1} == ' ') ~= chunks
     return
@@ -211,7 +215,7 @@ function [values, is_read] = array_of(image, shapes, places, name, rank)
   if any(ranges(2, :) ~= size_of_chunk) || any(sum(ranges, 1) > numel(image))
     return
   end
-  values = zeros(whole);
+  values = zeros(whole, kind);
   for n = 1:chunks
     rest = n - 1;
     for i = 1:numel(whole)
@@ -221,7 +225,7 @@ function [values, is_read] = array_of(image, shapes, places, name, rank)
       place{i} = start + inside{i};
     end
     bytes = image(ranges(1, n) + (1:size_of_chunk - 4));
-    chunk = reshape(typecast(bytes, 'double'), part);
+    chunk = reshape(typecast(bytes, kind), part);
     chunk = chunk(inside{:});
     if ~strcmp(sprintf('%02x', sha256(char(typecast(chunk(:)', 'uint8')))), digests(n, 1:64))
       return

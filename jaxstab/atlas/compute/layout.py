@@ -1,25 +1,30 @@
 """What a specification means in numbers: the nodes along each axis, for each delay."""
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise, product
+from math import ceil, floor
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.atlas.compute.tolerance import known_region, tolerant_nodes
-from jaxstab.atlas.format.schema import CELL, NODE
+from jaxstab.atlas.format.schema import ALPHA_LIMITS, CELL, LIMIT_TERMS, NODE
 from jaxstab.atlas.format.spec import AtlasSpec, FittedAxis, ToleranceAxis, check_size
-from jaxstab.boxes.columns import TERMS
 from jaxstab.model.filters import Filters
 
 _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
+_STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The nodes of an atlas; alpha and beta have a column for each delay."""
+    """The nodes of an atlas; alpha and beta have a column for each delay.
+
+    ``limit_range`` has the cells of delays with limits of alpha: the lowest and the highest delay,
+    alpha and beta of each.
+    """
 
     alpha: Float64[np.ndarray, "alpha_node delay"]
     beta: Float64[np.ndarray, "beta_node delay"]
@@ -27,6 +32,7 @@ class Grid:
     delta: Float64[np.ndarray, " delta"]
     delay: Float64[np.ndarray, " delay"]
     limit_cells: int
+    limit_range: Float64[np.ndarray, "delay_cell 6"]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -44,7 +50,16 @@ class Grid:
     def lengths(self) -> dict[str, int]:
         """The lengths of the dimensions of nodes and cells, by the names of the schema."""
         lengths = dict(zip((*NODE, *CELL), (*self.shape, *self.cell_shape), strict=True))
-        return lengths | {"limit_cell": self.limit_cells, "limit_term": 2 * len(TERMS)}
+        cells, ends = self.limit_range.shape
+        of_limits = {"limit_cell": self.limit_cells, "delay_cell": cells, "limit_end": ends}
+        return lengths | of_limits | {"limit_term": 2 * LIMIT_TERMS}
+
+    def delay_cells(self, delay: int) -> range:
+        """Return the cells of limits that begin from the delay of this index to the next one."""
+        last = self.delay.size - 1
+        ends = self.delay[delay], self.delay[delay + 1] if delay < last else np.inf
+        first, stop = np.searchsorted(self.limit_range[:, 0], ends)
+        return range(int(first), int(stop))
 
     def walls(
         self, delay: int
@@ -69,9 +84,55 @@ def lay_out(spec: AtlasSpec) -> Grid:
     delay = np.array(spec.delay)
     walls = [_wall_axes(spec, gamma, delta, samples) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
-    grid = Grid(alpha, beta, gamma, delta, delay, spec.limit_cells)
+    limit_range = _limit_range(spec, (gamma, delta), delay, walls)
+    grid = Grid(alpha, beta, gamma, delta, delay, spec.limit_cells, limit_range)
     check_size(grid.shape)
     return grid
+
+
+def _limit_range(
+    spec: AtlasSpec,
+    hands: tuple[Float64[np.ndarray, " gamma"], Float64[np.ndarray, " delta"]],
+    delay: Float64[np.ndarray, " delay"],
+    walls: list[tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]],
+) -> Float64[np.ndarray, "delay_cell 6"]:
+    """Return the cells of delays with limits of alpha, and how far each reaches.
+
+    Whole samples and the delays of the atlas are edges of cells. The ends of alpha and beta are
+    laid around the stable regions at some edges; between these they follow straight lines, above
+    which no region is, as it shrinks ever more slowly with the delay.
+    """
+    at_nodes = [(alpha[0], alpha[-1], beta[0], beta[-1]) for alpha, beta in walls]
+    if delay.size == 1 or not spec.delay_cells or ALPHA_LIMITS not in spec.products:
+        return np.column_stack([delay, delay, at_nodes])
+    edges = _delay_edges(delay, spec.delay_cells)
+    known = dict(zip(delay.tolist(), at_nodes, strict=True))
+    last = edges[0]
+    for edge in edges:
+        is_far = edge - last >= _STATIONS * (last + 0.5)
+        if edge in known:
+            last = edge
+        elif is_far or edge.is_integer():
+            alpha, beta = _wall_axes(spec, *hands, edge)
+            known[edge], last = (alpha[0], alpha[-1], beta[0], beta[-1]), edge
+    stations = sorted(known)
+    ends = np.array([known[station] for station in stations])
+    along = np.stack([np.interp(edges, stations, column) for column in ends.T], axis=-1)
+    low, high = np.minimum(along[1:], along[:-1]), np.maximum(along[1:], along[:-1])
+    walls_of = [low[:, 0], high[:, 1], low[:, 2], high[:, 3]]
+    return np.column_stack([edges[:-1], edges[1:], *walls_of])
+
+
+def _delay_edges(delay: Float64[np.ndarray, " delay"], per_sample: int) -> list[float]:
+    """Return edges of cells between delays, at whole samples too and so many to a sample."""
+    first, last = float(delay[0]), float(delay[-1])
+    whole = range(ceil(first), floor(last) + 1)
+    corners = sorted({*delay.tolist(), *map(float, whole)})
+    edges = [first]
+    for low, high in pairwise(corners):
+        count = max(1, ceil((high - low) * per_sample - 1e-9))
+        edges += np.linspace(low, high, count + 1)[1:].tolist()
+    return edges
 
 
 def _plant_axis(spec: AtlasSpec, name: str) -> Float64[np.ndarray, " node"]:

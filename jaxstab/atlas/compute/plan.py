@@ -108,6 +108,8 @@ class Plan:
 
     def numbers(self, dimension: str, tile: Tile) -> range:
         """Return which indices along a dimension of the schema are in a tile."""
+        if dimension == "delay_cell":
+            return self.grid.delay_cells(tile.delay)
         count = self.grid.lengths[dimension]
         one = {"gamma": tile.gamma, "delay": tile.delay}
         inside = {name: range(number, number + 1) for name, number in one.items()}
@@ -149,6 +151,8 @@ class Plan:
         lines = [_axis_line(self, name) for name in ("gamma", "delta")]
         degrees = (f"{d:g} (degree {int(d) + 3 + (d % 1 > 0)})" for d in self.grid.delay.tolist())
         lines.append(f"delay: {', '.join(degrees)}; each computed at its own degree")
+        if ALPHA_LIMITS in self.variables:
+            lines.append(_delay_cells_line(self))
         lines += map(str, self.shares())
         slices = prod(self.grid.shape[2:])
         lines += [
@@ -212,6 +216,16 @@ def _axis_line(plan: Plan, name: str) -> str:
             f", as many as keep the boundary's motion between two of them below {axis.tolerance:g}"
         )
     return text
+
+
+def _delay_cells_line(plan: Plan) -> str:
+    cells = plan.grid.limit_range
+    if np.all(cells[:, 0] == cells[:, 1]):
+        return "limits of alpha: at these delays alone, and not between them"
+    return (
+        f"limits of alpha: {len(cells)} cells of delays from {cells[0, 0]:g} to {cells[-1, 1]:g}, "
+        "whole samples on their edges"
+    )
 
 
 def _points(count: int) -> str:

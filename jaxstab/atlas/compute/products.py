@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
 
+from jaxstab.atlas.compute.limits import alpha_limits
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.compute.slices import outlines, summaries
 from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts
@@ -18,8 +19,6 @@ from jaxstab.atlas.format.schema import (
     SPECTRAL_RADIUS,
     VERDICT,
 )
-from jaxstab.boxes.columns import stable_columns
-from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.boxes.root_discs import interpolation_errors
 from jaxstab.model.filters import as_keywords
@@ -59,16 +58,7 @@ def _verdicts(plan: Plan, tile: Tile) -> Arrays:
 
 
 def _alpha_limits(plan: Plan, tile: Tile) -> Arrays:
-    sides = _sides(plan, tile)
-    shape = plan.shape(ALPHA_LIMITS, tile)
-    if not sides.size:
-        return {ALPHA_LIMITS: np.zeros(shape)}
-    alpha, beta, delay = plan.grid.walls(tile.delay)
-    domain = Domain((alpha[0], alpha[-1]), (beta[0], beta[-1]))
-    edges = np.linspace(*domain.beta, plan.grid.limit_cells + 1)
-    columns = stable_columns(edges, _boxes(sides), delay, domain, plan.spec.filters)
-    planes = np.concatenate([columns.lower, columns.upper], axis=-1)
-    return {ALPHA_LIMITS: planes.swapaxes(0, 1).reshape(shape)}
+    return {ALPHA_LIMITS: alpha_limits(plan, tile, _boxes(_sides(plan, tile)))}
 
 
 def _radii(plan: Plan, tile: Tile) -> Arrays:

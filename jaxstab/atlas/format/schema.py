@@ -31,6 +31,7 @@ LEAST_SPAN: Final = 1e-300  # of alpha and beta: cells to it do not overflow
 VERDICT: Final = "verdict"
 CELL_VERDICT: Final = "cell_verdict"
 ALPHA_LIMITS: Final = "alpha_limits"
+LIMIT_RANGE: Final = "limit_range"
 SPECTRAL_RADIUS: Final = "spectral_radius"
 RADIUS_ERROR: Final = "spectral_radius_error"
 CELL_RADIUS_ERROR: Final = "cell_spectral_radius_error"
@@ -58,7 +59,8 @@ CELL: Final = ("alpha_cell", "beta_cell", "gamma_cell", "delta_cell", "delay")
 
 
 SLICE: Final = ("gamma", "delta", "delay")
-LIMITS: Final = ("limit_cell", "gamma_cell", "delta_cell", "delay", "limit_term")
+LIMITS: Final = ("limit_cell", "gamma_cell", "delta_cell", "delay_cell", "limit_term")
+LIMIT_TERMS: Final = 7  # of each of the two limits
 
 
 @dataclass(frozen=True)
@@ -170,20 +172,34 @@ VARIABLES: Final = {
             *_CODES,
         ),
         _numbers("limit_cell", "cell i of n is the i-th of n equal parts of the range of beta"),
+        _numbers("delay_cell", "cell i holds the delays limit_range[i, 0] to limit_range[i, 1]"),
+        _numbers(
+            "limit_end",
+            "0 and 1: lowest and highest delay of a cell; 2 and 3: likewise alpha; 4 and 5: beta",
+        ),
+        Variable(
+            LIMIT_RANGE,
+            "float64",
+            ("delay_cell", "limit_end"),
+            "delays, alpha and beta for which limits of alpha are given",
+            "one row for each cell of delays, ascending; of two cells that share a delay the "
+            "second answers for it",
+        ),
         _numbers(
             "limit_term",
-            "0 to 4: constant, slopes along beta, gamma and delta, and error of the lower limit; "
-            "5 to 9: of the upper limit",
+            "0 to 6: constant, slopes along beta, gamma, delta, delay and the square of the delay, "
+            "and error of the lower limit; 7 to 13: of the upper limit",
         ),
         Variable(
             ALPHA_LIMITS,
-            "float64",
+            "float32",
             LIMITS,
             "limits of the stable alpha",
-            "limit = constant + slopes (beta, gamma, delta). Proved for each point of the closed "
-            "cell, and alpha in the range of the atlas: unstable below the lower limit - error and "
-            "above the upper limit + error, stable between lower + error and upper - error (the "
-            "boundary in closed form is enclosed, and a verdict computed in each gap). Constants "
+            "limit = constant + slopes (beta, gamma, delta, delay, delay^2). Proved for each point "
+            "of the closed cell, and alpha in the range of limit_range: unstable below the lower "
+            "limit - error and above the upper limit + error, stable between lower + error and "
+            "upper - error (the boundary in closed form is enclosed, and a verdict computed in "
+            "each gap). Constants "
             "of infinity: lower, no alpha is stable; upper, the limit is beyond the atlas",
         ),
         Variable(
@@ -256,7 +272,14 @@ VARIABLES: Final = {
 
 PRODUCTS: Final = {
     VERDICT: (VERDICT, CELL_VERDICT),
-    ALPHA_LIMITS: ("limit_cell", "limit_term", ALPHA_LIMITS),
+    ALPHA_LIMITS: (
+        "limit_cell",
+        "delay_cell",
+        "limit_end",
+        LIMIT_RANGE,
+        "limit_term",
+        ALPHA_LIMITS,
+    ),
     SPECTRAL_RADIUS: (SPECTRAL_RADIUS, RADIUS_ERROR, CELL_RADIUS_ERROR),
     "outline": (
         "outline_point",

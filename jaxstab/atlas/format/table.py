@@ -224,4 +224,5 @@ def _check_together(variables: Sequence[Stored], image_size: int) -> None:
     for nodes, cells in zip(schema.NODE[:4], schema.CELL[:4], strict=True):
         check(lengths[cells] == max(lengths[nodes] - 1, 1))
     check(lengths["alpha_node"] > 1 and lengths["beta_node"] > 1)
-    check(lengths.get("limit_term", 10) == 10)
+    check(lengths.get("limit_term", 2 * schema.LIMIT_TERMS) == 2 * schema.LIMIT_TERMS)
+    check(lengths.get("limit_end", 6) == 6)

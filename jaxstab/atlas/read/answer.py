@@ -27,10 +27,14 @@ class QueryStatus(Status):
     CELL = (
         2,
         "between nodes: the verdict is proved for a cell or column around the point, the radius "
-        "is interpolated",
+        "is interpolated at delays of the atlas and unknown between them",
     )
-    UNDECIDED_CELL = 3, "between nodes: no verdict is proved, the radius is interpolated"
-    BETWEEN_DELAYS = 4, "between two delays of the atlas: it says nothing here"
+    UNDECIDED_CELL = (
+        3,
+        "between nodes: no verdict is proved, the radius is interpolated at delays of the atlas "
+        "and unknown between them",
+    )
+    BETWEEN_DELAYS = 4, "between two delays of an atlas that says nothing there"
     OUTSIDE = 5, "outside of the atlas: it says nothing here"
     EXACT = 6, "not decided by the atlas: the verdict was computed for this very point"
 
@@ -84,14 +88,19 @@ def all_checked(values: Sequence[Numbers], names: Sequence[str] = AXES) -> list[
     return [np.asarray(checked(*pair), np.float64) for pair in zip(names, values, strict=False)]
 
 
-def check_inside(name: str, values: Floats, low: float, high: float, at: str = "") -> None:
-    """Raise ValueError for the first value beyond the ends of an atlas."""
-    beyond = ~((values >= low) & (values <= high))
-    if np.any(beyond):
+def check_inside(
+    name: str, values: Floats, low: Floats | float, high: Floats | float, at: Floats | None = None
+) -> None:
+    """Raise ValueError for the first value beyond the ends of an atlas, perhaps at some delays."""
+    beyond = np.flatnonzero(~((values >= low) & (values <= high)))
+    if beyond.size:
+        first, least, most = (
+            float(np.broadcast_to(v, values.shape).flat[beyond[0]]) for v in (values, low, high)
+        )
+        where = "" if at is None else f" at delay {float(at.flat[beyond[0]]):g}"
         raise ValueError(
-            f"{name} is {float(values[beyond].flat[0])!r}, and this atlas reaches from "
-            f"{float(low)!r} to {float(high)!r}{at}; ask inside of it, or set "
-            "outside to 'undecided'."
+            f"{name} is {first!r}, and this atlas reaches from {least!r} to {most!r}{where}; "
+            "ask inside of it, or set outside to 'undecided'."
         )
 
 

@@ -28,7 +28,12 @@ from jaxstab.atlas.read.answer import (
 from jaxstab.atlas.read.cells import decided_share
 from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
-from jaxstab.atlas.read.points import answer_at_delay, find_outside, nodes_of
+from jaxstab.atlas.read.points import (
+    answer_at_delay,
+    answer_by_limits,
+    find_outside,
+    nodes_of,
+)
 from jaxstab.atlas.read.shown import ShownAtlas
 from jaxstab.atlas.read.xarray_view import to_xarray
 from jaxstab.conventions import AXES, UNDECIDED
@@ -36,6 +41,8 @@ from jaxstab.numbers import checked_number, checked_word
 
 Floats = NDArray[np.float64]
 Range = tuple[float, float]
+
+_MOST = 1e300  # of numbers that are answered without a check: floats hold them
 Outside = Literal["error", "undecided"]
 
 
@@ -100,9 +107,8 @@ class Atlas(ShownAtlas):
     def decided_fraction(self, delay_number: int) -> float:
         """Return the share of the volume at one delay in which a query between nodes is decided."""
         nodes = self.nodes(delay_number)
-        table = self._tables.get(float(self.delays[delay_number]))
-        if table is not None:
-            return table.decided_share(nodes["gamma"], nodes["delta"])
+        if self._table is not None:
+            return self._table.decided_share(float(self.delays[delay_number]))
         if schema.CELL_VERDICT not in self.arrays:
             return 0.0
         codes = self.arrays[schema.CELL_VERDICT][..., delay_number]
@@ -125,7 +131,8 @@ class Atlas(ShownAtlas):
 
         At a node of the grid the answer is what was computed there. Between nodes the verdict is
         given where the limits of alpha, or the proof for the whole cell, decide it, and is
-        UNDECIDED elsewhere. A delay that is not one of ``delays`` is UNDECIDED.
+        UNDECIDED elsewhere. So it is at all delays for which limits are held, or else at those of
+        ``delays``; radii are known at these.
 
         Args:
             alpha: wall stiffness K T^2/m.
@@ -152,13 +159,14 @@ class Atlas(ShownAtlas):
         shape = points[0].shape
         answer = no_answer(points[0].size, has_verdicts=self._has_verdicts)
         where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
-        find_outside(self.arrays, where, answer.status, refuse=outside == "error")
+        find_outside(self.arrays, self._table, where, answer.status, refuse=outside == "error")
         inside = answer.status != QueryStatus.OUTSIDE
+        if self._table is not None:
+            answer_by_limits(self._table, where, inside, answer)
         for number, node in enumerate(self.delays.tolist()):
             here = np.flatnonzero(inside & (where["delay"] == node))
             if here.size:
-                table = self._tables.get(node)
-                answer_at_delay(self.arrays, number, table, where, here, answer)
+                answer_at_delay(self.arrays, number, where, here, answer)
         if exact:
             own = self.filters or (None, None)
             settle(where, answer, dict(zip(("velocity", "position"), own, strict=True)))
@@ -179,7 +187,7 @@ class Atlas(ShownAtlas):
     ) -> NDArray[np.int8]:
         """Return the verdicts of ``query`` alone, by the limits of alpha where the atlas has them.
 
-        One point given as five numbers, and many at one delay, are answered many times faster.
+        With limits of alpha, points are answered many times faster.
 
         Args, errors and source: as ``query``.
 
@@ -195,15 +203,15 @@ class Atlas(ShownAtlas):
         return self.query(*given, outside, exact=exact).verdict
 
     def alpha_limits(
-        self, beta: Numbers, gamma: Numbers, delta: Numbers, delay: float
+        self, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
     ) -> AlphaLimits:
         """Return the smallest and largest stable alpha, with proved errors.
 
         Args:
-            beta: wall damping B T/m; like gamma and delta it broadcasts.
+            beta: wall damping B T/m; like the others it broadcasts.
             gamma: physical stiffness k T^2/m.
             delta: physical damping b T/m.
-            delay: time delay t_d/T, one of ``delays``.
+            delay: time delay t_d/T in samples.
 
         Raises:
             TypeError: an argument is not made of real numbers.
@@ -212,20 +220,22 @@ class Atlas(ShownAtlas):
 
         Source: ``jaxstab.boxes.columns``.
         """
-        table, points = self._asked(delay, beta=beta, gamma=gamma, delta=delta)
-        found = table.limits(*(point.reshape(-1) for point in points))
+        table, points = self._asked(delay, gamma=gamma, delta=delta, beta=beta)
+        gamma, delta, beta, delay = points
+        found = table.limits(*(point.reshape(-1) for point in (beta, gamma, delta, delay)))
         is_empty = found.lower == np.inf
         limits = (np.where(is_empty, np.nan, limit) for limit in (found.lower, found.upper))
-        parts = zip(limits, (found.lower_error, found.upper_error), strict=True)
-        return AlphaLimits(*(v.reshape(points[0].shape) for pair in parts for v in pair))
+        errors = (error.astype(float) for error in (found.lower_error, found.upper_error))
+        parts = zip(limits, errors, strict=True)
+        return AlphaLimits(*(v.reshape(beta.shape) for pair in parts for v in pair))
 
-    def max_alpha(self, gamma: Numbers, delta: Numbers, delay: float) -> MaxAlpha:
+    def max_alpha(self, gamma: Numbers, delta: Numbers, delay: Numbers) -> MaxAlpha:
         """Return the largest stable alpha of hands, where it is, and a proved bound.
 
         Args:
-            gamma: physical stiffness k T^2/m; like delta it broadcasts.
+            gamma: physical stiffness k T^2/m; like the others it broadcasts.
             delta: physical damping b T/m.
-            delay: time delay t_d/T, one of ``delays``.
+            delay: time delay t_d/T in samples.
 
         Raises:
             TypeError, ValueError: as ``alpha_limits``.
@@ -246,7 +256,7 @@ class Atlas(ShownAtlas):
             beta: wall damping B T/m.
             gamma: lowest and highest physical stiffness k T^2/m.
             delta: lowest and highest physical damping b T/m.
-            delay: time delay t_d/T, one of ``delays``.
+            delay: time delay t_d/T in samples.
 
         Returns:
             STABLE: proved for every hand of the box; UNSTABLE: proved for one; else UNDECIDED.
@@ -257,7 +267,7 @@ class Atlas(ShownAtlas):
         Source: ``jaxstab.boxes.columns``.
         """
         table = self._asked_over(alpha, beta, gamma, delta, delay)
-        return np.int8(table.worst_verdict(alpha, beta, gamma, delta))
+        return np.int8(table.worst_verdict(alpha, beta, gamma, delta, delay))
 
     def common_alpha_limits(self, beta: float, gamma: Range, delta: Range, delay: float) -> Range:
         """Return between which alphas every hand of a box is proved stable.
@@ -266,7 +276,7 @@ class Atlas(ShownAtlas):
             beta: wall damping B T/m.
             gamma: lowest and highest physical stiffness k T^2/m.
             delta: lowest and highest physical damping b T/m.
-            delay: time delay t_d/T, one of ``delays``.
+            delay: time delay t_d/T in samples.
 
         Returns:
             The lowest and the highest alpha, an open interval; empty where the first is not less.
@@ -277,7 +287,7 @@ class Atlas(ShownAtlas):
         Source: ``jaxstab.boxes.columns``.
         """
         table = self._asked_over(None, beta, gamma, delta, delay)
-        return table.common_limits(beta, gamma, delta)
+        return table.common_limits(beta, gamma, delta, delay)
 
     def _check_filters(self, velocity: Any, position: Any) -> None:
         """Refuse a question about loops with others than those of the atlas."""
@@ -292,20 +302,16 @@ class Atlas(ShownAtlas):
 
     def _verdict_by_limits(self, given: Sequence[Numbers]) -> NDArray[np.int8] | None:
         """Return what the limits of alpha say; None where they are missing or do not reach."""
-        numbers = [v for v in given if isinstance(v, float | int) and not isinstance(v, bool)]
-        if len(numbers) == len(given):
-            *point, delay = numbers
-            table = self._tables.get(delay)
-            if table is None or not table.holds(*point):
-                return None
-            return np.asarray(table.verdict(*point), np.int8)
-        *values, node = all_checked(given)
-        table = self._tables.get(float(node)) if node.shape == () else None
-        if table is None or not table.holds_all(*values):
+        table = self._table
+        if table is None:
             return None
-        points = np.broadcast_arrays(*values)
-        codes = table.verdicts(*(point.reshape(-1) for point in points))
-        return codes.reshape(points[0].shape)
+        numbers = [v for v in given if isinstance(v, float | int) and not isinstance(v, bool)]
+        if len(numbers) == len(given) and all(abs(v) < _MOST for v in numbers):
+            point = tuple(map(float, numbers))
+            return np.asarray(table.verdict(*point), np.int8) if table.holds(*point) else None
+        points = np.broadcast_arrays(*all_checked(given))
+        codes = table.verdicts_inside(*(point.reshape(-1) for point in points))
+        return None if codes is None else codes.reshape(points[0].shape)
 
     def outline(self, gamma: float, delta: float, delay: float) -> AtlasOutline:
         """Return the boundary of the stable region at a node, with its corners.
@@ -313,7 +319,7 @@ class Atlas(ShownAtlas):
         Args:
             gamma: physical stiffness k T^2/m, a node.
             delta: physical damping b T/m, a node.
-            delay: time delay t_d/T, one of ``delays``.
+            delay: time delay t_d/T in samples.
 
         Raises:
             ValueError: a value is no node, or this holds no outlines.
@@ -327,34 +333,38 @@ class Atlas(ShownAtlas):
         return schema.VERDICT in self.arrays or schema.ALPHA_LIMITS in self.arrays
 
     @cached_property
-    def _tables(self) -> dict[float, LimitTable]:
-        """The limits of alpha for each delay, where the atlas has them."""
+    def _table(self) -> LimitTable | None:
+        """The limits of alpha, where the atlas has them."""
         if schema.ALPHA_LIMITS not in self.arrays:
-            return {}
-        planes = self.arrays[schema.ALPHA_LIMITS]
-        return {
-            delay: LimitTable(planes[:, :, :, number], **self.nodes(number))
-            for number, delay in enumerate(self.delays.tolist())
-        }
+            return None
+        limits, ends = (self.arrays[name] for name in (schema.ALPHA_LIMITS, schema.LIMIT_RANGE))
+        hands = {name: self.arrays[name] for name in ("gamma", "delta")}
+        return LimitTable(limits, ends, **hands)
 
-    def _table(self, delay: float) -> LimitTable:
-        if not self._tables:
+    def _asked(self, delay: Numbers, **given: Numbers) -> tuple[LimitTable, list[Floats]]:
+        """Return the limits, and what is asked of them with the delays as the last; all checked."""
+        table = self._table
+        if table is None:
             raise ValueError(
                 "this atlas holds no limits of alpha; build one with the product "
                 f"{schema.ALPHA_LIMITS!r}."
             )
-        (number,) = all_checked((delay,), ("delay",))
-        if number.shape != () or float(number) not in self._tables:
+        names = [*given, "delay"]
+        points = np.broadcast_arrays(*all_checked((*given.values(), delay), names))
+        asked = dict(zip(names, points, strict=True))
+        for name in ("gamma", "delta", "delay"):
+            check_inside(name, asked[name], self.arrays[name][0], self.arrays[name][-1])
+        between = ~table.covers(asked["delay"])
+        if np.any(between):
             delays = ", ".join(f"{node:g}" for node in self.delays.tolist())
-            raise ValueError(f"delay is {delay!r}; this atlas has limits at {delays} alone.")
-        return self._tables[float(number)]
-
-    def _asked(self, delay: float, **given: Numbers) -> tuple[LimitTable, Sequence[Floats]]:
-        table = self._table(delay)
-        values = all_checked(tuple(given.values()), tuple(given))
-        for name, value in zip(given, values, strict=True):
-            check_inside(name, value, *table.ends(name))
-        return table, np.broadcast_arrays(*values)
+            raise ValueError(
+                f"delay is {float(asked['delay'][between].flat[0])!r}; this atlas has limits at "
+                f"{delays} alone."
+            )
+        cell = table.delay_cell(asked["delay"])
+        for name in {"alpha", "beta"} & set(given):
+            check_inside(name, asked[name], *table.ends(name, cell))
+        return table, list(points)
 
     def _asked_over(
         self, alpha: float | None, beta: float, gamma: Range, delta: Range, delay: float
@@ -362,7 +372,7 @@ class Atlas(ShownAtlas):
         ranges = {"gamma": checked_range("gamma", gamma), "delta": checked_range("delta", delta)}
         walls = {"beta": beta} | ({} if alpha is None else {"alpha": alpha})
         numbers = {name: checked_number(name, value) for name, value in walls.items()}
-        return self._asked(delay, **ranges, **numbers)[0]
+        return self._asked(checked_number("delay", delay), **ranges, **numbers)[0]
 
 
 def _of_filters(name: str) -> Any:

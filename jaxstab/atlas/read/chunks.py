@@ -88,8 +88,8 @@ def check_values(variable: Variable, values: Array) -> None:
         low, high = values.min(), values.max()  # NaN where one is
     check(variable.lowest <= low and high <= variable.highest)
     if variable.name == schema.ALPHA_LIMITS:
-        for limit in (values[..., :5], values[..., 5:]):
-            slopes, error = limit[..., 1:4], limit[..., 4]
+        for limit in np.split(values, 2, axis=-1):
+            slopes, error = limit[..., 1:-1], limit[..., -1]
             check(np.all(np.isfinite(slopes)) and error.min() >= 0.0)
 
 
@@ -106,10 +106,22 @@ def check_axes(arrays: Mapping[str, Array]) -> None:
             check(np.all(np.isfinite(values)) and np.all(widths > 0))
         elif VARIABLES[name].is_axis:
             check(np.array_equal(values, np.arange(values.size)))
+    if schema.LIMIT_RANGE in arrays:
+        _check_range(arrays[schema.LIMIT_RANGE], arrays["delay"])
     for name in ("alpha", "beta"):
         with np.errstate(over="ignore"):
             spans = arrays[name][-1] - arrays[name][0]
         check(spans.min() >= schema.LEAST_SPAN and spans.max() < np.inf)
+
+
+def _check_range(ends: Array, delay: Array) -> None:
+    """Refuse cells of delays that do not follow each other to the last, and ends without width."""
+    with np.errstate(all="ignore"):
+        spans = ends[:, 3::2] - ends[:, 2::2]
+    early, late = ends[:, 0], ends[:, 1]
+    check(np.all(np.isfinite(ends)) and early[0] == delay[0] and late[-1] == delay[-1])
+    check(np.all(early <= late) and np.all(late[:-1] <= early[1:]) and np.all(np.diff(early) > 0.0))
+    check(spans.min() >= schema.LEAST_SPAN and spans.max() < np.inf)
 
 
 def check_counts(arrays: Mapping[str, Array], table: Table) -> None:

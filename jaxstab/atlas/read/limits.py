@@ -1,7 +1,8 @@
 """Lookups in the limits of alpha: one column of the table decides a point. NumPy alone.
 
-A column is a cell along beta, gamma and delta. It holds two planes over (beta, gamma, delta), the
-lower and the upper limit of the stable alphas, and the error of each (``schema.ALPHA_LIMITS``).
+A column is a cell along beta, gamma, delta and delay. It holds two surfaces over these, the lower
+and the upper limit of the stable alphas, and the error of each (``schema.ALPHA_LIMITS``). For one
+delay they are planes.
 """
 
 from bisect import bisect_right
@@ -60,76 +61,148 @@ class MaxAlpha(NamedTuple):
 
 
 class LimitTable:
-    """The columns of one delay.
+    """The columns of all delays.
 
     Args:
-        planes: (limit_cell, gamma_cell, delta_cell, 10): constant, slopes along beta, gamma and
-            delta, and error, of the lower and then of the upper limit.
-        alpha: ascending nodes of alpha, of which the ends count.
-        beta: ascending nodes of beta, of which the ends count: the cells between them are even.
+        terms: (limit_cell, gamma_cell, delta_cell, delay_cell, 14): constant, slopes along beta,
+            gamma, delta, delay and its square, and error, of the lower and then of the upper limit.
+        ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells; those
+            along beta are even.
         gamma: nodes of gamma, one or ascending.
         delta: nodes of delta, one or ascending.
     """
 
     def __init__(
-        self, planes: Floats, *, alpha: Floats, beta: Floats, gamma: Floats, delta: Floats
+        self, terms: NDArray[np.float32], ends: Floats, *, gamma: Floats, delta: Floats
     ) -> None:
-        self._cells, gammas, deltas, terms = planes.shape
-        self._columns = np.ascontiguousarray(planes).reshape(-1, terms)
-        nodes = {"alpha": alpha, "beta": beta, "gamma": gamma, "delta": delta}
-        self._ends = {name: (float(along[0]), float(along[-1])) for name, along in nodes.items()}
-        self._beta, highest = self._ends["beta"]
+        self._cells, gammas, deltas, delays, count = terms.shape
+        self._columns = np.ascontiguousarray(terms).reshape(-1, count)
+        self._early, self._late, self._least, self._most, self._beta, highest = (
+            np.ascontiguousarray(end) for end in ends.T
+        )
+        self._highest_beta = highest
+        self._next = np.append(self._early[1:], np.inf)
+        self._first, self._last = self._early[0], delays - 1
+        width = self._early[-1] - self._first
+        self._per_delay = self._last / width if width else 0.0
         self._per_beta = self._cells / (highest - self._beta)
-        self._steps = gammas * deltas, deltas
+        self._steps = gammas * deltas * delays, deltas * delays, delays
+        self._nodes = gamma, delta
         self._inner = gamma[1:-1], delta[1:-1]
         self._inner_lists = gamma[1:-1].tolist(), delta[1:-1].tolist()
+        self._early_list = self._early.tolist()
+        self._rows = np.column_stack([ends, self._per_beta]).tolist()
 
-    def ends(self, name: str) -> Range:
-        """Return the lowest and the highest value of a parameter."""
-        return self._ends[name]
+    def covers(self, delay: Floats) -> NDArray[np.bool_]:
+        """Say which delays there are limits for."""
+        cell = self.delay_cell(delay)
+        return np.asarray((cell >= 0) & (delay <= self._late.take(cell)))
 
-    def holds(self, *point: float) -> bool:
-        """Whether alpha, beta, gamma and delta are inside of the table."""
-        ends = self._ends.values()
-        return all(low <= v <= high for v, (low, high) in zip(point, ends, strict=True))
+    def delay_cell(self, delay: Floats) -> Integers:
+        """Return the numbers of the last cells that begin at delays or before; -1 for none."""
+        guess = (delay - self._first) * self._per_delay
+        cell = np.clip(guess, 0.0, self._last).astype(np.intp)
+        cell += delay >= self._next.take(cell)
+        cell -= delay < self._early.take(cell)
+        found = (delay < self._next.take(cell)) & (delay >= self._early.take(cell))
+        if found.all():  # cells are even, as most are
+            return np.asarray(cell)
+        return np.asarray(np.searchsorted(self._early, delay, "right") - 1)
 
-    def holds_all(self, *points: Floats) -> bool:
-        """Whether all of some points are inside of the table."""
-        return all(
-            v.size and low <= v.min() and v.max() <= high
-            for v, (low, high) in zip(points, self._ends.values(), strict=True)
+    def ends(self, name: str, cell: Integers) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest alpha, or beta, of cells of delays."""
+        if name == "alpha":
+            return np.asarray(self._least[cell]), np.asarray(self._most[cell])
+        return np.asarray(self._beta[cell]), np.asarray(self._highest_beta[cell])
+
+    def holds(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> bool:
+        """Whether a point is inside of the table."""
+        cell = bisect_right(self._early_list, delay) - 1
+        if cell < 0:
+            return False
+        _, late, least, most, lowest, highest, _ = self._rows[cell]
+        gammas, deltas = self._nodes
+        return bool(
+            delay <= late
+            and least <= alpha <= most
+            and lowest <= beta <= highest
+            and gammas[0] <= gamma <= gammas[-1]
+            and deltas[0] <= delta <= deltas[-1]
         )
 
+    def verdicts_inside(
+        self, alpha: Floats, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
+    ) -> NDArray[np.int8] | None:
+        """Return the codes of points, arrays of one length; None if one is outside of the table."""
+        codes = np.empty(alpha.size, np.int8)
+        for start in range(0, alpha.size, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            some = alpha[part], beta[part], gamma[part], delta[part], delay[part]
+            cell = self.delay_cell(some[4])
+            if not self._holds(cell, *some):
+                return None
+            codes[part] = _codes(some[0], self._limits(cell, *some[1:]))
+        return codes
+
+    def _holds(
+        self,
+        cell: Integers,
+        alpha: Floats,
+        beta: Floats,
+        gamma: Floats,
+        delta: Floats,
+        delay: Floats,
+    ) -> bool:
+        """Whether all of some points, in these cells of delays, are inside."""
+        hands = zip((gamma, delta), self._nodes, strict=True)
+        if not all(n[0] <= v.min() and v.max() <= n[-1] for v, n in hands) or cell.min() < 0:
+            return False
+        inside = delay <= self._late.take(cell)
+        inside &= (alpha >= self._least.take(cell)) & (alpha <= self._most.take(cell))
+        inside &= (beta >= self._beta.take(cell)) & (beta <= self._highest_beta.take(cell))
+        return bool(inside.all())
+
     def verdicts(
-        self, alpha: Floats, beta: Floats, gamma: Floats, delta: Floats
+        self, alpha: Floats, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
     ) -> NDArray[np.int8]:
         """Return the codes of points inside of the table, arrays of one length."""
         codes = np.empty(alpha.size, np.int8)
         for start in range(0, alpha.size, _CHUNK):
             part = slice(start, start + _CHUNK)
-            limits = self.limits(beta[part], gamma[part], delta[part])
+            limits = self.limits(beta[part], gamma[part], delta[part], delay[part])
             codes[part] = _codes(alpha[part], limits)
         return codes
 
-    def verdict(self, alpha: float, beta: float, gamma: float, delta: float) -> int:
+    def verdict(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> int:
         """Return the code of one point, without the cost of arrays."""
-        cell = min(int((beta - self._beta) * self._per_beta), self._cells - 1)
+        number = bisect_right(self._early_list, delay) - 1
+        lowest, _, per_beta = self._rows[number][4:]
+        cell = min(int((beta - lowest) * per_beta), self._cells - 1)
         row = cell * self._steps[0] + bisect_right(self._inner_lists[0], gamma) * self._steps[1]
-        column = self._columns[row + bisect_right(self._inner_lists[1], delta)].tolist()
-        c, per_beta, per_gamma, per_delta, error = column[:5]
-        lower = c + per_beta * beta + per_gamma * gamma + per_delta * delta
-        c, per_beta, per_gamma, per_delta, upper_error = column[5:]
-        upper = c + per_beta * beta + per_gamma * gamma + per_delta * delta
+        row += bisect_right(self._inner_lists[1], delta) * self._steps[2] + number
+        column = self._columns[row].tolist()
+        c, per_beta, per_gamma, per_delta, rate, bend, error = column[:7]
+        moved = (rate + bend * delay) * delay
+        lower = c + per_beta * beta + per_gamma * gamma + per_delta * delta + moved
+        c, per_beta, per_gamma, per_delta, rate, bend, upper_error = column[7:]
+        moved = (rate + bend * delay) * delay
+        upper = c + per_beta * beta + per_gamma * gamma + per_delta * delta + moved
         if alpha < lower - error or alpha > upper + upper_error:
             return int(UNSTABLE)
         return int(STABLE if lower + error < alpha < upper - upper_error else UNDECIDED)
 
-    def limits(self, beta: Floats, gamma: Floats, delta: Floats) -> AlphaLimits:
+    def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
         """Return the limits at points inside of the table; both infinite where none is stable."""
-        cell = ((beta - self._beta) * self._per_beta).astype(np.intp)
+        return self._limits(self.delay_cell(delay), beta, gamma, delta, delay)
+
+    def _limits(
+        self, number: Integers, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
+    ) -> AlphaLimits:
+        """Return the limits at points in these cells of delays."""
+        cell = ((beta - self._beta.take(number)) * self._per_beta.take(number)).astype(np.intp)
         np.minimum(cell, self._cells - 1, out=cell)
-        rows = cell * self._steps[0] + self._hands(gamma, delta)
-        return _at(self._columns[rows].T, beta, gamma, delta)
+        rows = cell * self._steps[0] + self._hands(gamma, delta) + number
+        return _at(self._columns.take(rows, axis=0).T, beta, gamma, delta, delay)
 
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
         """Return the numbers of the cells of hands within a cell along beta."""
@@ -137,19 +210,21 @@ class LimitTable:
             np.searchsorted(inner, values, "right")
             for inner, values in zip(self._inner, (gamma, delta), strict=True)
         )
-        rows: Integers = along_gamma * self._steps[1] + along_delta
+        rows: Integers = along_gamma * self._steps[1] + along_delta * self._steps[2]
         return rows
 
     @_ignoring
-    def max_alpha(self, gamma: Floats, delta: Floats) -> MaxAlpha:
+    def max_alpha(self, gamma: Floats, delta: Floats, delay: Floats) -> MaxAlpha:
         """Return the largest stable alpha for hands inside of the table, arrays of one length."""
-        edges = np.arange(self._cells + 1) / self._per_beta + self._beta
-        sides = np.stack([edges[:-1], edges[1:]])  # planes are highest at the sides of their cells
         columns = self._columns.reshape(self._cells, self._steps[0], -1)
+        numbers = self.delay_cell(delay)
         found = np.full((3, gamma.size), np.nan)
-        for point, row in enumerate(self._hands(gamma, delta)):
-            hand = gamma[point : point + 1], delta[point : point + 1]
-            at = _at(columns[:, row].T, sides, *hand)
+        for point, row in enumerate(self._hands(gamma, delta) + numbers):
+            number = numbers[point]
+            edges = np.arange(self._cells + 1) / self._per_beta[number] + self._beta[number]
+            sides = np.stack([edges[:-1], edges[1:]])  # planes are highest at their sides
+            one = slice(point, point + 1)
+            at = _at(columns[:, row].T, sides, gamma[one], delta[one], delay[one])
             top = at.upper - at.upper_error
             holds = (at.lower + at.lower_error < top) & np.isfinite(top)
             if holds.any():
@@ -159,24 +234,24 @@ class LimitTable:
         return MaxAlpha(*found)
 
     @_ignoring
-    def decided_share(self, gamma: Floats, delta: Floats) -> float:
-        """Return the share of the table's volume that is decided, by the middles of the columns.
-
-        Args:
-            gamma: nodes of gamma.
-            delta: nodes of delta.
-        """
-        beta = (np.arange(self._cells) + 0.5) / self._per_beta + self._beta
+    def decided_share(self, delay: float) -> float:
+        """Return the share of the volume at a delay that is decided, by the middles of columns."""
+        number = int(self.delay_cell(np.array([delay]))[0])
+        beta = (np.arange(self._cells) + 0.5) / self._per_beta[number] + self._beta[number]
         spans = [  # shares, for products of tiny spans are 0
             np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1)
-            for nodes in (gamma, delta)
+            for nodes in self._nodes
         ]
         middles = [
-            0.5 * (nodes[1:] + nodes[:-1]) if nodes.size > 1 else nodes for nodes in (gamma, delta)
+            0.5 * (nodes[1:] + nodes[:-1]) if nodes.size > 1 else nodes for nodes in self._nodes
         ]
-        points = (point.ravel() for point in np.meshgrid(beta, *middles, indexing="ij"))
-        lower, lower_error, upper, upper_error = _at(self._columns.T, *points)
-        low, high = self._ends["alpha"]
+        along_beta, gamma, delta = (
+            point.ravel() for point in np.meshgrid(beta, *middles, indexing="ij")
+        )
+        columns = self._columns[number :: self._steps[2]].T
+        at = _at(columns, along_beta, gamma, delta, np.full(gamma.size, delay))
+        lower, lower_error, upper, upper_error = at
+        low, high = self._least[number], self._most[number]
         ends = [lower - lower_error, lower + lower_error, upper - upper_error, upper + upper_error]
         a, b, c, d = (np.clip(end, low, high) for end in ends)
         open_height = np.where(c > b, b - a + d - c, d - a)
@@ -184,20 +259,24 @@ class LimitTable:
         return float(1.0 - np.average(open_height, weights=weights) / (high - low))
 
     @_ignoring
-    def common_limits(self, beta: float, gamma: Range, delta: Range) -> tuple[float, float]:
+    def common_limits(
+        self, beta: float, gamma: Range, delta: Range, delay: float
+    ) -> tuple[float, float]:
         """Return between which alphas all hands of a box are proved stable; empty if it is so."""
-        at = self._limits_over(beta, gamma, delta)
+        at = self._limits_over(beta, gamma, delta, delay)
         lowest, highest = np.max(at.lower + at.lower_error), np.min(at.upper - at.upper_error)
         return float(lowest), float(highest)
 
-    def worst_verdict(self, alpha: float, beta: float, gamma: Range, delta: Range) -> int:
+    def worst_verdict(
+        self, alpha: float, beta: float, gamma: Range, delta: Range, delay: float
+    ) -> int:
         """Return STABLE for all hands of a box, UNSTABLE for one, or UNDECIDED."""
-        codes = _codes(np.array(alpha), self._limits_over(beta, gamma, delta))
+        codes = _codes(np.array(alpha), self._limits_over(beta, gamma, delta, delay))
         if np.any(codes == UNSTABLE):
             return int(UNSTABLE)
         return int(STABLE if np.all(codes == STABLE) else UNDECIDED)
 
-    def _limits_over(self, beta: float, gamma: Range, delta: Range) -> AlphaLimits:
+    def _limits_over(self, beta: float, gamma: Range, delta: Range, delay: float) -> AlphaLimits:
         """Return the limits at the corners of all cells of a box of hands: planes bend nowhere."""
         corners = []
         for inner, (low, high) in zip(self._inner, (gamma, delta), strict=True):
@@ -207,22 +286,30 @@ class LimitTable:
         # A corner belongs to a cell by the middle of its part of the box.
         middles = np.meshgrid(*(ends.mean(axis=0) for ends in corners), indexing="ij")
         gammas, deltas = (middle.ravel() for middle in middles)
-        cell = min(int((beta - self._beta) * self._per_beta), self._cells - 1)
-        columns = self._columns[cell * self._steps[0] + self._hands(gammas, deltas)]
+        number = bisect_right(self._early_list, delay) - 1
+        lowest, _, per_beta = self._rows[number][4:]
+        cell = min(int((beta - lowest) * per_beta), self._cells - 1)
+        columns = self._columns[cell * self._steps[0] + self._hands(gammas, deltas) + number]
         sides = [
             np.meshgrid(corners[0][i], corners[1][j], indexing="ij") for i in (0, 1) for j in (0, 1)
         ]
         at_gamma, at_delta = (np.concatenate([side[k].ravel() for side in sides]) for k in (0, 1))
-        return _at(np.tile(columns.T, 4), np.full_like(at_gamma, beta), at_gamma, at_delta)
+        still = (np.full_like(at_gamma, value) for value in (beta, delay))
+        at_beta, at_delay = still
+        return _at(np.tile(columns.T, 4), at_beta, at_gamma, at_delta, at_delay)
 
 
 @_ignoring
-def _at(columns: Floats, beta: Floats, gamma: Floats, delta: Floats) -> AlphaLimits:
-    """Return the limits of columns, (10, point), at points."""
+def _at(
+    columns: NDArray[np.float32], beta: Floats, gamma: Floats, delta: Floats, delay: Floats
+) -> AlphaLimits:
+    """Return the limits of columns, (14, point), at points."""
     limits = []
-    for planes in (columns[:5], columns[5:]):
-        constant, per_beta, per_gamma, per_delta, error = planes
-        limits += [constant + per_beta * beta + per_gamma * gamma + per_delta * delta, error]
+    for terms in (columns[:7], columns[7:]):
+        constant, per_beta, per_gamma, per_delta, rate, bend, error = terms
+        moved = (rate + bend * delay) * delay
+        limit = constant + per_beta * beta + per_gamma * gamma + per_delta * delta + moved
+        limits += [limit, error]
     return AlphaLimits(*limits)
 
 

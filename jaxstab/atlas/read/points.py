@@ -10,7 +10,7 @@ from jaxstab.atlas.format import schema
 from jaxstab.atlas.read.answer import AtlasAnswer, Floats, QueryStatus, check_inside
 from jaxstab.atlas.read.cells import Integers, Mask, Place, picked
 from jaxstab.atlas.read.limits import LimitTable
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
 
 Arrays = Mapping[str, NDArray[Any]]
 Points = Mapping[str, Floats]
@@ -27,56 +27,86 @@ def nodes_of(arrays: Arrays, delay_number: int) -> dict[str, Floats]:
     }
 
 
-def find_outside(arrays: Arrays, where: Points, status: NDArray[np.int8], *, refuse: bool) -> None:
+def find_outside(
+    arrays: Arrays,
+    table: LimitTable | None,
+    where: Points,
+    status: NDArray[np.int8],
+    *,
+    refuse: bool,
+) -> None:
     """Mark points outside of the atlas, or refuse the first.
+
+    Alpha and beta end where the limits of alpha do, or else where the nodes of a delay do.
 
     Raises:
         ValueError: a point is outside, and that is refused.
     """
 
-    def check(name: str, nodes: Floats, members: Mask, at: str = "") -> None:
+    def check(name: str, low: Floats | float, high: Floats | float, members: Integers) -> None:
+        values = where[name][members]
         if refuse:
-            check_inside(name, where[name][members], nodes[0], nodes[-1], at)
-        outside = ~((where[name] >= nodes[0]) & (where[name] <= nodes[-1]))
-        status[members & outside] = QueryStatus.OUTSIDE
+            at = where["delay"][members] if name in ("alpha", "beta") else None
+            check_inside(name, values, low, high, at)
+        outside = ~((values >= low) & (values <= high))
+        status[members[outside]] = QueryStatus.OUTSIDE
 
+    everywhere = np.arange(status.size)
     for name in ("gamma", "delta", "delay"):
-        check(name, arrays[name], np.ones(status.shape, bool))
+        check(name, arrays[name][0], arrays[name][-1], everywhere)
+    if table is not None:
+        covered = np.flatnonzero(table.covers(where["delay"]))
+        cell = table.delay_cell(where["delay"][covered])
+        for name in ("alpha", "beta"):
+            check(name, *table.ends(name, cell), covered)
+        return
     for number, delay in enumerate(arrays["delay"].tolist()):
+        here = np.flatnonzero(where["delay"] == delay)
         for name in ("alpha", "beta"):
             nodes = arrays[name][:, number]
-            check(name, nodes, where["delay"] == delay, f" at delay {delay:g}")
+            check(name, nodes[0], nodes[-1], here)
+
+
+def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: AtlasAnswer) -> None:
+    """Fill in the verdicts of points inside of an atlas, where there are limits of alpha."""
+    here = np.flatnonzero(inside & table.covers(where["delay"]))
+    codes = table.verdicts(*(where[name][here] for name in AXES))
+    answer.verdict[here] = codes
+    proved = (codes == STABLE) | (codes == UNSTABLE)
+    answer.status[here] = np.where(proved, QueryStatus.CELL, QueryStatus.UNDECIDED_CELL)
 
 
 def answer_at_delay(
-    arrays: Arrays,
-    number: int,
-    table: LimitTable | None,
-    where: Points,
-    here: Integers,
-    answer: AtlasAnswer,
+    arrays: Arrays, number: int, where: Points, here: Integers, answer: AtlasAnswer
 ) -> None:
-    """Fill in the answer for the points numbered ``here``, all at one delay and inside.
+    """Fill in what nodes and their cells know of points, all at one delay.
 
     Args:
         arrays: of the atlas.
         number: of the delay.
-        table: of the limits of alpha at this delay, where there are any.
         where: the coordinates of all points.
         here: which of them are at the delay.
-        answer: to fill in.
+        answer: to fill in; limits of alpha have given the verdicts that they know.
     """
+    nodes = nodes_of(arrays, number)
+    for name in ("alpha", "beta"):  # limits of alpha may reach beyond the nodes
+        values = where[name][here]
+        here = here[(values >= nodes[name][0]) & (values <= nodes[name][-1])]
+    if not here.size:
+        return
     points = {name: where[name][here] for name in _WALLS}
-    place = Place.of([(nodes, points[name]) for name, nodes in nodes_of(arrays, number).items()])
-    status = np.where(place.at_node, QueryStatus.NODE, QueryStatus.UNDECIDED_CELL)
-    if table is not None or schema.VERDICT in arrays:
-        codes = _between_nodes(arrays, number, table, points, place)
-        proved = ~place.at_node & ((codes == STABLE) | (codes == UNSTABLE))
-        status[proved] = QueryStatus.CELL
-        left = place.at_node & (codes == UNDECIDED)
-        if schema.VERDICT in arrays and left.any():
-            codes[left] = picked(arrays[schema.VERDICT][..., number], place.node, left)
-        answer.verdict[here] = codes
+    place = Place.of([(along, points[name]) for name, along in nodes.items()])
+    codes, status = answer.verdict[here], answer.status[here]
+    if schema.ALPHA_LIMITS not in arrays:
+        status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
+        if schema.CELL_VERDICT in arrays:
+            codes = arrays[schema.CELL_VERDICT][..., number][place.cell]
+            status[(codes == STABLE) | (codes == UNSTABLE)] = QueryStatus.CELL
+    left = place.at_node & (codes == UNDECIDED)
+    if schema.VERDICT in arrays and left.any():
+        codes[left] = picked(arrays[schema.VERDICT][..., number], place.node, left)
+    status[place.at_node] = QueryStatus.NODE
+    answer.verdict[here], answer.status[here] = codes, status
     if schema.SPECTRAL_RADIUS in arrays:
         radius = arrays[schema.SPECTRAL_RADIUS][..., number]
         answer.spectral_radius[here] = place.interpolated(radius)
@@ -87,13 +117,3 @@ def answer_at_delay(
             if members.any():
                 error = arrays[name][..., number]
                 answer.radius_error[here[members]] = picked(error, numbers, members)
-    answer.status[here] = status
-
-
-def _between_nodes(
-    arrays: Arrays, number: int, table: LimitTable | None, points: Points, place: Place
-) -> NDArray[np.int8]:
-    if table is None:
-        codes: NDArray[np.int8] = arrays[schema.CELL_VERDICT][..., number][place.cell]
-        return codes
-    return table.verdicts(*(points[name] for name in _WALLS))

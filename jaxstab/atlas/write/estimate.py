@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.footer import image_of
-from jaxstab.atlas.format.schema import SPECTRAL_RADIUS
+from jaxstab.atlas.format.schema import ALPHA_LIMITS, SPECTRAL_RADIUS
 from jaxstab.atlas.write.workers import tile_image
 
 _RADII = 2**16  # that are computed at most, unless two columns hold more
@@ -55,6 +55,8 @@ def _has_cells(plan: Plan, tile: Tile) -> bool:
 def _measured(plan: Plan, delay: int) -> tuple[float, float, float]:
     """Return the seconds that a tile takes more if it is the first, what all take, and the bytes.
 
+    Of limits those of one cell of delays are computed, the first or the last.
+
     Verdicts and what belongs to slices take a second at most. Of radii, which take as long as there
     are nodes, some columns in the middle are computed.
     """
@@ -65,11 +67,17 @@ def _measured(plan: Plan, delay: int) -> tuple[float, float, float]:
     middle = replace(plan.grid, beta=plan.grid.beta[first : first + columns])
     start = seconds = size = 0.0
     for product in plan.spec.products:
-        is_long = product == SPECTRAL_RADIUS
-        scale = betas / columns if is_long else 1.0
-        grid = middle if is_long else plan.grid
+        asked, grid, scale = tile, plan.grid, 1.0
+        if product == SPECTRAL_RADIUS:
+            grid, scale = middle, betas / columns
+        elif product == ALPHA_LIMITS:
+            cells = plan.grid.limit_range
+            one = cells[-1:] if delay else cells[:1]
+            grid, scale = replace(plan.grid, limit_range=one), len(cells) / plan.grid.delay.size
+            owner = int(np.searchsorted(plan.grid.delay, one[0, 0], "right")) - 1
+            asked = tile._replace(delay=owner)
         part = Plan(replace(plan.spec, products=(product,)), grid)
-        (slow, _), (quick, stored) = (_timed(part, tile) for _ in range(2))
+        (slow, _), (quick, stored) = (_timed(part, asked) for _ in range(2))
         start += max(0.0, slow - quick)  # XLA compiles once
         seconds += scale * quick
         size += scale * stored

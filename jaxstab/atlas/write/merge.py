@@ -2,6 +2,8 @@
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import product
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +116,7 @@ def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArra
         "gamma": grid.gamma,
         "delta": grid.delta,
         "delay": grid.delay,
+        schema.LIMIT_RANGE: grid.limit_range,
         schema.SPEC: lines,
     }
     counted = {**lengths, "spec_line": lines.size}
@@ -149,11 +152,14 @@ def _copy_tiles(
         with shards.opened(tile) as image:
             for name, part in image.items():
                 if plan.is_gridded(name):
-                    place = _place(plan, name, tile)
-                    mask, chunk = part.id.read_direct_chunk((0,) * part.ndim)
-                    datasets[name].id.write_direct_chunk(place, chunk, mask)
-                    digest = part.attrs[VALUES_DIGEST].decode()
-                    digests.setdefault(name, {})[place] = digest
+                    first = _place(plan, name, tile)
+                    starts = product(*map(range, [0] * part.ndim, part.shape, part.chunks))
+                    of_chunks = part.attrs[VALUES_DIGEST].decode().split(" ")
+                    for start, digest in zip(starts, of_chunks, strict=True):
+                        mask, chunk = part.id.read_direct_chunk(start)
+                        place = tuple(map(add, first, start))
+                        datasets[name].id.write_direct_chunk(place, chunk, mask)
+                        digests.setdefault(name, {})[place] = digest
                 else:
                     datasets[name][filled[name] : filled[name] + part.size] = part[()]
                     filled[name] += part.size

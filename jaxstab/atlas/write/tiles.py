@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -71,11 +72,14 @@ def _check(plan: Plan, tile: Tile, name: str, values: NDArray[Any]) -> None:
 
 
 def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int]) -> None:
-    whole = np.zeros(chunk, values.dtype.newbyteorder("<"))
+    sides = list(zip(values.shape, chunk, strict=True))
+    whole = np.zeros([-(-n // step) * step for n, step in sides], values.dtype.newbyteorder("<"))
     whole[tuple(map(slice, values.shape))] = values
     filters = filters_of(VARIABLES[name])
     dataset = file.create_dataset(name, data=whole, chunks=tuple(chunk), **filters)
-    dataset.attrs[VALUES_DIGEST] = np.bytes_(values_digest(values))
+    starts = product(*(range(0, n, step) for n, step in sides))
+    parts = (values[tuple(map(slice, start, np.add(start, chunk)))] for start in starts)
+    dataset.attrs[VALUES_DIGEST] = np.bytes_(" ".join(map(values_digest, parts)))
 
 
 @dataclass(frozen=True)

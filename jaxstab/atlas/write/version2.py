@@ -6,6 +6,8 @@ them, and who trusts one upgrades it. Verdicts of nodes far from the boundary ar
 
 import io
 import os
+from collections.abc import Mapping
+from dataclasses import replace
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from jaxstab.atlas.format.digest import digest_of
 from jaxstab.atlas.format.filters import words_of
 from jaxstab.atlas.format.footer import image_of
 from jaxstab.atlas.format.schema import VARIABLES, Variable
+from jaxstab.atlas.format.single import in_float32
 from jaxstab.atlas.format.table import DAMAGED, RefusalError, check
 from jaxstab.atlas.read.chunks import Array, TooLargeError, check_axes, check_values, too_large
 from jaxstab.atlas.write.merge import Filled, publish
@@ -26,6 +29,13 @@ from jaxstab.conventions import AXES
 from jaxstab.durable import named_errors
 
 _VERSION = 2
+_OF_LIMITS = ("limit_cell", "limit_term", schema.ALPHA_LIMITS)
+_TERMS = 10  # of both limits: those by the delay were missing
+_LIMITS = replace(
+    VARIABLES[schema.ALPHA_LIMITS],
+    dtype="float64",
+    dimensions=("limit_cell", "gamma_cell", "delta_cell", "delay", "limit_term"),
+)
 _CELLS = {"alpha": "alpha_node", "beta": "beta_node", "gamma": "gamma", "delta": "delta"}
 _TROUBLES = (ValueError, LookupError, TypeError, RuntimeError, OSError, MemoryError)
 
@@ -71,14 +81,15 @@ def _read(image: bytes) -> tuple[dict[str, Array], str]:
     try:
         with h5py.File(io.BytesIO(image), "r") as file:
             _check_version(file)
-            arrays = {name: _values(file, VARIABLES[name]) for name in _names(file)}
+            variables = VARIABLES | {schema.ALPHA_LIMITS: _LIMITS}
+            arrays = {name: _values(file, variables[name]) for name in _names(file)}
             created_by = bytes(_attribute(file, "created_by")).decode("ascii")
     except (RefusalError, TooLargeError):
         raise
     except _TROUBLES as error:
         raise RefusalError(DAMAGED) from error
     _check_together(arrays)
-    return arrays, created_by
+    return arrays | _limits_of_today(arrays), created_by
 
 
 def _check_version(file: h5py.File) -> None:
@@ -98,7 +109,8 @@ def _attribute(file: h5py.File, name: str) -> Any:
 def _names(file: h5py.File) -> list[str]:
     """Return the names of the variables; there is nothing but them, and products are whole."""
     names = set(file)
-    chosen = [set(group) for group in schema.PRODUCTS.values() if names & set(group)]
+    products = schema.PRODUCTS | {schema.ALPHA_LIMITS: _OF_LIMITS}
+    chosen = [set(group) for group in products.values() if names & set(group)]
     check(chosen and names == schema.ALWAYS.union(*chosen))
     return [name for name in VARIABLES if name in names]
 
@@ -127,12 +139,36 @@ def _check_together(arrays: dict[str, Array]) -> None:
     """Refuse arrays that do not fit together."""
     lengths: dict[str, int] = {}
     for name, values in arrays.items():
-        for dimension, length in zip(VARIABLES[name].dimensions, values.shape, strict=True):
+        variable = _LIMITS if name == schema.ALPHA_LIMITS else VARIABLES[name]
+        for dimension, length in zip(variable.dimensions, values.shape, strict=True):
             check(lengths.setdefault(dimension, length) == length)
     for axis, nodes in _CELLS.items():
         check(lengths[f"{axis}_cell"] == max(lengths[nodes] - 1, 1))
+    check(lengths.get("limit_term", _TERMS) == _TERMS)
     axes = {name for name in arrays if VARIABLES[name].is_axis} | set(AXES)
     check_axes({name: arrays[name] for name in axes})
     for counts, dimension in schema.STRUNG.items():
         if counts in arrays:
             check(int(arrays[counts].sum(dtype=np.int64)) == lengths[dimension])
+
+
+def _limits_of_today(arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the limits of alpha in single precision, each at the one delay of its cell."""
+    if schema.ALPHA_LIMITS not in arrays:
+        return {}
+    delay, beta = arrays["delay"], arrays["beta"]
+    ends = [axis[end] for axis in (arrays["alpha"], beta) for end in (0, -1)]
+    hand = float(arrays["gamma"][-1]), float(arrays["delta"][-1])
+    largest = float(np.max(np.abs(beta))), *hand, float(delay[-1])
+    limits = []
+    for old in np.split(arrays[schema.ALPHA_LIMITS], 2, axis=-1):
+        still = np.zeros((*old.shape[:-1], 2))
+        terms = np.concatenate([old[..., :4], still, old[..., 4:]], axis=-1)
+        limits.append(in_float32(terms, largest))
+    return {
+        schema.LIMIT_RANGE: np.column_stack([delay, delay, *ends]),
+        schema.ALPHA_LIMITS: np.concatenate(limits, axis=-1),
+        "limit_term": np.arange(2 * schema.LIMIT_TERMS, dtype=np.int32),
+        "delay_cell": np.arange(delay.size, dtype=np.int32),
+        "limit_end": np.arange(6, dtype=np.int32),
+    }
