@@ -68,7 +68,8 @@ ELSEWHERE = {
     "stable_region": "test_region", "region_outline": "test_region",
     "region_facts": "test_region", "resolved_region": "test_region",
     "robust_region": "test_robust", "trace_boundary": "test_trace",
-    "amplitude": "test_amplitude",
+    "amplitude": "test_amplitude", "common_region": "test_common_region",
+    "tune_for_all": "test_tuning_ranges",
 }  # fmt: skip
 
 

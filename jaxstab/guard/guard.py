@@ -31,8 +31,11 @@ class Guard:
         units: of the stiffness and the damping of the grid: all are whole multiples.
 
     Example:
-        >>> guard = build_guard(loop, jaxstab.HandRange(), (0.2, 0.3), (1e-3, 2e-3))
-        >>> guard.largest_stiffness(10.0, 0.25, 1.5e-3)
+        >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+        >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
+        >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+        >>> print(f"{guard.largest_stiffness(20.0, 0.25, 1e-3):.0f} N/m")
+        9692 N/m
     """
 
     loop: LoopParameters

@@ -30,7 +30,12 @@ def guard_header(
         ValueError: the name is none of C, or the header would be larger than 1 MB.
 
     Example:
-        >>> Path("omega_guard.h").write_text(guard_header(guard, "omega_guard"))
+        >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+        >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
+        >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+        >>> header = jaxstab.guard_header(guard, "omega_guard")
+        >>> "double omega_guard_largest_stiffness(double damping" in header
+        True
     """
     if not _NAME.fullmatch(name):
         raise ValueError(f"name is {name!r}; give letters, digits and underscores, a letter first.")

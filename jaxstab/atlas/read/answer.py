@@ -53,7 +53,7 @@ class AtlasAnswer:
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> answer = atlas.query([0.05, 0.3], 0.3, 0.0005, 0.01, 1.0)
+        >>> answer = atlas.query([0.05, 0.18], 0.3, 0.0005, 0.01, 1.0)
         >>> [jaxstab.QueryStatus(int(code)).name for code in answer.status]
         ['CELL', 'CELL']
     """

@@ -58,12 +58,12 @@ class Atlas(ShownAtlas):
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> atlas.query([0.05, 0.3], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
+        >>> atlas.query([0.05, 0.18], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
         [1, 2]
         >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, 0.0005, 0.01, 1.0))
         <Verdict.STABLE: 1>
         >>> round(float(atlas.alpha_limits(0.3, 0.0005, 0.01, delay=1.0).upper), 6)
-        0.136756
+        0.137404
         >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
         >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0))
         <Verdict.STABLE: 1>
