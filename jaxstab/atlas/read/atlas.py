@@ -58,7 +58,7 @@ class Atlas(ShownAtlas):
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> atlas.query([0.05, 0.18], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
+        >>> atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
         [1, 2]
         >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, 0.0005, 0.01, 1.0))
         <Verdict.STABLE: 1>
