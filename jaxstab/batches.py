@@ -158,15 +158,22 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
 
 
 def lists(
-    indices: Int64[np.ndarray, " point"], longest: int, shortest: int | None = None
+    indices: Int64[np.ndarray, " point"],
+    longest: int,
+    shortest: int | None = None,
+    fewest: int = 0,
 ) -> Iterator[tuple[Int64[np.ndarray, " part"], Int64[np.ndarray, " list"]]]:
     """Cut a list of points into parts, and repeat points to fill each to a length compiled before.
 
     The lengths are ``longest`` / 8^k down to ``shortest`` (by default ``longest``): a few points do
-    not pay for many. Yields each part and the list to compute, of which the part comes first.
+    not pay for many. Parts of less than ``fewest`` points, which NumPy computes, stay as they are.
+    Yields each part and the list to compute, of which the part comes first.
     """
     for start in range(0, indices.size, longest):
         part = indices[start : start + longest]
+        if part.size < fewest:
+            yield part, part
+            continue
         length = longest
         while length // 8 >= max(part.size, longest if shortest is None else shortest):
             length //= 8

@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -91,6 +91,28 @@ def test_a_range_of_hands_is_proved_and_its_worst_hand_named() -> None:
     limits = answered("limits", *PHANTOM, *hands)
     assert limits["all_hands"]["certainty"] == "proved for every hand"
     assert limits["all_hands"]["worst_hand"]["mass"] == 0.0
+
+
+def test_walls_that_are_asked_together_are_answered_as_each_alone() -> None:
+    table = {
+        "device": {"mass": 0.1, "damping": 1.5},
+        "hand": {"mass": [0.0, 0.3], "stiffness": [0.0, 200.0]},
+        "controller": {"sample_time": 0.001, "delay_samples": 1.5},
+    }
+    walls = {
+        "soft": {"stiffness": 300.0, "damping": 2.0},
+        "unstable": {"stiffness": 9000.0, "damping": 2.0},
+        "hard": {"stiffness": 1500.0, "damping": 12.0},
+    }
+    together = check_walls(Scene.from_table({**table, "walls": walls})).walls
+    assert list(together) == list(walls)
+    for name, wall in walls.items():
+        alone = check_walls(Scene.from_table({**table, "walls": {name: wall}})).walls[name]
+        others = together[name]
+        assert repr(replace(others, margins=None)) == repr(replace(alone, margins=None))
+        assert others.margins.extra_delay == pytest.approx(
+            alone.margins.extra_delay, rel=1e-12, nan_ok=True
+        )
 
 
 def test_tune_finds_the_triple_pole_and_the_best_damping_for_a_wall() -> None:

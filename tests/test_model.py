@@ -270,6 +270,16 @@ class TestPlantCoefficients:
         with pytest.raises(ValueError, match=message):
             jaxstab.plant_coefficients(*arguments)
 
+    def test_what_is_remembered_of_arrays_is_nobody_elses_to_change(self) -> None:
+        gamma, delta = np.array([0.0, 0.3]), np.array([0.1, 0.2])
+        first = jaxstab.plant_coefficients(gamma, delta, 0.4)
+        kept = np.copy(first.n1)
+        first.n1[:] = 7.0
+        np.testing.assert_array_equal(jaxstab.plant_coefficients(gamma, delta, 0.4).n1, kept)
+        gamma[1], alone = 2.0, jaxstab.plant_coefficients(2.0, 0.2, 0.4)
+        again = jaxstab.plant_coefficients(gamma, delta, 0.4)
+        np.testing.assert_array_equal([part[1] for part in again], alone)
+
     def test_refuses_a_traced_delay(self) -> None:
         with pytest.raises(TypeError, match="concrete"):
             jax.jit(lambda delay: jaxstab.plant_coefficients(0.0, 0.0, delay))(1.0)

@@ -77,7 +77,7 @@ def pave_by(
     most: int = 60_000,
 ) -> Paving:
     """Do the same with any proof of boxes."""
-    kept: list[Boxes] = []
+    kept = [Boxes(boxes.center[:0], boxes.half[:0])]
     while len(boxes.center):
         if len(boxes.center) > most:
             return Paving(_joined([*kept, boxes]), finished=False)

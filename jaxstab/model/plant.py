@@ -52,6 +52,7 @@ _CANCELLING_GAMMA = 36.0  # up to _ACCURATE_DELTA
 _ERROR, _STIFF_ERROR, _DAMPED_ERROR = 2.0**-97, 2.0**-66, 2.0**-56
 
 _MANY = 1 << 16  # plants that are worth the two seconds that XLA takes to compile
+_REMEMBERED = 1 << 12  # plants of one array that are kept, 0.5 MB of them at most
 
 _DUPLICATIONS = 10
 _TERMS = 10
@@ -172,8 +173,11 @@ def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs
     values = float_arrays(gamma, delta, fraction)
     values = namespace(values).broadcast_arrays(*values)
     whole = not is_traced(fraction) and not np.any(fraction)
-    if namespace(values) is np and values[0].ndim == 0:
-        return _one_plant(*map(float, values), whole=whole)
+    if namespace(values) is np:
+        if values[0].ndim == 0:
+            return _one_plant(*map(float, values), whole=whole)
+        if values[0].size <= _REMEMBERED:
+            return _some_plants(values[0].shape, *(v.tobytes() for v in values), whole=whole)
     return _plant_pairs(*values, whole=whole)
 
 
@@ -181,6 +185,23 @@ def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs
 def _one_plant(gamma: float, delta: float, fraction: float, *, whole: bool) -> PlantPairs:
     """Remember plants of single loops: one is asked about many walls."""
     return tree_map(np.float64, _plant_pairs(gamma, delta, fraction, whole=whole))
+
+
+@lru_cache(maxsize=16)
+def _some_plants(
+    shape: tuple[int, ...], gamma: bytes, delta: bytes, fraction: bytes, *, whole: bool
+) -> PlantPairs:
+    """Remember plants of a few hands, in arrays that nobody may write to.
+
+    Verdict, radius and polynomial of each wall of a scene ask for the same ones.
+    """
+    values = (np.frombuffer(part).reshape(shape) for part in (gamma, delta, fraction))
+    return tree_map(_read_only, _plant_pairs(*values, whole=whole))
+
+
+def _read_only(values: np.ndarray) -> np.ndarray:
+    values.setflags(write=False)
+    return values
 
 
 def pairs_error(gamma: Numbers, delta: Numbers) -> Array:

@@ -96,8 +96,8 @@ def over_grid(
     degrees = np.broadcast_to(np.ceil(delay), shape)
     members = [np.flatnonzero(degrees == degree) for degree in np.unique(degrees)]
     parts, results = [], []
-    for part, padded in (pair for some in members for pair in lists(some, CHUNK)):
-        listed = looked_up(arguments, shape, padded if part.size >= MANY else part)
+    for part, padded in (pair for some in members for pair in lists(some, CHUNK, fewest=MANY)):
+        listed = looked_up(arguments, shape, padded)
         whole = kernel(polynomial(*listed))
         parts.append(part)
         results.append(tree_map(lambda array, count=part.size: array[:count], whole))

@@ -34,7 +34,8 @@ _ANGLES, _ANGLES_PER_TURN = 32, 4  # boxes of theta at first, for half a turn of
 _PIECES = 2  # boxes along a gain at first
 _FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
 _DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
-_DELAY_ANGLES, _FRACTIONS = 256, 4  # boxes at first, for half a turn and for a sample
+_DELAY_ANGLES, _FRACTIONS = 32, 4  # boxes at first, for half a turn and for a sample
+_FINER = 8  # boxes of angles where these are not free
 _COARSE = np.array([0.0, 2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
 _FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 2000  # such boxes of a wall at once
@@ -161,9 +162,11 @@ def _critical_angles(
     filters: Filters | None,
 ) -> Parts:
     """Return the angles at which some delay may put a root of some walls on the circle."""
+    prove, extent = partial(exclude_any_delay, filters=filters), partial(_at_any_delay, walls)
     boxes = _angles_and_fractions(numbers)
-    extent, most = partial(_at_any_delay, walls), _MOST_ANGLES * len(numbers)
-    left, _ = pave(boxes, smallest, extent, most, partial(exclude_any_delay, filters=filters))
+    span = extent(boxes)
+    boxes = _finer_angles(boxes.select(~prove(span.center, span.radius).free))
+    left, _ = pave(boxes, smallest, extent, _MOST_ANGLES * len(numbers), prove)
     return joined_angles(left)
 
 
@@ -190,6 +193,16 @@ def _angles_and_fractions(numbers: Int64[np.ndarray, " some"]) -> Boxes:
     center = np.stack(np.meshgrid(numbers, fractions, angles, indexing="ij"), axis=-1)
     center = center.reshape(-1, 3)
     return Boxes(center, np.full_like(center, [0.0, 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES]))
+
+
+def _finer_angles(boxes: Boxes) -> Boxes:
+    """Divide the angles of boxes at once into as many as most of them need."""
+    half = boxes.half / [1.0, 1.0, _FINER]
+    number = np.repeat(np.arange(len(half)), _FINER)
+    offsets = np.tile(2.0 * np.arange(_FINER) + 1.0 - _FINER, len(half))
+    center = boxes.center[number]
+    center[:, 2] += offsets * half[number, 2]
+    return Boxes(center, half[number])
 
 
 def _at_any_delay(walls: Walls, boxes: Boxes) -> Extent:

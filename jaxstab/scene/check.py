@@ -1,6 +1,6 @@
 """How the walls of a scene do: verdict, margins, radius, settling, chatter, with proofs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import inf, isinf, nan
@@ -14,7 +14,7 @@ from jaxstab.loop import Gains, HapticLoop
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
-from jaxstab.ranges import margins
+from jaxstab.ranges import HandRange, margins
 from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.scene.answers import (
     Answer,
@@ -39,6 +39,7 @@ _HORIZON = 2**17  # samples within which settling is looked for
 
 Ends = Float64[np.ndarray, "wall hand 2"]
 Spare = Float64[np.ndarray, "3 wall hand"]
+_Known = tuple[Verdict, HapticLoop, HeldBy | None, str | None]
 LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
@@ -162,39 +163,52 @@ def check_walls(scene: Scene) -> Check:
     scene.require_walls()
     hands, walls = hands_of(scene), walls_of(scene)
     loops = list(dict.fromkeys([loop_of(scene), *(corner_loops(scene) if hands else [])]))
+    gains = list(walls.values())
     wanted = "margins" in scene.wanted.measures
-    margins = _margins(loops, list(walls.values())) if wanted else [None] * len(walls)
-    checked = {
-        name: _checked(scene, loops, gains, own)
-        for (name, gains), own in zip(walls.items(), margins, strict=True)
-    }
-    return Check(basis_of(scene), checked)
+    margins = _margins(loops, gains) if wanted else [None] * len(gains)
+    known = [_known(scene, hands, loops[0], wall) for wall in gains]
+    measured = _measured(scene, loops, gains, [loop for _, loop, *_ in known])
+    answers = [_wall_check(*parts) for parts in zip(gains, known, margins, measured, strict=True)]
+    return Check(basis_of(scene), dict(zip(walls, answers, strict=True)))
 
 
-def _checked(
-    scene: Scene, loops: list[HapticLoop], gains: Gains, margins: Margins | None
-) -> WallCheck:
-    """Return what is known of a wall; the loops are those of the corners of the hands' range."""
-    hands, encoder, loop = hands_of(scene), scene.device.encoder, loops[0]
-    hand, tried = None, None
+def _known(scene: Scene, hands: HandRange | None, loop: HapticLoop, gains: Gains) -> _Known:
+    """Return the fields of ``WorstHeld``; for the loop itself where no hand varies."""
     if hands:
-        code, loop, hand, tried = worst_held(scene, hands, gains)
-    else:
-        code = Verdict(int(loop.verdict(*gains)))
-    measures: dict[str, Callable[[], Answer]] = {
-        "distance": lambda: Distance(float(loop.boundary_distance(*gains))),
-        "radius": lambda: _radius(loop, gains),
-        "settling": lambda: _settling(loop, gains),
-        "oscillation": lambda: _oscillation(loop, gains),
-    }
-    if encoder is not None:
-        held = list(dict.fromkeys([*loops, loop]))
-        measures["chatter"] = lambda: _chatter(held, gains, encoder.resolution)
-    wanted = scene.wanted.measures
-    measured: dict[str, Any] = {name: ask() for name, ask in measures.items() if name in wanted}
+        return worst_held(scene, hands, gains)
+    return Verdict(int(loop.verdict(*gains))), loop, None, None
+
+
+def _wall_check(
+    gains: Gains, known: _Known, margins: Margins | None, measured: dict[str, Any]
+) -> WallCheck:
+    code, _, hand, tried = known
     if code == Verdict.UNSTABLE and margins is not None:
         margins = NoMargins(**vars(margins))
     return WallCheck(*gains, code, tried, hand, margins, **measured)
+
+
+def _measured(
+    scene: Scene, loops: list[HapticLoop], walls: list[Gains], worst: list[HapticLoop]
+) -> list[dict[str, Any]]:
+    """Return the measures of each wall that are wanted; walls of one worst loop are asked at once.
+
+    The loops are those of the corners of the hands' range.
+    """
+    wanted, encoder = scene.wanted.measures, scene.device.encoder
+    answers: list[dict[str, Any]] = [{} for _ in walls]
+    for loop in dict.fromkeys(worst):
+        numbers = [number for number, other in enumerate(worst) if other == loop]
+        some = [walls[number] for number in numbers]
+        for name, measure in _MEASURES.items():
+            if name in wanted:
+                for number, answer in zip(numbers, measure(loop, some), strict=True):
+                    answers[number][name] = answer
+    if encoder is not None and "chatter" in wanted:
+        for own, gains, loop in zip(answers, walls, worst, strict=True):
+            held = list(dict.fromkeys([*loops, loop]))
+            own["chatter"] = _chatter(held, gains, encoder.resolution)
+    return answers
 
 
 def _margins(loops: list[HapticLoop], walls: list[Gains]) -> list[Margins]:
@@ -254,9 +268,17 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
     return float(without_noise(low, high - low)), float(without_noise(high, high - low))
 
 
-def _radius(loop: HapticLoop, gains: Gains) -> Radius:
-    found = loop.spectral_radius(*gains)
-    return Radius(float(found.value), float(found.error))
+def _distances(loop: HapticLoop, walls: list[Gains]) -> list[Distance]:
+    return [Distance(float(away)) for away in loop.boundary_distance(*np.array(walls).T)]
+
+
+def _radii(loop: HapticLoop, walls: list[Gains]) -> list[Radius]:
+    found = loop.spectral_radius(*np.array(walls).T)
+    return [Radius(float(one), float(bound)) for one, bound in zip(*found[:2], strict=True)]
+
+
+def _settlings(loop: HapticLoop, walls: list[Gains]) -> list[Settling]:
+    return [_settling(loop, gains) for gains in walls]
 
 
 def _settling(loop: HapticLoop, gains: Gains) -> Settling:
@@ -273,9 +295,17 @@ def settled(found: MotionSettling) -> float:
     return inf if status == SettlingStatus.UNSTABLE else nan
 
 
-def _oscillation(loop: HapticLoop, gains: Gains) -> Oscillation:
-    mode = loop.oscillation(*gains)
-    return Oscillation(float(mode.damping_ratio), float(mode.frequency))
+def _oscillations(loop: HapticLoop, walls: list[Gains]) -> list[Oscillation]:
+    mode = loop.oscillation(*np.array(walls).T)
+    return [Oscillation(float(one), float(rate)) for one, rate in zip(*mode, strict=True)]
+
+
+_MEASURES: dict[str, Callable[[HapticLoop, list[Gains]], Sequence[Answer]]] = {
+    "distance": _distances,
+    "radius": _radii,
+    "settling": _settlings,
+    "oscillation": _oscillations,
+}
 
 
 def _chatter(loops: list[HapticLoop], gains: Gains, resolution: float) -> Chatter:

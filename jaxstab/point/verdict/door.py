@@ -186,9 +186,8 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
         plants = float_plant(
             points.gamma, points.delta, points.delay % 1.0, is_fractional=form.is_fractional
         )
-        for part, padded in lists(indices, _LIST):
-            chosen = part if part.size < _MANY else padded
-            values = gathered((*points[:3], plants), points.shape, chosen)
+        for part, padded in lists(indices, _LIST, fewest=_MANY):
+            values = gathered((*points[:3], plants), points.shape, padded)
             codes.flat[part] = _float_codes(values, form.degree)[: part.size]
     return codes
 
