@@ -4,6 +4,8 @@ from .atlas import AtlasAnswer as AtlasAnswer
 from .atlas import AtlasOutline as AtlasOutline
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FittedAxis as FittedAxis
+from .atlas import LargestStiffness as LargestStiffness
+from .atlas import LoopAtlas as LoopAtlas
 from .atlas import MaxAlpha as MaxAlpha
 from .atlas import Plan as Plan
 from .atlas import QueryStatus as QueryStatus

@@ -9,6 +9,8 @@ from .read.atlas import Atlas as Atlas
 from .read.atlas import open_atlas as open_atlas
 from .read.limits import AlphaLimits as AlphaLimits
 from .read.limits import MaxAlpha as MaxAlpha
+from .read.of_loop import LargestStiffness as LargestStiffness
+from .read.of_loop import LoopAtlas as LoopAtlas
 from .read.outline import AtlasOutline as AtlasOutline
 from .write.build import build_atlas as build_atlas
 from .write.build import write_atlas as write_atlas

@@ -12,6 +12,7 @@ import click
 
 import jaxstab
 from jaxstab.cli.options import keep_programs
+from jaxstab.cli.scene_options import refused, scene_of, warn
 from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import STABLE
 
@@ -120,6 +121,24 @@ def plan(spec: Path | None) -> None:
     planned = plan_atlas(AtlasSpec.from_file(spec) if spec else AtlasSpec())
     click.echo(planned)
     click.echo(estimate_build(planned))
+
+
+@click.command()
+@click.option("--scene", "file", type=Path, required=True, help="TOML file of the scene.")
+@click.option("--mass-tolerance", type=float, help="Of the device either way, such as 0.1: 10 %.")
+@click.option("--delay-tolerance", type=float, help="Of the delay either way, in s.")
+def spec(file: Path, **tolerances: float | None) -> None:
+    """Print the specification of an atlas for the device, hands and delays of a scene.
+
+    Write it into a file for `jaxstab atlas build --spec`; the atlas answers for the ranges of the
+    scene, with its estimator: `jaxstab atlas query FILE --scene SCENE`.
+    """
+    from jaxstab.scene.atlas import spec_text
+
+    scene = scene_of({"files": [file], **tolerances})
+    warn(*scene.unusual())
+    with refused():
+        click.echo(spec_text(scene, str(file)), nl=False)
 
 
 @click.command()

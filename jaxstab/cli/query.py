@@ -20,6 +20,10 @@ from jaxstab.tables import parsed
 if TYPE_CHECKING:
     from jaxstab.atlas import AtlasAnswer
 
+_WALL = (  # of a scene that turns, mass stands for the moment of inertia
+    *("wall", "stiffness", "damping", "mass"),
+    *("hand_mass", "hand_stiffness", "hand_damping", "delay"),
+)
 _ANSWER = ("verdict", "spectral_radius", "radius_error", "status")
 
 
@@ -49,6 +53,14 @@ def _axis_options(command: Any) -> Any:
     help="Refuse to answer if the atlas is of another estimator, such as 'window_samples = 20'.",
 )
 @click.option("--position", metavar="TOML", help="Likewise, the position filter.")
+@click.option(
+    "--scene",
+    "scene_file",
+    type=Path,
+    help="Ask about the walls of a scene in SI units, at each corner of its ranges.",
+)
+@click.option("--stiffness", type=float, help="K of a wall in place of the scene's, in N/m.")
+@click.option("--damping", type=float, help="B of a wall in place of the scene's, in N s/m.")
 @careful
 def query(
     file: Path,
@@ -58,17 +70,33 @@ def query(
     exact: bool,
     velocity: str | None,
     position: str | None,
+    scene_file: Path | None,
+    stiffness: float | None,
+    damping: float | None,
     **point: float | None,
 ) -> None:
-    """Ask an atlas about a point, or about the points of a CSV file.
+    """Ask an atlas about a point, about the points of a CSV file, or about a scene's walls.
 
     An option such as --gamma gives the value of a column that the CSV file does not have.
+
+    The rows for a scene are of its walls with the hands, masses and delays at the corners of its
+    ranges; of those between nothing is said.
     """
     from jaxstab.atlas.format.filters import position_of, velocity_of
 
     if exact:
         keep_programs()
     given = {name: value for name, value in point.items() if value is not None}
+    wall = {"stiffness": stiffness, "damping": damping}
+    if scene_file is not None:
+        others = given | {"csv": table, "velocity": velocity, "position": position}
+        _refuse_beside_scene(others)
+        rows = _asked_of_scene(file, scene_file, wall, outside, exact=exact)
+        _write(rows, [*_WALL, *_ANSWER], form)
+        return
+    for name, value in wall.items():
+        if value is not None:
+            raise ValueError(f"{name} is {value:g} without a scene; give --scene FILE.")
     points = _read_points(table, given) if table else _one_point(given)
     alpha, beta, gamma, delta, delay = (points[name] for name in AXES)
     answer = jaxstab.open_atlas(file).query(
@@ -77,13 +105,7 @@ def query(
         velocity=None if velocity is None else velocity_of(parsed(velocity, "--velocity: ")),
         position=None if position is None else position_of(parsed(position, "--position: ")),
     )
-    rows = _answered(points, answer)
-    if form == "csv":
-        writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow((*AXES, *_ANSWER))
-        writer.writerows(row.values() for row in rows)
-    else:
-        click.echo(json.dumps([_finite(row) for row in rows], indent=1))
+    _write(_answered(points, answer), [*AXES, *_ANSWER], form)
 
 
 @click.command()
@@ -185,17 +207,65 @@ def _answered(
     points: dict[str, list[float]], answer: "AtlasAnswer"
 ) -> Iterator[dict[str, float | str]]:
     """Yield a row of words and numbers for each point."""
-    from jaxstab.atlas import QueryStatus
-
     columns = (*points.values(), *(getattr(answer, name).tolist() for name in _ANSWER))
     for *numbers, verdict, radius, error, status in zip(*columns, strict=True):
-        words = {
-            "verdict": Verdict(verdict).name.lower(),
-            "spectral_radius": radius,
-            "radius_error": error,
-            "status": QueryStatus(status).name.lower(),
-        }
-        yield dict(zip(AXES, numbers, strict=True)) | words
+        yield dict(zip(AXES, numbers, strict=True)) | _words(verdict, radius, error, status)
+
+
+def _words(verdict: int, radius: float, error: float, status: int) -> dict[str, float | str]:
+    """Return one answer in words and numbers."""
+    from jaxstab.atlas import QueryStatus
+
+    return {
+        "verdict": Verdict(verdict).name.lower(),
+        "spectral_radius": radius,
+        "radius_error": error,
+        "status": QueryStatus(status).name.lower(),
+    }
+
+
+def _refuse_beside_scene(others: dict[str, Any]) -> None:
+    for name, value in others.items():
+        if value is not None:
+            raise click.UsageError(
+                f"--{name} is given beside --scene, which has it; give one of them."
+            )
+
+
+def _asked_of_scene(
+    file: Path, scene_file: Path, wall: dict[str, float | None], outside: Any, *, exact: bool
+) -> Iterator[dict[str, float | str]]:
+    """Yield a row for each wall at each corner of the ranges of a scene."""
+    from jaxstab.loop import Gains
+    from jaxstab.scene import Scene
+    from jaxstab.scene.atlas import ask_atlas
+    from jaxstab.scene.loops import walls_of
+
+    scene = Scene.from_file(scene_file)
+    given = {name: value for name, value in wall.items() if value is not None}
+    if not given:
+        scene.require_walls()
+    elif len(given) == 1:
+        ((name, value),) = given.items()
+        other = "damping" if name == "stiffness" else "stiffness"
+        raise click.UsageError(f"--{name} is {value:g} alone; give --{other}, too.")
+    walls = {"": Gains(**given)} if given else walls_of(scene)
+    for asked in ask_atlas(scene, jaxstab.open_atlas(file), walls, outside, exact=exact):
+        member = asked.member
+        numbers = [*asked.gains, member.mass, *member.hand, member.delay]
+        answer = (getattr(asked.answer, name).item() for name in _ANSWER)
+        where: dict[str, float | str] = dict(zip(_WALL, (asked.name, *numbers), strict=True))
+        yield where | _words(*answer)
+
+
+def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str) -> None:
+    if form == "csv":
+        every = list(rows)  # what is refused is refused before the header is printed
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(row.values() for row in every)
+    else:
+        click.echo(json.dumps([_finite(row) for row in rows], indent=1))
 
 
 def _finite(row: dict[str, float | str]) -> dict[str, float | str | None]:

@@ -4,22 +4,18 @@ Settling times over ranges are not proved: loops at the corners of the ranges de
 them are tried, and the slowest of those joins the corners. What is printed is the slowest of all.
 """
 
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import dataclass
 from math import sqrt
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxstab.loop import Gains, HapticLoop, tune_for_all
+from jaxstab.loop import Gains, tune_for_all
 from jaxstab.loop.common_wall import settling_times
 from jaxstab.scene.answers import Answer, Damping, Mass, Stiffness, Time, rounded_gain
 from jaxstab.scene.check import SettlingTime
 from jaxstab.scene.hands import HeldBy
-from jaxstab.scene.loops import OneHand, loop_of
-from jaxstab.scene.mechanics import Hand
+from jaxstab.scene.members import Member, corners_of, loop_of_member, member_of, ranges_of
 from jaxstab.scene.scene import Scene
-from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
 
 _BETWEEN = 100  # loops between the corners that are tried
@@ -50,14 +46,6 @@ class WallOverRanges(Answer):
     certainty: str
 
 
-class _Member(NamedTuple):
-    """A member of the ranges: the device's mass, the hand and the delay in s."""
-
-    mass: float
-    hand: OneHand
-    delay: float
-
-
 def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | None:
     """Return the wall that is fastest at worst; None where the scene has no range.
 
@@ -65,13 +53,13 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         scene: the scene.
         fastest: the wall that is fastest for the lowest hand, for comparison, if there is one.
     """
-    ranges = _ranges_of(scene)
+    ranges = ranges_of(scene)
     if all(low == high for low, high in ranges):
         return None
-    corners = list(dict.fromkeys(_member(values) for values in product(*ranges)))
-    loops = [_loop(scene, member) for member in corners]
+    corners = corners_of(scene)
+    loops = [loop_of_member(scene, member) for member in corners]
     among = [*corners, *_between(ranges)]
-    every = [*loops, *(_loop(scene, member) for member in among[len(corners) :])]
+    every = [*loops, *(loop_of_member(scene, member) for member in among[len(corners) :])]
     for _ in range(_ROUNDS):
         wall = tune_for_all(loops)
         if wall.status == TuningStatus.NO_STABLE_GAINS:
@@ -94,21 +82,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
     )
 
 
-def _ranges_of(scene: Scene) -> list[tuple[float, float]]:
-    """Return the ends of mass, hand (3) and delay."""
-    wanted, hand, delay = scene.wanted, scene.hand or Hand(), scene.controller.time_delay
-    mass, share = scene.device.effective_mass, wanted.mass_tolerance or 0.0
-    aside = wanted.delay_tolerance or 0.0
-    return [
-        (mass * (1.0 - share), mass * (1.0 + share)),
-        hand.effective_mass,
-        hand.stiffness,
-        hand.damping,
-        (max(delay - aside, 0.0), delay + aside),
-    ]
-
-
-def _between(ranges: list[tuple[float, float]]) -> list[_Member]:
+def _between(ranges: list[tuple[float, float]]) -> list[Member]:
     """Return random members, and the one in the middle; stiffness evenly in frequency."""
     rng = np.random.default_rng(_SEED)
     shares = np.concatenate([np.full((1, len(ranges)), 0.5), rng.random((_BETWEEN, len(ranges)))])
@@ -116,18 +90,4 @@ def _between(ranges: list[tuple[float, float]]) -> list[_Member]:
     values = low + shares * (high - low)
     roots = sqrt(low[2]) + shares[:, 2] * (sqrt(high[2]) - sqrt(low[2]))
     values[:, 2] = np.clip(roots**2, low[2], high[2])
-    return [_member(row) for row in values.tolist()]
-
-
-def _member(values: Any) -> _Member:
-    mass, *hand, delay = values
-    return _Member(mass, OneHand(*hand), delay)
-
-
-def _loop(scene: Scene, member: _Member) -> HapticLoop:
-    """Return the loop of a member of the ranges."""
-    device, controller = scene.device, scene.controller
-    is_line = scene.units is Units.LINE
-    moved = replace(device, mass=member.mass) if is_line else replace(device, inertia=member.mass)
-    delayed = replace(controller, delay=member.delay, delay_samples=None)
-    return loop_of(replace(scene, device=moved, controller=delayed), member.hand)
+    return [member_of(row) for row in values.tolist()]

@@ -27,6 +27,7 @@ from jaxstab.atlas.read.answer import (
 )
 from jaxstab.atlas.read.cells import decided_share
 from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
+from jaxstab.atlas.read.of_loop import AskedByLoops
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.read.points import (
     answer_at_delay,
@@ -34,7 +35,6 @@ from jaxstab.atlas.read.points import (
     find_outside,
     nodes_of,
 )
-from jaxstab.atlas.read.shown import ShownAtlas
 from jaxstab.atlas.read.xarray_view import to_xarray
 from jaxstab.conventions import AXES, UNDECIDED
 from jaxstab.numbers import checked_number, checked_word
@@ -46,7 +46,7 @@ _MOST = 1e300  # of numbers that are answered without a check: floats hold them
 Outside = Literal["error", "undecided"]
 
 
-class Atlas(ShownAtlas):
+class Atlas(AskedByLoops):
     """An atlas in memory; ``open_atlas`` makes it.
 
     Attributes:

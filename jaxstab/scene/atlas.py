@@ -1,0 +1,115 @@
+"""An atlas for the device, the hands and the delays of a scene: its specification, its answers."""
+
+from collections.abc import Mapping
+from math import ceil, floor
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from jaxstab.atlas import Atlas, AtlasAnswer, AtlasSpec
+from jaxstab.loop import Gains
+from jaxstab.scene.basis import basis_of
+from jaxstab.scene.members import Member, corners_of, loop_of_member, ranges_of
+from jaxstab.scene.scene import Scene
+
+Outside = Literal["error", "undecided"]
+
+_NODES = {"gamma": 5, "delta": 9}  # along a range
+_DELAY_CELLS = 32  # to a sample, along a range of delays
+
+
+def atlas_spec(scene: Scene) -> AtlasSpec:
+    """Return the specification of an atlas for all loops of a scene's ranges.
+
+    Gamma and delta are least and most at the corners of the ranges of mass and hand, for they are
+    monotone in each. Alpha and beta are laid around what is stable.
+
+    Raises:
+        TypeError: the device is not one mass with its hand.
+        ValueError: a quantity is out of range.
+    """
+    loops = [loop_of_member(scene, member) for member in corners_of(scene)]
+    if loops[0].body is None:
+        raise TypeError(
+            "an atlas is of devices that are one mass with their hand; leave out device.modes, "
+            "device.actuator and hand.grip."
+        )
+    delays = sorted({float(loop.delay_samples) for loop in loops})
+    first, last = delays[0], delays[-1]
+    whole = map(float, range(floor(first) + 1, ceil(last)))
+    return AtlasSpec(
+        gamma=_nodes("gamma", [loop.gamma for loop in loops]),
+        delta=_nodes("delta", [loop.delta for loop in loops]),
+        delay=sorted({first, last, *whole}),
+        delay_cells=_DELAY_CELLS if first < last else 0,
+        products=("verdict", "alpha_limits"),
+        **loops[0].filters,
+    )
+
+
+class AskedWall(NamedTuple):
+    """What an atlas says about a wall at a corner of a scene's ranges."""
+
+    name: str
+    gains: Gains
+    member: Member
+    answer: AtlasAnswer
+
+
+def ask_atlas(
+    scene: Scene, atlas: Atlas, walls: Mapping[str, Gains], outside: Outside, *, exact: bool
+) -> list[AskedWall]:
+    """Ask an atlas about walls, for the loop at each corner of a scene's ranges.
+
+    Args:
+        scene: the scene.
+        atlas: the atlas.
+        walls: by name.
+        outside: as for ``Atlas.query``.
+        exact: as for ``Atlas.query``.
+
+    Raises:
+        TypeError, ValueError: as ``Atlas.for_loop``; or a wall is outside of the atlas.
+    """
+    corners = corners_of(scene)
+    views = [atlas.for_loop(loop_of_member(scene, corner)) for corner in corners]
+    return [
+        AskedWall(name, gains, corner, view.query(*gains, outside, exact=exact))
+        for name, gains in walls.items()
+        for corner, view in zip(corners, views, strict=True)
+    ]
+
+
+def spec_text(scene: Scene, name: str) -> str:
+    """Return the text of a scene's specification, which says first what it is of.
+
+    Raises:
+        TypeError, ValueError: as ``atlas_spec``.
+    """
+    text = atlas_spec(scene).to_toml()
+    units, basis = scene.units, basis_of(scene)
+    mass, hand_mass, stiffness, damping, delay = (
+        f"{low:g} to {high:g}" if low < high else f"{low:g}" for low, high in ranges_of(scene)
+    )
+    lines = [
+        f"{name}",
+        f"{units.moved} of the device: {mass} {units.kilogram}",
+        f"damping of the device: {scene.device.damping:g} {units.damping}",
+        f"hand: {hand_mass} {units.kilogram}, {stiffness} {units.stiffness}, "
+        f"{damping} {units.damping}",
+        f"sample time: {scene.controller.sample_time:g} s; delay: {delay} s",
+        f"velocity: {basis.velocity}",
+        *([] if basis.position is None else [f"position: {basis.position}"]),
+    ]
+    # A control character would end the comment.
+    return "".join(f"# {_printable(line)}\n" for line in lines) + "\n" + text
+
+
+def _nodes(name: str, values: list[float]) -> list[float]:
+    low, high = min(values), max(values)
+    nodes: list[float] = [low] if low == high else np.linspace(low, high, _NODES[name]).tolist()
+    return nodes
+
+
+def _printable(line: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in line)
