@@ -94,7 +94,7 @@ def test_verdicts_and_radii_are_those_of_the_loop(file: Path) -> None:
         decided += int(known.sum())
         assert np.array_equal(codes[known], loop.verdict(stiffness, damping)[known])
         exactly = loop.spectral_radius(stiffness, damping)
-        off = np.abs(answer.spectral_radius - exactly.value) - exactly.half_width
+        off = np.abs(answer.spectral_radius - exactly.value) - exactly.error
         held = np.isfinite(answer.spectral_radius)
         assert np.all(off[held] <= answer.radius_error[held])
         exact = view.verdict(stiffness[known], damping[known], exact=True)
@@ -260,6 +260,8 @@ def test_the_walls_of_a_scene_are_asked_at_each_corner(tmp_path: Path) -> None:
         assert row["verdict"] == truth.name.lower()
     assert {row["wall"] for row in rows} == {"soft", "stiff"}
     assert {row["verdict"] for row in rows} == {"stable", "unstable"}
+    far = run("atlas", "query", WINDOW, "--scene", path, "--stiffness", "1e9", "--damping", "1")
+    assert far.stdout.count("undecided,nan,inf,outside") == len(corners)
     wall = "--stiffness", "500", "--damping", "5", "--format", "json"
     (one, *_) = json.loads(run("atlas", "query", WINDOW, "--scene", path, *wall).stdout)
     assert (one["wall"], one["stiffness"], one["mass"]) == ("", 500.0, 0.2)
@@ -273,7 +275,7 @@ def test_the_walls_of_a_scene_are_asked_at_each_corner(tmp_path: Path) -> None:
         ["--scene", "S", "--velocity", "window_samples = 5"],
         ["--scene", "S", "--stiffness", "100"],
         ["--scene", "S", "--stiffness", "nan", "--damping", "1"],
-        ["--scene", "S", "--stiffness", "1e9", "--damping", "1"],
+        ["--scene", "S", "--stiffness", "1e9", "--damping", "1", "--outside", "error"],
         ["--scene", "missing.toml"],
         ["--stiffness", "100", "--damping", "1"],
     ],

@@ -43,8 +43,8 @@ def _axis_options(command: Any) -> Any:
 @click.option(
     "--outside",
     type=click.Choice(["error", "undecided"]),
-    default="error",
-    help="Refuse points outside of the atlas, or answer that they are undecided.",
+    help="Refuse points outside of the atlas, or answer that they are undecided; without, walls of "
+    "a scene are answered, and other points refused.",
 )
 @click.option("--exact", is_flag=True, help="Compute the verdicts that the atlas leaves open.")
 @click.option(
@@ -91,7 +91,7 @@ def query(
     if scene_file is not None:
         others = given | {"csv": table, "velocity": velocity, "position": position}
         _refuse_beside_scene(others)
-        rows = _asked_of_scene(file, scene_file, wall, outside, exact=exact)
+        rows = _asked_of_scene(file, scene_file, wall, outside or "undecided", exact=exact)
         _write(rows, [*_WALL, *_ANSWER], form)
         return
     for name, value in wall.items():
@@ -100,7 +100,7 @@ def query(
     points = _read_points(table, given) if table else _one_point(given)
     alpha, beta, gamma, delta, delay = (points[name] for name in AXES)
     answer = jaxstab.open_atlas(file).query(
-        *(alpha, beta, gamma, delta, delay, outside),
+        *(alpha, beta, gamma, delta, delay, outside or "error"),
         exact=exact,
         velocity=None if velocity is None else velocity_of(parsed(velocity, "--velocity: ")),
         position=None if position is None else position_of(parsed(position, "--position: ")),

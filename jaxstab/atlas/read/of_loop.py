@@ -1,6 +1,7 @@
 """An atlas asked in SI units, about the walls of one loop. No JAX."""
 
 from importlib import import_module
+from math import ulp
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ Outside = Literal["error", "undecided"]
 
 # There and back between K and alpha are six roundings of half an ulp each, at most.
 _ROUNDINGS = 4.0 * float(np.finfo(np.float64).eps)
-_ULPS_ASIDE = 4  # of a damping, on either side
+_ULPS_ASIDE = 4  # of numbers that the roundings of SI units move
 
 
 class LargestStiffness(NamedTuple):
@@ -46,7 +47,8 @@ class LoopAtlas:
     """What an atlas says about the walls of one loop, in SI units; ``Atlas.for_loop`` makes it.
 
     In all answers K is in N/m and B in N s/m (N m/rad and N m s/rad for a loop that turns). They
-    are proved for the dimensionless numbers of the loop, which are right to some roundings.
+    are proved for the dimensionless numbers of the loop, which are right to some roundings: gamma,
+    delta or a delay that is a node up to four of them is taken for the node.
 
     Attributes:
         atlas: the atlas.
@@ -68,16 +70,18 @@ class LoopAtlas:
         self.atlas = atlas
         self.loop = _checked_loop(loop)
         _check_filters(atlas, self.loop)
-        plant = self.loop.gamma, self.loop.delta, self.loop.delay_samples
-        for name, value in zip(("gamma", "delta", "delay"), plant, strict=True):
+        names = "gamma", "delta", "delay"
+        numbers = zip(names, self.loop.slice, strict=True)
+        plant = [_node_or(atlas.arrays[name], value) for name, value in numbers]
+        for name, value in zip(names, plant, strict=True):
             nodes = atlas.arrays[name]
             if not nodes[0] <= value <= nodes[-1]:
                 raise ValueError(
                     f"{name} of the loop is {value!r}, and this atlas reaches from "
                     f"{float(nodes[0])!r} to {float(nodes[-1])!r}; ask another atlas, or build one."
                 )
-        self._plant = plant
-        self._alphas, self._betas = _ends(atlas, self.loop.delay_samples)
+        self._plant = plant[0], plant[1], plant[2]
+        self._alphas, self._betas = _ends(atlas, plant[2])
 
     def __repr__(self) -> str:
         """Return the atlas, and the loop."""
@@ -249,6 +253,12 @@ def _checked_loop(loop: Any) -> Any:
             f"({loop.device}); ask the loop itself."
         )
     return plain
+
+
+def _node_or(nodes: Floats, value: float) -> float:
+    """Return the node that a number of a loop is up to some roundings, or else the number."""
+    nearest = float(nodes[np.argmin(np.abs(nodes - value))])
+    return nearest if abs(nearest - value) <= _ULPS_ASIDE * ulp(value) else value
 
 
 def _check_filters(atlas: "Atlas", loop: Any) -> None:
