@@ -277,7 +277,7 @@ def _tuning(rows: list[Row]) -> Figure:
 
 
 def _ranges(rows: list[Row]) -> Figure:
-    figure, axes = _panels(1, 2, "Margins and limits, by certified root counts")
+    figure, axes = _panels(1, len(rows), "Margins and limits, by certified root counts")
     for panel, row in zip(axes[0], rows, strict=True):
         columns = [name for name in ("wrong", "short", "judged") if name in row]
         panel.barh(columns, [row[name] for name in columns])
