@@ -152,7 +152,7 @@ def _answers(rows: list[Row]) -> Figure:
     _lines(axes[0, 0], rows, "delay", "seconds_per_point")
     _lines(axes[0, 1], rows, "delay", "error")
     axes[0, 0].set(yscale="log", ylabel="seconds per point")
-    axes[0, 1].set(ylim=(0.0, 2e-3), ylabel="share without a right verdict")
+    axes[0, 1].set(ylim=(0.0, None), ylabel="share without a right verdict")
     for panel in axes[0]:
         panel.set_xlabel("delay in samples")
     return _with_legend(figure, axes)
