@@ -9,7 +9,7 @@ from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters
 from jaxstab.point.verdict.linear import linear_verdict
 from jaxstab.region.linear import linear_region
-from jaxstab.region.region import StableRegion
+from jaxstab.region.stable_set import StableRegion
 from jaxstab.region.status import RegionStatus
 
 ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)

@@ -28,7 +28,8 @@ from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_ga
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
-from jaxstab.region.region import StableRegion, stable_region
+from jaxstab.region.region import stable_region
+from jaxstab.region.stable_set import StableRegion
 from jaxstab.region.status import RegionStatus
 
 Range = tuple[float, float]

@@ -6,7 +6,8 @@ from jaxstab.model.linear_loop import SampledPlant, linear_loop
 from jaxstab.model.transfer import Transfer
 from jaxstab.numbers import checked_number
 from jaxstab.region.curve import filtered_coefficients
-from jaxstab.region.region import LONGEST_DELAY, StableRegion, region_of
+from jaxstab.region.region import LONGEST_DELAY, region_of
+from jaxstab.region.stable_set import StableRegion
 
 
 def linear_region(

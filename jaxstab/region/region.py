@@ -1,14 +1,12 @@
-"""The stable set in an (alpha, beta) plane: outline, corners, extremes, limits and distances."""
+"""Stable regions of slices: found by a search, or in arrays of fixed sizes for JAX."""
 
-from dataclasses import dataclass
 from math import ceil, sqrt
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, pytree, stored
+from jaxstab.arrays import Numbers, is_traced, namespace, stored
 from jaxstab.batches import compiled
-from jaxstab.model import checked_gain, require_x64
+from jaxstab.model import require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import refuses_loops
@@ -16,196 +14,18 @@ from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, whole_and_fractio
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import measures
 from jaxstab.region.audit import is_contradicted
-from jaxstab.region.components import components_of, holds_small_gains
 from jaxstab.region.curve import SliceCoefficients, mass_coefficients, slice_coefficients
-from jaxstab.region.outline import Outline, extra_vertices, polygon
+from jaxstab.region.outline import extra_vertices, polygon
 from jaxstab.region.pieces import Pieces, find_pieces
 from jaxstab.region.scan import scan_angles
 from jaxstab.region.search import coefficient_count, refined_pieces
-from jaxstab.region.shown import ShownRegion
+from jaxstab.region.stable_set import StableRegion, region_within
 from jaxstab.region.status import RegionStatus
 
 LONGEST_DELAY = 500.0  # samples: the work grows as the third power
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 _FINEST = 1e-10
-
-
-@pytree
-@dataclass(frozen=True, repr=False)
-class StableRegion(ShownRegion):
-    """The gains (alpha, beta) for which all roots of p(z) lie inside of a circle about 0.
-
-    ``stable_region`` makes one of NumPy arrays; ``region_outline`` makes one in arrays of fixed
-    sizes, also of JAX, or many under ``jax.vmap``. Limits, ``contains``, ``distance`` and ``area``
-    are those of the exact boundary, not of the polygon; JAX arrays in give JAX arrays out.
-
-    Attributes:
-        coefficients: what the exact boundary is made of.
-        outline: the polygon in arrays of one length.
-        status: a RegionStatus.
-        max_alpha: the point (alpha, beta) of the largest alpha; NaN where there is none.
-        max_beta: the point (alpha, beta) of the largest beta; NaN where there is none.
-
-    Source: eq. (9) by the D-decomposition, of which the pieces around the stable set are kept.
-
-    Example:
-        >>> round(float(jaxstab.stable_region(0.0, 0.0, 0.0).area), 6)
-        0.909645
-    """
-
-    coefficients: SliceCoefficients
-    outline: Outline
-    status: Array
-    max_alpha: Array
-    max_beta: Array
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether no (alpha, beta) is stable."""
-        return int(self.status) == RegionStatus.EMPTY
-
-    @property
-    def points(self) -> Float64[np.ndarray, "point 2"]:
-        """The outline as points (alpha, beta), counter-clockwise, the last one equal to the first.
-
-        Of several loops each is closed, one follows the other, and the branch between them is -1.
-        """
-        return np.asarray(self.outline.vertices)[: int(self.outline.size)] + 0.0  # no -0
-
-    @property
-    def branch(self) -> Int[np.ndarray, " piece"]:
-        """The Branch of each piece between two points: which root is on the circle there."""
-        return np.asarray(self.outline.branches)[: max(int(self.outline.size) - 1, 0)]
-
-    @property
-    def corners(self) -> Float64[np.ndarray, "corner 2"]:
-        """The points where two branches meet, in the order of the outline, to full precision.
-
-        That is to a few rounding errors, also next to the Nyquist frequency; regions of undamped
-        hands closer to it than a relative 1e-6 may be UNRESOLVED.
-        """
-        corners: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
-        corners = np.asarray(self.outline.corners) + 0.0
-        return corners[np.isfinite(corners[:, 0])]
-
-    @property
-    def components(self) -> list["StableRegion"]:
-        """The connected parts of the region: first the one that holds small gains, then by area.
-
-        Estimators cut islands off. All are there whose boundary the search found, as for the
-        region itself: see ``stable_region``.
-        """
-        if int(self.outline.size) == 0:
-            return []
-        outlines = components_of(self.coefficients, self.outline)
-        return [_of_outline(self.coefficients, outline) for outline in outlines]
-
-    @property
-    def main(self) -> "StableRegion | None":
-        """The component that holds small positive gains: what turning gains up from 0 reaches.
-
-        None where small positive gains are not stable.
-        """
-        return next(filter(_holds_small_gains, self.components[:1]), None)
-
-    @property
-    def islands(self) -> list["StableRegion"]:
-        """The components that turning gains up from 0 does not reach, the largest first."""
-        components = self.components
-        return components[any(map(_holds_small_gains, components[:1])) :]
-
-    @property
-    def loops(self) -> int:
-        """The number of closed curves that bound the region."""
-        return int(self.outline.loops)
-
-    @property
-    def rows_are_intervals(self) -> bool:
-        """Whether each line of constant beta meets the region in one interval of alpha, or not."""
-        return self._are_intervals(axis=1)
-
-    @property
-    def columns_are_intervals(self) -> bool:
-        """Whether each line of constant alpha meets the region in one interval of beta, or not."""
-        return self._are_intervals(axis=0)
-
-    def _are_intervals(self, axis: int) -> bool:
-        known = int(self.status) != RegionStatus.UNRESOLVED
-        return known and self.loops <= 1 and measures.turns(self.points[:, axis]) <= 2
-
-    @property
-    def area(self) -> Float64[Array, ""]:
-        """The area in the (alpha, beta) plane; holes are taken off. NaN for UNRESOLVED.
-
-        To rounding, but for undamped hands next to the Nyquist frequency: with
-        e = |sqrt(gamma)/pi - 1| the relative error there is up to about 1e-16/e.
-        """
-        return measures.area(self.coefficients, self.outline)
-
-    def alpha_limits(self, beta: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the least and the largest alpha of the region in rows of constant beta.
-
-        Args:
-            beta: wall damping B T/m, any shape.
-
-        Returns:
-            Array (*grid, 2), differentiable; NaN where the row misses the region. Where
-            ``rows_are_intervals`` is False there may be unstable alpha between the two.
-
-        Raises:
-            ValueError: beta is NaN or infinite.
-        """
-        (rows,) = float_arrays(checked_gain("beta", beta))
-        return measures.limits(self.coefficients, self.outline, rows, axis=1)
-
-    def beta_limits(self, alpha: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the least and the largest beta of the region in columns of constant alpha.
-
-        Args:
-            alpha: wall stiffness K T^2/m, any shape.
-
-        Returns:
-            Array (*grid, 2), differentiable; NaN where the column misses the region. Where
-            ``columns_are_intervals`` is False there may be unstable beta between the two.
-
-        Raises:
-            ValueError: alpha is NaN or infinite.
-        """
-        (columns,) = float_arrays(checked_gain("alpha", alpha))
-        return measures.limits(self.coefficients, self.outline, columns, axis=0)
-
-    def contains(self, alpha: Numbers, beta: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether points lie inside of the exact boundary.
-
-        Args:
-            alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
-            beta: wall damping B T/m.
-
-        Returns:
-            A boolean array of the broadcast shape; all False for UNRESOLVED, which claims nothing.
-
-        Raises:
-            ValueError: alpha or beta is NaN or infinite.
-        """
-        points = _checked_points(alpha, beta)
-        return measures.contains(self.coefficients, self.outline, *points)
-
-    def distance(self, alpha: Numbers, beta: Numbers) -> Float64[Array, "*grid"]:
-        """Return the Euclidean distance to the boundary, positive inside and negative outside.
-
-        Args:
-            alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
-            beta: wall damping B T/m.
-
-        Returns:
-            Array of the broadcast shape; -inf for an empty region, NaN for UNRESOLVED.
-
-        Raises:
-            ValueError: alpha or beta is NaN or infinite.
-        """
-        points = _checked_points(alpha, beta)
-        return measures.distance(self.coefficients, self.outline, *points)
 
 
 @refuses_loops("region()")
@@ -372,28 +192,4 @@ _pieces = compiled(static=("length", "slots"))(find_pieces)
 def _region(
     c: SliceCoefficients, pieces: Pieces, *, points: int, length: int | None = None
 ) -> StableRegion:
-    return _of_outline(c, polygon(c, pieces, points, length))
-
-
-def _of_outline(c: SliceCoefficients, outline: Outline) -> StableRegion:
-    xp = namespace(c, outline)
-    largest = xp.argmax(xp.nan_to_num(outline.vertices, nan=-xp.inf), axis=0)
-    known = xp.where(outline.size > 0, RegionStatus.COMPLETE, RegionStatus.EMPTY)
-    status = xp.where(outline.resolved, known, RegionStatus.UNRESOLVED)
-    return StableRegion(
-        coefficients=c,
-        outline=outline,
-        status=RegionStatus(int(status)) if xp is np else status.astype(xp.int8),
-        max_alpha=outline.vertices[largest[0]] + 0.0,  # no -0
-        max_beta=outline.vertices[largest[1]] + 0.0,
-    )
-
-
-def _holds_small_gains(component: StableRegion) -> bool:
-    return holds_small_gains(component.coefficients, component.outline)
-
-
-def _checked_points(alpha: Numbers, beta: Numbers) -> tuple[Array, Array]:
-    gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
-    stiffness, damping = namespace(gains).broadcast_arrays(*gains)
-    return stiffness, damping
+    return region_within(c, polygon(c, pieces, points, length))
