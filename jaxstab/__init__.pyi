@@ -3,6 +3,8 @@ from .atlas import Atlas as Atlas
 from .atlas import AtlasAnswer as AtlasAnswer
 from .atlas import AtlasOutline as AtlasOutline
 from .atlas import AtlasSpec as AtlasSpec
+from .atlas import ClampedGains as ClampedGains
+from .atlas import ClampedWalls as ClampedWalls
 from .atlas import FittedAxis as FittedAxis
 from .atlas import LargestStiffness as LargestStiffness
 from .atlas import LoopAtlas as LoopAtlas

@@ -77,8 +77,10 @@ def points(atlas: Atlas) -> np.ndarray:
             rng.choice([np.nextafter(axis[0], -np.inf), np.nextafter(axis[-1], np.inf), *NO_NUMBER])
             for axis in (nodes[i] for i in column)
         ]
+        free = inside[:50] * np.array([0.0, 1.0, 0.0, 1.0])  # nothing holds the device
         kinds += [
-            np.insert(kind, 4, delay, axis=1) for kind in (inside, on_edges, on_limits, beyond)
+            np.insert(kind, 4, delay, axis=1)
+            for kind in (inside, on_edges, on_limits, beyond, free)
         ]
     between = kinds[0].copy()
     between[:, 4] = rng.uniform(atlas.delays[0], atlas.delays[-1], CASES)
@@ -112,6 +114,65 @@ def test_the_points_are_of_all_kinds(expected: Answers) -> None:
     assert np.isinf(upper).sum() > 50  # the limit is beyond the atlas
     for code in (OUTSIDE, STABLE, UNSTABLE, UNDECIDED):
         assert np.mean(expected.codes == code) > 0.04
+
+
+@pytest.fixture(scope="module")
+def clamped(atlas: Atlas, points: np.ndarray) -> np.ndarray:
+    """What Python leaves of walls (point, 3): the code, alpha and beta."""
+    left = np.column_stack([np.full(len(points), OUTSIDE), np.zeros((len(points), 2))])
+    here = _may_be_clamped(atlas, points)
+    found = atlas.clamp(*points[here].T)
+    left[here] = np.column_stack([found.verdict, found.alpha, found.beta])
+    return left
+
+
+def _may_be_clamped(atlas: Atlas, points: np.ndarray) -> np.ndarray:
+    alpha, beta, gamma, delta, delay = points.T
+    ends, nodes = atlas.arrays["limit_range"], atlas.arrays
+    row = ends[np.maximum(np.searchsorted(ends[:, 0], delay, "right") - 1, 0)].T
+    may = (delay >= row[0]) & (delay <= row[1])
+    may &= (gamma >= nodes["gamma"][0]) & (gamma <= nodes["gamma"][-1])
+    may &= (delta >= nodes["delta"][0]) & (delta <= nodes["delta"][-1])
+    may &= (alpha >= np.maximum(row[2], 0.0)) & (beta >= np.maximum(row[4], 0.0))
+    return may & (alpha < np.inf) & (beta < np.inf)
+
+
+def test_what_is_clamped_is_stable_and_walls_that_are_stay(
+    atlas: Atlas, points: np.ndarray, expected: Answers, clamped: np.ndarray
+) -> None:
+    codes, alpha, beta = clamped.T
+    is_left, is_small = codes == STABLE, (points[:, 0] >= 0.0) & (points[:, 1] >= 0.0)
+    assert all(np.any(codes == code) for code in (OUTSIDE, STABLE, UNDECIDED))
+    assert np.all(clamped[~is_left, 1:] == 0.0)
+    assert np.all(clamped[is_left, 1:] <= points[is_left, :2])
+    stays = (expected.codes == STABLE) & is_small
+    np.testing.assert_array_equal(clamped[stays, 1:], points[stays, :2])
+    plants = dict(zip(("gamma", "delta", "delay"), points[is_left, 2:].T, strict=True))
+    velocity, position = atlas.filters or (None, None)
+    wall = alpha[is_left], beta[is_left]
+    assert np.all(atlas.verdict(*wall, **plants) == STABLE)
+    exact = jaxstab.verdict(*wall, **plants, velocity=velocity, position=position)
+    assert np.all(exact == STABLE)
+
+
+def test_what_is_clamped_is_as_stiff_as_any_wall_that_the_atlas_grants(
+    atlas: Atlas, points: np.ndarray, clamped: np.ndarray
+) -> None:
+    """Walls of other dampings by their limits, up to the alphas wanted."""
+    codes, alpha, beta = clamped.T
+    for number in np.flatnonzero(codes == STABLE)[::60]:
+        wanted, given, *plant = points[number].tolist()
+        ends = atlas.arrays["limit_range"]
+        row = ends[np.searchsorted(ends[:, 0], plant[2], "right") - 1]
+        others = np.linspace(max(row[4], 0.0), min(given, row[5]), 501)
+        at = atlas.alpha_limits(others, *plant)
+        top = np.minimum(at.upper - at.upper_error, min(wanted, row[3]))
+        granted = np.where(at.lower + at.lower_error < top, top, -1.0)
+        assert alpha[number] >= granted.max() * (1.0 - 1e-9)
+        if alpha[number] < wanted:
+            continue
+        larger = others > beta[number] + 1e-6 * row[5]
+        assert np.all(granted[larger] < wanted * (1.0 + 1e-9))
 
 
 def test_the_golden_atlas_is_read_today(
@@ -171,6 +232,13 @@ def test_c_answers_as_python_does(
     np.testing.assert_array_equal(said, expected.limits)
 
 
+def test_c_clamps_as_python_does(
+    golden: Path, program: Path, points: np.ndarray, clamped: np.ndarray
+) -> None:
+    said = run(program, golden, "--clamp", points=points).stdout
+    np.testing.assert_array_equal(np.array(said.split(), float).reshape(-1, 3), clamped)
+
+
 def test_c_tells_its_speed_and_what_is_wrong(program: Path, tmp_path: Path) -> None:
     assert "ns a query" in run(program, GOLDEN, "--bench").stdout
     assert run(program, GOLDEN, "--fast").returncode == 2
@@ -225,6 +293,7 @@ def octave(script: str) -> str:
     words = [program, "--no-gui", "--norc", "--quiet", "--eval", path + script]
     done = subprocess.run(words, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     assert done.returncode == 0, done.stderr
+    assert "warning" not in done.stderr
     return done.stdout
 
 
@@ -245,12 +314,28 @@ def test_octave_answers_as_python_does(
     np.testing.assert_array_equal(answers[:, 1:], expected.limits)
 
 
+def test_octave_clamps_as_python_does(
+    golden: Path, tmp_path: Path, points: np.ndarray, clamped: np.ndarray
+) -> None:
+    points.astype("<f8").tofile(tmp_path / "points")
+    octave(f"""
+        atlas = jaxstab_query('{golden}');
+        p = fread(fopen('{tmp_path}/points'), [5, Inf], 'double', 'ieee-le');
+        [alpha, beta, code] = ...
+            jaxstab_clamp(atlas, p(1, :), p(2, :), p(3, :), p(4, :), p(5, :));
+        fwrite(fopen('{tmp_path}/answers', 'w'), [code; alpha; beta], 'double', 'ieee-le');
+        """)
+    answers = np.fromfile(tmp_path / "answers", "<f8").reshape(-1, 3)
+    np.testing.assert_array_equal(answers, clamped)
+
+
 def test_octave_keeps_the_shape_of_points_and_says_what_is_wrong(tmp_path: Path) -> None:
     files = dict(refused_files(tmp_path))
     listed = ", ".join(f"'{path}'" for path in files)
     said = octave(f"""
         atlas = jaxstab_query('{GOLDEN}');
         disp(size(jaxstab_query(atlas, zeros(2, 3), 0.3, 0.0, 0.0, 1)));
+        disp(size(jaxstab_clamp(atlas, zeros(2, 3), 0.3, 0.0, 0.0, 1)));
         for file = {{{listed}}}
           try
             jaxstab_query(file{{1}});
@@ -259,8 +344,8 @@ def test_octave_keeps_the_shape_of_points_and_says_what_is_wrong(tmp_path: Path)
           end
         end
         """).splitlines()
-    assert said[0].split() == ["2", "3"]
-    for line, (path, words) in zip(said[1:], files.items(), strict=True):
+    assert [line.split() for line in said[:2]] == [["2", "3"]] * 2
+    for line, (path, words) in zip(said[2:], files.items(), strict=True):
         assert words in line
         assert str(path) in line
 

@@ -7,8 +7,10 @@ from .read.answer import AtlasAnswer as AtlasAnswer
 from .read.answer import QueryStatus as QueryStatus
 from .read.atlas import Atlas as Atlas
 from .read.atlas import open_atlas as open_atlas
+from .read.clamp import ClampedGains as ClampedGains
 from .read.limits import AlphaLimits as AlphaLimits
 from .read.limits import MaxAlpha as MaxAlpha
+from .read.of_loop import ClampedWalls as ClampedWalls
 from .read.of_loop import LargestStiffness as LargestStiffness
 from .read.of_loop import LoopAtlas as LoopAtlas
 from .read.outline import AtlasOutline as AtlasOutline

@@ -115,6 +115,22 @@ class LimitTable:
             return np.asarray(self._least[cell]), np.asarray(self._most[cell])
         return np.asarray(self._beta[cell]), np.asarray(self._highest_beta[cell])
 
+    @property
+    def plants(self) -> tuple[Range, Range, Range]:
+        """The lowest and the highest gamma, delta and delay."""
+        gamma, delta = self._nodes
+        delays = float(self._early[0]), float(self._late[-1])
+        return (float(gamma[0]), float(gamma[-1])), (float(delta[0]), float(delta[-1])), delays
+
+    def beta_cell(self, number: Integers, beta: Floats) -> Integers:
+        """Return the cells along beta that hold values, in cells of delays."""
+        cell = ((beta - self._beta.take(number)) * self._per_beta.take(number)).astype(np.intp)
+        return np.asarray(np.minimum(cell, self._cells - 1))
+
+    def beta_edge(self, number: Integers, cell: Integers) -> Floats:
+        """Return where cells along beta begin, in cells of delays."""
+        return np.asarray(self._beta.take(number) + cell / self._per_beta.take(number))
+
     def holds(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> bool:
         """Whether a point is inside of the table."""
         cell = bisect_right(self._early_list, delay) - 1
@@ -199,9 +215,7 @@ class LimitTable:
         self, number: Integers, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
     ) -> AlphaLimits:
         """Return the limits at points in these cells of delays."""
-        cell = ((beta - self._beta.take(number)) * self._per_beta.take(number)).astype(np.intp)
-        np.minimum(cell, self._cells - 1, out=cell)
-        rows = cell * self._steps[0] + self._hands(gamma, delta) + number
+        rows = self.beta_cell(number, beta) * self._steps[0] + self._hands(gamma, delta) + number
         return _at(self._columns.take(rows, axis=0).T, beta, gamma, delta, delay)
 
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
