@@ -56,7 +56,12 @@ class PassiveRegion:
 
     @property
     def max_alpha(self) -> Float64[np.ndarray, " 2"]:
-        """The vertex (alpha, beta) of the largest stiffness; (0, 0) for an empty region."""
+        """The vertex (alpha, beta) of the largest stiffness; (0, 0) for an empty region.
+
+        Example:
+            >>> jaxstab.passive_region(0.015, 0.0).max_alpha.round(6).tolist()
+            [0.03, 0.0]
+        """
         if not len(self.outline):
             return np.zeros(2)
         vertex: Float64[np.ndarray, " 2"] = self.outline[np.argmax(self.outline[:, 0])]

@@ -57,6 +57,13 @@ class Guard:
 
         Returns:
             Stiffness in N/m; 0 where nothing is proved, outside of the ranges too.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+            >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
+            >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+            >>> guard.largest_stiffness([0.0, 20.0], 0.25, 1.05e-3).round().tolist()
+            [0.0, 9430.0]
         """
         values = np.broadcast_arrays(
             *(np.asarray(value, np.float64) for value in (damping, mass, delay))
@@ -94,6 +101,15 @@ class Guard:
 
         Returns:
             Stiffness in N/m, good to about 1e-3; 0 where no stiffness is stable.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+            >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
+            >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+            >>> place = np.array([0.25]), np.array([1e-3])
+            >>> exact = guard.exact_stiffness(np.full((1, 1, 1), 20.0), *place)
+            >>> print(f"{float(exact[0, 0, 0]):.3g} N/m")
+            1.22e+04 N/m
         """
         boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
         limits = boundary.largest_stiffness(damping)
@@ -102,7 +118,15 @@ class Guard:
 
     @property
     def granted(self) -> float:
-        """The mean of what is granted over the mean of what is stable, over all of the range."""
+        """The mean of what is granted over the mean of what is stable, over all of the range.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+            >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
+            >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+            >>> round(guard.granted, 2)
+            0.89
+        """
         mass, delay = (
             low + (high - low) * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
             for low, high in (self.mass, self.delay)

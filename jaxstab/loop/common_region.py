@@ -56,7 +56,15 @@ class CommonRegion:
 
     @property
     def stiffest(self) -> Gains:
-        """The vertex of the largest stiffness; NaN without an outline."""
+        """The vertex of the largest stiffness; NaN without an outline.
+
+        Example:
+            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
+            >>> common = jaxstab.common_region([light, heavy])
+            >>> print(f"{common.stiffest.stiffness:.0f} N/m at {common.stiffest.damping:.1f} N s/m")
+            69796 N/m at 82.5 N s/m
+        """
         if not len(self.outline):
             return Gains(np.nan, np.nan)
         stiffness, damping = self.outline[np.argmax(self.outline[:, 0])].tolist()
@@ -75,6 +83,13 @@ class CommonRegion:
 
         Raises:
             ValueError: a gain is infinite or NaN.
+
+        Example:
+            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
+            >>> common = jaxstab.common_region([light, heavy])
+            >>> common.verdict([5000.0, 200000.0], 50.0).tolist()
+            [1, 2]
         """
         codes = np.stack([np.asarray(loop.verdict(stiffness, damping)) for loop in self.loops])
         is_stable = np.all(codes == Verdict.STABLE, axis=0)
@@ -91,6 +106,13 @@ class CommonRegion:
 
         Raises:
             ValueError: a gain is infinite or NaN.
+
+        Example:
+            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
+            >>> common = jaxstab.common_region([light, heavy])
+            >>> common.contains(5000.0, [50.0, 500.0]).tolist()
+            [True, False]
         """
         return np.asarray(self.verdict(stiffness, damping) == Verdict.STABLE)
 

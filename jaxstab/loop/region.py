@@ -88,6 +88,12 @@ class WallRegion(ShownRegion):
           stiffest     K = 70643 N/m at B = 82.549 N s/m
           most damped  B = 202 N s/m at K = 0 N/m
           islands      none found
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> region = loop.region()
+        >>> region.status.name, region.is_empty, len(region.components), len(region.islands)
+        ('COMPLETE', False, 1, 0)
+        >>> f"{region.stiffest.stiffness:.1f} N/m, {region.most_damped.damping:.1f} N s/m"
+        '70643.1 N/m, 202.0 N s/m'
     """
 
     loop: LoopParameters
@@ -107,17 +113,35 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def outline(self) -> Float64[np.ndarray, "point 2"]:
-        """The outline as points (K, B), counter-clockwise and closed; one loop after the other."""
+        """The outline as points (K, B), counter-clockwise and closed; one loop after the other.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().outline.max(axis=0).round().tolist()  # N/m, N s/m
+            [70643.0, 202.0]
+        """
         return self.in_si_units(self.region.points)
 
     @property
     def corners(self) -> Float64[np.ndarray, "corner 2"]:
-        """The points (K, B) where two branches of the boundary meet."""
+        """The points (K, B) where two branches of the boundary meet.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().corners.round(1).tolist()
+            [[0.0, -1.5], [0.0, 202.0]]
+        """
         return self.in_si_units(self.region.corners)
 
     @cached_property
     def extent(self) -> Gains:
-        """How far the region reaches from end to end, in K and in B."""
+        """How far the region reaches from end to end, in K and in B.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(loop.region().extent.damping, 1)
+            203.5
+        """
         if not len(self.outline):
             return Gains(np.nan, np.nan)
         return Gains(*(float(size) for size in np.ptp(self.outline, axis=0)))
@@ -134,12 +158,24 @@ class WallRegion(ShownRegion):
 
     @property
     def extremes(self) -> tuple[Gains, Gains]:
-        """The points of the largest K and of the largest B."""
+        """The points of the largest K and of the largest B.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> [round(point.stiffness) for point in loop.region().extremes]
+            [70643, 0]
+        """
         return self.stiffest, self.most_damped
 
     @property
     def area(self) -> float:
-        """The area in N/m times N s/m; holes are taken off."""
+        """The area in N/m times N s/m; holes are taken off.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> print(f"{loop.region().area:.4g}")
+            9.526e+06
+        """
         return float(self.region.area) * self.loop.stiffness(1.0) * self.loop.damping(1.0)
 
     @cached_property
@@ -151,7 +187,13 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def main(self) -> "WallRegion | None":
-        """What turning gains up from 0 reaches; None where small gains are not stable."""
+        """What turning gains up from 0 reaches; None where small gains are not stable.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().main.contains(100.0, 1.0).tolist()
+            True
+        """
         return next((part for part in self.components[:1] if part._holds_small_gains), None)
 
     @property
@@ -164,7 +206,13 @@ class WallRegion(ShownRegion):
         return self.region.main is not None
 
     def limits(self) -> WallLimits:
-        """Return the stiffest and the most damped wall, and those of each island."""
+        """Return the stiffest and the most damped wall, and those of each island.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(loop.region().limits().damping, 1)
+            202.0
+        """
         islands = self.islands if len(self.components) > 1 else []
         limits = tuple(island._limits(is_reachable=False) for island in islands)
         return (self.main or self)._limits(is_reachable=self.main is not None, islands=limits)
@@ -178,6 +226,11 @@ class WallRegion(ShownRegion):
         """Return the least and the largest stable K at dampings B in N s/m.
 
         NaN where none is stable. Of several intervals it is the one that reaches farthest.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().stiffness_limits([20.0, 300.0]).round().tolist()
+            [[0.0, 35325.0], [nan, nan]]
         """
         require_x64(damping)
         (rows,) = float_arrays(self.loop.beta(checked_gain("damping", damping)))
@@ -188,6 +241,11 @@ class WallRegion(ShownRegion):
         """Return the least and the largest stable B at stiffnesses K in N/m.
 
         NaN where none is stable. Of several intervals it is the one that reaches farthest.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().damping_limits(2000.0).round(3).tolist()
+            [-0.508, 200.014]
         """
         require_x64(stiffness)
         (columns,) = float_arrays(self.loop.alpha(checked_gain("stiffness", stiffness)))
@@ -197,30 +255,59 @@ class WallRegion(ShownRegion):
     def stiffness_intervals(
         self, damping: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
-        """Return all intervals of stable K at dampings B in N s/m, rising; NaN behind the last."""
+        """Return all intervals of stable K at dampings B in N s/m, rising; NaN behind the last.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().stiffness_intervals(np.array([20.0])).round().tolist()  # one interval
+            [[[0.0, 35325.0]]]
+        """
         rows = self.loop.beta(np.asarray(checked_gain("damping", damping)))
         return self.loop.stiffness(self._intervals(rows, axis=1))
 
     def damping_intervals(
         self, stiffness: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
-        """Return all intervals of stable B at stiffnesses K in N/m, rising; NaN behind the last."""
+        """Return all intervals of stable B at stiffnesses K in N/m, rising; NaN behind the last.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().damping_intervals(np.array([2000.0])).round(3).tolist()
+            [[[-0.508, 200.014]]]
+        """
         columns = self.loop.alpha(np.asarray(checked_gain("stiffness", stiffness)))
         return self.loop.damping(self._intervals(columns, axis=0))
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether walls (K, B) lie inside of the exact boundary; all False if UNRESOLVED."""
+        """Return whether walls (K, B) lie inside of the exact boundary; all False if UNRESOLVED.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().contains(2000.0, [20.0, 300.0]).tolist()
+            [True, False]
+        """
         return self.region.contains(*self._points(stiffness, damping))
 
     def distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
         """Return the Euclidean distance of walls to the boundary in units of alpha and beta.
 
         It is positive inside and negative outside, -inf for an empty region.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().distance(2000.0, [20.0, 300.0]).round(6).tolist()
+            [0.02, -0.980116]
         """
         return self.region.distance(*self._points(stiffness, damping))
 
     def in_si_units(self, points: Float64[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 2"]:
-        """Return points (alpha, beta) as (K, B)."""
+        """Return points (alpha, beta) as (K, B).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().in_si_units(np.array([0.02, 0.2])).round(6).tolist()
+            [2000.0, 20.0]
+        """
         return points * np.array([self.loop.stiffness(1.0), self.loop.damping(1.0)])
 
     def _points(self, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:

@@ -36,6 +36,8 @@ class Filter:
     Example:
         >>> str(jaxstab.Filter.low_pass(100.0) * jaxstab.Filter.average(samples=4))
         'a low pass at 100 Hz of order 1, a window of 4 samples'
+        >>> print(jaxstab.Filter.exponential(0.9) * jaxstab.Filter.low_pass(100.0).per_sample(1e-3))
+        exponential smoothing by 0.9, a low pass at 0.1 Hz of order 1
     """
 
     sections: tuple[Section, ...] = ()
@@ -192,6 +194,8 @@ class Velocity:
     Example:
         >>> str(jaxstab.Velocity.difference(samples=20) * jaxstab.Filter.low_pass(100.0))
         'the difference over a window of 20 samples, a low pass at 100 Hz of order 1'
+        >>> print(jaxstab.Velocity.difference(window=0.02).per_sample(1e-3))
+        the difference over a window of 20 samples
     """
 
     filter: Filter = Filter()

@@ -116,17 +116,41 @@ class LoopParameters:
 
     @property
     def mass(self) -> Numbers:
-        """Effective mass m in kg, eq. (1)."""
+        """Effective mass m in kg, eq. (1).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.5, hand_mass=0.1, sample_time=1e-3, delay=1e-3
+            ... )
+            >>> loop.mass
+            0.2
+        """
         return self._one_body.mass
 
     @property
     def gamma(self) -> Numbers:
-        """Dimensionless physical stiffness k T^2/m, eq. (12)."""
+        """Dimensionless physical stiffness k T^2/m, eq. (12).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.5, hand_stiffness=500.0, sample_time=1e-3
+            ... )
+            >>> print(f"{loop.gamma:.4f}")
+            0.0050
+        """
         return self._one_body.stiffness * self.sample_time**2 / self.mass
 
     @property
     def delta(self) -> Numbers:
-        """Dimensionless physical damping b T/m, eq. (12)."""
+        """Dimensionless physical damping b T/m, eq. (12).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.5, hand_mass=0.1, sample_time=1e-3, delay=1e-3
+            ... )
+            >>> print(f"{loop.delta:.4f}")
+            0.0075
+        """
         return self._one_body.damping * self.sample_time / self.mass
 
     @property
@@ -164,7 +188,15 @@ class LoopParameters:
 
     @property
     def delay_samples(self) -> Numbers:
-        """Delay t_d/T in samples; whole where it is whole up to the rounding of the division."""
+        """Delay t_d/T in samples; whole where it is whole up to the rounding of the division.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.5, hand_mass=0.1, sample_time=1e-3, delay=1e-3
+            ... )
+            >>> loop.delay_samples
+            1.0
+        """
         if is_any_traced(self.delay, self.sample_time):
             delay = self._traced_delay()
             return delay.whole + delay.fraction
@@ -177,6 +209,13 @@ class LoopParameters:
         """The numbers gamma, delta and delay of all walls of the loop (Table I).
 
         The delay is a TracedDelay where JAX traces it or the sampling period.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.5, hand_mass=0.1, sample_time=1e-3, delay=1e-3
+            ... )
+            >>> int(jaxstab.verdict(loop.alpha(2000.0), loop.beta(20.0), *loop.slice))
+            1
         """
         is_traced_delay = is_any_traced(self.delay, self.sample_time)
         delay = self._traced_delay() if is_traced_delay else self.delay_samples

@@ -76,6 +76,9 @@ class RobustRegion:
         >>> region = jaxstab.robust_region((0.0, 0.001), (0.0, 0.015), 1.0)
         >>> region.status.name, bool(region.contains(0.05, 0.3))
         ('PROVED', True)
+        >>> region = jaxstab.robust_region((0.0, 0.001), (0.01, 0.015), 1.0)
+        >>> region.max_alpha.round(3).tolist(), region.verdict([0.05, 0.2], 0.3).tolist()
+        ([0.147, 0.426], [1, 2])
     """
 
     gamma: Range

@@ -45,7 +45,13 @@ class ShownRegion:
 
     @property
     def extremes(self) -> tuple[Any, Any]:
-        """The points of the largest stiffness and of the largest damping."""
+        """The points of the largest stiffness and of the largest damping.
+
+        Example:
+            >>> stiffest, most_damped = jaxstab.stable_region(0.0, 0.015, 1.0).extremes
+            >>> stiffest.round(4).tolist()
+            [0.1522, 0.4233]
+        """
         region: Any = self
         return region.max_alpha, region.max_beta
 
@@ -91,6 +97,9 @@ class ShownRegion:
 
         Raises:
             ValueError: the region is empty or unresolved, or made of arrays of JAX.
+
+        Example:
+            >>> axes = jaxstab.stable_region(0.0, 0.015, 1.0).plot()
         """
         from jaxstab.pictures.shown import plot_region
 

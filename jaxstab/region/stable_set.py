@@ -36,6 +36,13 @@ class StableRegion(ShownRegion):
     Example:
         >>> round(float(jaxstab.stable_region(0.0, 0.0, 0.0).area), 6)
         0.909645
+        >>> region = jaxstab.stable_region(0.0, 0.0, 0.0)
+        >>> region.is_empty, region.loops, region.corners.round(6).tolist()
+        (False, 1, [[0.0, 0.0], [0.0, 2.0]])
+        >>> region.rows_are_intervals, region.columns_are_intervals
+        (True, True)
+        >>> len(region.points) - len(region.branch)  # a piece between two points each
+        1
     """
 
     coefficients: SliceCoefficients
@@ -79,6 +86,12 @@ class StableRegion(ShownRegion):
 
         Estimators cut islands off. All are there whose boundary the search found, as for the
         region itself: see ``stable_region``.
+
+        Example:
+            >>> window = jaxstab.Velocity.difference(samples=20)
+            >>> region = jaxstab.stable_region(0.0, 0.0004, 1.0, velocity=window)
+            >>> [round(float(part.area), 5) for part in region.components]
+            [0.00101, 0.00044]
         """
         if int(self.outline.size) == 0:
             return []
@@ -90,12 +103,25 @@ class StableRegion(ShownRegion):
         """The component that holds small positive gains: what turning gains up from 0 reaches.
 
         None where small positive gains are not stable.
+
+        Example:
+            >>> window = jaxstab.Velocity.difference(samples=20)
+            >>> main = jaxstab.stable_region(0.0, 0.0004, 1.0, velocity=window).main
+            >>> main.max_alpha.round(6).tolist()
+            [0.008138, 0.051276]
         """
         return next(filter(_holds_small_gains, self.components[:1]), None)
 
     @property
     def islands(self) -> list["StableRegion"]:
-        """The components that turning gains up from 0 does not reach, the largest first."""
+        """The components that turning gains up from 0 does not reach, the largest first.
+
+        Example:
+            >>> window = jaxstab.Velocity.difference(samples=20)
+            >>> islands = jaxstab.stable_region(0.0, 0.0004, 1.0, velocity=window).islands
+            >>> [island.max_alpha.round(4).tolist() for island in islands]
+            [[0.0753, -0.4745]]
+        """
         components = self.components
         return components[any(map(_holds_small_gains, components[:1])) :]
 
@@ -139,6 +165,10 @@ class StableRegion(ShownRegion):
 
         Raises:
             ValueError: beta is NaN or infinite.
+
+        Example:
+            >>> jaxstab.stable_region(0.0, 0.0, 0.0).alpha_limits([0.5, 3.0]).round(6).tolist()
+            [[0.0, 0.6], [nan, nan]]
         """
         (rows,) = float_arrays(checked_gain("beta", beta))
         return measures.limits(self.coefficients, self.outline, rows, axis=1)
@@ -155,6 +185,10 @@ class StableRegion(ShownRegion):
 
         Raises:
             ValueError: alpha is NaN or infinite.
+
+        Example:
+            >>> jaxstab.stable_region(0.0, 0.0, 0.0).beta_limits(0.5).round(6).tolist()
+            [0.359612, 1.390388]
         """
         (columns,) = float_arrays(checked_gain("alpha", alpha))
         return measures.limits(self.coefficients, self.outline, columns, axis=0)
@@ -171,6 +205,10 @@ class StableRegion(ShownRegion):
 
         Raises:
             ValueError: alpha or beta is NaN or infinite.
+
+        Example:
+            >>> jaxstab.stable_region(0.0, 0.0, 0.0).contains(0.3, [0.1, 0.8]).tolist()
+            [False, True]
         """
         points = _checked_points(alpha, beta)
         return measures.contains(self.coefficients, self.outline, *points)
@@ -187,6 +225,10 @@ class StableRegion(ShownRegion):
 
         Raises:
             ValueError: alpha or beta is NaN or infinite.
+
+        Example:
+            >>> jaxstab.stable_region(0.0, 0.0, 0.0).distance(0.3, [0.1, 0.8]).round(6).tolist()
+            [-0.064915, 0.3]
         """
         points = _checked_points(alpha, beta)
         return measures.distance(self.coefficients, self.outline, *points)

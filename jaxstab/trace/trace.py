@@ -64,6 +64,9 @@ class BoundaryTrace:
         BoundaryTrace(plane=('alpha', 'beta'), resolution=0.015625)
         >>> bool(trace.edge.any())
         True
+        >>> window, hand = ((0.0, 0.1), (0.0, 0.5)), {"gamma": 0.0, "delta": 0.015, "delay": 1.0}
+        >>> jaxstab.trace_boundary(("alpha", "beta"), window, resolution=0.1, **hand).complete
+        True
     """
 
     plane: tuple[str, str]

@@ -144,6 +144,11 @@ class Plan:
         """Return for each variable how much of it is evaluated.
 
         The boundary is looked at in two slices of each delay for this.
+
+        Example:
+            >>> spec = jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",))
+            >>> [share.variable for share in jaxstab.plan_atlas(spec).shares()]
+            ['alpha_limits']
         """
         return [self._share(name) for name in self.variables]
 

@@ -156,6 +156,11 @@ class AtlasSpec:
         Raises:
             OSError: the file cannot be read.
             TypeError, ValueError: as for ``from_toml``, with the name of the file.
+
+        Example:
+            >>> spec = jaxstab.AtlasSpec.from_file("data/specs/window.toml")
+            >>> spec.delay, spec.products
+            ((1.0, 2.0, 3.0), ('verdict', 'alpha_limits'))
         """
         table = read_table(path)
         try:
@@ -175,6 +180,11 @@ class AtlasSpec:
         Raises:
             ValueError: the text is no TOML, or has an unknown name or a bad value.
             TypeError: a value is of the wrong kind.
+
+        Example:
+            >>> spec = jaxstab.AtlasSpec.from_toml("velocity = {window_samples = 20}")
+            >>> str(spec.filters[0]), spec.delay_cells
+            ('the difference over a window of 20 samples', 0)
         """
         return cls._from_table(parsed(text))
 
@@ -191,7 +201,13 @@ class AtlasSpec:
         return known_filters(self.velocity, self.position)
 
     def to_toml(self) -> str:
-        """Return the text from which ``from_toml`` makes an equal specification."""
+        """Return the text from which ``from_toml`` makes an equal specification.
+
+        Example:
+            >>> spec = jaxstab.AtlasSpec(delay=(1.0,))
+            >>> jaxstab.AtlasSpec.from_toml(spec.to_toml()) == spec
+            True
+        """
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         given = {name: value for name, value in values.items() if value is not None}
         entries = (f"{name} = {_toml(value)}" for name, value in given.items())

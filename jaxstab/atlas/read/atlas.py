@@ -26,16 +26,13 @@ from jaxstab.atlas.read.answer import (
     settle,
 )
 from jaxstab.atlas.read.cells import decided_share
+from jaxstab.atlas.read.held import HeldAtlas, of_filters
 from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
-from jaxstab.atlas.read.of_loop import AskedByLoops
-from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.read.points import (
     answer_at_delay,
     answer_by_limits,
     find_outside,
-    nodes_of,
 )
-from jaxstab.atlas.read.xarray_view import to_xarray
 from jaxstab.conventions import AXES, UNDECIDED
 from jaxstab.numbers import checked_number, checked_word
 
@@ -46,7 +43,7 @@ _MOST = 1e300  # of numbers that are answered without a check: floats hold them
 Outside = Literal["error", "undecided"]
 
 
-class Atlas(AskedByLoops):
+class Atlas(HeldAtlas):
     """An atlas in memory; ``open_atlas`` makes it.
 
     Attributes:
@@ -69,43 +66,14 @@ class Atlas(AskedByLoops):
         <Verdict.STABLE: 1>
     """
 
-    arrays: file.PackedArrays
-    spec: str
-    created_by: str
-    filters_in_words: str
-
-    def __init__(self, contents: file.Contents) -> None:
-        self.arrays = contents.arrays
-        self.spec = b"\n".join(self.arrays[schema.SPEC].tolist()).decode("utf-8") + "\n"
-        self.created_by = contents.created_by
-        self.filters_in_words = contents.filters
-
-    @property
-    def products(self) -> tuple[str, ...]:
-        """What was chosen to be computed, of ``jaxstab.atlas.format.schema.PRODUCTS``."""
-        return tuple(name for name, held in schema.PRODUCTS.items() if held[0] in self.arrays)
-
-    @property
-    def delays(self) -> Floats:
-        """The delays t_d/T of the atlas, ascending."""
-        return self.arrays["delay"]
-
-    @cached_property
-    def filters(self) -> tuple[Any, Any] | None:
-        """The Velocity and the Filter, per sample; None for the one-sample difference alone."""
-        found: tuple[Any, Any] | None = _of_filters("filters_of")(self.spec)
-        return found
-
-    def nodes(self, delay_number: int) -> dict[str, Floats]:
-        """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``."""
-        return nodes_of(self.arrays, delay_number)
-
-    def to_xarray(self) -> Any:
-        """Return all of it as an xarray.Dataset; RuntimeError where xarray is not installed."""
-        return to_xarray(self.arrays, self.created_by, self.filters_in_words)
-
     def decided_fraction(self, delay_number: int) -> float:
-        """Return the share of the volume at one delay in which a query between nodes is decided."""
+        """Return the share of the volume at one delay in which a query between nodes is decided.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> round(atlas.decided_fraction(1), 1)
+            1.0
+        """
         nodes = self.nodes(delay_number)
         if self._table is not None:
             return self._table.decided_share(float(self.delays[delay_number]))
@@ -152,6 +120,12 @@ class Atlas(AskedByLoops):
                 the atlas; or the atlas is of another estimator or filter than is named.
 
         Source: ``jaxstab.boxes.columns``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> answer = atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0)
+            >>> answer.verdict.tolist(), [jaxstab.QueryStatus(int(s)).name for s in answer.status]
+            ([1, 2], ['CELL', 'CELL'])
         """
         checked_word("outside", outside, ("error", "undecided"))
         self._check_filters(velocity, position)
@@ -193,6 +167,11 @@ class Atlas(AskedByLoops):
 
         Returns:
             int8 codes of ``jaxstab.Verdict`` of the broadcast shape.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> atlas.verdict([0.05, 0.2], 0.3, 0.0005, 0.01, delay=1.0).tolist()
+            [1, 2]
         """
         self._check_filters(velocity, position)
         given = (alpha, beta, gamma, delta, delay)
@@ -219,6 +198,12 @@ class Atlas(AskedByLoops):
                 alpha.
 
         Source: ``jaxstab.boxes.columns``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> limits = atlas.alpha_limits([0.3, 0.5], 0.0005, 0.01, delay=1.0)
+            >>> (limits.upper - limits.upper_error).round(4).tolist()  # proved stable up to here
+            [0.1361, 0.1423]
         """
         table, points = self._asked(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
@@ -241,6 +226,12 @@ class Atlas(AskedByLoops):
             TypeError, ValueError: as ``alpha_limits``.
 
         Source: ``jaxstab.boxes.columns``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> largest = atlas.max_alpha(0.0005, 0.01, delay=1.0)
+            >>> bool(largest.alpha <= largest.bound), round(float(largest.beta), 2)
+            (True, 0.41)
         """
         table, points = self._asked(delay, gamma=gamma, delta=delta)
         found = table.max_alpha(*(point.reshape(-1) for point in points))
@@ -265,6 +256,12 @@ class Atlas(AskedByLoops):
             TypeError, ValueError: as ``alpha_limits``; or a range has its ends swapped.
 
         Source: ``jaxstab.boxes.columns``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
+            >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0)).name
+            'STABLE'
         """
         table = self._asked_over(alpha, beta, gamma, delta, delay)
         return np.int8(table.worst_verdict(alpha, beta, gamma, delta, delay))
@@ -285,6 +282,12 @@ class Atlas(AskedByLoops):
             TypeError, ValueError: as ``worst_verdict``.
 
         Source: ``jaxstab.boxes.columns``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> low, high = atlas.common_alpha_limits(0.3, (0.0, 0.001), (0.0, 0.015), delay=1.0)
+            >>> low < high, round(high, 2)
+            (True, 0.13)
         """
         table = self._asked_over(None, beta, gamma, delta, delay)
         return table.common_limits(beta, gamma, delta, delay)
@@ -296,7 +299,7 @@ class Atlas(AskedByLoops):
         asked = import_module("jaxstab.model.filters").known_filters(velocity, position)
         if asked != self.filters:
             raise ValueError(
-                f"the question is about {_of_filters('words_of')(asked)}, and this atlas is of "
+                f"the question is about {of_filters('words_of')(asked)}, and this atlas is of "
                 f"{self.filters_in_words}; ask another atlas, or build one."
             )
 
@@ -312,21 +315,6 @@ class Atlas(AskedByLoops):
         points = np.broadcast_arrays(*all_checked(given))
         codes = table.verdicts_inside(*(point.reshape(-1) for point in points))
         return None if codes is None else codes.reshape(points[0].shape)
-
-    def outline(self, gamma: float, delta: float, delay: float) -> AtlasOutline:
-        """Return the boundary of the stable region at a node, with its corners.
-
-        Args:
-            gamma: physical stiffness k T^2/m, a node.
-            delta: physical damping b T/m, a node.
-            delay: time delay t_d/T in samples.
-
-        Raises:
-            ValueError: a value is no node, or this holds no outlines.
-
-        Source: ``jaxstab.stable_region``.
-        """
-        return outline_at(self.arrays, gamma, delta, delay)
 
     @property
     def _has_verdicts(self) -> bool:
@@ -373,11 +361,6 @@ class Atlas(AskedByLoops):
         walls = {"beta": beta} | ({} if alpha is None else {"alpha": alpha})
         numbers = {name: checked_number(name, value) for name, value in walls.items()}
         return self._asked(checked_number("delay", delay), **ranges, **numbers)[0]
-
-
-def _of_filters(name: str) -> Any:
-    """Return a function around filters, by name at run time: few questions are about them."""
-    return getattr(import_module("jaxstab.atlas.format.filters"), name)
 
 
 def open_atlas(path: str | PathLike[str]) -> Atlas:

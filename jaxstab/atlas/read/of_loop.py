@@ -132,6 +132,15 @@ class LoopAtlas:
                 the atlas.
 
         Source: ``jaxstab.boxes.columns``; Table I.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
+            ... )
+            >>> answer = atlas.for_loop(loop).query(5000.0, 30.0)
+            >>> jaxstab.QueryStatus(int(answer.status)).name, jaxstab.Verdict(answer.verdict).name
+            ('CELL', 'STABLE')
         """
         wall = self._asked(stiffness, damping, outside)
         return self.atlas.query(*wall, *self._plant, outside, exact=exact)
@@ -147,6 +156,14 @@ class LoopAtlas:
         """Return the verdicts of ``query`` alone, faster: int8 codes of ``jaxstab.Verdict``.
 
         Args, errors and source: as ``query``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
+            ... )
+            >>> atlas.for_loop(loop).verdict([5000.0, 18000.0], 30.0).tolist()
+            [1, 2]
         """
         wall = self._asked(stiffness, damping, outside)
         return self.atlas.verdict(*wall, *self._plant, outside, exact=exact)
@@ -167,6 +184,14 @@ class LoopAtlas:
                 of alpha.
 
         Source: ``jaxstab.boxes.columns``; Table I.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
+            ... )
+            >>> atlas.for_loop(loop).stiffness_limits([30.0, 50.0]).round(-1).tolist()
+            [[0.0, 13630.0], [0.0, 14250.0]]
         """
         (given,) = all_checked([damping], ["damping"])
         beta = np.asarray(self.loop.beta(given))
@@ -180,6 +205,15 @@ class LoopAtlas:
             ValueError: this holds no limits of alpha.
 
         Source: ``jaxstab.boxes.columns``; Table I.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
+            ... )
+            >>> largest = atlas.for_loop(loop).largest_stiffness()
+            >>> largest.stiffness <= largest.bound, round(largest.damping)
+            (True, 41)
         """
         found = self.atlas.max_alpha(*self._plant)
         if np.isnan(found.alpha):

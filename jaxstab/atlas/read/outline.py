@@ -20,10 +20,15 @@ class AtlasOutline(NamedTuple):
         status: 0 complete, 1 the region is empty, 2 unresolved: do not use it.
 
     Example:
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
         >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
         >>> spec = jaxstab.AtlasSpec(**hand, products=("outline",))
-        >>> atlas = jaxstab.build_atlas(spec, "outline.h5")  # doctest: +SKIP
-        >>> atlas.outline(0.0, 0.01, 1.0).vertices  # doctest: +SKIP
+        >>> with TemporaryDirectory() as folder:
+        ...     atlas = jaxstab.build_atlas(spec, Path(folder) / "outline.h5")
+        >>> outline = atlas.outline(0.0, 0.01, 1.0)
+        >>> int(outline.status), outline.corners.round(3).tolist()
+        (0, [[0.0, -0.01], [0.0, 0.836]])
     """
 
     points: NDArray[np.float64]

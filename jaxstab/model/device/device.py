@@ -234,6 +234,10 @@ class Device:
         """Return the force in N that holds the handle 1 m from where it stands, without a wall.
 
         It is 0 for a free mass, and infinite where a constant force moves nothing.
+
+        Example:
+            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1, stiffness=40.0).static_stiffness()
+            40.0
         """
         import flint
 
@@ -259,6 +263,12 @@ class Device:
         """What the device does without a wall: "stable", "marginal" or "unstable".
 
         A free mass is marginal. Poles within 1e-60 rad/s of the imaginary axis count as on it.
+
+        Example:
+            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1).stability  # it may drift
+            'marginal'
+            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1, stiffness=40.0).stability
+            'stable'
         """
         parts = [ball.real for ball, _ in _pole_balls(self)]
         if any(part > 0 for part in parts):
