@@ -174,10 +174,11 @@ def robust_region(
     Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B7 and B11 of docs/proofs.md.
 
     Example:
-        >>> window = jaxstab.Velocity.difference(samples=20)
-        >>> region = robust_region((0.0, 1e-3), (0.002, 0.01), delay=1.0, velocity=window)
-        >>> float(region.max_alpha[0])
-        0.0078...
+        >>> window = jaxstab.Velocity.difference(samples=5)
+        >>> hands = {"gamma": (0.0, 1e-3), "delta": (0.005, 0.01)}
+        >>> region = jaxstab.robust_region(**hands, delay=1.0, tolerance=0.1, velocity=window)
+        >>> region.status.name, round(float(region.max_alpha[0]), 3)
+        ('PROVED', 0.044)
     """
     filters = known_filters(velocity, position)
     for name, ends, check in (("gamma", gamma, checked_gamma), ("delta", delta, checked_delta)):
