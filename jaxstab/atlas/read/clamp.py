@@ -74,6 +74,12 @@ class ClampsGains(ShownAtlas):
                 the atlas; a gain is negative; or this holds no limits of alpha.
 
         Source: ``jaxstab.boxes.columns``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> gains = atlas.clamp([0.05, 0.2], 0.3, 0.0005, 0.01, delay=1.0)
+            >>> gains.alpha.round(3).tolist(), gains.beta.round(3).tolist()
+            ([0.05, 0.136], [0.3, 0.3])
         """
         checked_word("outside", outside, ("error", "undecided"))
         table: LimitTable | None = getattr(self, "_table", None)

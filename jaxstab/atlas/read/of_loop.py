@@ -87,6 +87,9 @@ class LoopAtlas:
         [1, 2]
         >>> walls.stiffness_limits(30.0).round(-1).tolist()
         [0.0, 13630.0]
+        >>> clamped = walls.clamp([5000.0, 18000.0], 30.0)
+        >>> clamped.stiffness.round(-1).tolist(), clamped.damping.tolist()
+        ([5000.0, 13630.0], [30.0, 30.0])
     """
 
     def __init__(self, atlas: "Atlas", loop: Any) -> None:
@@ -156,14 +159,6 @@ class LoopAtlas:
         """Return the verdicts of ``query`` alone, faster: int8 codes of ``jaxstab.Verdict``.
 
         Args, errors and source: as ``query``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
-            ... )
-            >>> atlas.for_loop(loop).verdict([5000.0, 18000.0], 30.0).tolist()
-            [1, 2]
         """
         wall = self._asked(stiffness, damping, outside)
         return self.atlas.verdict(*wall, *self._plant, outside, exact=exact)
@@ -184,14 +179,6 @@ class LoopAtlas:
                 of alpha.
 
         Source: ``jaxstab.boxes.columns``; Table I.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
-            ... )
-            >>> atlas.for_loop(loop).stiffness_limits([30.0, 50.0]).round(-1).tolist()
-            [[0.0, 13630.0], [0.0, 14250.0]]
         """
         (given,) = all_checked([damping], ["damping"])
         beta = np.asarray(self.loop.beta(given))
