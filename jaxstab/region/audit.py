@@ -1,9 +1,9 @@
 """A second look at regions of loops with any plant, estimator and filter, by proved verdicts.
 
-The curve and the count of the other roots of such loops may lose digits, and no status shows it. So
-walls on both sides of the outline are asked for their verdict, which is a proof. That does not
-prove a region; but one that a proof contradicts is not given. Walls are asked at a distance:
-rounding of a corner contradicts nothing.
+The curve of such a loop, and the count of its other roots, may lose digits without any status
+showing it. So walls on both sides of the outline get a verdict, which is a proof. This does not
+prove the region, but a region that a proof contradicts is not given. The walls keep a distance from
+the outline, so that the rounding of a corner contradicts nothing.
 """
 
 import numpy as np
@@ -28,8 +28,9 @@ Points = Float64[np.ndarray, "_ 2"]
 def is_contradicted(c: SliceCoefficients, outline: Outline, loop: LinearLoop) -> bool:
     """Return whether a wall inside is proved unstable, or one outside stable.
 
-    An outline without a loop says that no wall is stable: there gains of all sizes are tried. One
-    that many vertices do not bring near a curve is of a curve that is rounding.
+    An outline without a loop claims that no wall is stable; gains of all sizes are tried then. An
+    outline that stays away from its curve whatever the number of vertices follows nothing but
+    rounding.
 
     Args:
         c: the coefficients of the slice.

@@ -15,7 +15,7 @@ _RATIOS = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
 
 
 def components_of(c: SliceCoefficients, outline: Outline) -> list[Outline]:
-    """Return the outlines of the components: first what holds small gains, then by their areas."""
+    """Return the outlines of the components: first the one with small gains, then by area."""
     loops = [(loop, float(measures.area(c, loop))) for loop in _loops(outline)]
     holes = [one for one in loops if one[1] <= 0.0]
     groups = [
@@ -31,7 +31,7 @@ def components_of(c: SliceCoefficients, outline: Outline) -> list[Outline]:
 
 
 def holds_small_gains(c: SliceCoefficients, outline: Outline) -> bool:
-    """Return whether a set holds positive gains near 0, beside which it is large."""
+    """Return whether a set holds positive gains that are small beside its own size."""
     extent = np.max(np.abs(outline.vertices[: int(outline.size)]), axis=0)
     alpha = _SMALL * extent[0] * _RATIOS
     beta = np.full_like(alpha, _SMALL * extent[1])

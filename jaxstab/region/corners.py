@@ -66,7 +66,7 @@ def scales(c: SliceCoefficients, alpha: Array, beta: Array, theta: Array) -> Sca
 def nearest_branch(c: SliceCoefficients, angles: Array, scale: Scales) -> Array:
     """Return for ends at angles[0] which Branch the curve meets there, next to angles[1] or not.
 
-    It is the one that Newton's method says is nearest, were the end a corner of this kind.
+    For each kind of corner Newton's method says how far off it is; the nearest one is taken.
     """
     xp = namespace(c, angles)
     steps = xp.stack(_newton_steps(c, angles, scale).steps)
@@ -78,9 +78,10 @@ def solved_corners(
 ) -> tuple[Array, Array, Array]:
     """Return the angles near ``angles[0]`` where the curve meets a branch, and which are solved.
 
-    Between the two, what rounding took from the angles. The curve meets itself at angles near
-    ``angles[1]``. A search that strays farther than ``half_width`` ends: all wait for the last one.
-    In JAX differentiable in the slice, by the theorem of the implicit function.
+    The second of the three results is what rounding took from the angles. Where the curve meets
+    itself, ``angles[1]`` is near the other angle. A search that strays farther than ``half_width``
+    is given up, because all searches wait for the slowest. In JAX the result is differentiable in
+    the slice, by the implicit function theorem.
     """
     xp = namespace(c, angles)
 

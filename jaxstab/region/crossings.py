@@ -1,9 +1,9 @@
 """Where the curve crosses itself or one of the lines: any corner of the stable set is there.
 
-Between two angles of a scan the curve is taken for a cubic with its ends and the tangents there. A
-cubic stays in the hull of its control points, so parts of which the hulls are apart do not meet.
-Few are left to try; and crossings that come in pairs between two angles, and leave no change of
-side at them, are not stepped over. NumPy only.
+Between two angles of a scan the curve is replaced by the cubic with the same ends and tangents. A
+cubic stays in the hull of its control points, so two parts whose hulls are apart do not meet, and
+few parts are left to try. Pairs of crossings between two angles are found too, though the side does
+not change from one angle to the other. NumPy only.
 """
 
 from collections.abc import Iterator

@@ -76,7 +76,7 @@ def boundary_curve(
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid"]]:
     """Return the wall gains (alpha, beta) that put a pair of roots at radius exp(+-i theta).
 
-    In the direction of growing theta, the side on the left has the pair inside of the circle.
+    Seen in the direction of growing theta, the pair is inside the circle on the left side.
 
     Args:
         theta: angle of the roots in [0, pi]; like all arguments it broadcasts. At 0 and pi the
@@ -281,8 +281,8 @@ def parity(c: SliceCoefficients) -> Array:
 def poles(c: SliceCoefficients) -> tuple[Array, Array]:
     """Return the angles of the two zeros of N, in [0, pi], and how far they are from the circle.
 
-    There the curve flies off: close to a zero it changes in steps as short as the distance, which
-    is the modulus of the logarithm of |z| / r.
+    The curve runs off to infinity there: next to a zero it changes within steps as short as the
+    zero's distance from the circle, | log(|z| / r) |.
     """
     if c.filtered is not None:
         angles, distances = c.filtered.poles

@@ -1,13 +1,14 @@
-"""Are all roots inside of the circle at a wall of the boundary, told in double-double? NumPy only.
+"""Whether all other roots are inside the circle, at walls on the boundary. Double-double, NumPy.
 
-Slow modes have roots next to each other near z = 1, of which the coefficients in powers of z tell
-nothing. So p(z) is taken in powers of z - 1, which small roots make small one after the other, and
+Slow modes have roots next to each other near z = 1, which the coefficients in powers of z cannot
+tell apart. So p(z) is written in powers of z - 1, where each small root makes one more coefficient
+small, and
 z = r (1 + w) / (1 - w) turns the circle of radius r into the imaginary axis, z = r into 0. With
 
     p = sum c_k (z - r)^k = (1 - w)^-n sum c_k (2 r w)^k (1 - w)^(n - k)
 
-the criterion of Routh counts. r is so much larger than 1 that the roots that the wall puts on the
-circle count as inside.
+Routh's criterion counts the roots. r is just so much larger than 1 that the roots which the wall
+puts on the unit circle count as inside.
 """
 
 from functools import lru_cache
@@ -28,7 +29,7 @@ _AT_ONCE = 1 << 11  # walls
 def all_inside(
     curve: FilteredCurve, alpha: Array, beta: Array, within: float
 ) -> Bool[np.ndarray, "*wall"]:
-    """Return where all roots of p(z) lie within a circle, those on the unit circle as well."""
+    """Return where all roots of p(z) are inside a circle; those on the unit circle count."""
     inside = np.zeros(np.shape(alpha), bool)
     walls = np.ravel(alpha), np.ravel(beta)
     radius = within * (1.0 + _ON_CIRCLE)
@@ -45,7 +46,7 @@ def all_inside(
 
 
 def angles_on_circle(curve: FilteredCurve, alpha: Array, beta: Array) -> Angles:
-    """Return the angles between 0 and pi of roots that are close to the circle, as slow ones go."""
+    """Return the angles in (0, pi) of roots that are close to the circle for slow roots."""
     base, stiffness, damping = curve.shifted[0]
     angles: list[Angles] = [np.empty(0)]
     for wall in zip(alpha, beta, strict=True):

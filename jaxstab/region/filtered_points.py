@@ -103,7 +103,7 @@ def _on_line(
 
 
 def root_angles(curve: FilteredCurve, theta: Array) -> Array:
-    """Return the angles of the roots: next to a line at a pole they are closer to it."""
+    """Return the angles of the roots; next to a line at a pole they are closer to the pole."""
     size = np.abs(theta).ravel()
     for line in curve.lines:
         held = line.holds(size)

@@ -1,4 +1,4 @@
-"""The lines of a real root at z = r and at z = -r: margins to them, how they cross and run."""
+"""The lines of a real root at z = r and z = -r: margins to them, directions, where they cross."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from jaxstab.region.curve import (
 
 
 def minus_margin(c: SliceCoefficients, alpha: Array, beta: Array) -> Array:
-    """Return p(-r) / r^2 up to the sign that it has inside of the stable set, which is plus."""
+    """Return p(-r) / r^2 with the sign chosen so that it is positive inside the stable set."""
     if c.filtered is not None:
         base, stiffness, damping = c.filtered.at_minus_one
         return base + (stiffness * alpha + damping * beta)
@@ -32,7 +32,7 @@ def lines_crossing(c: SliceCoefficients) -> tuple[Array, Array]:
 
 
 def along_lines(c: SliceCoefficients, alpha: Array, beta: Array) -> tuple[Array, Array]:
-    """Return what grows along the lines z = r and z = -r with the stable set on the left."""
+    """Return coordinates along the lines z = r and z = -r, with the stable set on the left."""
     xp = namespace(c, beta)
     plus = -xp.sign(c.num_plus) * beta
     if c.filtered is not None and c.filtered.at_minus_one[1] == 0.0:  # a line of constant beta
@@ -41,7 +41,7 @@ def along_lines(c: SliceCoefficients, alpha: Array, beta: Array) -> tuple[Array,
 
 
 def lines_turn(c: SliceCoefficients) -> Array:
-    """Return a number whose sign is 1 where the boundary turns from z = r into z = -r.
+    """Return a sign: 1 where the boundary turns from the line z = r into the line z = -r.
 
     It is -1 where it turns from z = -r into z = r, and 0 where they are parallel.
     """

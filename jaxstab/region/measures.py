@@ -1,4 +1,4 @@
-"""Limits, membership, distance and area by the exact boundary, from where its points are known.
+"""Limits, membership, distance and area of a region, measured on the exact boundary.
 
 Between two vertices of an outline alpha and beta are monotone. So a line of constant alpha or beta
 meets an edge where it passes between its ends, and a part of an edge lies in the box of its ends.
@@ -32,7 +32,7 @@ def limits(
 ) -> Array:
     """Return where lines of constant alpha (axis 0) or beta (axis 1) enter and leave the region.
 
-    That is the first entrance and the last exit, or else the last entrance and the last exit.
+    That is the first entry and the last exit or, if not ``outermost``, the last entry and exit.
     """
 
     def ends(values: Array) -> Array:
@@ -53,7 +53,7 @@ def limits(
 def crossings(
     c: SliceCoefficients, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
 ) -> Float64[np.ndarray, "row crossing"]:
-    """Return all the ends of intervals on lines as in ``limits``, rising; NaN behind the last."""
+    """Return the ends of all intervals on lines as in ``limits``, ascending, then NaN."""
     with np.errstate(all="ignore"):  # as where it is compiled
         coordinates, exist = _crossings(c, outline, values, axis)
     return np.sort(np.where(exist, coordinates, np.nan), axis=-1)

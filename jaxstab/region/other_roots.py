@@ -1,7 +1,7 @@
-"""The other roots of p where a pair of them is known: do they lie inside of the circle?
+"""Whether the other roots of p lie inside the circle, where a pair of roots is known.
 
 A point of the curve bounds the stable set exactly where all roots but the pair at r e^(+-i th) lie
-inside of the circle: p divided by that pair is put to the test of Schur and Cohn.
+inside of the circle: p is divided by that pair, and the Schur-Cohn test decides.
 """
 
 import numpy as np

@@ -35,8 +35,8 @@ class Outline(NamedTuple):
     ``vertices`` (n, 2) are points (alpha, beta); each loop ends with its first point, and the last
     point is repeated to the end. ``branches`` (n - 1,) are Branch codes of the edges, and
     ``angles`` (n - 1, 2) the angles of the curve at their ends. Between two vertices alpha and beta
-    are monotone. ``size`` vertices are not such repetitions, and they form ``loops`` loops.
-    ``corners`` (m, 2) are followed by NaN. Where the pieces are not ``resolved`` there is nothing.
+    are monotone. The first ``size`` vertices are not repetitions; they form ``loops`` loops.
+    ``corners`` (m, 2) are padded with NaN. Unless the pieces are ``resolved``, nothing is stored.
     """
 
     vertices: Array
@@ -71,9 +71,9 @@ def polygon(
 ) -> Outline:
     """Return an outline of ``points`` vertices, spread so that all edges bend alike.
 
-    Differentiable in the slice: vertices between corners stay at their share of the piece. With
-    ``length``, that of the polynomials of the other roots, every fourth vertex is put to the test
-    of these roots: a cut that the scan stepped over is noticed where a vertex falls on it.
+    It is differentiable in the slice: vertices between corners keep their share of the piece. If
+    ``length`` is given, the length of the other roots' polynomials, these roots are tested at every
+    fourth vertex: a cut that the scan stepped over is noticed where a vertex falls on it.
     """
     xp = namespace(c, pieces)
     slots = len(pieces.exists)

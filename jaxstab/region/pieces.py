@@ -33,7 +33,7 @@ class Pieces(NamedTuple):
     ``begin`` and ``end`` are angles, ``begin_low`` and ``end_low`` what rounding took from them,
     and ``begin_branch``, ``end_branch`` say what the piece meets there (a Branch). After its end
     the boundary goes on to the piece ``successor``: at once, or along a line, or ``via`` the
-    crossing of both lines. ``resolved`` is False where the pieces do not close to loops.
+    crossing of both lines. ``resolved`` is False where the pieces do not join up to loops.
     """
 
     exists: Array

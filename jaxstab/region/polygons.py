@@ -1,4 +1,4 @@
-"""Which points lie inside of an outline, by its polygon: as good as the curve but next to it."""
+"""Which points lie inside an outline's polygon; the same answer as the curve, except next to it."""
 
 import numpy as np
 from jaxtyping import Bool, Float64

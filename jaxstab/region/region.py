@@ -39,13 +39,14 @@ def stable_region(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> StableRegion:
-    """Return the set of all (alpha, beta) with every root of p(z) inside of a circle.
+    """Return the set of all (alpha, beta) for which every root of p(z) is inside a circle.
 
-    Every corner is where the curve crosses itself or a line: all crossings are searched for, and
-    the scan of the boundary is refined around them until its pieces close to loops. What may be
-    missed are crossings where the curve bends more, between two angles of the first scan, than a
-    cubic with the same ends and tangents, and, with filters, parts of it at which another root is
-    beyond 1.1. That all components are found is argued so, not proved (docs/proofs.md, G1 to G3).
+    Every corner of the set is a point where the boundary curve crosses itself or a line. The search
+    looks for all of these crossings and refines its scan around them until the pieces of the
+    boundary join up to closed loops. It may miss a crossing where the curve bends more, between two
+    angles of the first scan, than a cubic with the same ends and tangents; with filters it also
+    leaves out parts of the curve at which another root is beyond 1.1. So it is argued, not proved,
+    that all components are found (docs/proofs.md, G1 to G3).
 
     Args:
         gamma: physical stiffness k T^2/m in [0, 1e4], a number like all arguments.
@@ -101,9 +102,10 @@ def region_outline(
 ) -> StableRegion:
     """Return the stable set in arrays of fixed sizes, for jit, vmap and derivatives.
 
-    Unlike ``stable_region`` it neither searches for crossings nor refines: check the status of each
-    lane. A cut into the set may lie between two angles of the scan; then a test of every fourth
-    vertex makes the lane UNRESOLVED in most cases. Of 115,000 random hands 4 had one unnoticed.
+    Unlike ``stable_region`` it neither searches for crossings nor refines its scan, so check the
+    status of each lane. A narrow cut into the set may lie between two angles of the scan; testing
+    every fourth vertex then makes the lane UNRESOLVED in most cases. Of 115,000 random hands, 4 had
+    a cut that went unnoticed.
 
     Args:
         gamma: physical stiffness k T^2/m in [0, 1e4], a scalar; traced or not.
@@ -111,8 +113,8 @@ def region_outline(
         delay: time delay t_d/T >= 0 in samples, concrete.
         radius: the circle's radius in (0, 1], a scalar; traced or not.
         points: length of the outline; the last point is repeated where fewer are needed.
-        slots: the largest number of pieces of the curve; more of them are UNRESOLVED.
-        fineness: how often the steps of the scan are divided.
+        slots: the largest number of pieces of the curve; a set with more of them is UNRESOLVED.
+        fineness: into how many parts each step of the scan is divided.
 
     Returns:
         StableRegion of arrays of fixed sizes, of JAX where an argument is. There ``max_alpha``,

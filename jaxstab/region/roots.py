@@ -36,7 +36,7 @@ def with_slope(function: Callable[[Array], Values], x: Array) -> tuple[Values, V
 
 
 def nonzero(divisor: Array, instead: float) -> Array:
-    """Return a divisor, another number where it is zero: 1 or infinity keep quotients finite."""
+    """Return a divisor without zeros: 1 or infinity in their place keeps quotients finite."""
     return namespace(divisor).where(divisor == 0.0, instead, divisor)
 
 
@@ -47,14 +47,14 @@ def bracketed_root(
     upper: Array,
     ends: tuple[Array, Array] | None = None,
 ) -> Array:
-    """Return a root of an elementwise function of an angle between two angles of unlike sign.
+    """Return a root of an elementwise function between two angles at which its signs differ.
 
-    The secant method, replaced by a bisection wherever it would leave the bracket or creeps. Where
-    the signs at the ends agree the result is some angle between them. ``ends`` are the values
-    there, if they are known. In JAX the root is differentiable in the parameters, once.
+    It is the secant method, with a bisection wherever that would leave the bracket or crawl. Where
+    the signs at the ends agree, the result is some angle between them. ``ends`` are the values at
+    the ends, if they are known. In JAX the root is differentiable once in the parameters.
 
-    Source: the safeguards of Press et al., Numerical Recipes, 9.4; the theorem of the implicit
-    function for the derivatives.
+    Source: the safeguards of Press et al., Numerical Recipes, 9.4; the implicit function
+    theorem for the derivatives.
     """
     if namespace(lower) is np and not lower.size:
         return lower

@@ -82,7 +82,7 @@ def _around_line(line: PoleLine, fineness: int) -> Angles:
 
 
 def closer_angles(c: SliceCoefficients, angles: Angles, centers: Angles) -> Angles:
-    """Return the angles of a scan with more of them around some centers."""
+    """Return the angles of a scan with more angles around some centres."""
     offsets = np.geomspace(_CLOSEST, np.max(np.diff(angles)), _OFFSETS)
     around = centers[:, None] + np.concatenate([-offsets, offsets])
     closer: Angles = np.clip(around.ravel(), angles[0], angles[-1])
@@ -94,7 +94,7 @@ def closer_angles(c: SliceCoefficients, angles: Angles, centers: Angles) -> Angl
 def suspects(
     c: SliceCoefficients, pieces: Pieces, known: Angles, outside: float, *, length: int
 ) -> Angles:
-    """Return angles beside those known around which something may hide between two of the scan.
+    """Return further angles around which a piece may hide between two angles of the scan.
 
     They are the corners that the pieces have and the angles of the roots that are on the circle
     there, or close.
@@ -115,7 +115,7 @@ def suspects(
 
 
 def nearly_stable(c: SliceCoefficients, angles: Angles, outside: float, *, length: int) -> Angles:
-    """Return those angles, in order, at which no other root is farther than that outside."""
+    """Return the angles, in order, at which no other root is farther outside than a limit."""
     if not angles.size:
         return angles
     angles = np.sort(angles)

@@ -23,11 +23,11 @@ _ROUNDS = 8
 
 
 def refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Pieces:
-    """Return pieces that close to loops and at whose ends nothing more hides.
+    """Return pieces that join up to loops, searched until nothing hides at their ends.
 
-    With damping the loop without a wall is stable: an empty answer is then a scan too coarse. Where
-    even the finest scan is not enough, ``resolved`` of the pieces is False. With filters the roots
-    are tested in double-double then, and where none is found.
+    With damping, the loop without a wall is stable, so an empty answer means that the scan was too
+    coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False. With
+    filters the roots are then tested in double-double, and also where no piece is found.
     """
     pieces = _searched(c, delay, may_be_empty=may_be_empty)
     if c.filtered is None or c.filtered.is_exact or (pieces.resolved and pieces.exists[0]):

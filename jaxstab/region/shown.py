@@ -39,7 +39,7 @@ class GainNames(NamedTuple):
 
 
 class ShownRegion:
-    """A region that shows itself. Its class has its components, and says what is its largest."""
+    """A region that shows itself; the class supplies its components and its extreme points."""
 
     names = GainNames()
 
@@ -87,7 +87,7 @@ class ShownRegion:
         return region_html(region)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw the region: what turning gains up from 0 reaches in blue, islands in purple.
+        """Draw the region: walls reached by turning gains up from 0 in blue, islands in purple.
 
         Args:
             ax: the axes to draw in; None makes a figure with matplotlib.pyplot.

@@ -1,4 +1,4 @@
-"""Sine, cosine and sin(x) / x of positive angles, with derivatives of all digits."""
+"""Sine, cosine and sin(x) / x of positive angles, with derivatives to full precision."""
 
 from math import factorial, pi
 
@@ -15,10 +15,10 @@ _QUARTER_TURN = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18
 
 
 def sines(x: Array, *, are_small: bool = False) -> tuple[Array, Array, Array]:
-    """Return sin(x), cos(x) and sin(x) / x for x >= 0, also at 0, with derivatives of all digits.
+    """Return sin(x), cos(x) and sin(x) / x for x >= 0, with derivatives to full precision.
 
-    A quotient would lose those of sin(x) / x next to 0, so there it is a series. ``are_small`` says
-    that all x are at most pi/4, which saves time in XLA.
+    A quotient would lose digits of the derivative of sin(x) / x next to 0; a series is used there.
+    ``are_small`` says that all x are at most pi/4, which saves time in XLA.
     """
     xp = namespace(x)
     if xp is not np:

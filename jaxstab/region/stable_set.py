@@ -18,7 +18,7 @@ from jaxstab.region.status import RegionStatus
 @pytree
 @dataclass(frozen=True, repr=False)
 class StableRegion(ShownRegion):
-    """The gains (alpha, beta) for which all roots of p(z) lie inside of a circle about 0.
+    """The gains (alpha, beta) for which all roots of p(z) lie inside a circle about 0.
 
     ``stable_region`` makes one of NumPy arrays; ``region_outline`` makes one in arrays of fixed
     sizes, also of JAX, or many under ``jax.vmap``. Limits, ``contains``, ``distance`` and ``area``
@@ -60,7 +60,7 @@ class StableRegion(ShownRegion):
     def points(self) -> Float64[np.ndarray, "point 2"]:
         """The outline as points (alpha, beta), counter-clockwise, the last one equal to the first.
 
-        Of several loops each is closed, one follows the other, and the branch between them is -1.
+        Several loops follow one another, each of them closed; the branch between two loops is -1.
         """
         return np.asarray(self.outline.vertices)[: int(self.outline.size)] + 0.0  # no -0
 
@@ -73,8 +73,8 @@ class StableRegion(ShownRegion):
     def corners(self) -> Float64[np.ndarray, "corner 2"]:
         """The points where two branches meet, in the order of the outline, to full precision.
 
-        That is to a few rounding errors, also next to the Nyquist frequency; regions of undamped
-        hands closer to it than a relative 1e-6 may be UNRESOLVED.
+        They are right to a few rounding errors, next to the Nyquist frequency too. The region of
+        an undamped hand within a relative 1e-6 of that frequency may be UNRESOLVED.
         """
         corners: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
         corners = np.asarray(self.outline.corners) + 0.0
@@ -84,8 +84,8 @@ class StableRegion(ShownRegion):
     def components(self) -> list["StableRegion"]:
         """The connected parts of the region: first the one that holds small gains, then by area.
 
-        Estimators cut islands off. All are there whose boundary the search found, as for the
-        region itself: see ``stable_region``.
+        Velocity estimators can cut islands off. The list has every component whose boundary the
+        search found; ``stable_region`` says what a search may miss.
 
         Example:
             >>> window = jaxstab.Velocity.difference(samples=20)
@@ -100,7 +100,7 @@ class StableRegion(ShownRegion):
 
     @property
     def main(self) -> "StableRegion | None":
-        """The component that holds small positive gains: what turning gains up from 0 reaches.
+        """The component with small positive gains: the walls reached by turning gains up from 0.
 
         None where small positive gains are not stable.
 
@@ -132,12 +132,12 @@ class StableRegion(ShownRegion):
 
     @property
     def rows_are_intervals(self) -> bool:
-        """Whether each line of constant beta meets the region in one interval of alpha, or not."""
+        """Whether every line of constant beta meets the region in at most one interval of alpha."""
         return self._are_intervals(axis=1)
 
     @property
     def columns_are_intervals(self) -> bool:
-        """Whether each line of constant alpha meets the region in one interval of beta, or not."""
+        """Whether every line of constant alpha meets the region in one interval of beta at most."""
         return self._are_intervals(axis=0)
 
     def _are_intervals(self, axis: int) -> bool:
@@ -146,21 +146,21 @@ class StableRegion(ShownRegion):
 
     @property
     def area(self) -> Float64[Array, ""]:
-        """The area in the (alpha, beta) plane; holes are taken off. NaN for UNRESOLVED.
+        """The area in the (alpha, beta) plane without its holes; NaN for UNRESOLVED.
 
-        To rounding, but for undamped hands next to the Nyquist frequency: with
-        e = |sqrt(gamma)/pi - 1| the relative error there is up to about 1e-16/e.
+        It is right to rounding, except for undamped hands next to the Nyquist frequency: there
+        the relative error is up to about 1e-16/e, with e = |sqrt(gamma)/pi - 1|.
         """
         return measures.area(self.coefficients, self.outline)
 
     def alpha_limits(self, beta: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the least and the largest alpha of the region in rows of constant beta.
+        """Return the smallest and the largest alpha of the region at given betas.
 
         Args:
             beta: wall damping B T/m, any shape.
 
         Returns:
-            Array (*grid, 2), differentiable; NaN where the row misses the region. Where
+            Array (*grid, 2), differentiable; NaN where no alpha is in the region. Where
             ``rows_are_intervals`` is False there may be unstable alpha between the two.
 
         Raises:
@@ -174,13 +174,13 @@ class StableRegion(ShownRegion):
         return measures.limits(self.coefficients, self.outline, rows, axis=1)
 
     def beta_limits(self, alpha: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the least and the largest beta of the region in columns of constant alpha.
+        """Return the smallest and the largest beta of the region at given alphas.
 
         Args:
             alpha: wall stiffness K T^2/m, any shape.
 
         Returns:
-            Array (*grid, 2), differentiable; NaN where the column misses the region. Where
+            Array (*grid, 2), differentiable; NaN where no beta is in the region. Where
             ``columns_are_intervals`` is False there may be unstable beta between the two.
 
         Raises:
@@ -194,7 +194,7 @@ class StableRegion(ShownRegion):
         return measures.limits(self.coefficients, self.outline, columns, axis=0)
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether points lie inside of the exact boundary.
+        """Return whether points lie inside the exact boundary.
 
         Args:
             alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.

@@ -6,10 +6,11 @@ from jaxstab.conventions import Status
 class RegionStatus(Status):
     """What is known of a stable region.
 
-    COMPLETE: the pieces that were found close to loops. EMPTY: the scan found none.
-    UNRESOLVED: the pieces do not close, more are there than arrays hold, or, of loops with filters,
-    a proved verdict says otherwise. Such a region claims nothing: it has no points, its numbers are
-    NaN, ``contains`` is False everywhere; that does not mean that points are unstable.
+    COMPLETE: the pieces that were found join up to closed loops. EMPTY: the scan found no piece.
+    UNRESOLVED: the pieces do not join up, there are more of them than the arrays hold or, for a
+    loop with filters, a proved verdict contradicts them. Such a region claims nothing: it has no
+    points, its numbers are NaN and ``contains`` is False everywhere, which does not mean that the
+    points are unstable.
 
     Example:
         >>> jaxstab.RegionStatus(2).words
