@@ -1,4 +1,4 @@
-"""The fastest of the walls that an encoder drives no further than a limit: a search on grids."""
+"""The fastest wall that an encoder drives no further than a limit: a search on grids."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ Objective = Callable[[np.ndarray, np.ndarray], Any]  # of alpha and beta; infini
 
 
 class Chatter(NamedTuple):
-    """The resolution of an encoder in m, and how far it may drive the position."""
+    """The resolution of an encoder in m, and how far it may drive the position, in m."""
 
     encoder: float
     limit: float = np.inf
@@ -52,10 +52,10 @@ class CalmWall(NamedTuple):
 def fastest_calm_wall(
     loop: LoopParameters, objective: Objective, chatter: Chatter, alpha: float | None
 ) -> CalmWall:
-    """Return the wall of the smallest objective of those found within the limit.
+    """Return the wall with the smallest objective among those found within the limit.
 
-    The first grid spans the walls that turning gains up from 0 reaches, the next ones surround the
-    best wall. Of walls that are as fast, the calmest is taken.
+    The first grid spans the walls reached by turning gains up from 0; each further grid surrounds
+    the best wall so far. Among equally fast walls the calmest one is taken.
     """
     best, least, status = (np.nan, np.nan), (np.inf, np.inf), TuningStatus.NOT_CALM
     region = _searched(loop)

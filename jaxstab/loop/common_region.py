@@ -30,16 +30,16 @@ Rows = Float64[np.ndarray, " row"]
 
 @dataclass(frozen=True)
 class CommonRegion:
-    """Walls that are stable in each of several loops, reached by turning gains up from 0.
+    """Walls that are stable in every one of several loops, reached by turning gains up from 0.
 
     Attributes:
         loops: the loops.
-        status: PROVED where every wall of the outline is proved stable in every loop; EMPTY where
-            no row of damping was found that has such a wall; UNPROVED else.
+        status: PROVED if every wall of the outline is proved stable in every loop; EMPTY if no row
+            of damping was found with such a wall; otherwise UNPROVED.
         outline: a polygon of walls (K, B), counter-clockwise, the first vertex not repeated; none
             unless the status is PROVED.
-        tolerance: by which part of its size it was pulled in to be proved: the intersection of the
-            regions is larger by about so much.
+        tolerance: how far the outline was pulled in to be proved, as a share of its size: the
+            intersection of the regions is larger by about as much.
 
     Example:
         >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -71,15 +71,15 @@ class CommonRegion:
         return Gains(stiffness, damping)
 
     def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[np.ndarray, "*grid"]:
-        """Return proved codes of ``Verdict`` for walls and all of the loops.
+        """Return proved codes of ``Verdict`` for walls in all of the loops together.
 
         Args:
             stiffness: K in N/m, any shape; broadcasts with the damping.
             damping: B in N s/m.
 
         Returns:
-            STABLE where a wall is proved stable in every loop, also outside of the outline;
-            UNSTABLE where it is proved unstable in one; UNDECIDED between.
+            STABLE where a wall is proved stable in every loop, outside the outline too; UNSTABLE
+            where it is proved unstable in one loop; otherwise UNDECIDED.
 
         Raises:
             ValueError: a gain is infinite or NaN.
@@ -120,13 +120,13 @@ class CommonRegion:
 def common_region(loops: "Sequence[HapticLoop]", *, tolerance: float = 0.02) -> CommonRegion:
     """Return the walls that are stable in each of several loops, with a polygon that is proved.
 
-    The loops may differ in anything: devices, hands, estimators, delays, sampling periods. It
-    answers for these loops alone, not for what lies between them.
+    The loops may differ in everything: devices, hands, estimators, delays, sampling periods. The
+    answer holds for these loops alone, not for loops between them.
 
     Args:
         loops: at least one.
-        tolerance: by which part of its size the polygon is pulled in to be proved, in [1e-3, 0.1];
-            where that is not enough, by twice or four times as much.
+        tolerance: how far the polygon is pulled in to be proved, as a share of its size, in
+            [1e-3, 0.1]; twice or four times as much where that is not enough.
 
     Returns:
         CommonRegion with its status. An empty one is an answer, not an error.

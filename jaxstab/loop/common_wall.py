@@ -1,4 +1,4 @@
-"""The wall whose worst settling time over several loops is least: a search on grids."""
+"""The wall with the smallest worst settling time over several loops: a search on grids."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,9 +29,9 @@ class CommonWall(NamedTuple):
     Attributes:
         stiffness: K in N/m.
         damping: B in N s/m.
-        settling_time: the longest of the loops' settling times in s, each proved; infinite where no
-            wall was found.
-        slowest: the loop that takes so long.
+        settling_time: the longest of the loops' settling times in s, each of them proved; infinite
+            if no wall was found.
+        slowest: the loop that takes longest.
         status: SCANNED or NO_STABLE_GAINS.
 
     Example:
@@ -56,11 +56,12 @@ def tune_for_all(
     level: float = 0.02,
     excitation: Excitation = "force",
 ) -> CommonWall:
-    """Return the wall whose longest settling time over several loops is the least that was found.
+    """Return the wall whose longest settling time over several loops is the shortest one found.
 
-    It answers for these loops alone: give the corners of ranges of hands, masses and delays, and
-    some between. Walls are looked for among those that turning gains up from 0 reaches in the first
-    loop. Of walls that are as fast at worst, the one that is fastest on average is returned.
+    The answer holds for these loops alone: give the corners of your ranges of hands, masses and
+    delays, and some loops between. The search covers the walls that are reached by turning gains up
+    from 0 in the first loop. Among walls that are equally fast at worst, the one that is fastest on
+    average is returned.
 
     Args:
         loops: at least one.

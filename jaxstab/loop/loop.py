@@ -28,10 +28,10 @@ class HapticLoop(LoopWithWalls):
     """A haptic device held by a hand, and the sampled loop that renders a virtual wall on it.
 
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
-    there is a filter, and B times the estimated velocity. What is asked of the loop are methods:
-    of a wall (K, B) ``verdict``, ``is_stable``, ``spectral_radius``, ``poles``, ``margins``,
-    ``settling_time``, ``oscillation``, ``simulate``; of all walls ``region``, ``limits``,
-    ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; of all hands
+    there is a filter, and B times the estimated velocity. The loop answers questions by methods:
+    about a wall (K, B) ``verdict``, ``is_stable``, ``spectral_radius``, ``poles``, ``margins``,
+    ``settling_time``, ``oscillation``, ``simulate``; about all walls ``region``, ``limits``,
+    ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; about all hands
     ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
 
     A loop is a pytree: JAX traces its numbers, the cut-offs of filters among them, but not windows
@@ -40,11 +40,11 @@ class HapticLoop(LoopWithWalls):
     made inside with a delay and a sample time that are concrete. Fields that are traced are not
     checked.
 
-    Device and hand are one mass by the fields ``device_mass`` to ``hand_stiffness``, or any linear
-    system by ``device`` alone, which has its hands. Of any device all is answered but
-    ``worst_hand`` and ``robust_limit``, which put other hands to it: ask ``jaxstab.common_region``
-    of a list of loops. One that does not give way to a constant force, G(0) = 0, has verdicts,
-    radii, poles and margins alone.
+    The fields ``device_mass`` to ``hand_stiffness`` describe device and hand as one mass;
+    ``device`` alone takes any linear system, with its hands. A loop with a ``device`` answers
+    everything but ``worst_hand`` and ``robust_limit``, which would replace its hands: ask
+    ``jaxstab.common_region`` about a list of loops instead. A device that does not give way to a
+    constant force, G(0) = 0, has only verdicts, radii, poles and margins.
 
     Source: eqs. (1) and (12), Table I.
 
@@ -59,8 +59,8 @@ class HapticLoop(LoopWithWalls):
         velocity: how the controller estimates the velocity, windows in samples or s, cut-offs in
             Hz; None for the difference over one sample, the wall of the paper.
         position: how the controller filters the position; None for no filter.
-        device: any linear device, in place of mass and damping of device and hand. One that is one
-            mass with the hands glued to it is answered as these are, bit for bit.
+        device: any linear device, in place of the masses, dampings and stiffness above. A device
+            that is one mass with hands glued to it gets the same answers, bit for bit.
 
     Raises:
         TypeError: a value is not a real number, or not of its class, or ``device`` is given beside
@@ -82,7 +82,7 @@ class HapticLoop(LoopWithWalls):
 
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the
-                region's diameter, > 1e-10. All else is of the exact boundary.
+                region's diameter, > 1e-10. Everything else is measured on the exact boundary.
 
         Returns:
             WallRegion of NumPy arrays, with its status. A loop that JAX traces, without estimator
@@ -108,9 +108,9 @@ class HapticLoop(LoopWithWalls):
     def limits(self) -> WallLimits:
         """Return the largest stiffness and the largest damping that the loop allows.
 
-        They are those of the walls that are reached by turning gains up from 0, and after them
-        those of islands, which are not. Of a loop that JAX traces they are differentiable once in
-        all that the loop is made of, and islands are left out.
+        They hold for the walls that are reached by turning gains up from 0; the limits of islands,
+        which are not reached so, follow separately. For a loop that JAX traces, the limits are
+        differentiable once in all numbers of the loop, and islands are left out.
 
         Raises:
             ValueError: the dimensionless parameters are out of range, or the delay is longer than
@@ -130,16 +130,16 @@ class HapticLoop(LoopWithWalls):
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the least and the largest stable stiffness at given dampings.
+        """Return the smallest and the largest stable stiffness at given dampings.
 
         Args:
             damping: B in N s/m, any shape.
 
         Returns:
-            Array (*grid, 2) in N/m, of the walls that are reached by turning gains up from 0 where
-            there are such. NaN where no stiffness is stable, and everywhere for a loop whose region
-            is UNRESOLVED. Of several intervals it is the one that reaches farthest. JAX arrays and
-            tracers in give JAX arrays, differentiable, out.
+            Array (*grid, 2) in N/m, for the walls reached by turning gains up from 0 if there are
+            any. NaN where no stiffness is stable, and everywhere if the loop's region is
+            UNRESOLVED. Of several intervals the one that reaches farthest is given. JAX arrays and
+            tracers give differentiable JAX arrays.
 
         Raises:
             ValueError: a damping is infinite or NaN, or a parameter of the loop is out of range.
@@ -155,13 +155,13 @@ class HapticLoop(LoopWithWalls):
         return self._reachable().stiffness_limits(damping)
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the least and the largest stable damping at given stiffnesses.
+        """Return the smallest and the largest stable damping at given stiffnesses.
 
         Args:
             stiffness: K in N/m, any shape.
 
         Returns:
-            Array (*grid, 2) in N s/m; all as for ``stiffness_limits``.
+            Array (*grid, 2) in N s/m, otherwise as for ``stiffness_limits``.
 
         Raises:
             ValueError: a stiffness is infinite or NaN, or a parameter of the loop is out of range.
@@ -184,12 +184,12 @@ class HapticLoop(LoopWithWalls):
             damping: B in N s/m.
 
         Returns:
-            The Euclidean distance to the nearest limit of the stable set in units of alpha and
-            beta, positive for a stable wall. For an unstable wall it is negative, and the way that
-            leads to the nearest stable walls: roots that cross the circle on the way without that
-            all the others are inside do not count. It is -inf where no wall is stable and NaN for a
-            loop whose region is UNRESOLVED. JAX arrays and tracers of gains give JAX arrays,
-            differentiable once in them.
+            The Euclidean distance to the edge of the stable set in units of alpha and beta,
+            positive for a stable wall. For an unstable wall it is negative, and its size is the
+            distance to the nearest stable walls; places where a root crosses the circle while
+            another one is outside do not count. It is -inf where no wall is stable and NaN if the
+            loop's region is UNRESOLVED. JAX arrays and tracers of gains give JAX arrays,
+            differentiable once in the gains.
 
         Raises:
             ValueError: a gain is infinite or NaN, or a parameter of the loop is out of range.
@@ -216,13 +216,14 @@ class HapticLoop(LoopWithWalls):
     ) -> OptimalWall:
         """Return the wall (K, B) that comes to rest fastest, or the best B for a given K.
 
-        A search for one loop, without vmap or derivatives; ``jaxstab.minimize_radius`` has both
-        over gamma and delta. The best gains for the radius are sensitive: next to a triple pole the
-        radius grows with the cube root of a change, so gains of six digits may miss the smallest
-        one by 0.01. With an estimator or a filter the walls are those that turning gains up from 0
-        reaches; where small gains are not stable, those of an island, and the status says so. So it
-        is with a device that is not one mass; of such walls none is taken for settled that rings on
-        within the band and decays sixteen times slower than the one of the smallest radius.
+        This is a search for one loop, without vmap or derivatives; ``jaxstab.minimize_radius`` has
+        both over gamma and delta. The best gains for the radius are sensitive: next to a triple
+        pole the radius grows with the cube root of a change, so gains of six digits may miss the
+        smallest radius by 0.01. With an estimator, a filter or a device that is not one mass, the
+        search covers the walls reached by turning gains up from 0; where small gains are not
+        stable, it covers an island, and the status says so. With such a device, a wall that keeps
+        ringing within the band and decays sixteen times more slowly than the wall of the smallest
+        radius does not count as settled.
 
         Args:
             goal: "radius", the smallest spectral radius, or "settling", the smallest settling time.
@@ -230,9 +231,9 @@ class HapticLoop(LoopWithWalls):
             level: half width of the band of the settling time, between 0 and 1.
             excitation: what the settling time refers to, see ``jaxstab.settling_samples``.
             encoder: resolution of the position in m, if it is known; see ``amplitude``.
-            chatter: how far in m the encoder may drive the position at most. Where it drives the
-                best wall further, the best one of grids of walls that are proved to stay within is
-                returned.
+            chatter: how far the encoder may drive the position, in m. Where it would drive the best
+                wall further, the best wall on grids of walls that are proved to stay within this
+                limit is returned.
 
         Returns:
             OptimalWall: stiffness in N/m, damping in N s/m, spectral radius per sample with its
@@ -266,8 +267,8 @@ class HapticLoop(LoopWithWalls):
             damping: B in N s/m.
 
         Returns:
-            WorstHand; UNDECIDED where all sampled hands are stable but not all others could be
-            proved.
+            WorstHand; UNDECIDED where all sampled hands are stable, but not every other hand could
+            be proved stable.
 
         Raises:
             TypeError: a gain is not one real number.
@@ -289,7 +290,7 @@ class HapticLoop(LoopWithWalls):
     def robust_limit(self, hands: HandRange) -> RobustLimit:
         """Return the largest stiffness, and its damping, that every hand of a range allows.
 
-        The corners of the range, and hands at which a proof failed, give the limit.
+        The corners of the range, and the hands at which a proof failed, set the limit.
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
@@ -337,8 +338,9 @@ class HapticLoop(LoopWithWalls):
     def to_control(self, stiffness: float, damping: float) -> Any:
         """Return the open loop of a wall as a transfer function in z of python-control.
 
-        It is G(z) (K P(z) + B V(z)), with device, hold and delay in G: its feedback with -1 has the
-        poles of the loop, and its frequency response the margins of a Nyquist plot.
+        It is G(z) (K P(z) + B V(z)), with device, hold and delay in G: closed with a feedback of -1
+        it has the poles of the loop, and its frequency response shows the margins in a Nyquist
+        plot.
 
         Args:
             stiffness: K in N/m.

@@ -1,4 +1,4 @@
-"""Limits of a loop that JAX traces: searched for outside of JAX, moved by what holds there.
+"""Limits of a loop that JAX traces: searched for outside JAX, with derivatives at the limit.
 
 At the stiffest wall a pair of roots is on the circle where the boundary turns, or two roots are on
 it at once, at a corner. Both are equations for the wall and the roots' angles, which the implicit

@@ -41,18 +41,18 @@ class Gains(NamedTuple):
 class WallLimits(NamedTuple):
     """The stiffest and the most damped stable wall, in SI units; NaN where no wall is stable.
 
-    All are limits: stable walls come as close as one likes. They are those of the walls that are
-    reached by turning gains up from 0. Where small gains are not stable, ``is_reachable`` is False
-    and the limits are those of all stable walls.
+    All four are limits: stable walls come as close to them as one likes. They hold for the walls
+    that are reached by turning gains up from 0. Where small gains are not stable, ``is_reachable``
+    is False and the limits are those of all stable walls.
 
     Attributes:
         stiffness: the largest stable K in N/m.
         at_damping: the B in N s/m at which it is reached.
         damping: the largest stable B in N s/m.
         at_stiffness: the K in N/m at which it is reached.
-        status: of the region; of an UNRESOLVED one all four are NaN, though walls may be stable.
-        is_reachable: whether turning gains up from 0 reaches the walls.
-        islands: the same of each set of stable walls that turning gains up does not reach.
+        status: of the region; if it is UNRESOLVED all four are NaN, though walls may be stable.
+        is_reachable: whether the walls are reached by turning gains up from 0.
+        islands: the limits of each set of stable walls that is not reached so.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -113,7 +113,7 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def outline(self) -> Float64[np.ndarray, "point 2"]:
-        """The outline as points (K, B), counter-clockwise and closed; one loop after the other.
+        """The outline as points (K, B), counter-clockwise; loop after loop, each of them closed.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -169,7 +169,7 @@ class WallRegion(ShownRegion):
 
     @property
     def area(self) -> float:
-        """The area in N/m times N s/m; holes are taken off.
+        """The area in N/m times N s/m, without holes.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -187,7 +187,7 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def main(self) -> "WallRegion | None":
-        """What turning gains up from 0 reaches; None where small gains are not stable.
+        """The walls reached by turning gains up from 0; None where small gains are not stable.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -223,9 +223,9 @@ class WallRegion(ShownRegion):
         return WallLimits(*own, is_reachable, islands)
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the least and the largest stable K at dampings B in N s/m.
+        """Return the smallest and the largest stable K at dampings B in N s/m.
 
-        NaN where none is stable. Of several intervals it is the one that reaches farthest.
+        NaN where none is stable. Of several intervals the one that reaches farthest is given.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -238,9 +238,9 @@ class WallRegion(ShownRegion):
         return limits if is_jax(limits) else without_noise(limits, self.extent.stiffness)
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the least and the largest stable B at stiffnesses K in N/m.
+        """Return the smallest and the largest stable B at stiffnesses K in N/m.
 
-        NaN where none is stable. Of several intervals it is the one that reaches farthest.
+        NaN where none is stable. Of several intervals the one that reaches farthest is given.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -255,7 +255,7 @@ class WallRegion(ShownRegion):
     def stiffness_intervals(
         self, damping: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
-        """Return all intervals of stable K at dampings B in N s/m, rising; NaN behind the last.
+        """Return all intervals of stable K at dampings B in N s/m, ascending, then NaN.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -268,7 +268,7 @@ class WallRegion(ShownRegion):
     def damping_intervals(
         self, stiffness: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
-        """Return all intervals of stable B at stiffnesses K in N/m, rising; NaN behind the last.
+        """Return all intervals of stable B at stiffnesses K in N/m, ascending, then NaN.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -279,7 +279,7 @@ class WallRegion(ShownRegion):
         return self.loop.damping(self._intervals(columns, axis=0))
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether walls (K, B) lie inside of the exact boundary; all False if UNRESOLVED.
+        """Return whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)

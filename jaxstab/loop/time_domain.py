@@ -28,10 +28,10 @@ class LoopInTime(LoopParameters):
     ) -> Settling:
         """Return the time in s until the position stays within a tolerance of its final value.
 
-        It is ``jaxstab.settling_samples`` times the sample time; see there for the tolerance. A
-        count of samples jumps between constants, so it has no derivative: that of
-        ``spectral_radius`` tells how the decay changes. Push and blow are the hand's, at the
-        handle: behind the actuators of a device.
+        It is ``jaxstab.settling_samples`` times the sample time; the tolerance is explained there.
+        A count of samples jumps from number to number, so it has no useful derivative; that of
+        ``spectral_radius`` says how the decay changes. The hand pushes or strikes at the handle,
+        behind the actuators of a device.
 
         Args:
             stiffness: K in N/m, any shape; broadcasts with the damping.
@@ -79,22 +79,23 @@ class LoopInTime(LoopParameters):
     ) -> Amplitude:
         """Bound what a quantised encoder, a quantised force, friction and noise do at walls.
 
-        Beside the loop stands the same one without any of these, started alike and pushed alike.
-        How far the two are apart is bounded at all times; and as the other one comes to rest under
-        a constant push, so is the chatter of the hand in the long run. See ``jaxstab.amplitude``.
+        The loop is compared with the same loop without any of these, started and pushed alike. The
+        answer bounds how far the two are apart at all times; as the undisturbed one comes to rest
+        under a constant push, it bounds the chatter that the hand feels in the long run. See
+        ``jaxstab.amplitude``.
 
         Args:
             stiffness: K in N/m, any shape; like all arguments it broadcasts.
             damping: B in N s/m.
-            encoder: resolution of the position in m, as it is rounded to the nearest multiple.
-            force_step: resolution of the force in N, as it is rounded to the nearest multiple.
-            friction: largest Coulomb friction of the device in N, taken for any bounded force at
-                the handle.
+            encoder: resolution of the position in m, which is rounded to the nearest multiple.
+            force_step: resolution of the force in N, which is rounded to the nearest multiple.
+            friction: largest Coulomb friction of the device in N, treated as any force at the
+                handle that is never larger.
             noise: largest error of the position in m, beside that of the resolution.
 
         Returns:
-            Amplitude in m, m/s and N; infinite where nothing is proved, which is so at the boundary
-            of stability and beyond.
+            Amplitude in m, m/s and N; infinite where nothing is proved, as at the boundary of
+            stability and beyond it.
 
         Raises:
             ValueError: an argument is negative, infinite or NaN, nothing disturbs the loop, or the
@@ -147,18 +148,18 @@ class LoopInTime(LoopParameters):
     ) -> Response:
         """Simulate the device, held by the hand, against a virtual wall at position 0.
 
-        Device and hand move in continuous time. At every sample the wall computes -K x - B v with
-        the position x, filtered if there is a filter, and the estimated velocity v; this force acts
-        after the delay and is held for one sample. Before time 0 the device stood where it starts,
-        held there by the hand, and no force was on its way.
+        Device and hand move in continuous time. At every sample the wall computes -K x - B v from
+        the position x, filtered if there is a filter, and the estimated velocity v; this force
+        begins to act after the delay and is held for one sample. Before time 0 the device stood
+        where it starts, held there by the hand, and no force was on its way.
 
         Args:
             stiffness: K in N/m, any shape; broadcasts with the four other arrays.
             damping: B in N s/m.
             samples: how many samples to simulate, from time 0 on.
-            force: a step in N, from time 0 on: the hand begins to push, at the handle.
-            initial_velocity: in m/s at time 0: an impact on the wall, or a blow of this times the
-                mass. A device of several masses was thrown by a blow at the handle.
+            force: a step in N from time 0 on: the hand begins to push, at the handle.
+            initial_velocity: in m/s at time 0: an impact on the wall, or a blow of this velocity
+                times the mass. A device of several masses was thrown by a blow at the handle.
             initial_position: in m at time 0, the penetration if positive.
             between: how many equidistant points to return between two samples.
             unilateral: the wall pushes or pulls only while the sampled position is positive

@@ -16,10 +16,10 @@ from jaxstab.tuning.loops import DeviceLoop, MassLoop, TunedLoop
 
 
 class OptimalWall(NamedTuple):
-    """The best wall in SI units, and what just these gains reach.
+    """The best wall in SI units, and what exactly these gains achieve.
 
-    The spectral radius of the gains as they are given is ``radius``, to ``radius_error``, proved.
-    ``chatter`` is how far in m an encoder can drive the position, proved, if one is given.
+    ``radius`` is the spectral radius of exactly these gains, proved to within ``radius_error``.
+    ``chatter`` is how far an encoder can drive the position, in m, proved, if one is given.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -93,7 +93,7 @@ def _tuned(loop: LoopParameters) -> TunedLoop:
 
 
 def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:
-    """Return what an encoder may do, if one is given.
+    """Return the limit on what an encoder may do, if an encoder is given.
 
     Raises:
         TypeError: a limit is given without an encoder, or a value is not one number.

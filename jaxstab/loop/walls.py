@@ -20,9 +20,8 @@ from jaxstab.ranges import Margins, WallMargins
 class LoopWithWalls(LoopInTime):
     """The answers of ``jaxstab.HapticLoop`` about given walls.
 
-    In all of them K is the stiffness in N/m and B the damping in N s/m, of any shape; they
-    broadcast. Numbers and NumPy arrays are answered by NumPy arrays, JAX arrays by JAX arrays, also
-    under jit and vmap.
+    K is the stiffness in N/m and B the damping in N s/m throughout, of any shape; they broadcast.
+    Numbers and NumPy arrays give NumPy arrays, JAX arrays give JAX arrays, under jit and vmap too.
     """
 
     def verdict(
@@ -38,7 +37,7 @@ class LoopWithWalls(LoopInTime):
 
         Returns:
             int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED. The first two
-            are proofs for the dimensionless numbers, which are right to some roundings.
+            are proofs for the loop's dimensionless numbers, which carry a few roundings.
 
         Raises:
             ValueError: a gain is infinite or NaN, or resolve is unknown.
@@ -80,7 +79,7 @@ class LoopWithWalls(LoopInTime):
         return self.verdict(stiffness, damping) == Verdict.STABLE
 
     def spectral_radius(self, stiffness: Numbers, damping: Numbers) -> SpectralRadius:
-        """Return the largest modulus of a pole of the loop at walls, with a proved error bound.
+        """Return the largest modulus of the loop's poles at walls, with a proved error bound.
 
         Args:
             stiffness: K in N/m, any shape; broadcasts with the damping.
@@ -139,9 +138,9 @@ class LoopWithWalls(LoopInTime):
             damping: B in N s/m.
 
         Returns:
-            Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, also for JAX. The
-            extra delay is NaN for a device that is not one mass and has poles of a hundred rad per
-            sample or more: none is proved then.
+            Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, for JAX too. No extra
+            delay is proved (NaN) for a device that is not one mass and has poles of a hundred rad
+            per sample or more.
 
         Raises:
             ValueError: a gain is infinite or NaN.

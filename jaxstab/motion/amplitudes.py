@@ -1,9 +1,9 @@
-"""Amplitudes that are proved: how far an encoder, an amplifier and friction can drive the loop.
+"""Proved amplitudes: how far an encoder, an amplifier and friction can drive the loop.
 
-The loop sees x + e where the encoder rounds by e, the amplifier's rounding adds to its force, and
-friction pushes the device. All that is known of the three is how large they are. The response of a
-linear loop to any such disturbance is bounded by the sum of the moduli of its impulse response, and
-there is a disturbance that comes as close to that bound as one likes (lemma M6).
+The encoder's rounding e makes the loop see x + e, the amplifier's rounding adds to the force, and
+friction pushes the device. Only the size of the three is known. The response of a linear loop to
+any such disturbance is at most the sum of the moduli of its impulse response, and some disturbance
+comes as close to that bound as one likes (lemma M6).
 """
 
 from functools import partial
@@ -40,7 +40,7 @@ class AmplitudeStatus(Status):
 
 
 class Amplitude(NamedTuple):
-    """How far disturbances can drive a loop from where it would be without them, at most.
+    """The most by which disturbances can drive a loop away from its undisturbed motion.
 
     All are infinite where nothing is proved.
 
@@ -48,8 +48,7 @@ class Amplitude(NamedTuple):
         position: of the device, at all times.
         velocity: of the device, at all times.
         force: of the wall, at all times.
-        force_per_count: by which the computed force changes at once where the position is read one
-            resolution of the encoder further.
+        force_per_count: how much the computed force jumps when the encoder moves on by one count.
         status: an AmplitudeStatus.
 
     Example:
@@ -82,12 +81,14 @@ def amplitude(
 ) -> Amplitude:
     """Bound what a quantised encoder, a quantised force, friction and noise do to a loop.
 
-    Beside the loop stands the same one without any of these, started alike and pushed alike. The
-    answer bounds, at all times and not only at the samples, how far the two are apart. As the
-    other one comes to rest under a constant push, it bounds the chatter of the hand in the long
-    run. It holds while the hand is in the wall; where it is infinite, nothing is proved.
+    The loop is compared with the same loop without any of these, started and pushed alike. The
+    answer bounds how far the two are apart, at all times and not only at the samples. As the
+    undisturbed loop comes to rest under a constant push, this bounds the chatter that the hand
+    feels in the long run. It holds while the hand is in the wall. Where it is infinite, nothing is
+    proved.
 
-    Friction is any force that is never larger than this: it is not used that friction brakes.
+    Friction is treated as any force that is never larger than the given one; that it only brakes is
+    not used.
 
     Args:
         alpha: wall stiffness K T^2/m, any shape; like the next four arguments it broadcasts.
@@ -99,16 +100,16 @@ def amplitude(
             unit of length U.
         force_step: resolution of the force, which is rounded to the nearest multiple, >= 0, in
             m U/T^2.
-        friction: largest Coulomb friction of the device, >= 0, in m U/T^2; at any time, it need not
-            be constant between samples.
+        friction: largest Coulomb friction of the device, >= 0, in m U/T^2; it may change at any
+            time, between samples too.
         noise: largest error of the sampled position, beside that of the resolution, >= 0, in U.
         velocity: the velocity estimator in units of one sample; None for the difference over one.
         position: the position filter in units of one sample; None for none.
 
     Returns:
-        Amplitude in U, U/T and m U/T^2. What is proved holds for the gains, the plant and the
-        filter coefficients as float64 has them; rounding and the tails of all sums are bounded.
-        Differentiable in what disturbs the loop alone.
+        Amplitude in U, U/T and m U/T^2. The proof holds for the gains, the plant and the filter
+        coefficients as float64 holds them; rounding and the tails of all sums are bounded. It is
+        differentiable in the disturbances only.
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or nothing disturbs the loop;

@@ -20,8 +20,8 @@ Memory = tuple[Array, ...]
 class Equation(NamedTuple):
     """y_k = b_0 u_k + ... + b_n u_(k-n) - a_1 y_(k-1) - ... - a_n y_(k-n).
 
-    Coefficients that are 0 are None, so that nothing is computed with them. What is remembered from
-    sample to sample are the n sums of which the next outputs are made (the transposed second form).
+    Coefficients that are 0 are None, so that nothing is computed with them. The memory from sample
+    to sample is the n sums from which the next outputs are made (transposed direct form II).
     """
 
     inputs: tuple[Array | None, ...]  # b_0 ... b_n
@@ -41,12 +41,12 @@ class Equation(NamedTuple):
         )
 
     def step(self, value: Array, memory: Memory) -> tuple[Array, Memory]:
-        """Return the output for an input, and what is remembered then."""
+        """Return the output for an input, and the new memory."""
         output = _plus(memory[0] if memory else 0.0, self.inputs[0], value)
         return output, self._sums(value, output, (*memory[1:], 0.0))
 
     def at_rest(self, value: Array) -> tuple[Array, Memory]:
-        """Return the output for an input that never changed, and what is remembered then."""
+        """Return the output for an input that never changed, and the memory then."""
         output = value * (_sum(self.inputs) / (1.0 + _sum(self.outputs)))
         memory: Memory = ()
         for order in range(len(self.outputs), 0, -1):
@@ -56,7 +56,7 @@ class Equation(NamedTuple):
         return output, memory
 
     def moduli(self) -> "Equation":
-        """Return the equation in which nothing cancels, however the signs are."""
+        """Return the equation with the moduli of its coefficients, in which nothing cancels."""
         return Equation(
             tuple(one if one is None else abs(one) for one in self.inputs),
             tuple(one if one is None else -abs(one) for one in self.outputs),
@@ -101,7 +101,7 @@ class Controller:
         return (position,) * self.window, behind, _rest_of_chain(self.position, position)[1]
 
     def step(self, position: Array, memory: Any) -> tuple[Array, Array, Any]:
-        """Return the filtered position, the velocity times the period, and what is remembered."""
+        """Return the filtered position, the velocity times the period, and the new memory."""
         past, behind, beside = memory
         difference = (position - past[-1]) / self.window
         velocity, behind = run(self.velocity, difference, behind)
@@ -110,17 +110,17 @@ class Controller:
 
 
 class Bank(NamedTuple):
-    """The same as matrices: of position, last difference and what is remembered (columns).
+    """The controller as matrices; columns: position, last difference, memory.
 
-    Remembered are the differences before the last one as far as the window reaches, then what the
-    chains of velocity and position remember.
+    The memory holds the differences before the last one, as far as the window reaches, then the
+    memory of the velocity's and the position's chains.
 
     outputs: rows for the filtered position and for the velocity.
-    steps: rows for what is remembered at the next sample.
-    at_rest: what is remembered of a device that always stood at position 1.
-    is_velocity: which of it is a velocity.
-    roundings: how often an entry is rounded, at most, the coefficients' own rounding included.
-    sizes: of outputs and steps, what an entry is with the moduli of all that it is made of.
+    steps: rows for the memory at the next sample.
+    at_rest: the memory for a device that always stood at position 1.
+    is_velocity: which entries of the memory are velocities.
+    roundings: how often an entry is rounded at most, including the coefficients' own rounding.
+    sizes: outputs and steps again, with moduli in place of the numbers that make up an entry.
     """
 
     outputs: Float64[np.ndarray, "2 column"]
@@ -182,7 +182,7 @@ def _rows(
 def run(
     chain: Chain, value: Array, memories: tuple[Memory, ...]
 ) -> tuple[Array, tuple[Memory, ...]]:
-    """Return the output of a chain for an input, and what is remembered then."""
+    """Return the output of a chain for an input, and its new memory."""
     after = []
     for equation, memory in zip(chain, memories, strict=True):
         value, kept = equation.step(value, memory)

@@ -1,7 +1,7 @@
-"""Amplitudes that are proved, of any linear device: lemma M9 of docs/proofs.md.
+"""Proved amplitudes of any linear device: lemma M9 of docs/proofs.md.
 
-The sums of moduli are those of one mass (``disturbed``), but position and velocity between samples
-are asked for at the ends of pieces of the sample, with their second derivatives.
+The sums of moduli are formed as for one mass (``disturbed``), but position and velocity between
+samples are bounded from the ends of pieces of the sample, with their second derivatives.
 """
 
 from collections.abc import Callable
@@ -67,7 +67,7 @@ def device_amplitude(
 ) -> Amplitude:
     """Bound what disturbances do to a general device, in SI units; see ``HapticLoop.amplitude``.
 
-    Friction is at the handle, behind the actuators; an amplifier's steps are before them.
+    Friction acts at the handle, behind the actuators; an amplifier's steps come before them.
 
     Args:
         device: with its hands and actuators.

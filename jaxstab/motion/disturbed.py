@@ -1,7 +1,7 @@
-"""Sampled loops that are disturbed: what an error of the encoder, of the force, and friction do.
+"""Disturbed sampled loops: what errors of the encoder and of the force, and friction, do.
 
-Sums of moduli of impulse responses are what units of these do at the samples (lemmas M6 and M7 of
-docs/proofs.md).
+What a unit of each does at the samples is a sum of moduli of an impulse response (lemmas M6 and M7
+of docs/proofs.md).
 """
 
 from typing import NamedTuple
@@ -34,7 +34,7 @@ _SAFETY = 1.0 + 2.0**-40  # on sums of a few bounds
 
 
 class Causes(NamedTuple):
-    """Which disturbances there are: of the sampled position, the computed force, the device."""
+    """The kinds of disturbances: of the sampled position, of the computed force, of the device."""
 
     position: bool
     force: bool
@@ -42,7 +42,7 @@ class Causes(NamedTuple):
 
 
 class Gains(NamedTuple):
-    """What one disturbance of size 1 does at the samples, at most.
+    """The most that one disturbance of size 1 does at the samples.
 
     middle: of the velocity where the delayed force changes, between two samples.
     """
@@ -54,10 +54,10 @@ class Gains(NamedTuple):
 
 
 def gains_of_disturbances(*lanes: Array, bank: Bank, causes: Causes) -> tuple[Gains, Gains, Gains]:
-    """Return what units of the three disturbances do; infinite where nothing is proved.
+    """Return what a unit of each disturbance does; infinite where nothing is proved.
 
-    The lanes: alpha, beta, the entries (2, 4) of the propagator of a sample, those (3) of the
-    velocity in the middle, gamma, delta and the whole delay. What is not asked for is 0.
+    The lanes hold alpha, beta, the entries (2, 4) of the propagator of a sample, the entries (3) of
+    the velocity in the middle, gamma, delta and the whole delay. What is not asked for is 0.
     """
     columns = np.array([np.ravel(lane) for lane in lanes])
     gains = np.zeros((3, 4, columns.shape[1]))
@@ -71,13 +71,13 @@ def gains_of_disturbances(*lanes: Array, bank: Bank, causes: Causes) -> tuple[Ga
 
 
 def throw(gamma: Array, delta: Array) -> Array:
-    """Return how far a unit impulse moves the device within a sample, at most (lemma M7)."""
+    """Return a bound of how far a unit impulse moves the device within a sample (lemma M7)."""
     xp = namespace(gamma, delta)
     return 1.0 / xp.maximum(1.0, xp.maximum(delta, xp.sqrt(gamma)))
 
 
 def path(delta: Array) -> Array:
-    """Return how long a way a unit impulse moves the device within a sample, at most (lemma M7)."""
+    """Return a bound of the path of a device within a sample after a unit impulse (lemma M7)."""
     xp = namespace(delta)
     return 1.0 / xp.sqrt(xp.maximum(1.0, 2.0 * delta))
 
@@ -105,7 +105,7 @@ class _Loops(NamedTuple):
         return cls(columns[0], columns[1], rows, columns[10:13].T, columns[13], columns[14])
 
     def sizes(self) -> tuple[Float64[np.ndarray, "loop 2 4"], Float64[np.ndarray, "loop 3"]]:
-        """Return what the errors of the propagators' entries are relative to (lemma M7)."""
+        """Return the sizes to which the errors of the propagators are relative (lemma M7)."""
         is_hard = (self.gamma > _ACCURATE_GAMMA) | (self.delta > _ACCURATE_DELTA)
         hard = np.where(is_hard, _HARD, 0.0)[:, None]
         rows, middle = np.abs(self.rows), np.abs(self.middle) + hard
@@ -162,7 +162,7 @@ def with_inputs(
     steps: np.ndarray,
     whole_delay: int,
 ) -> Matrices:
-    """Return the steps of loops with two inputs more: what is misread, and what is pushed more."""
+    """Return the steps of loops with two more inputs: the reading error, and an extra push."""
     wall = alpha[:, None] * outputs[0] + beta[:, None] * outputs[1]
     wall = np.column_stack([wall, wall[:, 0] + wall[:, 1], np.ones(len(wall))])
     remembered = np.column_stack([steps, steps[:, 0] + steps[:, 1], np.zeros(len(steps))])

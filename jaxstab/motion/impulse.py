@@ -1,8 +1,8 @@
 """Sums of moduli of impulse responses, |C b| + |C A b| + |C A^2 b| + ..., proved from above.
 
-A power of A that is small gives coordinates in which every step is a contraction. There the errors
-of all products stay what they are, so that sums, their rounding and their tails can be bounded next
-to the boundary of stability, too (lemmas M3 to M5 of docs/proofs.md).
+A small power of A gives coordinates in which every step is a contraction. In these the errors of
+products do not grow, so sums, their rounding and their tails can be bounded even next to the
+boundary of stability (lemmas M3 to M5 of docs/proofs.md).
 """
 
 from math import ceil
@@ -30,8 +30,8 @@ _NUMBERS = 1 << 21  # of an array that is filled at once, about
 class Systems(NamedTuple):
     """Linear systems side by side, s -> A s + B e with outputs C s.
 
-    The entries of A and B, and of C, are wrong by at most ``error`` times those of ``sizes`` and
-    ``output_sizes``, which are no less than their own moduli.
+    The entries of A and B, and of C, are wrong by at most ``error`` times the entries of ``sizes``
+    and ``output_sizes``, which are at least as large as the moduli of the entries themselves.
     """
 
     transition: Float64[np.ndarray, "loop state state"]

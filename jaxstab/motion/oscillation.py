@@ -14,9 +14,9 @@ from jaxstab.point.poles import closed_loop_poles
 class Oscillation(NamedTuple):
     """The mode of the pole with the largest modulus.
 
-    ``damping_ratio`` is 1 for a mode that creeps without oscillation, 0 on the edge of stability,
-    negative where the oscillation grows. ``frequency`` is that of the oscillation itself (not of
-    the undamped one): between 0 and the Nyquist frequency, which is a pole on the negative axis.
+    ``damping_ratio`` is 1 for a mode that creeps without oscillating, 0 on the edge of stability
+    and negative where the oscillation grows. ``frequency`` is that of the damped oscillation,
+    between 0 and the Nyquist frequency; a pole on the negative axis is at the Nyquist frequency.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)

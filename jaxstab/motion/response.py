@@ -24,8 +24,8 @@ from jaxstab.numbers import checked, checked_count
 class Response(NamedTuple):
     """A motion of the loop: time in s, position in m, velocity in m/s, the wall's force in N.
 
-    The force is the one that acts on the device from this time on, after hold and delay. The
-    arrays but ``time`` have the shape of the walls and the initial values, then one axis of time.
+    The force is the one that acts on the device from this time on, after hold and delay. All arrays
+    except ``time`` have the shape of the walls and the initial values, then one axis of time.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -168,8 +168,8 @@ def propagator(
     """Return position and velocity (rows) at times in [0, 1] after a sample.
 
     The columns: position and velocity at the sample, the force that acts up to ``fraction``, the
-    force that acts from then on, and a force that acts all the time. Those of single loops are
-    remembered, for one loop is asked about many walls.
+    force that acts from then on, and a force that acts all the time. Propagators of single loops
+    are remembered, for one loop is asked about many walls.
     """
     gamma, delta, fraction, offsets = float_arrays(gamma, delta, fraction, offsets)
     loop = gamma, delta, fraction

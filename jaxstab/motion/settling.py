@@ -82,13 +82,13 @@ def settling_samples(
 ) -> Settling:
     """Count the samples until the position stays within a tolerance of its final value.
 
-    The answer is the first sample from which on every sampled position is within the tolerance: a
-    whole number, and true of the time domain, unlike an estimate from the spectral radius. The
-    device moves between samples too, but is not looked at there. Two excitations are known:
+    The answer is the first sample from which on every sampled position is within the tolerance. It
+    is a whole number taken from the motion itself, unlike an estimate from the spectral radius. The
+    motion between samples is not looked at. There are two excitations:
 
     - "force": the hand begins to push with a constant force at sample 0, on a device at rest. The
-      tolerance is level times the final displacement F/(K + k), K times P(1) where a position
-      filter has another gain than 1: the settling time of a step response.
+      tolerance is level times the final displacement F/(K + k), with K P(1) for K if a position
+      filter has a gain other than 1. This is the settling time of a step response.
     - "impact": the device hits the wall with some velocity at sample 0, and nothing else pushes it.
       The tolerance is level times the largest sampled excursion, around 0.
 
@@ -107,8 +107,8 @@ def settling_samples(
 
     Returns:
         Settling with ``value`` in samples and ``status``, a SettlingStatus. That the loop stays
-        settled is proved for the transition of one sample as float64 has it; positions within
-        about 1e-12 of the tolerance may be taken for either side.
+        settled is proved for the transition of one sample as float64 holds it; positions within
+        about 1e-12 of the tolerance may be counted as inside or outside.
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or the excitation is unknown.
@@ -277,10 +277,10 @@ class _Search(NamedTuple):
         return self._replace(power=power, error=error, states=states)
 
     def looked_at(self, level: float, is_impact: bool) -> "_Search":
-        """Return what the positions in the second half tell.
+        """Return the search after a look at the positions in the second half.
 
-        A position that is outside of the tolerance now may be inside after a larger one; then that
-        one, which is outside, comes later, so the last one outside is right.
+        A position outside the tolerance may turn out to be inside after a larger one is found. That
+        larger position is itself outside and comes later, so the last position outside stays right.
         """
         size = np.abs(self.deviation())
         new = self.states[:, :, self.states.shape[2] // 2 :]

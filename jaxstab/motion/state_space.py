@@ -52,13 +52,13 @@ def steps_of(
     remembered: Float64[np.ndarray, "memory known"],
     whole_delay: int,
 ) -> Matrices:
-    """Return what the next state is made of (rows): the state, then inputs (columns).
+    """Return the matrix of the next state (rows) from the state and the inputs (columns).
 
     Args:
         wall: the force that is computed, of position, difference, what is remembered, and inputs.
         rows: the plant's states at the next sample, position first, of those at this one, of the
             acting force, and of the one that arrives.
-        remembered: what the filters remember next, of the same as the force.
+        remembered: the next memory of the filters, from the same columns as the force.
         whole_delay: of the force, in samples.
     """
     states = rows.shape[1]
@@ -94,7 +94,7 @@ def units_of(
 def groups(
     whole_delay: np.ndarray, is_hopeful: np.ndarray, memory: int, numbers: int
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield whole delays, and loops that have them; not more than fill so many numbers."""
+    """Yield whole delays and the loops that have them, in groups of limited memory."""
     for whole in np.unique(whole_delay):
         together = np.flatnonzero((whole_delay == whole) & is_hopeful)
         count = max(1, int(numbers // (FORCE + 1 + whole + memory) ** 2))

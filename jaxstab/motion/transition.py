@@ -24,7 +24,7 @@ Lanes = Float64[np.ndarray, " loop"]
 
 
 class Loops(NamedTuple):
-    """Loops side by side that have one whole part of their delays: s -> A s, from s_0 on.
+    """Loops side by side whose delays have the same whole part: s -> A s, from s_0 on.
 
     The state is given in units of its own; that of the position is the final displacement, or
     velocity.
@@ -105,9 +105,9 @@ def _gain(bank: Bank) -> float:
 def balance(step: Matrices) -> Float64[np.ndarray, "loop state"]:
     """Return powers of two, the first one 1, in whose units all powers of A are nearly small.
 
-    How large each state becomes from others of the same size, after 1, 2, 4 ... samples, is the
-    size of its unit; repeated, that comes close to the units of the smallest norms. Any units are
-    right, but in these ones less is lost to the bounds of rounding.
+    The unit of a state is how large it becomes, after 1, 2, 4 ... samples, from other states of
+    unit size; repeated, this comes close to the units with the smallest norms. Any units are
+    correct, but these lose least to the bounds of rounding.
     """
     units = np.ones(step.shape[:2])
     sizes, power = [], step
