@@ -1,4 +1,4 @@
-"""Guards: what a running loop may render, proved beforehand, as a table for C."""
+"""Guards: walls that are proved stable beforehand, as a table in C for a running loop."""
 
 from lazy_loader import attach_stub
 

@@ -43,11 +43,11 @@ def build_guard(
         loop: the loop, with its velocity estimator and position filter. The mass of its device,
             its hand and its delay are not used.
         hands: the range of hands.
-        mass: the lowest and the highest mass of the device in kg, such as it has over its postures.
+        mass: the lowest and the highest mass of the device in kg, over its postures for example.
         delay: the shortest and the longest delay of the loop in s.
-        cells: how many cells there are along mass, delay and damping, powers of two. More of them
-            grant more, in a larger table that takes longer to prove.
-        progress: is told which share of the proof is done.
+        cells: the number of cells along mass, delay and damping, powers of two. More cells grant
+            more, but the table is larger and takes longer to prove.
+        progress: called with the share of the proof that is done.
 
     Raises:
         ValueError: a range is empty or out of order, or the number of cells no power of two.

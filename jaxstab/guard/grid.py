@@ -12,7 +12,7 @@ _SLACK = 1e-9  # of the largest value: more than the arithmetic of the header ro
 
 
 class Grid(NamedTuple):
-    """Limits between which a guard interpolates linearly along mass, delay and damping.
+    """Limits at nodes, between which a guard interpolates linearly in mass, delay and damping.
 
     Attributes:
         mass: of the device at the nodes in kg, evenly spaced.
@@ -35,9 +35,9 @@ class Grid(NamedTuple):
 
 
 class Models(NamedTuple):
-    """A function over boxes: a centre, its moves along the axes, and how far it may be from them.
+    """A function over boxes: its centre, its moves along the axes, and a bound of what they leave.
 
-    In boxes of several cells, for which no moves are known, the last is all that it varies.
+    Boxes of several cells have no moves; there the bound covers all of the variation.
     """
 
     centre: Reals
@@ -46,7 +46,7 @@ class Models(NamedTuple):
 
 
 class Pyramid:
-    """What a grid holds in boxes whose ends are multiples of powers of two in cells."""
+    """Bounds of a grid over boxes whose ends, in cells, are multiples of powers of two."""
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid

@@ -1,4 +1,4 @@
-"""A guard: the walls that it lets through, and how much of what is stable these are."""
+"""A guard: the walls that it lets through, and their share of all stable walls."""
 
 from dataclasses import dataclass, field
 
@@ -20,15 +20,15 @@ _ROUNDED = 1.0 + 1e-12  # the largest damping, however it was summed
 
 @dataclass(frozen=True)
 class Guard:
-    """Walls that are proved stable for every hand of a range, for any mass and delay of ranges.
+    """Walls that are proved stable for every hand, mass and delay of given ranges.
 
     Attributes:
-        loop: the loop; its device's mass, its hand and its delay are those of the ranges.
+        loop: the loop; its own mass, hand and delay are replaced by those of the ranges.
         hands: the range of hands.
         mass: the lowest and the highest mass of the device in kg.
         delay: the shortest and the longest delay in s.
         grid: the proved limits between which the guard interpolates.
-        units: of the stiffness and the damping of the grid: all are whole multiples.
+        units: steps of stiffness and damping: all numbers of the grid are whole multiples.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
@@ -48,7 +48,7 @@ class Guard:
     def largest_stiffness(
         self, damping: Numbers, mass: Numbers, delay: Numbers
     ) -> Float64[np.ndarray, "*grid"]:
-        """Return the stiffness up to which all walls are proved stable, as the header does.
+        """Return the stiffness up to which all walls are proved stable, as the C header does.
 
         Args:
             damping: B in N s/m, any shape; all broadcast.
@@ -56,7 +56,7 @@ class Guard:
             delay: in s.
 
         Returns:
-            Stiffness in N/m; 0 where nothing is proved, outside of the ranges too.
+            Stiffness in N/m; 0 where nothing is proved, as outside the ranges.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
@@ -92,7 +92,7 @@ class Guard:
         mass: Float64[np.ndarray, " mass"],
         delay: Float64[np.ndarray, " delay"],
     ) -> Float64[np.ndarray, "mass delay damping"]:
-        """Return the stiffness at which the first hand at a corner of the range is unstable.
+        """Return the stiffness at which the first hand at a corner of the range becomes unstable.
 
         Args:
             damping: B in N s/m for each mass and delay.
@@ -118,7 +118,7 @@ class Guard:
 
     @property
     def granted(self) -> float:
-        """The mean of what is granted over the mean of what is stable, over all of the range.
+        """The mean granted stiffness over the mean stable one, over the whole range.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)

@@ -22,12 +22,12 @@ def guard_header(
 
     Args:
         guard: what is proved.
-        name: with which all names begin.
-        about: lines that say of which loop the guard is.
+        name: the beginning of all names in the header.
+        about: lines that say for which loop the guard is made.
         units: of mass, stiffness and damping.
 
     Raises:
-        ValueError: the name is none of C, or the header would be larger than 1 MB.
+        ValueError: the name is not valid in C, or the header would be larger than 1 MB.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)

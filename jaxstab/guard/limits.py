@@ -1,7 +1,7 @@
 """Where the stable walls of a loop end, for many devices, hands and delays at once.
 
-It is the closed form of the boundary at some angles, joined by straight lines: what the nodes of a
-guard are drawn from. Nothing here is a bound; the proof is ``jaxstab.guard.proof``.
+The closed form of the boundary is taken at some angles and joined by straight lines; the first
+nodes of a guard come from it. Nothing here is a bound; the proof is in ``jaxstab.guard.proof``.
 """
 
 from itertools import product
@@ -23,13 +23,13 @@ Curves = Float64[np.ndarray, "mass delay hand angle"]
 
 
 class Boundary(NamedTuple):
-    """Walls with a root on the unit circle, for each mass, delay and hand at the corners.
+    """Walls with a root on the unit circle, for each mass, delay and corner of the hands.
 
     Attributes:
         stiffness: of walls with a pair of roots, in N/m.
         damping: of the same in N s/m.
-        joined: whether two that follow each other are on one branch.
-        line: of walls with a root at -1: coefficients of K and B, and their sum.
+        joined: whether two consecutive points are on one branch.
+        line: walls with a root at -1: the coefficients of K and B, and their sum.
     """
 
     stiffness: Curves

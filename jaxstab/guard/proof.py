@@ -45,14 +45,14 @@ def unproved(
     cells: Int64[np.ndarray, "3 cell"] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Int64[np.ndarray, "3 cell"]:
-    """Return the cells whose walls are not proved to have no root on the unit circle.
+    """Return the cells for which it is not proved that no wall has a root on the unit circle.
 
     Args:
         loop: the loop; its device's mass, its hand and its delay are not used.
         hands: the range of hands.
         grid: what is to be proved.
-        cells: the cells of the grid that are asked for; None for all.
-        progress: is told the share of the cells that are done.
+        cells: the cells of the grid to prove; None for all.
+        progress: called with the share of the cells that are done.
     """
     proof = _Proof(loop, hands, grid)
     low, high = _starts(grid, cells)
@@ -75,7 +75,7 @@ def unproved(
 def are_stable(
     loop: LoopParameters, hands: HandRange, grid: Grid, places: Float64[np.ndarray, "3 place"]
 ) -> Bool[np.ndarray, " place"]:
-    """Say where the wall of the largest stiffness is proved stable for a hand at random."""
+    """Return where the wall of the largest stiffness is proved stable for a random hand."""
     rng = np.random.default_rng(2008)
     share = rng.random((3, places.shape[1]))
     mass, stiffness, damping = (
@@ -124,7 +124,7 @@ class _Proof:
         self._pyramid = Pyramid(grid)
 
     def failures(self, center: Boxes, half: Boxes) -> Int64[np.ndarray, "3 cell"]:
-        """Return the cells in which the proof is given up."""
+        """Return the cells in which the proof was given up."""
         cells = self._grid.cells
         tried = np.zeros(cells, int)
         count = 0

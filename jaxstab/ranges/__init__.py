@@ -1,4 +1,4 @@
-"""What boxes prove for users: margins, hands, robust regions."""
+"""Margins, ranges of hands and robust regions, proved over boxes of loops."""
 
 from lazy_loader import attach_stub
 

@@ -1,7 +1,7 @@
-"""How much longer the delay of a loop with any linear device may become, proved.
+"""How much longer the delay of a loop with any linear device may become: proved.
 
-As for one mass (``first_crossings``): only those angles matter at which |D| = |N| |H| for some
-fraction of a sample; there the first delay is looked for at which a root is on the circle.
+As for one mass (``first_crossings``), only the angles at which |D| = |N| |H| for some fraction of a
+sample matter; at these the search looks for the first delay with a root on the circle.
 """
 
 from functools import partial
@@ -31,7 +31,7 @@ _SAFE = 1.0 - 2.0**-48  # a step loses less when it is computed
 def extra_delays(
     device: SampledDevice, walls: Walls, filters: Filters | None
 ) -> Float64[np.ndarray, " wall"]:
-    """Return by how many samples the delay of stable walls (alpha, beta) may grow at least.
+    """Return by how many samples the delay of stable walls (alpha, beta) may at least grow.
 
     It is infinite where no root ever reaches the circle up to ``MOST_DELAY``, and NaN for a device
     that is too fast for what proves it.

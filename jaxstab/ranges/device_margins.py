@@ -41,7 +41,7 @@ def device_margins(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Margins:
-    """Return how far K, B and delay of a wall on any linear device may change, each alone.
+    """Return how far K, B and the delay of a wall on any linear device may change, one at a time.
 
     Args:
         device: with its hands and actuators, sampled: ``sampled_device``.
@@ -51,9 +51,9 @@ def device_margins(
         position: the position filter in SI units; None for none.
 
     Returns:
-        Margins in N/m, N s/m and s, proved as those of one mass. The extra delay is NaN for a
-        device with poles far beyond the sampling rate, of which no delay is proved: of about a
-        hundred rad per sample, or some thousand where they decay.
+        Margins in N/m, N s/m and s, proved like those of one mass. For a device with poles far
+        beyond the sampling rate no extra delay is proved (NaN): from about a hundred rad per sample
+        on, or some thousand if the poles decay.
 
     Raises:
         ValueError: a gain is infinite or NaN.
@@ -107,10 +107,10 @@ def is_stable_along(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Bool[np.ndarray, " device"]:
-    """Return for which devices all walls of a closed polygon, and all inside, are proved stable.
+    """Return for which devices all walls on and inside a closed polygon are proved stable.
 
-    The intersection of the regions of a list of devices, pulled in a little, is so proved to be a
-    robust region of the list.
+    In this way the intersection of the regions of several devices, pulled in a little, is proved to
+    be a robust region of all of them.
 
     Args:
         devices: sampled devices.
@@ -134,7 +134,7 @@ def is_stable_along(
 def device_ends(
     device: SampledDevice, walls: Walls, filters: Filters | None
 ) -> tuple[np.ndarray, Float64[np.ndarray, "wall 4"]]:
-    """Return the verdicts on walls (alpha, beta) and, of stable ones, the ends of both gains."""
+    """Return the verdicts on walls (alpha, beta) and, for stable walls, the ends of both gains."""
     loop = device.loop(filters)
     codes = np.asarray(linear_verdict(walls[:, 0], walls[:, 1], loop))
     ends = np.full((len(walls), 4), nan)

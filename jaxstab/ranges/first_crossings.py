@@ -1,8 +1,8 @@
 """From stable walls to the first root on the unit circle, when one quantity is changed.
 
-A gain is changed up to where the wall is proved unstable. A delay has no such end; there only those
-angles matter at which |D| = |N| |H| for some fraction of a sample: elsewhere no delay, however
-long, brings a root onto the circle.
+A gain is changed until the wall is proved unstable. A delay has no such end, but only the angles at
+which |D| = |N| |H| for some fraction of a sample matter: at other angles no delay, however long,
+brings a root onto the circle.
 """
 
 from functools import partial
@@ -56,9 +56,9 @@ def first_crossings(
 ) -> Float64[np.ndarray, "wall found"]:
     """Return the verdict on each wall and then, each way of ``WAYS``, a step and an angle.
 
-    Within the step, which has a sign, no root reaches the circle; that of the delay is infinite
-    where none does at all. The angle of the root that does is in units of pi. Both are NaN for a
-    wall that is not proved stable.
+    Within the signed step no root reaches the circle; the step of the delay is infinite if no root
+    ever does. The angle is that of the root which reaches the circle, in units of pi. Both are NaN
+    for a wall that is not proved stable.
     """
     table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
     for first in range(0, len(walls), _AT_ONCE):

@@ -1,7 +1,7 @@
-"""One wall and a range of hands: is it stable for all of them, and which hand is the worst?
+"""One wall and a range of hands: whether it is stable for all of them, and which hand is worst.
 
-Sampled hands find the worst one. The proof for all the others is by boxes of mass, stiffness,
-damping and theta that are halved until each is proved free of roots on the unit circle
+The worst hand is found among samples. The proof for all other hands halves boxes of mass,
+stiffness, damping and theta until each of them is proved free of roots on the unit circle
 (``boxes.exclusion``): then the number of unstable roots is the same for all hands, and one proof of
 stability is enough (lemma B6 of docs/proofs.md).
 """
@@ -34,7 +34,7 @@ _SMALLEST = 2.0**-20  # of the ranges: boxes are not halved beyond
 
 
 class HandRange(NamedTuple):
-    """Hands from the lowest to the highest mass in kg, stiffness in N/m and damping in N s/m.
+    """A range of hands: lowest and highest mass in kg, stiffness in N/m and damping in N s/m.
 
     Example:
         >>> jaxstab.HandRange(mass=(0.0, 1.0), stiffness=(0.0, 700.0), damping=(0.0, 12.0))
@@ -47,10 +47,10 @@ class HandRange(NamedTuple):
 
 
 class WorstHand(NamedTuple):
-    """What is known of a wall for all hands of a range, and the worst hand that was sampled.
+    """What is known about a wall for all hands of a range, with the worst hand that was sampled.
 
-    ``verdict``: STABLE is proved for every hand, UNSTABLE is proved for ``loop``, the loop with the
-    worst hand: the one of the largest spectral ``radius`` of those sampled.
+    A ``verdict`` of STABLE is proved for every hand. UNSTABLE is proved for ``loop``, the loop with
+    the worst hand: the sampled hand with the largest spectral ``radius``.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -127,7 +127,7 @@ def _unproved(loop: LoopParameters, hands: HandRange, stiffness: float, damping:
 
 
 def spread_hands(hands: HandRange, count: int) -> Hands:
-    """Return hands spread over the range, their stiffness evenly in frequency."""
+    """Return hands spread over the range, with stiffnesses spaced evenly in frequency."""
     ends = (hands.mass, tuple(sqrt(end) for end in hands.stiffness), hands.damping)
     axes = [np.linspace(low, high, count if low < high else 1) for low, high in ends]
     axes[1] = axes[1] ** 2

@@ -1,4 +1,4 @@
-"""Margins under JAX: the search is called back, and derivatives come from what holds at its end.
+"""Margins under JAX: the search is called back, derivatives follow from the crossing it finds.
 
 How a crossing moves with the loop follows from the two equations for a root on the circle, by the
 implicit function theorem.

@@ -1,8 +1,8 @@
-"""How far a wall can be changed before it loses stability: in stiffness, in damping, in delay.
+"""How far a wall can be changed before it loses stability: in stiffness, damping or delay.
 
-From a wall that is proved stable, one quantity is changed. Up to the first root on the unit circle
-no root can have crossed it, so the loop is proved stable that far (lemma B5 of docs/proofs.md). The
-delay is changed continuously, through all fractions of a sample.
+One quantity is changed, starting from a wall that is proved stable. Until the first root reaches
+the unit circle no root can have crossed it, so the loop is proved stable that far (lemma B5 of
+docs/proofs.md). The delay is changed continuously, through all fractions of a sample.
 """
 
 from math import inf
@@ -23,23 +23,23 @@ _ROUNDING = 2.0**-52
 
 
 class Margins(NamedTuple):
-    """What a wall has left; NaN throughout for a wall that is not proved stable.
+    """How much a wall may change; NaN throughout for a wall that is not proved stable.
 
-    All numbers are proved: so far the wall stays stable. They fall short of the first root on the
-    circle by at most about 1e-9 of the way there, or by what rounding hides: p(z) that is somewhere
-    on the circle below about 1e-13 of its largest term, per sample of delay, is not told from 0. A
-    few extra delays of tens of samples fall short by more: of a wall at which roots stay next to
-    the circle at nearly all angles the search is given up. With filters rounding hides about ten
-    times as much.
+    All numbers are proved: the wall stays stable that far. They fall short of the first root on the
+    circle by at most about 1e-9 of the way there, or by what rounding hides: where |p(z)| somewhere
+    on the circle is below about 1e-13 of its largest term, per sample of delay, it cannot be told
+    from 0. With filters rounding hides about ten times as much. A few extra delays of tens of
+    samples fall short by more, because the search is given up for a wall whose roots stay next to
+    the circle at nearly all angles.
 
     Attributes:
         verdict: certified codes of ``Verdict``.
-        stiffness: the least and the largest K, at this B, between which the wall stays stable.
-        damping: the least and the largest B, at this K.
+        stiffness: the smallest and the largest K between which the wall stays stable at this B.
+        damping: the smallest and the largest B between which it stays stable at this K.
         stiffness_gain: the factor by which K may be multiplied; infinite for K <= 0.
         damping_gain: the factor by which B may be multiplied; infinite for B <= 0.
-        extra_delay: the time by which the delay may grow; infinite where no delay is too much, or
-            none up to 1024 samples (MOST_DELAY) more.
+        extra_delay: the time by which the delay may grow; infinite if no delay is too long, or none
+            of up to 1024 further samples (MOST_DELAY).
 
     Example:
         >>> jaxstab.margins(0.1, 0.2, 0.0, 0.015, 1.0)
@@ -62,7 +62,7 @@ class Margins(NamedTuple):
 
 
 class WallMargins(Margins):
-    """Margins in SI units, which their table shows."""
+    """Margins in SI units, with these units in their printed table."""
 
     def __repr__(self) -> str:
         """Return the table of ``Margins`` with units."""
@@ -80,11 +80,12 @@ def margins(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Margins:
-    """Return how far alpha, beta and delay of a loop may change, each alone, before it is unstable.
+    """Return how far alpha, beta and delay may change, one at a time, before a loop is unstable.
 
-    With JAX arrays the search is called back from JAX: jit and vmap go through. Differentiable once
-    in every argument, the delay too; where two crossings come first at once, the derivative is that
-    of one of them, and NaN where the margin is infinite or the loop not stable.
+    With JAX arrays the search is called back from JAX, so it works under jit and vmap. It is
+    differentiable once in every argument, the delay too. Where two crossings come first at once,
+    the derivative is that of one of them; it is NaN where the margin is infinite or the loop not
+    stable.
 
     Args:
         alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.

@@ -2,9 +2,10 @@
 
 For one hand, columns of the damping are divided into gaps of proved verdicts
 (``boxes.columns.column_gaps``). A stiffness in an unstable gap of one hand is not allowed in that
-column; one in stable gaps of all hands is, for these hands. So sampled hands bound the limit from
-both sides, whatever the shapes of their stable sets; columns in which the bounds differ are divided
-again. A wall a little below is then proved for all hands (``worst_hand``).
+column; one in stable gaps of all sampled hands is allowed, as far as these hands go. So sampled
+hands bound the limit from both sides, whatever the shapes of their stable sets; columns in which
+the bounds differ are divided again. A wall a little below is then proved for all hands
+(``worst_hand``).
 """
 
 from math import nan
@@ -38,13 +39,13 @@ class RobustLimit(NamedTuple):
     """The stiffest wall for all hands of a range, in SI units; NaN where there is none.
 
     Attributes:
-        stiffness: K of a wall, 1 % below the stiffest that was found, and up to 8 % where the proof
-            failed nearer to it; with ``is_proved`` it is proved stable for every hand.
+        stiffness: K of a wall 1 % below the stiffest one that was found, or up to 8 % below where
+            the proof failed closer to it.
         damping: B of that wall.
-        is_proved: whether it is.
-        limit: no stiffer wall is stable for every hand: above it, each wall within the span of the
-            sampled hands' stable regions is proved unstable for one of them. With an estimator or a
-            filter the span is that of the components that small gains lead to.
+        is_proved: whether that wall is proved stable for every hand.
+        limit: no stiffer wall is stable for every hand: every wall above it, within the span of the
+            sampled hands' stable regions, is proved unstable for one of these hands. With an
+            estimator or a filter the span is that of the components with small gains.
         loop: the loop with the hand that sets the limit.
 
     Example:

@@ -1,15 +1,16 @@
 """Walls that are stable for every hand of a range: the intersection of stable regions, proved.
 
-The intersection over sampled hands is only a guess, too large. It is pulled in a little and then
-proved: along the edges of the polygon, for all gamma, delta and theta of the ranges at once, boxes
-are halved until each is proved free of roots on the unit circle (``boxes.exclusion``). That is
-enough. For any one hand the walls with a root on the circle are a curve that starts on the line
-z = 1, runs through infinity where it is not connected, and ends on the line z = -1 or at infinity;
-no piece of it can lie inside of a closed polygon that none of it crosses. So inside of the polygon
-the number of unstable roots is the same for all walls and, by continuity, for all hands; a verdict
-on one loop says that it is zero (lemma B7 of docs/proofs.md).
+The intersection over sampled hands is only a guess, and too large. It is pulled in a little and
+then proved: along the edges of the polygon, for all gamma, delta and theta of the ranges at once,
+boxes are halved until each of them is proved free of roots on the unit circle
+(``boxes.exclusion``). This is enough. For any one hand the walls with a root on the circle form a
+curve that starts on the line z = 1, runs through infinity where it is not connected, and ends on
+the line z = -1 or at infinity. So no piece of it can lie inside a closed polygon that the curve
+does not cross. Inside the polygon the number of unstable roots is therefore the same for all walls
+and, by continuity, for all hands; a verdict on one loop says that it is zero (lemma B7 of
+docs/proofs.md).
 
-Where the proof fails, the hand at which it fails joins the sample, and it is tried again.
+Where the proof fails, the hand at which it fails joins the sample, and the proof is tried again.
 """
 
 from collections.abc import Callable
@@ -99,9 +100,9 @@ class RobustRegion:
         return vertex
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
-        """Return where a wall is proved stable for all hands of the range.
+        """Return where walls are proved stable for all hands of the range.
 
-        It is proved for each wall anew, so that it may be True outside of the outline.
+        Each wall is proved anew, so the answer may be True outside the outline too.
 
         Args:
             alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
@@ -121,7 +122,7 @@ class RobustRegion:
 
         Returns:
             STABLE where the wall is proved stable for every hand, UNSTABLE where it is proved
-            unstable for one of them, UNDECIDED between.
+            unstable for one of them, otherwise UNDECIDED.
 
         Raises:
             ValueError: alpha or beta is NaN or infinite.
@@ -159,7 +160,8 @@ def robust_region(
             is at pi^2 + delta^2/4. Equal ends fix it.
         delta: lower and upper end of the physical damping b T/m in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, whole or fractional.
-        tolerance: by which part of its size the polygon is pulled in to be proved, in [1e-3, 0.5].
+        tolerance: how far the polygon is pulled in to be proved, as a share of its size, in
+            [1e-3, 0.5].
         velocity: the velocity estimator in units of one sample; None for the difference over one.
         position: the position filter in units of one sample; None for none.
 
@@ -264,13 +266,13 @@ class _Sample:
 def polygon_of_rows(
     limits: Callable[[Rows], tuple[Rows, Rows]], low: float, high: float, count: int = _ROWS
 ) -> Points:
-    """Return a polygon of the spans that rows from low to high have; no point if none has one.
+    """Return a polygon of the spans of rows from low to high; no point if no row has one.
 
     Args:
         limits: takes rows, returns the left and the right end of each.
-        low: no row is looked for below.
-        high: nor above.
-        count: of rows.
+        low: the lowest row.
+        high: the highest row.
+        count: number of rows.
     """
     for _ in range(3):  # the spans may end before the rows do
         rows = np.linspace(low, high, count + 2)[1:-1]
@@ -287,7 +289,7 @@ def polygon_of_rows(
 
 
 def reachable(region: StableRegion, filters: Filters | None) -> StableRegion:
-    """Return what is looked at of a hand's region: with filters it may have islands."""
+    """Return the part of a hand's region that counts: with filters, one component."""
     if filters is None or region.is_empty:
         return region
     return region.main or region.components[0]

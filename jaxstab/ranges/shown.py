@@ -1,4 +1,4 @@
-"""Margins as a table for people: limits rounded inwards, so that what is printed is proved, too."""
+"""Margins as a table for people, with limits rounded inwards: what is printed is proved too."""
 
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""The gains that are best."""
+"""The best gains."""
 
 from lazy_loader import attach_stub
 

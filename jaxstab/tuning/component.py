@@ -1,4 +1,4 @@
-"""The part of a stable set in which the best gains are looked for: what small gains lead to."""
+"""The component of a stable set in which the best gains are searched: the one with small gains."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -19,17 +19,17 @@ class Component(NamedTuple):
     """A component of a stable set, or all gains.
 
     edges: of its outline, from (alpha, beta) to (alpha, beta); None for all gains.
-    status: of gains that are found there; NOT_COMPUTED if it is for the search to say.
+    status: of gains that are found there; NOT_COMPUTED leaves it to the search.
     """
 
     edges: Float64[np.ndarray, "edge 4"] | None = None
     status: TuningStatus = TuningStatus.NOT_COMPUTED
 
     def holds(self, alpha: np.ndarray, beta: np.ndarray) -> Bool[np.ndarray, "*grid"]:
-        """Tell which stable gains are in the component: those that its outline goes around.
+        """Return which stable gains are in the component: those that its outline encloses.
 
-        Stable gains are not at the edge of another component, so the polygon is as good for this as
-        the curve is.
+        Stable gains are not next to another component's edge, so the polygon is as good for this as
+        the exact curve.
         """
         alpha, beta = np.broadcast_arrays(alpha, beta)
         if self.edges is None:
@@ -48,7 +48,7 @@ ALL_GAINS = Component()
 
 @lru_cache(maxsize=64)
 def searched_component(gamma: float, delta: float, delay: float, filters: Filters) -> Component:
-    """Return the component of small gains; all gains, with what to say, if there is none."""
+    """Return the component of small gains; if there is none, all gains and a status."""
     velocity, position = filters
     return component_of(stable_region(gamma, delta, delay, velocity=velocity, position=position))
 

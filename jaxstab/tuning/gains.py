@@ -1,9 +1,9 @@
 """The best wall: by radius or by settling time, with both gains free or with the stiffness given.
 
-Settling counts whole samples, so it jumps. What is minimised instead is the largest deviation from
-sample n on, which is continuous in the gains, for one n after the other, downwards, as long as the
-deviation can be brought within the level. At the least n, the gains with the smallest deviation are
-taken: they are unique, and inside the set of all gains that settle as fast.
+Settling counts whole samples, so it jumps. The search minimises the largest deviation from sample n
+on instead, which is continuous in the gains. It lowers n for as long as the deviation can be
+brought within the level. At the smallest n, the gains with the smallest deviation are taken: they
+are unique, and lie inside the set of all gains that settle as fast.
 """
 
 from collections.abc import Callable
@@ -42,10 +42,11 @@ def minimize_radius_damping(
 ) -> OptimalGains:
     """Return the damping beta with the smallest spectral radius for a given stiffness alpha.
 
-    Found by a scan over both signs and nine decades of beta, and by zooming in on its best point.
-    Where two real poles meet there, beta is right to about 1e-14 and the radius to about 1e-8. With
-    an estimator or a filter it is the best of the component that holds small positive gains; where
-    that has no gains of this stiffness, the best of an island, and the status says so.
+    It is found by a scan over both signs and nine decades of beta, which zooms in on its best
+    point. If two real poles meet there, beta is right to about 1e-14 and the radius to about 1e-8.
+    With an estimator or a filter it is the best damping in the component that holds small positive
+    gains; if that has no gains of this stiffness, the best one of an island, and the status says
+    so.
 
     Args:
         alpha: wall stiffness K T^2/m, one number, like all arguments.
@@ -108,9 +109,9 @@ def minimize_settling(
 ) -> OptimalGains:
     """Return the gains that settle after the fewest samples.
 
-    Many gains do: those whose deviation from then on is the smallest are returned. The search looks
-    at all stable gains around those of the smallest radius, on a grid, and zooms in; with an
-    estimator or a filter, at those of the component in which that radius was found.
+    Many gains settle equally fast; those with the smallest deviation from then on are returned. The
+    search covers all stable gains around those of the smallest radius with a grid and zooms in;
+    with an estimator or a filter it stays in the component in which that radius was found.
 
     Args:
         gamma: physical stiffness k T^2/m in [0, 1e4], one number, like all arguments.

@@ -47,7 +47,7 @@ class Grid:
 def zoomed(
     least: Callable[[Grid], tuple[float, int]], grid: Grid, enough: float = -np.inf
 ) -> tuple[tuple[float, float], float]:
-    """Minimise over the gains; ``least`` gives the smallest value on a grid, and its place.
+    """Minimise over the gains; ``least`` returns the smallest value on a grid, and its place.
 
     The search ends early once ``enough`` is reached.
     """

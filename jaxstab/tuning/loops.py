@@ -38,11 +38,11 @@ class MassLoop(NamedTuple):
 
     @classmethod
     def of(cls, plant: Plant, filters: Filters | None) -> "MassLoop":
-        """Return a loop, of which small gains are searched, or what leads to them."""
+        """Return a loop whose search covers the component of small gains, if there is one."""
         return cls(plant, filters, searched_component(*plant, filters) if filters else ALL_GAINS)
 
     def anywhere(self) -> "MassLoop":
-        """Return the same loop, of which all gains are searched."""
+        """Return the same loop with a search that covers all gains."""
         return self._replace(component=ALL_GAINS)
 
     def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
@@ -54,14 +54,14 @@ class MassLoop(NamedTuple):
         return spectral_radius(alpha, beta, *self.plant, **as_keywords(self.filters))
 
     def radii(self, alpha: Any, beta: Any) -> np.ndarray:
-        """Return the radii of walls; with filters, infinite for those not looked for."""
+        """Return the radii of walls; with filters, infinite for walls outside the search."""
         if self.filters is None:
             return np.asarray(self.spectral_radius(alpha, beta).value)
         walls = filtered_walls(*self.plant, self.filters)
         return _radii(walls._replace(component=self.component), self.verdicts, alpha, beta)
 
     def decays(self, alpha: np.ndarray, beta: np.ndarray, slowest: float) -> np.ndarray:
-        """Return which walls are stable; a mass alone has no mode that rings unseen."""
+        """Return which walls are stable: a single mass has no mode that rings unseen."""
         return self.verdicts(alpha, beta) == Verdict.STABLE
 
     def smallest_radius(self) -> OptimalGains:
@@ -90,7 +90,7 @@ class DeviceLoop(NamedTuple):
 
     @classmethod
     def of(cls, device: SampledDevice, filters: Filters | None) -> "DeviceLoop":
-        """Return a loop, of which small gains are searched, or what leads to them.
+        """Return a loop whose search covers the component of small gains, if there is one.
 
         Raises:
             ValueError: the device does not give way to a constant force.
@@ -98,7 +98,7 @@ class DeviceLoop(NamedTuple):
         return cls(device, filters, _device_walls(device, filters).component)
 
     def anywhere(self) -> "DeviceLoop":
-        """Return the same loop, of which all gains are searched."""
+        """Return the same loop with a search that covers all gains."""
         return self._replace(component=ALL_GAINS)
 
     def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
@@ -110,12 +110,12 @@ class DeviceLoop(NamedTuple):
         return linear_spectral_radius(*_as_arrays(alpha, beta), self._linear)
 
     def radii(self, alpha: Any, beta: Any) -> np.ndarray:
-        """Return the radii of walls, infinite for those not looked for."""
+        """Return the radii of walls, infinite for walls outside the search."""
         walls = _device_walls(self.device, self.filters)
         return _radii(walls._replace(component=self.component), self.verdicts, alpha, beta)
 
     def decays(self, alpha: np.ndarray, beta: np.ndarray, slowest: float) -> np.ndarray:
-        """Return which walls have a radius that is no larger than some."""
+        """Return which walls have a radius no larger than a limit."""
         return _device_walls(self.device, self.filters).largest_pole(alpha, beta) <= slowest
 
     def smallest_radius(self) -> OptimalGains:

@@ -1,4 +1,4 @@
-"""Multiple roots of p(z): what the best gains are for, as equations that Newton's method solves.
+"""Multiple roots of p(z), which the best gains have, as equations for Newton's method.
 
 A triple real root solves p = p' = p'' = 0, a double complex pair p = p' = 0, for the gains and z.
 """

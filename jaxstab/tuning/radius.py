@@ -49,13 +49,13 @@ def minimize_radius(
     """Return the gains (alpha, beta) with the smallest spectral radius: the fastest decay.
 
     In the haptic range the best gains make a triple real pole; with a stiff hand and a delay, a
-    double complex pair. Both are solved for to full precision. The best alpha may be negative where
-    the hand is stiff. That the gains are the best is not proved: the search looks for a smaller
-    radius at every angle of the dominant pair, to the resolution of its scan.
+    double complex pair. Both are solved for to full precision. The best alpha may be negative if
+    the hand is stiff. It is not proved that no other gains are better: the search looks for a
+    smaller radius at every angle of the dominant pair, to the resolution of its scan.
 
     With an estimator or a filter the stable set may have several components. The best gains are
-    those of the component that holds small positive gains; where none does, those of the islands,
-    and the status says so.
+    then those of the component that holds small positive gains; if there is none, those of the
+    islands, and the status says so.
 
     Args:
         gamma: physical stiffness k T^2/m in [0, 1e4], any shape; broadcasts with delta.
@@ -65,10 +65,10 @@ def minimize_radius(
         position: the position filter in units of one sample; None for none.
 
     Returns:
-        OptimalGains of the broadcast shape, ``value`` the radius at the exact multiple root: gains
-        that are rounded to float64 reach it to about 1e-5 at a triple root, those of six digits to
-        1e-2. Differentiable once in gamma and delta where the status is TRIPLE_ROOT or DOUBLE_PAIR;
-        elsewhere the derivative is NaN.
+        OptimalGains of the broadcast shape. ``value`` is the radius at the exact multiple root: at
+        a triple root, gains rounded to float64 come within about 1e-5 of it, gains of six digits
+        within 1e-2. Differentiable once in gamma and delta where the status is TRIPLE_ROOT or
+        DOUBLE_PAIR; elsewhere the derivative is NaN.
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN.
@@ -99,7 +99,7 @@ def minimize_radius(
 
 
 def smallest_radius(walls: Walls, verdicts: Callable[[Array, Array], Array]) -> OptimalGains:
-    """Return the best gains of one loop, of those that ``walls`` are searched for."""
+    """Return the best gains of one loop among its ``walls``."""
     *best, kind = searched([walls], ())
     known = walls.component.status
     kind = np.int8(known) if known != TuningStatus.NOT_COMPUTED else kind
@@ -175,7 +175,7 @@ def filtered_walls(gamma: float, delta: float, delay: float, filters: Filters) -
 
 
 def walls_of(loop: LinearLoop, component: Component) -> Walls:
-    """Return all walls of any linear loop, and in which component they are searched."""
+    """Return all walls of any linear loop, with the component that the search covers."""
     family = family_of_loop(loop)
     zeros = np.roots(family.stiff)
     near = zeros[np.abs(zeros) > _NEAR_CIRCLE] + 0j

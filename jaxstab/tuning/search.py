@@ -1,15 +1,15 @@
 """The search for the dominant pair of poles of the smallest radius.
 
 For a pair z = r e^(+-i theta) (theta = 0 or pi: a double real root) both gains follow from
-p(z) = 0, a linear system. If gains have all roots inside of r, then gains at the edge of the set of
-all such gains have a pair on the circle, at some theta, and no other root is larger. So the set is
-empty if the smallest rest(theta), the largest modulus of the other roots, is above r; and whatever
-it is, max(r, rest) is a radius that gains reach. A scan minimises rest over theta, then around the
-best of its local minima.
+p(z) = 0, a linear system. If some gains have all roots inside radius r, then gains at the edge of
+the set of all such gains have a pair on the circle, at some theta, and no larger root. Let
+rest(theta) be the largest modulus of the other roots. If its minimum is above r, the set is empty;
+in any case max(r, rest) is a radius that some gains have. A scan minimises rest over theta, then
+again around the best of its local minima.
 
-The first guess is a triple real root, all of which are known. A scan of a radius a little below
-tells whether it is the best. If not, the radius is taken down from scan to scan, until a double
-pair next to the best point, or the point itself, stands such a test.
+The first guess is a triple real root, all of which are known. A scan at a slightly smaller radius
+shows whether it is the best. If it is not, the radius is lowered from scan to scan until a double
+pair next to the best point, or the point itself, passes this test.
 """
 
 from collections.abc import Iterable
@@ -50,11 +50,11 @@ Angles = Float64[np.ndarray, " angle"]
 
 
 class Walls(NamedTuple):
-    """All walls of a loop, among which the best is looked for.
+    """All walls of a loop, among which the best one is searched.
 
     family: p(z) of each.
-    angles: of pairs on a circle, for a scan.
-    component: of the stable set, in which to look.
+    angles: angles of pairs on a circle, for a scan.
+    component: the component of the stable set that is searched.
     """
 
     family: Family

@@ -11,9 +11,9 @@ from jaxstab.conventions import Status
 class TuningStatus(Status):
     """How the best gains are known; small integers, so that arrays store int8.
 
-    That no other gains are better is proved for none of them. With filters the stable set may have
-    several components: gains are looked for in the one that holds small positive gains, which
-    turning gains up from 0 reaches, and elsewhere only where a status says so.
+    None of them proves that no other gains are better. With filters the stable set may have several
+    components: the search covers the one that holds small positive gains, which is reached by
+    turning gains up from 0, and other components only where the status says so.
 
     Example:
         >>> jaxstab.TuningStatus(1).words
@@ -31,7 +31,7 @@ class TuningStatus(Status):
 
 
 class OptimalGains(NamedTuple):
-    """The best gains, what they reach (a radius, or samples) and how they are known.
+    """The best gains, what they achieve (a radius, or samples) and how they are known.
 
     Example:
         >>> best = jaxstab.minimize_radius(0.0, 0.0, 0.0)
