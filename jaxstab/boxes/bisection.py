@@ -1,4 +1,4 @@
-"""Boxes of loops that may hold a root on the unit circle: the others are proved free of one."""
+"""Boxes of loops that may have a root on the unit circle; all others are proved free of one."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,7 +12,7 @@ Corners = Float64[np.ndarray, "boxes axis"]
 
 
 class Boxes(NamedTuple):
-    """Boxes center +- half in coordinates of the caller's."""
+    """Boxes center +- half, in coordinates chosen by the caller."""
 
     center: Corners
     half: Corners
@@ -36,14 +36,14 @@ class Extent(NamedTuple):
 
 
 class Proof(NamedTuple):
-    """Which boxes are proved free, and how much each axis has to do with those that are not."""
+    """Which boxes are proved free, and how much each axis contributes where the proof fails."""
 
     free: Bool[np.ndarray, " boxes"]
     share: Corners
 
 
 class Paving(NamedTuple):
-    """The boxes that could not be excluded, at their smallest size, and whether all were tried."""
+    """The smallest boxes that could not be excluded, and whether all boxes were tried."""
 
     boxes: Boxes
     finished: bool
@@ -56,7 +56,7 @@ def pave(
     most: int = 60_000,
     prove: Callable[[Loops, Loops], Exclusion] = exclude,
 ) -> Paving:
-    """Halve boxes, along the axis that matters most, until ``prove`` frees them or ``smallest``.
+    """Halve boxes along the axis that matters most, until they are proved free or the smallest.
 
     Axes of half-width zero are not split. The work is given up, unfinished, when more than ``most``
     boxes are open at once.

@@ -1,4 +1,4 @@
-"""The two real equations for a pair of roots on the unit circle, quick to compute.
+"""The two real equations for a pair of roots on the unit circle, in a form quick to compute.
 
 With z = e^(i theta), m = floor(delay) + 1 and the notation of ``jaxstab.region.curve``,
 
@@ -66,7 +66,7 @@ class QuickPlant(NamedTuple):
 
     ``impulse`` and ``kept`` are position and velocity one sample after an impulse, ``early`` and
     ``late`` the slopes by the delay: n2 loses early, n0 gains late, n1 the rest. ``d_error`` and
-    ``n_error`` bound what D and N have lost on the circle, beside a few roundings of their terms.
+    ``n_error`` bound the errors of D and N on the circle, beyond a few roundings of their terms.
     """
 
     d1: Float64[Array, "*grid"]
@@ -88,7 +88,7 @@ def accurate_plant(
     delta: Float64[np.ndarray, " loop"],
     delay: Float64[np.ndarray, " loop"],
 ) -> QuickPlant:
-    """Return the sampled plant of loops, of which many may have the same one, to all digits."""
+    """Return the sampled plants of loops to full precision; equal plants are computed once."""
     hands = np.stack([gamma, delta, delay - np.floor(delay)], axis=-1)
     hands, number = np.unique(hands, axis=0, return_inverse=True)
     alone = len(hands) == 1

@@ -2,9 +2,9 @@
 
 In a column the boundary is a few strips, each within an error of a plane over its parameters:
 the line of a root at 1, the parts of the curve (``enclosure``), and the line of a root at -1.
-Between two strips, and below and above them all, no root crosses the unit circle, so that one
-certified verdict speaks for the whole gap. This needs nothing to be known about the shape of the
-stable set; where strips meet, or more than one gap is stable, what lies between stays undecided.
+Between two strips, and below and above them all, no root crosses the unit circle, so one certified
+verdict holds for the whole gap. Nothing has to be known about the shape of the stable set. Where
+strips meet, or more than one gap is stable, what lies between stays undecided.
 """
 
 from collections.abc import Callable
@@ -47,11 +47,12 @@ Planes = Float64[np.ndarray, "*column 7"]
 
 
 class StableColumns(NamedTuple):
-    """What is proved of alpha in columns, shape (box, beta cell, term of ``TERMS``).
+    """The proved stable alphas of columns, shape (box, beta cell, term of ``TERMS``).
 
     Where alpha is below the lower plane by more than its error, or above the upper one, the loop is
     unstable, and between them, by more than the errors, it is stable. Lower planes are infinite in
-    a column that has no stable alpha, upper planes in one that has no end of them in the domain.
+    a column without a stable alpha, upper planes in one whose stable alphas do not end in the
+    domain.
     """
 
     lower: Float64[np.ndarray, "box beta_cell 7"]
@@ -61,8 +62,8 @@ class StableColumns(NamedTuple):
 class ColumnGaps(NamedTuple):
     """Open intervals of alpha in which no root crosses the unit circle anywhere in a column.
 
-    Each has one verdict for all beta, gamma and delta of its closed column. A column has fewer gaps
-    than there is room for where ``low < high`` does not hold.
+    Each gap has one verdict for all beta, gamma and delta of its closed column. Entries without
+    ``low < high`` are padding.
 
     Attributes:
         low: lower ends, shape (box, beta cell, gap), from below.
@@ -93,7 +94,7 @@ def stable_columns(
         filters: velocity estimator and position filter in units of one sample, whose gain P(1) is
             not 0; None for the difference over one sample. Then a column may have several stable
             gaps, and between the first and the last of them nothing is said.
-        half_delay: how far the delay is from this at most. No whole sample may lie between.
+        half_delay: largest distance of the delay from this one; no whole sample may lie between.
 
     Raises:
         ValueError: gamma, delta or delay is outside the range of the model, or P(1) is 0.
@@ -124,7 +125,7 @@ def column_gaps(
     domain: Domain,
     filters: Filters | None = None,
 ) -> ColumnGaps:
-    """Return what is proved of each column of a domain, gap by gap.
+    """Return the proved verdicts of each column of a domain, gap by gap.
 
     Args, errors and source: as ``stable_columns``.
     """

@@ -1,4 +1,4 @@
-"""Roots of loops with any linear device on the unit circle, when the delay is any number.
+"""Roots on the unit circle of loops with any linear device, for any delay.
 
 With x = 1/z, a delay of n + f samples and the order k of D,
 
@@ -58,7 +58,7 @@ class DelayBoxes(NamedTuple):
 
 @lru_cache(maxsize=16)
 def delayed_device(device: SampledDevice, filters: Filters | None) -> DelayedDevice | None:
-    """Return a device for all delays; None for one that is too fast for ``pieces_of_delay``."""
+    """Return a device for all delays; None if it is too fast for ``pieces_of_delay``."""
     pieces = pieces_of_delay(device)
     if pieces is None:
         return None
@@ -93,8 +93,8 @@ class _Force(NamedTuple):
 def models(device: DelayedDevice, boxes: DelayBoxes) -> tuple[Models, Reals]:
     """Return g over boxes (the axes: delay, theta), and how far |D| is from |F| in them.
 
-    Boxes lie within a piece each. The latter is a lower bound: where it is positive, no delay that
-    is whole samples longer or shorter brings a root onto the circle at these angles.
+    Each box lies within one piece. The second result is a lower bound: where it is positive, no
+    delay that differs by whole samples brings a root onto the circle at these angles.
     """
     gains, delay, theta, by_delay, by_theta = boxes
     whole = np.floor(delay)

@@ -1,8 +1,8 @@
 """The boundary over whole boxes of hands, enclosed: where roots can lie on the unit circle.
 
-The closed form (``curve``) in linear models of theta, gamma and delta gives patches of the curve
-with a proved error. Patches that meet a domain of (alpha, beta) are halved in theta until they are
-short. With h = 1 - cos(theta) and the line of a root at 1 written out by hand,
+The closed form (``curve``), evaluated in linear models of theta, gamma and delta, gives patches of
+the curve with a proved error. Patches that meet a domain of (alpha, beta) are halved in theta until
+they are short. With h = 1 - cos(theta) and the line of a root at 1 written out by hand,
 
     alpha = -gamma + h lift,
 
@@ -44,8 +44,8 @@ class Domain(NamedTuple):
 class Patches(NamedTuple):
     """Parts of the curve over boxes of hands, in the order of the boxes and then of theta.
 
-    Linear models in theta and the variables of the plant; where their rest is infinite the curve
-    may be anywhere.
+    They are linear models in theta and the variables of the plant; where their rest is infinite,
+    the curve may be anywhere.
     """
 
     box: Box
@@ -66,16 +66,15 @@ def curve_patches(
 ) -> Patches:
     """Enclose the curve of a pair of roots on the unit circle where it may meet a domain.
 
-    Beyond the line of a root at 1 it is left out: there p(1) < 0, so that one real root is outside
-    always.
+    It is left out beyond the line of a root at 1: p(1) < 0 there, so a real root is always outside.
 
     Args:
         hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples.
         domain: of the gains.
-        width: patches are halved until theta moves alpha and beta no farther.
+        width: patches are halved until theta moves alpha and beta by no more than this.
         filters: velocity estimator and position filter, in units of one sample.
-        half_delay: how far the delay is from this at most, between the whole samples around it.
+        half_delay: largest distance of the delay from this one, between whole samples.
     """
     plant = plant_models(hands, delay, half_delay)
     turns = int(np.floor(delay)) + 1
@@ -157,15 +156,15 @@ class _Curve(NamedTuple):
 
     @property
     def rests(self) -> Float64[np.ndarray, "2 patch"]:
-        """What is not known of alpha and beta."""
+        """The bounds of what the models leave unknown of alpha and beta."""
         return np.stack([self.alpha.value.rest, self.beta.value.rest])
 
     def is_short(
         self, width: tuple[float, float], before: Float64[np.ndarray, "2 patch"]
     ) -> Bool[np.ndarray, " patch"]:
-        """Say which patches theta moves no farther than a width, or than what is not known.
+        """Return which patches theta moves no farther than a width, or than what is unknown.
 
-        Where that is much, it is more than half of what was not known ``before`` the last halving.
+        A large unknown counts only if it is more than half of that ``before`` the last halving.
         """
         short, square = np.ones(self.lift.value.rest.shape, bool), self.square.value
         for gain, wanted, former in zip(
@@ -180,7 +179,7 @@ class _Curve(NamedTuple):
         return short
 
     def is_outside(self, domain: Domain) -> Bool[np.ndarray, " patch"]:
-        """Say which patches lie wholly outside, or beyond the line of a root at 1."""
+        """Return which patches lie wholly outside, or beyond the line of a root at 1."""
         outside: np.ndarray = (
             self.alpha.value.is_off(*domain.alpha)
             | self.beta.value.is_off(*domain.beta)

@@ -1,8 +1,8 @@
 """Proof that a box of loops and angles has no root on the unit circle (lemma B3 of docs/proofs.md).
 
-g of ``jaxstab.boxes.circle`` is expanded at the centre of the box; lemma B2 bounds how far second
-derivatives of the plant can bend it. A box is free of roots when all of g, so enclosed, lies in one
-open half-plane.
+g of ``jaxstab.boxes.circle`` is expanded at the centre of the box; lemma B2 bounds how far the
+plant's second derivatives can bend it. If the enclosed values of g all lie in one open half-plane,
+the box is free of roots.
 """
 
 from typing import NamedTuple
@@ -59,7 +59,7 @@ class Expansion(NamedTuple):
 def exclude(center: Loops, radius: Loops, filters: Filters | None = None) -> Exclusion:
     """Prove that no loop of a box center +- radius has a root on the circle at the box's angles.
 
-    Boxes may extend to negative gamma, delta or delay; nothing is proved about these parts.
+    Boxes may extend to negative gamma, delta or delay; nothing is proved about those parts.
     """
     g = expansion(center, radius, filters=filters)
     free = is_free(g.value, g.linear * np.stack(radius), g.rest)
@@ -82,10 +82,10 @@ def exclude_any_delay(center: Loops, radius: Loops, filters: Filters | None = No
 def is_free(
     value: Complexes, moves: Complex128[np.ndarray, "variable boxes"], rest: Reals
 ) -> Bool[np.ndarray, " boxes"]:
-    """Say in which boxes value + sum_k x_k moves_k, |x_k| <= 1, stays off a disc about 0.
+    """Return in which boxes value + sum_k x_k moves_k, |x_k| <= 1, stays off a disc about 0.
 
-    It does where a straight line parts the two. The line is seen along the value or, best for a sum
-    of segments, it goes along one of them.
+    It does where a straight line separates the two. The lines tried are across the value and, best
+    for a sum of segments, along each of them.
     """
     size = np.abs(value)
     clear = size * (size - rest) > np.sum(np.abs(_along(value, moves)), axis=0)
@@ -109,7 +109,7 @@ def expansion(
     Args:
         center: of the boxes.
         radius: half-widths, >= 0.
-        plant: of the centre, if it is known.
+        plant: the plant at the centre, if it is known.
         filters: velocity estimator and position filter, in units of one sample.
     """
     if plant is None:

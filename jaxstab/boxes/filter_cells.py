@@ -1,10 +1,10 @@
-"""What a velocity estimator and a position filter do on the unit circle, cell by cell.
+"""The responses of velocity estimator and position filter on the unit circle, cell by cell.
 
-A filter is a chain of short factors. Taylor series of all of them over cells of theta give series
-of the whole, with bounds of what they leave and of the derivatives (lemma B10 of docs/proofs.md).
-Factors of first and second order are written in powers of 1 - 1/z next to z = 1, and of 1 + 1/z
-next to z = -1, where poles and zeros are: so no digits are lost. Cells are halved until the series
-are good to rounding.
+A filter is a chain of short factors. Taylor series of all factors over cells of theta give series
+of the whole, with bounds of their remainders and of the derivatives (lemma B10 of docs/proofs.md).
+To lose no digits, factors of first and second order are written in powers of 1 - 1/z next to z = 1,
+and of 1 + 1/z next to z = -1, where poles and zeros are. Cells are halved until the series are good
+to rounding.
 """
 
 from collections.abc import Callable
@@ -43,7 +43,7 @@ class FilterCells(NamedTuple):
         half: half their widths.
         first: their lower ends.
         series: Taylor coefficients of P and V in each cell, lowest order first.
-        lost: bounds of what the sums of these series have lost, then of their derivatives.
+        lost: bounds of the errors of these series' sums, then of their derivatives.
         steepness: bounds of |P'|, |V'|, |P''| and |V''| in 2^k cells from each one on.
     """
 
@@ -61,7 +61,7 @@ Functions = Callable[[Cells, Cells, bool], list[Series]]
 
 @lru_cache(maxsize=32)
 def filter_cells(filters: Filters) -> FilterCells:
-    """Return what filters in units of one sample do on the circle."""
+    """Return the responses on the circle of filters in units of one sample."""
     chains = factors_of(filters)
 
     def series(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
@@ -147,7 +147,7 @@ class _Known(NamedTuple):
     steepness: np.ndarray
 
     def some(self, which: np.ndarray) -> "_Known":
-        """Return some cells, or all in another order."""
+        """Return chosen cells, in any order."""
         return _Known(*(part[which] for part in self))
 
 
@@ -235,7 +235,7 @@ def bound_of(wide: Series, order: int) -> Cells:
 
 
 def lost_of(narrow: Series, wide: Series, half: Cells, derivative: int) -> Cells:
-    """Bound what the sum of a series, or of its derivative, has lost."""
+    """Bound the error of the sum of a series, or of its derivative."""
     total = 4.0 * _EPS * factorial(derivative + 1) * bound_of(wide, derivative + 1)  # of theta
     for k in range(derivative, ORDERS - 1):
         error = narrow.error[k] + 2 * ORDERS * _EPS * abs(narrow.value[k])

@@ -1,13 +1,13 @@
-"""Real functions that make estimator and position filter on the circle, as models over patches.
+"""Estimator and position filter on the circle in real parts, as models over patches.
 
 With s = 1 - 1/z and h = 1 - cos(theta), s^2 = 2 h s - 2 h, so that on the circle every rational
 function of z with real coefficients is
 
     one + h rise + slope s,        one = its value at z = 1,
 
-with real functions rise and slope of h. Next to z = 1 products and quotients of these parts lose no
-digits; next to z = -1 those of the function of -z do not, and between them the parts follow from
-the function itself (lemma B12 of docs/proofs.md).
+with real functions rise and slope of h. Products and quotients of these parts lose no digits next
+to z = 1; next to z = -1 the parts of the function of -z take their place, and in between the parts
+follow from the function itself (lemma B12 of docs/proofs.md).
 """
 
 from fractions import Fraction
@@ -42,7 +42,7 @@ _OVERLAP = 1.0 + 1e-9
 
 
 class Ends(NamedTuple):
-    """P and V at z = 1 and -1; of the values at -1 ``lost`` is a bound of the relative error."""
+    """P and V at z = 1 and -1; ``lost`` bounds the relative error of the values at -1."""
 
     position_at_one: float
     at_minus_one: tuple[float, float]
@@ -76,7 +76,7 @@ class _Parts(NamedTuple):
 
 @lru_cache(maxsize=32)
 def filter_ends(filters: Filters) -> Ends:
-    """Return what filters are at z = 1 and -1."""
+    """Return the values of filters at z = 1 and -1."""
     position, velocity = factors_of(filters)
     at_minus_one = [
         _value([(turned(above), turned(below)) for above, below in chain])

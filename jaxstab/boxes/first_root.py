@@ -1,9 +1,9 @@
 """The first root on the unit circle along straight lines through the space of loops, bracketed.
 
-Boxes of (t, theta), t from 0 at the start of a line to 1 at its end, are dropped where g has no
-zero (lemma B3 of docs/proofs.md), shrunk to where its two real parts can vanish together (lemma
-B4), and halved where that shrinks them little. Shrinking squares the width, so that few rounds
-lead from a coarse grid to the last digits.
+The search keeps boxes of (t, theta), with t from 0 at the start of a line to 1 at its end. Boxes in
+which g has no zero are dropped (lemma B3 of docs/proofs.md); the others are shrunk to where both
+real parts of g can vanish (lemma B4), and halved if that shrinks them little. Shrinking squares the
+width, so a few rounds lead from a coarse grid to the last digits.
 """
 
 from collections.abc import Callable
@@ -45,7 +45,7 @@ class Parts(NamedTuple):
 
 
 class FirstRoots(NamedTuple):
-    """Of each line: no root is on the circle before ``low``, and one is proved before ``high``.
+    """For each line: no root is on the circle before ``low``, and one is proved before ``high``.
 
     Both are parts of the line. ``low`` is infinite where all boxes are free of roots, ``high``
     where no root is proved; ``theta`` is an angle next to ``low``.

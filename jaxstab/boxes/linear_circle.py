@@ -1,4 +1,4 @@
-"""Roots of any linear loop on the unit circle, when its gains change along lines.
+"""Roots on the unit circle of any linear loop whose gains change along lines.
 
 With x = 1/z the polynomial of a loop, divided by a power of z and by the filters' denominators, is
 
@@ -73,7 +73,7 @@ def _delay(samples: int) -> Polynomial:
 
 
 class Place(NamedTuple):
-    """Cells in whose middles, or in all of which, functions are known."""
+    """Cells, either their middles or all of their points, at which functions are known."""
 
     middle: Cells
     half: Cells

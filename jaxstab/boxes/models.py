@@ -29,9 +29,9 @@ class LinearModel:
         slope: derivatives there, (variable, *box).
         rest: bound of what these leave, (*box).
         half: half-widths of the boxes, (variable, *box).
-        has_products: whether the variables are x_1 ... x_n, t, the square of t less half of what it
-            can be, and t x_1 ... t x_n. Then arithmetic keeps these products, which it adds to what
-            is left otherwise.
+        has_products: whether the variables are x_1 ... x_n, t, the square of t less half of its
+            largest value, and t x_1 ... t x_n. If so, arithmetic keeps these products; otherwise
+            they count as remainder.
     """
 
     centre: Floats
@@ -111,7 +111,7 @@ class LinearModel:
         return self._of(inverse.centre, inverse.slope, where(is_known, inverse.rest, np.inf))
 
     def is_off(self, low: Number, high: Number) -> Floats:
-        """Say where a real function is proved to be outside of an interval."""
+        """Return where a real function is proved to be outside an interval."""
         return (self.high < low) | (self.low > high)
 
     @cached_property

@@ -28,7 +28,7 @@ class Bend(NamedTuple):
     delay_thrice: float = 0.0
 
     def rest(self, half_gamma: Floats, half_delta: Floats, half_delay: float = 0.0) -> Floats:
-        """Bound how far the function is from its tangent within these half-widths."""
+        """Bound the distance of the function from its tangent within these half-widths."""
         pure = self.gamma_twice * half_gamma**2 + self.delta_twice * half_delta**2
         hand = 0.5 * pure + self.mixed * half_gamma * half_delta
         return hand + half_delay * (self.gamma_delay * half_gamma + self.delta_delay * half_delta)
@@ -109,13 +109,13 @@ class PlantModels(NamedTuple):
 
 
 def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> PlantModels:
-    """Enclose the plant's coefficients: secants for slopes, and the table for what they leave.
+    """Enclose the plant's coefficients: secants give the slopes, the table bounds the remainder.
 
     Args:
         hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
         delay: time delay t_d/T >= 0 in samples, of which the fraction enters.
-        half_delay: how far the delay is from this at most, between the whole samples around it;
-            where it is not 0, it is a variable of the models, with its products.
+        half_delay: largest distance of the delay from this one, between the whole samples around
+            it; if it is not 0, the delay is a variable of the models, with its products.
 
     Raises:
         ValueError: gamma, delta or delay is outside the range of the model.

@@ -57,7 +57,7 @@ def interpolation_errors(
         filters: velocity estimator and position filter, in units of one sample.
 
     Returns:
-        Bounds for all points of the cells; infinite where the roots are not told apart.
+        Bounds for all points of the cells; infinite where the roots cannot be told apart.
 
     Raises:
         ValueError: gamma, delta or delay is outside the range of the model.
@@ -173,7 +173,7 @@ class _Polynomial(NamedTuple):
         return base * ((z + self.d1) * z + self.d0) + numerator * wall
 
     def slopes(self, z: Roots) -> Slopes:
-        """Return the derivatives of p(z), z still, in the middles of the cells."""
+        """Return the derivatives of p(z) at fixed z, in the middles of the cells."""
         numerator = (self.n2, self.n1) if self.is_whole else (self.n2, self.n1, self.n0)
         n = np.polyval([model.centre for model in numerator], z)
         d_hand, n_hand = (

@@ -1,6 +1,6 @@
 """Runs of patches of the curve through columns, and the surfaces that follow them.
 
-A surface is a plane over beta, gamma, delta and delay but for the square of the delay.
+A surface is a plane over beta, gamma, delta and delay, plus a term in the square of the delay.
 """
 
 from typing import NamedTuple
@@ -20,8 +20,8 @@ _EPS = 16 * np.finfo(np.float64).eps
 class Columns(NamedTuple):
     """Boxes of beta and the variables of the plant, all with the same delays.
 
-    The variables are beta, gamma, delta and, where the delays have a width, t and the square of t
-    less half of what it can be, t from the delay in the middle.
+    The variables are beta, gamma, delta and, if the delays have a width, t and the square of t less
+    half of its largest value, with t measured from the delay in the middle.
     """
 
     centre: Float64[np.ndarray, "column variable"]
@@ -95,7 +95,7 @@ def distances(
     middle: Float64[np.ndarray, " run"],
     slope: Float64[np.ndarray, "run variable"],
 ) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
-    """Return how far each patch is from its run's plane at its centre, and within how much."""
+    """Return the distance of each patch from its run's plane at its centre, with a bound."""
     alpha, gain, patch = patches.alpha, patches.beta, runs.patch
     per_beta = slope[runs.number, 0]
     off = alpha.centre[patch] - middle[runs.number]
@@ -145,8 +145,8 @@ def surfaces(
 ) -> tuple[Float64[np.ndarray, " run"], Float64[np.ndarray, "run variable"]]:
     """Return surfaces along runs: alpha in the middle of the column, and how it changes.
 
-    Any surface would do; these follow the patches that are in the middle of the column along beta,
-    and for early and late delays those that are there then.
+    Any surface would be correct; these follow the patches in the middle of the column along beta,
+    and for early and late delays the patches that are there then.
     """
     column, half_delay = runs.column[runs.start], columns.half_delay
     typical, away = _in_the_middle(patches, columns, runs, 0.0)

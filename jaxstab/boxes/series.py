@@ -1,9 +1,9 @@
 """Taylor series of functions of one angle over many cells, each coefficient with its error.
 
-A series says of a function f, in each cell, |f^(k)(x)/k! - value_k| <= error_k. At the middle of
-the cell alone the errors are those of rounding; for all x of the cell they hold the change of the
-derivatives, too, so that |value_k| + error_k bounds them (Moore 1966). Products and quotients keep
-what is said.
+In each cell, a series states |f^(k)(x)/k! - value_k| <= error_k for a function f. If x is the
+middle of the cell alone, the errors are those of rounding; if x is any point of the cell, they
+include the change of the derivatives, so |value_k| + error_k bounds these (Moore 1966). Products
+and quotients of series are series again.
 """
 
 from collections.abc import Sequence

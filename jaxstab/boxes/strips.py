@@ -1,10 +1,9 @@
 """Strips: where in a column roots may cross the unit circle.
 
-A strip lies within an error of a surface alpha(beta, gamma, delta, delay): a plane
-but for the square of the delay. The boundary in a column is a few
-of them: the line of a root at 1, the runs of patches of the curve (``enclosure``), and the line of
-a root at -1. Strips that touch somewhere in a column become one flat strip (lemma B8 of
-docs/proofs.md).
+A strip lies within an error of a surface alpha(beta, gamma, delta, delay), which is a plane plus a
+term in the square of the delay. The boundary in a column is a few strips: the line of a root at 1,
+the runs of patches of the curve (``enclosure``), and the line of a root at -1. Strips that touch
+somewhere in a column become one flat strip (lemma B8 of docs/proofs.md).
 """
 
 from typing import NamedTuple
@@ -29,8 +28,8 @@ _EPS = 16 * np.finfo(np.float64).eps
 class Strips(NamedTuple):
     """Surfaces by centre value, slopes and error; NaN in columns that have fewer strips.
 
-    A strip ``folds`` where for one beta and hand it may hold more than one root on the circle:
-    there it may hide stable alphas, though on both sides all are unstable.
+    A strip ``folds`` if for one beta and hand it may hold more than one root on the circle: it may
+    then hide stable alphas, though all alphas on both sides are unstable.
     """
 
     centre: Float64[np.ndarray, "column strip"]
@@ -43,7 +42,7 @@ class Strips(NamedTuple):
         return Strips(*(part[which] for part in self))
 
     def straightened(self, columns: Columns) -> "Strips":
-        """Return the strips with the square of the delay as a part of their errors."""
+        """Return the strips as planes: the square of the delay becomes a part of their errors."""
         if not columns.half_delay:
             return self
         slope = self.slope.copy()
@@ -86,12 +85,12 @@ def strips_of(
 
 
 def apart(strips: Strips, columns: Columns) -> Strips:
-    """Return the strips in order from below, and none of them touches another one."""
+    """Return the strips in order from below, merged until none of them touches another."""
     return _merged(strips, columns)
 
 
 def above_line(strips: Strips, columns: Columns) -> Strips:
-    """Return the line of a root at 1 and then, in order and apart, the strips not all below it.
+    """Return the line of a root at 1 and then, in order, the strips that are not all below it.
 
     The first of these may cross the line, which the others do not touch.
     """
@@ -121,7 +120,7 @@ def _checked_ends(filters: Filters) -> Ends:
 
 
 def widened(domain: Domain) -> Domain:
-    """Return the domain with a margin along alpha, in which strips are known."""
+    """Return the domain, widened along alpha, in which strips are known."""
     low, high = domain.alpha
     margin = _MARGIN * (high - low)
     return Domain((low - margin, high + margin), domain.beta)

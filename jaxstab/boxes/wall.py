@@ -39,8 +39,8 @@ class Wall(NamedTuple):
     slope: a bound of |dH/dtheta| in the box.
     bend: a bound of |d^2H/dtheta^2| in the box; None where ``slope`` is one.
     turned_change: a bound of how far alpha and beta move dH/dtheta in the box.
-    terms: a bound of the terms that H is summed from.
-    lost: what H has lost beside roundings of its terms.
+    terms: a bound of the terms whose sum is H.
+    lost: a bound of the error of H beyond roundings of its terms.
     """
 
     value: Complexes

@@ -4,8 +4,8 @@ Criteria that hold "for all frequencies" are such series. They are bounded betwe
 
     |f(theta) - f(t) - f'(t) (theta - t)| <= M (theta - t)^2 / 2,      M = sum_k k^2 |c_k|,
 
-so a sample speaks for its neighbourhood, and what it cannot decide is looked at more closely.
-Series that are sums of the same few are evaluated as those: ``weights @ basis``.
+so a sample decides for its neighbourhood, and where it cannot decide more samples are taken. Series
+that are sums of the same few series are evaluated as such: ``weights @ basis``.
 NumPy alone: the number of samples depends on the values.
 """
 
@@ -23,7 +23,7 @@ _AT_ONCE = 1 << 18  # cells, and terms at angles, that are held in memory
 
 
 class LargestValue(NamedTuple):
-    """A value that each series takes, the angle of it, and a proved upper bound of all values."""
+    """A value that each series takes, its angle, and a proved upper bound of all values."""
 
     value: Values
     theta: Values

@@ -1,4 +1,4 @@
-"""What there is to say about one stable region, in numbers and words."""
+"""The facts about one stable region, in numbers and words."""
 
 from functools import lru_cache, partial
 from typing import Any

@@ -38,8 +38,8 @@ def linear_condition(
 ) -> Bool[Array, "*grid"]:
     """Return True where the linear condition holds: alpha > -gamma and beta + delta > alpha t_r.
 
-    t_r = 1/2 + delay. It neither implies stability nor follows from it: ``linear_validity`` says
-    up to which stiffness it is near the exact boundary.
+    t_r = 1/2 + delay. The condition neither implies stability nor follows from it;
+    ``linear_validity`` says up to which stiffness it is close to the exact boundary.
 
     Args:
         alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
@@ -68,7 +68,8 @@ def linear_error(
     """Return (alpha_lin - alpha) / (alpha + gamma) for a point of the exact boundary.
 
     Eq. (24) is the absolute value of it. It is positive where the linear condition promises more
-    stiffness than is stable, negative where it promises less. Infinite or NaN at alpha = -gamma.
+    stiffness than is stable, negative where it promises less. It is infinite or NaN at alpha =
+    -gamma.
 
     Args:
         alpha: wall stiffness K T^2/m on the exact boundary, any shape; all arguments broadcast.

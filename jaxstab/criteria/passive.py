@@ -1,4 +1,4 @@
-"""The passive region: the walls that can be touched by any passive hand, at any mass and stiffness.
+"""The passive region: walls that any passive hand may touch, whatever the mass and stiffness.
 
 A wall behind a sampler, a delay d = n + f and a zero-order hold is passive together with the
 physical damping delta when, for every theta in [0, pi],
@@ -8,10 +8,10 @@ physical damping delta when, for every theta in [0, pi],
                                               - beta cos((k + 1) theta)
 
 For a whole delay, f = 0, this is Colgate's condition, the paper's (28) at d = 0. For a fraction the
-sampler folds frequencies that the hold releases with unlike phases: the damper must outweigh the
-larger eigenvalue of a Hermitian form of rank two, which is the condition above (Colgate's formula
-with a fractional delay put in errs to either side). For each theta it describes a convex set that
-grows in proportion to delta, so the passive region is convex and does too.
+sampler folds frequencies that the hold releases with different phases: the damper must outweigh the
+larger eigenvalue of a Hermitian form of rank two, which is the condition above. (Colgate's formula
+with a fractional delay errs to either side.) For each theta the condition describes a convex set
+that grows in proportion to delta, so the passive region is convex and grows likewise.
 
 A wall of negative stiffness is not passive at rest, hence alpha >= 0. Proof: lemma C6 of
 docs/proofs.md.
@@ -40,9 +40,9 @@ _CHUNK = 4096  # points tested at once
 class PassiveRegion:
     """The passive walls of one damping and delay: a convex set, part of the plane (alpha, beta).
 
-    ``outline`` holds the vertices, shape (n, 2), counterclockwise, first one not repeated; no
-    vertex at all where delta = 0. Every point of the polygon is proved passive (vertices within
-    1e-12 of their size); the region reaches at most about ``tolerance`` times delta beyond it.
+    ``outline`` holds the vertices, shape (n, 2), counterclockwise, the first one not repeated;
+    there is none if delta = 0. Every point of the polygon is proved passive (vertices within 1e-12
+    of their size); the region reaches at most about ``tolerance`` times delta beyond it.
 
     Example:
         >>> jaxstab.passive_region(delta=1.0).max_alpha.round(9).tolist()
@@ -68,7 +68,7 @@ class PassiveRegion:
         return vertex
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
-        """Return True where (alpha, beta) is proved passive, tested by its own supremum.
+        """Return True where (alpha, beta) is proved passive; each wall is tested anew.
 
         Example:
             >>> jaxstab.passive_region(delta=1.0).contains([1.0, 2.5], 0.1).tolist()

@@ -24,7 +24,7 @@ _SHIFT = 0.382  # of the inner ends of cells, so that they miss the roots at rat
 
 
 class Series(NamedTuple):
-    """Cosine series with bounds of their coefficients' errors; f(0) is known better than these."""
+    """Cosine series with bounds of their coefficients' errors; f(0) is known more accurately."""
 
     coefficients: Coefficients
     errors: Coefficients
@@ -35,8 +35,8 @@ class Series(NamedTuple):
 class SignChanges(NamedTuple):
     """Cells of angles that hold the sign changes, in the order of the series and of the angles.
 
-    Where ``is_proved`` the cell holds exactly one change, and ``direction`` (1 for a rise, -1 for
-    a fall) is that of it. Elsewhere it may hold none or, if the direction is 0, several.
+    Where ``is_proved``, the cell holds exactly one change, with its ``direction`` (1 for a rise, -1
+    for a fall). Elsewhere it may hold none or, if the direction is 0, several.
     """
 
     owner: Int64[np.ndarray, " cells"]

@@ -1,4 +1,4 @@
-"""Where the linear condition loses its validity, sec. VII: proved to be the first such point.
+"""Where the linear condition loses its validity (sec. VII): the first such point, with proof.
 
 With H = alpha + gamma, which is positive to the right of the line z = 1, the error of the linear
 condition exceeds a level where
@@ -96,12 +96,12 @@ def linear_validity(
 
     It is the first one, along the boundary curve from its corner at alpha = -gamma, where the
     signed error (alpha_lin - alpha)/(alpha + gamma) rises through ``level``: the circles (2 %) and
-    squares (5 %) of Fig. 7. The absolute value of eq. (24) can reach the level once more, before:
+    squares (5 %) of Fig. 7. The absolute value of eq. (24) may reach the level before that, because
     with damping the linear condition is too careful at small stiffness (by 2.2 % for d = 1,
-    delta = 0.015). Those crossings are not returned.
+    delta = 0.015). Such crossings are not returned.
 
-    That it is the first is proved, on the whole curve: see the head of this file. Each point has a
-    status of its own; NOT_PROVED says that float64 cannot tell, as for levels below about 1e-9.
+    It is proved, over the whole curve, that this point is the first. Each point has its own status;
+    NOT_PROVED says that float64 cannot tell, as for levels below about 1e-9.
 
     Args:
         level: relative error in (0, 1e3], any shape; like all arguments it broadcasts. None of
