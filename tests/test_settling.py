@@ -11,6 +11,8 @@ import jaxstab
 from benchmarks import truth
 from benchmarks.truth.march import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
 from jaxstab import HapticLoop, SettlingStatus
+from jaxstab.motion.settling import positions
+from jaxstab.motion.transition import Loops
 
 LONG = 4000  # samples, enough for every loop below to come to rest
 
@@ -230,3 +232,17 @@ class TestDominantMode:
         assert float(mode.damping_ratio) == pytest.approx(ratio, rel=1e-10)
         hertz = math.sqrt(400.0 * (1 - ratio**2)) / (2 * math.pi)
         assert float(mode.frequency) == pytest.approx(hertz, rel=1e-10)
+
+
+@pytest.mark.parametrize("samples", [1, 32, 33, 2048, 2049, 5000])
+def test_positions_are_those_of_one_step_after_the_other(samples: int) -> None:
+    """As many as asked for at least; a rotation that decays has a closed form."""
+    angles = np.array([0.02, 0.3])
+    decay = np.exp(-1e-3)
+    turns = [[np.cos(angles), np.sin(angles)], [-np.sin(angles), np.cos(angles)]]
+    start = np.broadcast_to([[1.0], [0.0]], (2, 2, 1))
+    found = positions(Loops(decay * np.moveaxis(np.array(turns), 2, 0), start), samples)
+    assert samples <= found.shape[1] <= max(2 * samples, samples + 2048)
+    time = np.arange(found.shape[1])
+    expected = decay**time * np.cos(angles[:, None] * time)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)

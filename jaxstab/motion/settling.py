@@ -32,6 +32,7 @@ Excitation = Literal["force", "impact"]
 
 HORIZON = 1 << 18
 _STRETCH = 32  # samples, a power of two
+_BLOCK = 64  # stretches of one product, a power of two
 _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 _ROUNDING = 2.0**-53
 _SAFETY = 1.001  # the bounds themselves are rounded (lemma M2)
@@ -227,9 +228,12 @@ def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
     """Return the sampled deviations of loops, at least as many as asked for."""
     search = _Search.begun(loops)
     found = [search.deviation()]
-    while sum(part.shape[1] for part in found) < samples:
-        search = search.doubled()
+    known = search.samples
+    while known < samples:
+        blocks = ceil((samples - known) / (_STRETCH * _BLOCK))
+        search = search._replace(states=search.states[:, : blocks * _BLOCK]).doubled()
         found.append(search.deviation())
+        known += found[-1].shape[1]
     return np.concatenate(found, axis=1)
 
 
@@ -237,11 +241,11 @@ class _Search(NamedTuple):
     """What is known of loops after M stretches."""
 
     number: Int[np.ndarray, " loop"]
-    rows: Float64[np.ndarray, "loop stretch state"]  # of the position, of A^i, i < W
+    rows: Float64[np.ndarray, "loop sample state"]  # of the position, of A^i, i < W
     growth: Float64[np.ndarray, " loop"]  # no less than |A^i|, i < W
     power: Matrices  # A^(MW)
     error: Float64[np.ndarray, " loop"]  # no less than the norm of its rounding errors
-    states: Float64[np.ndarray, "loop state stretch"]  # at the beginning of each stretch
+    states: Float64[np.ndarray, "loop stretch state"]  # at the beginning of each stretch
     largest: Float64[np.ndarray, " loop"]  # of all states so far
     peak: Float64[np.ndarray, " loop"]  # of the positions, or what the tolerance refers to
     first: Float64[np.ndarray, " loop"]  # the sample since when all were inside the tolerance
@@ -258,21 +262,22 @@ class _Search(NamedTuple):
             growth = growth * np.maximum(1.0, _norm(power) + error)
             rows = np.concatenate([rows, rows @ power], axis=1)
             power, error = _squared(power, error)
+        states = np.swapaxes(states, 1, 2)
         return cls(np.arange(count), rows, growth, power, error, states, zero, zero, zero)
 
     @property
     def samples(self) -> int:
         """How many samples of each loop are known."""
-        return self.states.shape[2] * _STRETCH
+        return self.states.shape[1] * _STRETCH
 
     def deviation(self) -> Float64[np.ndarray, "loop sample"]:
         """Return the positions in the second half of the stretches; all, if there is but one."""
-        states = self.states[:, :, self.states.shape[2] // 2 :]
-        return np.swapaxes(self.rows @ states, 1, 2).reshape(len(self.power), -1)
+        states = self.states[:, self.states.shape[1] // 2 :]
+        return _mapped(self.rows, states).reshape(len(self.power), -1)
 
     def doubled(self) -> "_Search":
         """Return what is known of twice as many stretches, but for the positions."""
-        states = np.concatenate([self.states, self.power @ self.states], axis=2)
+        states = np.concatenate([self.states, _mapped(self.power, self.states)], axis=1)
         power, error = _squared(self.power, self.error)
         return self._replace(power=power, error=error, states=states)
 
@@ -283,7 +288,7 @@ class _Search(NamedTuple):
         larger position is itself outside and comes later, so the last position outside stays right.
         """
         size = np.abs(self.deviation())
-        new = self.states[:, :, self.states.shape[2] // 2 :]
+        new = self.states[:, self.states.shape[1] // 2 :]
         peak = np.maximum(self.peak, np.max(size, axis=1)) if is_impact else np.ones(len(size))
         outside = size[:, ::-1] > level * peak[:, None]
         last = self.samples - np.argmax(outside, axis=1)
@@ -302,6 +307,17 @@ class _Search(NamedTuple):
     def chosen(self, which: Any) -> "_Search":
         """Return the search of some of the loops."""
         return _Search(*(field[which] for field in self))
+
+
+def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop stretch row"]:
+    """Return the products of each loop's matrix and its states.
+
+    They are taken in blocks that BLAS does not share out to threads, which for matrices as small as
+    these wait for each other longer than they work.
+    """
+    loops, stretches, size = states.shape
+    blocks = states.reshape(loops, -1, min(stretches, _BLOCK), size)
+    return (blocks @ np.swapaxes(matrices, 1, 2)[:, None]).reshape(loops, stretches, -1)
 
 
 def _norm(matrices: Matrices) -> Float64[np.ndarray, " loop"]:
