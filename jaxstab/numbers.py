@@ -104,11 +104,11 @@ def without_noise(values: Numbers, extent: int | float) -> np.ndarray[Any, np.dt
 
     Args:
         values: along one axis, of any shape; NaN stays.
-        extent: of the whole figure along that axis.
+        extent: of the whole figure along that axis; beside one without end nothing is rounding.
     """
     coordinates = np.asarray(values, np.float64)
-    with np.errstate(invalid="ignore"):
-        return np.where(np.abs(coordinates) <= _NOISE * extent, 0.0, coordinates)
+    noise = _NOISE * extent if extent < inf else 0.0
+    return np.where(np.abs(coordinates) <= noise, 0.0, coordinates)
 
 
 def checked_count(name: str, value: Any, least: int, most: int | float = inf) -> int:

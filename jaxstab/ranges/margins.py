@@ -31,6 +31,8 @@ class Margins(NamedTuple):
     from 0. With filters rounding hides about ten times as much. A few extra delays of tens of
     samples fall short by more, because the search is given up for a wall whose roots stay next to
     the circle at nearly all angles.
+    The table rounds limits inwards, and prints 0 for one below 1e-9 of its interval, such as a
+    least stiffness that the root at z = 1 sets.
 
     Attributes:
         verdict: certified codes of ``Verdict``.
@@ -43,10 +45,10 @@ class Margins(NamedTuple):
 
     Example:
         >>> jaxstab.margins(0.1, 0.2, 0.0, 0.015, 1.0)
-        Margins: stable        least       largest  factor
-        alpha                  3.7804e-14  0.11185  1.1185
-        beta                   0.1689      0.6702   3.351
-        extra delay (samples)              0.15444
+        Margins: stable        least   largest  factor
+        alpha                  0       0.11185  1.1185
+        beta                   0.1689  0.6702   3.351
+        extra delay (samples)          0.15444
     """
 
     verdict: Int8[Array, "*grid"]

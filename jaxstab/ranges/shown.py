@@ -1,4 +1,4 @@
-"""Margins as a table for people, with limits rounded inwards: what is printed is proved too."""
+"""Margins as a table for people: limits rounded inwards, and 0 if they are 0 but for rounding."""
 
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from typing import NamedTuple
@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxstab.arrays import Numbers, are_numbers
 from jaxstab.conventions import Verdict
+from jaxstab.numbers import without_noise
 from jaxstab.shown import number_text, table_text
 
 _DIGITS = 5
@@ -41,7 +42,7 @@ def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
         for code, delay in zip(codes, np.ravel(extra_delay), strict=True)
     ]
     limits = [
-        [(_least(low), _largest(high), _largest(gain)) for (low, high), gain in pairs]
+        [(*_interval(low, high), _largest(gain)) for (low, high), gain in pairs]
         for pairs in (
             zip(np.reshape(stiffness, (-1, 2)), np.ravel(stiffness_gain), strict=True),
             zip(np.reshape(damping, (-1, 2)), np.ravel(damping_gain), strict=True),
@@ -61,6 +62,12 @@ def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
     table += [(code, *first, *second, delay) for code, first, second, delay in walls]
     more = f"\n... and {len(codes) - _MOST_ROWS} more" if len(codes) > _MOST_ROWS else ""
     return f"Margins of {len(codes)} walls\n{table_text(table[: 1 + _MOST_ROWS])}{more}"
+
+
+def _interval(low: float, high: float) -> tuple[str, str]:
+    extent = float(high) - float(low)
+    least, largest = without_noise((low, high), extent).tolist()
+    return _least(least), _largest(largest)
 
 
 def _least(value: float) -> str:

@@ -127,8 +127,8 @@ def is_stable(
 ) -> Bool[Array, "*grid"]:
     """Return True where all poles are proved to lie inside the unit circle.
 
-    False where the loop is unstable, marginal, or closer to the boundary than float64 can decide:
-    ``verdict`` distinguishes the two.
+    False where the loop is unstable, marginal, or closer to the boundary than can be decided. Of
+    these ``verdict`` tells those that are proved unstable from all others, which are UNDECIDED.
 
     Args:
         alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
