@@ -65,7 +65,9 @@ def test_margins_print_a_table_that_is_rounded_inwards() -> None:
         (damping, margins.damping, margins.damping_gain),
     ):
         low, high, factor = map(float, row.split()[-3:])
-        assert limits[0] <= low <= high <= limits[1]
+        assert low == 0.0 or limits[0] <= low
+        assert abs(limits[0] - low) < 1e-4 * abs(limits[0]) + 1e-9 * (limits[1] - limits[0])
+        assert low <= high <= limits[1]
         assert 0.9999 * gain <= factor <= gain
     assert "(N/m)" in stiffness
     assert "(N s/m)" in damping
@@ -73,6 +75,16 @@ def test_margins_print_a_table_that_is_rounded_inwards() -> None:
     plain = repr(jaxstab.margins(0.1, 0.2, 0.0, 0.015, 1.0))
     assert "alpha" in plain
     assert "N/m" not in plain
+
+
+@pytest.mark.parametrize("stiffness", [1e-3, 1000.0, [1000.0, 2000.0]])
+def test_a_limit_that_is_zero_but_for_rounding_prints_as_zero(stiffness: float) -> None:
+    """Of a free device stiffness ends at 0, by the root at z = 1."""
+    margins = PLAIN.margins(stiffness, 10.0)
+    assert np.all(np.abs(margins.stiffness[..., 0]) < 1e-9 * margins.stiffness[..., 1])
+    assert not re.search(r"e-\d\d", repr(margins))
+    unlimited = margins._replace(stiffness=margins.stiffness * [1.0, np.inf])
+    assert "e-" in repr(unlimited)  # beside what has no end nothing is small
 
 
 def test_margins_of_many_walls_are_a_row_each() -> None:

@@ -8,6 +8,9 @@
 
 So every wall of the window with a root on the unit circle lies within two resolutions of a point
 of the trace or of an unresolved box.
+
+Points are solved for by Newton's method in NumPy. Optimistix, whose Newton method solves for the
+dominant root under JAX (``point/radius/derivative.py``), would have to be compiled for each plane.
 """
 
 from dataclasses import dataclass, field

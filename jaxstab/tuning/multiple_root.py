@@ -3,6 +3,7 @@
 A triple real root solves p = p' = p'' = 0, a double complex pair p = p' = 0, for the gains and z.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -106,34 +107,35 @@ def newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:
     z = pair.x + 1j * pair.y
     whole = family.polynomial(pair.alpha, pair.beta)
     # The polynomial and its derivatives, and those of its derivatives in alpha and beta.
-    p, stiff, damp = (_taylor(part, z) for part in (whole, family.stiff, family.damp))
+    every = xp.stack(xp.broadcast_arrays(whole, family.stiff, family.damp))
+    p, stiff, damp = value(_derivatives(every), z[..., None])
+    orders, after = slice(0, 3), slice(1, 4)
+    columns = stiff[..., orders], damp[..., orders], p[..., after], 1j * p[..., after]
+    rows = xp.stack([*columns, p[..., orders]], axis=-1)
     zero = xp.zeros_like(pair.y)
-
-    def rows(order: int, *, imaginary: bool) -> list[Array]:
-        entries = stiff[order], damp[order], p[order + 1], 1j * p[order + 1], p[order]
-        return [entry.imag if imaginary else entry.real for entry in entries]
-
-    last = [zero, zero, zero, zero + 1.0, pair.y]
-    triple = [*(rows(order, imaginary=False) for order in range(3)), last]
-    double = [rows(order, imaginary=part) for order in range(2) for part in (False, True)]
-    both = [xp.stack([xp.stack(row, axis=-1) for row in one], axis=-2) for one in (triple, double)]
-    system = xp.where(xp.asarray(is_triple)[..., None, None], *both)
+    last = xp.stack([zero, zero, zero, zero + 1.0, pair.y], axis=-1)
+    triple = xp.concatenate([rows.real, last[..., None, :]], axis=-2)
+    pairs = xp.stack([rows.real[..., :2, :], rows.imag[..., :2, :]], axis=-2)
+    system = xp.where(xp.asarray(is_triple)[..., None, None], triple, pairs.reshape(triple.shape))
     step = xp.linalg.solve(constant(system[..., :4]), -system[..., 4:])[..., 0]
     return Pair(*(step[..., part] for part in range(4)))
 
 
-def _taylor(coefficients: Array, z: Array) -> list[Array]:
-    """Return the values of a polynomial and its first three derivatives."""
-    return [value(part, z) for part in _derivatives(coefficients)]
+def _derivatives(coefficients: Array) -> Float64[Array, "*grid 4 coefficient"]:
+    """Return polynomials and their first three derivatives, with zeros in front."""
+    places, factors = _places_and_factors(coefficients.shape[-1])
+    return coefficients[..., places] * factors
 
 
-def _derivatives(coefficients: Array) -> list[Array]:
-    """Return a polynomial and its first three derivatives."""
-    derivatives = [coefficients]
-    for _ in range(3):
-        powers = np.arange(derivatives[-1].shape[-1] - 1, 0, -1)
-        derivatives.append(derivatives[-1][..., :-1] * powers)
-    return derivatives
+@cache
+def _places_and_factors(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the coefficients of derivatives come from, and times what."""
+    order, place = np.arange(4)[:, None], np.arange(size) - np.arange(4)[:, None]
+    powers = size - 1.0 - place
+    factors = np.ones(place.shape)
+    for number in range(3):
+        factors *= np.where(order > number, powers - number, 1.0)
+    return np.maximum(place, 0), np.where(place >= 0, factors, 0.0)
 
 
 def value(coefficients: Array, z: Array) -> Array:

@@ -194,12 +194,15 @@ def _scanned(walls: Walls, radius: float) -> _Point:
     """
     angles = walls.angles
     pairs = _pairs(walls, np.full(angles.shape, radius), angles)
-    is_near = np.pad(_is_dominant(walls, pairs, np.full(angles.shape, _NEAR * radius)), 1)
-    is_near = is_near[:-2] | is_near[1:-1] | is_near[2:]
+    fits = _is_dominant(walls, pairs, np.full(angles.shape, _NEAR * radius))
+    is_near = fits.copy()
+    is_near[1:] |= fits[:-1]
+    is_near[:-1] |= fits[1:]
     reached = np.full(angles.shape, np.inf)
     reached[is_near] = walls.largest_pole(pairs.alpha[is_near], pairs.beta[is_near])
-    padded = np.pad(reached, 1, constant_values=np.inf)
-    is_least = (reached <= padded[:-2]) & (reached <= padded[2:]) & np.isfinite(reached)
+    is_least = np.isfinite(reached)
+    is_least[1:] &= reached[1:] <= reached[:-1]
+    is_least[:-1] &= reached[:-1] <= reached[1:]
     minima = np.flatnonzero(is_least)
     if not minima.size:
         return _Point(np.inf, radius, float(angles[0]))
@@ -296,7 +299,8 @@ def _pairs(walls: Walls, radius: Array, angle: Array) -> Pair:
     """Solve p(z) = 0 for the gains; at theta = 0 and pi close enough to the double real root."""
     angle = np.clip(angle, _FIRST, np.pi - _FIRST)
     x, y = radius * np.cos(angle), radius * np.sin(angle)
-    base, stiff, damp = (value(part, x + 1j * y) for part in walls.family)
+    parts = np.stack(walls.family)
+    base, stiff, damp = value(parts.reshape(len(parts), *(1,) * x.ndim, -1), x + 1j * y)
     determinant = stiff.real * damp.imag - stiff.imag * damp.real
     alpha = (base.imag * damp.real - base.real * damp.imag) / determinant
     beta = (stiff.imag * base.real - stiff.real * base.imag) / determinant
