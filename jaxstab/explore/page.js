@@ -2,6 +2,7 @@
 "use strict";
 
 const QUIET = 150; // ms without a change, until what takes longer is computed
+const LOOKS_IN_MOTION = 1; // at a region, while a slider moves; what that leaves open is resolved after
 const initial = JSON.parse(document.getElementById("initial").textContent);
 const BEYOND = "Not taken over: with T the sampling period and m what is moved, k T²/m of the hand is at most 1e4, b T/m at most 1e3, and T at least 1 µs.";
 let state = stateOfHash(location.hash.slice(1), initial.state);
@@ -16,7 +17,7 @@ function update(changes, moved) {
   const next = { ...state, ...changes }, isIn = isComputable(setupOf(next));
   if (isIn) state = next;
   assign(byId("refusal"), "textContent", isIn ? "" : BEYOND);
-  draw();
+  draw(LOOKS_IN_MOTION);
   showState(moved);
   clearTimeout(waiting);
   waiting = setTimeout(sayMore, QUIET);
@@ -53,14 +54,15 @@ function outlinesOf(components, { stiffness, damping }) {
   return components.map(({ points }) => points.map(([a, b]) => [a * stiffness, b * damping]));
 }
 
-/** All that is computed of a state for the picture. */
-function computed() {
-  const setup = setupOf(state), loop = loopOf(setup), region = regionOf(loop), scale = unitsOf(setup);
+/** All that is computed of a setup for the picture, with so many looks at its regions. */
+function computed(setup, looks) {
+  const loop = loopOf(setup), region = regionOf(loop, looks), scale = unitsOf(setup);
   const main = mainOf(region), rest = region.components.filter((one) => one !== main);
-  const plain = isPlain(setup) ? null : oneSampleOf(setup);
+  const other = isPlain(setup) ? { isClosed: true, sample: null } : oneSampleOf(setup, looks);
   const best = main && farthest(loop, main, 0);
   return {
-    setup, loop, region, scale, plain,
+    setup, loop, region, scale, plain: other.sample,
+    isRough: looks < LOOKS && !(region.isClosed && other.isClosed),
     main: outlinesOf(main ? [main] : [], scale),
     islands: outlinesOf(rest, scale),
     stiffest: best && [best[0] * scale.stiffness, best[1] * scale.damping],
@@ -68,12 +70,12 @@ function computed() {
 }
 
 /** The region that the difference over one sample would have. */
-function oneSampleOf(setup) {
+function oneSampleOf(setup, looks) {
   const other = withOneSample(setup), loop = loopOf(other), scale = unitsOf(other);
-  const main = mainOf(regionOf(loop));
-  if (!main) return null;
-  const [alpha] = farthest(loop, main, 0);
-  return { outline: outlinesOf([main], scale)[0], stiffness: alpha * scale.stiffness };
+  const region = regionOf(loop, looks), main = mainOf(region), { isClosed } = region;
+  if (!main) return { isClosed, sample: null };
+  const [alpha] = farthest(loop, main, 0), outline = outlinesOf([main], scale)[0];
+  return { isClosed, sample: { outline, stiffness: alpha * scale.stiffness } };
 }
 
 /** The points that the axes hold. */
@@ -87,8 +89,8 @@ function pointsInView({ main, islands, plain }) {
 }
 
 /** Compute and draw the picture, and what stands beside it. */
-function draw() {
-  const now = computed(), { setup, loop, scale, plain } = now;
+function draw(looks = LOOKS) {
+  const now = computed(setupOf(state), looks), { setup, loop, scale, plain } = now;
   const ends = windowAround(pointsInView(now));
   const walls = state.walls.map((wall) => ({ ...wall, ...factsAtOnce(loop, scale, wall) }));
   const rule = linearRule(setup, ends[0]);
@@ -120,6 +122,7 @@ function factsAtOnce(loop, scale, { stiffness, damping }) {
 
 /** Compute and show what takes longer: margins, settling, the link, the scene. */
 function sayMore() {
+  if (drawn.isRough) draw();
   const { setup, loop, region } = drawn, facts = wallFacts(setup, loop, region, cursorWall());
   showFacts(facts);
   showResponse(facts);
@@ -186,6 +189,21 @@ function measure() {
   return width !== before.width || height !== before.height;
 }
 
+/** Compute pictures that are not drawn, while nothing else is to do: so the scripts are compiled. */
+function warmUp() {
+  for (const factor of [0.5, 0.7, 0.9, 1.1, 1.4, 2]) {
+    for (const key of ["mass", "period", "delay", "window"]) {
+      const value = acceptable(key, state[key] * factor);
+      const other = setupOf({ ...state, [key]: value });
+      whenIdle(() => isComputable(other) && computed(other, LOOKS_IN_MOTION));
+    }
+  }
+}
+
+function whenIdle(work) {
+  if (window.requestIdleCallback) window.requestIdleCallback(work);
+}
+
 function start() {
   byId("source").textContent = initial.notes.join(" ");
   document.querySelectorAll(".stiffness-unit").forEach((one) => (one.textContent = `(${units().stiffness})`));
@@ -206,6 +224,7 @@ function start() {
   window.addEventListener("hashchange", () => update(stateOfHash(location.hash.slice(1), initial.state)));
   measure();
   update({});
+  warmUp();
 }
 
 start();

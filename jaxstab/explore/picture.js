@@ -8,6 +8,7 @@ const NICE_STEPS = [1, 2, 2.5, 5, 10];
 const LARGEST_SHARE = 1e3; // of a final position
 const FARTHEST = 2000; // times the frame: a pixel still has its place in float32
 const FARTHEST_WALL = 4; // times the region: walls beyond are drawn at the edge
+const IN_DIGITS = new Intl.NumberFormat("en"); // made once: making one takes longer than a picture
 
 /** A new element of SVG with attributes. */
 function element(name, attributes, text) {
@@ -92,8 +93,17 @@ function drawParts(group, frame, view) {
   group.append(element("path", { class: "rule", d: pathOf(frame, view.rule, false) }));
 }
 
-/** Grid, ticks, their numbers and the names of the axes. */
+let axes = { key: "", group: null }; // as they were last drawn
+
+/** The axes; the same element as before where nothing of them has moved: text takes longest to lay out. */
 function axesOf(frame, view) {
+  const key = JSON.stringify([frame.box, frame.ends, view.units]);
+  if (axes.key !== key) axes = { key, group: drawnAxes(frame, view) };
+  return axes.group;
+}
+
+/** Grid, ticks, their numbers and the names of the axes. */
+function drawnAxes(frame, view) {
   const { box, ends } = frame, group = element("g", { "aria-hidden": "true" });
   const bottom = box.y + box.height;
   for (const tick of ticksOf(...ends[0], box.width / 90)) {
@@ -117,7 +127,7 @@ function short(value) {
   if (value === 0) return "0";
   const size = Math.abs(value);
   if (size >= 1e9 || size < 1e-3) return value.toPrecision(2).replace(/\.?0+e/, "e");
-  return Number(value.toPrecision(4)).toLocaleString("en");
+  return IN_DIGITS.format(Number(value.toPrecision(4)));
 }
 
 /** The user's walls: a disc where stable, a cross where not, a square where that is undecided. */

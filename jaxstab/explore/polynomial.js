@@ -103,7 +103,8 @@ function rootsOf(polynomial) {
 
 /** Move one root by a step of Aberth's iteration; return how far it moved. */
 function aberthStep(polynomial, degree, re, im, k) {
-  const [stepRe, stepIm] = newtonStep(polynomial, degree, re[k], im[k]);
+  newtonStep(polynomial, degree, re[k], im[k]);
+  const stepRe = STEP[0], stepIm = STEP[1];
   if (stepRe === 0 && stepIm === 0) return 0;
   let sumRe = 0, sumIm = 0;
   for (let j = 0; j < degree; j++) {
@@ -120,7 +121,9 @@ function aberthStep(polynomial, degree, re, im, k) {
   return Math.hypot(moveRe, moveIm);
 }
 
-/** The step of Newton's method, p / p', by Horner's rule; 0 where p is rounding alone. */
+const STEP = new Float64Array(2); // what newtonStep returns: new arrays would be most of the garbage
+
+/** Put the step of Newton's method, p / p', into STEP, by Horner's rule; 0 where p is rounding. */
 function newtonStep(polynomial, degree, x, y) {
   let re = 0, im = 0, slopeRe = 0, slopeIm = 0, size = 0;
   const modulus = Math.hypot(x, y);
@@ -133,9 +136,10 @@ function newtonStep(polynomial, degree, x, y) {
     re = next;
     size = size * modulus + Math.abs(polynomial[k]);
   }
-  if (Math.hypot(re, im) < 2 * EPSILON * size) return [0, 0];
   const square = slopeRe * slopeRe + slopeIm * slopeIm || 1e-300;
-  return [(re * slopeRe + im * slopeIm) / square, (im * slopeRe - re * slopeIm) / square];
+  const isRounding = Math.hypot(re, im) < 2 * EPSILON * size;
+  STEP[0] = isRounding ? 0 : (re * slopeRe + im * slopeIm) / square;
+  STEP[1] = isRounding ? 0 : (im * slopeRe - re * slopeIm) / square;
 }
 
 /**

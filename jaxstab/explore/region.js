@@ -15,7 +15,7 @@ const MOST_SPLITS = 7;
 const SMALL = 1e-6; // of the region's size: gains that turning up from 0 reaches first
 
 /**
- * A part of the boundary, the stable set to its left.
+ * A part of the boundary; seen along its points, the stable set is on the left.
  * @typedef {object} Piece
  * @property {number[][]} points [alpha, beta]
  * @property {string} branch "curve", "z = 1" or "z = -1"
@@ -312,9 +312,9 @@ function componentOf(loop, chain) {
  * @returns {{components: Component[], isClosed: boolean}} first what turning gains up from 0
  *   reaches, if there is such a component, then islands by their area
  */
-function regionOf(loop) {
+function regionOf(loop, looks = LOOKS) {
   let suspects = [], found;
-  for (let look = 1; look <= LOOKS; look++) {
+  for (let look = 1; look <= looks; look++) {
     const scan = scanAngles(loop, look, suspects).map((theta) => lookAt(loop, theta));
     if (startsIn(scan) > MOST_PIECES) return { components: [], isClosed: false };
     const curve = curvePieces(loop, scan);

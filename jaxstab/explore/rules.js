@@ -68,7 +68,7 @@ function passiveWalls(setup) {
   return passiveShape(setup.delay).map(([a, b]) => [a * per, b * setup.damping]);
 }
 
-/** The line (K, B) of the linear rule, which promises stability to its left, between two K. */
+/** The line (K, B) of the linear rule, which promises stability above it, between two K. */
 function linearRule(setup, ends) {
   const lag = (setup.delay + 0.5) * setup.period, own = setup.damping + setup.handDamping;
   return ends.map((stiffness) => [stiffness, stiffness * lag - own]);

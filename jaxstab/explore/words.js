@@ -2,11 +2,12 @@
 "use strict";
 
 const NOTHING = 1e-9; // of the other limit: rounding
+const IN_FOUR_DIGITS = new Intl.NumberFormat("en", { maximumSignificantDigits: 4 });
 
 /** A stiffness with its unit, rounded towards 0. */
 function stiffnessInWords(stiffness) {
   const power = 10 ** (Math.floor(Math.log10(Math.abs(stiffness))) - 3);
-  return `${(Math.trunc(stiffness / power + 1e-9) * power || 0).toLocaleString("en", { maximumSignificantDigits: 4 })} ${units().stiffness}`;
+  return `${IN_FOUR_DIGITS.format(Math.trunc(stiffness / power + 1e-9) * power || 0)} ${units().stiffness}`;
 }
 
 function dampingInWords(damping) {
@@ -14,17 +15,19 @@ function dampingInWords(damping) {
 }
 
 /** Say what is the stiffest wall, and what the estimator costs. */
-function sayHeadline({ stiffest, plain, region, setup }) {
-  const headline = headlineOf(stiffest, region), comparison = comparisonOf(stiffest, plain, setup);
+function sayHeadline({ stiffest, plain, region, setup, isRough }) {
+  const headline = headlineOf(stiffest, region, isRough), comparison = comparisonOf(stiffest, plain, setup);
   assign(byId("headline"), "textContent", headline);
   assign(byId("comparison"), "textContent", comparison);
   const title = `The plane of stiffness K and damping B. ${headline} ${comparison}`;
   assign(byId("picture-title"), "textContent", title);
 }
 
-function headlineOf(stiffest, region) {
-  const open = region.isClosed ? "" : " Its outline was not resolved: it may be wrong.";
+function headlineOf(stiffest, region, isRough) {
+  const late = isRough ? " Its outline is not resolved yet." : " Its outline was not resolved: it may be wrong.";
+  const open = region.isClosed ? "" : late;
   if (stiffest) return `The stiffest stable wall: ${stiffnessInWords(stiffest[0])}, at a damping of ${dampingInWords(stiffest[1])}.${open}`;
+  if (isRough && !region.components.length) return "The stable region is not resolved yet.";
   if (!region.isClosed && !region.components.length) return "The stable region was not resolved here; jaxstab limits knows more.";
   const none = region.components.length ? "Small gains are not stable, but others are." : "No wall is stable.";
   return `${none}${open}`;
@@ -40,9 +43,9 @@ function comparisonOf(stiffest, plain, setup) {
 /** Name what is drawn. */
 function showLegend({ islands, setup, plain }, view) {
   const rows = [["stable", "stable"]];
-  if (islands.length) rows.push(["island", "stable, but turning gains up does not reach it"]);
+  if (islands.length) rows.push(["island", "stable, but not reached by turning gains up"]);
   if (plain) rows.push(["ghost", "stable with the difference over one sample"]);
-  rows.push(["rule", `linear rule${plain ? ", which knows of no filter" : ""}: promises stability above it`]);
+  rows.push(["rule", `linear rule${plain ? " (it ignores filters)" : ""}: promises stability above the line`]);
   if (view.passive.length) {
     const most = Math.max(...view.passive.map(([stiffness]) => stiffness));
     rows.push(["passive", `passive for any hand, up to ${stiffnessInWords(most)}`]);
