@@ -117,7 +117,7 @@ def without(*names: str) -> Edit:
 
 
 def errors(value: float) -> Edit:
-    return put(schema.ALPHA_LIMITS, value, (..., [6, 13]))
+    return put(schema.ALPHA_LIMITS, value, (..., [9, 19]))
 
 
 VALUES: dict[str, Edit] = {
@@ -328,7 +328,7 @@ def hostile_files(base: Arrays) -> dict[str, tuple[bytes, bool]]:
 
 def mutants(base: Arrays, rng: np.random.Generator, count: int) -> Iterator[bytes]:
     """Files with some bytes of table or chunks changed; digests are right again, but some."""
-    whole = assembled(base, chunks={schema.ALPHA_LIMITS: (3, 1, 2, 1, 14)})
+    whole = assembled(base, chunks={schema.ALPHA_LIMITS: (3, 1, 2, 1, 20)})
     for _ in range(count):
         if rng.random() < 0.7:
             yield retold(whole, lambda text: _mutated_text(text, rng))

@@ -39,9 +39,11 @@ def answers(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What is said of points (alpha, ..., delay), and a limit near each of them."""
     alpha, *rest = point
-    terms = np.stack([np.ones_like(alpha), *rest, rest[-1] ** 2], axis=-1)
+    delay = rest[-1]
+    moved = (delay * value for value in (delay, *rest[:-1]))
+    terms = np.stack([np.ones_like(alpha), *rest, *moved], axis=-1)
     (low, low_error), (high, high_error) = (
-        (np.sum(planes[box, cell, :6] * terms, axis=-1), planes[box, cell, 6])
+        (np.sum(planes[box, cell, :-1] * terms, axis=-1), planes[box, cell, -1])
         for planes in (columns.lower, columns.upper)
     )
     is_unstable = (alpha < low - low_error) | (alpha > high + high_error)
@@ -138,7 +140,7 @@ def test_the_haptic_range_leaves_less_than_a_thousandth_undecided(rng: np.random
     domain = Domain((-0.02, 0.7), (-0.05, 2.05))
     edges = np.linspace(*domain.beta, 513)
     columns = stable_columns(edges, hands, 0.0, domain)
-    spread = np.minimum(columns.lower[..., 6] + columns.upper[..., 6], 0.72)
+    spread = np.minimum(columns.lower[..., -1] + columns.upper[..., -1], 0.72)
     assert 2 * spread.mean() / 0.72 < 1e-3
 
 

@@ -76,7 +76,7 @@ def test_limits_that_no_file_holds_are_refused_before_the_work(tmp_path: Path) -
     output = tmp_path / "a.h5"
     for command in (["plan"], ["build", "-o", output, "--spec"]):
         answer = run("atlas", *command, tmp_path / "many.toml")
-        assert "alpha_limits takes 14797504512 bytes in a tile" in answer.stderr
+        assert "alpha_limits takes 21139292160 bytes in a tile" in answer.stderr
         assert_one_sentence(answer.stderr)
     assert not output.exists()
 

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
-from jaxstab.boxes.runs import Columns, columns_of
+from jaxstab.boxes.runs import SQUARE, Columns, T, columns_of, with_products
 from jaxstab.boxes.strips import (
     Strips,
     above_line,
@@ -35,15 +35,21 @@ TERMS = (
     "per_delta",
     "per_delay",
     "per_delay_squared",
+    "per_delay_beta",
+    "per_delay_gamma",
+    "per_delay_delta",
     "error",
 )
-"""A surface over (beta, gamma, delta, delay) and how far from it the true limit can be."""
+"""A surface over (beta, gamma, delta, delay) and how far from it the true limit can be.
+
+The last three slopes are those of the products of the delay and beta, gamma, delta.
+"""
 
 _INSIDE = 1.0 - 1e-6  # of the way to a corner of a column
 _EVERYWHERE = Domain((-np.inf, np.inf), (-np.inf, np.inf))
 _ROUNDING = 1e-14  # of the domain: sums of the terms of a plane
 
-Planes = Float64[np.ndarray, "*column 7"]
+Planes = Float64[np.ndarray, "*column 10"]
 
 
 class StableColumns(NamedTuple):
@@ -55,8 +61,8 @@ class StableColumns(NamedTuple):
     domain.
     """
 
-    lower: Float64[np.ndarray, "box beta_cell 7"]
-    upper: Float64[np.ndarray, "box beta_cell 7"]
+    lower: Float64[np.ndarray, "box beta_cell 10"]
+    upper: Float64[np.ndarray, "box beta_cell 10"]
 
 
 class ColumnGaps(NamedTuple):
@@ -148,12 +154,12 @@ def _gap_verdicts(
 
     A gap is connected: where it is not all along its column strips are straight, and it is convex.
     """
-    inside = columns.corners * _INSIDE
+    inside = columns.corners[..., : SQUARE + 1] * _INSIDE
     middle = np.zeros_like(inside[:1])
     if columns.half_delay:  # the square of the delay is not free
-        middle[..., 4] = -columns.half[:, 4]
-        inside[..., 4] = (2.0 * _INSIDE**2 - 1.0) * columns.half[:, 4]
-    points = np.concatenate([middle, inside])
+        middle[..., SQUARE] = -columns.half[:, SQUARE]
+        inside[..., SQUARE] = (2.0 * _INSIDE**2 - 1.0) * columns.half[:, SQUARE]
+    points = with_products(np.concatenate([middle, inside]))
     begins, ends = _gaps(*strips.ends_at(points), widened(domain))
     width = ends - begins
     widest = np.argmax(np.where(np.isnan(width), -np.inf, width), axis=0)
@@ -167,7 +173,7 @@ def _gap_verdicts(
     codes = np.full(exists.shape, NOT_COMPUTED, np.int8)
     resolve = "exact" if filters is None else None
     some = np.empty(alpha.size, np.int8)
-    shares = np.sign(deviation[:, 3]) if columns.half_delay else np.zeros_like(alpha)
+    shares = np.sign(deviation[:, T]) if columns.half_delay else np.zeros_like(alpha)
     for share in np.unique(shares).tolist():
         here = shares == share
         delay = columns.delay + share * _INSIDE * columns.half_delay
@@ -320,12 +326,18 @@ def _planes(limits: _Limits, columns: Columns) -> Planes:
     centre, slope, error = limits
     constant = centre - np.sum(slope * columns.centre, axis=1)
     size = np.abs(centre) + 2.0 * np.sum(np.abs(slope * columns.centre), axis=1)
-    per_delay = per_square = np.zeros_like(constant)
-    if columns.half_delay:  # t = d - d0 in rate t + bend (t^2 - half), where centres are 0
-        rate, bend = slope[:, 3:].T
-        per_delay, per_square = rate - 2.0 * columns.delay * bend, bend
-        constant -= rate * columns.delay - bend * (columns.delay**2 - columns.half[:, 4])
-        latest = columns.delay + columns.half_delay
+    of_delay = np.zeros((constant.size, len(TERMS) - 1 - T - 1))
+    plane = slope[:, :T]
+    if columns.half_delay:
+        # t = d - d0 in rate t + bend (t^2 - half) + turns t (x - x0), where centres are 0
+        middle, known = columns.delay, columns.centre[:, :T]
+        rate, bend, turns = slope[:, T], slope[:, SQUARE], slope[:, SQUARE + 1 :]
+        level = np.sum(turns * known, axis=1)
+        constant += (level - rate) * middle + bend * (middle**2 - columns.half[:, SQUARE])
+        plane = plane - turns * middle
+        of_delay = np.column_stack([rate - 2.0 * middle * bend - level, bend, turns])
+        latest = middle + columns.half_delay
         size += 4.0 * (np.abs(rate) + 2.0 * latest * np.abs(bend)) * latest
+        size += 8.0 * latest * np.sum(np.abs(turns) * (np.abs(known) + columns.half[:, :T]), axis=1)
     error = error + _ROUNDING * np.where(np.isfinite(size), size, 0.0)
-    return np.column_stack([constant, slope[:, :3], per_delay, per_square, error])
+    return np.column_stack([constant, plane, of_delay, error])

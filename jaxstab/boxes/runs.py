@@ -1,6 +1,7 @@
 """Runs of patches of the curve through columns, and the surfaces that follow them.
 
-A surface is a plane over beta, gamma, delta and delay, plus a term in the square of the delay.
+A surface is a plane over beta, gamma and delta at each delay: its height has a term in the square
+of the delay, and its slopes change linearly with it.
 """
 
 from typing import NamedTuple
@@ -12,16 +13,19 @@ from jaxstab.boxes.enclosure import Patches
 from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.plant import HandBoxes
 
+T, SQUARE = 3, 4  # the variables of columns that are t and its square; its products follow
 EDGE = 1e-9  # of a column: it reaches beyond its edges, so that rounding finds no gap
-_T = 3  # the variable of patches that is the delay; the next one is its square
+_T = 3  # the variable of patches that is the delay; the next is its square, then its products
+_THETA, _HANDS = 0, slice(1, _T)
+_STEEPEST = 1e3  # of slopes along beta that are tried
 _EPS = 16 * np.finfo(np.float64).eps
 
 
 class Columns(NamedTuple):
     """Boxes of beta and the variables of the plant, all with the same delays.
 
-    The variables are beta, gamma, delta and, if the delays have a width, t and the square of t less
-    half of its largest value, with t measured from the delay in the middle.
+    The variables are x = beta, gamma, delta and, where the delays have a width, t, the square of t
+    less half of what it can be, and t x, with t from the delay in the middle and x from its own.
     """
 
     centre: Float64[np.ndarray, "column variable"]
@@ -31,15 +35,27 @@ class Columns(NamedTuple):
 
     @property
     def corners(self) -> Float64[np.ndarray, "corner column variable"]:
-        """The corners of the columns, as deviations from their centres."""
-        count = self.half.shape[1]
+        """The corners of the columns, as deviations from their centres.
+
+        What is affine in each variable, products taken as products, is largest at one of them.
+        """
+        count = min(self.half.shape[1], SQUARE + 1)
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * count), axis=-1).reshape(-1, 1, count)
-        corners: np.ndarray = self.half * signs
-        return corners
+        return with_products(self.half[:, :count] * signs)
 
     def some(self, which: np.ndarray) -> "Columns":
         """Return some of the columns."""
         return self._replace(centre=self.centre[which], half=self.half[which])
+
+
+def with_products(
+    deviations: Float64[np.ndarray, "*point variable"],
+) -> Float64[np.ndarray, "*point variable_or_product"]:
+    """Return deviations of x, t and its square with the products t x; of x alone as they are."""
+    if deviations.shape[-1] <= T:
+        return deviations
+    products = deviations[..., T, None] * deviations[..., :T]
+    return np.concatenate([deviations[..., : SQUARE + 1], products], axis=-1)
 
 
 def columns_of(
@@ -50,14 +66,13 @@ def columns_of(
     middle, half = 0.5 * (beta[1:] + beta[:-1]), (0.5 + EDGE) * np.diff(beta)
     along_beta = np.tile(middle, boxes), np.tile(half, boxes)
     of_hands = [np.repeat(part, cells) for part in hands]
-    widths = (half_delay, 0.5 * half_delay**2) if half_delay else ()
-    along_delay = [np.full(cells * boxes, width) for width in widths]
-    return Columns(
-        np.stack([along_beta[0], *of_hands[:2], *(0.0 * half for half in along_delay)], axis=-1),
-        np.stack([along_beta[1], *of_hands[2:], *along_delay], axis=-1),
-        delay,
-        half_delay,
-    )
+    centre = np.stack([along_beta[0], *of_hands[:2]], axis=-1)
+    reach = np.stack([along_beta[1], *of_hands[2:]], axis=-1)
+    if half_delay:
+        widths = np.broadcast_to([half_delay, 0.5 * half_delay**2], (cells * boxes, 2))
+        reach = np.concatenate([reach, widths, half_delay * reach], axis=-1)
+        centre = np.concatenate([centre, np.zeros((cells * boxes, T + 2))], axis=-1)
+    return Columns(centre, reach, delay, half_delay)
 
 
 class Runs(NamedTuple):
@@ -95,20 +110,73 @@ def distances(
     middle: Float64[np.ndarray, " run"],
     slope: Float64[np.ndarray, "run variable"],
 ) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
-    """Return the distance of each patch from its run's plane at its centre, with a bound."""
+    """Return the lowest and the highest that each patch is above its run's surface in its column.
+
+    Another slope along beta may be taken for a patch, if what it differs by is added for all beta
+    of the column: those that level a patch along theta, or the delay, are tried (lemma B16).
+    """
     alpha, gain, patch = patches.alpha, patches.beta, runs.patch
-    per_beta = slope[runs.number, 0]
-    off = alpha.centre[patch] - middle[runs.number]
-    off -= per_beta * (gain.centre[patch] - columns.centre[runs.column, 0])
-    tilt = alpha.slope[:, patch] - per_beta * gain.slope[:, patch]
-    tilt[1 : slope.shape[1]] -= slope[runs.number, 1:].T
-    if columns.half_delay:
-        half_width, middle_of_tilt = _tilted_inside(patches, columns, runs, tilt)
-        off += middle_of_tilt
-    else:
-        half_width = np.sum(np.abs(tilt) * alpha.half[:, patch], axis=0)
-    with np.errstate(invalid="ignore"):  # a slope of 0 times no bound
-        return off, half_width + alpha.rest[patch] + np.abs(per_beta) * gain.rest[patch]
+    own, of_beta = alpha.slope[:, patch], gain.slope[:, patch]
+    goal, rest, moved = _surface_in_patches(patches, columns, runs, slope)
+    away = gain.centre[patch] - columns.centre[runs.column, 0]
+    above = alpha.centre[patch] - middle[runs.number] - moved
+    rest += alpha.rest[patch]
+    chosen = slope[runs.number, 0]
+    low, high = np.full((2, patch.size), [[-np.inf], [np.inf]])
+    for level in (None, _THETA, _T) if columns.half_delay else (None, _THETA):
+        per_beta = chosen
+        if level is not None:
+            steep = np.abs(own[level] - goal[level]) >= _STEEPEST * np.abs(of_beta[level])
+            quotient = (own[level] - goal[level]) / np.where(steep, 1.0, of_beta[level])
+            per_beta = np.where(steep, chosen, quotient)
+        tilt = own - goal - per_beta * of_beta
+        off = above - per_beta * away
+        half_width = np.abs(per_beta - chosen) * columns.half[runs.column, 0]
+        if columns.half_delay:
+            inside, middle_of_tilt = _tilted_inside(patches, columns, runs, tilt)
+            off, half_width = off + middle_of_tilt, half_width + inside
+        else:
+            half_width += np.sum(np.abs(tilt) * alpha.half[:, patch], axis=0)
+        with np.errstate(invalid="ignore"):  # a slope of 0 times no bound
+            half_width += rest + np.abs(per_beta) * gain.rest[patch] + _EPS * np.abs(off)
+            half_width *= 1.0 + _EPS
+        low, high = np.fmax(low, off - half_width), np.fmin(high, off + half_width)
+    return low, high
+
+
+def _surface_in_patches(
+    patches: Patches, columns: Columns, runs: Runs, slope: Float64[np.ndarray, "run variable"]
+) -> tuple[
+    Float64[np.ndarray, "variable entry"],
+    Float64[np.ndarray, " entry"],
+    Float64[np.ndarray, " entry"],
+]:
+    """Return a surface less its slope along beta in the variables of patches: slopes, rest, centre.
+
+    The product of t and beta is that of t and the patch's model of beta.
+    """
+    gain, patch = patches.beta, runs.patch
+    of_beta, half = gain.slope[:, patch], gain.half[:, patch]
+    goal = np.zeros_like(of_beta)
+    moved = np.zeros(patch.size)
+    if not columns.half_delay:
+        goal[_HANDS] = slope[runs.number, 1:].T
+        return goal, moved.copy(), moved
+    terms = slope[runs.number].T
+    goal[_HANDS] = terms[1:T]
+    goal[_T : _T + 2] = terms[T : SQUARE + 1]
+    turn, most = terms[SQUARE + 1], columns.half_delay
+    first, last = _T + 2, 2 * _T + 2
+    goal[first + 1 : last] = terms[SQUARE + 2 :]
+    goal[first:last] += turn * of_beta[:_T]
+    goal[_T] += turn * (gain.centre[patch] - columns.centre[runs.column, 0])
+    goal[_T + 1] += turn * of_beta[_T]
+    moved += turn * of_beta[_T] * half[_T + 1]
+    left = np.abs(of_beta[_T + 1]) * half[_T + 1] + gain.rest[patch]
+    left += np.sum(np.abs(of_beta[first:last]) * half[first:last], axis=0)
+    with np.errstate(invalid="ignore"):
+        rest = np.where(turn == 0.0, 0.0, np.abs(turn) * most * left) * (1.0 + EDGE)
+    return goal, rest + _EPS * np.abs(moved), moved
 
 
 def _tilted_inside(
@@ -152,20 +220,24 @@ def surfaces(
     typical, away = _in_the_middle(patches, columns, runs, 0.0)
     of_alpha, of_beta = patches.alpha.slope[:, typical], patches.beta.slope[:, typical]
     steep = np.abs(of_alpha[0]) * columns.half[column, 0] > height * np.abs(of_beta[0])
-    per_beta = np.where(steep, 0.0, of_alpha[0] / np.where(steep, 1.0, of_beta[0]))
-    known = columns.centre.shape[1]
-    slope = np.stack([per_beta, *(of_alpha - per_beta * of_beta)[1:known]], axis=-1)
+    per_theta = np.where(steep, 1.0, of_beta[0])
+    per_beta = np.where(steep, 0.0, of_alpha[0] / per_theta)
+    left = of_alpha - per_beta * of_beta
+    slope = np.stack([per_beta, *left[_HANDS]], axis=-1)
     middle = _at_delay(patches.alpha, typical, columns, 0.0) - per_beta * away
     if half_delay:
+        by_theta, *by_hands = left[_T + 2 :]
+        turn = np.where(steep, 0.0, by_theta / per_theta)
+        turns = [turn, *(by_hands - turn * of_beta[_HANDS])]
         early, late = (
-            _at_delay(patches.alpha, patch, columns, t) - per_beta * off
+            _at_delay(patches.alpha, patch, columns, t) - (per_beta + turn * t) * off
             for t in (-half_delay, half_delay)
             for patch, off in [_in_the_middle(patches, columns, runs, t)]
         )
+        rate = 0.5 * (late - early) / half_delay
         bend = (0.5 * (early + late) - middle) / half_delay**2
-        slope[:, 3] = 0.5 * (late - early) / half_delay
-        slope[:, 4] = bend
-        middle += bend * columns.half[column, 4]
+        slope = np.stack([*slope.T, rate, bend, *turns], axis=-1)
+        middle += bend * columns.half[column, SQUARE]
     known = np.isfinite(middle) & np.all(np.isfinite(slope), axis=1)
     return np.where(known, middle, 0.0), np.where(known[:, None], slope, 0.0)
 

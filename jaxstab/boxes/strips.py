@@ -1,9 +1,9 @@
 """Strips: where in a column roots may cross the unit circle.
 
-A strip lies within an error of a surface alpha(beta, gamma, delta, delay), which is a plane plus a
-term in the square of the delay. The boundary in a column is a few strips: the line of a root at 1,
-the runs of patches of the curve (``enclosure``), and the line of a root at -1. Strips that touch
-somewhere in a column become one flat strip (lemma B8 of docs/proofs.md).
+A strip lies within an error of a surface alpha(beta, gamma, delta, delay): at each delay a plane
+(``runs``). The boundary in a column is a few of them: the line of a root at 1, the runs of patches
+of the curve (``enclosure``), and the line of a root at -1. Strips that touch somewhere in a column
+become one flat strip (lemma B8 of docs/proofs.md).
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from jaxstab.boxes.enclosure import Domain, Patches, curve_patches, minus_line_m
 from jaxstab.boxes.filter_parts import Ends, filter_ends
 from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.plant import HandBoxes
-from jaxstab.boxes.runs import Columns, distances, runs_of, surfaces
+from jaxstab.boxes.runs import SQUARE, Columns, distances, runs_of, surfaces
 from jaxstab.model.filters import Filters
 
 _PATCHES_PER_CELL = 2.0
@@ -42,12 +42,12 @@ class Strips(NamedTuple):
         return Strips(*(part[which] for part in self))
 
     def straightened(self, columns: Columns) -> "Strips":
-        """Return the strips as planes: the square of the delay becomes a part of their errors."""
+        """Return the strips with the square and products of the delay as parts of their errors."""
         if not columns.half_delay:
             return self
         slope = self.slope.copy()
-        slope[..., 4] = 0.0
-        bent = np.abs(self.slope[..., 4]) * columns.half[:, None, 4]
+        slope[..., SQUARE:] = 0.0
+        bent = np.sum(np.abs(self.slope[..., SQUARE:]) * columns.half[:, None, SQUARE:], axis=-1)
         return self._replace(slope=slope, error=self.error + bent)
 
     def ends(self, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
@@ -136,13 +136,12 @@ def _line_strips(columns: Columns, hands: HandBoxes, domain: Domain, ends: Ends)
     lost_at_one = ends.lost * np.abs(per_gamma) * (gamma + columns.half[:, 1])
     value, weight = minus_line_models(hands, columns.delay, columns.half_delay)
     line, per_beta, error = _minus_line(value, weight, columns, domain, ends)
-    known = columns.centre.shape[1] - 1
-    products = np.sum(np.abs(line.slope[known:]) * line.half[known:], axis=0)
-    error = error + np.repeat(products, cells)
     centre, *slope = (
         np.where(np.isnan(error), np.nan, np.repeat(part, cells))
-        for part in (line.centre, *line.slope[:known])
+        for part in (line.centre, *line.slope)
     )
+    if columns.half_delay:  # with the delay the line does not turn along beta
+        slope.insert(SQUARE, np.zeros_like(beta))
     at_minus_one = np.stack([np.full_like(beta, per_beta), *slope], axis=-1)
     return Strips(
         np.stack([per_gamma * gamma, centre + per_beta * beta], axis=-1),
@@ -192,9 +191,8 @@ def _curve_strips(
         return _no_strips(columns, 0)
     column = runs.column[runs.start]
     middle, slope = surfaces(patches, columns, runs, height)
-    off, half_width = distances(patches, columns, runs, middle, slope)
-    low = np.minimum.reduceat(off - half_width, runs.start)
-    high = np.maximum.reduceat(off + half_width, runs.start)
+    low, high = distances(patches, columns, runs, middle, slope)
+    low, high = np.minimum.reduceat(low, runs.start), np.maximum.reduceat(high, runs.start)
 
     rank = np.arange(column.size) - np.searchsorted(column, column)
     strips = _no_strips(columns, int(rank.max()) + 1)

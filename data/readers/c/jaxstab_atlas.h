@@ -60,12 +60,11 @@ typedef struct {
     size_t beta_cells, gamma_cells, delta_cells, delay_cells;
     const jaxstab_walls_ *walls;  /* one for each cell of delays, ascending */
     const double *gamma, *delta;  /* ascending nodes */
-    const float *limits;          /* [beta_cell][gamma_cell][delta_cell][delay_cell][16] */
-    double cells_per_delay;       /* a guess */
+    const float *limits;          /* [beta_cell][gamma_cell][delta_cell][delay_cell][20] */
     const char *filters;          /* velocity estimator and position filter, in words */
 } jaxstab_atlas;
 
-enum { JAXSTAB_TERMS_ = 14, JAXSTAB_ROW_ = 16 }; /* a row of limits, in a line of the cache */
+enum { JAXSTAB_TERMS_ = 10, JAXSTAB_ROW_ = 20 }; /* of a limit, and of two; in two lines of the cache */
 
 /* ---- queries ---- */
 
@@ -102,32 +101,23 @@ static inline int jaxstab_holds_(double lowest, double highest, double number)
 static inline double jaxstab_limit_(const float *terms, double beta, double gamma, double delta,
                                     double delay)
 {
-    const double moved = ((double)terms[4] + (double)terms[5] * delay) * delay;
+    const double rate = (double)terms[4] + (double)terms[5] * delay + (double)terms[6] * beta +
+                        (double)terms[7] * gamma + (double)terms[8] * delta;
     return (double)terms[0] + (double)terms[1] * beta + (double)terms[2] * gamma +
-           (double)terms[3] * delta + moved;
+           (double)terms[3] * delta + rate * delay;
 }
 
-/* The last cell of delays that begins at a delay or before, and one more; 0 for none and NaN. Cells
- * are mostly even, so that the first guess is right. */
+/* The last cell of delays that begins at a delay or before, and one more; 0 for none and NaN. */
 static inline size_t jaxstab_delay_rank_(const jaxstab_atlas *atlas, double delay)
 {
     const jaxstab_walls_ *walls = atlas->walls;
-    const double place = (delay - walls[0].lowest_delay) * atlas->cells_per_delay;
-    size_t low = 0, high = atlas->delay_cells;
-    if (place >= 0.0 && place < (double)high) {
-        const size_t guess = (size_t)place;
-        if (walls[guess].lowest_delay <= delay &&
-            (guess + 1 == high || delay < walls[guess + 1].lowest_delay))
-            return guess + 1;
+    size_t cell = 0, count = atlas->delay_cells;
+    while (count > 1) { /* without branches that depend on the delay */
+        const size_t half = count / 2;
+        cell += walls[cell + half].lowest_delay <= delay ? half : 0;
+        count -= half;
     }
-    while (low < high) {
-        const size_t middle = low + (high - low) / 2;
-        if (walls[middle].lowest_delay <= delay)
-            low = middle + 1;
-        else
-            high = middle;
-    }
-    return low;
+    return walls[cell].lowest_delay <= delay ? cell + 1 : 0;
 }
 
 /* Find the walls of a cell of delays and the limits at a point; 0 where the atlas says nothing. */
@@ -150,9 +140,9 @@ static inline int jaxstab_find_(const jaxstab_atlas *atlas, double beta, double 
 
     const float *column = atlas->limits + JAXSTAB_ROW_ * (cell * atlas->delay_cells + rank - 1);
     limits->lower = jaxstab_limit_(column, beta, gamma, delta, delay);
-    limits->lower_error = column[6];
-    limits->upper = jaxstab_limit_(column + 7, beta, gamma, delta, delay);
-    limits->upper_error = column[13];
+    limits->lower_error = column[9];
+    limits->upper = jaxstab_limit_(column + JAXSTAB_TERMS_, beta, gamma, delta, delay);
+    limits->upper_error = column[19];
     return 1;
 }
 
@@ -312,9 +302,9 @@ static inline int jaxstab_follow_(const double *ends, size_t count)
 static inline int jaxstab_are_limits_(const float *terms, size_t count)
 {
     int are = 1;
-    for (size_t i = 0; are && i < count; i += 7) {
-        are = !isnan(terms[i]) && terms[i + 6] >= 0.0f;
-        for (size_t k = 1; are && k < 6; k++)
+    for (size_t i = 0; are && i < count; i += JAXSTAB_TERMS_) {
+        are = !isnan(terms[i]) && terms[i + 9] >= 0.0f;
+        for (size_t k = 1; are && k < 9; k++)
             are = isfinite(terms[i + k]);
     }
     return are;
@@ -326,7 +316,7 @@ static inline int jaxstab_fits_(void *const values[], const size_t shape[][5])
     const size_t *limits = shape[JAXSTAB_LIMITS_], delays = shape[JAXSTAB_RANGE_][0];
     int fits = limits[1] == (shape[JAXSTAB_GAMMA_][0] > 1 ? shape[JAXSTAB_GAMMA_][0] - 1 : 1) &&
                limits[2] == (shape[JAXSTAB_DELTA_][0] > 1 ? shape[JAXSTAB_DELTA_][0] - 1 : 1) &&
-               limits[3] == delays && limits[4] == JAXSTAB_TERMS_ && shape[JAXSTAB_RANGE_][1] == 6;
+               limits[3] == delays && limits[4] == JAXSTAB_ROW_ && shape[JAXSTAB_RANGE_][1] == 6;
     for (int i = JAXSTAB_GAMMA_; i <= JAXSTAB_DELTA_; i++)
         fits = fits && jaxstab_ascends_((const double *)values[i], shape[i][0]);
     return fits && jaxstab_follow_((const double *)values[JAXSTAB_RANGE_], delays) &&
@@ -369,18 +359,14 @@ static inline jaxstab_atlas *jaxstab_assembled_(void *const values[], const size
     atlas->gamma_cells = limits[1];
     atlas->delta_cells = limits[2];
     atlas->delay_cells = delays;
-    const double *range = (const double *)values[JAXSTAB_RANGE_];
-    const double span = range[6 * (delays - 1)] - range[0];
-    atlas->cells_per_delay = span > 0.0 ? (double)(delays - 1) / span : 0.0;
     atlas->walls = walls;
     atlas->gamma = jaxstab_copied_(values[JAXSTAB_GAMMA_], gammas, &free_space);
     atlas->delta = jaxstab_copied_(values[JAXSTAB_DELTA_], deltas, &free_space);
     while ((uintptr_t)free_space % 64)
         free_space++;
     atlas->limits = (const float *)(void *)free_space;
-    for (size_t i = 0; i < rows; i++, free_space += row)
-        memcpy(free_space, (const float *)values[JAXSTAB_LIMITS_] + i * JAXSTAB_TERMS_,
-               JAXSTAB_TERMS_ * sizeof(float));
+    memcpy(free_space, values[JAXSTAB_LIMITS_], rows * row * sizeof *free_space);
+    free_space += rows * row;
     memcpy(free_space, filters, letters);
     ((char *)free_space)[letters] = 0;
     atlas->filters = (const char *)free_space;

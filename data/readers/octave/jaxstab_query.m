@@ -52,8 +52,8 @@ function [code, lower, lower_error, upper, upper_error] = ...
     at = cellfun(@(values) reshape(values(here), 1, []), [point, {delay}], ...
                  'UniformOutput', false);
     columns = double(atlas.limits(:, k, cells_of(atlas, ends(5:6), at{1:3})));
-    [low, low_error] = limit_of(columns(1:7, :), at{:});
-    [high, high_error] = limit_of(columns(8:14, :), at{:});
+    [low, low_error] = limit_of(columns(1:10, :), at{:});
+    [high, high_error] = limit_of(columns(11:20, :), at{:});
 
     a = reshape(alpha(here), 1, []);
     found = 3 * ones(size(a));
@@ -92,9 +92,9 @@ function cells = cell_of(values, nodes)
 end
 
 function [limit, limit_error] = limit_of(terms, beta, gamma, delta, delay)
-  moved = (terms(5, :) + terms(6, :) .* delay) .* delay;
-  limit = terms(1, :) + terms(2, :) .* beta + terms(3, :) .* gamma + terms(4, :) .* delta + moved;
-  limit_error = terms(7, :);
+  rate = terms(5, :) + terms(6, :) .* delay + terms(7, :) .* beta + terms(8, :) .* gamma + terms(9, :) .* delta;
+  limit = terms(1, :) + terms(2, :) .* beta + terms(3, :) .* gamma + terms(4, :) .* delta + rate .* delay;
+  limit_error = terms(10, :);
 end
 
 function atlas = opened(file)
@@ -137,7 +137,7 @@ end
 function yes = may_be(atlas)
 % Whether shapes and axes fit together, and all numbers may be.
   hands = max([numel(atlas.gamma), numel(atlas.delta)] - 1, 1);
-  yes = size(atlas.limits, 1) == 14 && size(atlas.range, 2) == 6 && ...
+  yes = size(atlas.limits, 1) == 20 && size(atlas.range, 2) == 6 && ...
         size(atlas.limits, 2) == size(atlas.range, 1) && isequal(atlas.cells(2:3), hands);
   for axis = {atlas.gamma, atlas.delta}
     yes = yes && all(isfinite(axis{1})) && all(diff(axis{1}) > 0) && axis{1}(1) >= 0;
@@ -145,8 +145,8 @@ function yes = may_be(atlas)
   if yes
     ends = atlas.range;
     spans = ends(:, [4, 6]) - ends(:, [3, 5]);
-    slopes = atlas.limits([2:6, 9:13], :);
-    errors = atlas.limits([7, 14], :);
+    slopes = atlas.limits([2:9, 12:19], :);
+    errors = atlas.limits([10, 20], :);
     yes = all(isfinite(ends(:))) && ends(1, 1) >= 0 && ends(end, 2) <= 100 && ...
           all(ends(:, 1) <= ends(:, 2)) && all(ends(1:end - 1, 2) <= ends(2:end, 1)) && ...
           all(diff(ends(:, 1)) > 0) && all(isfinite(spans(:))) && all(spans(:) >= 1e-300) && ...

@@ -123,15 +123,20 @@ def _limit_range(
     return np.column_stack([edges[:-1], edges[1:], *walls_of])
 
 
-def _delay_edges(delay: Float64[np.ndarray, " delay"], per_sample: int) -> list[float]:
-    """Return edges of cells between delays, at whole samples too and so many to a sample."""
+def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[float]:
+    """Return edges of cells between delays, at whole samples too.
+
+    A cell is (delay + 1/2) / fineness long, for as the delay grows the boundary bends less: so
+    errors are about equal in all cells.
+    """
     first, last = float(delay[0]), float(delay[-1])
     whole = range(ceil(first), floor(last) + 1)
     corners = sorted({*delay.tolist(), *map(float, whole)})
     edges = [first]
     for low, high in pairwise(corners):
-        count = max(1, ceil((high - low) * per_sample - 1e-9))
-        edges += np.linspace(low, high, count + 1)[1:].tolist()
+        count = max(1, ceil(np.log((high + 0.5) / (low + 0.5)) * fineness - 1e-9))
+        inner = np.geomspace(low + 0.5, high + 0.5, count + 1)[1:-1] - 0.5
+        edges += [*inner.tolist(), high]
     return edges
 
 

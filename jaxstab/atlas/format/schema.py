@@ -60,7 +60,7 @@ CELL: Final = ("alpha_cell", "beta_cell", "gamma_cell", "delta_cell", "delay")
 
 SLICE: Final = ("gamma", "delta", "delay")
 LIMITS: Final = ("limit_cell", "gamma_cell", "delta_cell", "delay_cell", "limit_term")
-LIMIT_TERMS: Final = 7  # of each of the two limits
+LIMIT_TERMS: Final = 10  # of each of the two limits
 
 
 @dataclass(frozen=True)
@@ -187,16 +187,18 @@ VARIABLES: Final = {
         ),
         _numbers(
             "limit_term",
-            "0 to 6: constant, slopes along beta, gamma, delta, delay and the square of the delay, "
-            "and error of the lower limit; 7 to 13: of the upper limit",
+            "0 to 9: constant, slopes along beta, gamma, delta, delay, the square of the delay and "
+            "the delay times beta, gamma and delta, and error of the lower limit; 10 to 19: of the "
+            "upper limit",
         ),
         Variable(
             ALPHA_LIMITS,
             "float32",
             LIMITS,
             "limits of the stable alpha",
-            "limit = constant + slopes (beta, gamma, delta, delay, delay^2). Proved for each point "
-            "of the closed cell, and alpha in the range of limit_range: unstable below the lower "
+            "limit = constant + slopes (beta, gamma, delta, delay, delay^2, delay beta, delay "
+            "gamma, delay delta). Proved for each point of the closed cell, and alpha in the range "
+            "of limit_range: unstable below the lower "
             "limit - error and above the upper limit + error, stable between lower + error and "
             "upper - error (the boundary in closed form is enclosed, and a verdict computed in "
             "each gap). Constants "

@@ -30,7 +30,8 @@ from jaxstab.tables import check_keys, parsed, read_table
 Nodes: TypeAlias = ArrayLike | tuple[float, ...]
 
 FEWEST_FITTED = 8
-_DELAY_CELLS, _MOST_DELAY_CELLS = 32, 2**16  # to a sample
+_DELAY_CELLS, _MOST_DELAY_CELLS = 32, 2**16  # to a sample around 1/2
+_LIMIT_CELLS = 256, 128  # at delays alone, and between them
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
 _RANGE = ("start", "stop", "count", "spacing")
 _TOLERANT = ("start", "stop", "tolerance")
@@ -103,9 +104,11 @@ class AtlasSpec:
         delay: delays t_d/T in [0, 100], whole or fractional; each has a grid of its own.
         products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "outline" and
             "summary"; by default the first three.
-        limit_cells: number of even cells along beta in which the limits of alpha are given.
-        delay_cells: in how many cells to a sample they are given between the delays; 0 for these
-            alone, which is what None means for loops with an estimator or a filter: else 32.
+        limit_cells: number of even cells along beta in which the limits of alpha are given; 0
+            for 128 where they are given between delays, too, and else 256.
+        delay_cells: how finely they are given between the delays, in cells (delay + 1/2) /
+            delay_cells long; 0 for these delays alone, which is what None means for loops with an
+            estimator or a filter: else 32.
         radius_rounding: spectral radii are rounded to multiples of the largest power of two that is
             not above this (a smaller file; counted in the stored error), at least to float32.
 
@@ -128,7 +131,7 @@ class AtlasSpec:
     delta: Nodes | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
     delay: Nodes = (0.0, 1.0, 2.0, 3.0)
     products: Sequence[str] = (VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS)
-    limit_cells: int = 256
+    limit_cells: int = 0
     delay_cells: int | None = None
     radius_rounding: float | int = 1e-7
     velocity: Velocity | None = None
@@ -140,10 +143,12 @@ class AtlasSpec:
             if not isinstance(value, _LAID_OUT.get(name, ())):
                 object.__setattr__(self, name, _checked_nodes(name, value))
         object.__setattr__(self, "products", _checked_products(self.products))
-        checked_count("limit_cells", self.limit_cells, 1, LARGEST_SLICE)
         if self.delay_cells is None:
             object.__setattr__(self, "delay_cells", 0 if self.filters else _DELAY_CELLS)
         checked_count("delay_cells", self.delay_cells, 0, _MOST_DELAY_CELLS)
+        if not checked_count("limit_cells", self.limit_cells, 0, LARGEST_SLICE):
+            between = bool(self.delay_cells) and np.size(self.delay) > 1
+            object.__setattr__(self, "limit_cells", _LIMIT_CELLS[between])
         checked_number("radius_rounding", self.radius_rounding, 0.0, 1.0)
         for name, value in as_keywords(known_filters(self.velocity, self.position)).items():
             object.__setattr__(self, name, _as_written(name, value))

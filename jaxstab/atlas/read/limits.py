@@ -6,17 +6,19 @@ delay they are planes.
 """
 
 from bisect import bisect_right
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.atlas.format.schema import LIMIT_TERMS
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.intp]
 Range = tuple[float, float]
 
+_MOST_GUESSES = 2**12
 _CHUNK = 2**13  # points: their columns stay in the cache
 _ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
 
@@ -33,7 +35,7 @@ class AlphaLimits(NamedTuple):
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> limits = atlas.alpha_limits(0.3, 0.0005, 0.01, delay=1.0)
         >>> print(f"up to {limits.upper:.6f}, wrong by less than {limits.upper_error:.0e}")
-        up to 0.137404, wrong by less than 1e-03
+        up to 0.136525, wrong by less than 7e-04
     """
 
     lower: Floats
@@ -52,7 +54,7 @@ class MaxAlpha(NamedTuple):
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> largest = atlas.max_alpha(0.0005, 0.01, delay=1.0)
         >>> print(f"{largest.alpha:.4f} at {largest.beta:.4f}, none above {largest.bound:.4f}")
-        0.1479 at 0.4116, none above 0.1514
+        0.1486 at 0.4343, none above 0.1506
     """
 
     alpha: Floats
@@ -64,8 +66,9 @@ class LimitTable:
     """The columns of all delays.
 
     Args:
-        terms: (limit_cell, gamma_cell, delta_cell, delay_cell, 14): constant, slopes along beta,
-            gamma, delta, delay and its square, and error, of the lower and then of the upper limit.
+        terms: (limit_cell, gamma_cell, delta_cell, delay_cell, 20): constant, slopes along beta,
+            gamma, delta, delay, its square and its products with beta, gamma and delta, and error,
+            of the lower and then of the upper limit.
         ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells; those
             along beta are even.
         gamma: nodes of gamma, one or ascending.
@@ -82,9 +85,8 @@ class LimitTable:
         )
         self._highest_beta = highest
         self._next = np.append(self._early[1:], np.inf)
-        self._first, self._last = self._early[0], delays - 1
-        width = self._early[-1] - self._first
-        self._per_delay = self._last / width if width else 0.0
+        self._first = self._early[0]
+        self._per_delay, self._guesses = _guesses_of(self._early)
         self._per_beta = self._cells / (highest - self._beta)
         self._steps = gammas * deltas * delays, deltas * delays, delays
         self._nodes = gamma, delta
@@ -100,12 +102,12 @@ class LimitTable:
 
     def delay_cell(self, delay: Floats) -> Integers:
         """Return the numbers of the last cells that begin at delays or before; -1 for none."""
-        guess = (delay - self._first) * self._per_delay
-        cell = np.clip(guess, 0.0, self._last).astype(np.intp)
+        place = (delay - self._first) * self._per_delay
+        cell = self._guesses.take(np.clip(place, 0.0, self._guesses.size - 1.0).astype(np.intp))
         cell += delay >= self._next.take(cell)
         cell -= delay < self._early.take(cell)
         found = (delay < self._next.take(cell)) & (delay >= self._early.take(cell))
-        if found.all():  # cells are even, as most are
+        if found.all():  # as where no cell is very short
             return np.asarray(cell)
         return np.asarray(np.searchsorted(self._early, delay, "right") - 1)
 
@@ -197,12 +199,9 @@ class LimitTable:
         row = cell * self._steps[0] + bisect_right(self._inner_lists[0], gamma) * self._steps[1]
         row += bisect_right(self._inner_lists[1], delta) * self._steps[2] + number
         column = self._columns[row].tolist()
-        c, per_beta, per_gamma, per_delta, rate, bend, error = column[:7]
-        moved = (rate + bend * delay) * delay
-        lower = c + per_beta * beta + per_gamma * gamma + per_delta * delta + moved
-        c, per_beta, per_gamma, per_delta, rate, bend, upper_error = column[7:]
-        moved = (rate + bend * delay) * delay
-        upper = c + per_beta * beta + per_gamma * gamma + per_delta * delta + moved
+        low, high = column[:LIMIT_TERMS], column[LIMIT_TERMS:]
+        error, upper_error = low[-1], high[-1]
+        lower, upper = (_surface(terms, beta, gamma, delta, delay) for terms in (low, high))
         if alpha < lower - error or alpha > upper + upper_error:
             return int(UNSTABLE)
         return int(STABLE if lower + error < alpha < upper - upper_error else UNDECIDED)
@@ -313,17 +312,32 @@ class LimitTable:
         return _at(np.tile(columns.T, 4), at_beta, at_gamma, at_delta, at_delay)
 
 
+def _surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
+    """Return a limit by its terms; numbers or arrays."""
+    c, per_beta, per_gamma, per_delta, per_delay, bend, by_beta, by_gamma, by_delta, _ = terms
+    rate = per_delay + bend * delay + by_beta * beta + by_gamma * gamma + by_delta * delta
+    return c + per_beta * beta + per_gamma * gamma + per_delta * delta + rate * delay
+
+
+def _guesses_of(early: Floats) -> tuple[float, Integers]:
+    """Return how many even steps there are to a delay, and for each the cell in which it begins."""
+    width = float(early[-1] - early[0])
+    if not width:
+        return 0.0, np.zeros(1, np.intp)
+    count = int(min(np.ceil(width / np.diff(early).min()), _MOST_GUESSES))
+    steps = early[0] + width * np.arange(count + 1) / count
+    cells = np.searchsorted(early, steps, "right") - 1
+    return count / width, np.maximum(cells, 0)
+
+
 @_ignoring
 def _at(
     columns: NDArray[np.float32], beta: Floats, gamma: Floats, delta: Floats, delay: Floats
 ) -> AlphaLimits:
-    """Return the limits of columns, (14, point), at points."""
+    """Return the limits of columns, (20, point), at points."""
     limits = []
-    for terms in (columns[:7], columns[7:]):
-        constant, per_beta, per_gamma, per_delta, rate, bend, error = terms
-        moved = (rate + bend * delay) * delay
-        limit = constant + per_beta * beta + per_gamma * gamma + per_delta * delta + moved
-        limits += [limit, error]
+    for terms in (columns[:LIMIT_TERMS], columns[LIMIT_TERMS:]):
+        limits += [_surface(terms, beta, gamma, delta, delay), terms[-1]]
     return AlphaLimits(*limits)
 
 

@@ -162,7 +162,7 @@ def _limits_of_today(arrays: Mapping[str, Array]) -> dict[str, Array]:
     largest = float(np.max(np.abs(beta))), *hand, float(delay[-1])
     limits = []
     for old in np.split(arrays[schema.ALPHA_LIMITS], 2, axis=-1):
-        still = np.zeros((*old.shape[:-1], 2))
+        still = np.zeros((*old.shape[:-1], 5))
         terms = np.concatenate([old[..., :4], still, old[..., 4:]], axis=-1)
         limits.append(in_float32(terms, largest))
     return {
