@@ -20,9 +20,10 @@ keep their relative accuracy even at gamma = (2 pi)^2, delta = 0, where N(z) van
 """
 
 from fractions import Fraction
-from functools import lru_cache, partial
+from functools import partial
 from math import factorial
 from operator import itemgetter
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -52,7 +53,7 @@ _CANCELLING_GAMMA = 36.0  # up to _ACCURATE_DELTA
 _ERROR, _STIFF_ERROR, _DAMPED_ERROR = 2.0**-97, 2.0**-66, 2.0**-56
 
 _MANY = 1 << 16  # plants that are worth the two seconds that XLA takes to compile
-_REMEMBERED = 1 << 12  # plants of one array that are kept, 0.5 MB of them at most
+_REMEMBERED = 1 << 12  # plants that are kept, 0.5 MB of them
 
 _DUPLICATIONS = 10
 _TERMS = 10
@@ -173,35 +174,47 @@ def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs
     values = float_arrays(gamma, delta, fraction)
     values = namespace(values).broadcast_arrays(*values)
     whole = not is_traced(fraction) and not np.any(fraction)
-    if namespace(values) is np:
-        if values[0].ndim == 0:
-            return _one_plant(*map(float, values), whole=whole)
-        if values[0].size <= _REMEMBERED:
-            return _some_plants(values[0].shape, *(v.tobytes() for v in values), whole=whole)
+    if namespace(values) is np and values[0].size <= _REMEMBERED:
+        return _MEMORY.plants(*values)
     return _plant_pairs(*values, whole=whole)
 
 
-@lru_cache(maxsize=256)
-def _one_plant(gamma: float, delta: float, fraction: float, *, whole: bool) -> PlantPairs:
-    """Remember plants of single loops: one is asked about many walls."""
-    return tree_map(np.float64, _plant_pairs(gamma, delta, fraction, whole=whole))
+class _Memory:
+    """Plants that were computed, a row for each: verdicts and radii of walls ask for the same."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._numbers: dict[tuple[float, float, float], int] = {}
+        self._table = np.empty((_REMEMBERED, 2 * len(PlantPairs._fields)))
+
+    def plants(self, gamma: np.ndarray, delta: np.ndarray, fraction: np.ndarray) -> PlantPairs:
+        """Return plants of one shape, of at most as many as there is room for."""
+        rows = list(zip(*(v.ravel().tolist() for v in (gamma, delta, fraction)), strict=True))
+        with self._lock:
+            unknown = [row for row in dict.fromkeys(rows) if row not in self._numbers]
+            if len(self._numbers) + len(unknown) > _REMEMBERED:
+                self._numbers.clear()
+                unknown = list(dict.fromkeys(rows))
+            for whole in (False, True):
+                some = [row for row in unknown if (row[2] == 0.0) == whole]
+                if some:
+                    first = len(self._numbers)
+                    self._table[first : first + len(some)] = _computed(some, whole=whole)
+                    self._numbers.update(zip(some, range(first, first + len(some)), strict=True))
+            values = self._table[[self._numbers[row] for row in rows]]
+        columns = np.ascontiguousarray(values.T).reshape(-1, *gamma.shape)
+        return PlantPairs(*map(DoubleDouble, columns[::2], columns[1::2]))
 
 
-@lru_cache(maxsize=16)
-def _some_plants(
-    shape: tuple[int, ...], gamma: bytes, delta: bytes, fraction: bytes, *, whole: bool
-) -> PlantPairs:
-    """Remember plants of a few hands, in arrays that nobody may write to.
-
-    Verdict, radius and polynomial of each wall of a scene ask for the same ones.
-    """
-    values = (np.frombuffer(part).reshape(shape) for part in (gamma, delta, fraction))
-    return tree_map(_read_only, _plant_pairs(*values, whole=whole))
+_MEMORY = _Memory()
 
 
-def _read_only(values: np.ndarray) -> np.ndarray:
-    values.setflags(write=False)
-    return values
+def _computed(rows: list[tuple[float, float, float]], *, whole: bool) -> np.ndarray:
+    """Return the numbers of plants (plant, high and low of each field)."""
+    single = len(rows) == 1  # plain numbers are many times faster than arrays of one
+    pairs = _plant_pairs(*(rows[0] if single else np.array(rows).T), whole=whole)
+    columns = [part for pair in pairs for part in (pair.hi, pair.lo)]
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
 def pairs_error(gamma: Numbers, delta: Numbers) -> Array:

@@ -6,6 +6,7 @@ docs/proofs.md). One product of matrices doubles the states, one squares the pow
 needed, and multiple roots do no harm.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from math import ceil, log2
 from typing import Any, Literal, NamedTuple, get_args
@@ -123,8 +124,28 @@ def settling_samples(
         >>> int(jaxstab.settling_samples(0.1, 0.5, 0.0, 0.015, 0.0).value)
         15
     """
+    options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}
+    point = alpha, beta, gamma, delta, delay
+    (found,) = settling_at_levels(*point, [level], **options, velocity=velocity, position=position)
+    return found
+
+
+def settling_at_levels(
+    alpha: Numbers,
+    beta: Numbers,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    levels: Sequence[float],
+    *,
+    excitation: Excitation = "force",
+    horizon: int = HORIZON,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> list[Settling]:
+    """Count the samples for several tolerances of the same loops: ``settling_samples``."""
     require_x64(alpha, beta, gamma, delta)
-    level = checked_level(level, excitation)
+    levels = [checked_level(level, excitation) for level in levels]
     checked_count("horizon", horizon, 1)
     delay = checked_delay(delay)
     filters = given_filters(velocity, position)
@@ -133,12 +154,15 @@ def settling_samples(
     xp = namespace(gains, propagate)
     grid = xp.broadcast_shapes(*map(np.shape, gains), propagate.shape[:-2], delay.shape)
     entries = [propagate[..., row, column] for row in (0, 1) for column in range(4)]
-    bank = bank_for(filters)
-    search = partial(_settle, bank=bank, level=level, excitation=excitation, horizon=horizon)
+    search = partial(_settle, bank=bank_for(filters), excitation=excitation, horizon=horizon)
     codes = verdict(alpha, beta, gamma, delta, delay, velocity=velocity, position=position)
     is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
     lanes = *gains, *entries, np.floor(delay), ~is_unstable
-    return _settled(on_host(search, *lanes, shape=grid, like=np.float64), is_unstable)
+    firsts = [
+        on_host(partial(search, level=level), *lanes, shape=grid, like=np.float64)
+        for level in levels
+    ]
+    return [_settled(first, is_unstable) for first in firsts]
 
 
 def device_settling_samples(

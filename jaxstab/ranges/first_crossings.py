@@ -30,13 +30,12 @@ WAYS = (*GAIN_WAYS, (_DELAY, 1.0))
 """The axes along which a wall is changed, and the signs."""
 
 _AT_ONCE = 64  # walls
-_ANGLES, _ANGLES_PER_TURN = 32, 4  # boxes of theta at first, for half a turn of the root
-_PIECES = 2  # boxes along a gain at first
+_ANGLES, _ANGLES_PER_TURN = 16, 4  # boxes of theta at first, for half a turn of the root
 _FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
 _DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
-_DELAY_ANGLES, _FRACTIONS = 32, 4  # boxes at first, for half a turn and for a sample
+_DELAY_ANGLES, _FRACTIONS = 32, 2  # boxes at first, for half a turn and for a sample
 _FINER = 8  # boxes of angles where these are not free
-_COARSE = np.array([0.0, 2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
+_COARSE = np.array([0.0, 2.0**-4, 2.0**-10])  # half the size of boxes of fractions, angles / pi
 _FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 2000  # such boxes of a wall at once
 _TOUCHING = 1e-9
@@ -119,11 +118,10 @@ def _all_angles(walls: Walls, shape: tuple[int, ...]) -> Parts:
     turns = 1.0 + np.floor(np.max(walls[:, _DELAY]))
     count = int(_ANGLES + _ANGLES_PER_TURN * turns)
     theta = pi * (np.arange(count + 2) - 0.5) / count
-    t = np.linspace(0.0, 1.0, _PIECES + 1)
     lines = int(np.prod(shape))
-    grid = np.meshgrid(np.arange(lines), t[:-1], theta[:-1], indexing="ij")
-    line, low = grid[0].ravel(), np.stack([part.ravel() for part in grid[1:]])
-    return Parts(line, low, low + np.array([[t[1]], [theta[1] - theta[0]]]))
+    line = np.repeat(np.arange(lines), count + 1)
+    low = np.stack([np.zeros(line.size), np.tile(theta[:-1], lines)])
+    return Parts(line, low, low + np.array([[1.0], [theta[1] - theta[0]]]))
 
 
 def _along_delay(walls: Walls, filters: Filters | None) -> _Crossings:

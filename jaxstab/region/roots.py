@@ -50,7 +50,7 @@ def bracketed_root(
     """Return a root of an elementwise function between two angles at which its signs differ.
 
     It is the secant method, with a bisection wherever that would leave the bracket or crawl. Where
-    the signs at the ends agree, the result is some angle between them. ``ends`` are the values at
+    the signs at the ends agree, the result is the end of the smaller value. ``ends`` are the values at
     the ends, if they are known. In JAX the root is differentiable once in the parameters.
 
     Source: the safeguards of Press et al., Numerical Recipes, 9.4; the implicit function
@@ -79,11 +79,13 @@ def _search(
     at_lower, at_upper = ends or stored((function(lower), function(upper)))
     sign = xp.sign(at_upper)
     rise = at_upper - at_lower
-    share = xp.where(at_lower * at_upper < 0.0, -at_lower / nonzero(rise, 1.0), 0.5)
-    start = lower + share * (upper - lower)
+    product = at_lower * at_upper
+    share = xp.where(product < 0.0, -at_lower / nonzero(rise, 1.0), 0.5)
     is_lower_nearer = abs(at_lower) < abs(at_upper)
     last = xp.where(is_lower_nearer, lower, upper)
     at_last = xp.where(is_lower_nearer, at_lower, at_upper)
+    has_root = product <= 0.0
+    start = xp.where(has_root, lower + share * (upper - lower), last)
 
     def unfinished(state: _State) -> Array:
         count, *_, moving = state
@@ -103,5 +105,5 @@ def _search(
         following = xp.where(moving & (value != 0.0), following, x)
         return count + 1, low, high, following, x, value, moving & ~done
 
-    state = (xp.asarray(0), lower, upper, start, last, at_last, lower < upper)
+    state = (xp.asarray(0), lower, upper, start, last, at_last, has_root & (lower < upper))
     return repeat_while(unfinished, narrowed, state)[3]

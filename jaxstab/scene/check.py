@@ -13,6 +13,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
+from jaxstab.motion.settling import settling_at_levels
 from jaxstab.numbers import without_noise
 from jaxstab.ranges import HandRange, margins
 from jaxstab.ranges.margins import MOST_DELAY
@@ -35,6 +36,7 @@ from jaxstab.scene.loops import corner_loops, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
+_LEVELS = 0.02, 0.05
 
 
 Ends = Float64[np.ndarray, "wall hand 2"]
@@ -166,17 +168,19 @@ def check_walls(scene: Scene) -> Check:
     gains = list(walls.values())
     wanted = "margins" in scene.wanted.measures
     margins = _margins(loops, gains) if wanted else [None] * len(gains)
-    known = [_known(scene, hands, loops[0], wall) for wall in gains]
+    known = _known(scene, hands, loops[0], gains)
     measured = _measured(scene, loops, gains, [loop for _, loop, *_ in known])
     answers = [_wall_check(*parts) for parts in zip(gains, known, margins, measured, strict=True)]
     return Check(basis_of(scene), dict(zip(walls, answers, strict=True)))
 
 
-def _known(scene: Scene, hands: HandRange | None, loop: HapticLoop, gains: Gains) -> _Known:
+def _known(
+    scene: Scene, hands: HandRange | None, loop: HapticLoop, walls: list[Gains]
+) -> Sequence[_Known]:
     """Return the fields of ``WorstHeld``; for the loop itself where no hand varies."""
     if hands:
-        return worst_held(scene, hands, gains)
-    return Verdict(int(loop.verdict(*gains))), loop, None, None
+        return worst_held(scene, hands, walls)
+    return [(Verdict(int(code)), loop, None, None) for code in loop.verdict(*np.array(walls).T)]
 
 
 def _wall_check(
@@ -204,6 +208,9 @@ def _measured(
             if name in wanted:
                 for number, answer in zip(numbers, measure(loop, some), strict=True):
                     answers[number][name] = answer
+    if "settling" in wanted:
+        for own, settling in zip(answers, _settlings(worst, walls), strict=True):
+            own["settling"] = settling
     if encoder is not None and "chatter" in wanted:
         for own, gains, loop in zip(answers, walls, worst, strict=True):
             held = list(dict.fromkeys([*loops, loop]))
@@ -277,14 +284,30 @@ def _radii(loop: HapticLoop, walls: list[Gains]) -> list[Radius]:
     return [Radius(float(one), float(bound)) for one, bound in zip(*found[:2], strict=True)]
 
 
-def _settlings(loop: HapticLoop, walls: list[Gains]) -> list[Settling]:
-    return [_settling(loop, gains) for gains in walls]
-
-
-def _settling(loop: HapticLoop, gains: Gains) -> Settling:
-    two, five = (loop.settling_time(*gains, level=k, horizon=_HORIZON) for k in (0.02, 0.05))
-    status = SettlingStatus(int(two.status))
-    return Settling(settled(two), settled(five), status)
+def _settlings(loops: list[HapticLoop], walls: list[Gains]) -> list[Settling]:
+    """Return the settling of each wall in a loop of its own; all loops have one sample time."""
+    pairs = list(zip(loops, walls, strict=True))
+    if loops[0].body is None:
+        both = [
+            [loop.settling_time(*gains, level=level, horizon=_HORIZON) for loop, gains in pairs]
+            for level in _LEVELS
+        ]
+    else:
+        points = [(loop.alpha(wall[0]), loop.beta(wall[1]), *loop.slice) for loop, wall in pairs]
+        alpha, beta, gamma, delta, delay = np.array(points).T
+        filters = loops[0].filters
+        found = settling_at_levels(
+            alpha, beta, gamma, delta, delay, _LEVELS, horizon=_HORIZON, **filters
+        )
+        period = loops[0].sample_time
+        both = [
+            [MotionSettling(count * period, code) for count, code in zip(*one, strict=True)]
+            for one in found
+        ]
+    return [
+        Settling(settled(two), settled(five), SettlingStatus(int(two.status)))
+        for two, five in zip(*both, strict=True)
+    ]
 
 
 def settled(found: MotionSettling) -> float:
@@ -303,7 +326,6 @@ def _oscillations(loop: HapticLoop, walls: list[Gains]) -> list[Oscillation]:
 _MEASURES: dict[str, Callable[[HapticLoop, list[Gains]], Sequence[Answer]]] = {
     "distance": _distances,
     "radius": _radii,
-    "settling": _settlings,
     "oscillation": _oscillations,
 }
 

@@ -4,6 +4,7 @@ Where device and hand are one mass this is proved for every hand of the range. F
 hands are tried: what one of them contradicts is proved, and all else is said to be tried.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from math import nan
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.ranges import HandRange
+from jaxstab.ranges.hands import worst_hands
 from jaxstab.scene.answers import (
     Answer,
     Damping,
@@ -44,6 +46,7 @@ _PULL = 0.01  # of the limit: the wall that is tried lies so far below, then twi
 _ATTEMPTS = 4
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int8]
 
 
 @dataclass(frozen=True)
@@ -78,15 +81,22 @@ class WorstHeld(NamedTuple):
     tried: str | None
 
 
-def worst_held(scene: Scene, hands: HandRange, gains: Gains) -> WorstHeld:
-    """Return what is known of a wall for all hands of a range, and the worst hand."""
+def worst_held(scene: Scene, hands: HandRange, walls: Sequence[Gains]) -> list[WorstHeld]:
+    """Return what is known of each wall for all hands of a range, and the worst hand."""
     if is_one_mass(scene):
-        worst = loop_of(scene).worst_hand(hands, *gains)
-        return WorstHeld(worst.verdict, worst.loop, held_by(worst.loop), None)
+        found = worst_hands(loop_of(scene), hands, walls)
+        return [WorstHeld(one.verdict, one.loop, held_by(one.loop), None) for one in found]
     among = hands_among(scene, _TRIED)
     loops = [loop_of(scene, hand) for hand in among]
-    codes = np.array([int(loop.verdict(*gains)) for loop in loops])
-    radii = np.array([float(loop.spectral_radius(*gains).value) for loop in loops])
+    gains = np.array(walls).T
+    codes = np.stack([loop.verdict(*gains) for loop in loops], axis=1)
+    radii = np.stack([loop.spectral_radius(*gains).value for loop in loops], axis=1)
+    return [_worst_tried(among, loops, *wall) for wall in zip(codes, radii, strict=True)]
+
+
+def _worst_tried(
+    among: list[OneHand], loops: list[HapticLoop], codes: Integers, radii: Floats
+) -> WorstHeld:
     is_unstable = codes == Verdict.UNSTABLE
     number = int(np.argmax(np.where(is_unstable | ~is_unstable.any(), radii, -1.0)))
     hand = HeldBy(*among[number])
@@ -178,7 +188,7 @@ def _tried_limit(scene: Scene, hands: HandRange, safety: float) -> AllHands:
         most, damping = outline[np.argmax(outline[:, 0])]
         setter = int(np.argmin([_reach(one, most, damping) for one in loops]))
         stiffness = safety * float(most - pull * abs(most))
-        worst = worst_held(scene, hands, Gains(stiffness, float(damping)))
+        (worst,) = worst_held(scene, hands, [Gains(stiffness, float(damping))])
         if worst.tried:
             break
         loops.append(worst.loop)

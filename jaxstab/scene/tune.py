@@ -140,7 +140,7 @@ def _best(
 
 
 def _over_hands(scene: Scene, hands: HandRange, gains: Gains) -> Verdict | str:
-    worst = worst_held(scene, hands, gains)
+    (worst,) = worst_held(scene, hands, [gains])
     return worst.tried or worst.verdict
 
 
