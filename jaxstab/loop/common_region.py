@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,7 @@ _WIDER = (1.0, 2.0, 4.0)  # times the tolerance, by which the polygon is pulled 
 
 Points = Float64[np.ndarray, "vertex 2"]
 Rows = Float64[np.ndarray, " row"]
+Intervals = Float64[np.ndarray, "row _ 2"]
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,7 @@ def common_region(loops: "Sequence[HapticLoop]", *, tolerance: float = 0.02) -> 
         return CommonRegion(given, RobustStatus.UNPROVED, nothing, tolerance)
     if any(region.is_empty for region in regions):
         return CommonRegion(given, RobustStatus.EMPTY, nothing, tolerance)
-    outer = _intersection([region.main or region.components[0] for region in regions])
+    outer = common_walls([region.main or region.components[0] for region in regions])
     if not len(outer):
         return CommonRegion(given, RobustStatus.EMPTY, nothing, tolerance)
     for times in _WIDER:
@@ -169,17 +171,40 @@ def common_region(loops: "Sequence[HapticLoop]", *, tolerance: float = 0.02) -> 
     return CommonRegion(given, RobustStatus.UNPROVED, nothing, tolerance)
 
 
-def _intersection(regions: list[WallRegion]) -> Points:
-    """Return a polygon of the spans of some rows; what lies between two rows may be missed."""
+def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
+    """Return a polygon of walls that all regions have, by rows; no point where no row has one.
+
+    Of several intervals of a row it is the widest. What lies between two rows may be missed, and of
+    the polygon nothing is proved.
+
+    Args:
+        regions: at least one, none of them empty.
+        count: of rows.
+    """
     tops = [region.outline[:, 1] for region in regions]
+    low, high = max(top.min() for top in tops), min(top.max() for top in tops)
+    if not low < high:
+        return np.zeros((0, 2))
 
     def limits(rows: Rows) -> tuple[Rows, Rows]:
-        ends = np.stack([np.asarray(region.stiffness_limits(rows)) for region in regions])
-        ends = np.where(np.isnan(ends), [np.inf, -np.inf], ends)
-        return ends[..., 0].max(axis=0), ends[..., 1].min(axis=0)
+        shared = reduce(_shared, (region.stiffness_intervals(rows) for region in regions))
+        if not shared.shape[1]:
+            return np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
+        shared = np.where(np.isnan(shared), [np.inf, -np.inf], shared)
+        widest = np.argmax(shared[..., 1] - shared[..., 0], axis=1)
+        left, right = shared[np.arange(len(rows)), widest].T
+        return left, right
 
-    low, high = max(top.min() for top in tops), min(top.max() for top in tops)
-    return polygon_of_rows(limits, low, high, _ROWS)
+    return polygon_of_rows(limits, low, high, count)
+
+
+def _shared(one: Intervals, other: Intervals) -> Intervals:
+    """Return the intervals that two sets of intervals share; NaN for none."""
+    low = np.maximum(one[:, :, None, 0], other[:, None, :, 0])
+    high = np.minimum(one[:, :, None, 1], other[:, None, :, 1])
+    both = np.where((low < high)[..., None], np.stack([low, high], axis=-1), np.nan)
+    shared = both.reshape(len(one), low.shape[1] * low.shape[2], 2)
+    return shared[:, ~np.isnan(shared[..., 0]).all(axis=0)]
 
 
 def _is_proved(loop: LoopParameters, outline: Points) -> bool:

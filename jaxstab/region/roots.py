@@ -50,8 +50,8 @@ def bracketed_root(
     """Return a root of an elementwise function between two angles at which its signs differ.
 
     It is the secant method, with a bisection wherever that would leave the bracket or crawl. Where
-    the signs at the ends agree, the result is the end of the smaller value. ``ends`` are the values at
-    the ends, if they are known. In JAX the root is differentiable once in the parameters.
+    the signs at the ends agree, the result is the end of the smaller value. ``ends`` are the values
+    at the ends, if they are known. In JAX the root is differentiable once in the parameters.
 
     Source: the safeguards of Press et al., Numerical Recipes, 9.4; the implicit function
     theorem for the derivatives.

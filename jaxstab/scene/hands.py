@@ -6,7 +6,6 @@ hands are tried: what one of them contradicts is proved, and all else is said to
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 from math import nan
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
+from jaxstab.loop.common_region import common_walls
 from jaxstab.ranges import HandRange
 from jaxstab.ranges.hands import worst_hands
 from jaxstab.scene.answers import (
@@ -40,8 +40,6 @@ from jaxstab.scene.scene import Scene
 LOWEST_HAND = "at its lowest values, where nothing else is said"
 _TRIED = 3  # hands along each quantity
 _ROWS = 400  # of B, in which walls are stable for all hands
-_CORNER = 1e-6  # of all rows: how far the outer ones are inside
-_ZOOMS = 3  # towards the rows that are
 _PULL = 0.01  # of the limit: the wall that is tried lies so far below, then twice as far
 _ATTEMPTS = 4
 
@@ -134,47 +132,11 @@ def held_by(loop: HapticLoop) -> HeldBy:
 
 
 def common_outline(loops: list[HapticLoop]) -> Floats:
-    """Return walls (K, B) that are stable for each of some loops, row by row of B.
-
-    Of several intervals of K in a row it is the widest.
-    """
+    """Return walls (K, B) that are stable for each of some loops: ``common_walls``, not proved."""
     regions = [reachable(wall_region(loop)) for loop in loops]
-    nothing = np.zeros((0, 2))
     if any(region.is_empty for region in regions):
-        return nothing
-    low = max(region.outline[:, 1].min() for region in regions)
-    high = min(region.outline[:, 1].max() for region in regions)
-    for _ in range(_ZOOMS):  # the rows that meet may be few of those tried
-        if not low < high:
-            return nothing
-        rows = _rows(low, high)
-        left, right = _widest(reduce(_shared, (one.stiffness_intervals(rows) for one in regions)))
-        met = np.flatnonzero(left < right)
-        if not len(met):
-            return nothing
-        if len(met) == _ROWS:
-            break
-        low, high = rows[max(met[0] - 1, 0)], rows[min(met[-1] + 1, _ROWS - 1)]
-    left, right, rows = left[met], right[met], rows[met]
-    return np.column_stack([np.append(left, right[::-1]), np.append(rows, rows[::-1])])
-
-
-def _shared(one: Floats, other: Floats) -> Floats:
-    """Return the intervals (row, interval, 2) that two sets of intervals share; NaN for none."""
-    low = np.maximum(one[:, :, None, 0], other[:, None, :, 0])
-    high = np.minimum(one[:, :, None, 1], other[:, None, :, 1])
-    both = np.where((low < high)[..., None], np.stack([low, high], axis=-1), np.nan)
-    shared = both.reshape(len(one), low.shape[1] * low.shape[2], 2)
-    return shared[:, ~np.isnan(shared[..., 0]).all(axis=0)]
-
-
-def _widest(intervals: Floats) -> Floats:
-    """Return the lower and the upper ends (2, row) of the widest intervals; NaN for none."""
-    if not intervals.shape[1]:
-        return np.full((2, len(intervals)), np.nan)
-    widths = np.nan_to_num(intervals[..., 1] - intervals[..., 0], nan=-np.inf)
-    widest: Floats = intervals[np.arange(len(intervals)), np.argmax(widths, axis=1)].T
-    return widest
+        return np.zeros((0, 2))
+    return common_walls(regions, _ROWS)
 
 
 def _tried_limit(scene: Scene, hands: HandRange, safety: float) -> AllHands:
@@ -211,10 +173,3 @@ def _reach(loop: HapticLoop, stiffness: float, damping: float) -> float:
 
 def _as_answer(hand: OneHand | HeldBy) -> HeldBy:
     return hand if isinstance(hand, HeldBy) else HeldBy(*hand)
-
-
-def _rows(low: float, high: float) -> Floats:
-    """Return values of B, the outer ones close to the ends, where corners are."""
-    rows: Floats = np.linspace(low, high, _ROWS)
-    rows[[0, -1]] = low + _CORNER * (high - low), high - _CORNER * (high - low)
-    return rows
