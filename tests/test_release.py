@@ -47,3 +47,16 @@ def test_the_changelog_has_a_place_for_what_comes_next() -> None:
     heads = re.findall(r"^## \[(.+?)\]", text, re.MULTILINE)
     assert heads[0] == "Unreleased"
     assert len(set(heads)) == len(heads)
+
+
+def test_the_badges_say_what_is_so() -> None:
+    said = {
+        path.stem: re.findall(r"<text[^>]*>(.+?)</text>", path.read_text(encoding="utf-8"))[1]
+        for path in (ROOT / "docs" / "badges").glob("*.svg")
+    }
+    lowest = PROJECT["requires-python"].removeprefix(">=")
+    assert said.pop("python") == f"{lowest} or newer"
+    assert said.pop("license") == PROJECT["license"]
+    assert said.pop("typed") == "checked by mypy --strict"  # test_house runs it
+    assert (ROOT / "jaxstab" / "py.typed").exists()
+    assert said == {}
