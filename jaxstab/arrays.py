@@ -1,9 +1,9 @@
 """The two array namespaces that kernels are written for: NumPy and ``jax.numpy``.
 
-What is asked once is answered by NumPy and never waits for a compiler, nor for the import of JAX;
-the many, and all that is traced, go through XLA. A kernel is written once: it takes its namespace
-from its arguments (``xp = namespace(alpha)``), and its loops from here, for a compiled loop is
-spelled unlike a Python loop.
+A single question is answered by NumPy, and waits neither for a compiler nor for the import of JAX;
+large grids, and everything that is traced, go through XLA. A kernel is written once: it takes its
+namespace from its arguments (``xp = namespace(alpha)``) and its loops from here, because a compiled
+loop is written differently from a Python loop.
 """
 
 import sys
@@ -41,17 +41,17 @@ def is_jax(value: object) -> bool:
 
 
 def is_traced(value: object) -> bool:
-    """Return whether a value is known to JAX's transformations alone (jit, vmap, grad)."""
+    """Return whether JAX traces a value, so that only jit, vmap or grad know it."""
     return is_jax(value) and isinstance(value, sys.modules["jax"].core.Tracer)
 
 
 def is_any_traced(*trees: object) -> bool:
-    """Return whether a leaf of nested values is known to JAX's transformations alone."""
+    """Return whether JAX traces a leaf of nested values."""
     return "jax" in sys.modules and any(map(is_traced, leaves(trees, plain=False)))
 
 
 def are_numbers(*trees: object) -> bool:
-    """Return whether all leaves of nested values are real numbers that are known, as for a repr."""
+    """Return whether all leaves of nested values are known real numbers, as a repr needs."""
     if is_any_traced(*trees):
         return False
     return all(np.asarray(leaf).dtype.kind in "biuf" for tree in trees for leaf in leaves(tree))
@@ -114,7 +114,7 @@ def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
 
 
 def pytree(cls: Class) -> Class:
-    """Make a dataclass one that JAX maps over. JAX, if not loaded yet, is told when it is used.
+    """Make a dataclass a pytree of JAX; if JAX is not loaded yet, it learns of it at first use.
 
     All fields that are not ``fixed`` are arrays, or else the class says by ``tree_flatten`` and
     ``tree_unflatten`` what its arrays are.
@@ -126,7 +126,7 @@ def pytree(cls: Class) -> Class:
 
 
 def fixed() -> Any:
-    """Return a field of a pytree that is no array."""
+    """Return a field of a pytree that is not an array."""
     return field(metadata={"static": True})
 
 
@@ -142,12 +142,12 @@ def _register() -> None:
 
 
 def filled(like: Array, number: float) -> Array:
-    """Return one number in the shape of an array; for a float a float, which is faster."""
+    """Return one number in the shape of an array; for a float return a float, which is faster."""
     return number if type(like) is float else namespace(like).full_like(like, number)
 
 
 def kept(rounded: Array) -> Array:
-    """Return a number as it was rounded: XLA must not rewrite what was computed before."""
+    """Return a number exactly as it was rounded; XLA must not rewrite the terms before it."""
     if not is_jax(rounded):
         return rounded
     from jax import lax
@@ -218,7 +218,7 @@ def repeat_while(
 
 
 def scan(count: int, step: Callable[[Tree], tuple[Tree, Array]], start: Tree) -> Array:
-    """Apply a step a number of times and return what each of them notes, stacked."""
+    """Apply a step a number of times and return the notes of all steps, stacked."""
     if namespace(start) is np:
         notes = []
         for _ in range(count):

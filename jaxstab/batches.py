@@ -40,7 +40,7 @@ def compiled(
     Args:
         static: names of arguments that are compiled in, to be given by keyword.
         many: size of the grid of NumPy arguments from which on XLA answers, as NumPy arrays.
-        wide: ask for the widest vectors of the CPU, for plain arithmetic on many points.
+        wide: use the widest vectors of the CPU, for plain arithmetic on many points.
         pointwise: each point of the grid is computed on its own, so grids of NumPy arrays are
             filled up to one of few sizes.
     """
@@ -127,7 +127,7 @@ def _few_digits(length: int) -> int:
 
 
 def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) -> Result:
-    """Evaluate an elementwise kernel tile by tile, so that what it keeps stays in the cache.
+    """Evaluate an elementwise kernel tile by tile, so that its working data stays in the cache.
 
     Arrays of one element are not copied for every point. Only XLA on a CPU needs it: NumPy and an
     accelerator get all points at once.
@@ -181,10 +181,11 @@ def lists(
 
 
 def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
-    """Keep all that XLA compiles in a folder, for this process, for those it starts, and for later.
+    """Keep what XLA compiles in a folder, for this process, its children and later ones.
 
-    Every command of ``jaxstab`` does the same. JAX is not imported: it reads its options when it
-    is; where it is loaded already, it is told. Numbers and small NumPy arrays never need it.
+    Every command of ``jaxstab`` does the same. JAX is not imported for this: it reads the setting
+    when it is imported, or at once if it is already loaded. Numbers and small NumPy arrays never
+    need the folder.
 
     Args:
         folder: of the cache; by default ``JAX_COMPILATION_CACHE_DIR`` where that is set, else
@@ -233,8 +234,9 @@ def on_host(
 ) -> Result:
     """Call a NumPy function of arrays that all have one shape, also from JAX, jit and vmap.
 
-    A search with branches for each loop is no kernel for XLA: JAX hands its arrays to NumPy and
-    goes on with the answer, which has no derivative: that of a count is 0, others JAX refuses.
+    A search that branches for each loop is not a kernel for XLA, so JAX hands its arrays to NumPy
+    and goes on with the answer. The answer has no derivative: that of a count is 0, any other one
+    is refused by JAX.
 
     Args:
         function: takes NumPy arrays, returns a tree of NumPy arrays of the same shape; it must not

@@ -11,11 +11,11 @@ AXES: Final = ("alpha", "beta", "gamma", "delta", "delay")
 
 
 class Verdict(IntEnum):
-    """What is known about the stability of one point; small integers, so that arrays store int8.
+    """What is known about the stability of one point; a small integer, so that arrays store int8.
 
     A loop is stable when every root of its characteristic polynomial (paper, eq. (9)) lies inside
-    the unit circle. Zero means that nothing was computed: a block of a file that was wiped or never
-    written cannot be taken for a verdict.
+    the unit circle. Zero means that nothing was computed, so a block of a file that was wiped or
+    never written cannot be mistaken for a verdict.
 
     Example:
         >>> jaxstab.Verdict(jaxstab.verdict(0.1, 0.2, 0.0, 0.015, 1.0))

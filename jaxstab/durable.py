@@ -1,4 +1,4 @@
-"""Files that are there whole, or not at all, whatever happens to the process or the disk. No JAX.
+"""Files that appear whole or not at all, whatever happens to the process or the disk. No JAX.
 
 A file is written under a temporary name, synchronised, renamed to its place, and the folder is
 synchronised. HDF5 cannot be trusted with a full disk (it goes on after an error until it reads what

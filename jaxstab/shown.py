@@ -1,7 +1,7 @@
-"""How answers show themselves to a person: numbers with as many digits as are known, and tables.
+"""How answers are printed for people: numbers with as many digits as are known, and tables.
 
-What is printed claims no more than what was computed: limits are rounded to the side that is given,
-and what the rounding of a value takes away is added to its printed error. Standard library only.
+The printed text claims no more than what was computed: limits are rounded to a given side, and the
+rounding of a value is added to its printed error. Standard library only.
 """
 
 from collections.abc import Sequence
@@ -35,10 +35,10 @@ def rounded_text(
 
 
 def text_with_bound(value: float, error: float) -> str:
-    """Return a number and how wrong it may be, such as "0.8380204612 +/- 2.4e-11".
+    """Return a number with its error bound, such as "0.8380204612 +/- 2.4e-11".
 
-    The printed bound is of the printed digits: it holds what their rounding takes away. It has two
-    digits and is rounded up.
+    The printed bound holds for the printed digits: it includes their rounding. It has two digits
+    and is rounded up.
     """
     if not isfinite(value) or not isfinite(error):
         return f"{value:.10g}"
@@ -63,7 +63,7 @@ def table_text(rows: Sequence[Sequence[str]]) -> str:
 
 
 def number_text(value: float, digits: int, rounding: str = ROUND_HALF_EVEN, unit: str = "") -> str:
-    """Return a number with its unit; what is infinite or NaN is said in words."""
+    """Return a number with its unit; infinite numbers and NaN are given in words."""
     if isnan(value):
         return "none"
     if not isfinite(value):

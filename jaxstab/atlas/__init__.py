@@ -1,4 +1,4 @@
-"""Many points on disk: specification, build, query, verification."""
+"""Atlases, many points on disk: specification, build, query, verification."""
 
 from lazy_loader import attach_stub
 

@@ -1,4 +1,4 @@
-"""A velocity estimator or a position filter as a table of a file says it. No JAX.
+"""A velocity estimator or a position filter as a table of a file. No JAX.
 
 Scenes and atlases have the same keys; they differ in the unit of the cut-off, and a scene may give
 its window in s as well:

@@ -1,4 +1,4 @@
-"""Velocity estimators and position filters: what real controllers put between encoder and wall."""
+"""Velocity estimators and position filters, which real controllers put before the wall."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,8 +30,8 @@ class Filter:
     """A linear filter of the sampled position: a chain of sections, in the order of the product.
 
     Make one with ``average``, ``low_pass``, ``butterworth``, ``exponential`` or
-    ``transfer_function``; ``*`` chains filters. All have gain 1 at z = 1, but for a transfer
-    function, whose gain is what its coefficients give.
+    ``transfer_function``; ``*`` chains filters. All have gain 1 at z = 1, except a transfer
+    function, whose gain follows from its coefficients.
 
     Example:
         >>> str(jaxstab.Filter.low_pass(100.0) * jaxstab.Filter.average(samples=4))
@@ -189,7 +189,7 @@ class Velocity:
     """How a controller estimates the velocity from sampled positions: (1 - 1/z)/T, then a filter.
 
     Make one with ``difference``, ``low_pass``, ``butterworth``, ``exponential`` or
-    ``transfer_function``; ``*`` with a ``Filter`` smooths it further.
+    ``transfer_function``; multiply by a ``Filter`` to smooth it further.
 
     Example:
         >>> str(jaxstab.Velocity.difference(samples=20) * jaxstab.Filter.low_pass(100.0))

@@ -50,7 +50,7 @@ class Estimators(TypedDict):
 
 @dataclass(frozen=True, kw_only=True)
 class LoopParameters:
-    """The fields of ``jaxstab.HapticLoop``, checked, and what Table I makes of them."""
+    """The checked fields of ``jaxstab.HapticLoop``, and their dimensionless numbers (Table I)."""
 
     sample_time: Numbers
     device_mass: Numbers = None
@@ -155,7 +155,7 @@ class LoopParameters:
 
     @property
     def sampled(self) -> SampledDevice | None:
-        """A device that is not one mass as the controller meets it, None for one mass."""
+        """A device that is not one mass, sampled; None for one mass."""
         if self.device is None or self.body is not None:
             return None
         return sampled_device(self.device, self.sample_time, self.delay_samples)
@@ -188,7 +188,7 @@ class LoopParameters:
 
     @property
     def delay_samples(self) -> Numbers:
-        """Delay t_d/T in samples; whole where it is whole up to the rounding of the division.
+        """Delay t_d/T in samples; a whole number if it is whole up to the rounding of the division.
 
         Example:
             >>> loop = jaxstab.HapticLoop(
@@ -234,7 +234,7 @@ class LoopParameters:
         return TracedDelay(whole, part - namespace(part).where(is_less, constant(part), 0.0))
 
     def tree_flatten(self) -> tuple[tuple[Any, ...], tuple[int | None, Device | None]]:
-        """Return what JAX traces, and what it does not: the delay's whole samples, a device.
+        """Return the parts that JAX traces, and the others: whole samples of delay, a device.
 
         Windows in s become whole numbers of samples, which are not traced.
         """
@@ -246,7 +246,7 @@ class LoopParameters:
     def tree_unflatten(
         cls, fixed: tuple[int | None, Device | None], parts: Iterable[Any]
     ) -> "LoopParameters":
-        """Return a loop of the parts of another one, unchecked: they may be anything."""
+        """Return a loop made of such parts, unchecked: JAX may put anything in their place."""
         loop = object.__new__(cls)
         names = (*_LEAST, "velocity", "position", "_whole_delay", "device")
         for name, value in zip(names, (*parts, *fixed), strict=True):
@@ -342,7 +342,7 @@ def _counted(part: Any, sample_time: Numbers) -> Any:
 def refuses_loops(
     method: str,
 ) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Let a function of dimensionless numbers name the method to call when a loop is given."""
+    """Let a function of dimensionless numbers name the right method if it is given a loop."""
 
     def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
         @wraps(function)

@@ -58,7 +58,7 @@ def characteristic_polynomial(
         p(z) = z^(n+2) D(z) + N(z) ((alpha + beta) z - beta)
 
     divided by z for a whole delay, where N(0) = 0. All coefficients are summed in double-double and
-    rounded once, so a cancellation between wall and plant costs no digits.
+    rounded once, so cancellation between wall and plant costs no digits.
 
     Args:
         alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.

@@ -1,9 +1,9 @@
-"""The sections that filters are made of, each as a chain of transfer functions.
+"""The sections of filters, each as a chain of transfer functions.
 
 A section in SI units (a window in s, a cut-off in Hz, a velocity in 1/s) becomes one in units of a
-sampling period by ``per_sample``. Its chain has the lowest orders that there are: the loop's
-polynomial takes their product, and a loop in the time domain runs one after the other, which loses
-no digits to poles close to each other.
+sampling period by ``per_sample``. Its chain consists of the lowest possible orders: the loop's
+polynomial takes their product, while the time domain runs one after the other, which loses no
+digits to poles close to each other.
 
 The numbers that a section computes from its parameters, such as exp(-2 pi f T), are rounded to
 float64 first: what is proved holds for the filter that software with these numbers runs.

@@ -1,4 +1,4 @@
-"""Numbers and remarks that were published, beside what jaxstab answers."""
+"""Published numbers and remarks, beside jaxstab's answers."""
 
 from lazy_loader import attach_stub
 

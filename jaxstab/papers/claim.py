@@ -1,4 +1,4 @@
-"""A published claim, and what becomes of it."""
+"""A published claim, and how jaxstab's answer compares."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""One stable region, with what there is to say about it."""
+"""One stable region, annotated with the facts about it."""
 
 from decimal import ROUND_FLOOR
 

@@ -1,4 +1,4 @@
-"""What regions and loops draw of themselves, on axes or for a notebook."""
+"""Pictures that regions and loops draw of themselves, on axes or in a notebook."""
 
 from base64 import b64encode
 from collections.abc import Sequence

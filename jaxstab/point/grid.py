@@ -1,8 +1,8 @@
 """Broadcast grids of points in chunks of one shape, each point at the degree of its own delay.
 
-The grid itself is never made: a chunk is a list of flat indices, looked up in the arguments as they
-were given. A grid of five axes needs the memory of its axes, of one chunk and of its results, and
-``sweep`` does without the latter.
+The grid itself is never formed: a chunk is a list of flat indices, looked up in the arguments as
+they were given. A grid of five axes needs memory for its axes, one chunk and its results; ``sweep``
+does without the results.
 """
 
 import math
@@ -82,8 +82,8 @@ def over_grid(
 ) -> Result:
     """Apply a kernel of coefficients (point, degree + 1) to every point of a grid.
 
-    The results' arrays have the point first; where further axes are longer for a higher degree, the
-    shorter results end in zeros. Traced parameters are not taken apart: one padded batch.
+    The results have the point as their first axis; if further axes are longer for a higher degree,
+    shorter results are padded with zeros. Traced parameters form one padded batch.
     """
     alpha, beta, gamma, delta, delay = parameters
     require_x64(*parameters)
@@ -110,7 +110,7 @@ def looked_up(
 ) -> list[Any]:
     """Return arrays, or trees of them, at flat indices of the grid to which they broadcast.
 
-    Single numbers stay so and are computed with once; only the first argument is always repeated.
+    Single numbers stay single, so that they are used once; only the first argument is repeated.
     """
     index = np.unravel_index(points, shape or (1,))
 

@@ -1,4 +1,4 @@
-"""A scene in SI units, and what it allows."""
+"""A scene in SI units, and its answers."""
 
 from lazy_loader import attach_stub
 

@@ -1,4 +1,4 @@
-"""What the answers of a scene hold for, said in front of them."""
+"""The basis of a scene's answers, stated in front of them."""
 
 from jaxstab.scene.answers import Basis, Quantity
 from jaxstab.scene.mechanics import Grip

@@ -1,4 +1,4 @@
-"""How the walls of a scene do: verdict, margins, radius, settling, chatter, with proofs."""
+"""The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

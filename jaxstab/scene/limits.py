@@ -1,4 +1,4 @@
-"""What a scene allows: the largest stiffness and damping, beside the simple rules."""
+"""The limits of a scene: the largest stiffness and damping, beside the simple rules."""
 
 from dataclasses import dataclass, replace
 from math import nan

@@ -1,4 +1,4 @@
-"""What is computed for a scene, what is skipped, and why."""
+"""The plan for a scene: what is computed, what is skipped, and why."""
 
 from typing import NamedTuple
 

@@ -44,7 +44,7 @@ class Preset:
 
     Attributes:
         title: what it is.
-        note: what has to be known of the numbers; may be empty.
+        note: a remark on the numbers; may be empty.
         numbers: by key, in SI units. Keys that a scene does not have are for comparison.
     """
 

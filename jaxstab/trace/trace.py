@@ -4,7 +4,7 @@
    circle are dropped (``circle.exclude``).
 2. From a box that is left, a point of the boundary is solved for and its branch followed both ways
    (``continuation``), until every box left lies at a branch; boxes that do not are halved further.
-3. What still cannot be excluded or explained is returned as unresolved.
+3. Boxes that can be neither excluded nor explained are returned as unresolved.
 
 So every wall of the window with a root on the unit circle lies within two resolutions of a point
 of the trace or of an unresolved box.
@@ -52,12 +52,16 @@ class TraceStatus(Status):
 class BoundaryTrace:
     """Points of the plane with a root on the unit circle, branch by branch in order.
 
-    points: (n, 2), the two quantities of ``plane``. theta: angle of the root in [0, pi]. branch: a
-    ``Branch``. piece: number of the connected piece, counted
-    from 0. edge: True where no other root is outside, so that the point bounds the stable set.
-    residual: the two equations' error, in units of p(z) with leading coefficient 1. status: a
-    ``TraceStatus``. unresolved: boxes (k, 2, 2), lower and upper corner, that could neither be
-    proved free nor traced; ``complete`` says that there is none.
+    Attributes:
+        points: (n, 2), the two quantities of ``plane``.
+        theta: angle of the root in [0, pi].
+        branch: a ``Branch``.
+        piece: number of the connected piece, counted from 0.
+        edge: True where no other root is outside, so that the point bounds the stable set.
+        residual: the error of the two equations, in units of p(z) with leading coefficient 1.
+        status: a ``TraceStatus``.
+        unresolved: boxes (k, 2, 2), lower and upper corner, that could neither be proved free nor
+            traced; ``complete`` says that there is none.
 
     Example:
         >>> window = (0.0, 0.2), (0.0, 0.8)

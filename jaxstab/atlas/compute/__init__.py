@@ -1,1 +1,1 @@
-"""What is computed for an atlas, and where."""
+"""The computations of an atlas, and their plan."""

@@ -1,4 +1,4 @@
-"""What has to be computed for a specification, and why the rest has not."""
+"""The work that a specification needs, and why the rest is not needed."""
 
 from dataclasses import dataclass
 from math import prod
@@ -39,12 +39,13 @@ class Tile(NamedTuple):
 
 
 class Share(NamedTuple):
-    """How many of the points that are asked for are evaluated, and why the others are not.
+    """How many of the requested points are evaluated, and why the others need not be.
 
     Attributes:
-        variable: what is asked for, by its name in the file.
-        asked: number of points.
-        evaluated: number of points; of nodes of verdicts an estimate from two slices of each delay.
+        variable: the requested variable, by its name in the file.
+        asked: number of requested points.
+        evaluated: number of evaluated points; for nodes of verdicts an estimate from two slices of
+            each delay.
         reason: why the others are not evaluated.
     """
 
@@ -64,13 +65,13 @@ class Share(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """The work that a specification asks for; its text gives the amount, and what is omitted.
+    """The work that a specification asks for; printed, it gives the amount and what is left out.
 
-    ``plan_atlas`` makes one. A product is computed variable by variable: on the nodes of the grid,
-    or in its cells, and nothing of a product that was not chosen.
+    ``plan_atlas`` makes one. A product is computed variable by variable, on the nodes of the grid
+    or in its cells; nothing is computed for a product that was not chosen.
 
     Attributes:
-        spec: what is asked for.
+        spec: the specification.
         grid: the nodes.
 
     Example:

@@ -1,4 +1,4 @@
-"""What an atlas shall hold: its axes and its products, checked where they are written down."""
+"""The specification of an atlas: its axes and products, checked when they are written down."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -40,7 +40,7 @@ _LINE_LENGTH = 90
 
 @dataclass(frozen=True)
 class FittedAxis:
-    """An axis of alpha or beta that is laid around the stable region of each delay.
+    """An axis of alpha or beta that is fitted to the stable region of each delay.
 
     Args:
         count: number of nodes, >= 8.
@@ -62,7 +62,7 @@ class FittedAxis:
 
 @dataclass(frozen=True)
 class ToleranceAxis:
-    """An axis of gamma or delta with as few nodes as a tolerance allows, the two ends at least.
+    """An axis of gamma or delta with as few nodes as a tolerance allows, at least its two ends.
 
     Args:
         start: the first node, >= 0.

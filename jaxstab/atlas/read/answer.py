@@ -1,4 +1,4 @@
-"""What an atlas answers, and what it can be asked. No JAX."""
+"""Questions to an atlas, checked, and its answers. No JAX."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -44,8 +44,8 @@ class AtlasAnswer:
     """What an atlas says about points; four arrays of the broadcast shape of the query.
 
     Attributes:
-        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved. UNDECIDED where
-            the atlas cannot decide; NOT_COMPUTED when it holds no verdicts.
+        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved; UNDECIDED where
+            the atlas cannot decide; NOT_COMPUTED if it holds no verdicts.
         spectral_radius: computed at a node, multilinearly interpolated elsewhere; NaN where the
             atlas holds none.
         radius_error: proved bound of the error of ``spectral_radius``; infinite without one.

@@ -95,7 +95,7 @@ class Atlas(HeldAtlas):
         velocity: Any = None,
         position: Any = None,
     ) -> AtlasAnswer:
-        """Answer for points of any broadcast shape, and never with a guess.
+        """Answer for points of any broadcast shape, never with a guess.
 
         At a node of the grid the answer is what was computed there. Between nodes the verdict is
         given where the limits of alpha, or the proof for the whole cell, decide it, and is
@@ -110,14 +110,14 @@ class Atlas(HeldAtlas):
             delay: time delay t_d/T in samples.
             outside: "error" to refuse points outside of the atlas, "undecided" to answer so.
             exact: settle UNDECIDED points inside by computation.
-            velocity: refuse to answer if the atlas is of another velocity estimator; in units of
-                one sample. Without it and ``position`` the answer is for the atlas's own.
+            velocity: the velocity estimator that you mean, in units of one sample; an atlas of
+                another one refuses. Without it and ``position`` the atlas answers for its own.
             position: likewise, the position filter.
 
         Raises:
             TypeError: an argument is not made of real numbers.
             ValueError: a value is NaN or infinite or, unless ``outside`` is "undecided", outside of
-                the atlas; or the atlas is of another estimator or filter than is named.
+                the atlas; or the atlas has another estimator or filter than the named one.
 
         Source: ``jaxstab.boxes.columns``.
 
@@ -250,7 +250,7 @@ class Atlas(HeldAtlas):
             delay: time delay t_d/T in samples.
 
         Returns:
-            STABLE: proved for every hand of the box; UNSTABLE: proved for one; else UNDECIDED.
+            STABLE if proved for every hand of the box, UNSTABLE if proved for one, else UNDECIDED.
 
         Raises:
             TypeError, ValueError: as ``alpha_limits``; or a range has its ends swapped.
@@ -267,7 +267,7 @@ class Atlas(HeldAtlas):
         return np.int8(table.worst_verdict(alpha, beta, gamma, delta, delay))
 
     def common_alpha_limits(self, beta: float, gamma: Range, delta: Range, delay: float) -> Range:
-        """Return between which alphas every hand of a box is proved stable.
+        """Return the interval of alpha in which every hand of a box is proved stable.
 
         Args:
             beta: wall damping B T/m.

@@ -33,7 +33,7 @@ class HeldAtlas(AskedByLoops):
 
     @property
     def products(self) -> tuple[str, ...]:
-        """What was chosen to be computed, of ``jaxstab.atlas.format.schema.PRODUCTS``.
+        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -75,7 +75,7 @@ class HeldAtlas(AskedByLoops):
         return nodes_of(self.arrays, delay_number)
 
     def to_xarray(self) -> Any:
-        """Return all of it as an xarray.Dataset; RuntimeError where xarray is not installed.
+        """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")

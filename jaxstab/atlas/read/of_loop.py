@@ -164,7 +164,7 @@ class LoopAtlas:
         return self.atlas.verdict(*wall, *self._plant, outside, exact=exact)
 
     def stiffness_limits(self, damping: Numbers) -> Floats:
-        """Return between which stiffnesses every wall is proved stable, rounded inwards.
+        """Return the interval of stiffness in which every wall is proved stable, rounded inwards.
 
         Args:
             damping: B in N s/m, any shape.
@@ -300,7 +300,7 @@ class AskedByLoops(ClampsGains):
     """An atlas that is asked about loops in SI units."""
 
     def for_loop(self, loop: Any) -> LoopAtlas:
-        """Return this atlas as a loop asks it: about walls (K, B), in SI units.
+        """Return this atlas for questions about a loop's walls (K, B), in SI units.
 
         Args:
             loop: a HapticLoop whose device and hand are one mass; gamma, delta, delay and its

@@ -1,4 +1,4 @@
-"""What an atlas shows of itself: six lines of words, and a picture."""
+"""How an atlas shows itself: six lines of words, and a picture."""
 
 from typing import TYPE_CHECKING, Any
 

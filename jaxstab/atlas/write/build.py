@@ -53,11 +53,11 @@ def write_atlas(
     equal bytes of equal specifications, however the work was done.
 
     Args:
-        spec: what the atlas shall hold.
+        spec: the specification of the atlas.
         path: of the file.
         progress: called with the number of tiles done and of all tiles, first with those that are
             there already.
-        executor: what computes the tiles; without, this process does.
+        executor: computes the tiles; without one, this process does.
             A tile may be computed twice. An executor of processes must not fork them.
 
     Raises:

@@ -18,7 +18,7 @@ _WITHOUT_CELLS = 0.4  # of the work of a tile: at the last of several hands no c
 
 
 class Estimate(NamedTuple):
-    """What a build is likely to take; by experience right to a factor of two.
+    """The expected cost of a build, in our experience right to a factor of two.
 
     Attributes:
         seconds: of CPU time, on this machine.

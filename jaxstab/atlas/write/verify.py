@@ -56,7 +56,7 @@ class _Grid(NamedTuple):
 
 
 class Check(NamedTuple):
-    """What was looked at, whether it was right, and what was found in words."""
+    """One check: its name, whether it passed, and its finding in words."""
 
     name: str
     passed: bool

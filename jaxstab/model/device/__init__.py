@@ -1,4 +1,4 @@
-"""Linear devices and hands in SI units, exactly, and what a hold and a delay make of them."""
+"""Linear devices and hands in SI units, exact, and their sampled models with hold and delay."""
 
 from lazy_loader import attach_stub
 

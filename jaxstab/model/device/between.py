@@ -1,8 +1,8 @@
-"""How a general device moves between two samples: what lemma M9 of docs/proofs.md needs of it.
+"""How a general device moves between two samples, as far as lemma M9 of docs/proofs.md needs it.
 
 Position and velocity are linear in the states at a sample and in the forces. These functionals and
-their second derivatives are known at the ends of pieces of the sample, their fourth derivatives are
-bounded within them; so it is with what a blow at the handle does to the states later.
+their second derivatives are known at the ends of pieces of the sample, and their fourth derivatives
+are bounded within the pieces. The effect of a blow at the handle on later states is known likewise.
 """
 
 from functools import lru_cache

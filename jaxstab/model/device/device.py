@@ -1,4 +1,4 @@
-"""General linear devices: what a wall's force moves, and what of it the encoder shows."""
+"""General linear devices, from the wall's force to the position that the encoder shows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ class Device:
 
     Motor, encoder and hands meet the device at one point, the handle; give a state space of the
     whole where they do not. A device may be unstable or marginal without a wall (``stability``).
-    The numbers are taken for exact: what is computed of the device has bounds of its errors.
+    The numbers are taken as exact, and everything computed from them has bounds of its errors.
 
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
@@ -86,7 +86,7 @@ class Device:
     def modes(
         cls, modes: Sequence[Mode], *, mass: float | None = None, damping: float = 0.0
     ) -> "Device":
-        """Return a device of a rigid body and of vibration modes, whose displacements add up.
+        """Return a device of a rigid body and vibration modes whose displacements add up.
 
         Args:
             modes: the vibration modes.
@@ -139,8 +139,8 @@ class Device:
     def state_space(cls, A: Any, B: Any, C: Any) -> "Device":
         """Return a device by x' = A x + B u with the force u in N and the position C x in m.
 
-        States that the force does not move or that the position does not show are left out, found
-        exactly in the numbers as they are given; one that grows by itself is refused.
+        States that the force does not move, or that the position does not show, are left out; they
+        are found exactly in the given numbers. A device with such a state that grows is refused.
 
         Args:
             A: of shape (n, n), n from 1 to 40.
@@ -205,7 +205,7 @@ class Device:
     def with_actuator(self, bandwidth: float) -> "Device":
         """Return the device behind an actuator: w / (s + w), w = 2 pi bandwidth, of the force.
 
-        It delays the wall's force, not that of a hand; several of them follow one another.
+        It delays the wall's force, not that of a hand; several actuators follow one another.
 
         Args:
             bandwidth: at which the force is 3 dB too weak, in Hz, > 0.
@@ -246,9 +246,9 @@ class Device:
             return inf if above == 0 else float((below / above).mid())
 
     def poles(self) -> Complex128[np.ndarray, " pole"]:
-        """Return the poles without a wall in rad/s, each as often as it counts, rightmost first.
+        """Return the poles without a wall in rad/s, with multiplicity, rightmost first.
 
-        Each is the nearest complex float64, or next to it.
+        Each is the nearest complex float64, or a neighbour of it.
 
         Example:
             >>> jaxstab.Device.mass_spring_damper(0.25, 0.1).poles().real.round(3).tolist()
@@ -260,7 +260,7 @@ class Device:
 
     @property
     def stability(self) -> str:
-        """What the device does without a wall: "stable", "marginal" or "unstable".
+        """The device's stability without a wall: "stable", "marginal" or "unstable".
 
         A free mass is marginal. Poles within 1e-60 rad/s of the imaginary axis count as on it.
 
@@ -276,7 +276,7 @@ class Device:
         return "stable" if all(part < 0 for part in parts) else "marginal"
 
     def one_mass(self) -> MassSpringDamper | None:
-        """Return device and hands as one mass where they are: glued together, without actuators.
+        """Return device and hands as one mass: glued, without actuators; else None.
 
         Example:
             >>> jaxstab.Device.mass_spring_damper(0.25, 0.1).one_mass()

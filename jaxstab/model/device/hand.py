@@ -1,4 +1,4 @@
-"""The hand that holds a device: what it resists with, and how it grips."""
+"""The hand that holds a device: its dynamic stiffness, and its grip."""
 
 from dataclasses import dataclass, replace
 
@@ -16,8 +16,8 @@ from jaxstab.numbers import checked_number
 class Hand:
     """A hand and arm by their dynamic stiffness Z(s), force over displacement, in N/m.
 
-    Make one with ``mass_spring_damper`` or ``transfer_function``; ``with_grip`` puts fingers
-    between the arm and the device, without it the arm is glued to the handle:
+    Make one with ``mass_spring_damper`` or ``transfer_function``. ``with_grip`` puts fingers
+    between the arm and the device; without a grip the arm is glued to the handle:
 
         handle ---[grip: spring and damper, in parallel]--- arm Z(s) --- ground
 

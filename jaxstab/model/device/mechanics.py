@@ -1,4 +1,4 @@
-"""How a general device moves while forces are held: exact up to the rounding of its coefficients.
+"""How a general device moves while forces are held, exact up to the rounding of coefficients.
 
 The handle's compliance n(s)/d(s) is realised with the position as its first state (the observer's
 canonical form, in units of one sample), each actuator with its force. The exponentials are those of

@@ -1,4 +1,4 @@
-"""How far a spectral radius of the loop of the paper can be from the true one.
+"""The error bound of a spectral radius, for the loop of the paper.
 
 The verdicts of the ladder are those of the certified recursion on the few coefficients of p that
 are not 0 (lemma R3 of docs/proofs.md).
@@ -25,8 +25,8 @@ def radius_error(
 ) -> Float64[Array, "*grid"]:
     """Prove how far a spectral radius can be from the true one.
 
-    Bounds from a ladder of ratio 4 are tried, so the result is up to 4 times larger than what could
-    be proved, and never smaller than the truth.
+    Bounds from a ladder of ratio 4 are tried, so the result is up to 4 times larger than the
+    smallest bound that could be proved, and never smaller than the true error.
 
     Args:
         coefficients: monic p(z) of degree >= 3, highest power first, as characteristic_polynomial
@@ -35,7 +35,7 @@ def radius_error(
         coefficient_error: relative uncertainty of each coefficient.
 
     Returns:
-        The absolute error; inf where 2^-6 radius is not proved either, as where coefficients other
+        The absolute error; inf if even 2^-6 radius cannot be proved, as when coefficients other
         than the first three and the last four are not zero.
 
     Raises:

@@ -1,7 +1,7 @@
 """The largest root of real cubics to about eight digits, by additions and products alone.
 
-Source: with z = y - a/3 the cubic is y^3 + P y + Q; one root has the sign of -Q, and from above
-Newton's method goes down to it without a turn.
+Source: with z = y - a/3 the cubic is y^3 + P y + Q; one root has the sign of -Q, and
+Newton's method approaches it monotonically from above.
 """
 
 import jax.numpy as jnp

@@ -1,9 +1,9 @@
-"""The proof that a root of p(z) is the dominant one, and how far it is from the true one.
+"""The proof that an approximate root of p(z) is the dominant one, with a bound of its error.
 
 A root lies within n |p(z) / p'(z)| of any z (lemma R1 of docs/proofs.md). Divided by it, and by its
 conjugate where there is one, p leaves Q(z); if all roots of Q are proved to be inside the circle
-through z, the root is dominant (lemma R2). So the proof needs no more precision than the distance
-to the second largest root asks.
+through z, the root is dominant (lemma R2). So the proof needs only as much precision as the
+distance to the second largest root requires.
 
 Sources: Schur (1917), Cohn (1922); Henrici, Applied and Computational Complex Analysis I, 6.4, for
 the distance.
@@ -31,7 +31,7 @@ _SAFETY = 1.0 + 1e-6  # the bounds themselves are rounded
 def distance_of_dominant(root: Array, loop: Loop, *, degree: int) -> Array:
     """Return a proved bound of | |1 + root| - spectral radius |, inf where there is no proof.
 
-    It covers |1 + root| being rounded as ``modulus`` does.
+    The bound includes the rounding of ``modulus``.
     """
     distance = partial(_distance, degree=degree)
     if degree <= _HIGHEST_UNROLLED:

@@ -90,7 +90,7 @@ class Complex(NamedTuple):
 
 @compiled(static=["degree", "doublings", "corrections"], many=0, wide=True)
 def dominant_root(loop: Loop, *, degree: int, doublings: int, corrections: int = 2) -> Array:
-    """Return t = z - 1 of a root z >= 0 that is likely dominant, by XLA, as a complex array.
+    """Return t = z - 1 of a root z >= 0 that is probably dominant, by XLA, as a complex array.
 
     The imaginary part is >= 0, and 0 for real roots. Each doubling halves the number of points
     where two roots of nearly one modulus are confused; no doublings means the closed form for

@@ -1,4 +1,4 @@
-"""The spectral radius of the closed loop, each with a proved bound of its error."""
+"""The spectral radius of the closed loop, with a proved bound of its error."""
 
 from collections.abc import Callable
 from decimal import ROUND_CEILING
@@ -61,7 +61,7 @@ Values = np.ndarray[Any, np.dtype[Any]]
 
 
 class SpectralRadius(NamedTuple):
-    """The largest modulus of a root of p(z), how wrong it may be, and how that is known.
+    """The largest modulus of a root of p(z), a bound of its error, and how the bound is known.
 
     Attributes:
         value: the largest modulus, per sample.

@@ -1,7 +1,7 @@
 """Reciprocals, roots and powers of two that XLA fuses with the arithmetic around them.
 
-XLA does not fuse divisions and square roots whose results are used more than once; there these are
-started from the bits of a number and go through Newton's method. NumPy divides.
+XLA does not fuse divisions and square roots whose results are used more than once. There they start
+from the bits of the number and are refined by Newton's method; NumPy divides.
 """
 
 import numpy as np

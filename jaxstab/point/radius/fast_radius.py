@@ -1,8 +1,9 @@
 """Spectral radius and its error over many points by dominant roots, wherever these can be proved.
 
-Each point is computed on its own, whatever the others are. Where the first try is not proved to
-``TOLERANCE``, mostly because two roots have nearly one modulus, the next one squares the power
-of z more often. The few points that are still open have multiple dominant roots or several alike.
+Each point is computed independently of the others. Where the first try is not proved to
+``TOLERANCE``, mostly because two roots have nearly the same modulus, the next one squares the power
+of z more often. The few points that are then still open have multiple or nearly equal dominant
+roots.
 """
 
 from collections.abc import Iterator

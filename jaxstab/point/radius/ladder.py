@@ -1,4 +1,4 @@
-"""How far a spectral radius can be from the true one: verdicts on p(r z) for a ladder of radii r.
+"""The error bound of a spectral radius, from verdicts on p(r z) for a ladder of radii r.
 
 All roots are inside the circle of radius + error, and not all inside that of radius - error; each
 side is one verdict (lemma R3 of docs/proofs.md). The steps of the ladder have a ratio of 4.
@@ -14,7 +14,7 @@ _STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds tha
 
 
 def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
-    """Return bounds of the errors of radii, infinite where 2^-6 of the radius is not proved either.
+    """Return bounds of the errors of radii, infinite where even 2^-6 of the radius is not proved.
 
     Args:
         codes: gives the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).

@@ -1,7 +1,7 @@
 """A first guess of the dominant root of polynomials: powers of the companion matrix.
 
-z^M mod p, by repeated squaring, is a state after M products with the companion matrix. Almost only
-the dominant roots remain in it. Four samples of it determine them: one real root or a pair.
+z^M mod p, by repeated squaring, is the state after M products with the companion matrix. Little
+more than the dominant roots remain in it, and four samples determine them: one real root or a pair.
 
 A polynomial is a list of columns, the coefficients of many points, lowest power first; None stands
 for a column of zeros. Only elementwise operations: a compiler keeps all of it in registers.

@@ -1,9 +1,9 @@
 """Certified verdicts of polynomials without a special form: loops with estimators and filters.
 
-The steps of Schur and Cohn on all coefficients, in O(degree^2) operations; where only the first and
-the last ones are not 0, as with windows and long delays, on those alone (lemma V9 of
-docs/proofs.md). What is proved follows from the same lemmas as for the loop of the paper: V2 to V6,
-with V8 for what is lost in forming p(z).
+The Schur-Cohn steps act on all coefficients, in O(degree^2) operations; where only the first and
+the last ones are not 0, as with windows and long delays, they act on those alone (lemma V9 of
+docs/proofs.md). The proof uses the same lemmas as for the loop of the paper, V2 to V6, and V8 for
+the error of forming p(z).
 """
 
 from collections.abc import Sequence
@@ -54,8 +54,8 @@ def dense_codes(
 def without_zeros(loop: LinearLoop) -> LinearLoop:
     """Leave out the coefficients in the middle of p(z) that are 0 whatever the gains are.
 
-    As many are left at the end as at the beginning, less one. Nothing is left out where that would
-    not pay, nor where a transformation of JAX hides the numbers.
+    As many stay at the end as at the beginning, less one. Nothing is left out where that would not
+    pay off, nor where JAX traces the numbers.
     """
     if is_any_traced(loop):
         return loop

@@ -1,7 +1,7 @@
 """Certified verdicts: STABLE and UNSTABLE are proofs, rounding included.
 
-``recursion`` holds the proof, ``loop`` forms p(z) from plants that are computed once. Here the
-points of a grid are brought to the kernels, each at the degree of its own delay.
+``recursion`` has the proof, ``loop`` forms p(z) from plants that are computed once. This module
+takes the points of a grid to the kernels, each at the degree of its own delay.
 """
 
 from functools import partial

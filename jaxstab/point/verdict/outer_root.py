@@ -20,7 +20,7 @@ def have_outer_root(
 ) -> Bool[np.ndarray, " point"]:
     """Prove for polynomials that not all of their roots lie inside the unit circle.
 
-    Nothing is tried where 1 or -1 is a root to rounding, as on whole lines and in whole planes.
+    Polynomials with a root at 1 or -1 up to rounding, as on whole lines of walls, are not tried.
 
     Args:
         coefficients: monic, highest power first, each within two roundings of the true one.
