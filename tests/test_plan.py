@@ -1,5 +1,6 @@
 """A plan says what is computed and why the rest is not; tiles are the same however they are cut."""
 
+import math
 import re
 from dataclasses import replace
 from time import process_time
@@ -17,6 +18,7 @@ from jaxstab import (
     QueryStatus,
     RegionStatus,
     ToleranceAxis,
+    Velocity,
     build_atlas,
     plan_atlas,
     stable_region,
@@ -53,6 +55,15 @@ def test_a_plan_counts_every_point_and_says_why_it_is_not_evaluated() -> None:
     assert shares["verdict"].evaluated < 0.1 * shares["verdict"].asked
     assert shares["cell_verdict"].evaluated == 0
     assert "1.5 (degree 5)" in str(plan)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 1.5])
+@pytest.mark.parametrize("window", [1, 2, 20])
+def test_a_plan_names_the_degree_of_loops_with_estimators(window: int, delay: float) -> None:
+    axes = {"alpha": [0.0, 0.1], "beta": [0.0, 0.1], "gamma": [0.0], "delta": [0.01]}
+    spec = AtlasSpec(**axes, delay=[delay], velocity=Velocity.difference(window))
+    states = 2 + window + math.ceil(delay)  # of the mass, its past positions, forces on their way
+    assert f"delay: {delay:g} (degree {states});" in str(plan_atlas(spec))
 
 
 def test_a_tile_is_the_same_alone_and_in_an_atlas_of_any_tiles(
@@ -200,7 +211,7 @@ def test_a_build_takes_about_the_time_and_the_size_that_were_estimated(
     assert 1 / 2 < estimate.size / size < 2
     assert re.fullmatch(
         r"build: about [\d.]+ seconds of CPU time on this machine, and a file of about 0\.[\d]+ "
-        "MB, judged by parts of two tiles",
+        "MB, judged by parts of a few tiles",
         str(estimate),
     )
 

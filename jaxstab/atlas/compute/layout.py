@@ -9,12 +9,13 @@ from jaxtyping import Float64
 
 from jaxstab.atlas.compute.tolerance import known_region, tolerant_nodes
 from jaxstab.atlas.format.schema import ALPHA_LIMITS, CELL, LIMIT_TERMS, NODE
-from jaxstab.atlas.format.spec import AtlasSpec, FittedAxis, ToleranceAxis, check_size
+from jaxstab.atlas.format.spec import AtlasSpec, FittedAxis, Nodes, ToleranceAxis, check_size
 from jaxstab.model.filters import Filters
 
 _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
 _STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
+_COARSE = 32  # cells to a sample, at some of whose edges regions are looked at beforehand
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 
 
@@ -73,18 +74,60 @@ class Grid:
         return np.stack([nodes, nodes] if nodes.size == 1 else [nodes[:-1], nodes[1:]], axis=-1)
 
 
-def lay_out(spec: AtlasSpec) -> Grid:
+@dataclass(frozen=True)
+class Reach:
+    """How far the stable regions of the hands of an atlas reach, at some delays.
+
+    Attributes:
+        delay: ascending.
+        ends: the largest alpha, the lowest and the highest beta at each of them.
+    """
+
+    delay: Float64[np.ndarray, " delay"]
+    ends: Float64[np.ndarray, "delay 3"]
+
+    def along(self, delay: Float64[np.ndarray, "*point"]) -> Float64[np.ndarray, "*point 3"]:
+        """Return the ends at other delays, by straight lines."""
+        return np.stack([np.interp(delay, self.delay, end) for end in self.ends.T], axis=-1)
+
+
+def reach_of(spec: AtlasSpec) -> Reach:
+    """Return how far the regions of the hands at the corners reach: fewer than an axis looks at.
+
+    Raises:
+        ValueError: at some delay no loop is stable, or a region is unresolved; or a parameter is
+            too large for the model.
+    """
+    corners = (np.array(ends_of(getattr(spec, name))) for name in ("gamma", "delta"))
+    gamma, delta = corners
+    delays = np.array(spec.delay)
+    stations = _stations(_delay_edges(delays, _COARSE) if spec.delay_cells else [], delays)
+    boxes = [_stable_box(gamma, delta, delay, spec.filters) for delay in stations]
+    return Reach(np.array(stations), np.array([[highest, *beta] for highest, beta in boxes]))
+
+
+def ends_of(axis: Nodes | ToleranceAxis) -> tuple[float, ...]:
+    """Return the first and the last node of gamma or delta, or the only one."""
+    nodes = (axis.start, axis.stop) if isinstance(axis, ToleranceAxis) else np.array(axis).tolist()
+    return tuple(sorted({float(nodes[0]), float(nodes[-1])}))
+
+
+def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
     """Return the nodes of a specification, with the fitted axes laid around each stable region.
+
+    Args:
+        spec: the specification.
+        reach: how far the regions reach, where that is known, so that no region is looked at.
 
     Raises:
         ValueError: an axis is fitted to a stable region, or given by a tolerance, and the region is
             empty or unresolved; a parameter is too large for the model; or the grid is too large.
     """
-    gamma, delta = (_plant_axis(spec, name) for name in ("gamma", "delta"))
+    gamma, delta = (plant_axis(spec, name) for name in ("gamma", "delta"))
     delay = np.array(spec.delay)
-    walls = [_wall_axes(spec, gamma, delta, samples) for samples in delay.tolist()]
+    walls = [_wall_axes(spec, gamma, delta, samples, reach) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
-    limit_range = _limit_range(spec, (gamma, delta), delay, walls)
+    limit_range = _limit_range(spec, (gamma, delta), delay, walls, reach)
     grid = Grid(alpha, beta, gamma, delta, delay, spec.limit_cells, limit_range)
     check_size(grid.shape)
     return grid
@@ -95,6 +138,7 @@ def _limit_range(
     hands: tuple[Float64[np.ndarray, " gamma"], Float64[np.ndarray, " delta"]],
     delay: Float64[np.ndarray, " delay"],
     walls: list[tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]],
+    reach: Reach | None,
 ) -> Float64[np.ndarray, "delay_cell 6"]:
     """Return the cells of delays with limits of alpha, and how far each reaches.
 
@@ -107,20 +151,26 @@ def _limit_range(
         return np.column_stack([delay, delay, at_nodes])
     edges = _delay_edges(delay, spec.delay_cells)
     known = dict(zip(delay.tolist(), at_nodes, strict=True))
-    last = edges[0]
-    for edge in edges:
-        is_far = edge - last >= _STATIONS * (last + 0.5)
-        if edge in known:
-            last = edge
-        elif is_far or edge.is_integer():
-            alpha, beta = _wall_axes(spec, *hands, edge)
-            known[edge], last = (alpha[0], alpha[-1], beta[0], beta[-1]), edge
-    stations = sorted(known)
+    stations = _stations(edges, delay)
+    for edge in (edge for edge in stations if edge not in known):
+        alpha, beta = _wall_axes(spec, *hands, edge, reach)
+        known[edge] = alpha[0], alpha[-1], beta[0], beta[-1]
     ends = np.array([known[station] for station in stations])
     along = np.stack([np.interp(edges, stations, column) for column in ends.T], axis=-1)
     low, high = np.minimum(along[1:], along[:-1]), np.maximum(along[1:], along[:-1])
     walls_of = [low[:, 0], high[:, 1], low[:, 2], high[:, 3]]
     return np.column_stack([edges[:-1], edges[1:], *walls_of])
+
+
+def _stations(edges: list[float], delay: Float64[np.ndarray, " delay"]) -> list[float]:
+    """Return the delays, whole samples among the edges of cells, and some edges between them."""
+    nodes = set(delay.tolist())
+    stations, last = set(nodes), float(delay[0])
+    for edge in edges:
+        if edge in nodes or edge.is_integer() or edge - last >= _STATIONS * (last + 0.5):
+            stations.add(edge)
+            last = edge
+    return sorted(stations)
 
 
 def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[float]:
@@ -140,15 +190,13 @@ def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[fl
     return edges
 
 
-def _plant_axis(spec: AtlasSpec, name: str) -> Float64[np.ndarray, " node"]:
+def plant_axis(spec: AtlasSpec, name: str) -> Float64[np.ndarray, " node"]:
     """Return the nodes of gamma or delta; those by tolerance with the other one at its ends."""
     axis = getattr(spec, name)
     if not isinstance(axis, ToleranceAxis):
         return np.array(axis)
-    across = getattr(spec, "delta" if name == "gamma" else "gamma")
-    nodes = [across.start, across.stop] if isinstance(across, ToleranceAxis) else list(across)
-    ends, delays = sorted({nodes[0], nodes[-1]}), np.array(spec.delay).tolist()
-    return tolerant_nodes(axis, name, ends, delays, spec.filters)
+    across = ends_of(getattr(spec, "delta" if name == "gamma" else "gamma"))
+    return tolerant_nodes(axis, name, across, np.array(spec.delay).tolist(), spec.filters)
 
 
 def _wall_axes(
@@ -156,10 +204,15 @@ def _wall_axes(
     gamma: Float64[np.ndarray, " gamma"],
     delta: Float64[np.ndarray, " delta"],
     delay: float,
+    reach: Reach | None = None,
 ) -> tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]:
     if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
         return np.array(spec.alpha), np.array(spec.beta)
-    highest_alpha, beta_ends = _stable_box(gamma, delta, delay, spec.filters)
+    if reach is None:
+        highest_alpha, beta_ends = _stable_box(gamma, delta, delay, spec.filters)
+    else:
+        highest_alpha, *both = reach.along(np.array(delay)).tolist()
+        beta_ends = both[0], both[1]
     alpha = (
         _fitted_alpha(spec.alpha.count, gamma, highest_alpha)
         if isinstance(spec.alpha, FittedAxis)

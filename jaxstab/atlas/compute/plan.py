@@ -20,6 +20,8 @@ from jaxstab.atlas.format.schema import (
     VERDICT,
 )
 from jaxstab.atlas.format.spec import AtlasSpec, ToleranceAxis
+from jaxstab.model import characteristic_polynomial
+from jaxstab.model.filters import as_keywords
 
 TILE_NODES = 2**18  # at most, where a tile holds more than one slice
 
@@ -155,7 +157,7 @@ class Plan:
 
     def __str__(self) -> str:
         lines = [_axis_line(self, name) for name in ("gamma", "delta")]
-        degrees = (f"{d:g} (degree {int(d) + 3 + (d % 1 > 0)})" for d in self.grid.delay.tolist())
+        degrees = (f"{d:g} (degree {_degree(d, self.spec)})" for d in self.grid.delay.tolist())
         lines.append(f"delay: {', '.join(degrees)}; each computed at its own degree")
         if ALPHA_LIMITS in self.variables:
             lines.append(_delay_cells_line(self))
@@ -210,6 +212,13 @@ def plan_atlas(spec: AtlasSpec) -> Plan:
         if size > LARGEST_ARRAY:
             raise ValueError(f"{name} takes {size} bytes in a tile; give fewer limit_cells.")
     return plan
+
+
+def _degree(delay: float, spec: AtlasSpec) -> int:
+    """Return the degree of the polynomials at a delay; no gain and no hand changes it."""
+    zeros = (0.0, 0.0, 0.0, 0.0)
+    coefficients = characteristic_polynomial(*zeros, delay, **as_keywords(spec.filters))
+    return int(coefficients.shape[-1]) - 1
 
 
 def _axis_line(plan: Plan, name: str) -> str:

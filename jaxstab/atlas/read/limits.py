@@ -215,7 +215,7 @@ class LimitTable:
     ) -> AlphaLimits:
         """Return the limits at points in these cells of delays."""
         rows = self.beta_cell(number, beta) * self._steps[0] + self._hands(gamma, delta) + number
-        return _at(self._columns.take(rows, axis=0).T, beta, gamma, delta, delay)
+        return limits_at(self._columns.take(rows, axis=0).T, beta, gamma, delta, delay)
 
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
         """Return the numbers of the cells of hands within a cell along beta."""
@@ -237,7 +237,7 @@ class LimitTable:
             edges = np.arange(self._cells + 1) / self._per_beta[number] + self._beta[number]
             sides = np.stack([edges[:-1], edges[1:]])  # planes are highest at their sides
             one = slice(point, point + 1)
-            at = _at(columns[:, row].T, sides, gamma[one], delta[one], delay[one])
+            at = limits_at(columns[:, row].T, sides, gamma[one], delta[one], delay[one])
             top = at.upper - at.upper_error
             holds = (at.lower + at.lower_error < top) & np.isfinite(top)
             if holds.any():
@@ -262,14 +262,10 @@ class LimitTable:
             point.ravel() for point in np.meshgrid(beta, *middles, indexing="ij")
         )
         columns = self._columns[number :: self._steps[2]].T
-        at = _at(columns, along_beta, gamma, delta, np.full(gamma.size, delay))
-        lower, lower_error, upper, upper_error = at
-        low, high = self._least[number], self._most[number]
-        ends = [lower - lower_error, lower + lower_error, upper - upper_error, upper + upper_error]
-        a, b, c, d = (np.clip(end, low, high) for end in ends)
-        open_height = np.where(c > b, b - a + d - c, d - a)
+        at = limits_at(columns, along_beta, gamma, delta, np.full(gamma.size, delay))
         weights = np.multiply.outer(np.ones(self._cells), np.multiply.outer(*spans)).ravel()
-        return float(1.0 - np.average(open_height, weights=weights) / (high - low))
+        undecided = undecided_share(at, float(self._least[number]), float(self._most[number]))
+        return float(1.0 - np.average(undecided, weights=weights))
 
     @_ignoring
     def common_limits(
@@ -309,7 +305,7 @@ class LimitTable:
         at_gamma, at_delta = (np.concatenate([side[k].ravel() for side in sides]) for k in (0, 1))
         still = (np.full_like(at_gamma, value) for value in (beta, delay))
         at_beta, at_delay = still
-        return _at(np.tile(columns.T, 4), at_beta, at_gamma, at_delta, at_delay)
+        return limits_at(np.tile(columns.T, 4), at_beta, at_gamma, at_delta, at_delay)
 
 
 def _surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
@@ -331,7 +327,16 @@ def _guesses_of(early: Floats) -> tuple[float, Integers]:
 
 
 @_ignoring
-def _at(
+def undecided_share(limits: AlphaLimits, low: float, high: float) -> Floats:
+    """Return which share of the alphas from the lowest to the highest the limits leave open."""
+    lower, lower_error, upper, upper_error = limits
+    ends = [lower - lower_error, lower + lower_error, upper - upper_error, upper + upper_error]
+    a, b, c, d = (np.clip(end, low, high) for end in ends)
+    return np.asarray(np.where(c > b, b - a + d - c, d - a) / (high - low))
+
+
+@_ignoring
+def limits_at(
     columns: NDArray[np.float32], beta: Floats, gamma: Floats, delta: Floats, delay: Floats
 ) -> AlphaLimits:
     """Return the limits of columns, (20, point), at points."""

@@ -1,6 +1,7 @@
-"""How long a build takes and how large its file is, from parts of two tiles that are computed."""
+"""How long a build takes and how large its file is, from parts of a few tiles that are computed."""
 
 from dataclasses import replace
+from math import prod
 from time import process_time
 from typing import NamedTuple
 
@@ -9,11 +10,14 @@ import numpy as np
 
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.footer import image_of
-from jaxstab.atlas.format.schema import ALPHA_LIMITS, SPECTRAL_RADIUS
+from jaxstab.atlas.format.schema import ALPHA_LIMITS, LIMITS, SPECTRAL_RADIUS, VARIABLES
 from jaxstab.atlas.write.workers import tile_image
 
 _RADII = 2**16  # that are computed at most, unless two columns hold more
-_FILE = 30_000  # bytes of a file whose arrays are empty
+_SHARES = 0.1, 0.5, 0.9  # of the way through the delays, at which limits are computed
+_CALLS = (1, 32), (8, 256)  # boxes of hands and columns along beta, at most
+_COLUMN = 56.0  # bytes of limits
+_FILE, _CHUNK = 28_000, 90  # bytes of a file whose arrays are empty, and of a chunk beside values
 _WITHOUT_CELLS = 0.4  # of the work of a tile: at the last of several hands no cells begin
 
 
@@ -31,31 +35,80 @@ class Estimate(NamedTuple):
     def __str__(self) -> str:
         return (
             f"build: about {_duration(self.seconds)} of CPU time on this machine, and a file of "
-            f"about {_two_digits(self.size / 1e6)} MB, judged by parts of two tiles"
+            f"about {_two_digits(self.size / 1e6)} MB, judged by parts of a few tiles"
         )
 
 
+class Costs(NamedTuple):
+    """What parts of an atlas take, by which the cost of any resolution of its range follows.
+
+    Attributes:
+        start: seconds that the first tile of a delay takes more than others.
+        slice_seconds: of a hand at one delay, but for the limits of alpha.
+        node_bytes: of its compressed values, but for those of cells and of the limits.
+        cell_bytes: of the values of cells that begin at a hand.
+        call_seconds: of the limits of alpha in one tile and one cell of delays, whatever they are.
+        column_seconds: that each column of limits takes more.
+    """
+
+    start: float
+    slice_seconds: float
+    node_bytes: float
+    cell_bytes: float
+    call_seconds: float
+    column_seconds: float
+
+    def of(self, plan: Plan) -> Estimate:
+        """Return what a build takes; nodes along alpha and beta are those that were measured."""
+        length = plan.grid.lengths
+        cells = length["gamma_cell"] * length["delta_cell"] * length["delay"]
+        tiles = plan.tiles
+        hands = sum(
+            len(tile.delta) * (1.0 if _has_cells(plan, tile) else _WITHOUT_CELLS) for tile in tiles
+        )
+        seconds = self.start * length["delay"] + self.slice_seconds * hands
+        size = _FILE + self.node_bytes * prod(plan.grid.shape[2:]) + self.cell_bytes * cells
+        size += _CHUNK * len(tiles) * len(plan.variables)
+        if ALPHA_LIMITS in plan.spec.products:
+            gammas, deltas, delays = (length[name] for name in LIMITS[1:4])
+            columns = plan.grid.limit_cells * gammas * deltas * delays
+            calls = gammas * -(-deltas // plan.deltas_of_a_tile) * delays
+            seconds += self.call_seconds * calls + self.column_seconds * columns
+            size += _COLUMN * columns + _CHUNK * calls
+        return Estimate(seconds, size)
+
+
 def estimate_build(plan: Plan) -> Estimate:
-    """Compute parts of a tile of the first and of the last delay, and say what all tiles take.
+    """Compute parts of some tiles, and say what all of them take.
 
     Raises:
         ValueError: as for a build.
     """
-    delays = plan.grid.delay.size
-    parts = [_measured(plan, index) for index in sorted({0, delays - 1})]
-    start, seconds, size = np.mean(parts, axis=0).tolist()
-    tiles = sum(1.0 if _has_cells(plan, tile) else _WITHOUT_CELLS for tile in plan.tiles)
-    return Estimate(start * delays + seconds * tiles, _FILE + size * tiles)
+    return costs_of(plan).of(plan)
+
+
+def costs_of(plan: Plan) -> Costs:
+    """Compute parts of a tile of the first and of the last delay, and some limits of alpha.
+
+    Raises:
+        ValueError: as for a build.
+    """
+    delays = sorted({0, plan.grid.delay.size - 1})
+    slices = np.mean([_of_slices(plan, delay) for delay in delays], axis=0)
+    limits = [0.0, 0.0]
+    if ALPHA_LIMITS in plan.spec.products:
+        limits = np.mean([_of_limits(plan, share) for share in _SHARES], axis=0).tolist()
+    return Costs(*slices.tolist(), *limits)
 
 
 def _has_cells(plan: Plan, tile: Tile) -> bool:
     return all(plan.numbers(name, tile) for name in ("gamma_cell", "delta_cell"))
 
 
-def _measured(plan: Plan, delay: int) -> tuple[float, float, float]:
-    """Return the seconds that a tile takes more if it is the first, what all take, and the bytes.
+def _of_slices(plan: Plan, delay: int) -> tuple[float, ...]:
+    """Return the seconds that a tile takes more if it is the first, and what a hand takes.
 
-    Of limits those of one cell of delays are computed, the first or the last.
+    These are its seconds and the bytes of its nodes and of its cells.
 
     Verdicts and what belongs to slices take a second at most. Of radii, which take as long as there
     are nodes, some columns in the middle are computed.
@@ -65,32 +118,60 @@ def _measured(plan: Plan, delay: int) -> tuple[float, float, float]:
     columns = min(betas, max(2, _RADII // (alphas * len(tile.delta))))
     first = (betas - columns) // 2
     middle = replace(plan.grid, beta=plan.grid.beta[first : first + columns])
-    start = seconds = size = 0.0
-    for product in plan.spec.products:
-        asked, grid, scale = tile, plan.grid, 1.0
+    start, taken = 0.0, np.zeros(3)
+    for product in (name for name in plan.spec.products if name != ALPHA_LIMITS):
+        grid, scale = plan.grid, 1.0
         if product == SPECTRAL_RADIUS:
             grid, scale = middle, betas / columns
-        elif product == ALPHA_LIMITS:
-            cells = plan.grid.limit_range
-            one = cells[-1:] if delay else cells[:1]
-            grid, scale = replace(plan.grid, limit_range=one), len(cells) / plan.grid.delay.size
-            owner = int(np.searchsorted(plan.grid.delay, one[0, 0], "right")) - 1
-            asked = tile._replace(delay=owner)
         part = Plan(replace(plan.spec, products=(product,)), grid)
-        (slow, _), (quick, stored) = (_timed(part, asked) for _ in range(2))
+        (slow, *_), (quick, *stored) = (_timed(part, tile) for _ in range(2))
         start += max(0.0, slow - quick)  # XLA compiles once
-        seconds += scale * quick
-        size += scale * stored
-    return start, seconds, size
+        taken += scale * np.array([quick, *stored])
+    return start, *(taken / len(tile.delta)).tolist()
 
 
-def _timed(plan: Plan, tile: Tile) -> tuple[float, int]:
-    """Return the seconds that a tile takes and the bytes of its compressed values."""
+def _of_limits(plan: Plan, share: float) -> tuple[float, float]:
+    """Return the seconds of limits of alpha at a share of the way through the delays.
+
+    Few columns of one box of hands are computed, and many of several boxes.
+    """
+    grid = plan.grid
+    row = grid.limit_range[int(share * (len(grid.limit_range) - 1))]
+    taken: list[tuple[int, float]] = []
+    for boxes, most in _CALLS:
+        columns = min(most, grid.limit_cells)
+        high = row[4] + (row[5] - row[4]) * columns / grid.limit_cells
+        part = replace(
+            grid,
+            alpha=grid.alpha[:, :1],
+            beta=grid.beta[:, :1],
+            gamma=grid.gamma[:2],
+            delta=grid.delta[: boxes + 1],
+            delay=row[:1],
+            limit_cells=columns,
+            limit_range=np.array([[*row[:5], high]]),
+        )
+        asked = Plan(replace(plan.spec, products=(ALPHA_LIMITS,)), part)
+        whole = min(part.delta.size, asked.deltas_of_a_tile)
+        tile = Tile(0, range(whole), 0)
+        boxes = len(asked.numbers("delta_cell", tile))
+        taken.append((boxes * columns, min(_timed(asked, tile)[0] for _ in range(2))))
+    (few, quick), (many, slow) = taken
+    column = max(0.0, slow - quick) / max(1, many - few)
+    return max(0.0, quick - few * column), column
+
+
+def _timed(plan: Plan, tile: Tile) -> tuple[float, int, int]:
+    """Return the seconds that a tile takes, and the bytes of its nodes' and its cells' values."""
     begin = process_time()
     image = tile_image(plan, tile, key="")
     seconds = process_time() - begin
+    stored = [0, 0]
     with h5py.File.in_memory(image_of(image)) as file:
-        return seconds, sum(dataset.id.get_storage_size() for dataset in file.values())
+        for name, dataset in file.items():
+            of_cells = "gamma_cell" in VARIABLES[name].dimensions
+            stored[of_cells] += dataset.id.get_storage_size()
+    return seconds, *stored
 
 
 def _duration(seconds: float) -> str:
