@@ -148,13 +148,16 @@ def _queries(rows: list[Row]) -> Figure:
 
 
 def _answers(rows: list[Row]) -> Figure:
-    figure, axes = _panels(1, 2, "What the default atlas answers")
-    _lines(axes[0, 0], rows, "delay", "seconds_per_point")
-    _lines(axes[0, 1], rows, "delay", "error")
-    axes[0, 0].set(yscale="log", ylabel="seconds per point")
-    axes[0, 1].set(ylim=(0.0, None), ylabel="share without a right verdict")
-    for panel in axes[0]:
-        panel.set_xlabel("delay in samples")
+    atlas = [row for row in rows if row["method"] == "atlas, many points"]
+    asked, wrong = (sum(row[column] for row in atlas) for column in ("asked", "wrong"))
+    figure, axes = _panels(1, 2, f"{asked:,} questions to the default atlas, {wrong} wrong")
+    at_delays = [row for row in rows if row["section"].startswith("delay")]
+    _lines(axes[0, 0], at_delays, "delay", "seconds_per_point")
+    axes[0, 0].set(yscale="log", xlabel="delay in samples", ylabel="seconds per point")
+    sections = [row["section"] for row in atlas][::-1]
+    shares = [row["undecided"] for row in atlas][::-1]
+    axes[0, 1].barh(sections, shares, color=_STYLES["atlas"][0])
+    axes[0, 1].set(xscale="log", xlabel="undecided share")
     return _with_legend(figure, axes)
 
 

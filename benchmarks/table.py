@@ -6,6 +6,7 @@ All of it stands in docs/accuracy.md, and a few lines in the README.
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 
 from benchmarks.record import Record, Row
@@ -23,7 +24,7 @@ _IN_README = {  # parts of tasks, and their methods
     ("boundary of a slice", "closed form"),
     ("points, delay 1", "verdict"),
     ("points, delay 1", "spectral_radius"),
-    ("random points of the default atlas", "atlas, many points"),
+    ("default atlas, at", "atlas, many points"),
     ("random and adversarial loops", "verdict"),
 }
 
@@ -121,14 +122,24 @@ def _queries(rows: list[Row]) -> Iterator[Line]:
 
 
 def _answers(rows: list[Row]) -> Iterator[Line]:
-    for method in ("atlas, many points", "atlas, one by one"):
-        some = [row for row in rows if row["method"] == method]
+    places = dict.fromkeys(_place_of_answers(row["section"]) for row in rows)
+    for place, method in product(places, ("atlas, many points", "atlas, one by one")):
+        some = [
+            row
+            for row in rows
+            if row["method"] == method and _place_of_answers(row["section"]) == place
+        ]
         total = sum(row["asked"] for row in some)
         undecided = sum(row["undecided"] * row["asked"] for row in some) / total
-        task = f"{total:,} random points of the default atlas, {_bytes(some[0]['file_bytes'])}"
+        size = _bytes(some[0]["file_bytes"])
+        task = f"{total:,} random points of the default atlas, {place}, {size}"
         time = f"{_time(max(row['seconds_per_point'] for row in some))} per point"
         error = f"{undecided:.3%} undecided, {sum(row['wrong'] for row in some)} wrong"
         yield task, method, time, error, ""
+
+
+def _place_of_answers(section: str) -> str:
+    return "at whole delays" if section.startswith("delay") else section.replace("any", "at any")
 
 
 def _filling(rows: list[Row]) -> Iterator[Line]:

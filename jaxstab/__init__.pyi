@@ -11,10 +11,13 @@ from .atlas import LoopAtlas as LoopAtlas
 from .atlas import MaxAlpha as MaxAlpha
 from .atlas import Plan as Plan
 from .atlas import QueryStatus as QueryStatus
+from .atlas import Resolution as Resolution
+from .atlas import ResolutionPlan as ResolutionPlan
 from .atlas import ToleranceAxis as ToleranceAxis
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
 from .atlas import plan_atlas as plan_atlas
+from .atlas import plan_resolution as plan_resolution
 from .atlas import upgrade_atlas as upgrade_atlas
 from .atlas import write_atlas as write_atlas
 from .batches import use_compilation_cache as use_compilation_cache

@@ -16,6 +16,9 @@ from .read.of_loop import LoopAtlas as LoopAtlas
 from .read.outline import AtlasOutline as AtlasOutline
 from .write.build import build_atlas as build_atlas
 from .write.build import write_atlas as write_atlas
+from .write.resolution import Resolution as Resolution
+from .write.resolution import ResolutionPlan as ResolutionPlan
 from .write.version2 import upgrade_atlas as upgrade_atlas
+from .write.wish import plan_resolution as plan_resolution
 
 __all__: list[str]

@@ -111,19 +111,6 @@ def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
 
 
 @click.command()
-@click.argument("spec", type=Path, required=False)
-def plan(spec: Path | None) -> None:
-    """Print what a build would compute, why it need not compute the rest, and what it will take."""
-    from jaxstab.atlas import AtlasSpec, plan_atlas
-    from jaxstab.atlas.write.estimate import estimate_build
-
-    keep_programs()
-    planned = plan_atlas(AtlasSpec.from_file(spec) if spec else AtlasSpec())
-    click.echo(planned)
-    click.echo(estimate_build(planned))
-
-
-@click.command()
 @click.option("--scene", "file", type=Path, required=True, help="TOML file of the scene.")
 @click.option("--mass-tolerance", type=float, help="Of the device either way, such as 0.1: 10 %.")
 @click.option("--delay-tolerance", type=float, help="Of the delay either way, in s.")

@@ -9,10 +9,11 @@ from typing import Any, NoReturn
 import click
 
 import jaxstab
-from jaxstab.cli.atlas import build, info, plan, spec, upgrade, verify
+from jaxstab.cli.atlas import build, info, spec, upgrade, verify
 from jaxstab.cli.explore import explore
 from jaxstab.cli.guard import guard
 from jaxstab.cli.papers import papers
+from jaxstab.cli.plan import plan
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import check, design, limits, scene, tune

@@ -39,6 +39,15 @@ def page_file(_: click.Context, option: click.Parameter, path: Path) -> Path:
     return _writable(option, path)
 
 
+def spec_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+    """Return the name of a specification of an atlas."""
+    if path is None:
+        return None
+    if path.suffix != ".toml":
+        raise click.BadParameter(f"{path} does not end in .toml.", param=option)
+    return _writable(option, path)
+
+
 def _writable(option: click.Parameter, path: Path) -> Path:
     """Return the name of a file that may be written."""
     try:

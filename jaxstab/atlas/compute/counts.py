@@ -11,8 +11,8 @@ from jaxstab.atlas.compute.layout import plant_axis
 from jaxstab.atlas.format.spec import FEWEST_FITTED, AtlasSpec, FittedAxis
 
 Counts = Mapping[str, int]
-"""Of nodes along alpha and beta, of cells along gamma and delta, and the limits' ``limit_cells`` and
-``delay_cells``."""
+"""Of nodes along alpha and beta, of cells along gamma and delta, and ``limit_cells`` and
+``delay_cells`` of the limits of alpha."""
 
 WALLS, HANDS, OF_LIMITS = ("alpha", "beta"), ("gamma", "delta"), ("limit_cells", "delay_cells")
 
@@ -27,10 +27,11 @@ def with_known_nodes(spec: AtlasSpec) -> AtlasSpec:
 
 
 def counts_of(spec: AtlasSpec) -> dict[str, int]:
-    """Return the counts of a specification with known nodes."""
+    """Return the counts of a specification with known nodes; no cells where only delays are."""
     along: dict[str, int] = {name: _length(getattr(spec, name)) for name in (*WALLS, *HANDS)}
     along |= {name: max(1, along[name] - 1) for name in HANDS}
-    return along | {name: getattr(spec, name) for name in OF_LIMITS}
+    cells = 0 if is_fixed(spec, "delay_cells") else int(spec.delay_cells or 0)
+    return along | {"limit_cells": spec.limit_cells, "delay_cells": cells}
 
 
 def is_fixed(spec: AtlasSpec, name: str) -> bool:

@@ -32,7 +32,7 @@ from jaxstab.durable import named_errors, target_of
 class Contents:
     """What an atlas file holds: arrays by the names of the schema, who made it, for which loop."""
 
-    arrays: "PackedArrays"
+    arrays: Mapping[str, Array]
     created_by: str
     filters: str
 

@@ -1,5 +1,6 @@
 """What an atlas in memory holds: its arrays, products, delays, nodes and outlines. No JAX."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from importlib import import_module
 from typing import Any
@@ -20,7 +21,7 @@ Floats = NDArray[np.float64]
 class HeldAtlas(AskedByLoops):
     """The contents of an atlas file, as ``jaxstab.Atlas`` holds them."""
 
-    arrays: file.PackedArrays
+    arrays: Mapping[str, NDArray[Any]]
     spec: str
     created_by: str
     filters_in_words: str

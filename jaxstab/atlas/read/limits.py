@@ -332,7 +332,8 @@ def undecided_share(limits: AlphaLimits, low: float, high: float) -> Floats:
     lower, lower_error, upper, upper_error = limits
     ends = [lower - lower_error, lower + lower_error, upper - upper_error, upper + upper_error]
     a, b, c, d = (np.clip(end, low, high) for end in ends)
-    return np.asarray(np.where(c > b, b - a + d - c, d - a) / (high - low))
+    may_be_stable, stable = np.maximum(d - a, 0.0), np.maximum(c - b, 0.0)
+    return np.asarray((may_be_stable - stable) / (high - low))
 
 
 @_ignoring

@@ -1,13 +1,15 @@
 """An atlas as an ``xarray.Dataset``. No JAX, and xarray only when it is asked for."""
 
+from collections.abc import Mapping
 from typing import Any
+
+from numpy.typing import NDArray
 
 from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.format.words import attributes_of, head_attributes
-from jaxstab.atlas.read.file import PackedArrays
 
 
-def to_xarray(arrays: PackedArrays, created_by: str, filters: str) -> Any:
+def to_xarray(arrays: Mapping[str, NDArray[Any]], created_by: str, filters: str) -> Any:
     """Return the variables of an atlas with named coordinates, as ``xarray.open_dataset`` does.
 
     Raises:

@@ -16,7 +16,6 @@ from jaxstab.atlas.write.workers import tile_image
 _RADII = 2**16  # that are computed at most, unless two columns hold more
 _SHARES = 0.1, 0.5, 0.9  # of the way through the delays, at which limits are computed
 _CALLS = (1, 32), (8, 256)  # boxes of hands and columns along beta, at most
-_COLUMN = 56.0  # bytes of limits
 _FILE, _CHUNK = 28_000, 90  # bytes of a file whose arrays are empty, and of a chunk beside values
 _WITHOUT_CELLS = 0.4  # of the work of a tile: at the last of several hands no cells begin
 
@@ -74,7 +73,7 @@ class Costs(NamedTuple):
             columns = plan.grid.limit_cells * gammas * deltas * delays
             calls = gammas * -(-deltas // plan.deltas_of_a_tile) * delays
             seconds += self.call_seconds * calls + self.column_seconds * columns
-            size += _COLUMN * columns + _CHUNK * calls
+            size += calls * (_CHUNK + 4.0 * prod(plan.chunk(ALPHA_LIMITS)))
         return Estimate(seconds, size)
 
 
@@ -171,7 +170,7 @@ def _timed(plan: Plan, tile: Tile) -> tuple[float, int, int]:
         for name, dataset in file.items():
             of_cells = "gamma_cell" in VARIABLES[name].dimensions
             stored[of_cells] += dataset.id.get_storage_size()
-    return seconds, *stored
+    return seconds, stored[False], stored[True]
 
 
 def _duration(seconds: float) -> str:

@@ -100,7 +100,7 @@ class ResolutionPlan:
     def _cells(self, row: Resolution) -> list[str]:
         notes = {id(self.given): "as given", id(self.chosen): f"meets {self.wish}"}
         return [
-            *(str(row.counts[name]) for name in _COUNTS),
+            *(str(row.counts[name] or "-") for name in _COUNTS),
             *map(_words, (row.limit_error, row.undecided, row.radius_error)),
             f"{row.size / 1e6:.3g}",
             f"{row.seconds:.3g}",

@@ -34,6 +34,7 @@ from jaxstab.conventions import UNDECIDED
 Floats = Float64[np.ndarray, "..."]
 
 _COLUMNS = 512  # of limits that are computed at once, at most
+_OF_EACH = 3  # places to a cell, at most
 _PLACES = 2  # in a column at which limits are asked
 _POINTS = 2**13  # that a part of an atlas is asked about
 _BETAS = 24  # nodes along beta of a part that is computed for its radii
@@ -85,6 +86,8 @@ def _limit_parts(plan: Plan, reach: Reach, count: int) -> Iterator[LimitPart]:
         count: how many places.
     """
     rng = np.random.default_rng(count)
+    gammas, deltas, delays = (plan.grid.lengths[name] for name in LIMITS[1:4])
+    count = min(count, _OF_EACH * gammas * deltas * delays)
     for number in range(count):
         delay, (gamma, delta, beta) = _place(number, count)
         grid = _limit_grid(plan.grid, delay, gamma, delta, beta)
@@ -202,7 +205,8 @@ def _asked_cells(atlas: Atlas, rng: np.random.Generator) -> CellPart:
     nodes = atlas.nodes(0).values()
     points = [rng.uniform(along[0], along[-1], _POINTS) for along in nodes]
     begin = process_time()
-    answer = atlas.query(*points, float(atlas.delays[0]))
+    alpha, beta, gamma, delta = points
+    answer = atlas.query(alpha, beta, gamma, delta, float(atlas.delays[0]))
     seconds = (process_time() - begin) / _POINTS
     between = answer.status != QueryStatus.NODE
     undecided = np.mean(answer.verdict[between] == UNDECIDED)

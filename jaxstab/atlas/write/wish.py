@@ -37,10 +37,10 @@ _LIMITS = {
 }
 _UNITS = {"size": " bytes", "time": " s"}
 
-_FEW, _MANY = 6, 18  # places of a sample: to find the way, and of what is promised
+_FEW, _MANY = 8, 40  # places of a sample: to find the way, and of what is promised
 _NEAR = 0.65  # of a wish: a smaller error is more than was wished for
 _AIM = 0.85  # of a wish
-_ROUNDS = 8
+_ROUNDS = 7
 _LEAST_SHARE = 0.02  # of the error, of an axis
 _LEAST_GOAL = 1e-12  # an error
 _SCALES = 2.0**-20, 2.0**20  # resolutions, in units of the given one
@@ -50,10 +50,10 @@ _LADDER = 0.5, 0.5**0.5, 2.0**0.5  # resolutions beside the chosen one, in units
 def plan_resolution(
     spec: AtlasSpec,
     *,
-    accuracy: float | None = None,
-    decided: float | None = None,
-    size: float | None = None,
-    time: float | None = None,
+    accuracy: float | int | None = None,
+    decided: float | int | None = None,
+    size: float | int | None = None,
+    time: float | int | None = None,
 ) -> ResolutionPlan:
     """Return the specification of the same range that a wish needs, beside other resolutions.
 
@@ -94,7 +94,7 @@ def plan_resolution(
     return ResolutionPlan(f"{name} {value:g}", tuple(rows), range_.given, chosen)
 
 
-def _only_wish(wishes: Mapping[str, float]) -> tuple[str, float]:
+def _only_wish(wishes: Mapping[str, float | int]) -> tuple[str, float]:
     if len(wishes) != 1:
         given = " and ".join(wishes) or "nothing"
         raise TypeError(f"{given} is wished for; give one of {', '.join(_LIMITS)}.")
@@ -122,15 +122,18 @@ class _Range:
         self._counts, self._error = counts_of(self._spec), self._error_of(self.given)
         while self._error == inf:
             self._counts |= {knob: 2 * self._counts[knob] for knob in self._knobs}
-            self._error = self._error_with({})
+            self._error = self._error_of(self.judged(self._plan({}), _FEW))
         self._error = max(self._error, _LEAST_GOAL)
 
     @cached_property
     def _steps(self) -> dict[str, float]:
         """How many of each count there are at the resolution 1: each takes an equal part then."""
+        if len(self._knobs) == 1:
+            return {self._knobs[0]: float(self._counts[self._knobs[0]])}
         parts = {}
+        whole_error = self._mean_error({})
         for knob in self._knobs:
-            ratio = self._error_with({knob: 2 * self._counts[knob]}) / self._error
+            ratio = self._mean_error({knob: 2 * self._counts[knob]}) / whole_error
             part = 2.0 * (1.0 - min(1.0, ratio) ** (1.0 / self._power))
             parts[knob] = max(_LEAST_SHARE, part)
         whole = sum(parts.values()) / len(parts)
@@ -174,10 +177,11 @@ class _Range:
             sample = limits._replace(radius_error=cells.radius_error)
         return Resolution(plan.spec, counts_of(plan.spec), *sample, *self.estimate(plan))
 
-    def of_error(self, name: str, value: float) -> tuple[float, Resolution]:
+    def of_error(self, name: str, value: float | int) -> tuple[float, Resolution]:
         """Return the resolution at which an error is as wished for, and what it is like."""
         wanted = value if name == "accuracy" else 1.0 - value
         scale, error, places = 1.0, self._error, _FEW
+        met: list[tuple[float, Resolution]] = []
         for _ in range(_ROUNDS):
             scale *= (error / (_AIM * wanted)) ** (1.0 / self._power)
             plan = self.plan_or_none(scale)
@@ -185,14 +189,19 @@ class _Range:
                 raise ValueError(self._refusal(name, value, scale, error))
             chosen = self.judged(plan, places)
             error = max(self._error_of(chosen), _LEAST_GOAL)
-            is_least = plan.spec == self.plan(_SCALES[0]).spec
-            if error <= wanted and (error >= _NEAR * wanted or is_least):
-                if places == _MANY:
+            if places == _MANY and error <= wanted:
+                met.append((scale, chosen))
+                if error >= _NEAR * wanted or plan.spec == self.plan(_SCALES[0]).spec:
                     break
-                places, error = _MANY, _AIM * wanted
-        return scale, chosen
+            places = _MANY
+        if not met:
+            raise ValueError(
+                f"{name} is {value:g}, and resolutions of this range are too irregular to find one "
+                "that reaches it; give a plainer range, or the size of the file."
+            )
+        return min(met, key=lambda one: one[1].size)
 
-    def scale_within(self, name: str, value: float) -> float:
+    def scale_within(self, name: str, value: float | int) -> float:
         """Return the largest resolution whose file, or build, is not larger than wished for."""
 
         def cost(scale: float) -> float:
@@ -215,21 +224,24 @@ class _Range:
         return low
 
     def _plan(self, counts: Mapping[str, int]) -> Plan:
-        spec = with_counts(self._spec, self._counts | counts)
+        spec = with_counts(self._spec, {**self._counts, **counts})
         return Plan(spec, lay_out(spec, self._reach))
 
     def _error_of(self, row: Resolution) -> float:
         error: float = getattr(row, self._goal).value
         return error
 
-    def _error_with(self, counts: Mapping[str, int]) -> float:
+    def _mean_error(self, counts: Mapping[str, int]) -> float:
+        """Return what tells of an error with few places: with limits of alpha the undecided share.
+
+        A limit's error is half the height of what it leaves undecided.
+        """
         plan = self._plan(counts)
         if ALPHA_LIMITS in plan.spec.products:
-            sample = sample_of_limits(plan, self._reach, _FEW)
+            error = sample_of_limits(plan, self._reach, _FEW).undecided.value
         else:
-            sample = sample_of_cells(plan, _FEW)
-        error: float = getattr(sample, self._goal).value
-        return error
+            error = getattr(sample_of_cells(plan, _FEW), self._goal).value
+        return max(float(error), _LEAST_GOAL)
 
     def _refusal(self, name: str, value: float, scale: float, error: float) -> str:
         largest = self.scale_within("size", LARGEST_ARRAY)

@@ -1,0 +1,261 @@
+"""Resolutions that wishes need: what is promised comes, and what cannot be is refused."""
+
+import re
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from jaxstab import (
+    UNDECIDED,
+    Atlas,
+    AtlasSpec,
+    FittedAxis,
+    ResolutionPlan,
+    ToleranceAxis,
+    Velocity,
+    build_atlas,
+    plan_resolution,
+    stable_region,
+    verdict,
+)
+from jaxstab.atlas.compute.counts import counts_of, with_counts
+from jaxstab.cli.main import main
+
+SLICE = AtlasSpec(
+    gamma=[0.0005], delta=[0.01], delay=[1.0], products=["alpha_limits"], limit_cells=64
+)
+RANGES = {
+    "arm": (
+        AtlasSpec(alpha=FittedAxis(48), beta=FittedAxis(40)),
+        {"accuracy": 0.01},
+    ),
+    "wheel": (  # a moment of inertia in place of a mass: the loop per sample is the same
+        AtlasSpec(
+            gamma=[0.0, 2e-4],
+            delta=[0.0, 0.005, 0.01],
+            delay=range(11),
+            delay_cells=4,
+            products=["alpha_limits"],
+            velocity=Velocity.difference(20),
+        ),
+        {"decided": 0.97},
+    ),
+    "slice": (
+        AtlasSpec(
+            alpha=np.linspace(-0.01, 0.2, 64),
+            beta=np.linspace(0.0, 1.0, 64),
+            gamma=[0.001],
+            delta=[0.015],
+            delay=[1.0, 1.5],
+            products=["verdict"],
+        ),
+        {"decided": 0.99},
+    ),
+    "stiff": (
+        AtlasSpec(
+            gamma=[0.0, 0.05, 0.3, 1.0],
+            delta=ToleranceAxis(0.0, 0.6, 0.1),
+            delay=[0.0, 1.0],
+            products=["alpha_limits"],
+        ),
+        {"size": 1e6},
+    ),
+    "low pass": (
+        AtlasSpec(
+            delay=[0.5, 1.0, 2.0],
+            products=["verdict", "alpha_limits"],
+            velocity=Velocity.low_pass(0.1),
+        ),
+        {"time": 10.0},
+    ),
+}
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", RANGES)
+def test_what_is_promised_comes(name: str, tmp_path: Path) -> None:
+    """Errors, sizes and times of an atlas that is built are those of its plan, within 20 %."""
+    spec, wish = RANGES[name]
+    planned = plan_resolution(spec, **wish)
+    begin = process_time()
+    atlas = build_atlas(planned.spec, tmp_path / "atlas.h5")
+    seconds = process_time() - begin
+    chosen = planned.chosen
+    came = {"size": (tmp_path / "atlas.h5").stat().st_size, "undecided": undecided_share(atlas)}
+    if "alpha_limits" in spec.products:
+        came["limit_error"] = limit_error(atlas)
+    if "spectral_radius" in spec.products:
+        came["radius_error"] = radius_error(atlas)
+    for key, value in came.items():
+        promised = getattr(chosen, key)
+        value_promised, spread = promised if isinstance(promised, tuple) else (promised, 0.0)
+        assert abs(value - value_promised) <= 0.2 * value_promised + 2.0 * spread, (key, value)
+    assert 1 / 1.5 < seconds / chosen.seconds < 1.5  # others disturb the clock
+    for key, least in (("limit_error", "accuracy"), ("size", "size")):
+        if least in wish:
+            assert came[key] <= 1.2 * wish[least]
+
+
+def undecided_share(atlas: Atlas) -> float:
+    """Return the undecided share of random points: at any delay, or where there are no limits at
+    the delays of the atlas."""
+    points = places(atlas)
+    return float(np.mean(atlas.verdict(*points) == UNDECIDED))
+
+
+def places(atlas: Atlas, count: int = 200_000) -> list[np.ndarray]:
+    rng = np.random.default_rng(20120412)
+    hands = [
+        rng.uniform(atlas.arrays[n][0], atlas.arrays[n][-1], count) for n in ("gamma", "delta")
+    ]
+    if "limit_range" in atlas.arrays:
+        rows = atlas.arrays["limit_range"]
+        width = np.diff(rows[:, :2])[:, 0]
+        share = width / width.sum() if width.any() else None
+        rows = rows[rng.choice(len(rows), count, p=share)].T
+    else:
+        number = rng.integers(atlas.delays.size, size=count)
+        ends = [
+            (nodes[0], nodes[-1]) for name in ("alpha", "beta") for nodes in [atlas.arrays[name]]
+        ]
+        rows = [atlas.delays[number]] * 2 + [end[number] for pair in ends for end in pair]
+    return [rng.uniform(*rows[2:4]), rng.uniform(*rows[4:6]), *hands, rng.uniform(*rows[:2])]
+
+
+def limit_error(atlas: Atlas) -> float:
+    """Return what 95 % of the errors keep, over the largest alphas: from regions, at some hands."""
+    _, *others = places(atlas)
+    limits = atlas.alpha_limits(*others)
+    stable = ~np.isnan(limits.upper) & ((limits.upper < np.inf) | (limits.upper_error == np.inf))
+    velocity, position = atlas.filters or (None, None)
+    delays = np.unique([*np.linspace(atlas.delays[0], atlas.delays[-1], 61), *atlas.delays])
+    hands = [
+        (gamma, delta)
+        for gamma in {*atlas.arrays["gamma"][[0, -1]].tolist()}
+        for delta in {*atlas.arrays["delta"][[0, -1]].tolist()}
+    ]
+    largest = [
+        max(
+            float((region.main or region).points[:, 0].max())
+            for hand in hands
+            for region in [stable_region(*hand, delay, velocity=velocity, position=position)]
+            if not region.is_empty
+        )
+        for delay in delays.tolist()
+    ]
+    scale = np.interp(others[-1], delays, largest)
+    return float(np.quantile((limits.upper_error / scale)[stable], 0.95, method="higher"))
+
+
+def radius_error(atlas: Atlas) -> float:
+    """Return what half of the bounds keep at points that are stable, by exact verdicts."""
+    kept = []
+    rng = np.random.default_rng(20120412)
+    for number, delay in enumerate(atlas.delays.tolist()):
+        points = [
+            rng.uniform(along[0], along[-1], 20_000) for along in atlas.nodes(number).values()
+        ]
+        answer = atlas.query(*points, delay)
+        kept.append(answer.radius_error[np.asarray(verdict(*points, delay)) == 1])
+    return float(np.median(np.concatenate(kept)))
+
+
+@pytest.fixture(scope="module")
+def planned() -> ResolutionPlan:
+    return plan_resolution(SLICE, accuracy=0.002)
+
+
+def test_a_small_range_keeps_its_promises(planned: ResolutionPlan, tmp_path: Path) -> None:
+    atlas = build_atlas(planned.spec, tmp_path / "atlas.h5")
+    chosen = planned.chosen
+    assert limit_error(atlas) == pytest.approx(chosen.limit_error.value, rel=0.2)
+    assert undecided_share(atlas) == pytest.approx(chosen.undecided.value, rel=0.2)
+    assert (tmp_path / "atlas.h5").stat().st_size == pytest.approx(chosen.size, rel=0.2)
+    assert chosen.limit_error.value <= 0.002 < planned.rows[0].limit_error.value
+
+
+def test_only_what_the_wish_needs_is_changed(planned: ResolutionPlan) -> None:
+    assert planned.spec.limit_cells != SLICE.limit_cells
+    changed = AtlasSpec.from_toml(planned.spec.to_toml())
+    assert changed == planned.spec
+    for name in ("alpha", "beta", "gamma", "delta", "delay", "products", "delay_cells"):
+        assert getattr(changed, name) == getattr(SLICE, name)
+    assert planned.given.spec == SLICE
+
+
+def test_resolutions_print_themselves_as_a_table(planned: ResolutionPlan) -> None:
+    heading, *lines = str(planned).splitlines()
+    assert re.split(" {2,}", heading.strip())[:6] == [
+        "alpha",
+        "beta",
+        "gamma",
+        "delta",
+        "limits",
+        "delays",
+    ]
+    assert sum("meets accuracy 0.002" in line for line in lines) == 1
+    assert sum("as given" in line for line in lines) == 1
+    assert [row.size for row in planned.rows] == sorted(row.size for row in planned.rows)
+
+
+def test_a_given_axis_keeps_its_ends_and_its_density() -> None:
+    spec = AtlasSpec(gamma=[0.0, 0.1, 1.0], delta=[0.0, 0.5], delay=[1.0])
+    counts = counts_of(spec)
+    assert (counts["gamma"], counts["delta"], counts["delay_cells"]) == (2, 1, 0)
+    finer = with_counts(spec, counts | {"gamma": 4, "beta": 20})
+    np.testing.assert_allclose(finer.gamma, [0.0, 0.05, 0.1, 0.55, 1.0], rtol=1e-15)
+    assert (finer.delta, finer.alpha, finer.beta) == (spec.delta, spec.alpha, FittedAxis(20))
+
+
+@pytest.mark.parametrize(
+    ("products", "wish", "says"),
+    [
+        (["alpha_limits"], {}, "nothing is wished for; give one of accuracy, decided, size, time."),
+        (["alpha_limits"], {"size": 1e5, "time": 2.0}, "size and time is wished for"),
+        (["alpha_limits"], {"accuracy": 0.0}, "accuracy is 0.0"),
+        (["alpha_limits"], {"decided": 1.0}, "decided is 1.0"),
+        (["alpha_limits"], {"time": -1.0}, "time is -1.0"),
+        (["verdict"], {"accuracy": 0.1}, "accuracy is of limits of alpha; add 'alpha_limits'"),
+        (["outline"], {"size": 1e6}, "size needs verdicts; add 'alpha_limits' to the products"),
+        (["alpha_limits"], {"size": 100.0}, "and the coarsest atlas of this range takes 2.8"),
+        (["alpha_limits"], {"accuracy": 1e-9}, "that can be opened, with up to 2.1 GB, reaches"),
+    ],
+)
+def test_a_wish_that_cannot_be_is_refused_in_one_sentence(
+    products: list[str], wish: dict[str, float], says: str
+) -> None:
+    spec = AtlasSpec(gamma=[0.0], delta=[0.0], delay=[1.0], products=products, limit_cells=32)
+    with pytest.raises((TypeError, ValueError), match=re.escape(says)) as caught:
+        plan_resolution(spec, **wish)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_writes_what_meets_the_wish_and_a_picture(tmp_path: Path) -> None:
+    source, target, plot = (tmp_path / name for name in ("mine.toml", "finer.toml", "plan.png"))
+    source.write_text(SLICE.to_toml(), encoding="utf-8")
+    options = ["--size", "40kB", "-o", str(target), "--plot", str(plot)]
+    answer = CliRunner().invoke(main, ["atlas", "plan", "--spec", str(source), *options])
+    assert answer.exit_code == 0, answer.output
+    assert "meets size 40000" in answer.stdout
+    assert f"jaxstab atlas build --spec {target}" in answer.stdout
+    assert AtlasSpec.from_file(target).limit_cells > SLICE.limit_cells
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--size", "ten"], "'ten' is no size; give one such as 500kB, 10MB or 2GB."),
+        (["-o", "finer.toml"], "-o and --plot need a wish, such as --accuracy 0.01."),
+        (["--accuracy", "0.1", "-o", "finer.txt"], "finer.txt does not end in .toml."),
+        (["--accuracy", "0.1", "--time", "3"], "--accuracy and --time are given; give one wish."),
+        (["one.toml", "--spec", "two.toml"], "SPEC and --spec are given; give one of them."),
+    ],
+)
+def test_the_command_refuses_in_one_sentence(options: list[str], says: str) -> None:
+    answer = CliRunner().invoke(main, ["atlas", "plan", *options])
+    assert answer.exit_code != 0
+    assert says in answer.stderr
