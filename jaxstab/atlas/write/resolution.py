@@ -20,8 +20,8 @@ _WORDS = (
     "largest stable alpha at their delay",
     "undecided: share of the range without a proved verdict",
     "radius: half of the proved errors of stable loops are below this",
-    "Counts are nodes along alpha and beta, cells along gamma and delta, cells of beta of the "
-    "limits and their cells to a sample of delay. +- is the standard error of a sample.",
+    "Counts are nodes along alpha and beta, cells along gamma and delta, limit_cells and "
+    "delay_cells of the limits. +- is the standard error of a sample.",
 )
 
 

@@ -19,6 +19,7 @@ from jaxstab.atlas.compute.products import compute_tile
 from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
     LIMIT_RANGE,
+    LIMIT_TERMS,
     LIMITS,
     SPEC,
     SPECTRAL_RADIUS,
@@ -60,7 +61,7 @@ class LimitPart(NamedTuple):
     error: Floats
     columns: int
     seconds: float
-    terms: Float32[np.ndarray, "column 14"]
+    terms: Float32[np.ndarray, "column term"]
 
 
 class CellPart(NamedTuple):
@@ -93,7 +94,7 @@ def _limit_parts(plan: Plan, reach: Reach, count: int) -> Iterator[LimitPart]:
         grid = _limit_grid(plan.grid, delay, gamma, delta, beta)
         part = Plan(replace(plan.spec, products=(ALPHA_LIMITS,)), grid)
         begin = process_time()
-        terms = compute_tile(part, part.tiles[0])[ALPHA_LIMITS].reshape(-1, 14)
+        terms = compute_tile(part, part.tiles[0])[ALPHA_LIMITS].reshape(-1, 2 * LIMIT_TERMS)
         seconds = process_time() - begin
         undecided, error = _asked_limits(grid, reach, terms, rng)
         yield LimitPart(undecided, error, len(terms), seconds, terms)
@@ -137,7 +138,7 @@ def _along(widths: Floats, share: float) -> int:
 
 
 def _asked_limits(
-    grid: Grid, reach: Reach, terms: Float32[np.ndarray, "column 14"], rng: np.random.Generator
+    grid: Grid, reach: Reach, terms: Float32[np.ndarray, "column term"], rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Return the undecided shares and the errors of limits at random places of columns."""
     early, late, least, most, low, high = grid.limit_range[0].tolist()
