@@ -75,6 +75,8 @@ class ResolutionPlan:
         >>> plan = jaxstab.plan_resolution(spec, accuracy=0.01)
         >>> plan.chosen.limit_error.value < 0.01
         True
+        >>> plan.spec.limit_cells < spec.limit_cells
+        True
     """
 
     wish: str
