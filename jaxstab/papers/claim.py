@@ -46,7 +46,7 @@ class Claim:
 
 def number(value: float, printed: float, tolerance: float, digits: int = 10) -> Finding:
     """Return the finding on a printed number, which is right to a tolerance."""
-    difference = value - printed
+    value, difference = value + 0.0, value - printed + 0.0  # no -0
     return Finding(f"{value:.{digits}g}", f"{difference:.1e}", abs(difference) <= tolerance)
 
 
