@@ -23,7 +23,8 @@ from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
 from jaxstab.conventions import STABLE, UNDECIDED
 from jaxstab.region import RegionStatus, StableRegion
 
-LOOPS, _SMALL = 10_000, 6  # how many of each kind of question
+LOOPS, _SMALL = 10_000, 6  # how many loops in all, and of each kind
+_PROGRESS = 500  # loops after which counts are printed
 MEASURE = "share of {} that balls refute"
 
 Loop = MassLoop | DeviceLoop
@@ -51,26 +52,42 @@ class Tally(NamedTuple):
 
 
 def rows(small: bool, points: int = LOOPS) -> Iterator[Row]:
-    count = _SMALL if small else points
+    count = _SMALL if small else points // 2
     for kind, words in ((MassLoop, ""), (DeviceLoop, " of devices")):
-        tallies = _tallies(kind, count, walls)
-        yield _row("walls" + words, "verdict", tallies, "undecided")
-        rivals = [one.of_rival() for one in tallies]
+        of_walls, of_radii, of_regions = _tallies(kind, count)
+        yield _row("walls" + words, "verdict", of_walls, "undecided")
+        rivals = [one.of_rival() for one in of_walls]
         yield _row("walls" + words, "numpy eigvals", rivals, "undecided")
-        tallies = _tallies(kind, count, radii)
-        yield _row("radii" + words, "spectral_radius", tallies, "unbounded")
-        tallies = _tallies(kind, count, region)
-        yield _row("points of regions" + words, "stable_region", tallies, "unresolved")
+        yield _row("radii" + words, "spectral_radius", of_radii, "unbounded")
+        yield _row("points of regions" + words, "stable_region", of_regions, "unresolved")
 
 
-def _tallies(kind: type[Loop], count: int, judged: Callable[..., Tally]) -> list[Tally]:
-    tallies = []
+def _tallies(kind: type[Loop], count: int) -> list[list[Tally]]:
+    """Return what became of the three kinds of questions about each loop.
+
+    A loop's numbers are drawn, and its truth is computed, once for all three.
+    """
+    judges: list[Callable[..., Tally]] = [walls, radii, region]
+    tallies: list[list[Tally]] = [[] for _ in judges]
     for index in range(count):
         rng = np.random.default_rng([20121120, index])  # so that one loop can be repeated
         loop = kind.drawn(rng)
-        tallies.append(judged(loop, rng))
-        if tallies[-1].wrong:
-            print(f"{judged.__name__} {index}: {tallies[-1].wrong} wrong at {loop}", flush=True)
+        drawn = rng.bit_generator.state
+        for judged, kept in zip(judges, tallies, strict=True):
+            rng.bit_generator.state = drawn  # as if it were the only question
+            kept.append(judged(loop, rng))
+            if kept[-1].wrong:
+                words = f"{judged.__name__} {index}: {kept[-1].wrong} wrong"
+                print(f"{words} at {loop}", flush=True)
+            if judged is region and kept[-1].open:
+                print(f"region {index}: UNRESOLVED at {loop}", flush=True)
+        if (index + 1) % _PROGRESS == 0:
+            counts = (
+                f"{judged.__name__} {sum(one.wrong for one in kept)} wrong, "
+                f"{sum(one.open for one in kept)} open"
+                for judged, kept in zip(judges, tallies, strict=True)
+            )
+            print(f"{kind.__name__} {index + 1}: {'; '.join(counts)}", flush=True)
     return tallies
 
 

@@ -17,9 +17,10 @@ from math import comb
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Array
+from jaxstab.arrays import tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.filtered_curve import Angles, FilteredCurve
+from jaxstab.region.exact_points import polished_angles
+from jaxstab.region.filtered_curve import FilteredCurve
 
 _ON_CIRCLE = 1e-12  # a root so close is on the circle: a wall in float64 shifts it by less
 _NEAR_CIRCLE = 1e-2
@@ -27,35 +28,46 @@ _AT_ONCE = 1 << 11  # walls
 
 
 def all_inside(
-    curve: FilteredCurve, alpha: Array, beta: Array, within: float
+    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble, within: float
 ) -> Bool[np.ndarray, "*wall"]:
     """Return where all roots of p(z) are inside a circle; those on the unit circle count."""
-    inside = np.zeros(np.shape(alpha), bool)
-    walls = np.ravel(alpha), np.ravel(beta)
+    inside = np.zeros(np.shape(alpha.hi), bool)
+    walls = [tree_map(np.ravel, wall) for wall in (alpha, beta)]
     radius = within * (1.0 + _ON_CIRCLE)
+    falling = curve.pairs[0, 1, :, :, ::-1]  # in powers of z - 1
     base, stiffness, damping = (
-        _about(DoubleDouble(*part), radius - 1.0) for part in curve.shifted.transpose(1, 0, 2)
+        _about(DoubleDouble(*part), radius - 1.0) for part in falling.transpose(1, 0, 2)
     )
     for start in range(0, inside.size, _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        gains = (DoubleDouble.of(wall[part]) for wall in walls)
+        gains = (DoubleDouble(wall.hi[part], wall.lo[part]) for wall in walls)
         products = (one * gain for one, gain in zip((stiffness, damping), gains, strict=True))
         coefficients = base + (next(products) + next(products))
         inside.flat[part] = _are_left(_to_half_plane(coefficients, radius))
     return inside
 
 
-def angles_on_circle(curve: FilteredCurve, alpha: Array, beta: Array) -> Angles:
-    """Return the angles in (0, pi) of roots that are close to the circle for slow roots."""
-    base, stiffness, damping = curve.shifted[0]
-    angles: list[Angles] = [np.empty(0)]
-    for wall in zip(alpha, beta, strict=True):
-        coefficients = base + stiffness * wall[0] + damping * wall[1]
+def angles_on_circle(
+    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble, *, within: float = np.inf
+) -> DoubleDouble:
+    """Return the angles in (0, pi) of roots that are close to the circle for slow roots.
+
+    ``within`` is how close they have to be at last.
+    """
+    base, stiffness, damping = curve.pairs[0, 1, 0, :, ::-1]
+    angles = [DoubleDouble.of(np.empty(0))]
+    for k in range(len(alpha.hi)):
+        coefficients = base + stiffness * alpha.hi[k] + damping * beta.hi[k]
         step = np.roots(coefficients) if np.all(np.isfinite(coefficients)) else np.empty(0)
         modulus = np.abs(1.0 + step)
         is_near = np.abs(modulus - 1.0) < _NEAR_CIRCLE * np.minimum(1.0, np.abs(step))
-        angles.append(np.angle(1.0 + step[is_near & (step.imag > 0.0)]))
-    return np.concatenate(angles)
+        rough = step[is_near & (step.imag > 0.0)]
+        stiffness_gain, damping_gain = (DoubleDouble(one.hi[k], one.lo[k]) for one in (alpha, beta))
+        polished, excess = polished_angles(curve.pairs, stiffness_gain, damping_gain, rough)
+        chosen = np.abs(excess) < within
+        angles.append(DoubleDouble(polished.hi[chosen], polished.lo[chosen]))
+    high, low = ([getattr(one, name) for one in angles] for name in ("hi", "lo"))
+    return DoubleDouble(np.concatenate(high), np.concatenate(low))
 
 
 def _about(falling: DoubleDouble, move: float) -> DoubleDouble:

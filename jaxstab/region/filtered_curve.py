@@ -29,6 +29,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.linear_loop import SampledPlant, linear_loop, loop_factors
 from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
 from jaxstab.region.pole_lines import PoleLine, pole_lines
+from jaxstab.region.stretches import Stretch
 
 _ZERO = DoubleDouble(0.0, 0.0)
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
@@ -40,7 +41,11 @@ _SLOW = 0.5  # of the distance from 1
 _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # of zeta - 1: on a half of the circle at most sqrt(2)
 
 Angles = Float64[np.ndarray, " _"]  # of any length
-System = TypeVar("System", SampledPlant, Transfer)
+System = tuple[SampledPlant, Transfer, Transfer]  # with T V(z) less its factor (1 - 1/z), P(z)
+Part = TypeVar("Part", SampledPlant, Transfer)
+
+
+_NO_PAIRS = np.empty((2, 2, 2, 3, 0))
 
 
 class Form(IntEnum):
@@ -84,13 +89,15 @@ class FilteredCurve(NamedTuple):
     minus: Half
     lag: float  # w
     parts: Float64[np.ndarray, "3 coefficient"]  # base, stiffness, damping, highest power first
-    shifted: Float64[np.ndarray, "2 3 coefficient"]  # in powers of z - 1, and what rounding took
     at_minus_one: Float64[np.ndarray, "3"]  # the same of p(-1), its sign plus in the stable set
     poles: Float64[np.ndarray, "2 pole"]  # angles in [0, pi], and how far they are from the circle
     resonances: Float64[np.ndarray, "2 root"]  # the same of zeros and poles of a general device
     steep: Angles  # those at which beta is 0: where V is small the curve is there for an instant
     lines: tuple[PoleLine, ...]  # whole lines at poles
-    is_exact: bool = False  # whether other roots are tested in double-double
+    loses_digits: bool  # in float64
+    stretches: tuple[Stretch, ...] = ()  # parts of the angles that are drawn out
+    pairs: Float64[np.ndarray, "half form pair part coefficient"] = _NO_PAIRS  # if it is exact
+    is_exact: bool = False  # whether all of it is evaluated in double-double
 
 
 class _Around(NamedTuple):
@@ -151,8 +158,8 @@ def _curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> Filte
     ]
     loop = linear_loop(plant, velocity, position)
     real_angles = _real_angles(*(_rounded(reduce(product, factors)) for factors in (above, below)))
-    is_exact = _lose_digits((velocity.denominator, position.denominator))
-    lines = () if is_exact else pole_lines(loop[:3], real_angles)
+    loses_digits = _lose_digits((velocity.denominator, position.denominator))
+    lines = () if loses_digits else pole_lines(loop[:3], real_angles)
     zeros = _rounded(product(plant.numerator, position.numerator))
     poles = plant.denominator, position.denominator
     return FilteredCurve(
@@ -160,13 +167,12 @@ def _curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> Filte
         minus=halves[1],
         lag=float(whole),
         parts=np.array([_rounded(part) for part in loop[:3]]),
-        shifted=_shifted_parts(plant, velocity, position),
         at_minus_one=_rounded(tuple(part.value for part in loop.at_minus_one)),
         poles=_poles(real_angles, zeros, lines),
         resonances=_resonances(plant),
         steep=_real_angles(_rounded(product(reduce(product, poles), _power(whole))), zeros),
         lines=lines,
-        is_exact=is_exact,
+        loses_digits=loses_digits,
     )
 
 
@@ -178,19 +184,34 @@ def _lose_digits(denominators: Sequence[Polynomial]) -> bool:
     return bool(np.sum(np.abs(coefficients)) > _MOST_LOST * least)
 
 
-def _shifted_parts(
-    plant: SampledPlant, velocity: Transfer, position: Transfer
-) -> Float64[np.ndarray, "2 3 coefficient"]:
-    """Return base, stiffness and damping in powers of z - 1, and what rounding took from them."""
-    d, n = _plants_around(plant)[0]
+def parts_in_pairs(system: System) -> Float64[np.ndarray, "2 2 2 3 coefficient"]:
+    """Return base, stiffness and damping, lowest power first, with what rounding took from them.
+
+    They are in powers of zeta and of zeta - 1, on the halves of z = zeta and of z = -zeta.
+    """
+    plant, velocity, position = system
+    plant, velocity, position = _in_floats(plant), _in_floats(velocity), _in_floats(position)
+    loop = linear_loop(plant, velocity, position)[:3]
     powers, factors = loop_factors(plant.lag, velocity, position)
-    every = []
-    for one, power, others in zip((d, n, n), powers, factors, strict=True):
-        parts = [_around(factor, 1).shifted for factor in (_power(power), *others)]
-        every.append(reduce(product, parts, one.shifted))
-    length = len(every[0])
-    numbers = [[[0.0, 0.0]] * (length - len(part)) + [[c.hi, c.lo] for c in part] for part in every]
-    return np.array(numbers).transpose(2, 0, 1)
+    halves = []
+    for (d, n), sign in zip(_plants_around(plant), (1, -1), strict=True):
+        shifted = []
+        for one, power, others in zip((d, n, n), powers, factors, strict=True):
+            parts = [_around(factor, sign).shifted for factor in (_power(power), *others)]
+            shifted.append(reduce(product, parts, one.shifted))
+        straight = loop if sign > 0 else [_turned(part) for part in loop]
+        halves.append([_as_array(each, len(loop[0])) for each in (straight, shifted)])
+    return np.array(halves)
+
+
+def _as_array(
+    parts: Sequence[Polynomial], length: int
+) -> Float64[np.ndarray, "2 part coefficient"]:
+    """Return coefficients, lowest power first, with zeros up to a length."""
+    rows = [
+        [(c.hi, c.lo) for c in part[::-1]] + [(0.0, 0.0)] * (length - len(part)) for part in parts
+    ]
+    return np.array(rows, float).transpose(2, 0, 1)
 
 
 def _around(polynomial: Polynomial, sign: int) -> _Around:
@@ -292,7 +313,7 @@ def _rounded(polynomial: Polynomial) -> Angles:
     return np.array([float(coefficient.rounded()) for coefficient in polynomial])
 
 
-def _in_floats(system: System) -> System:
+def _in_floats(system: Part) -> Part:
     """Return a system of Python floats, with which double-double is several times faster."""
     return tree_map(float, system)._replace(lag=system.lag)
 

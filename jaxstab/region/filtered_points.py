@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.arrays import PI_REST, Array
+from jaxstab.arrays import PI_REST, Array, tree_map
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.region.exact_points import determinants, exact_gains
 from jaxstab.region.filtered_curve import Angles, FilteredCurve, Form, Half
 from jaxstab.region.pole_lines import PoleLine
+from jaxstab.region.stretches import true_angles
 
 Values = Any  # an array, or a Dual
 _TINY = 1e-100  # in place of the angle 0, where quotients of sines have a limit
@@ -71,24 +74,53 @@ def filtered_point(
     flat, rest = theta.ravel(), low.ravel()
     turned = np.where(flat.real < 0.0, -1.0, 1.0)
     size, rest = flat.real * turned, rest.real * turned
-    upper = size > np.pi / 2
-    u = np.where(upper, (np.pi - size) + (PI_REST - rest), size + rest)
-    u = np.where(u == 0.0, _TINY, u)
-    if not np.iscomplexobj(theta):
-        values = np.stack(_gains(curve, upper, u, with_slopes=False))
-        for line in curve.lines:
-            held = line.holds(size)
-            values[:, held] = _on_line(curve, line, size[held] + rest[held])[0]
-    else:
-        step = 1j * flat.imag * np.where(upper, -turned, turned)
-        gains = _gains(curve, upper, u, with_slopes=True)
-        values = np.stack([one.value + step * one.slope for one in gains])
-        for line in curve.lines:
-            held = line.holds(size)
-            real, slopes = _on_line(curve, line, size[held] + rest[held])
-            values[:, held] = real + 1j * (flat.imag * turned)[held] * slopes
+    moves = flat.imag * turned if np.iscomplexobj(theta) else None
+    evaluated = _exact_values if curve.is_exact else _float_values
+    values = evaluated(curve, size, rest, moves)
+    for line in curve.lines:
+        held = line.holds(size)
+        real, slopes = _on_line(curve, line, size[held] + rest[held])
+        values[:, held] = real if moves is None else real + 1j * moves[held] * slopes
     alpha, beta, lift = values.reshape(3, *theta.shape)
     return alpha, beta, lift
+
+
+def _float_values(curve: FilteredCurve, size: Angles, rest: Angles, moves: Angles | None) -> Array:
+    """Return alpha, beta and the lift in float64, and how they move as their imaginary part."""
+    upper, u = _folded(size, rest)
+    if moves is None:
+        return np.stack(_gains(curve, upper, u, with_slopes=False))
+    step = 1j * moves * np.where(upper, -1.0, 1.0)
+    gains = _gains(curve, upper, u, with_slopes=True)
+    return np.stack([one.value + step * one.slope for one in gains])
+
+
+def _exact_values(curve: FilteredCurve, size: Angles, rest: Angles, moves: Angles | None) -> Array:
+    """Return the same in double-double, rounded."""
+    angles, speed = true_angles(curve.stretches, size, rest)
+    exact = exact_gains(curve.pairs, angles, with_slopes=moves is not None)
+    values = np.stack([one.rounded() for one in exact.values])
+    return values if moves is None else values + 1j * moves * speed * np.stack(exact.slopes)
+
+
+def _folded(size: Angles, rest: Array | float) -> tuple[Bool[np.ndarray, " _"], Angles]:
+    """Return which angles between 0 and pi are in the upper half, and those of zeta."""
+    upper = size > np.pi / 2
+    u = np.where(upper, (np.pi - size) + (PI_REST - rest), size + rest)
+    return upper, np.where(u == 0.0, _TINY, u)
+
+
+def exact_walls(curve: FilteredCurve, theta: Array) -> tuple[DoubleDouble, DoubleDouble]:
+    """Return alpha and beta in double-double at angles, which may be negative."""
+    size = np.abs(theta).ravel()
+    angles, _ = true_angles(curve.stretches, size, np.zeros_like(size))
+    values = exact_gains(curve.pairs, angles, with_slopes=False).values[:2]
+    for line in curve.lines:
+        held = line.holds(size)
+        for one, wall in zip(values, _on_line(curve, line, size[held])[0], strict=False):
+            one.hi[held], one.lo[held] = wall, 0.0
+    alpha, beta = (tree_map(lambda x: x.reshape(theta.shape), value) for value in values)
+    return alpha, beta
 
 
 def _on_line(
@@ -247,8 +279,11 @@ def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle
     for line in curve.lines:  # the curve beside it has the same sign
         side = np.where(size < line.angle, -line.half_width, line.half_width)
         size = np.where(line.holds(size), line.angle + side, size)
-    upper = size > np.pi / 2
-    folded = np.where(upper, np.pi - size, size)
+    if curve.is_exact:
+        angles, _ = true_angles(curve.stretches, size, np.zeros_like(size))
+        above: np.ndarray = (determinants(curve.pairs, angles)[0] > 0.0) == (theta > 0.0)
+        return above
+    upper, folded = _folded(size, 0.0)
     _, _, y, x, rise, _ = _rows(curve, upper, folded, with_slopes=False)
     _, _, y_one, x_one, *_ = _constants(curve, upper)
     tangent = np.tan(0.5 * folded)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxstab.model.linear_loop import SampledPlant, linear_loop
+from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.model.transfer import Transfer
 from jaxstab.numbers import checked_number
 from jaxstab.region.curve import filtered_coefficients
@@ -34,5 +34,5 @@ def linear_region(
         )
     with np.errstate(all="ignore"):
         c = filtered_coefficients(plant, velocity, position)
-        loop = linear_loop(plant, velocity, position)
-        return region_of(c, float(plant.lag), tolerance, may_be_empty=True, loop=loop)
+        system = plant, velocity, position
+        return region_of(c, float(plant.lag), tolerance, may_be_empty=True, system=system)

@@ -8,8 +8,9 @@ import numpy as np
 
 from jaxstab.arrays import Array, namespace, repeat, scan, stored
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift
+from jaxstab.region.exact_points import lines_crossing_of
 from jaxstab.region.exact_roots import all_inside
-from jaxstab.region.filtered_points import filtered_quotient, root_angles
+from jaxstab.region.filtered_points import exact_walls, filtered_quotient, root_angles
 from jaxstab.region.lines import lines_crossing
 
 _REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
@@ -26,7 +27,7 @@ def others_inside(c: SliceCoefficients, theta: Array, length: int, within: float
     Source: the criterion of Schur and Cohn, as a recursion for the polynomial and its reverse.
     """
     if c.filtered is not None and c.filtered.is_exact:
-        return all_inside(c.filtered, *curve_and_lift(c, theta)[:2], within)
+        return all_inside(c.filtered, *exact_walls(c.filtered, theta), within)
     xp = namespace(c, theta)
     if xp is np and theta.size * length > _AT_ONCE and theta.size > 1:
         parts = np.array_split(theta, -(-theta.size * length // _AT_ONCE))
@@ -38,7 +39,7 @@ def others_inside(c: SliceCoefficients, theta: Array, length: int, within: float
 def lines_crossing_is_stable(c: SliceCoefficients, length: int) -> Array:
     """Return whether all roots lie inside where the lines z = r and z = -r cross, but for those."""
     if c.filtered is not None and c.filtered.is_exact:
-        return all_inside(c.filtered, *lines_crossing(c), 1.0)
+        return all_inside(c.filtered, *lines_crossing_of(c.filtered.pairs), 1.0)
     both = _quotient(c, lines_crossing(c), namespace(c).zeros(()), -1.0, length)
     return _all_inside(both)
 

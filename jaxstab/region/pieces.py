@@ -23,6 +23,7 @@ from jaxstab.region.other_roots import lines_crossing_is_stable, others_inside
 
 _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
 _NARROWING = {"numpy": (2, 23), "jax": (9, 2)}  # rounds, parts: few calls, or few angles
+_EXACT_NARROWING = 46, 2, 1e-14  # and the width that is enough
 _STRAY = 16.0  # brackets: an iterate of Newton's method this far outside is given up
 NO_BRANCH = -1
 
@@ -176,8 +177,10 @@ def _found_ends(
     # Both ends of all pieces are solved in one batch.
     padded = xp.concatenate([xp.zeros(1), angles, xp.full(1, xp.pi)])
     neighbours = padded[xp.minimum(xp.concatenate([begins, ends + 2]), len(angles) + 1)]
+    is_exact = c.filtered is not None and c.filtered.is_exact
     outer, inner = _narrowed(
         inside,
+        _EXACT_NARROWING if is_exact else (*_NARROWING["numpy" if xp is np else "jax"], _SLACK),
         xp.where(pinned, limit, neighbours),
         padded[xp.concatenate([begins, ends]) + 1],
     )
@@ -208,11 +211,16 @@ def _across_knots(ends: _Ends, following: Array, preceding: Array) -> tuple[Arra
     return following, np.where(at_knot[:count], number - 1, preceding)
 
 
-def _narrowed(inside: Callable[[Array], Array], outer: Array, inner: Array) -> tuple[Array, Array]:
+def _narrowed(
+    inside: Callable[[Array], Array],
+    narrowing: tuple[int, int, float],
+    outer: Array,
+    inner: Array,
+) -> tuple[Array, Array]:
     """Divide the intervals between angles that fail the test and angles that pass it."""
     xp = namespace(outer, inner)
-    rounds, parts = _NARROWING["numpy" if xp is np else "jax"]
-    if xp is np and np.max(abs(outer - inner)) <= _SLACK:
+    rounds, parts, enough = narrowing
+    if xp is np and np.max(abs(outer - inner)) <= enough:
         return outer, inner
     steps = xp.arange(1.0, parts)[:, None]
 

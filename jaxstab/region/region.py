@@ -1,30 +1,28 @@
 """Stable regions of slices: found by a search, or in arrays of fixed sizes for JAX."""
 
-from math import ceil, sqrt
-
-import numpy as np
-
 from jaxstab.arrays import Numbers, is_traced, namespace, stored
 from jaxstab.batches import compiled
 from jaxstab.model import require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
-from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, whole_and_fraction
 from jaxstab.numbers import checked_count, checked_number
-from jaxstab.region import measures
-from jaxstab.region.audit import is_contradicted
-from jaxstab.region.curve import SliceCoefficients, mass_coefficients, slice_coefficients
+from jaxstab.region.curve import (
+    SliceCoefficients,
+    filtered_coefficients,
+    mass_system,
+    slice_coefficients,
+)
+from jaxstab.region.filtered_curve import System
 from jaxstab.region.outline import extra_vertices, polygon
 from jaxstab.region.pieces import Pieces, find_pieces
+from jaxstab.region.resolution import resolved_outline
 from jaxstab.region.scan import scan_angles
-from jaxstab.region.search import coefficient_count, refined_pieces
+from jaxstab.region.search import coefficient_count
 from jaxstab.region.stable_set import StableRegion, region_within
 from jaxstab.region.status import RegionStatus
 
 LONGEST_DELAY = 500.0  # samples: the work grows as the third power
-_FEWEST_POINTS, _MOST_POINTS = 256, 65536
-_BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 _FINEST = 1e-10
 
 
@@ -155,10 +153,13 @@ def _stable_region(
     may_be_empty = delta == 0.0 or radius < 1.0
     if not filters:
         c = slice_coefficients(gamma, delta, delay, radius)
-        return region_of(c, delay, tolerance, may_be_empty=may_be_empty)
-    c = mass_coefficients(gamma, delta, delay, filters)
-    loop = filtered_loop(np.float64(gamma), np.float64(delta), int(delay), delay % 1.0, filters)
-    return region_of(c, delay, tolerance, may_be_empty=may_be_empty, loop=loop)
+        region = region_of(c, delay, tolerance, may_be_empty=may_be_empty)
+        if region.status != RegionStatus.UNRESOLVED or radius != 1.0:
+            return region
+        filters = Velocity.difference(samples=1), Filter()  # the same loop in another form
+    system = mass_system(gamma, delta, delay, filters)
+    c = filtered_coefficients(*system)
+    return region_of(c, delay, tolerance, may_be_empty=may_be_empty, system=system)
 
 
 def region_of(
@@ -167,24 +168,11 @@ def region_of(
     tolerance: float,
     *,
     may_be_empty: bool,
-    loop: LinearLoop | None = None,
+    system: System | None = None,
 ) -> StableRegion:
-    """Return the region of a slice, UNRESOLVED if verdicts of the loop contradict it."""
-    pieces = refined_pieces(c, delay, may_be_empty=may_be_empty)
-    fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
-    points = _enough_points(sqrt(_BULGE / tolerance), fewest)
-    region = _region(c, pieces, points=points)
-    deviation = float(measures.deviation(c, region.outline))
-    if region.status == RegionStatus.COMPLETE and deviation > tolerance:
-        points = _enough_points(1.2 * points * sqrt(deviation / tolerance), fewest)
-        region = _region(c, pieces, points=points)
-    if loop is not None and region.outline.resolved and is_contradicted(c, region.outline, loop):
-        region = _region(c, pieces._replace(resolved=np.bool_(False)), points=points)
-    return region
-
-
-def _enough_points(wanted: float, fewest: int) -> int:
-    return max(fewest, min(ceil(wanted), _MOST_POINTS))
+    """Return the region of a slice, UNRESOLVED if verdicts of a loop with filters contradict it."""
+    both = resolved_outline(c, delay, tolerance, may_be_empty=may_be_empty, system=system)
+    return region_within(*both)
 
 
 _pieces = compiled(static=("length", "slots"))(find_pieces)

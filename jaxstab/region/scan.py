@@ -6,19 +6,22 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.model import companion_matrix
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.region.curve import SliceCoefficients
 from jaxstab.region.exact_roots import angles_on_circle
 from jaxstab.region.filtered_curve import FilteredCurve
-from jaxstab.region.filtered_points import is_oriented
+from jaxstab.region.filtered_points import exact_walls, is_oriented
 from jaxstab.region.other_roots import other_roots, others_inside
 from jaxstab.region.pieces import Pieces
 from jaxstab.region.pole_lines import PoleLine
+from jaxstab.region.stretches import standing_for
 
 _FIRST, _PI_MINUS_LAST = 1e-7, 1e-7
 _CLOSEST = 1e-11
 _OFFSETS = 24  # to each side of an angle to look closer at
 _NEAR_CIRCLE = 1e-2
 _SAME = 1e-10
+_ON_CIRCLE, _APART, _MOST_CENTERS = 1e-9, 1e-7, 8
 _WIDTHS, _STEPS_AROUND = 8.0, 16  # of a resonance
 _STEPS_OF_LINE = 48  # on each side of a line at a pole
 
@@ -54,7 +57,10 @@ def slice_angles(c: SliceCoefficients, length: int, fineness: int) -> Angles:
     centers = np.concatenate([c.filtered.poles[0], c.filtered.steep])
     around = centers[:, None] + np.concatenate([-offsets, offsets])
     lines = [_around_line(line, fineness) for line in c.filtered.lines]
-    around = np.concatenate([around.ravel(), _around_resonances(c.filtered, fineness), *lines])
+    drawn = [one.scan for one in c.filtered.stretches]
+    around = np.concatenate(
+        [around.ravel(), _around_resonances(c.filtered, fineness), *lines, *drawn]
+    )
     inner = around[(around > angles[0]) & (around < angles[-1])]
     angles = np.sort(np.concatenate([angles, inner]))
     return np.sort(np.where(is_oriented(c.filtered, angles), angles, -angles))
@@ -103,7 +109,8 @@ def suspects(
     size = np.abs(ends)
     corners = ends[np.tile(pieces.exists, 2) & (size > 0.0) & (size < np.pi)]
     if c.filtered is not None and c.filtered.is_exact:
-        partners = angles_on_circle(c.filtered, *curve_and_lift(c, corners)[:2])
+        angles_of_roots = angles_on_circle(c.filtered, *exact_walls(c.filtered, corners))
+        partners = standing_for(c.filtered.stretches, angles_of_roots)
     else:
         others = other_roots(c, corners, length)
         partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
@@ -112,6 +119,26 @@ def suspects(
     every = np.concatenate([corners, partners])
     away = np.min(np.abs(every[:, None] - known), axis=1, initial=np.inf)
     return nearly_stable(c, every[away >= _SAME], outside, length=length)
+
+
+def lone_partners(c: SliceCoefficients, pieces: Pieces) -> DoubleDouble:
+    """Return the angles at which a piece would have to begin or end for others, but none does.
+
+    The curve is evaluated in double-double.
+    """
+    curve = c.filtered
+    assert curve is not None
+    ends = np.concatenate([pieces.begin, pieces.end])
+    ends = ends[np.tile(pieces.exists, 2)]
+    open_ends = ends[(ends != 0.0) & (np.abs(ends) < np.pi)]
+    angles = angles_on_circle(curve, *exact_walls(curve, open_ends), within=_ON_CIRCLE)
+    size = standing_for(curve.stretches, angles)
+    away = np.min(np.abs(size[:, None] - np.abs(ends)), axis=1, initial=np.inf)
+    known = [one.angle for one in curve.stretches]
+    near = np.min(np.abs(angles.hi[:, None] - known), axis=1, initial=np.inf)
+    _, first = np.unique(np.round(angles.hi / _APART), return_index=True)
+    chosen = first[(away[first] > _APART) & (near[first] > _APART)][:_MOST_CENTERS]
+    return DoubleDouble(angles.hi[chosen], angles.lo[chosen])
 
 
 def nearly_stable(c: SliceCoefficients, angles: Angles, outside: float, *, length: int) -> Angles:

@@ -20,23 +20,15 @@ _SCANS = ((1, 24, 1e-4), (4, 192, 1e-4), (16, 768, 1e-4), (64, 1536, 1e-7))
 _FILTERED_SCANS = 2  # with filters: what these leave open the others do, too, in minutes
 _EMPTY_FINENESS = 4
 _ROUNDS = 8
+_KEPT = 32  # pieces that do not close
 
 
 def refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Pieces:
     """Return pieces that join up to loops, searched until nothing hides at their ends.
 
     With damping, the loop without a wall is stable, so an empty answer means that the scan was too
-    coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False. With
-    filters the roots are then tested in double-double, and also where no piece is found.
+    coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
     """
-    pieces = _searched(c, delay, may_be_empty=may_be_empty)
-    if c.filtered is None or c.filtered.is_exact or (pieces.resolved and pieces.exists[0]):
-        return pieces
-    exact = c._replace(filtered=c.filtered._replace(is_exact=True))
-    return _searched(exact, delay, may_be_empty=may_be_empty)
-
-
-def _searched(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Pieces:
     length = coefficient_count(delay) if c.filtered is None else c.filtered.parts.shape[1] - 2
     closer = crossings(c, slice_angles(c, length, 1), length)
     scans = _SCANS if c.filtered is None else _SCANS[:_FILTERED_SCANS]
@@ -47,8 +39,9 @@ def _searched(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Piec
             return pieces
         if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.exists[0]:
             return pieces
-    first = tree_map(lambda x: x[:1] if x.ndim else x, pieces)  # there may be 1e5 of them
-    return first._replace(successor=np.zeros(1, int), resolved=np.bool_(False))
+    first = tree_map(lambda x: x[:_KEPT] if x.ndim else x, pieces)  # there may be 1e5 of them
+    nowhere = np.zeros(len(first.exists), int)
+    return first._replace(successor=nowhere, resolved=np.bool_(False))
 
 
 def _settled_pieces(

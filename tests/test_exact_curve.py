@@ -1,0 +1,137 @@
+"""Slow filters of high order, of which float64 knows nothing, against balls of python-flint."""
+
+from functools import cache
+from itertools import pairwise
+
+import flint
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+
+import jaxstab
+from benchmarks.loops import probes
+from benchmarks.truth.filtered import FilteredLoop, average, difference
+from benchmarks.truth.random_loops import MassLoop
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.region import RegionStatus
+from jaxstab.region.curve import curve_and_lift
+from jaxstab.region.scan import slice_angles
+from jaxstab.region.stretches import standing_for, stretches_around, true_angles
+
+SLOW = [1646, 2638, 2649]  # low passes and Butterworth filters of order 6 to 8, below 0.016
+
+
+@cache
+def drawn(number):
+    """A loop of the benchmark, its region, and numbers to go on with."""
+    rng = np.random.default_rng([20121120, number])
+    loop = MassLoop.drawn(rng)
+    return loop, loop.region(), rng
+
+
+def true_gains(balls, theta):
+    """The wall with roots at e^(+-i theta), by Cramer's rule in balls."""
+    with flint.ctx.workprec(1000):
+        z = flint.acb(0, theta).exp()
+        base, stiffness, damping = (flint.acb_poly(part)(z) for part in balls[:3])
+        below = (stiffness.conjugate() * damping).imag
+        alpha = (damping.conjugate() * base).imag / below
+        beta = -(stiffness.conjugate() * base).imag / below
+        return float(alpha.mid()), float(beta.mid())
+
+
+@pytest.mark.parametrize("number", SLOW)
+def test_regions_of_slow_filters_are_right(number):
+    loop, region, rng = drawn(number)
+    assert region.status == RegionStatus.COMPLETE
+    points = probes(region, loop.balls, rng)
+    truths = [loop.balls.is_stable(*point) for point in points.tolist()]
+    assert None not in truths
+    assert np.array_equal(region.contains(*points.T), truths)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("number", [25, 180, 371, 722, 978])
+def test_arcs_that_the_curve_passes_in_an_instant(number):
+    """Fast roots that slow filters hardly move: between two angles in float64 lie whole arcs."""
+    loop, region, rng = drawn(number)
+    assert region.status == RegionStatus.COMPLETE
+    assert region.coefficients.filtered.stretches
+    points = probes(region, loop.balls, rng)
+    truths = [loop.balls.is_stable(*point) for point in points.tolist()]
+    assert np.array_equal(region.contains(*points.T), truths)
+
+
+def test_stretches_stand_for_angles():
+    centers = DoubleDouble(np.array([0.3, 2.5]), np.array([1e-17, -2e-17]))
+    stretches = stretches_around(centers, np.array([2.4]))
+    assert [one.half_width for one in stretches] == pytest.approx([0.05, 0.045])
+    size = np.array([0.1, 0.3, 0.301, 0.3499, 2.46, 2.5 + 1e-9, 2.6])
+    nothing = np.zeros_like(size)
+    angles, speed = true_angles(stretches, size, nothing)
+    np.testing.assert_allclose(standing_for(stretches, angles), size, rtol=1e-11)
+    for k, one in ((2, stretches[0]), (5, stretches[1])):
+        growth = mp.log(2 * mpf(one.half_width) / mpf(10) ** -24)
+        share = (mpf(size[k]) - mpf(one.angle)) / mpf(one.half_width)
+        offset = mpf(one.half_width) * mp.sinh(growth * share) / mp.sinh(growth)
+        truth = mpf(one.angle) + mpf(one.rest) + offset
+        gap = mpf(angles.hi[k]) + mpf(angles.lo[k]) - truth
+        assert abs(gap) < 1e-11 * abs(offset) + mpf(10) ** -30
+        slope = growth * mp.cosh(growth * share) / mp.sinh(growth)
+        assert speed[k] == pytest.approx(float(slope), rel=1e-11)
+    assert angles.hi[[0, 1, 6]].tolist() == size[[0, 1, 6]].tolist()
+    assert angles.lo[1] == 1e-17
+
+
+@pytest.mark.parametrize("number", SLOW)
+def test_the_curve_of_slow_filters_has_all_digits(number):
+    loop, region, _ = drawn(number)
+    outline = region.outline
+    angles = outline.angles[:, 0][outline.branches == 0][::20]
+    assert len(angles) > 10
+    gains = np.array(curve_and_lift(region.coefficients, angles)[:2])
+    truth = np.array([true_gains(loop.balls, float(angle)) for angle in angles]).T
+    size = np.ptp(region.points, axis=0)[:, None]
+    assert np.max(abs(gains - truth) / size) < 1e-12
+
+
+def test_slopes_of_the_curve_are_those_of_its_points():
+    loop, region, _ = drawn(SLOW[0])
+    coefficients = region.coefficients
+    theta = 0.007
+    step = 1e-6
+    moved = [np.array(true_gains(loop.balls, theta + sign * step)) for sign in (1, -1)]
+    complex_step = 1e-200
+    values = np.array(curve_and_lift(coefficients, np.array([theta + 1j * complex_step]))[:2])
+    slopes = values[:, 0].imag / complex_step
+    np.testing.assert_allclose(slopes, (moved[0] - moved[1]) / (2 * step), rtol=1e-6)
+
+
+def test_angles_of_a_scan_are_close_to_the_poles_that_float64_misses():
+    loop, region, _ = drawn(SLOW[0])
+    coefficients = region.coefficients
+    angles = np.abs(slice_angles(coefficients, coefficients.filtered.parts.shape[1] - 2, 1))
+    signs = []
+    for theta in np.geomspace(1e-3, 0.5, 60):
+        with flint.ctx.workprec(600):
+            z = flint.acb(0, theta).exp()
+            stiffness, damping = (flint.acb_poly(part)(z) for part in loop.balls[1:3])
+            signs.append((theta, (stiffness.conjugate() * damping).imag > 0))
+    poles = [(low, high) for (low, one), (high, two) in pairwise(signs) if one != two]
+    assert len(poles) == 3
+    for low, high in poles:
+        assert np.sum((angles > low) & (angles < high)) > 8
+
+
+def test_slice_that_its_own_form_does_not_resolve():
+    """gamma next to (2 pi)^2: a cosine of the hand's own frequency loses all digits."""
+    plant = 39.48888856851112, 0.0, 5.153715254681396
+    region = jaxstab.stable_region(*plant)
+    assert region.status == RegionStatus.COMPLETE
+    rng = np.random.default_rng(3)
+    size = np.ptp(region.points, axis=0)
+    near = region.points[rng.integers(0, len(region.points), 40)]
+    points = near + size * 1e-6 * rng.normal(size=near.shape)
+    balls = FilteredLoop(*plant, difference(1), average(1)).balls()
+    truths = [balls.is_stable(*point) for point in points.tolist()]
+    assert np.array_equal(region.contains(*points.T), truths)
