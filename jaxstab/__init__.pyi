@@ -46,9 +46,11 @@ from .loop import CommonRegion as CommonRegion
 from .loop import CommonWall as CommonWall
 from .loop import Gains as Gains
 from .loop import HapticLoop as HapticLoop
+from .loop import LoopsBetween as LoopsBetween
 from .loop import OptimalWall as OptimalWall
 from .loop import WallLimits as WallLimits
 from .loop import WallRegion as WallRegion
+from .loop import WorstLoop as WorstLoop
 from .loop import common_region as common_region
 from .loop import tune_for_all as tune_for_all
 from .model import Device as Device

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import PI_REST
 from jaxstab.boxes.filter_cells import FilterCells, cells_of
 from jaxstab.boxes.first_root import Models
+from jaxstab.boxes.in_pieces import PieceBoxes, over_pieces
 from jaxstab.boxes.linear_circle import Place, chains_of
 from jaxstab.boxes.series import Cells, Series
 from jaxstab.boxes.wall import largest_within, responses
@@ -29,7 +29,6 @@ Reals = Float64[np.ndarray, " box"]
 
 _EPS = np.finfo(np.float64).eps
 _SUMS = 16 * _EPS  # of the terms of g
-_BEYOND = 1e-7  # of a piece, beyond which its polynomial may not hold
 
 
 class DelayedDevice(NamedTuple):
@@ -74,22 +73,6 @@ def delayed_device(device: SampledDevice, filters: Filters | None) -> DelayedDev
     return DelayedDevice(cells_of(plain), pieces, np.array(ends))
 
 
-class _Force(NamedTuple):
-    """N over boxes: in the middle with its derivatives, and bounds in all of the box."""
-
-    value: np.ndarray
-    by_theta: np.ndarray
-    by_delay: np.ndarray
-    size: Reals
-    slope: Reals  # |dN/dtheta|
-    bend: Reals  # |d^2 N/dtheta^2|
-    change: Reals  # |dN/df|
-    curve: Reals  # |d^2 N/df^2|
-    twist: Reals  # |d^2 N/(df dtheta)|
-    lost: Reals
-    slope_lost: Reals
-
-
 def models(device: DelayedDevice, boxes: DelayBoxes) -> tuple[Models, Reals]:
     """Return g over boxes (the axes: delay, theta), and how far |D| is from |F| in them.
 
@@ -98,7 +81,10 @@ def models(device: DelayedDevice, boxes: DelayBoxes) -> tuple[Models, Reals]:
     """
     gains, delay, theta, by_delay, by_theta = boxes
     whole = np.floor(delay)
-    force = _force_over(device, boxes, delay - whole)
+    numbers = np.searchsorted(device.ends, delay - whole, "right") - 1
+    numbers = np.clip(numbers, 0, len(device.pieces) - 1)
+    sides = PieceBoxes(numbers, delay - whole, theta, by_delay, by_theta)
+    force = over_pieces(device.pieces, sides)
     (free, *walls), (free_theta, *walls_theta), lost = responses(device.plain, theta)
     slopes = largest_within(device.plain.steepness, device.plain, theta, by_theta)
     most = np.abs(gains)
@@ -111,7 +97,7 @@ def models(device: DelayedDevice, boxes: DelayBoxes) -> tuple[Models, Reals]:
     behind = np.exp(-1j * turns * theta)
     delayed = behind * force.value * wall
     turned = behind * (force.by_theta * wall + force.value * wall_theta)
-    moved = behind * force.by_delay * wall
+    moved = behind * force.by_offset * wall
     curved = force.bend * size + 2.0 * force.slope * slope + force.size * bend
     mixed = force.twist * size + force.change * slope
     twice = 0.5 * by_delay**2 * force.curve * size
@@ -132,92 +118,3 @@ def models(device: DelayedDevice, boxes: DelayBoxes) -> tuple[Models, Reals]:
     by_axis = np.stack([2.0 * twice, by_theta**2 * (slopes[3] + curved) + 2.0 * by_phase])
     bends = by_axis + np.abs(moves)
     return Models(free + delayed, moves, rest + by_phase + rounding, bends, rounding), apart
-
-
-def _force_over(device: DelayedDevice, boxes: DelayBoxes, fraction: Reals) -> _Force:
-    numbers = np.searchsorted(device.ends, fraction, "right") - 1
-    numbers = np.clip(numbers, 0, len(device.pieces) - 1)
-    is_far = boxes.theta > 0.5 * np.pi
-    columns = np.empty((len(_Force._fields), fraction.size), complex)
-    for key in np.unique(2 * numbers + is_far):
-        some = np.flatnonzero(2 * numbers + is_far == key)
-        piece = device.pieces[key // 2]
-        offset, theta = fraction[some] - piece.middle, boxes.theta[some]
-        by_delay, by_theta = boxes.by_delay[some], boxes.by_theta[some]
-        if key % 2:
-            rows = _in_piece(
-                piece, piece.far, offset, (np.pi - theta) + PI_REST, by_delay, by_theta
-            )
-            rows[:3] = rows[:3].conj() * (-1.0) ** (piece.far.shape[1] - 1)
-            rows[1] *= -1.0
-        else:
-            rows = _in_piece(piece, piece.near, offset, theta, by_delay, by_theta)
-        columns[:, some] = rows
-    return _Force(*columns[:3], *columns[3:].real)
-
-
-def _in_piece(
-    piece: Piece,
-    coefficients: Float64[np.ndarray, "power coefficient"],
-    offset: Reals,
-    theta: Reals,
-    by_delay: Reals,
-    by_theta: Reals,
-) -> np.ndarray:
-    """Return the rows of ``_Force`` from the coefficients of powers of z - 1.
-
-    With s = 1 - x and order n they are those of s^k x^(n - k); s and all its derivatives but itself
-    are at most 1.
-    """
-    reach = np.abs(offset) + by_delay
-    count, size = coefficients.shape
-    here, bounds = (
-        [_derivative(value, count, order) @ table for order in range(3)]
-        for value, table in ((offset, coefficients), (reach, np.abs(coefficients)))
-    )
-    back = np.exp(-1j * theta)
-    step = 2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)
-    k = np.arange(size)
-    late = size - 1.0 - k
-    steps, turns = step[:, None] ** k, back[:, None] ** late
-    waves = steps * turns
-    below = np.concatenate([np.zeros_like(steps[:, :1]), steps[:, :-1]], axis=1)
-    turned = 1j * (k * below * turns * back[:, None] - late * waves)
-    most = _derivative(np.abs(step) + by_theta, size, 0)
-    once, twice = _shifted(most, 1), _shifted(most, 2)
-    slopes = k * once + late * most
-    bends = k * (k - 1.0) * twice + k * (1.0 + 2.0 * late) * once + late**2 * most
-    value, by_angle, by_fraction = (
-        np.sum(one * other, axis=1)
-        for one, other in ((here[0], waves), (here[0], turned), (here[1], waves))
-    )
-    bend, curve, twist = (
-        np.sum(one * other, axis=1)
-        for one, other in ((bounds[0], bends), (bounds[2], most), (bounds[1], slopes))
-    )
-    lost = (size + count + 8) * _EPS
-    missed = np.sum((bounds[0] + by_delay[:, None] * bounds[1]) * most, axis=1)
-    missed = piece.remainder + lost * missed
-    missed = np.where(reach <= piece.half * (1.0 + _BEYOND), missed, np.inf)
-    slope = np.abs(by_angle) + by_theta * bend + by_delay * twist
-    change = np.abs(by_fraction) + by_theta * twist + by_delay * curve
-    reached = np.abs(value) + by_theta * slope + by_delay * change + missed
-    slope_missed = lost * np.sum(bounds[0] * slopes, axis=1)
-    rows = [value, by_angle, by_fraction, reached, slope + slope_missed, bend, change, curve, twist]
-    return np.stack([*rows, missed, slope_missed])
-
-
-def _derivative(value: Reals, count: int, order: int) -> Float64[np.ndarray, "box power"]:
-    """Return a derivative of the powers 0, 1, 2, ... of numbers."""
-    powers = np.concatenate([np.ones((value.size, 1)), np.repeat(value[:, None], count - 1, 1)], 1)
-    powers = np.cumprod(powers, axis=1)
-    for _ in range(order):
-        powers = _shifted(powers, 1) * np.arange(count)
-    return powers
-
-
-def _shifted(powers: Float64[np.ndarray, "box power"], by: int) -> Float64[np.ndarray, "box power"]:
-    """Return the powers that are so many lower, 0 for those below 0."""
-    shifted = np.zeros_like(powers)
-    shifted[:, by:] = powers[:, :-by]
-    return shifted

@@ -1,3 +1,5 @@
+from .between import LoopsBetween as LoopsBetween
+from .between import WorstLoop as WorstLoop
 from .common_region import CommonRegion as CommonRegion
 from .common_region import common_region as common_region
 from .common_wall import CommonWall as CommonWall

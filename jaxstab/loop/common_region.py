@@ -10,24 +10,22 @@ from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
-from jaxstab.loop.region import TOLERANCE, Gains, WallRegion, wall_region
+from jaxstab.loop.between import LoopsBetween
+from jaxstab.loop.region import TOLERANCE, Gains, wall_region
+from jaxstab.loop.common_walls import common_walls
+from jaxstab.loop.tried_loops import WIDER, TriedLoops, common_outline
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
 from jaxstab.ranges.device_margins import is_stable_along
-from jaxstab.ranges.robust_region import RobustStatus, failures, polygon_of_rows, pulled_in
+from jaxstab.ranges.robust_region import RobustStatus, failures, pulled_in
 from jaxstab.region import RegionStatus
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
 
-_ROWS = 33
-_WIDER = (1.0, 2.0, 4.0)  # times the tolerance, by which the polygon is pulled in
-
 Points = Float64[np.ndarray, "vertex 2"]
-Rows = Float64[np.ndarray, " row"]
-Intervals = Float64[np.ndarray, "row _ 2"]
 
 
 @dataclass(frozen=True)
@@ -35,13 +33,14 @@ class CommonRegion:
     """Walls that are stable in every one of several loops, reached by turning gains up from 0.
 
     Attributes:
-        loops: the loops.
+        loops: the loops; of all loops between two, those that were tried.
         status: PROVED if every wall of the outline is proved stable in every loop; EMPTY if no row
             of damping was found with such a wall; otherwise UNPROVED.
         outline: a polygon of walls (K, B), counter-clockwise, the first vertex not repeated; none
             unless the status is PROVED.
         tolerance: how far the outline was pulled in to be proved, as a share of its size: the
             intersection of the regions is larger by about as much.
+        between: all of the loops where they are those between two; what is proved holds for all.
 
     Example:
         >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -55,6 +54,7 @@ class CommonRegion:
     status: RobustStatus
     outline: Points = field(repr=False)
     tolerance: float
+    between: LoopsBetween | None = None
 
     @property
     def stiffest(self) -> Gains:
@@ -93,6 +93,8 @@ class CommonRegion:
             >>> common.verdict([5000.0, 200000.0], 50.0).tolist()
             [1, 2]
         """
+        if self.between is not None:
+            return self.between.verdict(stiffness, damping)
         codes = np.stack([np.asarray(loop.verdict(stiffness, damping)) for loop in self.loops])
         is_stable = np.all(codes == Verdict.STABLE, axis=0)
         known = np.where(is_stable, Verdict.STABLE, Verdict.UNDECIDED)
@@ -119,14 +121,17 @@ class CommonRegion:
         return np.asarray(self.verdict(stiffness, damping) == Verdict.STABLE)
 
 
-def common_region(loops: "Sequence[HapticLoop]", *, tolerance: float = 0.02) -> CommonRegion:
+def common_region(
+    loops: "Sequence[HapticLoop] | LoopsBetween", *, tolerance: float = 0.02
+) -> CommonRegion:
     """Return the walls that are stable in each of several loops, with a polygon that is proved.
 
-    The loops may differ in everything: devices, hands, estimators, delays, sampling periods. The
-    answer holds for these loops alone, not for loops between them.
+    The loops of a list may differ in everything: devices, hands, estimators, delays, sampling
+    periods. The answer holds for these loops alone, not for loops between them. For an interval of
+    one parameter give ``jaxstab.LoopsBetween``: then it holds for every loop between the two.
 
     Args:
-        loops: at least one.
+        loops: at least one, or all loops between two.
         tolerance: how far the polygon is pulled in to be proved, as a share of its size, in
             [1e-3, 0.1]; twice or four times as much where that is not enough.
 
@@ -138,8 +143,8 @@ def common_region(loops: "Sequence[HapticLoop]", *, tolerance: float = 0.02) -> 
             to a constant force.
         TypeError: JAX traces a loop.
 
-    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008) for ranges of hands; lemmas B11 and B13
-    of docs/proofs.md.
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008) for ranges of hands; lemmas B11, B13 and
+    B17 of docs/proofs.md.
 
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
@@ -151,10 +156,14 @@ def common_region(loops: "Sequence[HapticLoop]", *, tolerance: float = 0.02) -> 
         >>> jaxstab.common_region(loops).status.name
         'PROVED'
     """
+    tolerance = checked_number("tolerance", tolerance, 1e-3, 0.1)
+    if isinstance(loops, LoopsBetween):
+        tried = TriedLoops(loops)
+        found = common_outline(tried, tolerance)
+        return CommonRegion(tried.loops, *found, between=loops)
     given = tuple(loops)
     if not given:
         raise ValueError("loops is empty; give at least one HapticLoop.")
-    tolerance = checked_number("tolerance", tolerance, 1e-3, 0.1)
     regions = [wall_region(loop.in_floats(), TOLERANCE) for loop in given]
     nothing = np.zeros((0, 2))
     if any(region.status == RegionStatus.UNRESOLVED for region in regions):
@@ -164,47 +173,11 @@ def common_region(loops: "Sequence[HapticLoop]", *, tolerance: float = 0.02) -> 
     outer = common_walls([region.main or region.components[0] for region in regions])
     if not len(outer):
         return CommonRegion(given, RobustStatus.EMPTY, nothing, tolerance)
-    for times in _WIDER:
+    for times in WIDER:
         outline = pulled_in(outer, times * tolerance)
         if all(_is_proved(loop.in_floats(), outline) for loop in given):
             return CommonRegion(given, RobustStatus.PROVED, outline, times * tolerance)
     return CommonRegion(given, RobustStatus.UNPROVED, nothing, tolerance)
-
-
-def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
-    """Return a polygon of walls that all regions have, by rows; no point where no row has one.
-
-    Of several intervals of a row it is the widest. What lies between two rows may be missed, and of
-    the polygon nothing is proved.
-
-    Args:
-        regions: at least one, none of them empty.
-        count: of rows.
-    """
-    tops = [region.outline[:, 1] for region in regions]
-    low, high = max(top.min() for top in tops), min(top.max() for top in tops)
-    if not low < high:
-        return np.zeros((0, 2))
-
-    def limits(rows: Rows) -> tuple[Rows, Rows]:
-        shared = reduce(_shared, (region.stiffness_intervals(rows) for region in regions))
-        if not shared.shape[1]:
-            return np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
-        shared = np.where(np.isnan(shared), [np.inf, -np.inf], shared)
-        widest = np.argmax(shared[..., 1] - shared[..., 0], axis=1)
-        left, right = shared[np.arange(len(rows)), widest].T
-        return left, right
-
-    return polygon_of_rows(limits, low, high, count)
-
-
-def _shared(one: Intervals, other: Intervals) -> Intervals:
-    """Return the intervals that two sets of intervals share; NaN for none."""
-    low = np.maximum(one[:, :, None, 0], other[:, None, :, 0])
-    high = np.minimum(one[:, :, None, 1], other[:, None, :, 1])
-    both = np.where((low < high)[..., None], np.stack([low, high], axis=-1), np.nan)
-    shared = both.reshape(len(one), low.shape[1] * low.shape[2], 2)
-    return shared[:, ~np.isnan(shared[..., 0]).all(axis=0)]
 
 
 def _is_proved(loop: LoopParameters, outline: Points) -> bool:

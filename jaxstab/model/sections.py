@@ -138,8 +138,7 @@ class Butterworth:
         angle = pi * self.cutoff
         warped = _float(namespace(angle).tan(angle))
         sections = [
-            _quadratic(warped, float(np.sin(pi * (2 * k + 1) / (2 * self.order))))
-            for k in range(self.order // 2)
+            _quadratic(warped, butterworth_sine(k, self.order)) for k in range(self.order // 2)
         ]
         if self.order % 2:
             sections.append(_bilinear_lag(warped))
@@ -200,6 +199,11 @@ def _quadratic(warped: Array, sine: float) -> Transfer:
         (DoubleDouble.of(1.0), middle, (square + 1.0 - damping) / first),
         0,
     )
+
+
+def butterworth_sine(k: int, order: int) -> float:
+    """Return the sine of the angle of a pair of poles of Butterworth's filter, rounded."""
+    return float(np.sin(pi * (2 * k + 1) / (2 * order)))
 
 
 def _bilinear_lag(warped: Array) -> Transfer:

@@ -29,7 +29,7 @@ from jaxstab.model.device.sampling import (
 )
 
 if TYPE_CHECKING:
-    from flint import arb, arb_mat, arb_poly
+    from flint import acb_poly, arb, arb_mat, arb_poly
 
 _FIRST_BITS, _MOST_BITS = 512, 1 << 12
 _ORDER = 14  # of the polynomials, at most
@@ -119,7 +119,7 @@ class _Family(NamedTuple):
     @property
     def is_known(self) -> bool:
         """Whether the precision is more than enough."""
-        return float(_size(self.whole) * _LEFT**2) > float(_lost(self.whole))
+        return float(size_on_circle(self.whole) * _LEFT**2) > float(_lost(self.whole))
 
     def piece(self, middle: float, half: float, scale: "arb") -> Piece | None:
         """Return a piece, None where no polynomial is good enough."""
@@ -131,13 +131,14 @@ class _Family(NamedTuple):
         # For all times of the piece: e^(A t) times what it is in the middle.
         around = without_force(held(self.below, flint.arb(0, reach) * self.speed))
         terms = [self._steps(force_of(rest)) + self.whole]
-        allowed = _size(terms[0]) * _LEFT
+        allowed = size_on_circle(terms[0]) * _LEFT
         moved = without_force(rest) * force_of(matrix)
         for order in range(1, _ORDER + 2):
             weight = (-self.speed) ** order / factorial(order)
-            missed = _size(self._steps(around * moved) * weight * reach**order)
+            missed = size_on_circle(self._steps(around * moved) * weight * reach**order)
             if missed < allowed:
-                return self._rounded(middle, half, [term * scale for term in terms], missed * scale)
+                scaled, degree = [term * scale for term in terms], len(self.above)
+                return rounded_piece(middle, half, scaled, missed * scale, degree)
             terms.append(self._steps(moved) * weight)
             moved = without_force(matrix) * moved
         return None
@@ -149,32 +150,45 @@ class _Family(NamedTuple):
         coefficients = position_after(self.above, self.transition, self.denominator, column)
         return flint.arb_poly([-1, 1]) * flint.arb_poly(coefficients)
 
-    def _rounded(
-        self, middle: float, half: float, terms: list["arb_poly"], missed: "arb"
-    ) -> Piece | None:
-        """Return the piece of its terms, None where these are not known well enough."""
-        import flint
 
-        degree = len(self.above)
-        plus, minus = flint.arb_poly([1, 1]), flint.arb_poly([-1, -1])
-        forms = [
-            [[term(about)[k] for k in range(degree + 1)] for term in terms]
-            for about in (plus, minus)
-        ]
-        # |z - 1| <= 2, and u^j <= 1.
-        worst = max(
-            sum(float(2**k * row[k].rad()) for row in form for k in range(degree + 1))
-            for form in forms
+def rounded_piece(
+    middle: float, half: float, terms: list["arb_poly"], missed: "arb", degree: int
+) -> Piece | None:
+    """Return the piece of sum_j u^j terms_j, None where these are not known well enough.
+
+    Args:
+        middle: of the piece.
+        half: half its width, at most 1/2.
+        terms: polynomials in z of a degree.
+        missed: what the sum misses on the unit circle.
+        degree: the degree.
+    """
+    import flint
+
+    plus, minus = flint.arb_poly([1, 1]), flint.arb_poly([-1, -1])
+    forms = [
+        [[term(about)[k] for k in range(degree + 1)] for term in terms] for about in (plus, minus)
+    ]
+    # |z - 1| <= 2
+    reach = flint.arb(half * (1.0 + _OVERLAP))
+    weights = [[2**k * reach**j for k in range(degree + 1)] for j in range(len(terms))]
+    worst = max(
+        float(
+            sum(
+                (weight * one.rad() for pair in zip(weights, form, strict=True)
+                 for weight, one in zip(*pair, strict=True)),
+                flint.arb(0),
+            ).upper()
         )
-        if not worst <= float(_size(terms[0])) * _LEFT:
-            return None
-        near, far = (
-            np.array([[float(one.mid()) for one in row] for row in form]) for form in forms
-        )
-        return Piece(middle, half, near, far, (worst + float(missed.upper())) * _ROUNDED_UP)
+        for form in forms
+    )
+    if not worst <= float(size_on_circle(terms[0])) * _LEFT:
+        return None
+    near, far = (np.array([[float(one.mid()) for one in row] for row in form]) for form in forms)
+    return Piece(middle, half, near, far, (worst + float(missed.upper())) * _ROUNDED_UP)
 
 
-def _size(polynomial: "arb_poly") -> "arb":
+def size_on_circle(polynomial: "arb_poly | acb_poly") -> "arb":
     """Return a bound of |Q(z)| on the unit circle."""
     import flint
 

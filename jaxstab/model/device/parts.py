@@ -50,15 +50,20 @@ class Mode:
     modal_mass: float
 
     def __post_init__(self) -> None:
-        checked_number("frequency", self.frequency, 0.0, is_open=True, unit="Hz")
-        checked_number("damping_ratio", self.damping_ratio, 0.0)
-        if checked_number("modal_mass", self.modal_mass) == 0.0:
+        numbers = {
+            "frequency": checked_number("frequency", self.frequency, 0.0, is_open=True, unit="Hz"),
+            "damping_ratio": checked_number("damping_ratio", self.damping_ratio, 0.0),
+            "modal_mass": checked_number("modal_mass", self.modal_mass),
+        }
+        for name, number in numbers.items():
+            object.__setattr__(self, name, number)
+        if self.modal_mass == 0.0:
             raise ValueError("modal_mass is 0.0; give the mass in kg that the mode moves.")
 
     def compliance(self) -> Rational:
         """Return displacement over force."""
-        mass, damping = exact(float(self.modal_mass)), 2 * exact(float(self.damping_ratio))
-        s, w = polynomial([1.0, 0.0]), turn(float(self.frequency))
+        mass, damping = exact(self.modal_mass), 2 * exact(self.damping_ratio)
+        s, w = polynomial([1.0, 0.0]), turn(self.frequency)
         return Rational(polynomial([1.0]), mass * (s * s + damping * w * s + w * w))
 
 
@@ -249,11 +254,16 @@ def checked_compliance(function: Rational, what: str) -> Rational:
 
 
 def _grows(common: "fmpq_mpoly") -> bool:
-    """Return whether a factor has a root in the right half plane; one with pi never has."""
+    """Return whether a factor has a root in the right half plane; one with pi never has.
+
+    One that changes along spans may have.
+    """
     from flint import fmpq_poly
 
-    if any(power_of_pi for _, power_of_pi in common.monoms()):
+    if degree_of(common) < 1 or any(power_of_pi for _, power_of_pi, _ in common.monoms()):
         return False  # the denominator of a mode
-    rising = [common[power, 0] for power in range(degree_of(common) + 1)]
+    if any(power_of_t for _, _, power_of_t in common.monoms()):
+        return True
+    rising = [common[power, 0, 0] for power in range(degree_of(common) + 1)]
     roots: list[Any] = fmpq_poly(rising).complex_roots()  # each with how often it counts
     return any(root.real > 0 for root, _ in roots)

@@ -2,19 +2,32 @@
 
 Numbers that users give are float64, rational numbers therefore; a frequency in Hz brings a factor
 pi. As pi is no root of a polynomial with rational coefficients, it is a second variable here, and
-what cancels is found exactly. Only where such numbers are asked for python-flint is imported.
+what cancels is found exactly. Numbers that stand for all of an interval are polynomials in a third
+variable. Only where such numbers are asked for python-flint is imported.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
 
+@dataclass(frozen=True)
+class Span:
+    """All numbers of an interval: first + t (last - first), t from 0 to 1."""
+
+    first: float
+    last: float
+
+    def __format__(self, spec: str) -> str:
+        return f"{format(self.first, spec)} to {format(self.last, spec)}"
+
+
 class Rational(NamedTuple):
-    """A quotient of two polynomials in s and pi; the denominator is not 0."""
+    """A quotient of two polynomials in s, pi and t; the denominator is not 0."""
 
     numerator: "fmpq_mpoly"
     denominator: "fmpq_mpoly"
@@ -74,23 +87,30 @@ def polynomial(falling: Sequence["float | fmpq"]) -> "fmpq_mpoly":
 
 def turn(hertz: float) -> "fmpq_mpoly":
     """Return 2 pi f for a frequency in Hz."""
-    return _ring().from_dict({(0, 1): 2 * exact(hertz)})
+    return 2 * exact(hertz) * _ring().gen(1)
 
 
-def exact(value: "float | fmpq") -> "fmpq":
-    """Return the rational number that a float64 is."""
+def exact(value: "float | fmpq | Span") -> Any:
+    """Return the rational number that a float64 is, and what a span is as a polynomial in t."""
     from flint import fmpq
 
+    if isinstance(value, Span):
+        first, last = exact(value.first), exact(value.last)
+        return first + (last - first) * _ring().gen(2)
     return fmpq(*value.as_integer_ratio()) if isinstance(value, float) else value
 
 
-def balls_of(polynomial: "fmpq_mpoly") -> list["arb"]:
-    """Return the coefficients of the powers of s, lowest first, in balls of the precision set."""
+def balls_of(polynomial: "fmpq_mpoly", t: Any = None) -> list["arb"]:
+    """Return the coefficients of the powers of s, lowest first, in balls of the precision set.
+
+    ``t`` is a real or complex ball: where in their spans numbers are.
+    """
     from flint import arb
 
     coefficients = [arb(0)] * (degree_of(polynomial) + 1)
-    for (power, power_of_pi), factor in polynomial.to_dict().items():
-        coefficients[power] += arb(factor) * arb.pi() ** power_of_pi
+    for (power, power_of_pi, power_of_t), factor in polynomial.to_dict().items():
+        term = arb(factor) * arb.pi() ** power_of_pi
+        coefficients[power] += term * t**power_of_t if power_of_t else term
     return coefficients
 
 
@@ -98,4 +118,4 @@ def balls_of(polynomial: "fmpq_mpoly") -> list["arb"]:
 def _ring() -> "fmpq_mpoly_ctx":
     from flint import fmpq_mpoly_ctx
 
-    return fmpq_mpoly_ctx.get(("s", "pi"), "lex")
+    return fmpq_mpoly_ctx.get(("s", "pi", "t"), "lex")

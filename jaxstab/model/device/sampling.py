@@ -13,7 +13,7 @@ z - 1 and of z + 1, are known to more digits than pairs of float64 have.
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf, isfinite, ldexp, nextafter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.rational import Rational, balls_of, exact
@@ -24,7 +24,10 @@ from jaxstab.model.transfer import Polynomial, Transfer
 from jaxstab.numbers import checked_number
 
 if TYPE_CHECKING:
-    from flint import arb, arb_mat, arb_poly
+    from flint import acb, acb_mat, acb_poly, arb, arb_mat, arb_poly
+
+    Ball = arb | acb
+    Matrix = arb_mat | acb_mat
 
 _FIRST_BITS, _MOST_BITS = 256, 1 << 12
 _WANTED_BITS = 112  # of each coefficient: pairs have 107
@@ -150,23 +153,44 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
     Raises:
         ValueError: a pole is so fast that nothing of it is left after a sampling period.
     """
-    import flint
-
-    period = flint.arb(exact(sample_time))
-    above, below = map(balls_of, compliance)
-    degree = len(below) - 1
-    first = below[-1]
-    below = [value / first * period ** (degree - k) for k, value in enumerate(below)]
-    above = [value / first * period ** (degree - k) for k, value in enumerate(above)]
+    above, below = _monic(*map(balls_of, compliance), sample_time)
     if _speed(below) > _FASTEST:
         raise ValueError(
             f"the device has a pole at 2^{_speed(below)} or so per sampling period of "
             f"{sample_time:g} s; give SI units, and leave out what is faster than 2^{_FASTEST}."
         )
+    return above, below
+
+
+def in_samples_over(
+    compliance: Rational, sample_time: float, t: "acb"
+) -> tuple[list["acb"], list["acb"]] | None:
+    """Return the same where numbers are in their spans, for a ball of such places.
+
+    None where a pole of a device in the ball is too fast, or may be.
+    """
+    import flint
+
+    above, below = (list(map(flint.acb, balls_of(part, t))) for part in compliance)
+    if below[-1].contains(0):
+        return None
+    above, below = _monic(above, below, sample_time)
+    return (above, below) if _speed(below) <= _FASTEST else None
+
+
+def _monic(
+    above: list["Ball"], below: list["Ball"], sample_time: float
+) -> tuple[list["Ball"], list["Ball"]]:
+    import flint
+
+    period = flint.arb(exact(sample_time))
+    degree, first = len(below) - 1, below[-1]
+    below = [value / first * period ** (degree - k) for k, value in enumerate(below)]
+    above = [value / first * period ** (degree - k) for k, value in enumerate(above)]
     return above + [flint.arb(0)] * (degree - len(above)), [*below[:-1], flint.arb(1)]
 
 
-def _speed(below: list["arb"]) -> int:
+def _speed(below: list["Ball"]) -> int:
     """Return the exponent of a power of two next to the largest root, but for a factor of 2."""
     degree = len(below) - 1
     sizes = [(degree - k, one) for k, one in enumerate(below[:-1]) if one != 0]
@@ -196,7 +220,9 @@ def _of_samples(
     return numerators[0], denominator
 
 
-def in_fastest_time(above: list["arb"], below: list["arb"]) -> "tuple[list[arb], list[arb], arb]":
+def in_fastest_time(
+    above: list["Ball"], below: list["Ball"]
+) -> "tuple[list[Ball], list[Ball], arb]":
     """Return a device in a unit of time in which its numbers are of size 1.
 
     The last number is how many of them a sample has, a power of two.
@@ -212,12 +238,15 @@ def in_fastest_time(above: list["arb"], below: list["arb"]) -> "tuple[list[arb],
 
 
 def position_after(
-    above: list["arb"], transition: "arb_mat", denominator: "arb_poly", column: "arb_mat"
-) -> list["arb"]:
+    above: list["Ball"],
+    transition: "Matrix",
+    denominator: "arb_poly | acb_poly",
+    column: "Matrix",
+) -> list["Ball"]:
     """Return C adj(z - A) v, the lowest power first, by det(z - A): what a state v does to z^k."""
     import flint
 
-    order, row = len(above), flint.arb_mat([above])
+    order, row = len(above), _matrix([above])
     responses = []
     for _ in range(order):
         responses.append((row * column)[0, 0])
@@ -230,7 +259,7 @@ def position_after(
     return falling[::-1]
 
 
-def held(below: list["arb"], time: "arb") -> "arb_mat":
+def held(below: list["Ball"], time: "Ball") -> "Matrix":
     """Return exp of [[A, B], [0, 0]] times a time.
 
     Source: Van Loan (1978).
@@ -238,31 +267,32 @@ def held(below: list["arb"], time: "arb") -> "arb_mat":
     return (generator(below) * time).exp()
 
 
-def generator(below: list["arb"]) -> "arb_mat":
+def generator(below: list["Ball"]) -> "Matrix":
     """Return [[A, B], [0, 0]], A the companion matrix, B the last unit vector."""
-    import flint
-
     order = len(below) - 1
-    matrix = flint.arb_mat(order + 1, order + 1)
+    rows: list[list[Any]] = [[0] * (order + 1) for _ in range(order + 1)]
     for row in range(order):
-        matrix[row, row + 1] = flint.arb(1)  # beyond the states: the force
-    for column in range(order):
-        matrix[order - 1, column] = -below[column]
-    return matrix
+        rows[row][row + 1] = 1  # beyond the states: the force
+    rows[order - 1][:order] = [-value for value in below[:order]]
+    return _matrix(rows)
 
 
-def without_force(matrix: "arb_mat") -> "arb_mat":
+def without_force(matrix: "Matrix") -> "Matrix":
     """Return how the states move, of what ``held`` returns."""
-    import flint
-
-    return flint.arb_mat([row[:-1] for row in matrix.tolist()[:-1]])
+    return _matrix([row[:-1] for row in matrix.tolist()[:-1]])
 
 
-def force_of(matrix: "arb_mat") -> "arb_mat":
+def force_of(matrix: "Matrix") -> "Matrix":
     """Return what a force adds to the states, of what ``held`` returns."""
+    return _matrix([row[-1:] for row in matrix.tolist()[:-1]])
+
+
+def _matrix(rows: list[list[Any]]) -> Any:
+    """Return a matrix of balls, of complex ones if there are."""
     import flint
 
-    return flint.arb_mat([row[-1:] for row in matrix.tolist()[:-1]])
+    has_complex = any(isinstance(one, flint.acb) for row in rows for one in row)
+    return (flint.acb_mat if has_complex else flint.arb_mat)(rows)
 
 
 def _without(polynomial: "arb_poly", zeros: int) -> "arb_poly":
@@ -280,9 +310,9 @@ def _is_known(polynomial: "arb_poly") -> bool:
     )
 
 
-def _binary_digits(ball: "arb") -> int:
+def _binary_digits(ball: "Ball") -> int:
     """Return the exponent of a power of two that is at most twice or half as large."""
-    mantissa, exponent = ball.mid().man_exp()
+    mantissa, exponent = abs(ball).mid().man_exp()
     return int(exponent) + int(abs(mantissa)).bit_length() - 1
 
 

@@ -1,0 +1,348 @@
+"""All loops between two loops: each number that differs runs straight from the one to the other.
+
+In powers of z, and over a common power, the loop at t, from 0 to 1, is
+
+    D(z) + z^-lag (alpha P(z) S(z) + beta V(z) R(z)),
+
+P and V the parts of filter and estimator that all loops share. The coefficients of D, S and R are
+analytic in t. Pieces of [0, 1] are halved, in balls, until polynomials through their values at
+Chebyshev's points are right (lemma B17 of docs/proofs.md).
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache, reduce
+from math import ceil, cos, floor, inf, nextafter, pi
+from operator import mul
+from typing import TYPE_CHECKING, NamedTuple
+
+from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
+from jaxstab.model.device.delays import Piece, rounded_piece, size_on_circle
+from jaxstab.model.device.rational import Span, exact
+from jaxstab.model.device.sampling import (
+    force_of,
+    held,
+    in_fastest_time,
+    in_samples_over,
+    position_after,
+    without_force,
+)
+from jaxstab.model.filters import Filter, Filters, Velocity
+from jaxstab.model.loop import LoopParameters
+from jaxstab.model.sections import Exponential, LowPass, Section, butterworth_sine
+from jaxstab.model.spans import has_spans, merged, value_at
+
+if TYPE_CHECKING:
+    from flint import acb, acb_mat, acb_poly, arb, arb_mat
+
+_BITS = (256, 1024)
+_NODES = 22  # of a piece
+_DISC = 6.0  # half-widths: the radius of the disc in which coefficients are bounded
+_ARCS = 8  # of half the circle around it
+_MISSED_BY = 6e-22  # of their bound there: what polynomials through the nodes miss
+_LEFT, _MOST_MISSED = 2.0**-63, 2.0**-60  # of the size of a polynomial in z
+_SMALLEST, _MOST_PIECES = 2.0**-12, 128
+_BEYOND = 1e-9, 2.0**-50  # of a half-width, and of t, so that pieces meet
+
+
+class LoopPiece(NamedTuple):
+    """D, S and R for a part of t, each over the power of z that is its degree.
+
+    ``lag`` is that of the plant; S and R are one where no filter changes with t.
+    """
+
+    lag: int
+    free: Piece
+    stiffness: Piece
+    damping: Piece
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Where the piece begins and ends, a little apart so that pieces meet."""
+        middle, half = self.free.middle, self.free.half
+        half = half * (1.0 + _BEYOND[0]) + _BEYOND[1]
+        return max(0.0, middle - half), min(1.0, middle + half)
+
+
+@dataclass(frozen=True)
+class LoopFamily:
+    """All loops between two.
+
+    Attributes:
+        device: with its hands and actuators.
+        delay: in samples.
+        filters: estimator and position filter.
+        first: the device of the first loop, sampled; all gains are in its units.
+        last: that of the last loop.
+    """
+
+    device: Device
+    delay: Span
+    filters: Filters
+    first: SampledDevice
+    last: SampledDevice
+
+    @classmethod
+    def between(cls, first: LoopParameters, last: LoopParameters) -> "LoopFamily":
+        """Return all loops between two of one sampling period.
+
+        Raises:
+            ValueError: the two differ in more than numbers, or in the sampling period.
+            TypeError: JAX traces one of them.
+        """
+        period = first.sample_time
+        if period != last.sample_time:
+            raise ValueError(
+                f"sample_time is {period:g} s in one loop and {last.sample_time:g} s in the other; "
+                "give two loops of one sampling period."
+            )
+        loops = first.in_floats(), last.in_floats()
+        devices = [_device_of(loop) for loop in loops]
+        delays = [float(loop.delay_samples) for loop in loops]
+        filters = [(loop.velocity or Velocity(), loop.position or Filter()) for loop in loops]
+        whole: Device = merged(*devices)
+        whole.compliance()
+        ends = [sampled_device(*one) for one in zip(devices, (period, period), delays, strict=True)]
+        return cls(whole, Span(delays[0], delays[1]), merged(*filters), ends[0], ends[1])
+
+    def end(self, share: int) -> tuple[SampledDevice, Filters]:
+        """Return the first loop (0) or the last one (1)."""
+        return (self.first, self.last)[share], value_at(self.filters, float(share))
+
+    @property
+    def shared_filters(self) -> Filters:
+        """What estimator and position filter have in all loops."""
+        velocity, position = self.filters
+        return Velocity(_shared(velocity.filter)), _shared(position)
+
+    def is_analytic_within(self, t: "acb") -> bool:
+        """Return whether the coefficients are proved analytic in a ball of t."""
+        period = self.first.sample_time
+        if in_samples_over(self.device.compliance(), period, t) is None:
+            return False
+        velocity, position = self.filters
+        parts = [*_changing(position, t, period), *_changing(velocity.filter, t, period)]
+        return all(one.is_finite() for part in parts for one in part.coeffs())
+
+    def polynomials(self, t: "acb", whole: int) -> "list[acb_poly] | None":
+        """Return D, S and R for a ball of t; None where no such loop, or one too fast, may be.
+
+        R is left out where it is S, as no filter changes.
+
+        Args:
+            t: the ball.
+            whole: samples of the delay; the others are a fraction.
+        """
+        import flint
+
+        period = self.first.sample_time
+        parts = in_samples_over(self.device.compliance(), period, t)
+        if parts is None:
+            return None
+        part = _value(self.delay, t) - whole if self.has_fraction else None
+        force, free = _of_samples(*parts, part)
+        velocity, position = self.filters
+        above_k, below_k = _changing(position, t, period)
+        above_b, below_b = _changing(velocity.filter, t, period)
+        force *= 1 / flint.arb(self.first.stiffness_unit)
+        if not has_spans(self.filters):
+            return [free, force]
+        return [free * below_k * below_b, force * above_k * below_b, force * above_b * below_k]
+
+    @property
+    def has_fraction(self) -> bool:
+        """Whether the delay is no whole number of samples."""
+        return self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
+
+    def samples(self) -> list[tuple[float, float, int]]:
+        """Return parts of t in which the delay is between two whole samples, and the lower one.
+
+        They are rounded apart: together they are all of t.
+        """
+        low, high = self.delay.first, self.delay.last
+        if low == high:
+            return [(0.0, 1.0, floor(low))]
+        parts = []
+        for whole in range(floor(min(low, high)), ceil(max(low, high))):
+            ends = sorted((end - low) / (high - low) for end in (whole, whole + 1))
+            parts.append(
+                (max(0.0, nextafter(ends[0], -inf)), min(1.0, nextafter(ends[1], inf)), whole)
+            )
+        return parts
+
+
+@lru_cache(maxsize=16)
+def pieces_of(family: LoopFamily) -> tuple[LoopPiece, ...] | None:
+    """Return pieces that cover all of t; None for loops that need too many of them."""
+    done: list[LoopPiece] = []
+    parts = family.samples()
+    waiting = [(0.5 * (low + high), 0.5 * (high - low), whole) for low, high, whole in parts]
+    while waiting:
+        middle, half, whole = waiting.pop()
+        piece = _piece(family, middle, half, whole)
+        if piece is not None:
+            done.append(piece)
+        elif half < _SMALLEST or len(done) + len(waiting) >= _MOST_PIECES:
+            return None
+        else:
+            part = 0.5 * half
+            waiting += [(middle + part, part, whole), (middle - part, part, whole)]
+    return tuple(done)
+
+
+def _piece(family: LoopFamily, middle: float, half: float, whole: int) -> LoopPiece | None:
+    """Return a piece; None where no polynomials are good enough."""
+    import flint
+
+    with flint.ctx.workprec(_BITS[0]):
+        missed = _missed(family, middle, half, whole)
+    if missed is None:
+        return None
+    for bits in _BITS:
+        with flint.ctx.workprec(bits):
+            points, inverse = _interpolation(bits)
+            values = [
+                family.polynomials(flint.acb(flint.arb(middle) + half * one), whole)
+                for one in points
+            ]
+            if None in values:
+                return None
+            pieces: list[Piece | None] = []
+            for number, bound in enumerate(missed):
+                rows = [[c.real for c in one[number].coeffs()] for one in values]  # type: ignore
+                pieces.append(_through(inverse, rows, middle, half, bound))
+            if all(pieces):
+                return LoopPiece(whole + 1, *pieces[:2], pieces[-1])  # type: ignore[arg-type]
+    return None
+
+
+def _missed(
+    family: LoopFamily, middle: float, half: float, whole: int
+) -> "list[arb] | None":
+    """Return bounds of what polynomials through the nodes miss of D, S and R, if any."""
+    import flint
+
+    disc = flint.arb(0, _DISC * half)
+    if not family.is_analytic_within(flint.acb(middle + disc, disc)):
+        return None
+    # What is real on the real axis is conjugated below it.
+    most: list[arb] = []
+    for k in range(_ARCS):
+        place = _DISC * half * flint.acb(0, (k + flint.arb(0.5, 0.5)) * flint.arb.pi() / _ARCS).exp()
+        wide = family.polynomials(middle + place, whole)
+        if wide is None or not all(one.is_finite() for part in wide for one in part.coeffs()):
+            return None
+        sizes = [size_on_circle(one) for one in wide]
+        most = [max(pair) for pair in zip(sizes, most or sizes, strict=True)]
+    return [one * _MISSED_BY for one in most]
+
+
+def _through(
+    inverse: "arb_mat", rows: list[list["arb"]], middle: float, half: float, missed: "arb"
+) -> Piece | None:
+    """Return the piece through values at the nodes; None where it is not good enough."""
+    import flint
+
+    size = flint.arb(half)
+    powers = (inverse * flint.arb_mat(rows)).tolist()
+    terms = [flint.arb_poly([c / size**j for c in row]) for j, row in enumerate(powers)]
+    sizes = [sum(map(abs, row), flint.arb(0)).upper() for row in powers]
+    while len(terms) > 1 and sizes[-1] < sizes[0] * _LEFT:
+        missed += sizes.pop()
+        terms.pop()
+    if not missed < sizes[0] * _MOST_MISSED:
+        return None
+    return rounded_piece(middle, half, terms, missed, len(rows[0]) - 1)
+
+
+@lru_cache
+def _interpolation(bits: int) -> "tuple[list[arb], arb_mat]":
+    """Return Chebyshev's points, rounded, and what makes coefficients of the values there."""
+    import flint
+
+    with flint.ctx.workprec(bits):
+        points = [flint.arb(cos(pi * (2 * k + 1) / (2 * _NODES))) for k in range(_NODES)]
+        return points, flint.arb_mat([[x**j for j in range(_NODES)] for x in points]).inv()
+
+
+def _of_samples(
+    above: list["acb"], below: list["acb"], part: "acb | None"
+) -> "tuple[acb_poly, acb_poly]":
+    """Return N(z) and D(z); with a fraction of a sample, N has a sample of delay more."""
+    import flint
+
+    above, below, speed = in_fastest_time(above, below)
+    sample = held(below, speed)
+    transition = without_force(sample)
+    denominator = transition.charpoly()
+
+    def force(column: "acb_mat") -> "acb_poly":
+        return flint.acb_poly(position_after(above, transition, denominator, column))
+
+    whole = force(force_of(sample))
+    if part is None:
+        return whole, denominator
+    later = force(force_of(held(below, (1 - part) * speed)))
+    return flint.acb_poly([-1, 1]) * later + whole, denominator
+
+
+def _device_of(loop: LoopParameters) -> Device:
+    if loop.device is not None:
+        return loop.device
+    hand = Hand.mass_spring_damper(loop.hand_mass, loop.hand_damping, loop.hand_stiffness)
+    return Device.mass_spring_damper(loop.device_mass, loop.device_damping).held_by(hand)
+
+
+def _shared(chain: Filter) -> Filter:
+    return Filter(tuple(section for section in chain.sections if not has_spans(section)))
+
+
+# -------------------------------------------------------------------------------- filters in balls
+
+
+def _changing(chain: Filter, t: "acb", period: float) -> "tuple[acb_poly, acb_poly]":
+    """Return numerator and denominator of the sections that change, polynomials of one degree."""
+    import flint
+
+    one = flint.acb_poly([1])
+    parts = [_section(part, t, period) for part in chain.sections if has_spans(part)]
+    above, below = zip(*parts, strict=True) if parts else ((), ())
+    return reduce(mul, above, one), reduce(mul, below, one)
+
+
+def _section(section: Section, t: "acb", period: float) -> "tuple[acb_poly, acb_poly]":
+    import flint
+
+    if isinstance(section, Exponential):
+        return _lag(_value(section.factor, t))
+    cycles = _value(section.cutoff, t) * flint.arb(exact(period))
+    if isinstance(section, LowPass):
+        above, below = _lag(1 - (-2 * flint.arb.pi() * cycles).exp())
+        return above**section.order, below**section.order
+    w = (flint.arb.pi() * cycles).tan()
+    parts = [flint.acb_poly([1])] * 2
+    for k in range(section.order // 2):
+        sine = flint.arb(butterworth_sine(k, section.order))
+        gain, turn = w * w, 2 * w * sine
+        parts[0] *= flint.acb_poly([gain, 2 * gain, gain])
+        parts[1] *= flint.acb_poly([gain + 1 - turn, 2 * (gain - 1), gain + 1 + turn])
+    if section.order % 2:
+        parts[0] *= flint.acb_poly([w, w])
+        parts[1] *= flint.acb_poly([w - 1, w + 1])
+    return parts[0], parts[1]
+
+
+def _lag(factor: "acb") -> "tuple[acb_poly, acb_poly]":
+    """Return y_k = y_(k-1) + factor (x_k - y_(k-1))."""
+    import flint
+
+    return flint.acb_poly([0, factor]), flint.acb_poly([factor - 1, 1])
+
+
+def _value(span: float | Span, t: "acb") -> "acb":
+    """Return a number that may be a span for a ball of t."""
+    import flint
+
+    if not isinstance(span, Span):
+        return flint.acb(flint.arb(exact(span)))
+    first, last = exact(span.first), exact(span.last)
+    return flint.arb(first) + flint.arb(last - first) * t
