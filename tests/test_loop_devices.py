@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
+from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 
 ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
 MASS = Device.mass_spring_damper(mass=0.25, damping=0.1)
@@ -135,18 +135,6 @@ def test_fields_of_both_kinds_are_not_mixed(fields: dict[str, Any], message: str
     with pytest.raises(TypeError, match=message) as caught:
         HapticLoop(sample_time=1e-3, **fields)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda loop: loop.worst_hand(HandRange(), 1000.0, 10.0),
-        lambda loop: loop.robust_limit(HandRange()),
-    ],
-)
-def test_what_general_devices_cannot_be_asked_is_refused_in_a_sentence(call: Any) -> None:
-    with pytest.raises(NotImplementedError, match="device"):
-        call(loop_of(GRIPPED))
 
 
 def test_margins_of_a_general_device_end_at_its_region() -> None:

@@ -342,17 +342,17 @@ def test_the_model_is_explained_with_its_modes_motor_and_grip(file: Path) -> Non
     assert re.search(r"outside +vibration modes, bandwidth of motor and amplifier$", text, re.M)
 
 
-def test_hands_of_a_range_are_tried_and_nothing_is_proved_of_those_between(file: Path) -> None:
+def test_hands_of_one_range_are_proved(file: Path) -> None:
     file.write_text(TEXT.replace("mass = 0.3", "mass = [0.1, 0.4]"))
     scene = Scene.from_file(file)
     wall = check_walls(scene).walls["soft"]
-    assert wall.verdict == Verdict.UNDECIDED
-    assert (
-        wall.hands_are == "3 hands were tried: all are stable, nothing is proved of those between"
-    )
-    assert run("check", file).exit_code == 1
+    assert wall.verdict == Verdict.STABLE
+    assert wall.hands_are is None
+    assert wall.worst_hand is not None
+    assert (wall.worst_hand.stiffness, wall.worst_hand.damping) == (100.0, 2.0)
     limits = scene_limits(scene)
     assert limits.all_hands is not None
+    assert limits.all_hands.certainty == "proved for every hand"
     most, damping = limits.all_hands.largest_stiffness, limits.all_hands.at_damping
     for hand in hands_among(scene, 9):
         loop = loop_of(scene, hand)
@@ -364,6 +364,20 @@ def test_hands_of_a_range_are_tried_and_nothing_is_proved_of_those_between(file:
         .replace("damping = 5.0\n", f"damping = {damping}\n")
     )  # fmt: skip
     assert check_walls(Scene.from_file(higher)).walls["soft"].verdict == Verdict.UNSTABLE
+
+
+def test_hands_of_several_ranges_are_tried_and_nothing_is_proved_of_those_between(
+    file: Path,
+) -> None:
+    text = TEXT.replace("mass = 0.3", "mass = [0.1, 0.4]").replace("= 100.0", "= [90.0, 110.0]")
+    file.write_text(text)
+    scene = Scene.from_file(file)
+    wall = check_walls(scene).walls["soft"]
+    assert wall.verdict == Verdict.UNDECIDED
+    assert (
+        wall.hands_are == "9 hands were tried: all are stable, nothing is proved of those between"
+    )
+    assert run("check", file).exit_code == 1
 
 
 def test_walls_of_the_common_outline_are_stable_for_each_corner(file: Path) -> None:

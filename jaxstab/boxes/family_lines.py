@@ -5,9 +5,9 @@ the denominators of filters that do not change, is
 
     g = D + alpha F_K + beta F_B,      F_K = x^lag S P,      F_B = x^lag R V,
 
-three functions of t and the angle: D, S and R in pieces of t (``jaxstab.model.family``), P and V in
-cells of the angle. Bounds of their second derivatives give what lemmas B3 and B4 need of g over
-boxes of walls, t and angles (lemma B17 of docs/proofs.md).
+three functions of t and the angle: D, S and R in pieces of t (``jaxstab.model.device.family``), P
+and V in cells of the angle. Bounds of their second derivatives give what lemmas B3 and B4 need of g
+over boxes of walls, t and angles (lemma B17 of docs/proofs.md).
 """
 
 from functools import lru_cache
@@ -22,7 +22,7 @@ from jaxstab.boxes.in_pieces import PieceBoxes, PieceSums, over_pieces
 from jaxstab.boxes.linear_circle import Place, chains_of
 from jaxstab.boxes.series import Cells, Series
 from jaxstab.boxes.wall import largest_within, responses
-from jaxstab.model.family import LoopFamily, LoopPiece, pieces_of
+from jaxstab.model.device.family import LoopFamily, LoopPiece, pieces_of
 
 Reals = Float64[np.ndarray, " box"]
 Walls = Float64[np.ndarray, "2 box"]

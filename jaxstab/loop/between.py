@@ -11,7 +11,7 @@ from jaxstab.arrays import Numbers
 from jaxstab.conventions import UNDECIDED, Verdict
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.model import checked_gain
-from jaxstab.model.family import LoopFamily
+from jaxstab.model.device.family import LoopFamily
 from jaxstab.model.spans import merged, value_at
 from jaxstab.numbers import checked_number
 from jaxstab.ranges import RobustLimit

@@ -41,10 +41,11 @@ class HapticLoop(LoopWithWalls):
     checked.
 
     The fields ``device_mass`` to ``hand_stiffness`` describe device and hand as one mass;
-    ``device`` alone takes any linear system, with its hands. A loop with a ``device`` answers
-    everything but ``worst_hand`` and ``robust_limit``, which would replace its hands: ask
-    ``jaxstab.common_region`` about a list of loops instead. A device that does not give way to a
-    constant force, G(0) = 0, has only verdicts, radii, poles and margins.
+    ``device`` alone takes any linear system, with its hands. With a ``device``, ``worst_hand`` and
+    ``robust_limit`` put other hands in place of its own, of which one quantity may vary; ask
+    ``jaxstab.LoopsBetween`` about other intervals and ``jaxstab.common_region`` about lists of
+    loops. A device that does not give way to a constant force, G(0) = 0, has only verdicts, radii,
+    poles and margins.
 
     Source: eqs. (1) and (12), Table I.
 
@@ -268,14 +269,14 @@ class HapticLoop(LoopWithWalls):
 
         Returns:
             WorstHand; UNDECIDED where all sampled hands are stable, but not every other hand could
-            be proved stable.
+            be proved stable. With a ``device``, a mass from 0 on behind a grip is never proved.
 
         Raises:
             TypeError: a gain is not one real number.
-            ValueError: a gain is infinite or NaN, or a range is out of order.
-            NotImplementedError: the loop has a ``device``, with hands of its own.
+            ValueError: a gain is infinite or NaN, or a range is out of order. The loop has a
+                ``device``, and more than one quantity of the hand varies, or it has several hands.
 
-        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B6 of docs/proofs.md.
+        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6 and B17 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -284,20 +285,25 @@ class HapticLoop(LoopWithWalls):
             'STABLE'
         """
         self._refuse_tracers("worst_hand")
-        self._refuse_devices("worst_hand")
+        if self.device is not None:
+            from jaxstab.loop.other_hands import loops_with_hands
+
+            worst = loops_with_hands(self, self.device, hands).worst_loop(stiffness, damping)
+            return WorstHand(worst.verdict, worst.loop, worst.radius)
         return ranges.worst_hand(self, hands, stiffness, damping)
 
     def robust_limit(self, hands: HandRange) -> RobustLimit:
         """Return the largest stiffness, and its damping, that every hand of a range allows.
 
-        The corners of the range, and the hands at which a proof failed, set the limit.
+        The corners of the range, and the hands at which a proof failed, set the limit. With a
+        ``device`` the ``limit`` is computed and not proved: see ``LoopsBetween.robust_limit``.
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
 
         Raises:
-            ValueError: a range is out of order.
-            NotImplementedError: the loop has a ``device``, with hands of its own.
+            ValueError: a range is out of order. The loop has a ``device``, and more than one
+                quantity of the hand varies, or it has several hands.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
 
@@ -307,7 +313,10 @@ class HapticLoop(LoopWithWalls):
             True
         """
         self._refuse_tracers("robust_limit")
-        self._refuse_devices("robust_limit")
+        if self.device is not None:
+            from jaxstab.loop.other_hands import loops_with_hands
+
+            return loops_with_hands(self, self.device, hands).robust_limit()
         return ranges.robust_limit(self, hands)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
@@ -374,14 +383,6 @@ class HapticLoop(LoopWithWalls):
         above = [float((one * alpha + other * beta).rounded()) for one, other in columns]
         below = [float(one.rounded()) for one in loop.base]
         return TransferFunction(above, below, dt=float(self.sample_time))
-
-    def _refuse_devices(self, method: str) -> None:
-        """Refuse a loop whose hands are part of its device where they are to be replaced."""
-        if self.device is not None:
-            raise NotImplementedError(
-                f"{method} puts other hands to device_mass and device_damping; this loop has a "
-                "device with its own hands: ask a loop for each of them."
-            )
 
     def _reachable(self) -> WallRegion:
         region = self.region()

@@ -127,9 +127,7 @@ def robust_limit(between: "LoopsBetween") -> RobustLimit:
     return found
 
 
-def common_outline(
-    tried: TriedLoops, tolerance: float
-) -> tuple[RobustStatus, Points, float]:
+def common_outline(tried: TriedLoops, tolerance: float) -> tuple[RobustStatus, Points, float]:
     """Return a polygon that is proved for all loops between two, and by how much it is pulled in.
 
     Args:
@@ -146,13 +144,13 @@ def common_outline(
             return RobustStatus.EMPTY, nothing, tolerance
         outline = pulled_in(outer, pulls[0])
         roots = first_roots(family, outline)
-        if roots is None:
-            break
-        failed = roots.low[np.isfinite(roots.low)]
-        if not len(failed):
+        failed = None if roots is None else roots.low[np.isfinite(roots.low)]
+        if failed is not None and not failed.size:
             failed = failures(family, outline)
-            if not len(failed):
-                return RobustStatus.PROVED, outline, pulls[0]
+        if failed is None:
+            break
+        if not failed.size:
+            return RobustStatus.PROVED, outline, pulls[0]
         if not tried.refine(failed):
             pulls.pop(0)
             if not pulls:

@@ -12,7 +12,7 @@ from jaxstab.boxes.family_lines import FamilyBoxes, FamilyCells, family_cells, m
 from jaxstab.boxes.first_root import FirstRoots, Models, Parts, search
 from jaxstab.boxes.in_pieces import PieceBoxes
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
-from jaxstab.model.family import LoopFamily
+from jaxstab.model.device.family import LoopFamily
 from jaxstab.point.verdict.linear import linear_verdict
 
 Walls = Float64[np.ndarray, "wall 2"]
@@ -112,9 +112,7 @@ def failures(family: LoopFamily, outline: Outline) -> Float64[np.ndarray, " t"] 
         along = half[edge].T
         found = models(cells, FamilyBoxes(middle[edge].T + along * shift, along * by_shift, place))
         zero = np.zeros_like(t)
-        return Proof(
-            is_free(*found[:3]), np.stack([*found.bends, zero, zero], axis=-1)
-        )
+        return Proof(is_free(*found[:3]), np.stack([*found.bends, zero, zero], axis=-1))
 
     number, piece, angle = (
         one.ravel() for one in np.indices((len(outline), len(cells.pieces), _ANGLES // 4))

@@ -1,7 +1,8 @@
 """All hands of a scene: the worst one for a wall, and the stiffest wall for all of them.
 
-Where device and hand are one mass this is proved for every hand of the range. For any other device
-hands are tried: what one of them contradicts is proved, and all else is said to be tried.
+Where device and hand are one mass this is proved for every hand of the range, and for any other
+device where one quantity of the hand varies. Of several hands are tried: what one of them
+contradicts is proved, and all else is said to be tried.
 """
 
 from collections.abc import Sequence
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.loop.common_region import common_walls
-from jaxstab.ranges import HandRange
+from jaxstab.loop.common_walls import common_walls
+from jaxstab.model.device.parts import MassSpringDamper
+from jaxstab.ranges import HandRange, WorstHand
 from jaxstab.ranges.hands import worst_hands
 from jaxstab.scene.answers import (
     Answer,
@@ -32,6 +34,7 @@ from jaxstab.scene.loops import (
     hands_of,
     is_one_mass,
     loop_of,
+    proves_hands,
     reachable,
     wall_region,
 )
@@ -58,7 +61,7 @@ class HeldBy(Answer):
 
 @dataclass(frozen=True)
 class AllHands(Answer):
-    """A wall for all hands of a range, nearly the stiffest, and a proved bound of all."""
+    """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one."""
 
     largest_stiffness: LargestStiffness
     at_damping: Damping
@@ -83,13 +86,30 @@ def worst_held(scene: Scene, hands: HandRange, walls: Sequence[Gains]) -> list[W
     """Return what is known of each wall for all hands of a range, and the worst hand."""
     if is_one_mass(scene):
         found = worst_hands(loop_of(scene), hands, walls)
-        return [WorstHeld(one.verdict, one.loop, held_by(one.loop), None) for one in found]
+        return [_held_at_worst(one) for one in found]
+    if proves_hands(scene):
+        loop = loop_of(scene)
+        return [
+            _tried_hands(scene, [wall])[0]
+            if found.verdict == Verdict.UNDECIDED
+            else _held_at_worst(found)
+            for wall, found in ((wall, loop.worst_hand(hands, *wall)) for wall in walls)
+        ]
+    return _tried_hands(scene, walls)
+
+
+def _tried_hands(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
+    """Return the worst of some hands for each wall."""
     among = hands_among(scene, _TRIED)
     loops = [loop_of(scene, hand) for hand in among]
     gains = np.array(walls).T
     codes = np.stack([loop.verdict(*gains) for loop in loops], axis=1)
     radii = np.stack([loop.spectral_radius(*gains).value for loop in loops], axis=1)
     return [_worst_tried(among, loops, *wall) for wall in zip(codes, radii, strict=True)]
+
+
+def _held_at_worst(worst: WorstHand) -> WorstHeld:
+    return WorstHeld(worst.verdict, worst.loop, held_by(worst.loop), None)
 
 
 def _worst_tried(
@@ -110,10 +130,12 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     hands = hands_of(scene)
     if hands is None:
         return None
-    if not is_one_mass(scene):
+    if not proves_hands(scene):
         return _tried_limit(scene, hands, safety)
     loop = loop_of(scene)
     found = loop.robust_limit(hands)
+    if not is_one_mass(scene) and not found.is_proved:
+        return _tried_limit(scene, hands, safety)
     is_proved, stiffness = found.is_proved, safety * found.stiffness
     if safety < 1.0:
         is_proved = loop.worst_hand(hands, stiffness, found.damping).verdict == Verdict.STABLE
@@ -121,13 +143,17 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
         largest_stiffness=stiffness,
         at_damping=found.damping,
         certainty="proved for every hand" if is_proved else "not proved",
-        none_is_stiffer_than=found.limit,
+        none_is_stiffer_than=found.limit if is_one_mass(scene) else None,
         worst_hand=held_by(found.loop),
     )
 
 
 def held_by(loop: HapticLoop) -> HeldBy:
-    """Return the hand of a loop of one mass."""
+    """Return the hand of a loop of one mass, or with a device that one hand holds."""
+    if loop.device is not None:
+        arm = loop.device.hands[0].dynamics
+        assert isinstance(arm, MassSpringDamper)  # as scenes make hands
+        return HeldBy(arm.mass, arm.stiffness, arm.damping)
     return HeldBy(loop.hand_mass, loop.hand_stiffness, loop.hand_damping)
 
 

@@ -68,6 +68,12 @@ def is_one_mass(scene: Scene) -> bool:
     return not device.modes and device.actuator is None and hand.grip is None
 
 
+def proves_hands(scene: Scene) -> bool:
+    """Return whether what holds for all hands can be proved: of one mass, or of one quantity."""
+    hands = hands_of(scene) or HandRange()
+    return is_one_mass(scene) or sum(low < high for low, high in hands) <= 1
+
+
 def is_plain(loop: HapticLoop) -> bool:
     """Return whether the loop is that of the simple rules: one mass, and nothing is filtered.
 

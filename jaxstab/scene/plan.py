@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from jaxstab.scene.loops import is_one_mass
+from jaxstab.scene.loops import proves_hands
 from jaxstab.scene.mechanics import Hand
 from jaxstab.scene.scene import ANSWERS, MEASURES, Scene
 
@@ -39,7 +39,8 @@ def plan_scene(scene: Scene) -> list[Step]:
     steps.append(Step("tune over ranges", is_over and asked["tune"], why))
     why = "the hand is a range" if hand.varies else "there is one hand at most"
     steps.append(Step("worst case over the hands", hand.varies, why))
-    if hand.varies and not is_one_mass(scene):
-        why = "device and hand are not one mass: hands are tried, none between is proved"
-    steps.append(Step("proof for all hands", hand.varies and is_one_mass(scene), why))
+    is_proved = proves_hands(scene)
+    if hand.varies and not is_proved:
+        why = "no one mass, and more than one range: hands are tried, none between is proved"
+    steps.append(Step("proof for all hands", hand.varies and is_proved, why))
     return steps

@@ -175,8 +175,11 @@ def rounded_piece(
     worst = max(
         float(
             sum(
-                (weight * one.rad() for pair in zip(weights, form, strict=True)
-                 for weight, one in zip(*pair, strict=True)),
+                (
+                    weight * one.rad()
+                    for pair in zip(weights, form, strict=True)
+                    for weight, one in zip(*pair, strict=True)
+                ),
                 flint.arb(0),
             ).upper()
         )

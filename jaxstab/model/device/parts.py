@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxstab.model.device.rational import (
+    Number,
     Rational,
     degree_of,
     exact,
@@ -76,8 +77,7 @@ class MassSpringDamper:
     stiffness: float
 
     def __str__(self) -> str:
-        parts = [f"{self.mass:g} kg", f"{self.damping:g} N s/m", f"{self.stiffness:g} N/m"]
-        return ", ".join(part for part in parts if not part.startswith("0 ")) or "nothing"
+        return _in_words(self.mass, self.damping, self.stiffness)
 
     def dynamic_stiffness(self) -> Rational:
         """Return force over displacement."""
@@ -97,7 +97,7 @@ class Modes:
     modes: tuple[Mode, ...]
 
     def __str__(self) -> str:
-        body = [] if self.mass is None else [str(MassSpringDamper(self.mass, self.damping, 0.0))]
+        body = [] if self.mass is None else [_in_words(self.mass, self.damping, 0.0)]
         return " with ".join(
             [*body, f"modes at {', '.join(f'{m.frequency:g}' for m in self.modes)} Hz"]
         )
@@ -106,7 +106,7 @@ class Modes:
         """Return displacement over force."""
         shares = [mode.compliance() for mode in self.modes]
         if self.mass is not None:
-            shares.append(MassSpringDamper(self.mass, self.damping, 0.0).compliance())
+            shares.append(rational([1.0], [self.mass, self.damping, 0.0]))
         total = shares[0]
         for share in shares[1:]:
             total = total.plus(share)
@@ -154,6 +154,11 @@ class StateSpace:
         ]
         without, within = (_characteristic(fmpq_mat(matrix)) for matrix in (a, closed))
         return Rational(within - without, without)
+
+
+def _in_words(mass: Number, damping: Number, stiffness: Number) -> str:
+    parts = [f"{mass:g} kg", f"{damping:g} N s/m", f"{stiffness:g} N/m"]
+    return ", ".join(part for part in parts if not part.startswith("0 ")) or "nothing"
 
 
 def _characteristic(matrix: Any) -> "fmpq_mpoly":

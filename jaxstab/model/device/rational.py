@@ -23,7 +23,10 @@ class Span:
     last: float
 
     def __format__(self, spec: str) -> str:
-        return f"{format(self.first, spec)} to {format(self.last, spec)}"
+        return f"{format(self.first, spec)}..{format(self.last, spec)}"
+
+
+Number = float | Span
 
 
 class Rational(NamedTuple):
@@ -73,24 +76,24 @@ def degree_of(polynomial: "fmpq_mpoly") -> int:
     return max((int(powers[0]) for powers in polynomial.monoms()), default=-1)
 
 
-def rational(numerator: Sequence[float], denominator: Sequence[float]) -> Rational:
+def rational(numerator: Sequence[Number], denominator: Sequence[Number]) -> Rational:
     """Return a function by the coefficients of its polynomials, highest power of s first."""
     return Rational(polynomial(numerator), polynomial(denominator))
 
 
-def polynomial(falling: Sequence["float | fmpq"]) -> "fmpq_mpoly":
+def polynomial(falling: Sequence["Number | fmpq"]) -> "fmpq_mpoly":
     """Return the polynomial with these coefficients, highest power of s first."""
     degree = len(falling) - 1
     s = _ring().gen(0)
     return sum(exact(value) * s ** (degree - k) for k, value in enumerate(falling)) + 0 * s
 
 
-def turn(hertz: float) -> "fmpq_mpoly":
+def turn(hertz: Number) -> "fmpq_mpoly":
     """Return 2 pi f for a frequency in Hz."""
     return 2 * exact(hertz) * _ring().gen(1)
 
 
-def exact(value: "float | fmpq | Span") -> Any:
+def exact(value: "Number | fmpq") -> Any:
     """Return the rational number that a float64 is, and what a span is as a polynomial in t."""
     from flint import fmpq
 

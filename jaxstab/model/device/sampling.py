@@ -24,11 +24,10 @@ from jaxstab.model.transfer import Polynomial, Transfer
 from jaxstab.numbers import checked_number
 
 if TYPE_CHECKING:
-    from flint import acb, acb_mat, acb_poly, arb, arb_mat, arb_poly
+    from flint import acb, acb_poly, arb, arb_poly
 
-    Ball = arb | acb
-    Matrix = arb_mat | acb_mat
-
+Ball = Any  # of python-flint, real or complex
+Matrix = Any  # of such balls
 _FIRST_BITS, _MOST_BITS = 256, 1 << 12
 _WANTED_BITS = 112  # of each coefficient: pairs have 107
 _NOTHING = 2.0**-400  # of the size of all: a coefficient that small may be 0
@@ -153,7 +152,8 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
     Raises:
         ValueError: a pole is so fast that nothing of it is left after a sampling period.
     """
-    above, below = _monic(*map(balls_of, compliance), sample_time)
+    above, below = (balls_of(part) for part in compliance)
+    above, below = _monic(above, below, sample_time)
     if _speed(below) > _FASTEST:
         raise ValueError(
             f"the device has a pole at 2^{_speed(below)} or so per sampling period of "
@@ -179,8 +179,8 @@ def in_samples_over(
 
 
 def _monic(
-    above: list["Ball"], below: list["Ball"], sample_time: float
-) -> tuple[list["Ball"], list["Ball"]]:
+    above: list[Ball], below: list[Ball], sample_time: float
+) -> tuple[list[Ball], list[Ball]]:
     import flint
 
     period = flint.arb(exact(sample_time))
@@ -190,7 +190,7 @@ def _monic(
     return above + [flint.arb(0)] * (degree - len(above)), [*below[:-1], flint.arb(1)]
 
 
-def _speed(below: list["Ball"]) -> int:
+def _speed(below: list[Ball]) -> int:
     """Return the exponent of a power of two next to the largest root, but for a factor of 2."""
     degree = len(below) - 1
     sizes = [(degree - k, one) for k, one in enumerate(below[:-1]) if one != 0]
@@ -220,9 +220,7 @@ def _of_samples(
     return numerators[0], denominator
 
 
-def in_fastest_time(
-    above: list["Ball"], below: list["Ball"]
-) -> "tuple[list[Ball], list[Ball], arb]":
+def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], list[Ball], arb]":
     """Return a device in a unit of time in which its numbers are of size 1.
 
     The last number is how many of them a sample has, a power of two.
@@ -238,11 +236,11 @@ def in_fastest_time(
 
 
 def position_after(
-    above: list["Ball"],
-    transition: "Matrix",
+    above: list[Ball],
+    transition: Matrix,
     denominator: "arb_poly | acb_poly",
-    column: "Matrix",
-) -> list["Ball"]:
+    column: Matrix,
+) -> list[Ball]:
     """Return C adj(z - A) v, the lowest power first, by det(z - A): what a state v does to z^k."""
     import flint
 
@@ -259,7 +257,7 @@ def position_after(
     return falling[::-1]
 
 
-def held(below: list["Ball"], time: "Ball") -> "Matrix":
+def held(below: list[Ball], time: Ball) -> Matrix:
     """Return exp of [[A, B], [0, 0]] times a time.
 
     Source: Van Loan (1978).
@@ -267,7 +265,7 @@ def held(below: list["Ball"], time: "Ball") -> "Matrix":
     return (generator(below) * time).exp()
 
 
-def generator(below: list["Ball"]) -> "Matrix":
+def generator(below: list[Ball]) -> Matrix:
     """Return [[A, B], [0, 0]], A the companion matrix, B the last unit vector."""
     order = len(below) - 1
     rows: list[list[Any]] = [[0] * (order + 1) for _ in range(order + 1)]
@@ -277,12 +275,12 @@ def generator(below: list["Ball"]) -> "Matrix":
     return _matrix(rows)
 
 
-def without_force(matrix: "Matrix") -> "Matrix":
+def without_force(matrix: Matrix) -> Matrix:
     """Return how the states move, of what ``held`` returns."""
     return _matrix([row[:-1] for row in matrix.tolist()[:-1]])
 
 
-def force_of(matrix: "Matrix") -> "Matrix":
+def force_of(matrix: Matrix) -> Matrix:
     """Return what a force adds to the states, of what ``held`` returns."""
     return _matrix([row[-1:] for row in matrix.tolist()[:-1]])
 
@@ -310,7 +308,7 @@ def _is_known(polynomial: "arb_poly") -> bool:
     )
 
 
-def _binary_digits(ball: "Ball") -> int:
+def _binary_digits(ball: Ball) -> int:
     """Return the exponent of a power of two that is at most twice or half as large."""
     mantissa, exponent = abs(ball).mid().man_exp()
     return int(exponent) + int(abs(mantissa)).bit_length() - 1

@@ -15,15 +15,18 @@ from math import ceil, cos, floor, inf, nextafter, pi
 from operator import mul
 from typing import TYPE_CHECKING, NamedTuple
 
-from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
 from jaxstab.model.device.delays import Piece, rounded_piece, size_on_circle
+from jaxstab.model.device.device import Device
+from jaxstab.model.device.hand import Hand
 from jaxstab.model.device.rational import Span, exact
 from jaxstab.model.device.sampling import (
+    SampledDevice,
     force_of,
     held,
     in_fastest_time,
     in_samples_over,
     position_after,
+    sampled_device,
     without_force,
 )
 from jaxstab.model.filters import Filter, Filters, Velocity
@@ -200,24 +203,25 @@ def _piece(family: LoopFamily, middle: float, half: float, whole: int) -> LoopPi
     for bits in _BITS:
         with flint.ctx.workprec(bits):
             points, inverse = _interpolation(bits)
-            values = [
-                family.polynomials(flint.acb(flint.arb(middle) + half * one), whole)
-                for one in points
-            ]
-            if None in values:
+            values = []
+            for point in points:
+                place = flint.acb(flint.arb(middle) + half * point)
+                values.append(family.polynomials(place, whole) or [])
+            if not all(values):
                 return None
-            pieces: list[Piece | None] = []
-            for number, bound in enumerate(missed):
-                rows = [[c.real for c in one[number].coeffs()] for one in values]  # type: ignore
-                pieces.append(_through(inverse, rows, middle, half, bound))
-            if all(pieces):
-                return LoopPiece(whole + 1, *pieces[:2], pieces[-1])  # type: ignore[arg-type]
+            parts = [
+                _through(
+                    inverse, [[c.real for c in one.coeffs()] for one in column], middle, half, bound
+                )
+                for column, bound in zip(zip(*values, strict=True), missed, strict=True)
+            ]
+            pieces = [part for part in parts if part is not None]
+            if len(pieces) == len(parts):
+                return LoopPiece(whole + 1, pieces[0], pieces[1], pieces[-1])
     return None
 
 
-def _missed(
-    family: LoopFamily, middle: float, half: float, whole: int
-) -> "list[arb] | None":
+def _missed(family: LoopFamily, middle: float, half: float, whole: int) -> "list[arb] | None":
     """Return bounds of what polynomials through the nodes miss of D, S and R, if any."""
     import flint
 
@@ -227,7 +231,9 @@ def _missed(
     # What is real on the real axis is conjugated below it.
     most: list[arb] = []
     for k in range(_ARCS):
-        place = _DISC * half * flint.acb(0, (k + flint.arb(0.5, 0.5)) * flint.arb.pi() / _ARCS).exp()
+        place = (
+            _DISC * half * flint.acb(0, (k + flint.arb(0.5, 0.5)) * flint.arb.pi() / _ARCS).exp()
+        )
         wide = family.polynomials(middle + place, whole)
         if wide is None or not all(one.is_finite() for part in wide for one in part.coeffs()):
             return None
