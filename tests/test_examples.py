@@ -25,6 +25,7 @@ INTERNAL = {
     "Filter": {"stages", "transfer"},
     "Hand": {"dynamic_stiffness"},
     "HapticLoop": {"body", "filters", "linear", "sampled"},
+    "LoopsBetween": {"family"},
     "Mode": {"compliance"},
     "Plan": {
         *("chunk", "deltas_of_a_tile", "hands", "is_gridded", "numbers", "shape", "variables"),

@@ -71,10 +71,11 @@ class LoopsBetween:
     docs/proofs.md.
 
     Example:
+        >>> from dataclasses import replace
         >>> mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
         >>> soft = jaxstab.Device.modes([mode], mass=0.25, damping=0.1)
-        >>> stiff = jaxstab.Device.modes([dataclasses.replace(mode, frequency=90.0)], mass=0.25,
-        ...                              damping=0.1)
+        >>> other = replace(mode, frequency=90.0)
+        >>> stiff = jaxstab.Device.modes([other], mass=0.25, damping=0.1)
         >>> ends = [jaxstab.HapticLoop(device=one, sample_time=1e-3) for one in (soft, stiff)]
         >>> jaxstab.Verdict(jaxstab.LoopsBetween(*ends).verdict(1000.0, 1.0)).name
         'STABLE'
@@ -111,6 +112,12 @@ class LoopsBetween:
         Raises:
             TypeError: the share is no number.
             ValueError: it is not in [0, 1].
+
+        Example:
+            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
+            >>> jaxstab.LoopsBetween(light, heavy).loop(0.25).device_mass
+            0.125
         """
         share = checked_number("share", share, 0.0, 1.0)
         return HapticLoop(**{name: value_at(one, share) for name, one in self._merged.items()})
