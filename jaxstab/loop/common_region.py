@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +10,8 @@ from jaxtyping import Bool, Float64, Int8
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.loop.between import LoopsBetween
-from jaxstab.loop.region import TOLERANCE, Gains, wall_region
 from jaxstab.loop.common_walls import common_walls
+from jaxstab.loop.region import TOLERANCE, Gains, wall_region
 from jaxstab.loop.tried_loops import WIDER, TriedLoops, common_outline
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
