@@ -21,7 +21,8 @@ from jaxstab.boxes.circle import quick_plant
 from jaxstab.boxes.exclusion import Loops, exclude
 from jaxstab.conventions import UNDECIDED, Verdict
 from jaxstab.model import LoopParameters
-from jaxstab.model.filters import given_filters, known_filters
+from jaxstab.model.filters import known_filters
+from jaxstab.model.linear_loop import filtered_loop
 from jaxstab.numbers import checked_number
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.point.radius.inside import are_inside
@@ -134,28 +135,44 @@ def _may_be_worst(
     The outermost ones have some radius. A recursion in float64 leaves out the hands whose poles are
     all in a smaller circle.
     """
-    count, whole = len(plants.gamma), int(loop.delay_samples)
-    if given_filters(**loop.filters) or count <= 2 ** hands.shape[1] or whole > _LONG:
+    count = len(plants.gamma)
+    if count <= 2 ** hands.shape[1] or loop.delay_samples > _LONG:
         return np.ones((len(walls), count), bool)
     grid = np.meshgrid(np.arange(len(walls)), _outermost(hands), indexing="ij")
     wall, hand = (numbers.ravel() for numbers in grid)
     points = _points(loop, plants, walls, (wall, hand))
-    some = np.asarray(spectral_radius(*points).value).reshape(len(walls), -1)
-    radius = some.max(axis=1)
+    some = np.asarray(spectral_radius(*points, **loop.filters).value)
+    radius = some.reshape(len(walls), -1).max(axis=1)
     # Next to the circle all may be the only one that is proved unstable.
     radius = np.where(radius > _CERTAIN, radius, np.minimum(radius, 1.0)) * (1.0 - _ASIDE)
-    mass = plants.mass
-    alpha = walls[:, :1] * (loop.sample_time**2 / mass)
-    beta = walls[:, 1:] * (loop.sample_time / mass)
-    plant = quick_plant(plants.gamma, plants.delta, np.float64(loop.delay_samples))
-    coefficients = np.zeros((whole + 5, len(walls), count))
-    coefficients[0], coefficients[1], coefficients[2] = 1.0, plant.d1, plant.d0
-    for number, numerator in enumerate((plant.n2, plant.n1, plant.n0)):
-        coefficients[whole + 1 + number] += numerator * (alpha + beta)
-        coefficients[whole + 2 + number] -= numerator * beta
+    alpha = walls[:, :1] * (loop.sample_time**2 / plants.mass)
+    beta = walls[:, 1:] * (loop.sample_time / plants.mass)
+    base, stiffness, damping = _rough_polynomials(loop, plants)
+    coefficients = base[:, None] + alpha * stiffness[:, None] + beta * damping[:, None]
     is_inside = are_inside(coefficients, radius[:, None])
     is_inside[wall, hand] = False
     return ~is_inside
+
+
+def _rough_polynomials(
+    loop: LoopParameters, plants: Plants
+) -> Float64[np.ndarray, "3 coefficient hand"]:
+    """Return what p(z) is without a wall, and what stiffness and damping add, in plain float64."""
+    whole, fraction = divmod(loop.delay_samples, 1.0)
+    filters = known_filters(**loop.filters)
+    if filters is not None:
+        linear = filtered_loop(plants.gamma, plants.delta, int(whole), fraction, filters)
+        parts = [[one.rounded() for one in part] for part in linear[:3]]
+        return np.array([[np.broadcast_to(c, len(plants.mass)) for c in part] for part in parts])
+    plant = quick_plant(plants.gamma, plants.delta, np.float64(loop.delay_samples))
+    parts = np.zeros((3, int(whole) + 5, len(plants.mass)))
+    parts[0, 0], parts[0, 1], parts[0, 2] = 1.0, plant.d1, plant.d0
+    for number, numerator in enumerate((plant.n2, plant.n1, plant.n0)):
+        first = int(whole) + 1 + number
+        parts[1, first] += numerator
+        parts[2, first] += numerator
+        parts[2, first + 1] -= numerator
+    return parts
 
 
 def _outermost(hands: Hands) -> Integers:
