@@ -16,7 +16,10 @@ _RATIOS = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
 
 def components_of(c: SliceCoefficients, outline: Outline) -> list[Outline]:
     """Return the outlines of the components: first the one with small gains, then by area."""
-    loops = [(loop, float(measures.area(c, loop))) for loop in _loops(outline)]
+    parts = _loops(outline)
+    if len(parts) == 1:
+        return parts
+    loops = [(loop, float(measures.area(c, loop))) for loop in parts]
     holes = [one for one in loops if one[1] <= 0.0]
     groups = [
         [outer, *(hole for hole in holes if _holds(c, outer[0], hole[0]))]
