@@ -162,8 +162,8 @@ def _rough_polynomials(
     filters = known_filters(**loop.filters)
     if filters is not None:
         linear = filtered_loop(plants.gamma, plants.delta, int(whole), fraction, filters)
-        parts = [[one.rounded() for one in part] for part in linear[:3]]
-        return np.array([[np.broadcast_to(c, len(plants.mass)) for c in part] for part in parts])
+        rounded = [[one.rounded() for one in part] for part in linear[:3]]
+        return np.array([[np.broadcast_to(c, len(plants.mass)) for c in part] for part in rounded])
     plant = quick_plant(plants.gamma, plants.delta, np.float64(loop.delay_samples))
     parts = np.zeros((3, int(whole) + 5, len(plants.mass)))
     parts[0, 0], parts[0, 1], parts[0, 2] = 1.0, plant.d1, plant.d0
