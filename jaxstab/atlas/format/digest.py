@@ -44,7 +44,7 @@ def content_digest(variables: Iterable[Chunked | str]) -> str:
 def values_digest(values: NDArray[Any]) -> str:
     """Return the SHA-256 of values, in hexadecimal."""
     ordered = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
-    return hashlib.sha256(ordered.tobytes()).hexdigest()
+    return hashlib.sha256(ordered.reshape(-1).view(np.uint8).data).hexdigest()
 
 
 def chunk_digests(dataset: Any) -> Iterator[str]:

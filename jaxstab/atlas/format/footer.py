@@ -8,7 +8,7 @@ import struct
 from jaxstab.atlas.format.schema import FOOTER_MAGIC
 
 FOOTER = struct.Struct(f"<{len(FOOTER_MAGIC)}sQ32s")
-_BLOCK = 2**20  # bytes
+_BLOCK = 2**18  # bytes, which stay in the cache
 
 
 def footer_of(stream: io.FileIO | io.BytesIO, length: int, image_size: int) -> bytes:
@@ -23,13 +23,13 @@ def footer_of(stream: io.FileIO | io.BytesIO, length: int, image_size: int) -> b
         OSError: the stream is shorter, or cannot be read.
     """
     stream.seek(0)
-    digest, rest = hashlib.sha256(), length
+    digest, rest, block = hashlib.sha256(), length, memoryview(bytearray(_BLOCK))
     while rest:
-        block = stream.read(min(rest, _BLOCK))
-        if not block:
+        count = stream.readinto(block[:rest])
+        if not count:
             raise OSError(errno.EIO, f"the file ends {rest} bytes early")
-        digest.update(block)
-        rest -= len(block)
+        digest.update(block[:count])
+        rest -= count
     return FOOTER.pack(FOOTER_MAGIC, image_size, digest.digest())
 
 

@@ -28,13 +28,14 @@ def unpacked(data: bytes, stored: Stored) -> Array:
         TooLargeError: the array is larger than is read into memory.
     """
     _check_size(stored)
-    values = np.empty(stored.shape, stored.dtype)
+    values, view = np.empty(stored.shape, stored.dtype), memoryview(data)
     chunks = zip(stored.starts(), stored.places, stored.digests, strict=True)
     for start, (offset, size), digest in chunks:
-        chunk = _chunk(data[offset : offset + size - schema.CHECKSUM_SIZE], stored)
+        chunk = _chunk(view[offset : offset + size - schema.CHECKSUM_SIZE], stored)
         place = tuple(slice(i, i + n) for i, n in zip(start, stored.chunk, strict=True))
-        values[place] = chunk[tuple(slice(n) for n in values[place].shape)]
-        check(values_digest(values[place]) == digest)
+        inside = chunk[tuple(slice(n) for n in values[place].shape)]
+        check(values_digest(inside) == digest)
+        values[place] = inside
     check_values(stored.variable, values)
     values.flags.writeable = False
     return values
@@ -58,7 +59,7 @@ def too_large(size: int, what: str, most: int) -> str:
     )
 
 
-def _chunk(stored_bytes: bytes, stored: Stored) -> Array:
+def _chunk(stored_bytes: memoryview, stored: Stored) -> Array:
     """Return the values of a chunk; one that has more or fewer than it promised is refused."""
     dtype, count = stored.dtype, prod(stored.chunk)
     if not stored.variable.is_packed:

@@ -19,6 +19,7 @@ Integers = NDArray[np.intp]
 Range = tuple[float, float]
 
 _MOST_GUESSES = 2**12
+_FEW = 16  # nodes
 _CHUNK = 2**13  # points: their columns stay in the cache
 _ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
 
@@ -220,8 +221,7 @@ class LimitTable:
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
         """Return the numbers of the cells of hands within a cell along beta."""
         along_gamma, along_delta = (
-            np.searchsorted(inner, values, "right")
-            for inner, values in zip(self._inner, (gamma, delta), strict=True)
+            _rank(inner, values) for inner, values in zip(self._inner, (gamma, delta), strict=True)
         )
         rows: Integers = along_gamma * self._steps[1] + along_delta * self._steps[2]
         return rows
@@ -313,6 +313,16 @@ def _surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
     c, per_beta, per_gamma, per_delta, per_delay, bend, by_beta, by_gamma, by_delta, _ = terms
     rate = per_delay + bend * delay + by_beta * beta + by_gamma * gamma + by_delta * delta
     return c + per_beta * beta + per_gamma * gamma + per_delta * delta + rate * delay
+
+
+def _rank(inner: Floats, values: Floats) -> Integers:
+    """Return how many of some ascending nodes are not above each of some values."""
+    if inner.size > _FEW:
+        return np.asarray(np.searchsorted(inner, values, "right"))
+    count = np.zeros(values.shape, np.int8)
+    for node in inner:  # a third of the time of a search
+        count += values >= node
+    return count.astype(np.intp)
 
 
 def _guesses_of(early: Floats) -> tuple[float, Integers]:
