@@ -23,7 +23,7 @@ pytestmark = pytest.mark.campaign
 
 SPEC = AtlasSpec(
     alpha=[0.0, 0.1, 0.2], beta=[0.1, 0.2], gamma=[0.0, 0.0005, 0.001], delta=[0.0, 0.015],
-    delay=[0.0, 1.0], products=["verdict"],
+    delay=[0.0, 1.0], products=["verdict", "alpha_limits"], limit_cells=8, delay_cells=4,
 )  # fmt: skip
 # A job in the background of a shell ignores Ctrl-C, and so would what it starts.
 SCRIPT = """
@@ -141,7 +141,7 @@ def test_ctrl_c_ends_workers_and_command_in_one_sentence(tmp_path: Path) -> None
 
 
 class Cluster:
-    """A scheduler and two workers, each a process of its own, on the loopback."""
+    """A scheduler and three workers, each a process of its own, on the loopback."""
 
     def __init__(self, folder: Path) -> None:
         file = folder / "scheduler.json"
@@ -151,7 +151,7 @@ class Cluster:
         while not file.exists():
             time.sleep(0.05)
         self.address = json.loads(file.read_text(encoding="utf-8"))["address"]
-        for _ in range(2):
+        for _ in range(3):
             self.start("worker", self.address, "--no-nanny", "--nthreads", "1", "--no-dashboard")
 
     def start(self, *command: str) -> None:
