@@ -24,11 +24,9 @@ _MOST_ASKED = 128  # nodes along alpha and beta
 
 
 @click.command()
-@click.option("--spec", type=Path, help="TOML file; without, the haptic range of the paper.")
+@click.option("--spec", type=Path, help="TOML file; default: the haptic range of the paper.")
 @click.option("-o", "--output", type=Path, default=Path("atlas.h5"), show_default=True)
-@click.option(
-    "--workers", type=click.IntRange(1), help="Compute in so many processes of this machine."
-)
+@click.option("--workers", type=click.IntRange(1), help="Number of processes on this machine.")
 @click.option("--scheduler", help="Compute on the dask cluster whose scheduler has this address.")
 def build(spec: Path | None, output: Path, workers: int | None, scheduler: str | None) -> None:
     """Compute an atlas and write it as one HDF5 file.
@@ -112,8 +110,8 @@ def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
 
 @click.command()
 @click.option("--scene", "file", type=Path, required=True, help="TOML file of the scene.")
-@click.option("--mass-tolerance", type=float, help="Of the device either way, such as 0.1: 10 %.")
-@click.option("--delay-tolerance", type=float, help="Of the delay either way, in s.")
+@click.option("--mass-tolerance", type=float, help="Of the device; 0.1 means 10 % up and down.")
+@click.option("--delay-tolerance", type=float, help="Of the delay up and down, in s.")
 def spec(file: Path, **tolerances: float | None) -> None:
     """Print the specification of an atlas for the device, hands and delays of a scene.
 
@@ -143,7 +141,7 @@ def info(file: Path) -> None:
     type=click.IntRange(1),
     default=1000,
     show_default=True,
-    help="About how many points of each kind are computed again.",
+    help="About how many points of each kind to compute again.",
 )
 @careful
 def verify(file: Path, sample: int) -> None:

@@ -33,10 +33,16 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
 
 @click.command()
 @scene_options
-@click.option("-o", "--output", type=Path, required=True, help="The header; its name names all.")
-@click.option("--masses", callback=_range, help="Of the device, LOW:HIGH; else 0.8 to 1.25 times.")
-@click.option("--delays", callback=_range, help="LOW:HIGH in s; else a sample less and more.")
-@click.option("--cells", callback=_cells, help="Cells along mass, delay, damping: powers of two.")
+@click.option(
+    "-o", "--output", type=Path, required=True, help="Header file; its name begins all names in it."
+)
+@click.option(
+    "--masses", callback=_range, help="LOW:HIGH in kg; default: 0.8 to 1.25 times the mass."
+)
+@click.option("--delays", callback=_range, help="LOW:HIGH in s; default: one sample less and more.")
+@click.option(
+    "--cells", callback=_cells, help="Cells along mass, delay and damping: powers of two."
+)
 @click.option("--plot", type=Path, callback=picture_file, help="PNG or SVG file of the limits.")
 def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     """Write a C header that clamps K and B to what is proved stable, for a running loop."""

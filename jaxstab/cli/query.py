@@ -50,7 +50,7 @@ def _axis_options(command: Any) -> Any:
 @click.option(
     "--velocity",
     metavar="TOML",
-    help="Refuse to answer if the atlas is of another estimator, such as 'window_samples = 20'.",
+    help="Refuse if the atlas is not of this estimator, such as 'window_samples = 20'.",
 )
 @click.option("--position", metavar="TOML", help="Likewise, the position filter.")
 @click.option(
@@ -113,9 +113,9 @@ def query(
 @click.option(
     "-o", "--output", type=Path, required=True, callback=png_file, help="PNG file to write."
 )
-@click.option("--gamma", type=float, help="Physical stiffness; without, the smallest.")
-@click.option("--delta", type=float, help="Physical damping; without, the smallest.")
-@click.option("--delay", type=float, multiple=True, help="May be repeated; without, all.")
+@click.option("--gamma", type=float, help="Physical stiffness; default: the smallest.")
+@click.option("--delta", type=float, help="Physical damping; default: the smallest.")
+@click.option("--delay", type=float, multiple=True, help="May be repeated; default: all.")
 def plot(
     file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
 ) -> None:

@@ -33,7 +33,9 @@ def figure(number: str, output: Path, form: str) -> None:
 @click.option("--gamma", type=float, required=True, help="Physical stiffness k T^2/m.")
 @click.option("--delta", type=float, required=True, help="Physical damping b T/m.")
 @click.option("--delay", type=float, default=0.0, show_default=True, help="t_d/T in samples.")
-@click.option("--radius", type=float, default=1.0, show_default=True, help="Of all roots.")
+@click.option(
+    "--radius", type=float, default=1.0, show_default=True, help="Largest modulus of all roots."
+)
 @click.option(
     "-o", "--output", type=Path, callback=picture_file, help="PNG or SVG file for a picture."
 )

@@ -61,8 +61,8 @@ def check(as_json: bool, **given: Any) -> int:
 @scene_options
 @_plot_option
 @click.option("--at-stiffness", type=float, help="Give the best B at this K in N/m.")
-@click.option("--mass-tolerance", type=float, help="Of the device either way, such as 0.1: 10 %.")
-@click.option("--delay-tolerance", type=float, help="Of the delay either way, in s.")
+@click.option("--mass-tolerance", type=float, help="Of the device; 0.1 means 10 % up and down.")
+@click.option("--delay-tolerance", type=float, help="Of the delay up and down, in s.")
 def tune(as_json: bool, **given: Any) -> None:
     """Find the walls that come to rest fastest, and the best damping for each wall."""
     _answer(given, "tune", as_json)
@@ -88,7 +88,7 @@ def scene() -> None:
 
 
 @scene.command()
-@click.option("-o", "--output", type=Path, help="File to write; without, print it.")
+@click.option("-o", "--output", type=Path, help="File to write; default: print it.")
 def init(output: Path | None) -> None:
     """Write a commented example of a scene."""
     from jaxstab.scene import EXAMPLE

@@ -18,9 +18,9 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     decorations = (
         click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
         click.option("--device", help="A device by name; jaxstab scene presets lists them."),
-        click.option("--mass", type=float, help="Of the device, in kg."),
-        click.option("--inertia", type=float, help="In place of the mass, in kg m^2: it turns."),
-        click.option("--damping", type=float, help="Of the device, in N s/m (N m s/rad)."),
+        click.option("--mass", type=float, help="Mass of the device in kg."),
+        click.option("--inertia", type=float, help="Inertia in kg m^2, for a device that turns."),
+        click.option("--damping", type=float, help="Damping of the device in N s/m (N m s/rad)."),
         click.option("--hand-mass", callback=number_or_range, help="In kg; LOW:HIGH for a range."),
         click.option(
             "--hand-inertia", callback=number_or_range, help="In kg m^2; LOW:HIGH for a range."
@@ -31,15 +31,15 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--hand-damping", callback=number_or_range, help="In N s/m; LOW:HIGH for a range."
         ),
-        click.option("--sample-time", type=float, help="T in s."),
+        click.option("--sample-time", type=float, help="Sampling period T in s."),
         click.option("--delay", type=float, help="Time delay of the loop in s."),
         click.option("--delay-samples", type=float, help="The same in samples."),
-        click.option("--window", type=float, help="Velocity: difference over so many s."),
+        click.option("--window", type=float, help="Velocity: difference over this window in s."),
         click.option("--window-samples", type=int, help="The same in samples."),
-        click.option("--cutoff", type=float, help="Velocity: behind a low pass at so many Hz."),
+        click.option("--cutoff", type=float, help="Velocity: low pass at this cut-off in Hz."),
         click.option(
             "--estimator",
-            help="Velocity as a software estimates it; jaxstab scene presets lists them.",
+            help="Velocity as this software estimates it; jaxstab scene presets lists names.",
         ),
         click.option(
             "--wall",

@@ -24,7 +24,7 @@ def careful(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a command that reads a file of a stranger, its argument ``file``."""
 
     @click.option(_OPTION, is_flag=True, help="Read the file in a process with limits.")
-    @click.option("--expect-sha256", help="Refuse a file that has not this SHA-256.")
+    @click.option("--expect-sha256", help="Refuse a file with another SHA-256.")
     @wraps(command)
     def careful_command(
         untrusted: bool, expect_sha256: str | None, file: Path, **options: Any
