@@ -28,15 +28,26 @@ def read_table(path: str | PathLike[str]) -> dict[str, Any]:
         OSError: the file cannot be read.
         ValueError: it is not TOML.
     """
+    return parsed(text_of(Path(path).read_bytes, path), f"{path}: ")
+
+
+def text_of(read: Callable[[], bytes], source: str | PathLike[str]) -> str:
+    """Return the text that is read from a source, without a mark of its byte order.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is not UTF-8.
+    """
     try:
-        data = Path(path).read_bytes()
-        text = data.decode("utf-8-sig")
+        data = read()
+        return data.decode("utf-8-sig")
     except OSError as error:
-        raise OSError(error.errno, f"cannot read {path}: {error.strerror}.") from error
+        raise OSError(error.errno, f"cannot read {source}: {error.strerror}.") from error
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise ValueError(f"{path}: line {line} is no UTF-8; save the file as such text.") from error
-    return parsed(text, f"{path}: ")
+        raise ValueError(
+            f"{source}: line {line} is no UTF-8; save the file as such text."
+        ) from error
 
 
 def parsed(text: str, source: str = "") -> dict[str, Any]:

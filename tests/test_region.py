@@ -351,26 +351,26 @@ def quantities(gamma: jax.Array, delta: jax.Array) -> tuple[jax.Array, StableReg
 PLACES = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
 
 
-@pytest.fixture(scope="module")
-def mapped() -> tuple[np.ndarray, np.ndarray, StableRegion]:
-    """Slopes (place, quantity, argument), values and the region of all places: compiled once.
+def assert_exact(values: np.ndarray, slopes: np.ndarray | None = None) -> None:
+    """Compare quantities of the first two places with 50 digits, and their slopes."""
+    step = mpf(10) ** -15
+    for number, (place, found) in enumerate(zip(PLACES[:2], values, strict=False)):
+        region = stable_region(*place, DELAY)
+        points = [(-place[0], float(found[0])), (float(found[1]), ROW), tuple(region.max_alpha)]
+        exact: list[Callable[[mpf, mpf, float], mpf]] = [exact_corner, exact_limit, exact_largest]
+        for index, (function, point) in enumerate(zip(exact, points, strict=True)):
+            guess = angle_near(*map(float, point), *place)
+            value = function(mpf(place[0]), mpf(place[1]), guess)
+            assert abs(mpf(float(found[index])) - value) < 1e-13
+            for argument, moved in enumerate(((step, 0), (0, step)) if slopes is not None else ()):
+                ahead = function(mpf(place[0]) + moved[0], mpf(place[1]) + moved[1], guess)
+                slope = float((ahead - value) / step)
+                assert abs(slopes[number, index, argument] - slope) < 1e-9
 
-    Eagerly, in several programs: all in one takes 2 GB to compile.
-    """
 
-    def values_twice(*place: jax.Array) -> tuple[jax.Array, tuple[jax.Array, StableRegion]]:
-        values, region = quantities(*place)
-        return values, (values, region)
-
-    differentiated = jax.jacfwd(values_twice, argnums=(0, 1), has_aux=True)
-    by_both, (values, region) = jax.vmap(differentiated)(*jnp.asarray(PLACES).T)
-    return np.stack(by_both, axis=-1), np.asarray(values), region
-
-
-def test_many_slices_at_once_are_the_single_ones(
-    mapped: tuple[np.ndarray, np.ndarray, StableRegion],
-) -> None:
-    _, _, batch = mapped
+def test_many_slices_at_once_are_the_single_ones() -> None:
+    values, batch = jax.vmap(quantities)(*jnp.asarray(PLACES).T)
+    assert_exact(np.asarray(values))
     assert batch.outline.vertices.shape == (len(PLACES), 256, 2)
     np.testing.assert_array_equal(batch.status, RegionStatus.COMPLETE)
     for index, place in enumerate(PLACES):
@@ -380,21 +380,17 @@ def test_many_slices_at_once_are_the_single_ones(
         np.testing.assert_allclose(found, single.corners, rtol=1e-13)
 
 
-def test_corners_limits_and_the_largest_alpha_are_differentiable(
-    mapped: tuple[np.ndarray, np.ndarray, StableRegion],
-) -> None:
-    step = mpf(10) ** -15
-    for place, slopes, values in list(zip(PLACES, *mapped[:2], strict=True))[:2]:
-        region = stable_region(*place, DELAY)
-        points = [(-place[0], float(values[0])), (float(values[1]), ROW), tuple(region.max_alpha)]
-        exact: list[Callable[[mpf, mpf, float], mpf]] = [exact_corner, exact_limit, exact_largest]
-        for index, (function, point) in enumerate(zip(exact, points, strict=True)):
-            guess = angle_near(*map(float, point), *place)
-            value = function(mpf(place[0]), mpf(place[1]), guess)
-            assert abs(mpf(float(values[index])) - value) < 1e-13
-            for argument, moved in enumerate(((step, 0), (0, step))):
-                ahead = function(mpf(place[0]) + moved[0], mpf(place[1]) + moved[1], guess)
-                assert abs(slopes[index, argument] - float((ahead - value) / step)) < 1e-9
+@pytest.mark.campaign
+def test_corners_limits_and_the_largest_alpha_are_differentiable() -> None:
+    """Eagerly, in several programs: all in one takes 2 GB to compile."""
+
+    def values_twice(*place: jax.Array) -> tuple[jax.Array, jax.Array]:
+        values = quantities(*place)[0]
+        return values, values
+
+    differentiated = jax.jacfwd(values_twice, argnums=(0, 1), has_aux=True)
+    by_both, values = jax.vmap(differentiated)(*jnp.asarray(PLACES).T)
+    assert_exact(np.asarray(values), np.stack(by_both, axis=-1))
 
 
 def largest_alpha(gamma: jax.Array) -> jax.Array:

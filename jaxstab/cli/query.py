@@ -15,7 +15,7 @@ import jaxstab
 from jaxstab.cli.options import keep_programs, png_file
 from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import AXES, Verdict
-from jaxstab.tables import parsed
+from jaxstab.tables import parsed, text_of
 
 if TYPE_CHECKING:
     from jaxstab.atlas import AtlasAnswer
@@ -145,14 +145,7 @@ def _one_point(given: dict[str, float]) -> dict[str, list[float]]:
 def _read_points(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
     """Return the columns of a CSV file, and those that the options fill in."""
     source = "stdin" if str(table) == "-" else str(table)
-    try:
-        data = sys.stdin.buffer.read() if source == "stdin" else table.read_bytes()
-        text = data.decode("utf-8-sig")
-    except OSError as error:
-        raise OSError(error.errno, f"cannot read {source}: {error.strerror}.") from error
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise ValueError(f"line {line} of {source} is no UTF-8; save it as such text.") from error
+    text = text_of(sys.stdin.buffer.read if source == "stdin" else table.read_bytes, source)
     return _parsed(_rows(text, source), source, given)
 
 

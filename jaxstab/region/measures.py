@@ -10,12 +10,12 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, constant, first_indices, namespace, repeat_while
+from jaxstab.arrays import Array, constant, first_indices, namespace, repeat, repeat_while
 from jaxstab.batches import compiled
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift
 from jaxstab.region.outline import Outline
-from jaxstab.region.roots import bracketed_root, nonzero, with_slope
+from jaxstab.region.roots import bracketed_root, nonzero, root_between, with_slope
 
 _CROSSINGS = 8  # of a row with the boundary in JAX; rows with more are answered by NaN
 _AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
@@ -173,12 +173,14 @@ def _last_steps(c: SliceCoefficients, theta: Array, values: Array, axis: int) ->
     """Return Newton's steps from a crossing's angle: close to pi, what rounding took from it."""
     known, theta, values = constant((c, theta, values))
     xp = namespace(known, theta)
-    low = xp.zeros_like(theta)
-    for _ in range(2):  # where the curve flies off, one is not enough
+
+    def stepped(low: Array) -> Array:
         here, tangent = with_slope(partial(_point, known, low=low), theta)
         step = (values - here[axis]) / nonzero(tangent[axis], 1.0)
-        low = xp.clip(low + step, -_LAST_STEP, _LAST_STEP)
-    return constant(low)
+        return xp.clip(low + step, -_LAST_STEP, _LAST_STEP)
+
+    # Where the curve flies off, one is not enough.
+    return constant(repeat(2, stepped, xp.zeros_like(theta)))
 
 
 # ------------------------------------------------------------------------ the nearest point
@@ -257,26 +259,28 @@ def _feet(
 
     def gap(theta: Array) -> Array:
         alpha, beta = _point(c, theta)
-        target_ = target[..., None] if alpha.ndim > 2 else target
-        return xp.hypot(alpha - target_[0], beta - target_[1])
+        return xp.hypot(alpha - target[0][..., None], beta - target[1][..., None])
 
     shares = np.arange(_SUBDIVISIONS + 1) / _SUBDIVISIONS
-    for _ in range(2):
-        parts = begin[..., None] + (end - begin)[..., None] * shares
-        nearest = xp.argmin(gap(parts), axis=-1)[..., None]
-        begin = xp.take_along_axis(parts, xp.maximum(nearest - 1, 0), axis=-1)[..., 0]
-        end = xp.take_along_axis(parts, xp.minimum(nearest + 1, _SUBDIVISIONS), axis=-1)[..., 0]
 
-    def along(target: Array, theta: Array) -> Array:
+    def narrowed(ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        parts = low[..., None] + (high - low)[..., None] * shares
+        nearest = xp.argmin(gap(parts), axis=-1)[..., None]
+        first, last = xp.maximum(nearest - 1, 0), xp.minimum(nearest + 1, _SUBDIVISIONS)
+        low, high = (xp.take_along_axis(parts, part, axis=-1)[..., 0] for part in (first, last))
+        return low, high
+
+    def along(theta: Array) -> Array:
         point, tangent = with_slope(lambda angle: _point(c, angle), theta)
         return xp.sum((point - target) * tangent, axis=0)
 
-    foot = bracketed_root(along, target, begin, end)
-    candidates = xp.stack([begin, foot, end])
-    gaps = xp.stack([gap(angle) for angle in candidates])
-    best = xp.argmin(gaps, axis=0)[None]
-    theta = xp.take_along_axis(candidates, best, axis=0)[0]
-    to_curve = xp.take_along_axis(gaps, best, axis=0)[0]
+    begin, end = repeat(2, narrowed, (begin, end))
+    candidates = xp.stack([begin, root_between(along, begin, end), end], axis=-1)
+    gaps = gap(candidates)
+    best = xp.argmin(gaps, axis=-1)[..., None]
+    theta = xp.take_along_axis(candidates, best, axis=-1)[..., 0]
+    to_curve = xp.take_along_axis(gaps, best, axis=-1)[..., 0]
     away = _foot_on_chord(here, there, points[:, None]) - points[:, None]
     to_line = xp.hypot(away[..., 0], away[..., 1])
     is_curve = outline.branches[edges] == Branch.CURVE

@@ -56,10 +56,8 @@ def bracketed_root(
     Source: the safeguards of Press et al., Numerical Recipes, 9.4; the implicit function
     theorem for the derivatives.
     """
-    if namespace(lower) is np and not lower.size:
-        return lower
     known = constant(parameters)
-    root = _search(partial(function, known), *constant((lower, upper, ends)))
+    root = root_between(partial(function, known), *constant((lower, upper, ends)))
     if namespace(parameters, lower, upper) is np:
         return root
     root = constant(root)
@@ -69,12 +67,15 @@ def bracketed_root(
     return root - (value - constant(value)) / nonzero(slope, np.inf)
 
 
-def _search(
+def root_between(
     function: Callable[[Array], Array],
     lower: Array,
     upper: Array,
-    ends: tuple[Array, Array] | None,
+    ends: tuple[Array, Array] | None = None,
 ) -> Array:
+    """Return such a root as ``bracketed_root`` does, without a derivative."""
+    if namespace(lower) is np and not lower.size:
+        return lower
     xp = namespace(lower, upper)
     at_lower, at_upper = ends or stored((function(lower), function(upper)))
     sign = xp.sign(at_upper)
