@@ -290,7 +290,8 @@ def test_the_derivative_in_a_factor_against_differences_of_balls() -> None:
     assert jax.grad(radius)(0.25) == pytest.approx(slope_of_true_radius(0.25), rel=1e-10)
 
 
-@pytest.mark.parametrize("way", ["forwards", pytest.param("backwards", marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("way", ["forwards", "backwards"])
 def test_the_derivative_in_a_cut_off_against_differences_of_balls(way: str) -> None:
     def radius(cutoff: float) -> Any:
         return jaxstab.spectral_radius(*WALL, *HAND, velocity=Velocity.low_pass(cutoff)).value

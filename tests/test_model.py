@@ -358,12 +358,19 @@ class TestCharacteristicPolynomial:
         np.testing.assert_allclose(above, np.append(whole, 0.0), atol=1e-12)
 
     @pytest.mark.parametrize("delay", [0, pytest.param(1.6, marks=pytest.mark.campaign)])
-    def test_jit_vmap_and_grad_work(self, delay: float) -> None:
+    def test_jit_and_vmap_work(self, delay: float) -> None:
         point = (0.1, 0.2, 0.3, 0.4)
         function = lambda a, b, g, d: jaxstab.characteristic_polynomial(a, b, g, d, delay)  # noqa: E731
         mapped = jax.jit(jax.vmap(function, in_axes=(0, None, None, None)))
         several = (jnp.array([0.1, 0.5]), *point[1:])
         np.testing.assert_allclose(mapped(*several)[0], function(*point), rtol=1e-15)
+
+    @pytest.mark.campaign
+    @pytest.mark.parametrize("delay", [0, 1.6])
+    def test_is_differentiable(self, delay: float) -> None:
+        function = lambda a, b, g, d: jaxstab.characteristic_polynomial(a, b, g, d, delay)  # noqa: E731
+        mapped = jax.jit(jax.vmap(function, in_axes=(0, None, None, None)))
+        several = (jnp.array([0.1, 0.5]), 0.2, 0.3, 0.4)
         check_grads(mapped, several, order=1, modes=["fwd"], rtol=1e-6, atol=1e-6)
 
     @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e200])

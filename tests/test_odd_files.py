@@ -25,7 +25,7 @@ def test_bytes_that_are_no_text_are_named_by_file_and_line(path: Path, tmp_path:
     table.write_bytes(CSV.encode() + b"0,0.1,0,0,0\n\xff,0.1,0,0,0\n")
     spec.write_bytes(b"gamma = [0]\ndelta = \xff\n")
     for answer, place in (
-        (run("atlas", "query", path, "--csv", table), f"line 3 of {table}"),
+        (run("atlas", "query", path, "--csv", table), f"{table}: line 3"),
         (run("scene", spec), f"{spec}: line 2"),
     ):
         assert (answer.exit_code > 0, answer.stdout) == (True, "")
