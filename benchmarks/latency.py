@@ -100,7 +100,8 @@ def _questions() -> list[Question]:
     atlas = str(ROOT / "data" / "golden")
     golden = sorted(Path(atlas).rglob("*.h5"))[-1]
     return [
-        Question("atlas, one verdict", 0.5, _python(
+        Question("atlas, one verdict", 0.5, ("-c",
+            "import jaxstab\n"
             f"atlas = jaxstab.open_atlas({str(golden)!r})\n"
             "nodes = {name: float(x[x.size // 2]) for name, x in atlas.nodes(0).items()}\n"
             "print(int(atlas.query(**nodes, delay=float(atlas.delays[0])).verdict))"
