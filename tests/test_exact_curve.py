@@ -11,7 +11,7 @@ from mpmath import mp, mpf
 import jaxstab
 from benchmarks.loops import probes
 from benchmarks.truth.filtered import FilteredLoop, average, difference
-from benchmarks.truth.random_loops import MassLoop
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import curve_and_lift
@@ -22,10 +22,10 @@ SLOW = [1646, 2638, 2649]  # low passes and Butterworth filters of order 6 to 8,
 
 
 @cache
-def drawn(number):
+def drawn(number, kind=MassLoop):
     """A loop of the benchmark, its region, and numbers to go on with."""
     rng = np.random.default_rng([20121120, number])
-    loop = MassLoop.drawn(rng)
+    loop = kind.drawn(rng)
     return loop, loop.region(), rng
 
 
@@ -47,6 +47,16 @@ def test_regions_of_slow_filters_are_right(number):
     points = probes(region, loop.balls, rng)
     truths = [loop.balls.is_stable(*point) for point in points.tolist()]
     assert None not in truths
+    assert np.array_equal(region.contains(*points.T), truths)
+
+
+@pytest.mark.parametrize("number", [617, 3049])
+def test_outlines_of_devices_that_stray_from_the_curve(number):
+    """The first one had a wrong point 6e-11 of the region's size from the boundary."""
+    loop, region, rng = drawn(number, DeviceLoop)
+    assert region.coefficients.filtered.is_exact
+    points = probes(region, loop.balls, rng)
+    truths = [loop.balls.is_stable(*point) for point in points.tolist()]
     assert np.array_equal(region.contains(*points.T), truths)
 
 

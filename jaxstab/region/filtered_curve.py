@@ -35,6 +35,7 @@ _ZERO = DoubleDouble(0.0, 0.0)
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
 _NOTHING = 1e-25  # of the size of N: pairs that are rounding
 _MOST_LOST = 1e5  # the sum of a denominator's coefficients beside its least size on the circle
+_SOME_LOST = 30.0  # the same, for loops of which the digits are looked at
 _CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
 _SLOW = 0.5  # of the distance from 1
@@ -95,6 +96,7 @@ class FilteredCurve(NamedTuple):
     steep: Angles  # those at which beta is 0: where V is small the curve is there for an instant
     lines: tuple[PoleLine, ...]  # whole lines at poles
     loses_digits: bool  # in float64
+    may_lose_some: bool
     stretches: tuple[Stretch, ...] = ()  # parts of the angles that are drawn out
     pairs: Float64[np.ndarray, "half form pair part coefficient"] = _NO_PAIRS  # if it is exact
     is_exact: bool = False  # whether all of it is evaluated in double-double
@@ -158,7 +160,8 @@ def _curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> Filte
     ]
     loop = linear_loop(plant, velocity, position)
     real_angles = _real_angles(*(_rounded(reduce(product, factors)) for factors in (above, below)))
-    loses_digits = _lose_digits((velocity.denominator, position.denominator))
+    lost = _lost_digits((velocity.denominator, position.denominator))
+    loses_digits = lost > _MOST_LOST
     lines = () if loses_digits else pole_lines(loop[:3], real_angles)
     zeros = _rounded(product(plant.numerator, position.numerator))
     poles = plant.denominator, position.denominator
@@ -173,15 +176,16 @@ def _curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> Filte
         steep=_real_angles(_rounded(product(reduce(product, poles), _power(whole))), zeros),
         lines=lines,
         loses_digits=loses_digits,
+        may_lose_some=lost > _SOME_LOST or plant.shifted is not None,
     )
 
 
-def _lose_digits(denominators: Sequence[Polynomial]) -> bool:
-    """Return whether filters have so many poles close to each other that float64 does not do."""
+def _lost_digits(denominators: Sequence[Polynomial]) -> float:
+    """Return what poles of filters that are close to each other take from float64."""
     coefficients = _rounded(reduce(product, denominators))
     circle = np.exp(1j * np.geomspace(1e-3, np.pi, 64))
     least = np.min(np.abs(np.prod(circle[:, None] - np.roots(coefficients), axis=1)))
-    return bool(np.sum(np.abs(coefficients)) > _MOST_LOST * least)
+    return float(np.sum(np.abs(coefficients)) / least)
 
 
 def parts_in_pairs(system: System) -> Float64[np.ndarray, "2 2 2 3 coefficient"]:

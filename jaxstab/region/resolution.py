@@ -8,8 +8,10 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.linear_loop import LinearLoop, linear_loop
 from jaxstab.region import measures
 from jaxstab.region.audit import is_contradicted
-from jaxstab.region.curve import SliceCoefficients
+from jaxstab.region.corners import Branch
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift
 from jaxstab.region.exact_curve import in_pairs
+from jaxstab.region.exact_points import exact_gains
 from jaxstab.region.filtered_curve import System, parts_in_pairs
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import Pieces
@@ -18,6 +20,7 @@ from jaxstab.region.search import refined_pieces
 
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _STRETCHINGS = 3  # rounds
+_ASKED, _STRAYED = 32, 1e-12  # points, and how far aside they may be beside the outline's size
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 
 
@@ -37,11 +40,13 @@ def resolved_outline(
     if c.filtered is None or system is None:
         return c, _outline(c, delay, tolerance, may_be_empty, None)[0]
     loop = linear_loop(*system)
-    if not c.filtered.loses_digits:
+    curve, rough = c.filtered, None
+    if not curve.loses_digits:
         outline, _ = _outline(c, delay, tolerance, may_be_empty, loop)
-        if _is_known(outline):
-            return c, outline
-    curve, pairs = c.filtered, parts_in_pairs(system)
+        rough = outline if _is_known(outline) else None
+        if rough is not None and not (curve.may_lose_some and _strays(c, rough, system)):
+            return c, rough
+    pairs = parts_in_pairs(system)
     centers = DoubleDouble.of(np.empty(0))
     for _ in range(_STRETCHINGS):
         exact = c._replace(filtered=in_pairs(curve, pairs, centers))
@@ -53,7 +58,28 @@ def resolved_outline(
             break
         both = (centers.hi, more.hi), (centers.lo, more.lo)
         centers = DoubleDouble(*map(np.concatenate, both))
+    if rough is not None and not _is_known(outline):
+        return c, rough
     return exact, outline
+
+
+def _strays(c: SliceCoefficients, outline: Outline, system: System) -> bool:
+    """Return whether some points of an outline in float64 are beside the curve in double-double."""
+    curve = c.filtered
+    assert curve is not None
+    size = np.abs(outline.angles)
+    straight = np.any([line.holds(size[:, 0]) for line in curve.lines], axis=0)
+    edges = np.flatnonzero((outline.branches == Branch.CURVE) & ~straight)
+    edges = edges[np.linspace(0, len(edges) - 1, min(_ASKED, len(edges))).round().astype(int)]
+    extent = np.ptp(outline.vertices, axis=0)
+    points = np.stack(curve_and_lift(c, outline.angles[edges, 0])[:2], axis=1)
+    angles = DoubleDouble.of(size[edges, 0])
+    exact = exact_gains(parts_in_pairs(system), angles, with_slopes=False).values[:2]
+    away = (points - np.stack([one.rounded() for one in exact], axis=1)) / extent
+    along = (outline.vertices[edges + 1] - outline.vertices[edges]) / extent
+    length = np.hypot(*along.T)
+    aside = np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0])
+    return bool(np.any(aside > _STRAYED * length))
 
 
 def _is_known(outline: Outline) -> bool:
