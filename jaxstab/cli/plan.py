@@ -25,17 +25,21 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
 
 @click.command()
 @click.argument("file", metavar="[SPEC]", type=Path, required=False)
-@click.option("--spec", type=Path, help="TOML file, as SPEC; without, the range of the paper.")
+@click.option("--spec", type=Path, help="TOML file, like SPEC; default: the range of the paper.")
 @click.option(
     "--accuracy",
     type=float,
-    help="Wish: 95 % of the limits of alpha are known so well, of the largest alpha.",
+    help="Wish: error of 95 % of the limits of alpha, as a share of the largest alpha.",
 )
-@click.option("--decided", type=float, help="Wish: this share of the range is decided.")
-@click.option("--size", callback=_bytes, help="Wish: the file has this size at most, such as 10MB.")
-@click.option("--time", type=float, help="Wish: the build takes so many seconds of CPU at most.")
+@click.option("--decided", type=float, help="Wish: share of the range that is decided.")
+@click.option("--size", callback=_bytes, help="Wish: largest size of the file, such as 10MB.")
+@click.option("--time", type=float, help="Wish: most seconds of CPU for the build.")
 @click.option(
-    "-o", "--output", type=Path, callback=spec_file, help="TOML file that meets the wish."
+    "-o",
+    "--output",
+    type=Path,
+    callback=spec_file,
+    help="TOML file to write, which meets the wish.",
 )
 @click.option(
     "--plot", type=Path, callback=picture_file, help="PNG or SVG file of the resolutions."

@@ -1,4 +1,4 @@
-"""The outline of one slice, as finely and in as many digits as it takes. NumPy only."""
+"""The outline of one slice, with as many angles and digits as it needs. NumPy only."""
 
 from math import ceil, sqrt
 

@@ -1,4 +1,4 @@
-"""Walls that an atlas leaves of those wanted: proved stable, and no gain raised. No JAX."""
+"""Gains that an atlas lowers to walls that are proved stable; none is raised. No JAX."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple

@@ -1,7 +1,6 @@
-"""What an atlas that is not built yet would answer: some of its cells are computed and asked.
+"""The answers of an atlas that is not built yet: some of its cells are computed and asked.
 
-Cells are chosen evenly over the range of hands and delays: of a sequence whose numbers avoid each
-other, and the same ones for each resolution.
+Cells are spread evenly over the range of hands and delays, by one sequence for all resolutions.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,8 @@
-"""Which resolution a wish needs: atlases of growing resolution, judged by samples of their cells.
+"""The resolution that a wish needs: finer and finer atlases, judged by samples of their cells.
 
 The counts along the axes grow together, in the proportion in which each takes part in the error.
 Bounds of limits and of radii are second differences over a cell: squares of the sum of what its
-sides contribute. The share of cells that a surface passes through is such a sum itself.
+sides contribute. The share of cells that a surface passes through is itself such a sum.
 """
 
 from collections.abc import Mapping
@@ -232,7 +232,7 @@ class _Range:
         return error
 
     def _mean_error(self, counts: Mapping[str, int]) -> float:
-        """Return what tells of an error with few places: with limits of alpha the undecided share.
+        """Return an error that few places show: with limits of alpha, the undecided share.
 
         A limit's error is half the height of what it leaves undecided.
         """
