@@ -19,6 +19,7 @@ BENCHMARKS = (
     "regions",
     "queries",
     "answers",
+    "resolution",
     "throughput",
     "filling",
     "scaling",

@@ -24,6 +24,9 @@ _STYLES = {
     "numpy.roots": ("#CC79A7", "v"),
     "python-control poles": ("#000000", "P"),
     "nearest node": ("#CC79A7", "v"),
+    "linear radius": ("#E69F00", "s"),
+    "proved cells": ("#009E73", "X"),
+    "proved limits": ("#0072B2", "o"),
     "scipy linear": ("#000000", "P"),
     "verdict grid": ("#56B4E9", "^"),
     "verdict": ("#56B4E9", "^"),
@@ -158,6 +161,26 @@ def _answers(rows: list[Row]) -> Figure:
     shares = [row["undecided"] for row in atlas][::-1]
     axes[0, 1].barh(sections, shares, color=_STYLES["atlas"][0])
     axes[0, 1].set(xscale="log", xlabel="undecided share")
+    return _with_legend(figure, axes)
+
+
+def _resolution(rows: list[Row]) -> Figure:
+    """What answers lack, and below what they take; who never lacks it is named."""
+    points = f"{rows[0]['points']:,}"
+    figure, axes = _panels(2, 2, f"What a resolution gives and takes: {points} walls of one slice")
+    labels = ("share undecided", "share wrong", "CPU seconds per query", "bytes kept")
+    columns = ("undecided", "wrong", "seconds_per_point", "bytes")
+    for panel, column, label in zip(axes.ravel(), columns, labels, strict=True):
+        some = [row for row in rows if row[column] > 0]
+        _lines(panel, some, "nodes", column)
+        never = {row["method"] for row in rows} - {row["method"] for row in some}
+        if never:
+            words = f"none: {', '.join(sorted(never))}"
+            panel.text(0.03, 0.03, words, transform=panel.transAxes, fontsize=8)
+        panel.set_xscale("log", base=2)
+        panel.set(yscale="log", ylabel=label, xticks=_values(rows, "nodes"))
+        panel.xaxis.set_major_formatter("{x:g}")
+        panel.set_xlabel("nodes along alpha and beta, cells of limits")
     return _with_legend(figure, axes)
 
 
@@ -325,6 +348,7 @@ _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "regions": _regions,
     "queries": _queries,
     "answers": _answers,
+    "resolution": _resolution,
     "throughput": _throughput,
     "filling": _filling,
     "scaling": _scaling,

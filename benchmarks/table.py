@@ -138,6 +138,15 @@ def _answers(rows: list[Row]) -> Iterator[Line]:
         yield task, method, time, error, ""
 
 
+def _resolution(rows: list[Row]) -> Iterator[Line]:
+    finest = max(row["nodes"] for row in rows)
+    for row in rows:
+        if row["nodes"] == finest:
+            task = f"walls of a slice, {finest} x {finest} nodes, {_bytes(row['bytes'])}"
+            error = f"{row['undecided']:.4%} undecided, {row['wrong']:.4%} wrong"
+            yield task, row["method"], f"{_time(row['seconds_per_point'])} per point", error, ""
+
+
 def _place_of_answers(section: str) -> str:
     return "at whole delays" if section.startswith("delay") else section.replace("any", "at any")
 
@@ -212,6 +221,7 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "regions": _regions,
     "queries": _queries,
     "answers": _answers,
+    "resolution": _resolution,
     "throughput": _throughput,
     "filling": _filling,
     "verdicts": _verdicts,
