@@ -36,19 +36,19 @@ class Rival(NamedTuple):
 
 
 def rows(small: bool) -> Iterator[Row]:
-    counts = (8, 16) if small else (8, 16, 32, 64, 128, 256, 512, 1024)
+    counts = (16, 8) if small else (512, 256, 128, 64, 32, 16, 8)
     rng = np.random.default_rng(20120412)
-    walls: list[np.ndarray] | None = None
-    for count in counts:
+    asked: list[np.ndarray] = []
+    for count in counts:  # the finest first: it reaches least far around the region
         atlases = {
             product: _built(product, count)
             for product in ("verdict", "spectral_radius", "alpha_limits")
         }
-        ends = [nodes[[0, -1]] for nodes in list(atlases["verdict"][0].nodes(0).values())[:2]]
-        if walls is None:
-            walls = [rng.uniform(*pair, 500 if small else _POINTS) for pair in ends]
-            true = np.asarray(jaxstab.verdict(*walls, *_HAND, _DELAY, resolve="exact"))
-        asked = [np.clip(wall, *pair) for wall, pair in zip(walls, ends, strict=True)]
+        if not asked:
+            walls = list(atlases["verdict"][0].nodes(0).values())[:2]
+            points = 500 if small else _POINTS
+            asked = [rng.uniform(nodes[0], nodes[-1], points) for nodes in walls]
+            true = np.asarray(jaxstab.verdict(*asked, *_HAND, _DELAY, resolve="exact"))
         yield from _rows(count, _rivals(atlases, asked), true, small)
 
 

@@ -242,8 +242,8 @@ def _stable_box(
     points = np.concatenate([(region.main or region).points for region in regions])
     if not points.size:
         raise ValueError(
-            f"no (alpha, beta) is stable at delay {delay:g}, so alpha and beta cannot be fitted, and "
-            "errors have no scale; give their nodes without a wish, or other hands or delays."
+            f"no (alpha, beta) is stable at delay {delay:g}, so alpha and beta cannot be fitted, "
+            "and errors have no scale; give their nodes without a wish, or other hands or delays."
         )
     alpha, beta = points.T
     return float(alpha.max()), (float(beta.min()), float(beta.max()))
