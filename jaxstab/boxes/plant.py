@@ -47,8 +47,8 @@ BENDS = {
 NUMERATOR_SLOPES = (1 / 12, 1 / 2, 2.0)
 """Bounds of the slopes of N by gamma, delta and delay, as sums over its coefficients."""
 
-_ROUNDING = 64 * np.finfo(np.float64).eps  # more than the coefficients have
-_UNDERFLOW = 1e-290  # more than all that is lost by numbers flushed to zero
+ROUNDING = 64 * np.finfo(np.float64).eps  # more than the coefficients have
+UNDERFLOW = 1e-290  # more than all that is lost by numbers flushed to zero
 
 Boxes = Float64[np.ndarray, " box"]
 
@@ -143,13 +143,13 @@ def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> Pla
         bend = BENDS[name]
         secant = bend.rest(h_gamma, 0.0) + bend.rest(0.0, h_delta)
         rest = bend.rest(h_gamma, h_delta, half_delay) + bend.delay_thrice * third + secant
-        rest += _ROUNDING * (np.max(np.abs(at), axis=0) + half_delay)
+        rest += ROUNDING * (np.max(np.abs(at), axis=0) + half_delay)
         centre = at[0]
         if half_delay:
             rate, twice = moves.get(name, (still, still))
             slope += [rate, twice, still, still]
             centre = centre + twice * half[3]
-        rest += lost * (1.0 if name in ("d1", "d0") else size_n) + _UNDERFLOW
+        rest += lost * (1.0 if name in ("d1", "d0") else size_n) + UNDERFLOW
         return LinearModel(centre, np.stack(slope), rest, half, bool(half_delay))
 
     along_gamma = np.stack([np.ones_like(still), *[still] * (len(half) - 1)])

@@ -8,7 +8,15 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.atlas.compute.tolerance import known_region, tolerant_nodes
-from jaxstab.atlas.format.schema import ALPHA_LIMITS, CELL, LIMIT_TERMS, NODE
+from jaxstab.atlas.format.schema import (
+    ALPHA_LIMITS,
+    CELL,
+    LIMIT_TERMS,
+    NODE,
+    RADIUS_CELL,
+    RADIUS_SURFACES,
+    TERMS_OF_RADIUS,
+)
 from jaxstab.atlas.format.spec import AtlasSpec, FittedAxis, Nodes, ToleranceAxis, check_size
 from jaxstab.model.filters import Filters
 
@@ -16,6 +24,7 @@ _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
 _STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
 _COARSE = 32  # cells to a sample, at some of whose edges regions are looked at beforehand
+_RADIUS_DELAYS, _WIDE_DELAYS = 0.0626, 0.08  # samples that cells of radii are wide, or joined to
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 
 
@@ -34,6 +43,8 @@ class Grid:
     delay: Float64[np.ndarray, " delay"]
     limit_cells: int
     limit_range: Float64[np.ndarray, "delay_cell 6"]
+    radius_cells: tuple[int, int, int, int]
+    radius_range: Float64[np.ndarray, "radius_delay_cell 6"]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -53,13 +64,15 @@ class Grid:
         lengths = dict(zip((*NODE, *CELL), (*self.shape, *self.cell_shape), strict=True))
         cells, ends = self.limit_range.shape
         of_limits = {"limit_cell": self.limit_cells, "delay_cell": cells, "limit_end": ends}
-        return lengths | of_limits | {"limit_term": 2 * LIMIT_TERMS}
+        of_radii = zip(RADIUS_CELL, (*self.radius_cells, len(self.radius_range)), strict=True)
+        terms = {"limit_term": 2 * LIMIT_TERMS, "radius_term": TERMS_OF_RADIUS, "radius_end": ends}
+        return lengths | of_limits | dict(of_radii) | terms
 
-    def delay_cells(self, delay: int) -> range:
-        """Return the cells of limits that begin from the delay of this index to the next one."""
+    def delay_cells(self, delay: int, cells: Float64[np.ndarray, "delay_cell 6"]) -> range:
+        """Return which cells of delays begin from the delay of this index to the next one."""
         last = self.delay.size - 1
         ends = self.delay[delay], self.delay[delay + 1] if delay < last else np.inf
-        first, stop = np.searchsorted(self.limit_range[:, 0], ends)
+        first, stop = np.searchsorted(cells[:, 0], ends)
         return range(int(first), int(stop))
 
     def walls(
@@ -127,29 +140,51 @@ def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
     delay = np.array(spec.delay)
     walls = [_wall_axes(spec, gamma, delta, samples, reach) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
-    limit_range = _limit_range(spec, (gamma, delta), delay, walls, reach)
-    grid = Grid(alpha, beta, gamma, delta, delay, spec.limit_cells, limit_range)
+    has_limits, has_radii = (name in spec.products for name in (ALPHA_LIMITS, RADIUS_SURFACES))
+    fineness = int(spec.delay_cells or 0) if has_limits or has_radii else 0
+    alone, cells = (
+        _delay_cells(spec, (gamma, delta), delay, walls, reach, n) for n in (0, fineness)
+    )
+    limit_range = cells if has_limits else alone
+    radius_range = _cells_of_radii(cells, delay) if has_radii else alone
+    radius_cells = _radius_cells(spec, len(alpha), gamma.size, delta.size)
+    grid = Grid(
+        *(alpha, beta, gamma, delta, delay),
+        *(spec.limit_cells, limit_range, radius_cells, radius_range),
+    )
     check_size(grid.shape)
     return grid
 
 
-def _limit_range(
+def _radius_cells(
+    spec: AtlasSpec, alphas: int, gammas: int, deltas: int
+) -> tuple[int, int, int, int]:
+    """Return how many cells of radii there are along alpha, beta, gamma and delta.
+
+    Functions of second order bend with the radius, so these cells are wider than others.
+    """
+    alpha, beta = max(12, 3 * alphas // 16), max(32, spec.limit_cells // 2)
+    return alpha, beta, max(1, gammas // 2), max(1, deltas // 2)
+
+
+def _delay_cells(
     spec: AtlasSpec,
     hands: tuple[Float64[np.ndarray, " gamma"], Float64[np.ndarray, " delta"]],
     delay: Float64[np.ndarray, " delay"],
     walls: list[tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]],
     reach: Reach | None,
+    fineness: int,
 ) -> Float64[np.ndarray, "delay_cell 6"]:
-    """Return the cells of delays with limits of alpha, and how far each reaches.
+    """Return cells of delays and how far each reaches; without any the delays of the atlas.
 
     Whole samples and the delays of the atlas are edges of cells. The ends of alpha and beta are
     laid around the stable regions at some edges; between these they follow straight lines, above
     which no region is, as it shrinks ever more slowly with the delay.
     """
     at_nodes = [(alpha[0], alpha[-1], beta[0], beta[-1]) for alpha, beta in walls]
-    if delay.size == 1 or not spec.delay_cells or ALPHA_LIMITS not in spec.products:
+    if delay.size == 1 or not fineness:
         return np.column_stack([delay, delay, at_nodes])
-    edges = _delay_edges(delay, spec.delay_cells)
+    edges = _delay_edges(delay, fineness)
     known = dict(zip(delay.tolist(), at_nodes, strict=True))
     stations = _stations(edges, delay)
     for edge in (edge for edge in stations if edge not in known):
@@ -171,6 +206,26 @@ def _stations(edges: list[float], delay: Float64[np.ndarray, " delay"]) -> list[
             stations.add(edge)
             last = edge
     return sorted(stations)
+
+
+def _cells_of_radii(
+    cells: Float64[np.ndarray, "delay_cell 6"], delay: Float64[np.ndarray, " delay"]
+) -> Float64[np.ndarray, "radius_delay_cell 6"]:
+    """Join narrow cells of delays, and halve wide ones; edges at whole samples and nodes stay."""
+    even: list[list[float]] = []
+    for early, late, *ends in cells.tolist():
+        is_edge = early in delay or early.is_integer()
+        if late - early > _WIDE_DELAYS:
+            middle = 0.5 * (early + late)
+            even += [[early, middle, *ends], [middle, late, *ends]]
+        elif is_edge or late - even[-1][0] > _RADIUS_DELAYS:
+            even.append([early, late, *ends])
+        else:
+            last = even[-1]
+            last[1] = late
+            for number, (widest, end) in enumerate(zip((min, max, min, max), ends, strict=True), 2):
+                last[number] = widest(last[number], end)
+    return np.array(even)
 
 
 def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[float]:

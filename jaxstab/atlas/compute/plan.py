@@ -15,6 +15,8 @@ from jaxstab.atlas.format.schema import (
     CELL_VERDICT,
     LARGEST_ARRAY,
     PRODUCTS,
+    RADIUS_CELL,
+    RADIUS_KIND,
     SPECTRAL_RADIUS,
     VARIABLES,
     VERDICT,
@@ -25,7 +27,7 @@ from jaxstab.model.filters import as_keywords
 
 TILE_NODES = 2**18  # at most, where a tile holds more than one slice
 
-_IN_GRID = (VERDICT, CELL_VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS, CELL_RADIUS_ERROR)
+_IN_GRID = (VERDICT, CELL_VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS, CELL_RADIUS_ERROR, RADIUS_KIND)
 _BY_SLICES = ("outline", "summary")
 
 
@@ -112,7 +114,11 @@ class Plan:
     def numbers(self, dimension: str, tile: Tile) -> range:
         """Return which indices along a dimension of the schema are in a tile."""
         if dimension == "delay_cell":
-            return self.grid.delay_cells(tile.delay)
+            return self.grid.delay_cells(tile.delay, self.grid.limit_range)
+        if dimension in RADIUS_CELL and (tile.gamma or tile.delta.start):
+            return range(0)  # the first tile of a delay has all cells of radii
+        if dimension == RADIUS_CELL[-1]:
+            return self.grid.delay_cells(tile.delay, self.grid.radius_range)
         count = self.grid.lengths[dimension]
         one = {"gamma": tile.gamma, "delay": tile.delay}
         inside = {name: range(number, number + 1) for name, number in one.items()}
@@ -132,7 +138,7 @@ class Plan:
     def chunk(self, variable: str) -> tuple[int, ...]:
         """Return the shape of the part of a gridded variable that is in a whole tile."""
         lengths = {name: self.grid.lengths[name] for name in VARIABLES[variable].dimensions}
-        most = {"gamma": 1, "delta": self.deltas_of_a_tile, "delay": 1}
+        most = {"gamma": 1, "delta": self.deltas_of_a_tile, "delay": 1, "radius_delay": 1}
         return tuple(
             min(most.get(name.removesuffix("_cell"), length), length)
             for name, length in lengths.items()

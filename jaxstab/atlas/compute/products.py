@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas.compute.limits import alpha_limits
 from jaxstab.atlas.compute.plan import Plan, Tile
+from jaxstab.atlas.compute.radii import surfaces
 from jaxstab.atlas.compute.slices import outlines, summaries
 from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts
 from jaxstab.atlas.format.schema import (
@@ -16,6 +17,7 @@ from jaxstab.atlas.format.schema import (
     CELL_RADIUS_ERROR,
     CELL_VERDICT,
     RADIUS_ERROR,
+    RADIUS_SURFACES,
     SPECTRAL_RADIUS,
     VERDICT,
 )
@@ -152,6 +154,7 @@ _COMPUTED_BY: Mapping[str, Callable[[Plan, Tile], Arrays]] = {
     VERDICT: _verdicts,
     ALPHA_LIMITS: _alpha_limits,
     SPECTRAL_RADIUS: _radii,
+    RADIUS_SURFACES: surfaces,
     "outline": outlines,
     "summary": summaries,
 }

@@ -35,6 +35,11 @@ LIMIT_RANGE: Final = "limit_range"
 SPECTRAL_RADIUS: Final = "spectral_radius"
 RADIUS_ERROR: Final = "spectral_radius_error"
 CELL_RADIUS_ERROR: Final = "cell_spectral_radius_error"
+RADIUS_SURFACES: Final = "radius_surfaces"
+RADIUS_RANGE: Final = "radius_range"
+RADIUS_KIND: Final = "radius_kind"
+RADIUS_TERMS: Final = "radius_terms"
+RADIUS_ROW: Final = "radius_row"
 OUTLINE_ALPHA: Final = "outline_alpha"
 OUTLINE_BETA: Final = "outline_beta"
 OUTLINE_BRANCH: Final = "outline_branch"
@@ -61,6 +66,16 @@ CELL: Final = ("alpha_cell", "beta_cell", "gamma_cell", "delta_cell", "delay")
 SLICE: Final = ("gamma", "delta", "delay")
 LIMITS: Final = ("limit_cell", "gamma_cell", "delta_cell", "delay_cell", "limit_term")
 LIMIT_TERMS: Final = 10  # of each of the two limits
+RADIUS_CELL: Final = (
+    "radius_alpha_cell",
+    "radius_beta_cell",
+    "radius_gamma_cell",
+    "radius_delta_cell",
+    "radius_delay_cell",
+)
+TERMS_OF_RADIUS: Final = 22  # of each function: those up to second order, and an error
+RADIUS_KINDS: Final = (1, 4)  # the least and the largest
+RADIUS_FUNCTIONS: Final = (0, 1, 2, 2, 3)  # of cells of each kind
 
 
 @dataclass(frozen=True)
@@ -85,7 +100,7 @@ class Variable:
     @property
     def is_packed(self) -> bool:
         """Whether its chunks are shuffled and deflated; those of others are plain numbers."""
-        return self.dimensions in (NODE, CELL)
+        return self.dimensions in (NODE, CELL, RADIUS_CELL) or RADIUS_ROW in self.dimensions
 
     @property
     def is_axis(self) -> bool:
@@ -230,6 +245,49 @@ VARIABLES: Final = {
             "roots); infinite: no bound",
             0.0,
         ),
+        *(
+            _numbers(name, "cell i of n is the i-th of n equal parts of the range")
+            for name in RADIUS_CELL[:-1]
+        ),
+        _numbers(RADIUS_CELL[-1], "cell i holds the delays radius_range[i, 0] to [i, 1]"),
+        _numbers(
+            "radius_end",
+            "0 and 1: lowest and highest delay of a cell; 2 and 3: likewise alpha; 4 and 5: beta",
+        ),
+        Variable(
+            RADIUS_RANGE,
+            "float64",
+            ("radius_delay_cell", "radius_end"),
+            "delays, alpha and beta for which spectral radii are known between nodes",
+            "one row for each cell of delays, ascending; of two cells that share a delay the "
+            "second answers for it",
+        ),
+        _numbers(
+            "radius_term",
+            "0: constant; 1 to 5: slopes along alpha, beta, gamma, delta and delay, each from -1 "
+            "to 1 in the cell; 6 to 20: of their products in the order 11 12 13 14 15 22 ... 55; "
+            "21: error",
+        ),
+        _numbers(RADIUS_ROW, "functions of all cells, one cell after the other, the delay slowest"),
+        Variable(
+            RADIUS_KIND,
+            "int32",
+            RADIUS_CELL,
+            "what the spectral radius is made of",
+            "Proved for each point of the closed cell. 1: it is a function, 2: the larger of two "
+            "functions, each within its error. 3: it is the largest |m + w| of two w at which "
+            "|w^2 + Q| is not larger than the error of m; 4: of three w at which |w^3 + P w + Q| "
+            "is not; m, P and Q are functions in this order, and the error of the second one is "
+            "that of |m + w|",
+            *RADIUS_KINDS,
+        ),
+        Variable(
+            RADIUS_TERMS,
+            "float32",
+            ("radius_term", RADIUS_ROW),
+            "terms of the functions of which the spectral radius is made",
+            "of 1, 2, 2 and 3 functions for the kinds 1 to 4; an infinite error: nothing is known",
+        ),
         _numbers("outline_point", "point of all outlines, one after the other"),
         _numbers("corner", "corner of all outlines, one after the other"),
         _point(OUTLINE_ALPHA, "outline_point", "alpha along the boundary of the stable region"),
@@ -283,6 +341,15 @@ PRODUCTS: Final = {
         ALPHA_LIMITS,
     ),
     SPECTRAL_RADIUS: (SPECTRAL_RADIUS, RADIUS_ERROR, CELL_RADIUS_ERROR),
+    RADIUS_SURFACES: (
+        *RADIUS_CELL,
+        "radius_end",
+        RADIUS_RANGE,
+        "radius_term",
+        RADIUS_ROW,
+        RADIUS_KIND,
+        RADIUS_TERMS,
+    ),
     "outline": (
         "outline_point",
         "corner",

@@ -102,7 +102,8 @@ class AtlasSpec:
         gamma: nodes of the physical stiffness k T^2/m, >= 0, or a ToleranceAxis.
         delta: nodes of the physical damping b T/m, >= 0, or a ToleranceAxis.
         delay: delays t_d/T in [0, 100], whole or fractional; each has a grid of its own.
-        products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "outline" and
+        products: what to compute, of "verdict", "alpha_limits", "spectral_radius",
+            "radius_surfaces" (radii between nodes at all delays, in wider cells), "outline" and
             "summary"; by default the first three.
         limit_cells: number of even cells along beta in which the limits of alpha are given; 0
             for 128 where they are given between delays, too, and else 256.

@@ -225,4 +225,5 @@ def _check_together(variables: Sequence[Stored], image_size: int) -> None:
         check(lengths[cells] == max(lengths[nodes] - 1, 1))
     check(lengths["alpha_node"] > 1 and lengths["beta_node"] > 1)
     check(lengths.get("limit_term", 2 * schema.LIMIT_TERMS) == 2 * schema.LIMIT_TERMS)
-    check(lengths.get("limit_end", 6) == 6)
+    check(lengths.get("limit_end", 6) == lengths.get("radius_end", 6) == 6)
+    check(lengths.get("radius_term", schema.TERMS_OF_RADIUS) == schema.TERMS_OF_RADIUS)

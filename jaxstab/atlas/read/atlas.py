@@ -30,9 +30,11 @@ from jaxstab.atlas.read.held import HeldAtlas, of_filters
 from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
 from jaxstab.atlas.read.points import (
     answer_at_delay,
+    answer_between,
     answer_by_limits,
     find_outside,
 )
+from jaxstab.atlas.read.radii import RadiusTable
 from jaxstab.conventions import AXES, UNDECIDED
 from jaxstab.numbers import checked_number, checked_word
 
@@ -141,6 +143,8 @@ class Atlas(HeldAtlas):
             here = np.flatnonzero(inside & (where["delay"] == node))
             if here.size:
                 answer_at_delay(self.arrays, number, where, here, answer)
+        if schema.RADIUS_SURFACES in self.products:
+            answer_between(self._radii, where, inside, answer)
         if exact:
             own = self.filters or (None, None)
             settle(where, answer, dict(zip(("velocity", "position"), own, strict=True)))
@@ -319,6 +323,11 @@ class Atlas(HeldAtlas):
     @property
     def _has_verdicts(self) -> bool:
         return schema.VERDICT in self.arrays or schema.ALPHA_LIMITS in self.arrays
+
+    @cached_property
+    def _radii(self) -> RadiusTable:
+        """The radii between nodes, where the atlas has radius surfaces."""
+        return RadiusTable(self.arrays)
 
     @cached_property
     def _table(self) -> LimitTable | None:

@@ -92,6 +92,8 @@ def check_values(variable: Variable, values: Array) -> None:
         for limit in np.split(values, 2, axis=-1):
             slopes, error = limit[..., 1:-1], limit[..., -1]
             check(np.all(np.isfinite(slopes)) and error.min() >= 0.0)
+    if variable.name == schema.RADIUS_TERMS:
+        check(np.all(np.isfinite(values[:-1])) and values[-1].min() >= 0.0)
 
 
 def check_axes(arrays: Mapping[str, Array]) -> None:
@@ -107,8 +109,9 @@ def check_axes(arrays: Mapping[str, Array]) -> None:
             check(np.all(np.isfinite(values)) and np.all(widths > 0))
         elif VARIABLES[name].is_axis:
             check(np.array_equal(values, np.arange(values.size)))
-    if schema.LIMIT_RANGE in arrays:
-        _check_range(arrays[schema.LIMIT_RANGE], arrays["delay"])
+    for name in (schema.LIMIT_RANGE, schema.RADIUS_RANGE):
+        if name in arrays:
+            _check_range(arrays[name], arrays["delay"])
     for name in ("alpha", "beta"):
         with np.errstate(over="ignore"):
             spans = arrays[name][-1] - arrays[name][0]
@@ -134,3 +137,14 @@ def check_counts(arrays: Mapping[str, Array], table: Table) -> None:
     for counts, dimension in schema.STRUNG.items():
         if counts in arrays:
             check(int(arrays[counts].sum(dtype=np.int64)) == table.variables[dimension].shape[0])
+
+
+def check_functions(kinds: Array, table: Table) -> None:
+    """Refuse other numbers of functions of radii than the kinds of the cells say.
+
+    Raises:
+        RefusalError: as it says.
+    """
+    counts = np.bincount(kinds.reshape(-1), minlength=len(schema.RADIUS_FUNCTIONS))
+    functions = int(counts @ np.array(schema.RADIUS_FUNCTIONS))
+    check(functions == table.variables[schema.RADIUS_TERMS].shape[-1])

@@ -22,6 +22,7 @@ from jaxstab.atlas.read.chunks import (
     TooLargeError,
     check_axes,
     check_counts,
+    check_functions,
     too_large,
     unpacked,
 )
@@ -59,7 +60,10 @@ class PackedArrays(Mapping[str, Array]):
             stored = self._table.variables[name]
             with _told_of(self._path):
                 # Threads that meet here unpack the same values, and go on with one of them.
-                self._unpacked.setdefault(name, unpacked(self._data, stored))
+                values = unpacked(self._data, stored)
+                if name == schema.RADIUS_KIND:
+                    check_functions(values, self._table)
+                self._unpacked.setdefault(name, values)
         return self._unpacked[name]
 
     def __contains__(self, name: object) -> bool:

@@ -10,11 +10,13 @@ from jaxstab.atlas.format import schema
 from jaxstab.atlas.read.answer import AtlasAnswer, Floats, QueryStatus, check_inside
 from jaxstab.atlas.read.cells import Integers, Mask, Place, picked
 from jaxstab.atlas.read.limits import LimitTable
+from jaxstab.atlas.read.radii import RadiusTable
 from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
 
 Arrays = Mapping[str, NDArray[Any]]
 Points = Mapping[str, Floats]
 _WALLS = ("alpha", "beta", "gamma", "delta")
+_ROUNDING = 1e-15
 
 
 def nodes_of(arrays: Arrays, delay_number: int) -> dict[str, Floats]:
@@ -117,3 +119,20 @@ def answer_at_delay(
             if members.any():
                 error = arrays[name][..., number]
                 answer.radius_error[here[members]] = picked(error, numbers, members)
+
+
+def answer_between(table: RadiusTable, where: Points, inside: Mask, answer: AtlasAnswer) -> None:
+    """Fill in radii of points inside of an atlas that are known better; verdicts bound them."""
+    here = np.flatnonzero(inside)
+    low, high = table.bounds([where[name][here] for name in AXES])
+    codes = answer.verdict[here]
+    low = np.where(codes == UNSTABLE, np.maximum(low, 1.0), low)
+    high = np.where(codes == STABLE, np.minimum(high, 1.0), high)
+    high = np.maximum(high, low)
+    error = 0.5 * (high - low) + _ROUNDING * high
+    is_better = np.isfinite(high) & (error < answer.radius_error[here])
+    members = here[is_better]
+    answer.spectral_radius[members] = 0.5 * (low + high)[is_better]
+    answer.radius_error[members] = error[is_better]
+    is_between = answer.status[members] == QueryStatus.BETWEEN_DELAYS
+    answer.status[members[is_between]] = QueryStatus.UNDECIDED_CELL

@@ -10,7 +10,13 @@ import numpy as np
 
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.footer import image_of
-from jaxstab.atlas.format.schema import ALPHA_LIMITS, LIMITS, SPECTRAL_RADIUS, VARIABLES
+from jaxstab.atlas.format.schema import (
+    ALPHA_LIMITS,
+    LIMITS,
+    RADIUS_SURFACES,
+    SPECTRAL_RADIUS,
+    VARIABLES,
+)
 from jaxstab.atlas.write.workers import tile_image
 
 _RADII = 2**16  # that are computed at most, unless two columns hold more
@@ -122,6 +128,8 @@ def _of_slices(plan: Plan, delay: int) -> tuple[float, ...]:
         grid, scale = plan.grid, 1.0
         if product == SPECTRAL_RADIUS:
             grid, scale = middle, betas / columns
+        elif product == RADIUS_SURFACES:  # all with the first tile of a delay
+            scale = plan.grid.delay.size / len(plan.tiles)
         part = Plan(replace(plan.spec, products=(product,)), grid)
         (slow, *_), (quick, *stored) = (_timed(part, tile) for _ in range(2))
         start += max(0.0, slow - quick)  # XLA compiles once

@@ -1,8 +1,9 @@
 """The tiles of a build become one file: chunks are copied as they are, one tile at a time."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import product
+from math import prod
 from operator import add
 from pathlib import Path
 from typing import Any
@@ -101,9 +102,14 @@ def _create_variables(file: h5py.File, plan: Plan, shards: Shards) -> dict[str, 
             datasets[name] = write_variable(file, variable, known[name])
         elif name in names:
             shape = [lengths[dimension] for dimension in variable.dimensions]
-            chunk = plan.chunk(name) if plan.is_gridded(name) else [min(*shape, _FLAT_CHUNK)]
+            chunk = plan.chunk(name) if plan.is_gridded(name) else _flat_chunk(shape)
             datasets[name] = create_variable(file, variable, shape, chunk, np.dtype(variable.dtype))
     return datasets
+
+
+def _flat_chunk(shape: Sequence[int]) -> list[int]:
+    *others, length = shape
+    return [*others, max(1, min(length, _FLAT_CHUNK // prod(others)))]
 
 
 def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArray[Any]]:
@@ -117,6 +123,7 @@ def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArra
         "delta": grid.delta,
         "delay": grid.delay,
         schema.LIMIT_RANGE: grid.limit_range,
+        schema.RADIUS_RANGE: grid.radius_range,
         schema.SPEC: lines,
     }
     counted = {**lengths, "spec_line": lines.size}
@@ -129,11 +136,13 @@ def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str,
     flat = [
         n for n in names if not (plan.is_gridded(n) or VARIABLES[n].is_axis or n == schema.SPEC)
     ]
-    lengths = {VARIABLES[name].dimensions[0]: 0 for name in flat}
+    lengths = {VARIABLES[name].dimensions[-1]: 0 for name in flat}
     for tile in plan.tiles if flat else ():
         with shards.opened(tile) as image:
             sizes = {
-                VARIABLES[name].dimensions[0]: image[name].size for name in flat if name in image
+                VARIABLES[name].dimensions[-1]: image[name].shape[-1]
+                for name in flat
+                if name in image
             }
         lengths |= {dimension: lengths[dimension] + size for dimension, size in sizes.items()}
     return lengths
@@ -161,8 +170,9 @@ def _copy_tiles(
                         datasets[name].id.write_direct_chunk(place, chunk, mask)
                         digests.setdefault(name, {})[place] = digest
                 else:
-                    datasets[name][filled[name] : filled[name] + part.size] = part[()]
-                    filled[name] += part.size
+                    length = part.shape[-1]
+                    datasets[name][..., filled[name] : filled[name] + length] = part[()]
+                    filled[name] += length
         stream.check()
     return digests
 
