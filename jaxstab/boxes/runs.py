@@ -17,6 +17,7 @@ T, SQUARE = 3, 4  # the variables of columns that are t and its square; its prod
 EDGE = 1e-9  # of a column: it reaches beyond its edges, so that rounding finds no gap
 _T = 3  # the variable of patches that is the delay; the next is its square, then its products
 _THETA, _HANDS = 0, slice(1, _T)
+_BLOCK = 2**17  # patches in columns
 _STEEPEST = 1e3  # of slopes along beta that are tried
 _EPS = 16 * np.finfo(np.float64).eps
 
@@ -111,6 +112,34 @@ def distances(
     slope: Float64[np.ndarray, "run variable"],
 ) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
     """Return the lowest and the highest that each patch is above its run's surface in its column.
+
+    Many patches are looked at block by block, which bounds the memory.
+    """
+    blocks = (slice(i, i + _BLOCK) for i in range(0, max(runs.patch.size, 1), _BLOCK))
+    parts = [
+        _distances_of(
+            patches,
+            columns,
+            runs._replace(
+                patch=runs.patch[block], column=runs.column[block], number=runs.number[block]
+            ),
+            middle,
+            slope,
+        )
+        for block in blocks
+    ]
+    low, high = (np.concatenate(ends) for ends in zip(*parts, strict=True))
+    return low, high
+
+
+def _distances_of(
+    patches: Patches,
+    columns: Columns,
+    runs: Runs,
+    middle: Float64[np.ndarray, " run"],
+    slope: Float64[np.ndarray, "run variable"],
+) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
+    """Return the distances of a block of patches.
 
     Another slope along beta may be taken for a patch, if what it differs by is added for all beta
     of the column: those that level a patch along theta, or the delay, are tried (lemma B16).
