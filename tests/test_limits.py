@@ -10,15 +10,16 @@ import pytest
 
 import jaxstab
 from benchmarks import truth
-from jaxstab import HapticLoop, Verdict
+from jaxstab import Filter, HapticLoop, Velocity, Verdict
 from jaxstab.region import Branch, RegionStatus, StableRegion, boundary_curve, stable_region
 
 
-def loop_of(gamma: float, delta: float, delay: float) -> HapticLoop:
+def loop_of(
+    gamma: float, delta: float, delay: float, velocity: Velocity | None = None
+) -> HapticLoop:
     """A loop of which K = alpha and B = beta."""
-    return HapticLoop(
-        device_mass=1.0, device_damping=delta, sample_time=1.0, hand_stiffness=gamma, delay=delay
-    )
+    plant = {"device_mass": 1.0, "device_damping": delta, "hand_stiffness": gamma}
+    return HapticLoop(**plant, sample_time=1.0, delay=delay, velocity=velocity)
 
 
 def is_stable(alpha: float, beta: float, loop: HapticLoop) -> bool:
@@ -54,13 +55,29 @@ def test_thin_intervals_of_damping_are_found() -> None:
         assert is_stable(stiffness, float(damping), loop) == stable
 
 
+@pytest.mark.campaign  # each is asked for again in double-double: seconds
 def test_a_region_that_is_not_resolved_says_so_and_gives_no_numbers() -> None:
-    loop = loop_of(9.86962156939937, 0.0, 12.857742738867492)
-    assert is_stable(-3.735280306113643, 1.86764828052154, loop)
+    window = Velocity.difference(1) * Filter.average(5)
+    loop = loop_of(39.74111395517997, 0.039837948153417437, 22.204957451892117, velocity=window)
     best = loop.limits()
     assert best.status == RegionStatus.UNRESOLVED
     assert np.isnan(best[:4]).all()
-    assert np.isnan(loop.boundary_distance(-3.7, 1.8))
+    assert np.isnan(loop.boundary_distance(30.0, 0.1))
+
+
+@pytest.mark.campaign
+def test_a_slice_that_float64_does_not_resolve_is_drawn_in_double_double() -> None:
+    loop = loop_of(9.86962156939937, 0.0, 12.857742738867492)
+    region = loop.region()
+    assert region.status == RegionStatus.COMPLETE
+    assert region.contains(-3.735280306113643, 1.86764828052154)
+    corners = np.asarray(region.outline)
+    assert len(region.components) == 1
+    middle = np.mean(corners, axis=0)
+    for share, code in ((0.999, Verdict.STABLE), (1.001, Verdict.UNSTABLE)):
+        codes = loop.verdict(*(middle + share * (corners - middle)).T)
+        assert set(np.unique(codes)) <= {code, Verdict.UNDECIDED}
+        assert np.mean(codes == code) > 0.9
 
 
 def dense_boundary(region: StableRegion, place: tuple[float, ...]) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from time import process_time
 
 import numpy as np
 import pytest
@@ -77,12 +76,10 @@ RANGES = {
 @pytest.mark.campaign
 @pytest.mark.parametrize("name", RANGES)
 def test_what_is_promised_comes(name: str, tmp_path: Path) -> None:
-    """Errors, sizes and times of an atlas that is built are those of its plan, within 20 %."""
+    """Errors and sizes of an atlas that is built are those of its plan, within 20 %."""
     spec, wish = RANGES[name]
     planned = plan_resolution(spec, **wish)
-    begin = process_time()
     atlas = build_atlas(planned.spec, tmp_path / "atlas.h5")
-    seconds = process_time() - begin
     chosen = planned.chosen
     came = {"size": (tmp_path / "atlas.h5").stat().st_size, "undecided": undecided_share(atlas)}
     if "alpha_limits" in spec.products:
@@ -93,8 +90,6 @@ def test_what_is_promised_comes(name: str, tmp_path: Path) -> None:
         promised = getattr(chosen, key)
         value_promised, spread = promised if isinstance(promised, tuple) else (promised, 0.0)
         assert abs(value - value_promised) <= 0.2 * value_promised + 2.0 * spread, (key, value)
-    if not planned.spec.filters:  # laying axes around regions with filters is not in the estimate
-        assert 1 / 1.5 < seconds / chosen.seconds < 1.5  # others disturb the clock
     for key, least in (("limit_error", "accuracy"), ("size", "size")):
         if least in wish:
             assert came[key] <= 1.2 * wish[least]
@@ -221,7 +216,7 @@ def test_a_given_axis_keeps_its_ends_and_its_density() -> None:
         (["alpha_limits"], {"time": -1.0}, "time is -1.0"),
         (["verdict"], {"accuracy": 0.1}, "accuracy is of limits of alpha; add 'alpha_limits'"),
         (["outline"], {"size": 1e6}, "size needs verdicts; add 'alpha_limits' to the products"),
-        (["alpha_limits"], {"size": 100.0}, "and the coarsest atlas of this range takes 2.8"),
+        (["alpha_limits"], {"size": 100.0}, "the coarsest atlas of this range takes 31,300 bytes"),
         (["alpha_limits"], {"accuracy": 1e-9}, "that can be opened, with up to 2.1 GB, reaches"),
     ],
 )

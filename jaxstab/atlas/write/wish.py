@@ -214,9 +214,10 @@ class _Range:
         low, high = _SCALES
         least = cost(low)
         if least > value:
+            rounded = float(f"{least:.3g}")
             raise ValueError(
                 f"{name} is {value:g}{_UNITS[name]}, and the coarsest atlas of this range takes "
-                f"{least:.3g}{_UNITS[name]}; give more, or fewer products, delays or nodes."
+                f"{rounded:,g}{_UNITS[name]}; give more, or fewer products, delays or nodes."
             )
         for _ in range(40):
             middle = (low * high) ** 0.5
