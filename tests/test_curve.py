@@ -145,7 +145,7 @@ def slopes_of(place: tuple[float, ...]) -> np.ndarray:
 @pytest.mark.parametrize(
     ("theta", "gamma", "delta", "delay"),
     [
-        (2.5, 0.25, 1.0, 0.5),
+        pytest.param(2.5, 0.25, 1.0, 0.5, marks=pytest.mark.campaign),
         (3.1, 9.9, 0.1, 3.3),
         # Slopes at a whole delay are those of test_region, too.
         pytest.param(0.7, 0.0, 0.0, 1.0, marks=pytest.mark.campaign),

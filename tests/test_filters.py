@@ -614,7 +614,9 @@ def test_a_line_at_a_pole_is_part_of_the_boundary() -> None:
         ).tolist() == [STABLE, UNSTABLE]
 
 
-@pytest.mark.parametrize("number", [943, 1246, 2516])
+@pytest.mark.parametrize(
+    "number", [2516, *(pytest.param(n, marks=pytest.mark.campaign) for n in (943, 1246))]
+)
 def test_a_curve_that_is_rounding_bounds_no_region(number: int) -> None:
     # Seven poles of a low pass within 0.02 of z = 1, of which float64 tells nothing.
     rng = np.random.default_rng([20121120, number])

@@ -207,7 +207,7 @@ class TestPlantCoefficients:
     @pytest.mark.parametrize(
         ("mode", "delay"),
         [
-            ("forwards", 0.3),
+            pytest.param("forwards", 0.3, marks=pytest.mark.campaign),
             pytest.param("backwards", 0.0, marks=pytest.mark.campaign),
             pytest.param("forwards", 0.0, marks=pytest.mark.campaign),
             pytest.param("backwards", 0.3, marks=pytest.mark.campaign),

@@ -351,6 +351,7 @@ def quantities(gamma: jax.Array, delta: jax.Array) -> jax.Array:
 PLACES = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
 
 
+@pytest.mark.campaign
 def test_many_slices_at_once_are_the_single_ones() -> None:
     mapped = jax.jit(jax.vmap(lambda gamma, delta: region_outline(gamma, delta, DELAY)))
     batch = mapped(*jnp.asarray(PLACES).T)
@@ -391,6 +392,7 @@ def largest_alpha(gamma: jax.Array) -> jax.Array:
     return region_outline(gamma, 0.1, DELAY).max_alpha[0]
 
 
+@pytest.mark.campaign
 def test_the_derivative_can_be_taken_in_reverse() -> None:
     """It is traced, and not compiled, which takes long."""
     (slope,) = jax.make_jaxpr(jax.grad(largest_alpha))(0.05).out_avals

@@ -166,6 +166,7 @@ class TestSettling:
                     assert samples == LONG
         assert settled > count
 
+    @pytest.mark.campaign
     def test_of_jax_arrays_are_jax_arrays_also_when_compiled(self) -> None:
         alphas = jax.numpy.array([0.01, 0.03, 0.9])
         direct = jaxstab.settling_samples(np.asarray(alphas), 0.3, 0.0, 0.0, 1)

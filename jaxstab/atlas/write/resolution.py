@@ -44,7 +44,8 @@ class Resolution:
     Each of the three errors is a pair: the value and its standard error.
 
     Example:
-        >>> spec = jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",))
+        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
+        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
         >>> given = jaxstab.plan_resolution(spec, size=50_000).given
         >>> given.counts["limit_cells"]
         256
@@ -71,7 +72,8 @@ class ResolutionPlan:
         chosen: which of them meets the wish.
 
     Example:
-        >>> spec = jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",))
+        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
+        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
         >>> plan = jaxstab.plan_resolution(spec, accuracy=0.01)
         >>> plan.chosen.limit_error.value < 0.01
         True

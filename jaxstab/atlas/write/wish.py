@@ -73,7 +73,8 @@ def plan_resolution(
         ValueError: it is out of range, or no resolution meets it; at a delay no loop is stable.
 
     Example:
-        >>> spec = jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",))
+        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
+        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
         >>> jaxstab.plan_resolution(spec, size=100_000).chosen.size < 100_000
         True
     """
