@@ -526,6 +526,7 @@ def test_filters_have_regions_of_stability_alone() -> None:
         jaxstab.stable_region(0.0, 0.0, 1.0, 0.9, velocity=Velocity.difference(samples=2))
 
 
+@pytest.mark.campaign
 def test_a_region_that_proofs_contradict_claims_nothing() -> None:
     # The scan finds no piece of this one; most small gains are stable.
     velocity = Velocity.transfer_function([1.0, -1.1875, 0.1875], [1.0, 0.3125, -0.2578125, 0.0])

@@ -105,6 +105,7 @@ def test_islands_are_named_as_not_reachable_and_drawn() -> None:
     assert not any("linear" in label or "passive" in label for label in labels)
 
 
+@pytest.mark.campaign
 def test_what_is_tuned_is_compared_with_what_gains_reach_when_they_are_turned_up() -> None:
     best = answered("tune", *SDK)["least_radius"]
     largest = answered("limits", *SDK)["best"]["largest_stiffness"]

@@ -185,6 +185,7 @@ class TestMinimizeSettling:
 
 
 class TestTune:
+    @pytest.mark.campaign
     def test_of_a_device_with_a_window_in_si_units(self) -> None:
         """0.25 kg at 1 kHz, 15 ms as in CHAI3D: both goals, and a given stiffness."""
         loop = jaxstab.HapticLoop(
