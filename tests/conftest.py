@@ -33,18 +33,26 @@ settings.register_profile("reproducible", derandomize=True, deadline=None)
 settings.load_profile("reproducible")
 
 
-_MEMORY = 1 << 30  # bytes of a process, from which on it forgets what it has compiled
 _STATUS = Path("/proc/self/statm")
+_forget_at = 5 << 28  # bytes of a process, from which on it forgets what it has compiled
 
 
 @pytest.fixture(autouse=True)
 def _forget_programs() -> Iterator[None]:
-    """Keep the programs that XLA has compiled from filling the memory; the folder has them."""
+    """Keep the programs that XLA has compiled from filling the memory; the folder has them.
+
+    The system seldom gets the memory back, so the next bound is one above what is held then: a
+    process that stays at its bound would compile anew for every test.
+    """
+    global _forget_at
     yield
-    if _STATUS.exists():
-        resident = int(_STATUS.read_text().split()[1]) * resource.getpagesize()
-        if resident > _MEMORY:
-            jax.clear_caches()
+    if _STATUS.exists() and _resident() > _forget_at:
+        jax.clear_caches()
+        _forget_at = max(_forget_at, _resident() + (1 << 28))
+
+
+def _resident() -> int:
+    return int(_STATUS.read_text().split()[1]) * resource.getpagesize()
 
 
 @pytest.fixture
