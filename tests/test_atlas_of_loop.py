@@ -258,11 +258,6 @@ def test_a_specification_is_of_the_ranges_of_its_scene(tmp_path: Path, text: str
     assert printed.stdout == spec_text(scene, str(path))
     spec = AtlasSpec.from_toml(printed.stdout)
     assert spec == atlas_spec(scene)
-    axes = {"alpha": FittedAxis(12), "beta": FittedAxis(12), "gamma": spec.gamma[-1:]}
-    small = replace(spec, **axes, delta=spec.delta[-1:], limit_cells=8, delay=spec.delay[-1:])
-    planned = run("atlas", "plan", scene_file(tmp_path, small.to_toml()))
-    assert planned.exit_code == 0, planned.stderr
-    assert "144 points asked for" in planned.stdout
     for corner in corners_of(scene):
         loop = loop_of_member(scene, corner)
         values = {"gamma": loop.gamma, "delta": loop.delta, "delay": loop.delay_samples}
@@ -270,6 +265,15 @@ def test_a_specification_is_of_the_ranges_of_its_scene(tmp_path: Path, text: str
             nodes = getattr(spec, name)
             assert nodes[0] <= value <= nodes[-1]
         assert AtlasSpec(**loop.filters).filters == spec.filters
+
+
+def test_a_specification_of_a_scene_is_planned(tmp_path: Path) -> None:
+    spec = atlas_spec(Scene.from_file(scene_file(tmp_path, TURNING)))
+    axes = {"alpha": FittedAxis(12), "beta": FittedAxis(12), "gamma": spec.gamma[-1:]}
+    small = replace(spec, **axes, delta=spec.delta[-1:], limit_cells=8, delay=spec.delay[-1:])
+    planned = run("atlas", "plan", scene_file(tmp_path, small.to_toml()))
+    assert planned.exit_code == 0, planned.stderr
+    assert "144 points asked for" in planned.stdout
 
 
 def test_tolerances_widen_the_ranges_and_whole_delays_are_nodes() -> None:
