@@ -6,10 +6,15 @@ devices with modes, grips and motors, at delays of 0 to 30 samples. Half of the 
 hold all roots, or the one that it makes smaller does. Points of regions lie next to outlines,
 corners and islands, next to boundaries that eigenvalues find whether the region has them or not,
 and anywhere; an UNRESOLVED region claims only what it contains. The judge is the criterion of Schur
-and Cohn in balls; ``unjudged`` is what their bits do not tell.
+and Cohn in balls; ``unjudged`` is what their bits do not tell. Processes, one for each core, share
+the loops; seconds are those of CPU in the process that answered.
 """
 
+import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from time import process_time
 from typing import NamedTuple
 
@@ -25,6 +30,7 @@ from jaxstab.region import RegionStatus, StableRegion
 
 LOOPS, _SMALL = 10_000, 6  # how many loops in all, and of each kind
 _PROGRESS = 500  # loops after which counts are printed
+_SHARE = 10  # loops that a process is given at once
 MEASURE = "share of {} that balls refute"
 
 Loop = MassLoop | DeviceLoop
@@ -52,9 +58,9 @@ class Tally(NamedTuple):
 
 
 def rows(small: bool, points: int = LOOPS) -> Iterator[Row]:
-    count = _SMALL if small else points // 2
+    count, workers = (_SMALL, 1) if small else (points // 2, os.cpu_count() or 1)
     for kind, words in ((MassLoop, ""), (DeviceLoop, " of devices")):
-        of_walls, of_radii, of_regions = _tallies(kind, count)
+        of_walls, of_radii, of_regions = _tallies(kind, count, workers)
         yield _row("walls" + words, "verdict", of_walls, "undecided")
         rivals = [one.of_rival() for one in of_walls]
         yield _row("walls" + words, "numpy eigvals", rivals, "undecided")
@@ -62,33 +68,44 @@ def rows(small: bool, points: int = LOOPS) -> Iterator[Row]:
         yield _row("points of regions" + words, "stable_region", of_regions, "unresolved")
 
 
-def _tallies(kind: type[Loop], count: int) -> list[list[Tally]]:
-    """Return what became of the three kinds of questions about each loop.
-
-    A loop's numbers are drawn, and its truth is computed, once for all three.
-    """
-    judges: list[Callable[..., Tally]] = [walls, radii, region]
-    tallies: list[list[Tally]] = [[] for _ in judges]
-    for index in range(count):
-        rng = np.random.default_rng([20121120, index])  # so that one loop can be repeated
-        loop = kind.drawn(rng)
-        drawn = rng.bit_generator.state
-        for judged, kept in zip(judges, tallies, strict=True):
-            rng.bit_generator.state = drawn  # as if it were the only question
-            kept.append(judged(loop, rng))
-            if kept[-1].wrong:
-                words = f"{judged.__name__} {index}: {kept[-1].wrong} wrong"
-                print(f"{words} at {loop}", flush=True)
-            if judged is region and kept[-1].open:
-                print(f"region {index}: UNRESOLVED at {loop}", flush=True)
-        if (index + 1) % _PROGRESS == 0:
-            counts = (
-                f"{judged.__name__} {sum(one.wrong for one in kept)} wrong, "
-                f"{sum(one.open for one in kept)} open"
-                for judged, kept in zip(judges, tallies, strict=True)
-            )
-            print(f"{kind.__name__} {index + 1}: {'; '.join(counts)}", flush=True)
+def _tallies(kind: type[Loop], count: int, workers: int) -> list[list[Tally]]:
+    """Return what became of the three kinds of questions about each loop."""
+    tallies: list[list[Tally]] = [[] for _ in _JUDGES]
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        answers = pool.map(partial(_judged, kind), range(count), chunksize=_SHARE)
+        for index, answer in enumerate(answers):
+            for judge, kept, one in zip(_JUDGES, tallies, answer, strict=True):
+                kept.append(one)
+                if one.wrong:
+                    words = f"{judge.__name__} {index}: {one.wrong} wrong"
+                    print(f"{words} at {_drawn(kind, index)[0]}", flush=True)
+                if judge is region and one.open:
+                    print(f"region {index}: UNRESOLVED at {_drawn(kind, index)[0]}", flush=True)
+            if (index + 1) % _PROGRESS == 0:
+                counts = (
+                    f"{judge.__name__} {sum(one.wrong for one in kept)} wrong, "
+                    f"{sum(one.open for one in kept)} open"
+                    for judge, kept in zip(_JUDGES, tallies, strict=True)
+                )
+                print(f"{kind.__name__} {index + 1}: {'; '.join(counts)}", flush=True)
     return tallies
+
+
+def _judged(kind: type[Loop], index: int) -> list[Tally]:
+    """Return what became of the questions about one loop: its truth is computed once for all."""
+    loop, rng = _drawn(kind, index)
+    drawn = rng.bit_generator.state
+    tallies = []
+    for judge in _JUDGES:
+        rng.bit_generator.state = drawn  # as if it were the only question
+        tallies.append(judge(loop, rng))
+    return tallies
+
+
+def _drawn(kind: type[Loop], index: int) -> tuple[Loop, np.random.Generator]:
+    """Return one loop, which can be repeated alone, and the generator after it."""
+    rng = np.random.default_rng([20121120, index])
+    return kind.drawn(rng), rng
 
 
 def _row(section: str, method: str, tallies: list[Tally], word: str) -> Row:
@@ -188,3 +205,6 @@ def probes(answer: StableRegion, balls: BallLoop, rng: np.random.Generator) -> n
     )  # fmt: skip
     away = rng.choice(DISTANCES, (len(near), 1)) * rng.normal(size=near.shape)
     return np.concatenate([anywhere, near + size * away])
+
+
+_JUDGES: tuple[Callable[..., Tally], ...] = walls, radii, region

@@ -15,6 +15,7 @@ from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import curve_and_lift
+from jaxstab.region.exact_roots import _about
 from jaxstab.region.scan import slice_angles
 from jaxstab.region.stretches import standing_for, stretches_around, true_angles
 
@@ -145,3 +146,24 @@ def test_slice_that_its_own_form_does_not_resolve():
     balls = FilteredLoop(*plant, difference(1), average(1)).balls()
     truths = [balls.is_stable(*point) for point in points.tolist()]
     assert np.array_equal(region.contains(*points.T), truths)
+
+
+@pytest.mark.parametrize("samples", [2, 10, 20])
+def test_a_root_that_no_wall_moves_leaves_nothing(samples):
+    """An undamped hand at the Nyquist frequency keeps a root at -1, in double-double, too."""
+    window = jaxstab.Velocity.difference(samples=samples)
+    region = jaxstab.stable_region(float(np.pi**2), 0.0, 0.0, velocity=window)
+    assert region.status == RegionStatus.EMPTY
+
+
+def test_polynomials_are_moved_to_all_digits(rng):
+    hi = rng.normal(size=(30, 3))
+    moved = _about(DoubleDouble.of(hi), 0.1)
+    with mp.workdps(60):
+        step = mpf(0.1)
+        for part in range(3):
+            rising = [mpf(value) for value in hi[::-1, part]]
+            for j in range(30):
+                terms = [mp.binomial(k, j) * step ** (k - j) * rising[k] for k in range(j, 30)]
+                found = mpf(moved.hi[29 - j, part]) + mpf(moved.lo[29 - j, part])
+                assert abs(found - sum(terms)) < 1e-30 * sum(map(abs, terms))

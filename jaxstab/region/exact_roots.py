@@ -35,8 +35,9 @@ def all_inside(
     walls = [tree_map(np.ravel, wall) for wall in (alpha, beta)]
     radius = within * (1.0 + _ON_CIRCLE)
     falling = curve.pairs[0, 1, :, :, ::-1]  # in powers of z - 1
+    every = _about(DoubleDouble(*falling.transpose(0, 2, 1)), radius - 1.0)
     base, stiffness, damping = (
-        _about(DoubleDouble(*part), radius - 1.0) for part in falling.transpose(1, 0, 2)
+        DoubleDouble(every.hi[:, k, None], every.lo[:, k, None]) for k in range(3)
     )
     for start in range(0, inside.size, _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
@@ -71,13 +72,19 @@ def angles_on_circle(
 
 
 def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
-    """Return the coefficients in powers of s - move by those in powers of s, as a column."""
-    hi, lo = falling.hi.copy(), falling.lo.copy()
-    for last in range(len(hi), 1, -1):
-        for k in range(1, last):
-            moved = DoubleDouble(hi[k], lo[k]) + DoubleDouble(hi[k - 1], lo[k - 1]) * move
-            hi[k], lo[k] = moved.hi, moved.lo
-    return DoubleDouble(hi[:, None], lo[:, None])
+    """Return the coefficients in powers of s - move by those in powers of s, part by part.
+
+    sum c_k s^k has the coefficients sum over k of binomial(k, j) move^(k - j) c_k.
+    """
+    degree = len(falling.hi) - 1
+    total, power = falling, DoubleDouble.of(1.0)
+    for more in range(1, degree + 1):
+        power = power * move
+        ways = np.array([float(comb(k, more)) for k in range(degree, more - 1, -1)])[:, None]
+        higher = DoubleDouble(falling.hi[:-more], falling.lo[:-more]) * power * ways
+        moved = (np.pad(one, ((more, 0), (0, 0))) for one in (higher.hi, higher.lo))
+        total = total + DoubleDouble(*moved)
+    return total
 
 
 def _to_half_plane(falling: DoubleDouble, radius: float) -> DoubleDouble:

@@ -11,7 +11,7 @@ from jaxstab.region.audit import is_contradicted
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift
 from jaxstab.region.exact_curve import in_pairs
-from jaxstab.region.exact_points import exact_gains
+from jaxstab.region.exact_points import Pairs, exact_gains
 from jaxstab.region.filtered_curve import System, parts_in_pairs
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import Pieces
@@ -21,6 +21,7 @@ from jaxstab.region.search import refined_pieces
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _STRETCHINGS = 3  # rounds
 _ASKED, _STRAYED = 32, 1e-12  # points, and how far aside they may be beside the outline's size
+_NOTHING = 2.0**-86  # of the coefficients of p(z): pairs know that much
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 
 
@@ -47,6 +48,8 @@ def resolved_outline(
         if rough is not None and not (curve.may_lose_some and _strays(c, rough, system)):
             return c, rough
     pairs = parts_in_pairs(system)
+    if not curve.loses_digits and outline.resolved and _keeps_a_root(pairs):
+        return c, outline
     centers = DoubleDouble.of(np.empty(0))
     for _ in range(_STRETCHINGS):
         exact = c._replace(filtered=in_pairs(curve, pairs, centers))
@@ -80,6 +83,12 @@ def _strays(c: SliceCoefficients, outline: Outline, system: System) -> bool:
     length = np.hypot(*along.T)
     aside = np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0])
     return bool(np.any(aside > _STRAYED * length))
+
+
+def _keeps_a_root(pairs: Pairs) -> bool:
+    """Return whether all walls leave a root at z = -1, as far as pairs tell."""
+    values, sizes = np.abs(pairs[1, 1, 0, :, 0]), np.sum(np.abs(pairs[1, 0, 0]), axis=1)
+    return bool(np.all(values <= _NOTHING * sizes))
 
 
 def _is_known(outline: Outline) -> bool:
