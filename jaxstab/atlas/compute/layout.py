@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import pairwise, product
-from math import ceil, floor
+from math import ceil, floor, prod
 
 import numpy as np
 from jaxtyping import Float64
@@ -154,6 +154,17 @@ def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
     )
     check_size(grid.shape)
     return grid
+
+
+def regions_around(spec: AtlasSpec, grid: Grid) -> int:
+    """Return how many stable regions ``lay_out`` looks at, where their reach is not known."""
+    if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
+        return 0
+    cells = max(grid.limit_range, grid.radius_range, key=len)
+    edges = [] if np.all(cells[:, 0] == cells[:, 1]) else [*cells[:, 0].tolist(), cells[-1, 1]]
+    return len(_stations(edges, grid.delay)) * prod(
+        len(_thinned(nodes)) for nodes in (grid.gamma, grid.delta)
+    )
 
 
 def _radius_cells(

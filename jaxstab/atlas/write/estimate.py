@@ -7,8 +7,11 @@ from typing import NamedTuple
 
 import h5py
 import numpy as np
+from jaxtyping import Float64
 
+from jaxstab.atlas.compute.layout import regions_around
 from jaxstab.atlas.compute.plan import Plan, Tile
+from jaxstab.atlas.compute.tolerance import known_region
 from jaxstab.atlas.format.footer import image_of
 from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
@@ -20,8 +23,9 @@ from jaxstab.atlas.format.schema import (
 from jaxstab.atlas.write.workers import tile_image
 
 _RADII = 2**16  # that are computed at most, unless two columns hold more
-_SHARES = 0.1, 0.5, 0.9  # of the way through the delays, at which limits are computed
-_CALLS = (1, 32), (8, 256)  # boxes of hands and columns along beta, at most
+_SHARES = (0.1, 0.5, 0.9), (0.5, 0.9, 0.1), (0.9, 0.1, 0.5)  # of the delays, gammas and deltas
+_REGIONS = 0.1, 0.3, 0.5, 0.7, 0.9  # of the way through the delays
+_CALLS = (1, 32), (16, 512)  # boxes of hands and columns along beta, at most
 _FILE, _CHUNK = 28_000, 90  # bytes of a file whose arrays are empty, and of a chunk beside values
 _WITHOUT_CELLS = 0.4  # of the work of a tile: at the last of several hands no cells begin
 
@@ -48,6 +52,7 @@ class Costs(NamedTuple):
     """What parts of an atlas take, by which the cost of any resolution of its range follows.
 
     Attributes:
+        region_seconds: of a stable region around which axes are laid.
         start: seconds that the first tile of a delay takes more than others.
         slice_seconds: of a hand at one delay, but for the limits of alpha.
         node_bytes: of its compressed values, but for those of cells and of the limits.
@@ -56,6 +61,7 @@ class Costs(NamedTuple):
         column_seconds: that each column of limits takes more.
     """
 
+    region_seconds: float
     start: float
     slice_seconds: float
     node_bytes: float
@@ -71,7 +77,8 @@ class Costs(NamedTuple):
         hands = sum(
             len(tile.delta) * (1.0 if _has_cells(plan, tile) else _WITHOUT_CELLS) for tile in tiles
         )
-        seconds = self.start * length["delay"] + self.slice_seconds * hands
+        seconds = self.region_seconds * regions_around(plan.spec, plan.grid)
+        seconds += self.start * length["delay"] + self.slice_seconds * hands
         size = _FILE + self.node_bytes * prod(plan.grid.shape[2:]) + self.cell_bytes * cells
         size += _CHUNK * len(tiles) * len(plan.variables) + len(plan.spec.to_toml())
         size += 1.5 * (plan.grid.alpha.nbytes + plan.grid.beta.nbytes)  # and their scales
@@ -103,8 +110,25 @@ def costs_of(plan: Plan) -> Costs:
     slices = np.mean([_of_slices(plan, delay) for delay in delays], axis=0)
     limits = [0.0, 0.0]
     if ALPHA_LIMITS in plan.spec.products:
-        limits = np.mean([_of_limits(plan, share) for share in _SHARES], axis=0).tolist()
-    return Costs(*slices.tolist(), *limits)
+        _of_limits(plan, *_SHARES[0])  # XLA compiles once
+        limits = np.mean([_of_limits(plan, *shares) for shares in _SHARES], axis=0).tolist()
+    return Costs(_of_region(plan), *slices.tolist(), *limits)
+
+
+def _of_region(plan: Plan) -> float:
+    """Return the seconds of a stable region, of a few hands and delays."""
+    grid = plan.grid
+    delays = [_at(grid.limit_range[:, 0], share) for share in _REGIONS]
+    begin = process_time()
+    for end in (0, -1):
+        for delay in delays:
+            known_region(float(grid.gamma[end]), float(grid.delta[end]), delay, plan.spec.filters)
+    return (process_time() - begin) / (2 * len(delays))
+
+
+def _at(nodes: Float64[np.ndarray, " node"], share: float) -> float:
+    """Return the node at a share of the way through all of them."""
+    return float(nodes[round(share * (nodes.size - 1))])
 
 
 def _has_cells(plan: Plan, tile: Tile) -> bool:
@@ -138,32 +162,35 @@ def _of_slices(plan: Plan, delay: int) -> tuple[float, ...]:
     return start, *(taken / len(tile.delta)).tolist()
 
 
-def _of_limits(plan: Plan, share: float) -> tuple[float, float]:
-    """Return the seconds of limits of alpha at a share of the way through the delays.
+def _of_limits(plan: Plan, along: float, of_gamma: float, of_delta: float) -> tuple[float, float]:
+    """Return the seconds of limits of alpha at shares of the way through delays and hands.
 
-    Few columns of one box of hands are computed, and many of several boxes.
+    Few columns in the middle of one box of hands are computed, and many of several boxes.
     """
     grid = plan.grid
-    row = grid.limit_range[int(share * (len(grid.limit_range) - 1))]
+    row = grid.limit_range[int(along * (len(grid.limit_range) - 1))]
+    gamma = int(of_gamma * max(0, grid.gamma.size - 2))
     taken: list[tuple[int, float]] = []
     for boxes, most in _CALLS:
         columns = min(most, grid.limit_cells)
-        high = row[4] + (row[5] - row[4]) * columns / grid.limit_cells
+        before = (grid.limit_cells - columns) // 2
+        ends = np.array([before, before + columns]) / grid.limit_cells
+        delta = int(of_delta * max(0, grid.delta.size - 1 - boxes))
         part = replace(
             grid,
             alpha=grid.alpha[:, :1],
             beta=grid.beta[:, :1],
-            gamma=grid.gamma[:2],
-            delta=grid.delta[: boxes + 1],
+            gamma=grid.gamma[gamma : gamma + 2],
+            delta=grid.delta[delta : delta + boxes + 1],
             delay=row[:1],
             limit_cells=columns,
-            limit_range=np.array([[*row[:5], high]]),
+            limit_range=np.array([[*row[:4], *(row[4] + (row[5] - row[4]) * ends)]]),
         )
         asked = Plan(replace(plan.spec, products=(ALPHA_LIMITS,)), part)
         whole = min(part.delta.size, asked.deltas_of_a_tile)
         tile = Tile(0, range(whole), 0)
         boxes = len(asked.numbers("delta_cell", tile))
-        taken.append((boxes * columns, min(_timed(asked, tile)[0] for _ in range(2))))
+        taken.append((boxes * columns, _timed(asked, tile)[0]))
     (few, quick), (many, slow) = taken
     column = max(0.0, slow - quick) / max(1, many - few)
     return max(0.0, quick - few * column), column
