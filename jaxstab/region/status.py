@@ -6,11 +6,12 @@ from jaxstab.conventions import Status
 class RegionStatus(Status):
     """What is known of a stable region.
 
-    COMPLETE: the pieces that were found join up to closed loops. EMPTY: the scan found no piece.
-    UNRESOLVED: the pieces do not join up, there are more of them than the arrays hold or, for a
-    loop with filters, a proved verdict contradicts them. Such a region claims nothing: it has no
-    points, its numbers are NaN and ``contains`` is False everywhere, which does not mean that the
-    points are unstable.
+    COMPLETE: the pieces that were found join up to closed loops. EMPTY: the scan found no piece; a
+    root on the circle that walls move by rounding alone (undamped hands within 1e-12 of a multiple
+    of the Nyquist frequency) counts as one that stays there. UNRESOLVED: the pieces do not join up,
+    there are more of them than the arrays hold or, for a loop with filters, a proved verdict
+    contradicts them. Such a region claims nothing: it has no points, its numbers are NaN and
+    ``contains`` is False everywhere, which does not mean that the points are unstable.
 
     Example:
         >>> jaxstab.RegionStatus(2).words
