@@ -132,7 +132,7 @@ def _methods(atlas: jaxstab.Atlas, asked: Asked) -> dict[str, tuple[Callable[[],
     """Return the ways to answer, each with the bytes that it keeps."""
     nodes = tuple(atlas.nodes(0).values())
     codes = atlas.arrays["verdict"][..., 0]
-    radius = atlas.arrays["spectral_radius"][..., 0]
+    radius = np.asarray(jaxstab.spectral_radius(*np.ix_(*nodes), asked.delay).value)
     linear = RegularGridInterpolator(nodes, radius, bounds_error=False)
     in_memory = sum(array.nbytes for array in atlas.arrays.values())
     return {

@@ -178,10 +178,12 @@ ELSEWHERE: dict[str, Edit] = {
     "cell numbers": become("limit_cell", lambda v: v[::-1]),
     "a code beyond": put(schema.VERDICT, 4),
     "a negative code": put(schema.CELL_VERDICT, -1),
-    "negative radii": put(schema.SPECTRAL_RADIUS, -1.0),
-    "radii of NaN": put(schema.SPECTRAL_RADIUS, np.nan),
-    "negative errors of radii": put(schema.RADIUS_ERROR, -1e-9),
-    "errors of radii of NaN": put(schema.CELL_RADIUS_ERROR, np.nan),
+    "a kind of radii beyond": put(schema.RADIUS_KIND, 5),
+    "cells of radii of no kind": put(schema.RADIUS_KIND, 0),
+    "more functions of radii than there are": put(schema.RADIUS_KIND, 4),
+    "terms of radii of NaN": put(schema.RADIUS_TERMS, np.nan),
+    "negative errors of radii": put(schema.RADIUS_TERMS, -1e-9, (-1, 0)),
+    "delays of radii that descend": become(schema.RADIUS_RANGE, lambda v: v[::-1]),
     "half a product": without(schema.CELL_VERDICT),
     "no products": without(*(set(schema.VARIABLES) - schema.ALWAYS)),
     "no axis": without("gamma", "alpha_node"),
@@ -245,7 +247,7 @@ WORDS: dict[str, Callable[[str], str]] = {
     "escapes in the filters": sub("filters [^\n]*", "filters \x1b]0;title\x07"),
     "endless filters": sub("filters [^\n]*", "filters " + "a" * 5000),
     "letters beyond ASCII": sub("made by [^\n]*", "made by \xe9"),
-    "an overlap": sub(r"(\nspectral_radius_error) \d+(\+\d+)", r"\1 8\2"),
+    "an overlap": sub(r"(\nradius_kind) \d+(\+\d+)", r"\1 8\2"),
 }
 """What the readers of limits alone do not look at."""
 
@@ -273,31 +275,22 @@ def longer_stream(base: Arrays) -> bytes:
     image, table = parted(assembled(base))
     packed = zlib.compress(bytes(2**26), 1)
     place = f"{len(image)}+{len(packed) + 4}"
-    text = re.sub(r"(\nspectral_radius )\d+\+\d+", rf"\g<1>{place}", table.decode())
+    text = re.sub(r"(\nradius_kind )\d+\+\d+", rf"\g<1>{place}", table.decode())
     return footer.sealed(image + packed + bytes(4), text.encode())
 
 
 def bomb(base: Arrays) -> bytes:
-    """A megabyte that promises 218 MB of radii, and has them: zeros."""
-    sizes = {"alpha": 2048, "beta": 2048, "gamma": 13, "delta": 1, "delay": 1}
+    """A megabyte that promises 218 MB of kinds of radii, and has them: zeros."""
+    counts = 2048, 2048, 13, 1, 1
     arrays = dict(base)
-    for name, size in sizes.items():
-        nodes = np.arange(size) / 100.0
-        is_wall = name in ("alpha", "beta")
-        arrays[name] = nodes[:, None] if is_wall else nodes
-        for number in (f"{name}_node", f"{name}_cell"):
-            if number in arrays:
-                count = max(size - number.endswith("cell"), 1)
-                arrays[number] = np.arange(count, dtype=np.int32)
     for name in (schema.VERDICT, schema.CELL_VERDICT, *schema.PRODUCTS[schema.ALPHA_LIMITS]):
         del arrays[name]
-    cells = tuple(max(size - 1, 1) for size in [*sizes.values()][:4])
-    shapes = [tuple(sizes.values())] * 2 + [(*cells, 1)]
-    chunks = {}
-    for name, shape in zip(schema.PRODUCTS[schema.SPECTRAL_RADIUS], shapes, strict=True):
-        arrays[name] = np.broadcast_to(np.float32(0.0), shape)
-        chunks[name] = (*shape[:2], 1, 1, 1)
-    return assembled(arrays, chunks)
+    for name, count in zip(schema.RADIUS_CELL, counts, strict=True):
+        arrays[name] = np.arange(count, dtype=np.int32)
+    first, last = base[schema.RADIUS_RANGE][0], base[schema.RADIUS_RANGE][-1]
+    arrays[schema.RADIUS_RANGE] = np.array([[first[0], last[1], *first[2:]]])
+    arrays[schema.RADIUS_KIND] = np.broadcast_to(np.int32(0), counts)
+    return assembled(arrays, {schema.RADIUS_KIND: (*counts[:2], 1, 1, 1)})
 
 
 def wrong_content(data: bytes) -> bytes:

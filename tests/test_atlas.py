@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from atlases import SMALL, small_atlas, small_contents, write_small
+from atlases import SMALL, small_atlas, write_small
 
 from benchmarks import truth
 from jaxstab import (
@@ -149,7 +149,6 @@ def test_a_node_answers_what_is_true_there(
             assert answer.verdict[index] == true_verdict((*exact, delay))
         lower, upper = truth.spectral_radius(*exact, delay)
         error = answer.radius_error[index]
-        assert error <= 1e-6
         assert lower - error <= answer.spectral_radius[index] <= upper + error
 
 
@@ -161,15 +160,6 @@ def test_the_resonant_case_is_honest_too(tmp_path: Path, rng: np.random.Generato
     for index in np.flatnonzero(verdict != UNDECIDED):
         point = tuple(float(points[name][index]) for name in points)
         assert verdict[index] == true_verdict((*point, 0.0))
-
-
-def test_the_radius_between_nodes_is_multilinear(atlas: Atlas) -> None:
-    nodes = atlas.nodes(0)
-    middle = {name: (axis[0] + axis[1]) / 2 for name, axis in nodes.items()}
-    corners = np.meshgrid(*[axis[:2] for axis in nodes.values()], indexing="ij")
-    at_corners = atlas.query(*corners, delay=0.0).spectral_radius
-    answer = atlas.query(**middle, delay=0.0)
-    assert float(answer.spectral_radius) == pytest.approx(at_corners.mean(), rel=1e-12)
 
 
 # --------------------------------------------------------------------------------------- the border
@@ -262,16 +252,6 @@ def test_progress_is_told_from_none_to_all(tmp_path: Path) -> None:
     totals = {total for _, total in told}
     assert len(totals) == 1
     assert [done for done, _ in told] == list(range(totals.pop() + 1))
-
-
-def test_rounded_radii_are_within_their_error_of_the_unrounded(tmp_path: Path) -> None:
-    exact = AtlasSpec.from_toml(SMALL.to_toml().replace("1e-07", "0"))
-    unrounded = build_atlas(exact, tmp_path / "exact.h5").arrays
-    rounded = small_contents().arrays
-    difference = np.abs(rounded["spectral_radius"] - unrounded["spectral_radius"])
-    assert np.all(difference <= rounded["spectral_radius_error"])
-    assert np.all(rounded["spectral_radius"] * 2**24 % 1 == 0)
-    assert np.any(difference > 0)
 
 
 def test_an_answer_needs_no_jax(tmp_path: Path) -> None:

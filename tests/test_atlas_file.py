@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
+from math import prod
 from pathlib import Path
 
 import h5py
@@ -63,11 +64,16 @@ def test_what_is_computed_is_read(tmp_path: Path) -> None:
     contents, plan = file.read(write_small(tmp_path)), plan_atlas(SMALL)
     assert contents.created_by == f"jaxstab {jaxstab.__version__}"
     assert list(contents.arrays) == variables_of_small()
+    strung = []
     for tile in plan.tiles:
-        for name, values in compute_tile(plan, tile).items():
+        parts = compute_tile(plan, tile)
+        strung.append(parts.pop(schema.RADIUS_TERMS))
+        for name, values in parts.items():
             places = (plan.numbers(d, tile) for d in schema.VARIABLES[name].dimensions)
             assert contents.arrays[name].dtype == values.dtype
             np.testing.assert_array_equal(contents.arrays[name][np.ix_(*places)], values)
+    terms = contents.arrays[schema.RADIUS_TERMS]
+    np.testing.assert_array_equal(terms, np.concatenate(strung, axis=1))
 
 
 def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_path: Path) -> None:
@@ -281,8 +287,8 @@ def test_what_is_too_large_is_refused_and_the_rest_answers(
     monkeypatch.setattr(schema, "LARGEST_UNASKED", 0)
     monkeypatch.setattr(schema, "LARGEST_EXPANSION", 1)
     atlas = open_atlas(path)
-    size = 4 * atlas.arrays["verdict"].size
-    assert f"has {size} bytes of spectral_radius" in refusal(
+    size = 4 * prod(atlas.arrays[name].size for name in schema.RADIUS_CELL)
+    assert f"has {size} bytes of radius_kind" in refusal(
         path, lambda _: atlas.query(0.1, 0.5, 0.0005, 0.01, 0.0)
     )
     assert atlas.verdict(0.1, 0.5, 0.0005, 0.01, 0.0) == jaxstab.STABLE

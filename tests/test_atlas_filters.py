@@ -1,6 +1,5 @@
 """Atlases of loops with a velocity estimator and a position filter."""
 
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,6 @@ from click.testing import CliRunner
 import jaxstab
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import AtlasSpec, Filter, FittedAxis, Velocity
-from jaxstab.boxes.plant import HandBoxes
-from jaxstab.boxes.root_discs import interpolation_errors
 from jaxstab.cli.main import main
 
 WINDOW = Path(__file__).resolve().parents[1] / "data" / "golden" / "atlas-v3-window.h5"
@@ -176,33 +173,3 @@ def test_every_product_of_a_window_of_twenty(tmp_path: Path) -> None:
     jaxstab.write_atlas(spec, path)
     result = CliRunner().invoke(main, ["atlas", "verify", str(path), "--sample", "300"])
     assert result.exit_code == 0, result.output
-
-
-# ---------------------------------------------------------------------------------------- radii
-
-
-def test_the_bound_of_radii_holds_in_every_cell(rng: np.random.Generator) -> None:
-    nodes = np.linspace(-0.002, 0.09, 33), np.linspace(-0.02, 0.5, 25)
-    hands = np.array([[0.0, 5e-4], [0.0, 2e-3]])
-    filters = Velocity.difference(samples=5), Filter.exponential(0.9)
-    keywords = {"velocity": filters[0], "position": filters[1]}
-    boxes = HandBoxes(*hands.mean(axis=1)[:, None], *(0.5 * np.diff(hands, axis=1) * (1 + 1e-9)))
-    grid = np.ix_(*nodes, *hands)
-    corners = np.moveaxis(jaxstab.spectral_radius(*grid, 1.0, **keywords).value, (2, 3), (0, 1))
-    bounds = interpolation_errors(*nodes, boxes, 1.0, corners, filters)
-    assert np.mean(np.isfinite(bounds)) > 0.9
-
-    cell = [rng.integers(0, axis.size - 1, 3000) for axis in nodes]
-    part = rng.choice([0.0, 1.0, 0.5, 0.31], (4, 3000))
-    gains = [
-        axis[i] + p * (axis[i + 1] - axis[i])
-        for axis, i, p in zip(nodes, cell, part[:2], strict=True)
-    ]
-    hand = [low + p * (high - low) for (low, high), p in zip(hands, part[2:], strict=True)]
-    between = sum(
-        np.prod([p if c else 1 - p for c, p in zip(corner, part, strict=True)], axis=0)
-        * corners[*corner[2:], cell[0] + corner[0], cell[1] + corner[1]]
-        for corner in product((0, 1), repeat=4)
-    )
-    exact = jaxstab.spectral_radius(*gains, *hand, 1.0, **keywords)
-    assert np.all(np.abs(between - exact.value) <= bounds[cell[0], cell[1]] + exact.error)

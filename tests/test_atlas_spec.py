@@ -83,7 +83,7 @@ def test_an_axis_can_be_written_in_several_ways() -> None:
         ("products = ['verdicts']", "products.verdicts is unknown; did you mean 'verdict'?"),
         ("products = []", "products is empty"),
         ("products = 'verdict'", "products is 'verdict'"),
-        ("radius_rounding = -1", "radius_rounding is -1.0"),
+        ("radius_rounding = 1e-7", "radius_rounding is unknown"),
         ("alpha = {fitted = 100000}\nbeta = {fitted = 100000}", "nodes; at most"),
     ],
 )

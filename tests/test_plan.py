@@ -31,6 +31,7 @@ from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.write.estimate import estimate_build
 
+RADII = (schema.RADIUS_KIND, schema.RADIUS_TERMS)
 ONE_SLICE = {"gamma": [0.001], "delta": [0.015], "products": ["verdict"]}
 
 
@@ -44,8 +45,7 @@ def test_a_plan_counts_every_point_and_says_why_it_is_not_evaluated() -> None:
         "verdict",
         "cell_verdict",
         "alpha_limits",
-        "spectral_radius",
-        "cell_spectral_radius_error",
+        "radius_kind",
     }
     assert shares["verdict"].asked == 24 * 20 * 2 * 3 * 2
     assert shares["cell_verdict"].asked == 23 * 19 * 1 * 2 * 2
@@ -72,10 +72,14 @@ def test_a_tile_is_the_same_alone_and_in_an_atlas_of_any_tiles(
     plan, whole = plan_atlas(SMALL), small_contents().arrays
     monkeypatch.setattr("jaxstab.atlas.compute.plan.TILE_NODES", 1)
     assert len(plan.tiles) == 2 * 3 * 2
+    strung = []
     for tile in plan.tiles[::-1]:
-        for name, values in compute_tile(plan, tile).items():
+        parts = compute_tile(plan, tile)
+        strung.append(parts.pop(schema.RADIUS_TERMS))
+        for name, values in parts.items():
             places = (plan.numbers(dimension, tile) for dimension in VARIABLES[name].dimensions)
             np.testing.assert_array_equal(values, whole[name][np.ix_(*places)])
+    np.testing.assert_array_equal(np.concatenate(strung[::-1], axis=1), whole[schema.RADIUS_TERMS])
 
 
 @pytest.mark.parametrize("product", ["verdict", "spectral_radius"])
@@ -88,8 +92,9 @@ def test_what_is_not_asked_for_is_not_computed(
     )  # fmt: skip
     plan = plan_atlas(spec)
     other = {"verdict": "spectral_radius", "spectral_radius": "verdict"}[product]
-    monkeypatch.setattr(products, "spectral_radius" if product == "verdict" else "node_verdicts", 0)
-    assert set(compute_tile(plan, plan.tiles[0])) == set(schema.PRODUCTS[product])
+    monkeypatch.setattr(products, "radii" if product == "verdict" else "node_verdicts", 0)
+    computed = {"verdict": schema.PRODUCTS["verdict"], "spectral_radius": RADII}[product]
+    assert set(compute_tile(plan, plan.tiles[0])) == set(computed)
     assert f"{other}: not asked for" in str(plan)
 
 
@@ -117,17 +122,6 @@ def test_fixed_parameters_are_not_gridded_and_the_atlas_answers_at_them(
         assert answer.verdict[index] == (UNSTABLE if truth.unstable_count(*point) else STABLE)
     with pytest.raises(ValueError, match="gamma is"):
         atlas.query(0.01, 0.1, 0.0011, 0.015, 2.0)
-
-
-def test_the_radius_of_a_slice_is_interpolated_in_it(tmp_path) -> None:
-    spec = AtlasSpec(
-        alpha=[0.1, 0.2], beta=[0.4, 0.6], gamma=[0.001], delta=[0.015], delay=[0.0],
-        products=["spectral_radius"],
-    )  # fmt: skip
-    atlas = build_atlas(spec, tmp_path / "radius.h5")
-    corners = atlas.arrays["spectral_radius"][:, :, 0, 0, 0]
-    answer = atlas.query(0.15, 0.5, 0.001, 0.015, 0.0)
-    assert float(answer.spectral_radius) == pytest.approx(corners.mean(), rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["gamma", "delta"])

@@ -201,12 +201,12 @@ def test_radii_between_delays_are_within_their_bounds(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
     spec = AtlasSpec(
-        alpha=FittedAxis(8),
-        beta=FittedAxis(8),
+        alpha=FittedAxis(64),
+        beta=FittedAxis(56),
         gamma=(0.0, 0.0005),
         delta=(0.005, 0.01),
         delay=(0.5, 1.5),
-        products=("radius_surfaces",),
+        products=("spectral_radius",),
         delay_cells=12,
     )
     atlas = build_atlas(spec, tmp_path / "delays.h5")

@@ -150,7 +150,7 @@ def cell_polynomial(
     Raises:
         ValueError: gamma, delta or delay is outside the range of the model.
     """
-    plant = _plant(hands, delay, half_delay)
+    plant = _plants(hands, delay, half_delay)
     base, stiffness, damping = _multipliers(int(delay) + 1, filters)
     degree = base.size + 1
     cells = walls.alpha.size
@@ -198,6 +198,14 @@ def _multipliers(lag: int, filters: Filters | None) -> list[Array]:
         np.array([float(c.rounded()) for c in reduce(polynomial_product, each)] + [0.0] * power)
         for power, each in zip(powers, factors, strict=True)
     ]
+
+
+def _plants(hands: HandBoxes, delay: float, half_delay: float) -> dict[str, Quadratic]:
+    """Enclose the plant's coefficients of each cell; cells share few boxes of hands."""
+    boxes, number = np.unique(np.stack(hands), axis=1, return_inverse=True)
+    known = _plant(HandBoxes(*boxes), delay, half_delay)
+    number = number.ravel()
+    return {name: Quadratic(q.terms[:, number], q.rest[number]) for name, q in known.items()}
 
 
 def _plant(hands: HandBoxes, delay: float, half_delay: float) -> dict[str, Quadratic]:

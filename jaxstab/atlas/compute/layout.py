@@ -14,7 +14,7 @@ from jaxstab.atlas.format.schema import (
     LIMIT_TERMS,
     NODE,
     RADIUS_CELL,
-    RADIUS_SURFACES,
+    SPECTRAL_RADIUS,
     TERMS_OF_RADIUS,
 )
 from jaxstab.atlas.format.spec import AtlasSpec, FittedAxis, Nodes, ToleranceAxis, check_size
@@ -140,14 +140,14 @@ def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
     delay = np.array(spec.delay)
     walls = [_wall_axes(spec, gamma, delta, samples, reach) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
-    has_limits, has_radii = (name in spec.products for name in (ALPHA_LIMITS, RADIUS_SURFACES))
+    has_limits, has_radii = (name in spec.products for name in (ALPHA_LIMITS, SPECTRAL_RADIUS))
     fineness = int(spec.delay_cells or 0) if has_limits or has_radii else 0
     alone, cells = (
         _delay_cells(spec, (gamma, delta), delay, walls, reach, n) for n in (0, fineness)
     )
     limit_range = cells if has_limits else alone
     radius_range = _cells_of_radii(cells, delay) if has_radii else alone
-    radius_cells = _radius_cells(spec, len(alpha), gamma.size, delta.size)
+    radius_cells = radius_cells_of(len(alpha), len(beta), gamma.size, delta.size)
     grid = Grid(
         *(alpha, beta, gamma, delta, delay),
         *(spec.limit_cells, limit_range, radius_cells, radius_range),
@@ -167,14 +167,12 @@ def regions_around(spec: AtlasSpec, grid: Grid) -> int:
     )
 
 
-def _radius_cells(
-    spec: AtlasSpec, alphas: int, gammas: int, deltas: int
-) -> tuple[int, int, int, int]:
-    """Return how many cells of radii there are along alpha, beta, gamma and delta.
+def radius_cells_of(alphas: int, betas: int, gammas: int, deltas: int) -> tuple[int, int, int, int]:
+    """Return how many cells of radii there are along alpha, beta, gamma and delta, for nodes.
 
     Functions of second order bend with the radius, so these cells are wider than others.
     """
-    alpha, beta = max(12, 3 * alphas // 16), max(32, spec.limit_cells // 2)
+    alpha, beta = max(12, 3 * alphas // 16), max(32, 4 * betas // 7)
     return alpha, beta, max(1, gammas // 2), max(1, deltas // 2)
 
 

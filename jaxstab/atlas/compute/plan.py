@@ -11,13 +11,11 @@ from jaxstab.atlas.compute.layout import Grid, lay_out
 from jaxstab.atlas.compute.verdicts import undecided_nodes
 from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
-    CELL_RADIUS_ERROR,
     CELL_VERDICT,
     LARGEST_ARRAY,
     PRODUCTS,
     RADIUS_CELL,
     RADIUS_KIND,
-    SPECTRAL_RADIUS,
     VARIABLES,
     VERDICT,
 )
@@ -27,7 +25,7 @@ from jaxstab.model.filters import as_keywords
 
 TILE_NODES = 2**18  # at most, where a tile holds more than one slice
 
-_IN_GRID = (VERDICT, CELL_VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS, CELL_RADIUS_ERROR, RADIUS_KIND)
+_IN_GRID = (VERDICT, CELL_VERDICT, ALPHA_LIMITS, RADIUS_KIND)
 _BY_SLICES = ("outline", "summary")
 
 

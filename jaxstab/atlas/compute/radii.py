@@ -1,4 +1,4 @@
-"""Spectral radii between nodes: functions of cells, in float32 that claims no more."""
+"""Spectral radii at all points: functions of cells, in float32 that claims no more."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ _DIGITS = 5  # of an error that are kept, upwards
 _LARGEST = 1e6  # of terms
 
 
-def surfaces(plan: Plan, tile: Tile) -> dict[str, NDArray[Any]]:
+def radii(plan: Plan, tile: Tile) -> dict[str, NDArray[Any]]:
     """Return the functions of the cells that are in a tile, one cell of delays after the other."""
     grid = plan.grid
     counts = grid.radius_cells

@@ -33,9 +33,6 @@ CELL_VERDICT: Final = "cell_verdict"
 ALPHA_LIMITS: Final = "alpha_limits"
 LIMIT_RANGE: Final = "limit_range"
 SPECTRAL_RADIUS: Final = "spectral_radius"
-RADIUS_ERROR: Final = "spectral_radius_error"
-CELL_RADIUS_ERROR: Final = "cell_spectral_radius_error"
-RADIUS_SURFACES: Final = "radius_surfaces"
 RADIUS_RANGE: Final = "radius_range"
 RADIUS_KIND: Final = "radius_kind"
 RADIUS_TERMS: Final = "radius_terms"
@@ -219,32 +216,6 @@ VARIABLES: Final = {
             "each gap). Constants "
             "of infinity: lower, no alpha is stable; upper, the limit is beyond the atlas",
         ),
-        Variable(
-            SPECTRAL_RADIUS,
-            "float32",
-            NODE,
-            "largest modulus of a closed-loop pole at the node",
-            "decay per sampling period; below 1 for a stable loop",
-            0.0,
-        ),
-        Variable(
-            RADIUS_ERROR,
-            "float32",
-            NODE,
-            "error bound of spectral_radius",
-            "proved: the true radius is within spectral_radius +- this; infinite: no bound",
-            0.0,
-        ),
-        Variable(
-            CELL_RADIUS_ERROR,
-            "float32",
-            CELL,
-            "error bound of spectral_radius between its nodes",
-            "proved: at each point of the closed cell the true radius is within this of the "
-            "multilinear interpolation of spectral_radius at the corners (discs that hold all "
-            "roots); infinite: no bound",
-            0.0,
-        ),
         *(
             _numbers(name, "cell i of n is the i-th of n equal parts of the range")
             for name in RADIUS_CELL[:-1]
@@ -258,7 +229,7 @@ VARIABLES: Final = {
             RADIUS_RANGE,
             "float64",
             ("radius_delay_cell", "radius_end"),
-            "delays, alpha and beta for which spectral radii are known between nodes",
+            "delays, alpha and beta for which spectral radii are given",
             "one row for each cell of delays, ascending; of two cells that share a delay the "
             "second answers for it",
         ),
@@ -273,7 +244,7 @@ VARIABLES: Final = {
             RADIUS_KIND,
             "int32",
             RADIUS_CELL,
-            "what the spectral radius is made of",
+            "what the spectral radius, the largest modulus of a closed-loop pole, is made of",
             "Proved for each point of the closed cell. 1: it is a function, 2: the larger of two "
             "functions, each within its error. 3: it is the largest |m + w| of two w at which "
             "|w^2 + Q| is not larger than the error of m; 4: of three w at which |w^3 + P w + Q| "
@@ -340,8 +311,7 @@ PRODUCTS: Final = {
         "limit_term",
         ALPHA_LIMITS,
     ),
-    SPECTRAL_RADIUS: (SPECTRAL_RADIUS, RADIUS_ERROR, CELL_RADIUS_ERROR),
-    RADIUS_SURFACES: (
+    SPECTRAL_RADIUS: (
         *RADIUS_CELL,
         "radius_end",
         RADIUS_RANGE,

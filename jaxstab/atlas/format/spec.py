@@ -102,16 +102,14 @@ class AtlasSpec:
         gamma: nodes of the physical stiffness k T^2/m, >= 0, or a ToleranceAxis.
         delta: nodes of the physical damping b T/m, >= 0, or a ToleranceAxis.
         delay: delays t_d/T in [0, 100], whole or fractional; each has a grid of its own.
-        products: what to compute, of "verdict", "alpha_limits", "spectral_radius",
-            "radius_surfaces" (radii between nodes at all delays, in wider cells), "outline" and
+        products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "outline" and
             "summary"; by default the first three.
         limit_cells: number of even cells along beta in which the limits of alpha are given; 0
             for 128 where they are given between delays, too, and else 256.
         delay_cells: how finely they are given between the delays, in cells (delay + 1/2) /
             delay_cells long; 0 for these delays alone, which is what None means for loops with an
-            estimator or a filter: else 32.
-        radius_rounding: spectral radii are rounded to multiples of the largest power of two that is
-            not above this (a smaller file; counted in the stored error), at least to float32.
+            estimator or a filter: else 32. Spectral radii are given where limits are, in cells of
+            their own: fewer than those between nodes.
 
     Nodes are finite and ascending, and kept as tuples of floats; along alpha and beta there are at
     least two, and gamma, delta and delay are fixed by one.
@@ -134,7 +132,6 @@ class AtlasSpec:
     products: Sequence[str] = (VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS)
     limit_cells: int = 0
     delay_cells: int | None = None
-    radius_rounding: float | int = 1e-7
     velocity: Velocity | None = None
     position: Filter | None = None
 
@@ -150,7 +147,6 @@ class AtlasSpec:
         if not checked_count("limit_cells", self.limit_cells, 0, LARGEST_SLICE):
             between = bool(self.delay_cells) and np.size(self.delay) > 1
             object.__setattr__(self, "limit_cells", _LIMIT_CELLS[between])
-        checked_number("radius_rounding", self.radius_rounding, 0.0, 1.0)
         for name, value in as_keywords(known_filters(self.velocity, self.position)).items():
             object.__setattr__(self, name, _as_written(name, value))
         check_size([_least_count(getattr(self, name)) for name in AXES])

@@ -23,17 +23,9 @@ class QueryStatus(Status):
         ['NODE', 'CELL', 'UNDECIDED_CELL', 'BETWEEN_DELAYS', 'OUTSIDE', 'EXACT']
     """
 
-    NODE = 1, "a node: the atlas holds verdict and radius of this very point"
-    CELL = (
-        2,
-        "between nodes: the verdict is proved for a cell or column around the point, the radius "
-        "is interpolated at delays of the atlas and unknown between them",
-    )
-    UNDECIDED_CELL = (
-        3,
-        "between nodes: no verdict is proved, the radius is interpolated at delays of the atlas "
-        "and unknown between them",
-    )
+    NODE = 1, "a node: the verdict, if any, is that of this very point"
+    CELL = 2, "between nodes: the verdict is proved for a cell or column around the point"
+    UNDECIDED_CELL = 3, "between nodes: no verdict is proved"
     BETWEEN_DELAYS = 4, "between two delays of an atlas that says nothing there"
     OUTSIDE = 5, "outside of the atlas: it says nothing here"
     EXACT = 6, "not decided by the atlas: the verdict was computed for this very point"
@@ -46,8 +38,8 @@ class AtlasAnswer:
     Attributes:
         verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved; UNDECIDED where
             the atlas cannot decide; NOT_COMPUTED if it holds no verdicts.
-        spectral_radius: computed at a node, multilinearly interpolated elsewhere; NaN where the
-            atlas holds none.
+        spectral_radius: the middle of the interval in which it is proved to be; NaN where the
+            atlas knows none.
         radius_error: proved bound of the error of ``spectral_radius``; infinite without one.
         status: int8 codes of ``QueryStatus``: how this is known.
 

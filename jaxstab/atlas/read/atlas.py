@@ -30,8 +30,8 @@ from jaxstab.atlas.read.held import HeldAtlas, of_filters
 from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
 from jaxstab.atlas.read.points import (
     answer_at_delay,
-    answer_between,
     answer_by_limits,
+    answer_radii,
     find_outside,
 )
 from jaxstab.atlas.read.radii import RadiusTable
@@ -99,10 +99,10 @@ class Atlas(HeldAtlas):
     ) -> AtlasAnswer:
         """Answer for points of any broadcast shape, never with a guess.
 
-        At a node of the grid the answer is what was computed there. Between nodes the verdict is
-        given where the limits of alpha, or the proof for the whole cell, decide it, and is
-        UNDECIDED elsewhere. So it is at all delays for which limits are held, or else at those of
-        ``delays``; radii are known at these.
+        At a node of the grid the verdict is what was computed there. Between nodes it is given
+        where the limits of alpha, or the proof for the whole cell, decide it, and is UNDECIDED
+        elsewhere. So it is at all delays for which limits are held, or else at those of ``delays``.
+        Spectral radii are functions of cells, at nodes and between them, each with a proved bound.
 
         Args:
             alpha: wall stiffness K T^2/m.
@@ -143,8 +143,8 @@ class Atlas(HeldAtlas):
             here = np.flatnonzero(inside & (where["delay"] == node))
             if here.size:
                 answer_at_delay(self.arrays, number, where, here, answer)
-        if schema.RADIUS_SURFACES in self.products:
-            answer_between(self._radii, where, inside, answer)
+        if schema.SPECTRAL_RADIUS in self.products:
+            answer_radii(self._radii, where, inside, answer)
         if exact:
             own = self.filters or (None, None)
             settle(where, answer, dict(zip(("velocity", "position"), own, strict=True)))
@@ -326,7 +326,7 @@ class Atlas(HeldAtlas):
 
     @cached_property
     def _radii(self) -> RadiusTable:
-        """The radii between nodes, where the atlas has radius surfaces."""
+        """The spectral radii, where the atlas has them."""
         return RadiusTable(self.arrays)
 
     @cached_property

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -22,12 +21,11 @@ class Place:
     cell: tuple[Integers, ...]  # nodes[cell] <= point <= nodes[cell + 1]
     node: tuple[Integers, ...]  # the node, where the point is one
     at_node: Mask
-    part: tuple[Floats, ...]  # how far through the cell, from 0 to 1
 
     @classmethod
     def of(cls, axes: Sequence[tuple[Floats, Floats]]) -> "Place":
         """Find points along each axis, given as its nodes and the points' coordinates."""
-        cells, node, at_node, part = [], [], np.ones(axes[0][1].shape, bool), []
+        cells, node, at_node = [], [], np.ones(axes[0][1].shape, bool)
         for nodes, points in axes:
             cells_along = max(nodes.size - 1, 1)
             cell = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, cells_along - 1)
@@ -35,19 +33,7 @@ class Place:
             cells.append(cell)
             node.append(cell + ((points == upper) & (upper > lower)))
             at_node &= (points == lower) | (points == upper)
-            part.append((points - lower) / np.where(upper > lower, upper - lower, 1.0))
-        return cls(tuple(cells), tuple(node), at_node, tuple(part))
-
-    def interpolated(self, values: NDArray[np.floating]) -> Floats:
-        """Return the multilinear interpolation of values at nodes."""
-        total = np.zeros(self.at_node.shape)
-        for corner in product((0, 1), repeat=len(self.cell)):
-            sides = zip(corner, self.part, strict=True)
-            weight = np.prod([part if side else 1.0 - part for side, part in sides], axis=0)
-            node = [c + side for side, c in zip(corner, self.cell, strict=True)]
-            value = values[tuple(map(np.minimum, node, np.array(values.shape) - 1))]
-            total += np.where(weight > 0.0, weight * value, 0.0)
-        return total
+        return cls(tuple(cells), tuple(node), at_node)
 
 
 def picked(values: NDArray[Any], numbers: Sequence[Integers], members: Mask) -> NDArray[Any]:

@@ -109,30 +109,19 @@ def answer_at_delay(
         codes[left] = picked(arrays[schema.VERDICT][..., number], place.node, left)
     status[place.at_node] = QueryStatus.NODE
     answer.verdict[here], answer.status[here] = codes, status
-    if schema.SPECTRAL_RADIUS in arrays:
-        radius = arrays[schema.SPECTRAL_RADIUS][..., number]
-        answer.spectral_radius[here] = place.interpolated(radius)
-        for name, numbers, members in (
-            (schema.RADIUS_ERROR, place.node, place.at_node),
-            (schema.CELL_RADIUS_ERROR, place.cell, ~place.at_node),
-        ):
-            if members.any():
-                error = arrays[name][..., number]
-                answer.radius_error[here[members]] = picked(error, numbers, members)
 
 
-def answer_between(table: RadiusTable, where: Points, inside: Mask, answer: AtlasAnswer) -> None:
-    """Fill in radii of points inside of an atlas that are known better; verdicts bound them."""
+def answer_radii(table: RadiusTable, where: Points, inside: Mask, answer: AtlasAnswer) -> None:
+    """Fill in the radii of points inside of an atlas; verdicts that are known bound them."""
     here = np.flatnonzero(inside)
     low, high = table.bounds([where[name][here] for name in AXES])
     codes = answer.verdict[here]
     low = np.where(codes == UNSTABLE, np.maximum(low, 1.0), low)
     high = np.where(codes == STABLE, np.minimum(high, 1.0), high)
     high = np.maximum(high, low)
-    error = 0.5 * (high - low) + _ROUNDING * high
-    is_better = np.isfinite(high) & (error < answer.radius_error[here])
-    members = here[is_better]
-    answer.spectral_radius[members] = 0.5 * (low + high)[is_better]
-    answer.radius_error[members] = error[is_better]
+    is_known = np.isfinite(high)
+    members, low, high = here[is_known], low[is_known], high[is_known]
+    answer.spectral_radius[members] = 0.5 * (low + high)
+    answer.radius_error[members] = 0.5 * (high - low) + _ROUNDING * high
     is_between = answer.status[members] == QueryStatus.BETWEEN_DELAYS
     answer.status[members[is_between]] = QueryStatus.UNDECIDED_CELL

@@ -21,7 +21,7 @@ _FIRST, _SECOND = np.triu_indices(_VARIABLES)
 
 
 class RadiusTable:
-    """Spectral radii of an atlas between its nodes.
+    """Spectral radii of an atlas at any point.
 
     Args:
         arrays: of the atlas.

@@ -16,13 +16,13 @@ from jaxstab.atlas.format.footer import image_of
 from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
     LIMITS,
-    RADIUS_SURFACES,
+    RADIUS_CELL,
     SPECTRAL_RADIUS,
     VARIABLES,
 )
 from jaxstab.atlas.write.workers import tile_image
 
-_RADII = 2**16  # that are computed at most, unless two columns hold more
+_RADII = 24, 64  # cells of radii along alpha and beta that are computed at once, at most
 _SHARES = (0.1, 0.5, 0.9), (0.5, 0.9, 0.1), (0.9, 0.1, 0.5)  # of the delays, gammas and deltas
 _REGIONS = 0.1, 0.3, 0.5, 0.7, 0.9  # of the way through the delays
 _CALLS = (1, 32), (16, 512)  # boxes of hands and columns along beta, at most
@@ -54,11 +54,13 @@ class Costs(NamedTuple):
     Attributes:
         region_seconds: of a stable region around which axes are laid.
         start: seconds that the first tile of a delay takes more than others.
-        slice_seconds: of a hand at one delay, but for the limits of alpha.
-        node_bytes: of its compressed values, but for those of cells and of the limits.
+        slice_seconds: of a hand at one delay, but for the limits of alpha and the radii.
+        node_bytes: of its compressed values, but for those of cells, limits and radii.
         cell_bytes: of the values of cells that begin at a hand.
         call_seconds: of the limits of alpha in one tile and one cell of delays, whatever they are.
         column_seconds: that each column of limits takes more.
+        radius_seconds: of a cell of radii.
+        radius_bytes: of its compressed values.
     """
 
     region_seconds: float
@@ -68,6 +70,8 @@ class Costs(NamedTuple):
     cell_bytes: float
     call_seconds: float
     column_seconds: float
+    radius_seconds: float
+    radius_bytes: float
 
     def of(self, plan: Plan) -> Estimate:
         """Return what a build takes; nodes along alpha and beta are those that were measured."""
@@ -88,6 +92,10 @@ class Costs(NamedTuple):
             calls = gammas * -(-deltas // plan.deltas_of_a_tile) * delays
             seconds += self.call_seconds * calls + self.column_seconds * columns
             size += calls * (_CHUNK + 4.0 * prod(plan.chunk(ALPHA_LIMITS)))
+        if SPECTRAL_RADIUS in plan.spec.products:
+            radii = prod(length[name] for name in RADIUS_CELL)
+            seconds += self.radius_seconds * radii
+            size += self.radius_bytes * radii + _CHUNK * length[RADIUS_CELL[-1]]
         return Estimate(seconds, size)
 
 
@@ -108,11 +116,13 @@ def costs_of(plan: Plan) -> Costs:
     """
     delays = sorted({0, plan.grid.delay.size - 1})
     slices = np.mean([_of_slices(plan, delay) for delay in delays], axis=0)
-    limits = [0.0, 0.0]
+    limits = radii = [0.0, 0.0]
     if ALPHA_LIMITS in plan.spec.products:
         _of_limits(plan, *_SHARES[0])  # XLA compiles once
         limits = np.mean([_of_limits(plan, *shares) for shares in _SHARES], axis=0).tolist()
-    return Costs(_of_region(plan), *slices.tolist(), *limits)
+    if SPECTRAL_RADIUS in plan.spec.products:
+        radii = np.mean([_of_radii(plan, along) for along, *_ in _SHARES], axis=0).tolist()
+    return Costs(_of_region(plan), *slices.tolist(), *limits, *radii)
 
 
 def _of_region(plan: Plan) -> float:
@@ -140,25 +150,16 @@ def _of_slices(plan: Plan, delay: int) -> tuple[float, ...]:
 
     These are its seconds and the bytes of its nodes and of its cells.
 
-    Verdicts and what belongs to slices take a second at most. Of radii, which take as long as there
-    are nodes, some columns in the middle are computed.
+    Verdicts and what belongs to slices take a second at most.
     """
     tile = next(tile for tile in plan.tiles if tile.delay == delay)
-    alphas, betas, *_ = plan.grid.shape
-    columns = min(betas, max(2, _RADII // (alphas * len(tile.delta))))
-    first = (betas - columns) // 2
-    middle = replace(plan.grid, beta=plan.grid.beta[first : first + columns])
     start, taken = 0.0, np.zeros(3)
-    for product in (name for name in plan.spec.products if name != ALPHA_LIMITS):
-        grid, scale = plan.grid, 1.0
-        if product == SPECTRAL_RADIUS:
-            grid, scale = middle, betas / columns
-        elif product == RADIUS_SURFACES:  # all with the first tile of a delay
-            scale = plan.grid.delay.size / len(plan.tiles)
-        part = Plan(replace(plan.spec, products=(product,)), grid)
+    others = (ALPHA_LIMITS, SPECTRAL_RADIUS)
+    for product in (name for name in plan.spec.products if name not in others):
+        part = Plan(replace(plan.spec, products=(product,)), plan.grid)
         (slow, *_), (quick, *stored) = (_timed(part, tile) for _ in range(2))
         start += max(0.0, slow - quick)  # XLA compiles once
-        taken += scale * np.array([quick, *stored])
+        taken += [quick, *stored]
     return start, *(taken / len(tile.delta)).tolist()
 
 
@@ -194,6 +195,25 @@ def _of_limits(plan: Plan, along: float, of_gamma: float, of_delta: float) -> tu
     (few, quick), (many, slow) = taken
     column = max(0.0, slow - quick) / max(1, many - few)
     return max(0.0, quick - few * column), column
+
+
+def _of_radii(plan: Plan, share: float) -> tuple[float, float]:
+    """Return seconds and bytes of a cell of radii at a share of the way through the delays."""
+    grid = plan.grid
+    row = grid.radius_range[int(share * (len(grid.radius_range) - 1))]
+    alphas, betas = map(min, grid.radius_cells[:2], _RADII)
+    cells = alphas, betas, 1, 1
+    part = replace(
+        grid,
+        alpha=grid.alpha[:, :1],
+        beta=grid.beta[:, :1],
+        delay=row[:1],
+        radius_cells=cells,
+        radius_range=row[None],
+    )
+    asked = Plan(replace(plan.spec, products=(SPECTRAL_RADIUS,)), part)
+    seconds, stored, _ = min(_timed(asked, asked.tiles[0]) for _ in range(2))
+    return seconds / prod(cells), stored / prod(cells)
 
 
 def _timed(plan: Plan, tile: Tile) -> tuple[float, int, int]:

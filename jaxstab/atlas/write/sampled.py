@@ -20,6 +20,7 @@ from jaxstab.atlas.format.schema import (
     LIMIT_RANGE,
     LIMIT_TERMS,
     LIMITS,
+    RADIUS_RANGE,
     SPEC,
     SPECTRAL_RADIUS,
     VARIABLES,
@@ -29,6 +30,7 @@ from jaxstab.atlas.read.answer import QueryStatus
 from jaxstab.atlas.read.atlas import Atlas
 from jaxstab.atlas.read.file import Contents
 from jaxstab.atlas.read.limits import AlphaLimits, limits_at, undecided_share
+from jaxstab.atlas.read.radii import RadiusTable
 from jaxstab.conventions import UNDECIDED
 
 Floats = Float64[np.ndarray, "..."]
@@ -37,7 +39,7 @@ _COLUMNS = 512  # of limits that are computed at once, at most
 _OF_EACH = 3  # places to a cell, at most
 _PLACES = 2  # in a column at which limits are asked
 _POINTS = 2**13  # that a part of an atlas is asked about
-_BETAS = 24  # nodes along beta of a part that is computed for its radii
+_BETAS = 16  # cells along beta of a part that is computed for its radii
 _MOST = 0.95  # of the limits keep the error that is said
 _DRAWS = 50  # of samples of a sample, for its spread
 _TABLE = 2**24  # numbers of limits at most, among which queries are timed: 64 MB
@@ -64,16 +66,14 @@ class LimitPart(NamedTuple):
 
 
 class CellPart(NamedTuple):
-    """What a part of an atlas says between its nodes, at one of its delays.
+    """What cells of verdicts say between nodes, at one of the delays of an atlas.
 
     Attributes:
         undecided: the share of random points without a verdict.
-        radius_error: bounds of the spectral radius at those that are stable; infinite: none.
         query_seconds: of CPU time that a point took.
     """
 
     undecided: float
-    radius_error: Floats
     query_seconds: float
 
 
@@ -167,23 +167,69 @@ def _cell_parts(plan: Plan, count: int) -> Iterator[CellPart]:
     """Yield what parts of an atlas answer by nodes and cells, at some places of the range.
 
     Args:
-        plan: of an atlas with radii, or with verdicts and without limits of alpha.
+        plan: of an atlas with verdicts and without limits of alpha.
         count: how many places.
     """
     rng = np.random.default_rng(count)
-    asked = plan.spec.products
-    by_cells = VERDICT in asked and ALPHA_LIMITS not in asked
-    products = [VERDICT] * by_cells + [SPECTRAL_RADIUS] * (SPECTRAL_RADIUS in asked)
     for number in range(count):
-        share, (gamma, delta, beta) = _place(number, count)
+        share, (gamma, delta, _) = _place(number, count)
         delay = min(int(share * plan.grid.delay.size), plan.grid.delay.size - 1)
         grid = _one_cell(plan.grid, delay, gamma, delta)
-        if not by_cells:
-            first = int(beta * max(0, grid.beta.shape[0] - _BETAS))
-            grid = replace(grid, beta=grid.beta[first : first + _BETAS])
         grid = replace(grid, limit_range=grid.limit_range[:0])
-        atlas = _atlas_of(Plan(replace(plan.spec, products=products), grid))
+        atlas = _atlas_of(Plan(replace(plan.spec, products=[VERDICT]), grid))
         yield _asked_cells(atlas, rng)
+
+
+def _radius_errors(plan: Plan, count: int) -> Iterator[Floats]:
+    """Yield the bounds of the radii of stable points in some cells, at some places of the range.
+
+    Args:
+        plan: of an atlas with spectral radii.
+        count: how many places.
+    """
+    rng = np.random.default_rng(count)
+    for number in range(count):
+        grid = _radius_grid(plan.grid, *_place(number, count))
+        part = Plan(replace(plan.spec, products=[SPECTRAL_RADIUS]), grid)
+        arrays = compute_tile(part, part.tiles[0])
+        hands = {"gamma": grid.gamma, "delta": grid.delta}
+        table = RadiusTable(arrays | hands | {RADIUS_RANGE: grid.radius_range})
+        early, late, *walls = grid.radius_range[0].tolist()
+        ends = *np.reshape(walls, (2, 2)), *hands.values(), (early, late)
+        low, high = table.bounds([rng.uniform(side[0], side[-1], _POINTS) for side in ends])
+        stable = low + high < 2.0
+        yield 0.5 * (np.minimum(high, 1.0) - low)[stable]
+
+
+def _radius_grid(grid: Grid, delay: float, others: tuple[float, ...]) -> Grid:
+    """Return one cell of radii along gamma, delta and delay at a place, and some along beta."""
+    gamma, delta, beta = others
+    row = grid.radius_range[_along(np.diff(grid.radius_range[:, :2])[:, 0], delay)]
+    alphas, betas, *hands = grid.radius_cells
+    runs = -(-betas // _BETAS)
+    count = -(-betas // runs)
+    start = row[4] + (row[5] - row[4]) * int(beta * runs) / runs
+    ends = np.array([[*row[:4], start, start + (row[5] - row[4]) / runs]])
+    gamma_ends, delta_ends = (
+        _part_of(nodes, cells, share)
+        for nodes, cells, share in zip((grid.gamma, grid.delta), hands, (gamma, delta), strict=True)
+    )
+    return replace(
+        grid,
+        alpha=grid.alpha[:, :1],
+        beta=grid.beta[:, :1],
+        gamma=gamma_ends,
+        delta=delta_ends,
+        delay=ends[0, :1],
+        radius_cells=(alphas, count, 1, 1),
+        radius_range=ends,
+    )
+
+
+def _part_of(nodes: Floats, cells: int, share: float) -> Floats:
+    """Return the ends of that of equal cells which is at a share of the way; of one node, it."""
+    cell = int(share * cells) + np.array([0.0, 1.0])
+    return np.unique(nodes[0] + (nodes[-1] - nodes[0]) * cell / cells)
 
 
 def _atlas_of(plan: Plan) -> Atlas:
@@ -210,8 +256,7 @@ def _asked_cells(atlas: Atlas, rng: np.random.Generator) -> CellPart:
     seconds = (process_time() - begin) / _POINTS
     between = answer.status != QueryStatus.NODE
     undecided = np.mean(answer.verdict[between] == UNDECIDED)
-    stable = answer.spectral_radius < 1.0
-    return CellPart(float(undecided), answer.radius_error[stable], seconds)
+    return CellPart(float(undecided), seconds)
 
 
 class Measured(NamedTuple):
@@ -254,18 +299,27 @@ def sample_of_limits(plan: Plan, reach: Reach, count: int) -> Sample:
 
 
 def sample_of_cells(plan: Plan, count: int) -> Sample:
-    """Compute some cells of the radii, or the verdicts, of an atlas and ask them between nodes.
+    """Compute some cells of the verdicts of an atlas and ask them between nodes.
 
     Args:
-        plan: of an atlas with radii, or with verdicts and without limits of alpha.
+        plan: of an atlas with verdicts and without limits of alpha.
         count: how many places of the range.
     """
     parts = list(_cell_parts(plan, count))
     return Sample(
         undecided=_mean([part.undecided for part in parts]),
-        radius_error=_quantile([part.radius_error for part in parts], 0.5),
         query_seconds=float(np.median([part.query_seconds for part in parts])),
     )
+
+
+def sampled_radius_error(plan: Plan, count: int) -> Measured:
+    """Return the bound that half of the radii of stable points keep, by some cells of radii.
+
+    Args:
+        plan: of an atlas with spectral radii.
+        count: how many places of the range.
+    """
+    return _quantile(list(_radius_errors(plan, count)), 0.5)
 
 
 def _query_seconds(grid: Grid, parts: Sequence[LimitPart]) -> float:

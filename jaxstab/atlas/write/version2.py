@@ -2,6 +2,7 @@
 
 HDF5 says where their arrays lie, and libhdf5 was not made for hostile files: so no reader opens
 them, and who trusts one upgrades it. Verdicts of nodes far from the boundary are not proved there.
+Spectral radii, which were interpolated between nodes, are computed anew.
 """
 
 import io
@@ -15,12 +16,16 @@ from typing import Any
 import h5py
 import numpy as np
 
+from jaxstab.atlas.compute.layout import Grid, radius_cells_of
+from jaxstab.atlas.compute.plan import Plan, Tile
+from jaxstab.atlas.compute.radii import radii
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.digest import digest_of
 from jaxstab.atlas.format.filters import words_of
 from jaxstab.atlas.format.footer import image_of
 from jaxstab.atlas.format.schema import VARIABLES, Variable
 from jaxstab.atlas.format.single import in_float32
+from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.format.table import DAMAGED, RefusalError, check
 from jaxstab.atlas.read.chunks import Array, TooLargeError, check_axes, check_values, too_large
 from jaxstab.atlas.write.merge import Filled, publish
@@ -30,6 +35,8 @@ from jaxstab.durable import named_errors
 
 _VERSION = 2
 _OF_LIMITS = ("limit_cell", "limit_term", schema.ALPHA_LIMITS)
+_RADII = ("spectral_radius", "spectral_radius_error", "cell_spectral_radius_error")  # of nodes
+_ROUNDING = b"radius_rounding "  # begins a line of the specification that has no meaning any more
 _TERMS = 10  # of both limits: those by the delay were missing
 _LIMITS = replace(
     VARIABLES[schema.ALPHA_LIMITS],
@@ -82,14 +89,19 @@ def _read(image: bytes) -> tuple[dict[str, Array], str]:
         with h5py.File(io.BytesIO(image), "r") as file:
             _check_version(file)
             variables = VARIABLES | {schema.ALPHA_LIMITS: _LIMITS}
-            arrays = {name: _values(file, variables[name]) for name in _names(file)}
+            names = _names(file)
+            arrays = {name: _values(file, variables[name]) for name in variables if name in names}
             created_by = bytes(_attribute(file, "created_by")).decode("ascii")
     except (RefusalError, TooLargeError):
         raise
     except _TROUBLES as error:
         raise RefusalError(DAMAGED) from error
     _check_together(arrays)
-    return arrays | _limits_of_today(arrays), created_by
+    arrays |= _spec_of_today(arrays[schema.SPEC])
+    has_radii = not names.isdisjoint(_RADII)
+    return arrays | _limits_of_today(arrays) | (
+        _radii_of_today(arrays) if has_radii else {}
+    ), created_by
 
 
 def _check_version(file: h5py.File) -> None:
@@ -106,13 +118,13 @@ def _attribute(file: h5py.File, name: str) -> Any:
     return file.attrs[name]
 
 
-def _names(file: h5py.File) -> list[str]:
+def _names(file: h5py.File) -> set[str]:
     """Return the names of the variables; there is nothing but them, and products are whole."""
     names = set(file)
-    products = schema.PRODUCTS | {schema.ALPHA_LIMITS: _OF_LIMITS}
+    products = schema.PRODUCTS | {schema.ALPHA_LIMITS: _OF_LIMITS, schema.SPECTRAL_RADIUS: _RADII}
     chosen = [set(group) for group in products.values() if names & set(group)]
     check(chosen and names == schema.ALWAYS.union(*chosen))
-    return [name for name in VARIABLES if name in names]
+    return names
 
 
 def _values(file: h5py.File, variable: Variable) -> Array:
@@ -172,3 +184,28 @@ def _limits_of_today(arrays: Mapping[str, Array]) -> dict[str, Array]:
         "delay_cell": np.arange(delay.size, dtype=np.int32),
         "limit_end": np.arange(6, dtype=np.int32),
     }
+
+
+def _spec_of_today(lines: Array) -> dict[str, Array]:
+    kept = np.array([line for line in lines.tolist() if not line.startswith(_ROUNDING)])
+    return {schema.SPEC: kept, "spec_line": np.arange(kept.size, dtype=np.int32)}
+
+
+def _radii_of_today(arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """Compute the spectral radii at the delays of the atlas."""
+    alpha, beta, gamma, delta, delay = (arrays[name] for name in AXES)
+    cells = radius_cells_of(len(alpha), len(beta), gamma.size, delta.size)
+    ends = np.column_stack(
+        [delay, delay, *(axis[end] for axis in (alpha, beta) for end in (0, -1))]
+    )
+    grid = Grid(alpha, beta, gamma, delta, delay, 1, ends, cells, ends)
+    plan = Plan(AtlasSpec(), grid)
+    parts = [radii(plan, Tile(0, range(1), number)) for number in range(delay.size)]
+    kinds, terms = (
+        np.concatenate([part[name] for part in parts], axis=-1)
+        for name in (schema.RADIUS_KIND, schema.RADIUS_TERMS)
+    )
+    known = {schema.RADIUS_KIND: kinds, schema.RADIUS_TERMS: terms, schema.RADIUS_RANGE: ends}
+    lengths = grid.lengths | {schema.RADIUS_ROW: terms.shape[-1]}
+    others = set(schema.PRODUCTS[schema.SPECTRAL_RADIUS]) - set(known)
+    return known | {name: np.arange(lengths[name], dtype=np.int32) for name in others}

@@ -1,13 +1,15 @@
 """The resolution that a wish needs: finer and finer atlases, judged by samples of their cells.
 
 The counts along the axes grow together, in the proportion in which each takes part in the error.
-Bounds of limits and of radii are second differences over a cell: squares of the sum of what its
-sides contribute. The share of cells that a surface passes through is itself such a sum.
+Bounds of limits are second differences over a cell: squares of the sum of what its sides
+contribute; those of radii are cubes of it. The share of cells that a surface passes through is
+itself such a sum.
 """
 
 from collections.abc import Mapping
 from functools import cached_property
 from math import inf
+from typing import Any
 
 from jaxstab.atlas.compute.counts import (
     HANDS,
@@ -25,7 +27,13 @@ from jaxstab.atlas.format.schema import ALPHA_LIMITS, LARGEST_ARRAY, SPECTRAL_RA
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.write.estimate import Costs, Estimate, costs_of
 from jaxstab.atlas.write.resolution import Resolution, ResolutionPlan
-from jaxstab.atlas.write.sampled import Sample, sample_of_cells, sample_of_limits
+from jaxstab.atlas.write.sampled import (
+    Measured,
+    Sample,
+    sample_of_cells,
+    sample_of_limits,
+    sampled_radius_error,
+)
 from jaxstab.numbers import checked_number
 
 _GOALS = {"accuracy": "limit_error", "decided": "undecided"}
@@ -117,7 +125,7 @@ class _Range:
         self._goal, self._knobs, self._power = _goal(self._spec, wish)
         self._reach = reach_of(self._spec)
         self._costs: dict[tuple[int, ...], Costs] = {}
-        self._cells: dict[tuple[int, ...], Sample] = {}
+        self._radii: dict[tuple[Any, ...], Measured] = {}
         first = Plan(self._spec, lay_out(self._spec, self._reach))
         self.given = self.judged(first, _FEW)
         self._counts, self._error = counts_of(self._spec), self._error_of(self.given)
@@ -166,16 +174,16 @@ class _Range:
 
     def judged(self, plan: Plan, places: int) -> Resolution:
         """Return what a resolution is like, by so many places of its range."""
-        sample, cells = Sample(), Sample()
-        products = plan.spec.products
-        if SPECTRAL_RADIUS in products or (VERDICT in products and ALPHA_LIMITS not in products):
-            key = (*plan.grid.shape[:4], places)
-            if key not in self._cells:
-                self._cells[key] = sample_of_cells(plan, places // 2)
-            sample = cells = self._cells[key]
+        sample, products = Sample(), plan.spec.products
         if ALPHA_LIMITS in products:
-            limits = sample_of_limits(plan, self._reach, places)
-            sample = limits._replace(radius_error=cells.radius_error)
+            sample = sample_of_limits(plan, self._reach, places)
+        elif VERDICT in products:
+            sample = sample_of_cells(plan, places // 2)
+        if SPECTRAL_RADIUS in products:
+            key = (plan.grid.radius_cells, len(plan.grid.radius_range), places)
+            if key not in self._radii:
+                self._radii[key] = sampled_radius_error(plan, places // 2)
+            sample = sample._replace(radius_error=self._radii[key])
         return Resolution(plan.spec, counts_of(plan.spec), *sample, *self.estimate(plan))
 
     def of_error(self, name: str, value: float | int) -> tuple[float, Resolution]:
@@ -241,8 +249,10 @@ class _Range:
         plan = self._plan(counts)
         if ALPHA_LIMITS in plan.spec.products:
             error = sample_of_limits(plan, self._reach, _FEW).undecided.value
+        elif VERDICT in plan.spec.products:
+            error = sample_of_cells(plan, _FEW).undecided.value
         else:
-            error = getattr(sample_of_cells(plan, _FEW), self._goal).value
+            error = sampled_radius_error(plan, _FEW).value
         return max(float(error), _LEAST_GOAL)
 
     def _refusal(self, name: str, value: float, scale: float, error: float) -> str:
@@ -268,7 +278,7 @@ def _goal(spec: AtlasSpec, wish: str) -> tuple[str, list[str], float]:
     elif VERDICT in spec.products:
         goal, knobs, power = "undecided", (*WALLS, *HANDS), 1.0
     elif SPECTRAL_RADIUS in spec.products and wish != "decided":
-        goal, knobs, power = "radius_error", (*WALLS, *HANDS), 2.0
+        goal, knobs, power = "radius_error", (*WALLS, *HANDS), 3.0
     else:
         raise ValueError(f"{wish} needs verdicts; add {ALPHA_LIMITS!r} to the products.")
     return goal, [name for name in knobs if not is_fixed(spec, name)], power
