@@ -90,8 +90,9 @@ class HapticLoop(LoopWithWalls):
             and filter, is answered by ``jaxstab.region_outline``.
 
         Raises:
-            ValueError: the dimensionless parameters are out of range, or the delay is longer than
-                500 samples.
+            ValueError: the dimensionless parameters are out of range, the delay is longer than 500
+                samples, or the device does not give way to a constant force, G(0) = 0: the
+                boundary is computed from 1/G(0) on.
             TypeError: JAX traces a loop with an estimator or a filter; ``limits`` takes it.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition; see
@@ -114,8 +115,7 @@ class HapticLoop(LoopWithWalls):
         differentiable once in all numbers of the loop, and islands are left out.
 
         Raises:
-            ValueError: the dimensionless parameters are out of range, or the delay is longer than
-                500 samples.
+            ValueError: as ``region``.
 
         Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
 

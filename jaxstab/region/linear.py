@@ -23,14 +23,14 @@ def linear_region(
             diameter, > 1e-10.
 
     Raises:
-        ValueError: the plant does not give way to a constant force, N(1) = 0, or the delay is
-            longer than 500 samples.
+        ValueError: the plant does not give way to a constant force, N(1) = 0, by which the curve is
+            divided near z = 1, or the delay is longer than 500 samples.
     """
     checked_number("delay", float(plant.lag), 0.0, LONGEST_DELAY, unit="samples")
     if float(plant.at_one[0].value.hi) == 0.0:
         raise ValueError(
             "the device does not give way to a constant force: its transfer function in s is 0 at "
-            "s = 0; a region is drawn of devices that do."
+            "s = 0. Its region and limits are not computed; ask for verdicts, radii, poles or margins."
         )
     with np.errstate(all="ignore"):
         c = filtered_coefficients(plant, velocity, position)
