@@ -30,7 +30,7 @@ def linear_region(
     if float(plant.at_one[0].value.hi) == 0.0:
         raise ValueError(
             "the device does not give way to a constant force: its transfer function in s is 0 at "
-            "s = 0. Its region and limits are not computed; ask for verdicts, radii, poles or margins."
+            "s = 0. It has no region and no limits here; ask for verdicts, radii, poles or margins."
         )
     with np.errstate(all="ignore"):
         c = filtered_coefficients(plant, velocity, position)
