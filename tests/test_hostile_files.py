@@ -26,7 +26,7 @@ GOLDEN = ROOT / "data" / "golden" / "atlas-v3.h5"
 READERS = ROOT / "data" / "readers"
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 OUTSIDE = -1
-CI, CAMPAIGN = 500, int(os.environ.get("MUTANTS", "20000"))  # 50,000 at full size
+CI, CAMPAIGN = 500, int(os.environ.get("MUTANTS", "4000"))  # 50,000 at full size
 MOST_MEMORY = 200 * 2**20  # bytes
 
 Said = tuple[bool, str]

@@ -11,6 +11,7 @@ as it is in ``filtered_points``: there is enough left of 106 bits. NumPy only.
 """
 
 from fractions import Fraction
+from functools import cache
 from math import factorial
 from typing import NamedTuple
 
@@ -277,18 +278,23 @@ def _half_turn(u: DoubleDouble) -> tuple[DoubleDouble, DoubleDouble]:
     """Return sine and cosine of u/2, u in (0, pi/2]."""
     x = u.scaled(0.5 ** (1 + _HALVINGS))
     square = x * x
-    sine, cosine = (_series(start, square) for start in (1, 0))
+    both = DoubleDouble.of(np.zeros((2, *square.hi.shape)))
+    for term in _terms():
+        both = both * square + term
+    sine, cosine = _unstacked(DoubleDouble(both.hi.T, both.lo.T))
     sine = sine * x
     for _ in range(_HALVINGS):
         sine, cosine = (sine * cosine).scaled(2.0), _versed(sine)
     return sine, cosine
 
 
-def _series(start: int, square: DoubleDouble) -> DoubleDouble:
-    """Return the sum of (-x^2)^k / (2k + start)!."""
-    total = DoubleDouble.of(np.zeros_like(square.hi))
+@cache
+def _terms() -> list[DoubleDouble]:
+    """Return (-1)^k / (2k + 1)! and (-1)^k / (2k)!, the last k first, in columns."""
+    terms = []
     for k in range(_TERMS, -1, -1):
-        exact = Fraction((-1) ** k, factorial(2 * k + start))
-        rounded = float(exact)
-        total = total * square + DoubleDouble.of(rounded) + float(exact - Fraction(rounded))
-    return total
+        exact = [Fraction((-1) ** k, factorial(2 * k + start)) for start in (1, 0)]
+        high = [float(one) for one in exact]
+        low = [float(one - Fraction(part)) for one, part in zip(exact, high, strict=True)]
+        terms.append(DoubleDouble(np.array(high)[:, None], np.array(low)[:, None]))
+    return terms

@@ -34,8 +34,8 @@ def all_inside(
     inside = np.zeros(np.shape(alpha.hi), bool)
     walls = [tree_map(np.ravel, wall) for wall in (alpha, beta)]
     radius = within * (1.0 + _ON_CIRCLE)
-    falling = curve.pairs[0, 1, :, :, ::-1]  # in powers of z - 1
-    every = _about(DoubleDouble(*falling.transpose(0, 2, 1)), radius - 1.0)
+    falling = np.ascontiguousarray(curve.pairs[0, 1, :, :, ::-1])  # in powers of z - 1
+    every = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], float(radius))
     base, stiffness, damping = (
         DoubleDouble(every.hi[:, k, None], every.lo[:, k, None]) for k in range(3)
     )
@@ -43,9 +43,18 @@ def all_inside(
         part = slice(start, start + _AT_ONCE)
         gains = (DoubleDouble(wall.hi[part], wall.lo[part]) for wall in walls)
         products = (one * gain for one, gain in zip((stiffness, damping), gains, strict=True))
-        coefficients = base + (next(products) + next(products))
-        inside.flat[part] = _are_left(_to_half_plane(coefficients, radius))
+        inside.flat[part] = _are_left(base + (next(products) + next(products)))
     return inside
+
+
+@lru_cache(maxsize=64)
+def _parts_in_half_plane(falling: bytes, count: int, radius: float) -> DoubleDouble:
+    """Return base, stiffness and damping (coefficient, part) in powers of w, highest first.
+
+    They are given in powers of z - 1, (pair, part, coefficient). Many walls are asked of one curve.
+    """
+    pairs = np.frombuffer(falling).reshape(2, 3, count).transpose(0, 2, 1)
+    return _to_half_plane(_about(DoubleDouble(*pairs), radius - 1.0), radius)
 
 
 def angles_on_circle(
@@ -90,18 +99,15 @@ def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
 def _to_half_plane(falling: DoubleDouble, radius: float) -> DoubleDouble:
     """Return sum c_k (2 r w)^k (1 - w)^(n - k), highest power of w first."""
     degree = len(falling.hi) - 1
-    total = DoubleDouble.of(np.zeros_like(falling.hi))
-    for index in range(degree + 1):
-        power = degree - index
-        factor = DoubleDouble.of(1.0)
-        for _ in range(power):
-            factor = factor * (2.0 * radius)
+    total, factor = DoubleDouble.of(np.zeros_like(falling.hi)), DoubleDouble.of(1.0)
+    for power in range(degree + 1):
+        index = degree - power
         one = DoubleDouble(falling.hi[index], falling.lo[index]) * factor
         total = total + DoubleDouble(one.hi[None], one.lo[None]) * _binomials(degree, power)
+        factor = factor * (2.0 * radius)
     return total
 
 
-@lru_cache(maxsize=4096)
 def _binomials(degree: int, power: int) -> Float64[np.ndarray, "coefficient 1"]:
     """Return the coefficients of w^power (1 - w)^(degree - power), highest first."""
     rest = degree - power

@@ -23,7 +23,7 @@ from jaxstab.region.other_roots import lines_crossing_is_stable, others_inside
 
 _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
 _NARROWING = {"numpy": (2, 23), "jax": (9, 2)}  # rounds, parts: few calls, or few angles
-_EXACT_NARROWING = 46, 2, 1e-14  # and the width that is enough
+_EXACT_NARROWING = 16, 8, 1e-14  # and the width that is enough
 _STRAY = 16.0  # brackets: an iterate of Newton's method this far outside is given up
 NO_BRANCH = -1
 
