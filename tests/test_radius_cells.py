@@ -197,6 +197,25 @@ def test_pairs_and_clusters_are_bounded_by_their_polynomials(rng: np.random.Gene
                 assert low[k] - 1e-7 <= radius <= high[k] + 1e-7
 
 
+def test_roots_that_meet_are_bounded_as_closely_as_they_move() -> None:
+    bound = 1e-6
+    rows = {  # m, then Q; or P and Q: a pair that meets, three, and a pair beside a single root
+        SurfaceKind.PAIR: [([0.5, 0.0, 0.0], bound**0.5)],
+        SurfaceKind.CLUSTER: [([0.5, 0.0, 0.0], bound ** (1 / 3)), ([0.5, -0.75, 0.25], 2e-3)],
+    }
+    for kind, cases in rows.items():
+        for values, reach in cases:
+            functions, errors = np.array(values)[:, None], np.array([[bound], [0.0]])
+            low, high = radius_bounds(np.array([kind]), functions, errors)
+            degree = 2 if kind == SurfaceKind.PAIR else 3
+            for turn in np.exp(2j * np.pi * np.arange(12) / 12):  # complex: any root of |f| <= bound
+                row = [1.0, 0.0, *values[1:degree]]
+                row[-1] += 0.999 * bound * turn
+                radius = np.max(np.abs(values[0] + np.roots(row)))
+                assert low[0] <= radius <= high[0]
+            assert high[0] - low[0] <= 2.02 * reach
+
+
 def test_radii_between_delays_are_within_their_bounds(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:

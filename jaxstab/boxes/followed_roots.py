@@ -200,16 +200,15 @@ def _newton(
     parts = p.by_powers_of(start)
     factor = [Quadratic.constant(value) for value in start]
     inverse = _inverse([part.middle for part in parts[1]], start)
-    left = slope = parts[0]
-    for step in range(_STEPS + 1):
+    left = slope = parts[0]  # of f_0
+    for step in range(1, _STEPS + 1):
+        moves = np.einsum("ijc,jtc->itc", inverse, np.stack([part.terms for part in left]))
+        factor = [
+            Quadratic(part.terms + move, np.zeros_like(part.rest))
+            for part, move in zip(factor, moves, strict=True)
+        ]
         beside = [-part.plus(-value) for part, value in zip(factor, start, strict=True)]
         left, slope = _modulo(parts, factor, beside, with_slope=step == _STEPS)
-        if step < _STEPS:
-            moves = np.einsum("ijc,jtc->itc", inverse, np.stack([part.terms for part in left]))
-            factor = [
-                Quadratic(part.terms + move, np.zeros_like(part.rest))
-                for part, move in zip(factor, moves, strict=True)
-            ]
     return factor, left, slope
 
 

@@ -116,6 +116,10 @@ def _of_cells(p: CellPolynomial) -> RadiusSurfaces:
         if cells.size:
             enclose = _enclose_one if count <= 2 else _enclose_two
             enclose(p.some(cells), roots[:, cells], count, cells, known)
+    for count in range(2, min(3, p.degree) + 1):
+        cells = np.flatnonzero((known.kind == SurfaceKind.NONE) & _may_be_outer(roots, count))
+        if cells.size:
+            _enclose_meeting(p.some(cells), roots[:, cells], count, cells, known)
     cells = np.flatnonzero(known.kind == SurfaceKind.NONE)
     if cells.size:
         _enclose_roughly(p.some(cells), roots[:, cells], cells, known)
@@ -142,7 +146,7 @@ def _may_be_outer(roots: Roots, count: int) -> Flags:
 def _enclose_one(
     p: CellPolynomial, roots: Roots, count: int, cells: Cells, known: RadiusSurfaces
 ) -> None:
-    """Follow one real root, or two roots of any kind."""
+    """Follow one real root, or a conjugate pair."""
     if count == 1:
         outer = follow_root(p, roots[0].real)
     else:
@@ -163,9 +167,6 @@ def _enclose_one(
     some = np.flatnonzero(is_proved)
     terms, error = _surface(outer.some(some))
     known.put(cells[some], SurfaceKind.ONE, [terms], [error])
-    others = np.flatnonzero(~is_proved)
-    if count == 2 and others.size:
-        _enclose_meeting(p.some(others), roots[:, others], 2, cells[others], known)
 
 
 def _enclose_meeting(
@@ -227,9 +228,6 @@ def _enclose_two(
     surfaces = (_surface(followed.some(some)) for followed in (first, second))
     terms, errors = zip(*surfaces, strict=True)
     known.put(cells[some], SurfaceKind.LARGER, list(terms), list(errors))
-    others = np.flatnonzero(~is_proved)
-    if count == 3 and others.size:
-        _enclose_meeting(p.some(others), roots[:, others], 3, cells[others], known)
 
 
 def _enclose_roughly(p: CellPolynomial, roots: Roots, cells: Cells, known: RadiusSurfaces) -> None:

@@ -24,7 +24,7 @@ _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
 _STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
 _COARSE = 32  # cells to a sample, at some of whose edges regions are looked at beforehand
-_RADIUS_DELAYS, _WIDE_DELAYS = 0.0626, 0.08  # samples that cells of radii are wide, or joined to
+_LATE = 3.0  # samples: cells of radii are wider from here on
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 
 
@@ -146,7 +146,7 @@ def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
         _delay_cells(spec, (gamma, delta), delay, walls, reach, n) for n in (0, fineness)
     )
     limit_range = cells if has_limits else alone
-    radius_range = _cells_of_radii(cells, delay) if has_radii else alone
+    radius_range = _cells_of_radii(cells, delay, fineness) if has_radii else alone
     radius_cells = radius_cells_of(len(alpha), len(beta), gamma.size, delta.size)
     grid = Grid(
         *(alpha, beta, gamma, delta, delay),
@@ -172,8 +172,8 @@ def radius_cells_of(alphas: int, betas: int, gammas: int, deltas: int) -> tuple[
 
     Functions of second order bend with the radius, so these cells are wider than others.
     """
-    alpha, beta = max(12, 3 * alphas // 16), max(32, 4 * betas // 7)
-    return alpha, beta, max(1, gammas // 2), max(1, deltas // 2)
+    alpha, beta = max(12, 7 * alphas // 32), max(32, 9 * betas // 14)
+    return alpha, beta, max(1, gammas // 2), max(1, deltas // 4)
 
 
 def _delay_cells(
@@ -218,23 +218,33 @@ def _stations(edges: list[float], delay: Float64[np.ndarray, " delay"]) -> list[
 
 
 def _cells_of_radii(
-    cells: Float64[np.ndarray, "delay_cell 6"], delay: Float64[np.ndarray, " delay"]
+    cells: Float64[np.ndarray, "delay_cell 6"],
+    delay: Float64[np.ndarray, " delay"],
+    fineness: int,
 ) -> Float64[np.ndarray, "radius_delay_cell 6"]:
-    """Join narrow cells of delays, and halve wide ones; edges at whole samples and nodes stay."""
-    even: list[list[float]] = []
-    for early, late, *ends in cells.tolist():
-        is_edge = early in delay or early.is_integer()
-        if late - early > _WIDE_DELAYS:
-            middle = 0.5 * (early + late)
-            even += [[early, middle, *ends], [middle, late, *ends]]
-        elif is_edge or late - even[-1][0] > _RADIUS_DELAYS:
-            even.append([early, late, *ends])
-        else:
-            last = even[-1]
-            last[1] = late
-            for number, (widest, end) in enumerate(zip((min, max, min, max), ends, strict=True), 2):
-                last[number] = widest(last[number], end)
+    """Return even cells of delays, ``fineness`` to a sample, that reach as far as those given.
+
+    Functions of second order miss the radius by about as much at 0 as at 3 samples, and later less.
+    """
+    if delay.size == 1 or not fineness:
+        return cells
+    edges = [float(delay[0])]
+    for low, high in pairwise(_corners(delay)):
+        each = fineness * min(1.0, _LATE / (1.0 + low))
+        count = max(1, ceil((high - low) * each - 1e-9))
+        edges += np.linspace(low, high, count + 1)[1:].tolist()
+    even = []
+    for early, late in pairwise(edges):
+        met = cells[(cells[:, 0] < late) & (cells[:, 1] > early)]
+        (_, _, *least), (_, _, *most) = met.min(axis=0), met.max(axis=0)
+        even.append([early, late, least[0], most[1], least[2], most[3]])
     return np.array(even)
+
+
+def _corners(delay: Float64[np.ndarray, " delay"]) -> list[float]:
+    """Return the delays of an atlas and the whole samples between them: edges of all cells."""
+    whole = range(ceil(delay[0]), floor(delay[-1]) + 1)
+    return sorted({*delay.tolist(), *map(float, whole)})
 
 
 def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[float]:
@@ -243,11 +253,8 @@ def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[fl
     A cell is (delay + 1/2) / fineness long, for as the delay grows the boundary bends less: so
     errors are about equal in all cells.
     """
-    first, last = float(delay[0]), float(delay[-1])
-    whole = range(ceil(first), floor(last) + 1)
-    corners = sorted({*delay.tolist(), *map(float, whole)})
-    edges = [first]
-    for low, high in pairwise(corners):
+    edges = [float(delay[0])]
+    for low, high in pairwise(_corners(delay)):
         count = max(1, ceil(np.log((high + 0.5) / (low + 0.5)) * fineness - 1e-9))
         inner = np.geomspace(low + 0.5, high + 0.5, count + 1)[1:-1] - 0.5
         edges += [*inner.tolist(), high]

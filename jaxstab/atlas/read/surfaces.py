@@ -45,8 +45,10 @@ def _of_pairs(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats]:
     distance, loss = 2.0 * half, bound + _ROUNDING_OF_ROOTS
     with np.errstate(invalid="ignore"):
         alone = 2.0 * loss / (distance + np.sqrt(distance**2 - 4.0 * loss))
-    reach = np.where(distance**2 > 4.0 * loss, alone, 2.5 * np.sqrt(loss))
-    return radius - reach, radius + reach
+    reach = np.where(distance**2 > 4.0 * loss, alone, np.inf)
+    farthest = np.sqrt(np.abs(constant) + loss)
+    low, high = np.abs(mean) - farthest, np.abs(mean) + farthest
+    return np.maximum(radius - reach, low), np.minimum(radius + reach, high)
 
 
 def _of_clusters(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats]:
@@ -58,17 +60,39 @@ def _of_clusters(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats
     size = np.abs(roots).max(axis=0) + 5.0 * np.cbrt(bound)
     lost = np.abs(one + two + three) * size**2 + np.abs(products[0] - slope) * size
     loss = bound + lost + np.abs(products[1] + constant) + _ROUNDING_OF_ROOTS
-    low, high = np.zeros(mean.size), np.zeros(mean.size)
+    farthest = _farthest(np.abs(slope), np.abs(constant) + bound + _ROUNDING_OF_ROOTS)
+    lowest, highest = np.abs(mean) - farthest, np.abs(mean) + farthest
+    low, high = lowest, np.zeros(mean.size)
     for first, second, third in ((one, two, three), (two, one, three), (three, one, two)):
-        apart = np.abs(first - second), np.abs(first - third)
-        with np.errstate(all="ignore"):
-            near = 1.2 * loss / (apart[0] * apart[1])
-            left = (apart[0] - near) * (apart[1] - near)
-        is_alone = (near < apart[0]) & (near < apart[1]) & (near * left > loss)
-        reach = np.where(is_alone, near, 5.0 * np.cbrt(loss))
+        apart = np.sort([np.abs(first - second), np.abs(first - third)], axis=0)
+        reach = _component(*apart, loss)
         radius = np.abs(mean + first)
         low, high = np.maximum(low, radius - reach), np.maximum(high, radius + reach)
-    return low, high
+    return low, np.minimum(high, highest)
+
+
+def _farthest(slope: Floats, constant: Floats) -> Floats:
+    """Bound s with s^3 <= slope s + constant, by Newton's method from above."""
+    size = np.maximum(np.sqrt(2.0 * slope), np.cbrt(2.0 * constant))
+    for _ in range(3):
+        size = (2.0 * size**3 + constant) / (3.0 * size**2 - slope)
+    return size * (1.0 + 1e-12)
+
+
+def _component(near: Floats, far: Floats, loss: Floats) -> Floats:
+    """Bound the distance from a root of a cubic within its component of |cubic| <= loss.
+
+    Args:
+        near: distance to the nearest of the other two roots.
+        far: to the other one.
+        loss: more than 0.
+    """
+    with np.errstate(all="ignore"):
+        alone = 1.2 * loss / (near * far)
+        is_alone = (alone < near) & (alone * (near - alone) * (far - alone) > loss)
+        with_one = 0.5 * near + np.sqrt(0.25 * near**2 + 1.5 * loss / far)
+        is_apart = (with_one < far) & (with_one * (with_one - near) * (far - with_one) > loss)
+    return np.where(is_alone, alone, np.where(is_apart, with_one, np.inf))
 
 
 def _cubic_roots(slope: Floats, constant: Floats) -> NDArray[np.complex128]:
