@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -10,7 +11,7 @@ from atlases import edited
 from click.testing import CliRunner
 from hostile import parted, retold, sub
 
-from jaxstab import AtlasSpec, FittedAxis, open_atlas, write_atlas
+from jaxstab import AtlasSpec, FittedAxis, open_atlas, spectral_radius, write_atlas
 from jaxstab.atlas.format import footer
 from jaxstab.atlas.format.digest import content_digest, digest_of
 from jaxstab.atlas.format.schema import VARIABLES
@@ -147,6 +148,17 @@ def test_wrong_values_under_right_digests_are_found_by_computing_them_again(
     assert code == 1
     assert set(found) <= wrong
     assert min(wrong, key=NAMES.index) in found
+
+
+def test_a_radius_that_cannot_be_computed_is_not_taken_for_right(
+    whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(*point: Any, **filters: Any) -> Any:
+        radius = spectral_radius(*point, **filters)
+        return radius._replace(value=np.full_like(radius.value, np.nan))
+
+    monkeypatch.setattr("jaxstab.atlas.write.verify.spectral_radius", lost)
+    assert verified(whole, tmp_path) == (1, ["spectral_radius"])
 
 
 def test_outlines_that_are_counted_wrong_are_refused(image: bytes, tmp_path: Path) -> None:
