@@ -3,12 +3,14 @@
 Random points of its whole range, between its nodes, are asked in one call and one by one: at each
 of its delays, at any delay between them, and next to the limits of alpha, to the faces of their
 cells and to whole delays. ``error`` is the share of points without a right verdict: undecided, or
-wrong by ``verdict(resolve="exact")``.
+wrong by ``verdict(resolve="exact")``. Spectral radii are asked at a part of the points; there it is
+the share without a radius, or with one that is outside of its bound by ``spectral_radius``.
 """
 
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from benchmarks.timing import Timing, interleaved
 from jaxstab.conventions import UNDECIDED
 
 MEASURE = "share of random points without a right verdict: undecided or wrong"
+RADIUS_MEASURE = "share of random points without a radius, or with one outside of its bound"
 SMALL = jaxstab.AtlasSpec(
     alpha=jaxstab.FittedAxis(8),
     beta=jaxstab.FittedAxis(8),
@@ -26,7 +29,6 @@ SMALL = jaxstab.AtlasSpec(
     delay=[0.0, 1.0],
     limit_cells=32,
     delay_cells=4,
-    products=["verdict", "alpha_limits"],
 )
 
 Points = list[np.ndarray]
@@ -35,6 +37,7 @@ Points = list[np.ndarray]
 _CALL = 1_000_000  # points
 _CALLS = 3  # for each delay
 _ONE_BY_ONE = 1000
+_RADII = 100_000
 
 
 def rows(small: bool) -> Iterator[Row]:
@@ -79,8 +82,10 @@ def _rows(atlas: jaxstab.Atlas, section: str, lists: list[Points]) -> Iterator[R
     ones = list(zip(*(values[:_ONE_BY_ONE].tolist() for values in lists[0]), strict=True))
     exact = [np.asarray(jaxstab.verdict(*some, resolve="exact")) for some in lists]
     said = [atlas.verdict(*some) for some in lists]
-    rivals: dict[str, Callable[[], object]] = {
+    asked = [values[:_RADII] for values in lists[0]]
+    rivals: dict[str, Callable[[], Any]] = {
         "atlas, many points": lambda: atlas.verdict(*lists[0]),
+        "atlas, radii": lambda: atlas.query(*asked),
         "atlas, one by one": lambda: [atlas.verdict(*point) for point in ones],
         "verdict": lambda: jaxstab.verdict(*lists[0]),
     }
@@ -89,6 +94,7 @@ def _rows(atlas: jaxstab.Atlas, section: str, lists: list[Points]) -> Iterator[R
     on_the_spot = np.asarray(timings["verdict"].answer)
     place = section, float(lists[0][4].max())
     yield _row(*place, "atlas, many points", timings, points, said, exact)
+    yield _radius_row(*place, timings["atlas, radii"], asked)
     yield _row(*place, "atlas, one by one", timings, len(ones), [one_by_one], exact)
     yield _row(*place, "verdict", timings, points, [on_the_spot], exact)
 
@@ -183,6 +189,31 @@ _PLACES: dict[str, Callable[[jaxstab.Atlas, np.random.Generator, Points], Points
     "next to faces": _beside_faces,
     "next to whole delays": _beside_whole_delays,
 }
+
+
+def _radius_row(section: str, delay: float, timing: Timing, asked: Points) -> Row:
+    answer, exact = timing.answer, jaxstab.spectral_radius(*asked)
+    radius, error = np.asarray(exact.value), np.asarray(exact.error)
+    is_known = np.isfinite(answer.radius_error)
+    off = np.abs(answer.spectral_radius - radius)
+    wrong = is_known & ~(off <= answer.radius_error + error)
+    of_stable = answer.radius_error[radius < 1.0]
+    return {
+        "section": section,
+        "method": "atlas, radii",
+        "delay": delay,
+        "points": radius.size,
+        **timing.columns(),
+        "seconds_per_point": timing.median / radius.size,
+        "asked": radius.size,
+        "error": float(np.mean(wrong | ~is_known)),
+        "error_measure": RADIUS_MEASURE,
+        "undecided": float(np.mean(~is_known)),
+        "wrong": int(wrong.sum()),
+        "unjudged": int(np.sum(np.isnan(radius))),
+        "median_bound": float(np.median(of_stable)),
+        "bound_of_99_percent": float(np.quantile(of_stable, 0.99)),
+    }
 
 
 def _row(

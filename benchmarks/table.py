@@ -123,7 +123,8 @@ def _queries(rows: list[Row]) -> Iterator[Line]:
 
 def _answers(rows: list[Row]) -> Iterator[Line]:
     places = dict.fromkeys(_place_of_answers(row["section"]) for row in rows)
-    for place, method in product(places, ("atlas, many points", "atlas, one by one")):
+    methods = "atlas, many points", "atlas, radii", "atlas, one by one"
+    for place, method in product(places, methods):
         some = [
             row
             for row in rows
@@ -135,6 +136,9 @@ def _answers(rows: list[Row]) -> Iterator[Line]:
         task = f"{total:,} random points of the default atlas, {place}, {size}"
         time = f"{_time(max(row['seconds_per_point'] for row in some))} per point"
         error = f"{undecided:.3%} undecided, {sum(row['wrong'] for row in some)} wrong"
+        bounds = [row["bound_of_99_percent"] for row in some if "bound_of_99_percent" in row]
+        if bounds:
+            error += f", 99 % of stable ones within {max(bounds):.1e}"
         yield task, method, time, error, ""
 
 

@@ -208,7 +208,7 @@ def test_roots_that_meet_are_bounded_as_closely_as_they_move() -> None:
             functions, errors = np.array(values)[:, None], np.array([[bound], [0.0]])
             low, high = radius_bounds(np.array([kind]), functions, errors)
             degree = 2 if kind == SurfaceKind.PAIR else 3
-            for turn in np.exp(2j * np.pi * np.arange(12) / 12):  # complex: any root of |f| <= bound
+            for turn in np.exp(2j * np.pi * np.arange(12) / 12):  # any root of |f| <= bound
                 row = [1.0, 0.0, *values[1:degree]]
                 row[-1] += 0.999 * bound * turn
                 radius = np.max(np.abs(values[0] + np.roots(row)))
@@ -247,3 +247,24 @@ def test_radii_between_delays_are_within_their_bounds(
             assert lower - error <= answer.spectral_radius[index] <= upper + error
         errors.append(answer.radius_error[exact.value < 1.0])
     assert np.median(np.concatenate(errors)) < 3e-3
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("first", [0.0, 1.0, 2.0, 2.875])
+def test_radii_of_the_default_atlas_keep_what_is_promised(
+    first: float, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Cells as in the default atlas, of an eighth of a sample: the whole one takes 100 s."""
+    atlas = build_atlas(AtlasSpec(delay=(first, first + 0.125)), tmp_path / "part.h5")
+    ends, errors = atlas.arrays["limit_range"], []
+    for delay in (first, *rng.uniform(first, first + 0.125, 5)):
+        low, high = ends[np.searchsorted(ends[:, 0], delay, side="right") - 1, 2:].reshape(2, 2).T
+        walls = rng.uniform(low[:, None], high[:, None], (2, 5000))
+        hands = rng.uniform(0.0, [[1e-3], [0.015]], (2, 5000))
+        answer = atlas.query(*walls, *hands, delay)
+        exact = spectral_radius(*walls, *hands, delay)
+        off = np.abs(answer.spectral_radius - exact.value) - exact.error
+        assert np.all(off <= answer.radius_error)
+        errors.append(answer.radius_error[exact.value < 1.0])
+    assert np.median(np.concatenate(errors)) < 3e-4
+    assert np.quantile(np.concatenate(errors), 0.99) < 2e-2
