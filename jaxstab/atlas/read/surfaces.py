@@ -64,8 +64,8 @@ def _of_clusters(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats
     lowest, highest = np.abs(mean) - farthest, np.abs(mean) + farthest
     low, high = lowest, np.zeros(mean.size)
     for first, second, third in ((one, two, three), (two, one, three), (three, one, two)):
-        apart = np.sort([np.abs(first - second), np.abs(first - third)], axis=0)
-        reach = _component(*apart, loss)
+        near, far = np.sort([np.abs(first - second), np.abs(first - third)], axis=0)
+        reach = _component(near, far, loss)
         radius = np.abs(mean + first)
         low, high = np.maximum(low, radius - reach), np.maximum(high, radius + reach)
     return low, np.minimum(high, highest)
