@@ -156,7 +156,7 @@ def _answers(rows: list[Row]) -> Figure:
     figure, axes = _panels(1, 2, f"{asked:,} questions to the default atlas, {wrong} wrong")
     at_delays = [row for row in rows if row["section"].startswith("delay")]
     _lines(axes[0, 0], at_delays, "delay", "seconds_per_point")
-    axes[0, 0].set(yscale="log", xlabel="delay in samples", ylabel="seconds per point")
+    axes[0, 0].set(yscale="log", xlabel="delay in samples", ylabel="CPU seconds per point")
     sections = [row["section"] for row in atlas][::-1]
     shares = [row["undecided"] for row in atlas][::-1]
     axes[0, 1].barh(sections, shares, color=_STYLES["atlas"][0])

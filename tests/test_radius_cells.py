@@ -254,7 +254,7 @@ def test_radii_between_delays_are_within_their_bounds(
 def test_radii_of_the_default_atlas_keep_what_is_promised(
     first: float, tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    """Cells as in the default atlas, of an eighth of a sample: the whole one takes 100 s."""
+    """Cells as in the default atlas, of an eighth of a sample: the whole one takes minutes."""
     atlas = build_atlas(AtlasSpec(delay=(first, first + 0.125)), tmp_path / "part.h5")
     ends, errors = atlas.arrays["limit_range"], []
     for delay in (first, *rng.uniform(first, first + 0.125, 5)):

@@ -24,7 +24,8 @@ _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
 _STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
 _COARSE = 32  # cells to a sample, at some of whose edges regions are looked at beforehand
-_LATE = 3.0  # samples: cells of radii are wider from here on
+_RADII = 0.8  # cells of radii along the delay for each of limits around a delay of 1/2
+_LATE = 3.0  # samples: from here on they are wider
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 
 
@@ -222,7 +223,7 @@ def _cells_of_radii(
     delay: Float64[np.ndarray, " delay"],
     fineness: int,
 ) -> Float64[np.ndarray, "radius_delay_cell 6"]:
-    """Return even cells of delays, ``fineness`` to a sample, that reach as far as those given.
+    """Return even cells of delays, so many to a sample, that reach as far as those given.
 
     Functions of second order miss the radius by about as much at 0 as at 3 samples, and later less.
     """
@@ -230,7 +231,7 @@ def _cells_of_radii(
         return cells
     edges = [float(delay[0])]
     for low, high in pairwise(_corners(delay)):
-        each = fineness * min(1.0, _LATE / (1.0 + low))
+        each = _RADII * fineness * min(1.0, _LATE / (1.0 + low))
         count = max(1, ceil((high - low) * each - 1e-9))
         edges += np.linspace(low, high, count + 1)[1:].tolist()
     even = []

@@ -109,7 +109,8 @@ class AtlasSpec:
         delay_cells: how finely they are given between the delays, in cells (delay + 1/2) /
             delay_cells long; 0 for these delays alone, which is what None means for loops with an
             estimator or a filter: else 32. Spectral radii are given where limits are, in cells of
-            their own: as many to a sample (fewer after 3), and fewer than those between nodes.
+            their own: 0.8 times as many to a sample (fewer after 3), and fewer than those between
+            nodes.
 
     Nodes are finite and ascending, and kept as tuples of floats; along alpha and beta there are at
     least two, and gamma, delta and delay are fixed by one.
