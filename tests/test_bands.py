@@ -13,6 +13,7 @@ from jaxstab.boxes.columns import StableColumns, column_gaps, stable_columns
 from jaxstab.boxes.enclosure import Domain, curve_patches
 from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.plant import HandBoxes, plant_models
+from jaxstab.model.filters import known_filters
 
 HAPTIC = (1e-3, 0.015)
 SCENES = [  # delay, gamma, delta, widths of the boxes, domain in units of the delay's stable set
@@ -283,3 +284,13 @@ def test_columns_refuse_a_position_filter_that_passes_nothing_at_rest() -> None:
             Domain((0.0, 1.0), (0.0, 1.0)),
             (Velocity(), high_pass),
         )
+
+
+@pytest.mark.campaign
+def test_a_curve_of_which_nothing_is_known_is_a_few_patches() -> None:
+    """All intervals were halved ten times, and 65,536 patches were in each of the columns."""
+    hand = HandBoxes(*(np.array([value]) for value in (40.0, 0.3, 0.05, 0.01)))
+    filters, domain = known_filters(Velocity.difference(7), None), ((-60.0, 20.0), (-8.0, 8.0))
+    patches = curve_patches(hand, 1.854, Domain(*domain), (0.3, 0.2), filters, 0.146)
+    assert patches.box.size < 4000
+    np.testing.assert_array_equal(patches.first[1:], patches.last[:-1])  # and none is left out

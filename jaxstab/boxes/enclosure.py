@@ -26,6 +26,7 @@ _ROUNDING = 16 * np.finfo(np.float64).eps  # more than cosines have
 _FIRST_PATCHES = 64
 _PER_TURN = 8  # of z^(delay + 1)
 _MOST_HALVINGS = 10
+_BLOCK = 2**13  # intervals whose models are in memory at once
 _TOLERATED = 8.0  # widths of what is not known of a patch, if halving it helps
 _CLEAR = 0.25  # of what the gains are divided by: how far from 0 it is
 _HELPS = 0.5  # times what was not known of the whole
@@ -84,17 +85,24 @@ def curve_patches(
     intervals = _Intervals(
         np.repeat(boxes, count), np.tile(angles[:-1], boxes.size), np.tile(angles[1:], boxes.size)
     )
-    short = []
+    short, known = [], []
     rests = np.full((2, intervals.box.size), np.inf)  # of what the intervals are halves of
     for halving in range(_MOST_HALVINGS + 1):
-        curve = _curve(plant, turns, intervals, filters)
-        is_short = curve.is_short(width, rests) | (halving == _MOST_HALVINGS)
-        is_inside = ~curve.is_outside(domain)
+        is_short, is_inside = np.ones((2, intervals.box.size), bool)
+        for start in range(0, intervals.box.size, _BLOCK):
+            block = slice(start, start + _BLOCK)
+            curve = _curve(plant, turns, intervals.some(block), filters)
+            is_short[block] = curve.is_short(width, rests[:, block])
+            is_inside[block] = ~curve.is_outside(domain)
+            rests[:, block] = curve.rests
+        is_short |= halving == _MOST_HALVINGS
         short.append(intervals.some(is_inside & is_short))
+        known.append(np.all(np.isfinite(rests), axis=0)[is_inside & is_short])
         intervals = intervals.some(is_inside & ~is_short).halves()
-        rests = np.tile(curve.rests[:, is_inside & ~is_short], 2)
+        rests = np.tile(rests[:, is_inside & ~is_short], 2)
     parts = _Intervals(*map(np.concatenate, zip(*short, strict=True)))
-    parts = parts.some(np.lexsort((parts.first, parts.box)))
+    order = np.lexsort((parts.first, parts.box))
+    parts = parts.some(order).joined(np.concatenate(known)[order], angles)
     curve = _curve(plant, turns, parts, filters)
     rate = curve.beta.rate
     may_turn = ~((rate.low > 0.0) | (rate.high < 0.0))
@@ -127,7 +135,7 @@ class _Intervals(NamedTuple):
     first: Patch
     last: Patch
 
-    def some(self, which: Bool[np.ndarray, " patch"] | Box) -> "_Intervals":
+    def some(self, which: Bool[np.ndarray, " patch"] | Box | slice) -> "_Intervals":
         return _Intervals(self.box[which], self.first[which], self.last[which])
 
     def halves(self) -> "_Intervals":
@@ -137,6 +145,17 @@ class _Intervals(NamedTuple):
             np.concatenate([self.first, middle]),
             np.concatenate([middle, self.last]),
         )
+
+    def joined(
+        self, is_known: Bool[np.ndarray, " patch"], angles: Float64[np.ndarray, " angle"]
+    ) -> "_Intervals":
+        """Join neighbours between two angles of which nothing is known: they say no more apart."""
+        between = np.searchsorted(angles, self.first, side="right")
+        follows = ~(is_known[1:] | is_known[:-1]) & (self.first[1:] == self.last[:-1])
+        follows &= (self.box[1:] == self.box[:-1]) & (between[1:] == between[:-1])
+        begins = np.append(True, ~follows)[: self.box.size]
+        ends = np.append(~follows, True)[-self.box.size :] if self.box.size else begins
+        return _Intervals(self.box[begins], self.first[begins], self.last[ends])
 
 
 class _Curve(NamedTuple):
