@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxstab import AtlasSpec, write_atlas
+from jaxstab import AtlasSpec, Velocity, write_atlas
 from jaxstab.atlas.write.workers import dask_cluster, processes
 
 pytestmark = pytest.mark.campaign
 
 SPEC = AtlasSpec(
-    alpha=[0.0, 0.1, 0.2], beta=[0.1, 0.2], gamma=[0.0, 0.0005, 0.001], delta=[0.0, 0.015],
+    alpha=[0.0, 0.005, 0.01], beta=[0.05, 0.1], gamma=[0.0, 0.0005, 0.001], delta=[0.0, 0.015],
     delay=[0.0, 1.0], products=["verdict", "alpha_limits"], limit_cells=8, delay_cells=4,
+    velocity=Velocity.difference(10),
 )  # fmt: skip
 # A job in the background of a shell ignores Ctrl-C, and so would what it starts.
 SCRIPT = """
