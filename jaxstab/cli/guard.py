@@ -37,9 +37,16 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     "-o", "--output", type=Path, required=True, help="Header file; its name begins all names in it."
 )
 @click.option(
-    "--masses", callback=_range, help="LOW:HIGH in kg; default: 0.8 to 1.25 times the mass."
+    "--masses",
+    callback=_range,
+    help="LOW:HIGH in kg; default: 0.8 to 1.25 times the mass; 0.96 to 1.04 times that of a device "
+    "with modes, an actuator or a grip.",
 )
-@click.option("--delays", callback=_range, help="LOW:HIGH in s; default: one sample less and more.")
+@click.option(
+    "--delays",
+    callback=_range,
+    help="LOW:HIGH in s; default: one sample less and more; a tenth of one for such a device.",
+)
 @click.option(
     "--cells", callback=_cells, help="Cells along mass, delay and damping: powers of two."
 )

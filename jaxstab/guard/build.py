@@ -6,11 +6,13 @@ from math import frexp
 import numpy as np
 from jaxtyping import Int64
 
+from jaxstab.boxes.filter_cells import responses_at
 from jaxstab.guard.grid import Grid, interpolated
 from jaxstab.guard.guard import Guard, Range
 from jaxstab.guard.limits import boundary_of
 from jaxstab.guard.proof import are_stable, unproved
 from jaxstab.model import LoopParameters
+from jaxstab.model.filters import known_filters
 from jaxstab.numbers import checked_number
 from jaxstab.ranges import HandRange
 from jaxstab.ranges.hands import checked_range
@@ -26,6 +28,9 @@ _ATTEMPTS = 12
 _FINER = 4  # parts of a cell, in which largest dampings are looked at
 _PLACES = 64  # in each cell, at which walls are tried before the proof
 _CODES = 0xFFFF
+_LEAST_GAIN = 1e-6  # of a position filter at z = 1
+_PARTS = 2, 2, 4  # of a cell, at whose ends a guard of a device is held against the boundary
+_ENOUGH = 0.99  # of the stiffness at which a hand becomes unstable
 
 
 def build_guard(
@@ -41,7 +46,8 @@ def build_guard(
 
     Args:
         loop: the loop, with its velocity estimator and position filter. The mass of its device,
-            its hand and its delay are not used.
+            its hand and its delay are not used. The vibration modes, the actuators and the grip of
+            a device of its own are.
         hands: the range of hands.
         mass: the lowest and the highest mass of the device in kg, over its postures for example.
         delay: the shortest and the longest delay of the loop in s.
@@ -51,7 +57,8 @@ def build_guard(
 
     Raises:
         ValueError: a range is empty or out of order, or the number of cells no power of two.
-        NotImplementedError: the loop has a device of other than one mass.
+        NotImplementedError: the loop has a device of its own that is not a mass with vibration
+            modes, actuators and one hand of mass, spring and damper, behind a grip or not.
         RuntimeError: the limits could not be proved.
 
     Source: lemmas B3, B6, B10 and B15 of docs/proofs.md.
@@ -80,7 +87,8 @@ def build_guard(
     limit = np.maximum(exact * (1.0 - _PULL) - _PULL_ALL * largest, 0.0)
     unit = _coded(limit)[1]
     grid = Grid(nodes[0], nodes[1], top, np.floor(limit / unit) * unit)
-    grid = _stable_at_places(loop, hands, grid, unit)
+    lowered = _stable_at_places if loop.device is None else _below_curves
+    grid = lowered(loop, hands, grid, unit)
     failed: Int64[np.ndarray, "3 cell"] | None = None
     for _ in range(_ATTEMPTS):
         failed = unproved(loop, hands, grid, failed, progress)
@@ -104,10 +112,11 @@ def _check(
     cells: tuple[int, int, int],
 ) -> None:
     checked_range(hands)
-    if getattr(loop, "device", None) is not None:
-        raise NotImplementedError(
-            "the loop has a device of its own; a guard is proved for devices of one mass and "
-            "damping."
+    filters = known_filters(**loop.filters)
+    gain = 1.0 if filters is None else float(responses_at(filters, np.ones(1, complex))[0][0].real)
+    if not gain >= _LEAST_GAIN:
+        raise ValueError(
+            f"the position filter has the gain {gain:g} at z = 1; give one with a positive gain."
         )
     for name, ends, least in (("mass", mass, 0.0), ("delay", delay, 0.0)):
         for end in ends:
@@ -129,7 +138,9 @@ def _tops(loop: LoopParameters, hands: HandRange, nodes: list[np.ndarray]) -> np
         np.interp(np.arange((axis.size - 1) * _FINER + 1) / _FINER, np.arange(axis.size), axis)
         for axis in nodes
     ]
-    exact = boundary_of(loop, hands, *fine).largest_damping()
+    exact = np.concatenate(
+        [boundary_of(loop, hands, one, fine[1]).largest_damping() for one in fine[0][:, None]]
+    )
     top = exact[::_FINER, ::_FINER]
     places = np.indices(exact.shape).reshape(2, -1) / _FINER
     share = np.minimum(exact / interpolated(top, places).reshape(exact.shape), 1.0)
@@ -166,6 +177,36 @@ def _stable_at_places(loop: LoopParameters, hands: HandRange, grid: Grid, unit: 
             break
         cells = np.unique(places[:, ~stable], axis=1)
         grid = _lowered(grid, cells, unit)
+    return grid
+
+
+def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
+    """Return a grid lowered where it is not below the boundaries between its nodes.
+
+    A certified verdict on a device takes milliseconds, too long for many places.
+    """
+    counts = tuple(count * part for count, part in zip(grid.cells, _PARTS, strict=True))
+    sizes = tuple(count + 1 for count in counts)
+    places = np.indices(sizes).reshape(3, -1) / np.array(_PARTS)[:, None]
+    mass, delay = (
+        np.linspace(nodes[0], nodes[-1], count + 1)
+        for nodes, count in zip((grid.mass, grid.delay), counts[:2], strict=True)
+    )
+    damping = interpolated(grid.top, places[:2]) * places[2] / grid.cells[2]
+    damping = damping.reshape(sizes)
+    exact = np.concatenate(
+        [
+            boundary_of(loop, hands, one[None], delay).largest_stiffness(row[None])
+            for one, row in zip(mass, damping, strict=True)
+        ]
+    )
+    for _ in range(_ATTEMPTS):
+        own = interpolated(grid.limit, places).reshape(exact.shape)
+        above = places[:, (own > _ENOUGH * exact).ravel()]
+        if not above.shape[1]:
+            break
+        last = np.array(grid.cells)[:, None] - 1
+        grid = _lowered(grid, np.unique(np.clip(above.astype(int), 0, last), axis=1), unit)
     return grid
 
 

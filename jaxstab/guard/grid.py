@@ -83,6 +83,11 @@ class Pyramid:
         return tuple(_heap(first, last, count) for first, last, count in ends)
 
 
+def step_of(nodes: Float64[np.ndarray, " node"]) -> float:
+    """Return the step of evenly spaced nodes."""
+    return float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
+
+
 def interpolated(nodes: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Return values between nodes at places in cells, (axis, place)."""
     return _at_corners(nodes, (index, index))[0]

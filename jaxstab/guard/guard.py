@@ -134,6 +134,7 @@ class Guard:
         boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
         share = (np.arange(_DAMPINGS) + 0.5) / _DAMPINGS
         damping = boundary.largest_damping()[..., None] * share
-        exact = self.exact_stiffness(damping, mass, delay)
+        limits = boundary.largest_stiffness(damping)
+        exact = np.where(np.isfinite(limits), limits, 0.0)
         own = self.largest_stiffness(damping, mass[:, None, None], delay[:, None])
         return float(np.sum(own) / np.sum(exact))

@@ -4,21 +4,27 @@ The closed form of the boundary is taken at some angles and joined by straight l
 nodes of a guard come from it. Nothing here is a bound; the proof is in ``jaxstab.guard.proof``.
 """
 
+from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 
 from jaxstab.boxes.circle import quick_plant
 from jaxstab.boxes.filter_cells import responses_at
+from jaxstab.guard.held_device import Arms, HeldDevice
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
 from jaxstab.ranges import HandRange
+from jaxstab.ranges.hands import spread_hands
 
 _ANGLES = 800
+_DEVICE_ANGLES = 1200  # devices have resonances
+_DEVICE_HANDS = 3  # along each range: behind a grip the worst one need not be at a corner
 _BEND = 1.5  # angles are closer to each other near 0
 
+Angles = Float64[np.ndarray, " angle"]
 Curves = Float64[np.ndarray, "mass delay hand angle"]
 
 
@@ -54,14 +60,16 @@ class Boundary(NamedTuple):
         self, damping: Float64[np.ndarray, "mass delay damping"]
     ) -> Float64[np.ndarray, "mass delay damping"]:
         """Return the stiffness at which, from 0 upwards, the first hand becomes unstable."""
-        rows = [self._first_stiffness(row) for row in np.moveaxis(damping, -1, 0)]
+        rises = np.diff(self.damping, axis=-1), np.diff(self.stiffness, axis=-1)
+        rows = [self._first_stiffness(row, *rises) for row in np.moveaxis(damping, -1, 0)]
         return np.stack(rows, axis=-1)
 
-    def _first_stiffness(self, damping: Float64[np.ndarray, "mass delay"]) -> np.ndarray:
+    def _first_stiffness(
+        self, damping: Float64[np.ndarray, "mass delay"], run: Curves, rise: Curves
+    ) -> Float64[np.ndarray, "mass delay"]:
         here = damping[..., None]
-        run = np.diff(self.damping, axis=-1)
         share = (here[..., None] - self.damping[..., :-1]) / np.where(run == 0.0, np.inf, run)
-        stiffness = self.stiffness[..., :-1] + share * np.diff(self.stiffness, axis=-1)
+        stiffness = self.stiffness[..., :-1] + share * rise
         meets = self.joined & (share >= 0.0) & (share <= 1.0) & (stiffness > 0.0)
         curve = np.min(np.where(meets, stiffness, np.inf), axis=-1)
         per_stiffness, per_damping, total = self.line
@@ -78,34 +86,74 @@ def boundary_of(
     delay: Float64[np.ndarray, " delay"],
 ) -> Boundary:
     """Return the boundary for devices of some masses, at delays in samples."""
+    if loop.device is None:
+        return _of_masses(loop, hands, mass, delay)
+    device = HeldDevice.of(loop.device, loop.sample_time)
+    return _of_devices(device, loop, hands, mass, delay)
+
+
+def _of_masses(
+    loop: LoopParameters, hands: HandRange, mass: np.ndarray, delay: np.ndarray
+) -> Boundary:
     period = loop.sample_time
     corners = np.array(list(product(*(sorted(set(ends)) for ends in hands))))
     moved = mass[:, None, None] + corners[:, 0]
-    per_force, per_speed = period**2 / moved, period / moved
+    units = period**2 / moved, period / moved
     lag = np.broadcast_to(delay[:, None], (*moved.shape[:1], len(delay), len(corners)))
-    gamma = np.broadcast_to(corners[:, 1] * per_force, lag.shape)
-    delta = np.broadcast_to((loop.device_damping + corners[:, 2]) * per_speed, lag.shape)
+    gamma = np.broadcast_to(corners[:, 1] * units[0], lag.shape)
+    delta = np.broadcast_to((loop.device_damping + corners[:, 2]) * units[1], lag.shape)
     plant = quick_plant(gamma, delta, lag)
-    turns = np.floor(lag) + 1.0
-    filters = known_filters(**loop.filters)
-    z = np.exp(1j * np.pi * (np.arange(1, _ANGLES) / _ANGLES) ** _BEND)
+    parts = plant.d1, plant.d0, plant.n2, plant.n1, plant.n0, np.floor(lag) + 1.0
 
-    def force(z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        d1, d0, n2, n1, n0, m = (
-            part[..., None] for part in (plant.d1, plant.d0, plant.n2, plant.n1, plant.n0, turns)
-        )
+    def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
+        z = np.exp(1j * theta)
+        d1, d0, n2, n1, n0, turns = (part[..., None] for part in parts)
+        return -(z**turns) * (z + d1 + d0 / z) / (n2 * z + n1 + n0 / z)
+
+    return _boundary(loop, stiffness, units, _ANGLES)
+
+
+def _of_devices(
+    device: HeldDevice,
+    loop: LoopParameters,
+    hands: HandRange,
+    mass: np.ndarray,
+    delay: np.ndarray,
+) -> Boundary:
+    period = loop.sample_time
+    units = np.full((1, 1, 1), period**2), np.full((1, 1, 1), period)
+    moved, springs, dampers = spread_hands(hands, _DEVICE_HANDS).T
+    arms = Arms(moved, springs * period**2, dampers * period)
+
+    def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
+        return np.stack([-1.0 / device.response(one, arms, delay, theta) for one in mass])
+
+    return _boundary(loop, stiffness, units, _DEVICE_ANGLES)
+
+
+def _boundary(
+    loop: LoopParameters,
+    stiffness: Callable[[Angles], np.ndarray],
+    units: tuple[np.ndarray, np.ndarray],
+    count: int,
+) -> Boundary:
+    """Return the boundary from what alpha P + beta V is on it, and from alpha/K and beta/B."""
+    filters = known_filters(**loop.filters)
+
+    def force(theta: Angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        z = np.exp(1j * theta)
         position, velocity = (
             (np.ones_like(z), 1.0 - 1.0 / z) if filters is None else responses_at(filters, z)
         )
-        return position, velocity, -(z**m) * (z + d1 + d0 / z) / (n2 * z + n1 + n0 / z)
+        return position, velocity, stiffness(theta)
 
-    position, velocity, wanted = force(z)
+    position, velocity, wanted = force(np.pi * (np.arange(1, count) / count) ** _BEND)
     twist = np.imag(np.conj(position) * velocity)
     with np.errstate(divide="ignore", invalid="ignore"):
         alpha = np.imag(np.conj(velocity) * wanted) / -twist
         beta = np.imag(np.conj(position) * wanted) / twist
-    at_end = force(np.array([-1.0 + 0.0j]))
-    per_alpha, per_beta, total = (part[..., 0].real for part in at_end)
+    per_force, per_speed = units
+    per_alpha, per_beta, total = (part[..., 0].real for part in force(np.array([np.pi])))
     return Boundary(
         np.nan_to_num(alpha / per_force[..., None]),
         np.nan_to_num(beta / per_speed[..., None]),

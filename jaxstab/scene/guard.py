@@ -5,13 +5,16 @@ from collections.abc import Callable
 from jaxstab.guard import Guard, build_guard, guard_header
 from jaxstab.ranges import HandRange
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.loops import hands_of, loop_of
+from jaxstab.scene.loops import is_one_mass, loop_of
+from jaxstab.scene.mechanics import Hand
 from jaxstab.scene.scene import Scene
 
 Range = tuple[float, float]
 
 _MASSES = 0.8, 1.25  # of the scene's: what postures may make of it
-_DELAYS = -1.0, 1.0  # samples beside the scene's
+_DELAYS = 1.0  # samples beside the scene's
+_DEVICE_MASSES, _DEVICE_DELAYS = (0.96, 1.04), 0.1  # the same with modes, an actuator or a grip
+_DEVICE_CELLS = 1, 1, 16
 
 
 def scene_guard(
@@ -26,25 +29,27 @@ def scene_guard(
 
     Args:
         scene: the scene; its hands are those of the guard.
-        masses: of the device in kg; None for 0.8 to 1.25 times the scene's.
-        delays: in s; None for one sample less to one sample more than the scene's.
+        masses: of the device in kg; None for 0.8 to 1.25 times the scene's, 0.96 to 1.04 of a
+            device with modes, an actuator or a grip.
+        delays: in s; None for one sample less to one sample more than the scene's, a tenth of one
+            for such a device.
         progress: is told which share of the proof is done.
-        cells: ``cells=`` of ``build_guard``.
+        cells: ``cells=`` of ``build_guard``; such a device has a single one of mass and delay.
 
     Raises:
         ValueError, NotImplementedError, RuntimeError: as ``build_guard``.
     """
     loop = loop_of(scene)
-    hand = loop.hand_mass, loop.hand_stiffness, loop.hand_damping
-    hands = hands_of(scene) or HandRange(*((value, value) for value in hand))
+    hand, is_plain = scene.hand or Hand(), is_one_mass(scene)
+    shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
     mass, delay, period = scene.device.effective_mass, loop.delay, loop.sample_time
     return build_guard(
         loop,
-        hands,
-        masses or (_MASSES[0] * mass, _MASSES[1] * mass),
-        delays or (max(delay + _DELAYS[0] * period, 0.0), delay + _DELAYS[1] * period),
+        HandRange(hand.effective_mass, hand.stiffness, hand.damping),
+        masses or (shares[0] * mass, shares[1] * mass),
+        delays or (max(delay - beside * period, 0.0), delay + beside * period),
         progress=progress,
-        **cells,
+        **({} if is_plain else {"cells": _DEVICE_CELLS}) | cells,
     )
 
 
@@ -56,7 +61,8 @@ def guard_about(scene: Scene, guard: Guard) -> str:
         [
             _line(f"{units.moved} of the device", guard.mass, units.kilogram),
             _line("delay", guard.delay, "s"),
-            f"damping of the device: {guard.loop.device_damping:g} {units.damping}",
+            f"damping of the device: {scene.device.damping:g} {units.damping}",
+            *_beside_a_mass(scene),
             f"sample time: {guard.loop.sample_time:g} s",
             f"velocity: {basis.velocity}",
             *filtered,
@@ -74,6 +80,24 @@ def header_of(scene: Scene, guard: Guard, name: str) -> str:
     units = scene.units
     words = units.kilogram, units.stiffness, units.damping
     return guard_header(guard, name, guard_about(scene, guard), words)
+
+
+def _beside_a_mass(scene: Scene) -> list[str]:
+    """Return the vibration modes, the actuator and the grip of a scene, in lines."""
+    device, units = scene.device, scene.units
+    lines = [
+        f"vibration mode: {mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, "
+        f"{mode.effective_mass:g} {units.kilogram}"
+        for mode in device.modes
+    ]
+    if device.actuator is not None:
+        lines.append(f"actuator: {device.actuator.bandwidth:g} Hz")
+    grip = None if scene.hand is None else scene.hand.grip
+    if grip is not None:
+        lines.append(
+            f"grip: {grip.stiffness:g} {units.stiffness}, {grip.damping:g} {units.damping}"
+        )
+    return lines
 
 
 def _line(name: str, ends: Range, unit: str) -> str:

@@ -1,0 +1,289 @@
+"""Loops of a held device on the unit circle, over boxes of masses, delays, walls, arms and angles.
+
+With s = i theta, position over force N/D (``HeldDevice``) and the wall's H = alpha P + beta V,
+
+    F = D(s) + H e^(-i theta (d + 1/2)) (sinc(theta/2) N(s) + 2 sin(theta/2) D(s) R),
+
+R the sum of aliases, vanishes on the circle where the characteristic polynomial does (lemma B20 of
+docs/proofs.md). F is real at theta = 0, where a free device has its root without a wall.
+"""
+
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool
+
+from jaxstab.boxes.filter_cells import filter_cells
+from jaxstab.boxes.models import LinearModel, Moving
+from jaxstab.boxes.wall import largest_within, responses
+from jaxstab.guard.grid import Grid, Models, Pyramid, step_of
+from jaxstab.guard.held_device import Arms, HeldDevice
+from jaxstab.guard.parted import AXES, BEYOND, Boxes, Seen, parted
+from jaxstab.model import Device, LoopParameters
+from jaxstab.model.filters import known_filters
+from jaxstab.ranges import HandRange
+
+_MASS, _DELAY, _DAMPING, _ARM, _THETA = 0, 1, 2, 3, 6
+_AT_ONCE = 2048
+_FAST = 1.0  # up to this angle all aliases are small
+_FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
+_LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
+_ROUNDED_UP = 1.0 + 1e-9
+_ROUNDING = 1e-14  # of a number
+_EPS = 4.0 * np.finfo(np.float64).eps
+
+
+class _Place(NamedTuple):
+    """What the plant depends on, over boxes."""
+
+    mass: LinearModel
+    delay: LinearModel
+    arm: Arms
+    theta: LinearModel
+
+    def as_discs(self) -> "_Place":
+        """Return the same without moves along the axes."""
+        arm = Arms(*map(_disc, self.arm))
+        return _Place(_disc(self.mass), _disc(self.delay), arm, _disc(self.theta))
+
+
+class DeviceBoxes:
+    """Loops of a held device over boxes.
+
+    Raises:
+        NotImplementedError: the device is of another kind, or has modes far above half of the
+            sampling rate, or has a hand that nothing damps.
+    """
+
+    def __init__(self, device: Device, loop: LoopParameters, hands: HandRange, grid: Grid) -> None:
+        self._period = float(loop.sample_time)
+        self._device = HeldDevice.of(device, self._period)
+        self._grid, self._pyramid = grid, Pyramid(grid)
+        filters = known_filters(**loop.filters)
+        self._cells = None if filters is None else filter_cells(filters)
+        mass = float(grid.mass[0]), float(grid.mass[-1])
+        arm = hands.stiffness[1] * self._period**2, hands.damping[0] * self._period
+        self._slow, self._fast = (
+            _Aliases.of(self._device, mass, arm, fewest, last)
+            for fewest, last in ((0, _FAST), (_FEWEST, _LAST))
+        )
+
+    def judged(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+        """Say which boxes are free of roots, and what halving along each axis would help."""
+        half = np.concatenate([half[:3], half[3:] * (1.0 + BEYOND)])  # whose ends are rounded
+        is_fast = center[_THETA] + half[_THETA] > _FAST
+        free, shares = np.zeros(is_fast.shape, bool), np.zeros(center.shape)
+        for aliases, which in ((self._slow, ~is_fast), (self._fast, is_fast)):
+            boxes = np.flatnonzero(which)
+            for first in range(0, boxes.size, _AT_ONCE):
+                some = boxes[first : first + _AT_ONCE]
+                parts = self.over(center[:, some], half[:, some], aliases)
+                free[some], shares[:, some] = parted(*map(Seen.of, parts))
+        near = np.flatnonzero((center[_THETA] <= half[_THETA]) & ~is_fast)
+        if near.size:
+            free[near], shares[:, near] = self._are_slow(center[:, near], half[:, near])
+        return free, shares
+
+    def over(
+        self, center: Boxes, half: Boxes, aliases: "_Aliases"
+    ) -> tuple[LinearModel, LinearModel]:
+        """Return F over boxes, without stiffness and at the limit."""
+        place, (alpha, beta) = self._place(center, half), self._wall(center, half)
+        above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
+        others = self._others(place, aliases)
+        force = _sinc(place.theta).value * above + _sine(place.theta) * below * others
+        force = _turned(place.theta * (place.delay + 0.5)) * force
+        position, velocity = self._filters(place.theta)
+        none = below + beta * velocity.value * force
+        return none, none + alpha * position.value * force
+
+    def _are_slow(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+        """Say in which boxes the imaginary part of F grows with theta, from 0 on."""
+        place, (alpha, beta) = self._place(center, half), self._wall(center, half)
+        theta, lag = place.theta, place.delay + 0.5
+        s = Moving(theta * 1j, _known(1j * np.ones_like(center[0])))
+        above, below = self._device.parts(s, place.mass, place.arm)
+        wave = _turned(theta * lag)
+        force = _sinc(theta) * above * Moving(wave, wave * lag * -1j)
+        position, velocity = self._filters(theta)
+        others = below.value.size * self._others(place, self._slow).size
+        damper = velocity * beta
+        clear, shares = [], []
+        for wall in (damper, damper + position * alpha):
+            rate = (below + wall * force).rate
+            moves = np.abs(rate.slope.imag)
+            lowest = rate.centre.imag - moves.sum(axis=0) - rate.rest
+            clear.append(lowest - wall.value.size * others * _ROUNDED_UP)
+            moves[_THETA] += rate.rest
+            shares.append(moves)
+        return np.minimum(*clear) > 0.0, np.where(clear[0] < clear[1], *shares)
+
+    def _place(self, center: Boxes, half: Boxes) -> _Place:
+        mass, delay = (
+            _along(axis, nodes[0] + center[axis] * step, half[axis] * step * _ROUNDED_UP)
+            for axis, nodes in ((_MASS, self._grid.mass), (_DELAY, self._grid.delay))
+            for step in [step_of(nodes)]
+        )
+        units = 1.0, self._period**2, self._period
+        arm = [
+            _along(_ARM + k, center[_ARM + k] * unit, half[_ARM + k] * unit)
+            for k, unit in enumerate(units)
+        ]
+        return _Place(mass, delay, Arms(*arm), _along(_THETA, center[_THETA], half[_THETA]))
+
+    def _wall(self, center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
+        """Return the largest alpha and beta, in units of one sample."""
+        low, high = (center - half)[:3], (center + half)[:3]
+        limit = _model(self._pyramid.limits(low, high))
+        top = _model(self._pyramid.tops(low[:2], high[:2]))
+        count = self._grid.cells[2]
+        share = _along(_DAMPING, center[_DAMPING] / count, half[_DAMPING] / count)
+        return limit * self._period**2, share * top * self._period
+
+    def _filters(self, theta: LinearModel) -> tuple[Moving, Moving]:
+        """Return P and V in units of one sample, with their derivatives by theta."""
+        at, by = theta.centre, theta.slope[_THETA]
+        if self._cells is None:
+            back, none = np.exp(-1j * at), np.zeros_like(at)
+            value = np.stack([none + 1.0, 1.0 - back])
+            slope = np.stack([0j * none, 1j * back])
+            lost, bend = np.full((4, at.size), _EPS), np.stack([none, none + 1.0])
+        else:
+            value, slope, lost = responses(self._cells, at)
+            bend = largest_within(self._cells.steepness, self._cells, at, by)[2:]
+        made = []
+        for k in range(2):
+            moves = np.zeros((AXES, at.size), complex)
+            moves[_THETA] = slope[k] * by
+            rest = 0.5 * bend[k] * by**2 + lost[k] + by * lost[2 + k]
+            rate = LinearModel(slope[k], 0.0 * moves, bend[k] * by + lost[2 + k], theta.half)
+            made.append(Moving(LinearModel(value[k], moves, rest, theta.half), rate))
+        return made[0], made[1]
+
+    def _others(self, place: _Place, aliases: "_Aliases") -> LinearModel:
+        """Return R."""
+        discs = place.as_discs()
+        total = _known(np.zeros(place.theta.centre.shape, complex))
+        total = LinearModel(total.centre, total.slope, total.rest + aliases.tail, total.half)
+        for turns, most in aliases.followed:
+            # The nearest one is followed along the axes.
+            one = self._alias(place if turns == -1 else discs, turns)
+            is_known = one.swing < most
+            centre = np.where(is_known, one.centre, 0.0)
+            slope = np.where(is_known, one.slope, 0.0)
+            one = LinearModel(centre, slope, np.where(is_known, one.rest, most), one.half)
+            total = total + _like(one, total)
+        return total
+
+    def _alias(self, place: _Place, turns: int) -> LinearModel:
+        angle = place.theta + 2.0 * pi * turns
+        above, below = self._device.parts(angle * 1j, place.mass, place.arm)
+        wave = _turned(place.delay * (2.0 * pi * turns))
+        return above * wave * (below * angle).reciprocal()
+
+
+class _Aliases(NamedTuple):
+    """The aliases whose sum is R.
+
+    Attributes:
+        followed: which ones are followed, as k of theta + 2 pi k, and what each is at most.
+        tail: what all others are at most.
+    """
+
+    followed: tuple[tuple[int, float], ...]
+    tail: float
+
+    @classmethod
+    def of(
+        cls,
+        device: HeldDevice,
+        mass: tuple[float, float],
+        arm: tuple[float, float],
+        fewest: int,
+        last: float,
+    ) -> "_Aliases":
+        """Return aliases of angles up to a last one, so many that the others are known."""
+        for count in range(fewest, _MOST + 1):
+            near, far = 2.0 * pi * (count + 1) - last, 2.0 * pi * (count + 1)
+            most = device.largest_compliance(mass, arm, near)
+            if most < np.inf:
+                break
+        else:
+            raise NotImplementedError(
+                "a guard is proved for devices whose modes are not far above the sampling rate, "
+                "and for hands that a grip or an arm damps; this one has no bound at high "
+                f"frequencies: {device}."
+            )
+        tail = most * (near**-3 + far**-3 + 1.0 / (2.0 * pi * far**2)) * _ROUNDED_UP
+        followed = []
+        for turns in [sign * k for k in range(1, count + 1) for sign in (-1, 1)]:
+            nearest = 2.0 * pi * abs(turns) - (last if turns < 0 else 0.0)
+            most = device.largest_compliance(mass, arm, nearest)
+            followed.append((turns, most / nearest**3 * _ROUNDED_UP))
+        return cls(tuple(followed), tail)
+
+
+# ------------------------------------------------------------------------------------------ models
+
+
+def _along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:
+    """Return a variable that runs along an axis."""
+    slope = np.zeros((AXES, centre.size))
+    slope[axis] = half
+    return LinearModel(centre, slope, _ROUNDING * np.abs(centre), np.ones((AXES, 1)))
+
+
+def _known(centre: np.ndarray) -> LinearModel:
+    slope = np.zeros((AXES, centre.size))
+    return LinearModel(centre, slope, np.zeros(centre.size), np.ones((AXES, 1)))
+
+
+def _model(bounds: Models) -> LinearModel:
+    slope = np.zeros((AXES, bounds.centre.size))
+    slope[: len(bounds.moves)] = bounds.moves
+    return LinearModel(bounds.centre, slope, bounds.rest, np.ones((AXES, 1)))
+
+
+def _disc(model: LinearModel) -> LinearModel:
+    """Return a function without moves along the axes."""
+    return LinearModel(model.centre, model.slope[:0], model.swing, model.half[:0])
+
+
+def _like(model: LinearModel, other: LinearModel) -> LinearModel:
+    """Return a function with the axes of another."""
+    if len(model.half) == len(other.half):
+        return model
+    slope = np.zeros((len(other.half), model.centre.size))
+    return LinearModel(model.centre, slope, model.rest, other.half)
+
+
+def _turned(phase: LinearModel) -> LinearModel:
+    """Return e^(-i phase); where the phase is hardly known, no more than its size."""
+    centre = np.exp(-1j * phase.centre)
+    rest = 0.5 * (phase.swing - phase.rest) ** 2 + phase.rest + _EPS * (1.0 + np.abs(phase.centre))
+    is_known = phase.swing < 1.0
+    slope = np.where(is_known, -1j * centre * phase.slope, 0.0)
+    return LinearModel(
+        np.where(is_known, centre, 0.0), slope, np.where(is_known, rest, 1.0), phase.half
+    )
+
+
+def _sine(theta: LinearModel) -> LinearModel:
+    """Return 2 sin(theta/2)."""
+    half = 0.5 * theta.centre
+    rest = 0.25 * theta.swing**2 + theta.rest + _EPS
+    return LinearModel(2.0 * np.sin(half), np.cos(half) * theta.slope, rest, theta.half)
+
+
+def _sinc(theta: LinearModel) -> Moving:
+    """Return sin(theta/2)/(theta/2) and its derivative, which has one of at most 1/12."""
+    at = theta.centre
+    value, is_small = np.sinc(at / (2.0 * pi)), np.abs(at) < 1e-3
+    slope = np.where(is_small, -at / 12.0, (np.cos(0.5 * at) - value) / np.where(is_small, 1.0, at))
+    by = theta.swing
+    still = np.zeros_like(theta.slope)
+    return Moving(
+        LinearModel(value, slope * theta.slope, by**2 / 24.0 + 1e-11 * by + _EPS, theta.half),
+        LinearModel(slope, still, by / 12.0 + 1e-11, theta.half),
+    )

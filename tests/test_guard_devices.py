@@ -1,0 +1,329 @@
+"""Guards of devices with modes, actuators and grips: what a header lets through is stable."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import assert_one_sentence, run
+from mpmath import mp, mpc, mpf
+from programs_in_c import compiled
+from test_guard import ROOT, STRICT, rows_of
+
+import jaxstab
+import jaxstab.guard.proof
+from benchmarks.truth.devices import DeviceLoop, Mechanism
+from benchmarks.truth.devices import mode as true_mode
+from benchmarks.truth.filtered import average, difference
+from jaxstab import (
+    STABLE,
+    Device,
+    Guard,
+    Hand,
+    HandRange,
+    HapticLoop,
+    Mode,
+    Velocity,
+    build_guard,
+    guard_header,
+)
+from jaxstab.guard.device_boxes import DeviceBoxes
+from jaxstab.guard.grid import Grid, interpolated
+from jaxstab.guard.held_device import Arms, HeldDevice, with_parts
+from jaxstab.model.device import sampled_device
+
+PERIOD = 1e-3
+MODE = Mode(frequency=80.0, damping_ratio=0.02, modal_mass=0.8)
+GRIP = 2000.0, 4.0
+HANDS = HandRange(mass=(0.0, 0.3), stiffness=(0.0, 200.0), damping=(0.5, 4.0))
+ARM = Hand.mass_spring_damper(0.1, 1.0, 100.0).with_grip(*GRIP)
+DEVICE = Device.modes([MODE], mass=0.25, damping=0.5).with_actuator(300.0).held_by(ARM)
+WINDOW = Velocity.difference(samples=4)
+LOOP = HapticLoop(device=DEVICE, sample_time=PERIOD, delay=1e-3, velocity=WINDOW)
+MASSES, DELAYS = (0.245, 0.255), (0.95e-3, 1.05e-3)
+
+
+def with_hand(loop: HapticLoop, mass: float, delay: float, arm: Arms) -> HapticLoop:
+    """The loop of another mass, delay and arm, behind the same grip."""
+    return replace(loop, device=with_parts(loop.device, mass, arm), delay=delay)
+
+
+# ---------------------------------------------------------------------------------------- boxes
+
+
+def drawn_loop(rng: np.random.Generator) -> tuple[HapticLoop, HandRange, Grid]:
+    """A loop, its hands and a grid at random; some have light masses, stiff grips or fast modes."""
+    mass = 10 ** rng.uniform(-2.0, 0.3)
+    modes = [
+        Mode(
+            frequency=float(rng.choice([rng.uniform(20, 200), rng.uniform(400, 520)])),
+            damping_ratio=10 ** rng.uniform(-3, -1),
+            modal_mass=mass * rng.uniform(0.5, 5.0) * float(rng.choice([1, 1, 1, -1])) * 2,
+        )
+        for _ in range(int(rng.integers(0, 3)))
+    ]
+    body = mass, float(rng.choice([0.0, rng.uniform(0, 2)]))
+    device = Device.modes(modes, mass=body[0], damping=body[1]) if modes else None
+    device = device or Device.mass_spring_damper(*body, float(rng.choice([0.0, 300.0])))
+    if rng.random() < 0.5:
+        device = device.with_actuator(rng.uniform(30, 800))
+    hand = Hand.mass_spring_damper(0.1, 1.0, 100.0)
+    if rng.random() < 0.6:
+        hand = hand.with_grip(10 ** rng.uniform(2, 5), float(rng.choice([0.0, rng.uniform(0, 30)])))
+    low, high = np.array([0.0, 0.0, 0.3]), np.array([0.5, 500.0, 8.0])
+    ends = np.sort(rng.uniform(low, high, (2, 3)), axis=0)
+    velocity = [None, Velocity.difference(samples=5), Velocity.low_pass(60.0)][rng.integers(3)]
+    loop = HapticLoop(device=device.held_by(hand), sample_time=PERIOD, velocity=velocity)
+    delay = rng.uniform(0.0, 2.5)
+    cells = 1, 1, 4
+    grid = Grid(
+        np.linspace(mass, mass * rng.uniform(1.02, 1.4), cells[0] + 1),
+        np.linspace(delay, delay + rng.uniform(0.05, 1.2), cells[1] + 1),
+        rng.uniform(0.1, 1.0, (2, 2)) * mass / PERIOD,
+        rng.uniform(0.0, 0.3, (2, 2, 5)) * mass / PERIOD**2,
+    )
+    return loop, HandRange(*ends.T.tolist()), grid
+
+
+def true_value(loop: HapticLoop, wall: tuple[float, float], theta: float) -> mpc:
+    """The polynomial of the loop over that without a wall, by balls and mpmath."""
+    sampled = sampled_device(loop.device, PERIOD, loop.delay / PERIOD)
+    parts = sampled.loop(None if loop.velocity is None else (loop.velocity, jaxstab.Filter()))[:3]
+    z = mp.expj(mpf(theta))
+    base, stiffness, damping = (
+        mp.polyval([mpf(float(c.hi)) + mpf(float(c.lo)) for c in part[::-1]], z, asc=True)
+        for part in parts
+    )
+    alpha, beta = wall[0] * sampled.stiffness_unit, wall[1] * sampled.damping_unit
+    return 1 + (alpha * stiffness + beta * damping) / base
+
+
+def assert_boxes_hold(seed: int, boxes: int) -> tuple[float, int]:
+    """Compare boxes with points in them: the largest share of a bound, and how many are free."""
+    rng, worst = np.random.default_rng(seed), 0.0
+    loop, hands, grid = drawn_loop(rng)
+    try:
+        proof = DeviceBoxes(loop.device, loop, hands, grid)
+    except NotImplementedError:
+        return 0.0, 0
+    low = np.array([0.0, 0.0, 0.0, *(end for end, _ in hands), 0.0])[:, None]
+    high = np.array([1.0, 1.0, 4.0, *(end for _, end in hands), np.pi])[:, None]
+    size = 0.5 ** rng.integers(0, 9, (7, boxes))
+    size[2] = np.minimum(size[2], 0.25)
+    place = np.floor(rng.random((7, boxes)) / size) * size
+    place[6, : boxes // 3] = 0.0
+    starts, ends = low + (high - low) * place, low + (high - low) * (place + size)
+    center, half = 0.5 * (starts + ends), 0.5 * (ends - starts)
+    free, _ = proof.judged(center, half)
+    device = HeldDevice.of(loop.device, PERIOD)
+    for box in range(boxes):
+        at, by = center[:, box : box + 1], half[:, box : box + 1]
+        is_fast = at[6] + by[6] > 1.0
+        models = proof.over(at, by, proof._fast if is_fast else proof._slow)
+        is_slow = not is_fast and at[6] <= by[6] and bool(proof._are_slow(at, by)[0])
+        for _ in range(3):
+            x = rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], 7)
+            point = (at + x[:, None] * by)[:, 0]
+            point[6] = max(point[6], 1e-6)
+            x[6] = (point[6] - at[6, 0]) / by[6, 0]
+            mass, delay = (
+                float(nodes[0] + share * (nodes[1] - nodes[0]))
+                for nodes, share in zip((grid.mass, grid.delay), point, strict=False)
+            )
+            arm, theta = Arms(*point[3:6].tolist()), float(point[6])
+            own = with_hand(loop, mass, delay * PERIOD, arm)
+            damping = point[2] / 4 * interpolated(grid.top, point[:2, None])[0]
+            alpha = proof._wall(at, by)[0]  # no less than the limit
+            stiffness = float(alpha.centre[0] + alpha.slope[:, 0] @ x) / PERIOD**2
+            assert stiffness >= interpolated(grid.limit, point[:3, None])[0] * (1.0 - 1e-12)
+            scaled = Arms(arm.mass, arm.stiffness * PERIOD**2, arm.damping * PERIOD)
+            below = complex(device.parts(1j * theta, mass, scaled)[1])
+            for model, k in zip(models, (0.0, stiffness), strict=True):
+                truth = complex(true_value(own, (k, float(damping)), theta)) * below
+                known = complex(model.centre[0] + model.slope[:, 0] @ x)
+                assert abs(truth - known) <= model.rest[0] * (1.0 + 1e-12) + 1e-13 * abs(below)
+                assert not is_slow or truth.imag > 0.0
+                worst = max(worst, abs(truth - known) / model.rest[0])
+    return float(worst), int(free.sum())
+
+
+def test_boxes_hold_the_values_of_their_loops() -> None:
+    """Of devices at random, delays over whole samples among them, against balls and mpmath."""
+    found = [assert_boxes_hold(seed, 6) for seed in range(12)]
+    assert sum(count for _, count in found) > 5
+
+
+@pytest.mark.campaign
+def test_many_boxes_hold_the_values_of_their_loops() -> None:
+    found = [assert_boxes_hold(seed, 20) for seed in range(100, 200)]
+    assert max(worst for worst, _ in found) > 0.3
+
+
+# ---------------------------------------------------------------------------------------- guards
+
+
+@pytest.fixture(scope="module")
+def guard() -> Guard:
+    return build_guard(LOOP, HANDS, MASSES, DELAYS, cells=(1, 1, 8))
+
+
+@pytest.fixture(scope="module")
+def program(guard: Guard, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("guard_of_device")
+    (folder / "test_guard.h").write_text(guard_header(guard, "test_guard"))
+    source = ROOT / "tests" / "guard.c"
+    return compiled(source, folder, ["-O2", "-D_POSIX_C_SOURCE=200809L", f"-I{folder}", *STRICT])
+
+
+def arms_of(hands: HandRange, rng: np.random.Generator, count: int) -> list[Arms]:
+    """Arms at random, some of whose numbers are at an end of their range."""
+    share = rng.choice([0.0, 1.0, np.nan], (count, 3))
+    share = np.where(np.isnan(share), rng.random((count, 3)), share)
+    low, high = np.array(hands).T
+    return [Arms(*one) for one in (low + (high - low) * share).tolist()]
+
+
+def codes_of(guard: Guard, rows: np.ndarray, seed: int) -> list[int]:
+    """Certified verdicts on what calls of C let through, of an arm at random each."""
+    arms = arms_of(guard.hands, np.random.default_rng(seed), len(rows))
+    return [
+        int(with_hand(guard.loop, mass, delay, arm).verdict(max(k, 1e-3), b))
+        for (mass, delay, k, b), arm in zip(rows[:, 2:6].tolist(), arms, strict=True)
+    ]
+
+
+def test_what_the_header_lets_through_is_stable(guard: Guard, program: Path) -> None:
+    rows = rows_of(program, 150, 1)
+    assert set(codes_of(guard, rows, 1)) == {STABLE}
+
+
+@pytest.mark.campaign
+def test_what_the_header_lets_through_is_stable_in_many_calls(guard: Guard, program: Path) -> None:
+    rows = rows_of(program, 20_000, 2)
+    assert set(codes_of(guard, rows, 2)) == {STABLE}
+
+
+def test_certified_roots_of_the_equations_of_motion_agree(guard: Guard, program: Path) -> None:
+    rows = rows_of(program, 6, 3)
+    hands = guard.hands._replace(mass=(0.01, 0.3))  # the equations divide by the mass
+    for row, arm in zip(rows, arms_of(hands, np.random.default_rng(3), 6), strict=True):
+        _, _, mass, delay, stiffness, damping = row[:6].tolist()
+        body = mpf(mass), mpf(DEVICE.mechanism.damping), mpf(0)
+        modes = [body, true_mode(MODE.frequency, MODE.damping_ratio, MODE.modal_mass)]
+        hand = arm.mass, arm.damping, arm.stiffness, GRIP[::-1]
+        system = Mechanism(modes, [hand], [300.0]).system()
+        loop = DeviceLoop(system, PERIOD, delay / PERIOD, difference(4), average(1))
+        assert loop.code(max(stiffness, 1e-3), damping) == STABLE
+
+
+def test_it_grants_nine_tenths_of_what_is_stable(guard: Guard) -> None:
+    assert 0.9 < guard.granted < 1.0
+
+
+def test_walls_a_little_beyond_the_exact_limit_are_not_stable(guard: Guard) -> None:
+    """The limit that the share is of is a limit: some arm is unstable 2 % above it."""
+    place = np.array([0.25]), np.array([1e-3])
+    damping = np.array([5.0, 15.0, 25.0])
+    exact = guard.exact_stiffness(damping[None, None], *place)[0, 0]
+    arms = [Arms(*one) for one in np.array(np.meshgrid(*guard.hands)).reshape(3, -1).T.tolist()]
+    for b, k in zip(damping, exact, strict=True):
+        above, below = (
+            [int(with_hand(LOOP, 0.25, 1e-3, arm).verdict(share * k, b)) for arm in arms]
+            for share in (1.02, 0.97)
+        )
+        assert set(below) == {STABLE}
+        assert set(above) != {STABLE}
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", range(12))
+def test_guards_of_random_devices_let_nothing_unstable_through(seed: int) -> None:
+    """Light masses, stiff grips, modes next to half of the sampling rate; or they are refused."""
+    rng = np.random.default_rng(seed)
+    loop, hands, grid = drawn_loop(rng)
+    mass = float(grid.mass[0]), float(grid.mass[0]) * 1.02
+    delay = (float(grid.delay[0]) * PERIOD, (float(grid.delay[0]) + 0.1) * PERIOD)
+    try:
+        guard = build_guard(loop, hands, mass, delay, cells=(1, 1, 8))
+    except (RuntimeError, NotImplementedError) as refusal:
+        assert_one_sentence(str(refusal))
+        return
+    places = rng.random((300, 2)) * np.ptp([mass, delay], axis=1) + [mass[0], delay[0]]
+    damping = rng.random(300) * float(guard.grid.top.max())
+    limits = guard.largest_stiffness(damping, *places.T)
+    rows = np.column_stack([0.0 * places, places, limits, damping])[limits > 0.0]
+    assert set(codes_of(guard, rows, seed)) <= {STABLE}
+
+
+# -------------------------------------------------------------------------------------- refusals
+
+
+def built(device: Device, hands: HandRange = HANDS, **change: Any) -> Guard:
+    loop = HapticLoop(device=device, sample_time=PERIOD, delay=1e-3, **change)
+    return build_guard(loop, hands, MASSES, DELAYS, cells=(1, 1, 1))
+
+
+@pytest.mark.parametrize(
+    "device",
+    [
+        Device.transfer_function([1.0], [0.25, 0.1, 0.0]),
+        Device.modes([MODE]),
+        DEVICE.held_by(ARM),
+        replace(DEVICE, hands=()).held_by(Hand.transfer_function([1.0, 5.0], [1.0])),
+        replace(DEVICE, hands=()).held_by(Hand.mass_spring_damper(0.1, 1.0).with_grip(0.0, 4.0)),
+    ],
+    ids=["transfer function", "no mass", "two hands", "another hand", "a grip without a spring"],
+)
+def test_other_devices_are_refused(device: Device) -> None:
+    with pytest.raises(NotImplementedError, match="a guard is proved for a mass with"):
+        built(device)
+
+
+def test_what_nothing_damps_is_refused() -> None:
+    arm = Hand.mass_spring_damper(0.1).with_grip(2000.0)
+    device = Device.mass_spring_damper(0.25, 0.5).held_by(arm)
+    with pytest.raises(NotImplementedError, match="damp"):
+        built(device, HandRange(mass=(0.0, 0.1)))
+
+
+def test_a_position_filter_without_a_positive_gain_is_refused() -> None:
+    for device in (None, DEVICE):
+        own = {"device": device} if device else {"device_mass": 0.25, "device_damping": 0.5}
+        turned = jaxstab.Filter.transfer_function([-1.0], [1.0])
+        loop = HapticLoop(**own, sample_time=PERIOD, position=turned)
+        with pytest.raises(ValueError, match="gain"):
+            build_guard(loop, HANDS, MASSES, DELAYS)
+
+
+def test_long_proofs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(jaxstab.guard.proof._MOST, DeviceBoxes, 1000)
+    with pytest.raises(RuntimeError, match="five minutes; narrow the ranges"):
+        build_guard(LOOP, HANDS, MASSES, DELAYS, cells=(1, 1, 8))
+
+
+def test_the_command_writes_a_header_of_a_scene_with_modes(tmp_path: Path) -> None:
+    scene = tmp_path / "stylus.toml"
+    scene.write_text(
+        """
+        [device]
+        mass = 0.25
+        damping = 0.5
+        actuator.bandwidth = 300.0
+        modes = [{frequency = 80.0, damping_ratio = 0.02, modal_mass = 0.8}]
+        [hand]
+        mass = [0.0, 0.1]
+        damping = 1.0
+        grip = {stiffness = 2000.0, damping = 4.0}
+        [controller]
+        sample_time = 0.001
+        delay_samples = 1.0
+        velocity.window_samples = 4
+        """
+    )
+    words = ["--masses", "0.249:0.251", "--delays", "0.00099:0.00101", "--cells", "1,1,8"]
+    answer = run("guard", scene, "-o", tmp_path / "stylus.h", *words)
+    assert answer.exit_code == 0, answer.output
+    assert "stylus_clamp" in (tmp_path / "stylus.h").read_text()
+    assert "vibration mode: 80 Hz" in answer.output
+    assert "grip: 2000 N/m, 4 N s/m" in answer.output
