@@ -150,7 +150,7 @@ def assert_boxes_hold(seed: int, boxes: int) -> tuple[float, int]:
 
 def test_boxes_hold_the_values_of_their_loops() -> None:
     """Of devices at random, delays over whole samples among them, against balls and mpmath."""
-    found = [assert_boxes_hold(seed, 6) for seed in range(12)]
+    found = [assert_boxes_hold(seed, 5) for seed in range(6)]
     assert sum(count for _, count in found) > 5
 
 
@@ -217,6 +217,7 @@ def test_certified_roots_of_the_equations_of_motion_agree(guard: Guard, program:
         assert loop.code(max(stiffness, 1e-3), damping) == STABLE
 
 
+@pytest.mark.campaign
 def test_it_grants_nine_tenths_of_what_is_stable(guard: Guard) -> None:
     assert 0.9 < guard.granted < 1.0
 
@@ -325,5 +326,6 @@ def test_the_command_writes_a_header_of_a_scene_with_modes(tmp_path: Path) -> No
     answer = run("guard", scene, "-o", tmp_path / "stylus.h", *words)
     assert answer.exit_code == 0, answer.output
     assert "stylus_clamp" in (tmp_path / "stylus.h").read_text()
+    assert float(answer.output.split("It grants ")[1].split(" %")[0]) > 90.0
     assert "vibration mode: 80 Hz" in answer.output
     assert "grip: 2000 N/m, 4 N s/m" in answer.output

@@ -61,7 +61,7 @@ def build_guard(
             modes, actuators and one hand of mass, spring and damper, behind a grip or not.
         RuntimeError: the limits could not be proved.
 
-    Source: lemmas B3, B6, B10 and B15 of docs/proofs.md.
+    Source: lemmas B3, B6, B10, B15 and, for devices, B20 of docs/proofs.md.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)

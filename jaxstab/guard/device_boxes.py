@@ -82,7 +82,8 @@ class DeviceBoxes:
                 free[some], shares[:, some] = parted(*map(Seen.of, parts))
         near = np.flatnonzero((center[_THETA] <= half[_THETA]) & ~is_fast)
         if near.size:
-            free[near], shares[:, near] = self._are_slow(center[:, near], half[:, near])
+            is_slow, shares[:, near] = self._are_slow(center[:, near], half[:, near])
+            free[near] |= is_slow
         return free, shares
 
     def over(

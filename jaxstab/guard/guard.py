@@ -92,7 +92,9 @@ class Guard:
         mass: Float64[np.ndarray, " mass"],
         delay: Float64[np.ndarray, " delay"],
     ) -> Float64[np.ndarray, "mass delay damping"]:
-        """Return the stiffness at which the first hand at a corner of the range becomes unstable.
+        """Return the stiffness at which the first of some hands of the range becomes unstable.
+
+        They are the corners of the range; for a device of its own, three along each quantity.
 
         Args:
             damping: B in N s/m for each mass and delay.

@@ -1,4 +1,4 @@
-"""Proof that every wall which a guard lets through is stable (lemmas B3, B6, B10, B15).
+"""Proof that every wall which a guard lets through is stable (lemmas B3, B6, B10, B15, B20).
 
 Boxes of damping, mass and delay (in cells of the grid), of the hand, and of the angle hold all
 walls from no stiffness up to the limit of the grid. They are halved until none has a root on the
