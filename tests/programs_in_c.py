@@ -1,12 +1,14 @@
-"""Programs in C around the reader of data/readers, for tests that ask it."""
+"""Programs in C around the reader of data/readers and around guards, for tests that ask them."""
 
 import shutil
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+STRICT = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 READER = Path(__file__).resolve().parents[1] / "data" / "readers" / "c"
 
 
@@ -25,3 +27,11 @@ def compiled(source: Path, folder: Path, *choices: Sequence[str]) -> Path:
         if done.returncode == 0:
             return program
     pytest.fail(done.stderr)
+
+
+def rows_of(program: Path, count: int, seed: int) -> np.ndarray:
+    """Calls of a guard at random: K, B, mass, delay, then K, B, the code and the largest K."""
+    done = subprocess.run(
+        [program, "calls", str(count), str(seed)], capture_output=True, check=True
+    )
+    return np.frombuffer(done.stdout).reshape(-1, 8)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import assert_one_sentence, run
-from programs_in_c import compiled
+from programs_in_c import STRICT, compiled, rows_of
 
 import jaxstab
 from benchmarks.truth.filtered import FilteredLoop, average, difference
@@ -17,7 +17,6 @@ from jaxstab import STABLE, Guard, HandRange, HapticLoop, Velocity, build_guard,
 from jaxstab.guard.limits import boundary_of
 
 ROOT = Path(__file__).resolve().parents[1]
-STRICT = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 CHECKED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 HANDS = HandRange(mass=(0.0, 0.1), stiffness=(0.0, 100.0), damping=(0.0, 1.0))
 LOOP = HapticLoop(
@@ -46,14 +45,6 @@ def folder(guard: Guard, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def program(folder: Path) -> Path:
     source = ROOT / "tests" / "guard.c"
     return compiled(source, folder, ["-O2", "-D_POSIX_C_SOURCE=200809L", f"-I{folder}", *STRICT])
-
-
-def rows_of(program: Path, count: int, seed: int) -> np.ndarray:
-    """Calls at random: K, B, mass and delay, then K, B and the code, and the largest K there."""
-    done = subprocess.run(
-        [program, "calls", str(count), str(seed)], capture_output=True, check=True
-    )
-    return np.frombuffer(done.stdout).reshape(-1, 8)
 
 
 def held(
