@@ -31,6 +31,7 @@ from jaxstab.guard.device_boxes import DeviceBoxes
 from jaxstab.guard.grid import Grid, interpolated
 from jaxstab.guard.held_device import Arms, HeldDevice, with_parts
 from jaxstab.model.device import sampled_device
+from jaxstab.model.filters import given_filters
 
 ROOT = Path(__file__).resolve().parents[1]
 PERIOD = 1e-3
@@ -74,7 +75,11 @@ def drawn_loop(rng: np.random.Generator) -> tuple[HapticLoop, HandRange, Grid]:
     low, high = np.array([0.0, 0.0, 0.3]), np.array([0.5, 500.0, 8.0])
     ends = np.sort(rng.uniform(low, high, (2, 3)), axis=0)
     velocity = [None, Velocity.difference(samples=5), Velocity.low_pass(60.0)][rng.integers(3)]
-    loop = HapticLoop(device=device.held_by(hand), sample_time=PERIOD, velocity=velocity)
+    filters = {
+        "velocity": velocity,
+        "position": [None, jaxstab.Filter.low_pass(150.0)][rng.integers(2)],
+    }
+    loop = HapticLoop(device=device.held_by(hand), sample_time=PERIOD, **filters)
     delay = rng.uniform(0.0, 2.5)
     cells = 1, 1, 4
     grid = Grid(
@@ -89,7 +94,7 @@ def drawn_loop(rng: np.random.Generator) -> tuple[HapticLoop, HandRange, Grid]:
 def true_value(loop: HapticLoop, wall: tuple[float, float], theta: float) -> mpc:
     """The polynomial of the loop over that without a wall, by balls and mpmath."""
     sampled = sampled_device(loop.device, PERIOD, loop.delay / PERIOD)
-    parts = sampled.loop(None if loop.velocity is None else (loop.velocity, jaxstab.Filter()))[:3]
+    parts = sampled.loop(given_filters(loop.velocity, loop.position))[:3]
     z = mp.expj(mpf(theta))
     base, stiffness, damping = (
         mp.polyval([mpf(float(c.hi)) + mpf(float(c.lo)) for c in part[::-1]], z, asc=True)
@@ -215,6 +220,22 @@ def test_certified_roots_of_the_equations_of_motion_agree(guard: Guard, program:
         system = Mechanism(modes, [hand], [300.0]).system()
         loop = DeviceLoop(system, PERIOD, delay / PERIOD, difference(4), average(1))
         assert loop.code(max(stiffness, 1e-3), damping) == STABLE
+
+
+def test_filters_are_those_of_the_loop() -> None:
+    filters = {"velocity": Velocity.low_pass(60.0), "position": jaxstab.Filter.low_pass(200.0)}
+    loop = HapticLoop(device=DEVICE, sample_time=PERIOD, **filters)
+    hand = HandRange((0.1, 0.1), (50.0, 60.0), (1.0, 1.0))
+    guard = build_guard(loop, hand, (0.249, 0.251), (1e-3, 1.02e-3), cells=(1, 1, 8))
+    damping = np.linspace(0.05, 0.95, 19) * guard.grid.top.min()
+    limits = guard.largest_stiffness(damping, 0.25, 1e-3)
+    rows = np.column_stack([*np.broadcast_arrays(0.0, 0.0, 0.25, 1e-3, limits, damping)])
+    assert set(codes_of(guard, rows[limits > 0.0], 4)) == {STABLE}
+    assert (
+        0.0
+        < limits.max()
+        <= guard.exact_stiffness(damping[None, None], np.array([0.25]), np.array([1e-3])).max()
+    )
 
 
 @pytest.mark.campaign

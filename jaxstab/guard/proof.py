@@ -7,6 +7,7 @@ verdict says that it is none.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import pi
 
 import numpy as np
@@ -19,8 +20,6 @@ from jaxstab.guard.held_device import Arms, with_parts
 from jaxstab.guard.mass_boxes import MassBoxes
 from jaxstab.guard.parted import BEYOND, Boxes
 from jaxstab.model import Device, LoopParameters
-from jaxstab.model.device import sampled_device
-from jaxstab.model.filters import known_filters
 from jaxstab.point import verdict
 from jaxstab.point.verdict.linear import linear_verdict
 from jaxstab.ranges import HandRange
@@ -110,9 +109,8 @@ def _code_of(
 ) -> int:
     """Return the verdict on a wall (K, B) of a device of some mass, at a delay, with some arm."""
     mass, delay = place
-    sampled = sampled_device(with_parts(device, mass, arm), loop.sample_time, delay)
-    alpha, beta = wall[0] * sampled.stiffness_unit, wall[1] * sampled.damping_unit
-    return int(linear_verdict(alpha, beta, sampled.loop(known_filters(**loop.filters))))
+    held = replace(loop, device=with_parts(device, mass, arm), delay=delay * loop.sample_time)
+    return int(linear_verdict(held.alpha(wall[0]), held.beta(wall[1]), held.linear))
 
 
 class _Proof:
