@@ -310,6 +310,9 @@ def test_the_walls_of_a_scene_are_asked_at_each_corner(tmp_path: Path) -> None:
     wall = "--stiffness", "500", "--damping", "5", "--format", "json"
     (one, *_) = json.loads(run("atlas", "query", WINDOW, "--scene", path, *wall).stdout)
     assert (one["wall"], one["stiffness"], one["mass"]) == ("", 500.0, 0.2)
+    turning = scene_file(tmp_path, SCENE.replace("mass", "inertia"))
+    (one, *_) = json.loads(run("atlas", "query", WINDOW, "--scene", turning, *wall).stdout)
+    assert (one["inertia"], one["hand_inertia"]) == (0.2, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -20,10 +20,6 @@ from jaxstab.tables import parsed, text_of
 if TYPE_CHECKING:
     from jaxstab.atlas import AtlasAnswer
 
-_WALL = (  # of a scene that turns, mass stands for the moment of inertia
-    *("wall", "stiffness", "damping", "mass"),
-    *("hand_mass", "hand_stiffness", "hand_damping", "delay"),
-)
 _ANSWER = ("verdict", "spectral_radius", "radius_error", "status")
 
 
@@ -92,7 +88,7 @@ def query(
         others = given | {"csv": table, "velocity": velocity, "position": position}
         _refuse_beside_scene(others)
         rows = _asked_of_scene(file, scene_file, wall, outside or "undecided", exact=exact)
-        _write(rows, [*_WALL, *_ANSWER], form)
+        _write(rows, list(rows[0]), form)
         return
     for name, value in wall.items():
         if value is not None:
@@ -227,8 +223,8 @@ def _refuse_beside_scene(others: dict[str, Any]) -> None:
 
 def _asked_of_scene(
     file: Path, scene_file: Path, wall: dict[str, float | None], outside: Any, *, exact: bool
-) -> Iterator[dict[str, float | str]]:
-    """Yield a row for each wall at each corner of the ranges of a scene."""
+) -> list[dict[str, float | str]]:
+    """Return a row for each wall at each corner of the ranges of a scene."""
     from jaxstab.loop import Gains
     from jaxstab.scene import Scene
     from jaxstab.scene.atlas import ask_atlas
@@ -243,12 +239,17 @@ def _asked_of_scene(
         other = "damping" if name == "stiffness" else "stiffness"
         raise click.UsageError(f"--{name} is {value:g} alone; give --{other}, too.")
     walls = {"": Gains(**given)} if given else walls_of(scene)
+    moved = scene.units.moved
+    hand = f"hand_{moved}", "hand_stiffness", "hand_damping"
+    names = "stiffness", "damping", moved, *hand, "delay"
+    rows = []
     for asked in ask_atlas(scene, jaxstab.open_atlas(file), walls, outside, exact=exact):
         member = asked.member
         numbers = [*asked.gains, member.mass, *member.hand, member.delay]
         answer = (getattr(asked.answer, name).item() for name in _ANSWER)
-        where: dict[str, float | str] = dict(zip(_WALL, (asked.name, *numbers), strict=True))
-        yield where | _words(*answer)
+        where: dict[str, float | str] = {"wall": asked.name}
+        rows.append(where | dict(zip(names, numbers, strict=True)) | _words(*answer))
+    return rows
 
 
 def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str) -> None:
