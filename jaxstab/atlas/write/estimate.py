@@ -73,8 +73,13 @@ class Costs(NamedTuple):
     radius_seconds: float
     radius_bytes: float
 
-    def of(self, plan: Plan) -> Estimate:
-        """Return what a build takes; nodes along alpha and beta are those that were measured."""
+    def of(self, plan: Plan, of_limits: float = 1.0) -> Estimate:
+        """Return what a build takes; nodes along alpha and beta are those that were measured.
+
+        Args:
+            plan: of the build.
+            of_limits: how many times what was measured its limits of alpha take.
+        """
         length = plan.grid.lengths
         cells = length["gamma_cell"] * length["delta_cell"] * length["delay"]
         tiles = plan.tiles
@@ -90,13 +95,17 @@ class Costs(NamedTuple):
             gammas, deltas, delays = (length[name] for name in LIMITS[1:4])
             columns = plan.grid.limit_cells * gammas * deltas * delays
             calls = gammas * -(-deltas // plan.deltas_of_a_tile) * delays
-            seconds += self.call_seconds * calls + self.column_seconds * columns
+            seconds += of_limits * self.limit_seconds(calls, columns)
             size += calls * (_CHUNK + 4.0 * prod(plan.chunk(ALPHA_LIMITS)))
         if SPECTRAL_RADIUS in plan.spec.products:
             radii = prod(length[name] for name in RADIUS_CELL)
             seconds += self.radius_seconds * radii
             size += self.radius_bytes * radii + _CHUNK * length[RADIUS_CELL[-1]]
         return Estimate(seconds, size)
+
+    def limit_seconds(self, calls: int, columns: int) -> float:
+        """Return what limits of alpha take, so many tiles of so many columns in all."""
+        return self.call_seconds * calls + self.column_seconds * columns
 
 
 def estimate_build(plan: Plan) -> Estimate:
@@ -118,7 +127,6 @@ def costs_of(plan: Plan) -> Costs:
     slices = np.mean([_of_slices(plan, delay) for delay in delays], axis=0)
     limits = radii = [0.0, 0.0]
     if ALPHA_LIMITS in plan.spec.products:
-        _of_limits(plan, *_SHARES[0])  # XLA compiles once
         limits = np.mean([_of_limits(plan, *shares) for shares in _SHARES], axis=0).tolist()
     if SPECTRAL_RADIUS in plan.spec.products:
         radii = np.mean([_of_radii(plan, along) for along, *_ in _SHARES], axis=0).tolist()

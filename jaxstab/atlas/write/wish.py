@@ -6,10 +6,11 @@ contribute; those of radii are cubes of it. The share of cells that a surface pa
 itself such a sum.
 """
 
-from collections.abc import Mapping
-from functools import cached_property
-from math import inf
-from typing import Any
+from collections.abc import Mapping, Sequence
+from functools import cached_property, partial
+from math import inf, prod
+from time import process_time
+from typing import Any, NamedTuple
 
 from jaxstab.atlas.compute.counts import (
     HANDS,
@@ -21,22 +22,23 @@ from jaxstab.atlas.compute.counts import (
     with_counts,
     with_known_nodes,
 )
-from jaxstab.atlas.compute.layout import lay_out, reach_of
+from jaxstab.atlas.compute.layout import ends_of, lay_out, reach_of
 from jaxstab.atlas.compute.plan import Plan
 from jaxstab.atlas.format.schema import ALPHA_LIMITS, LARGEST_ARRAY, SPECTRAL_RADIUS, VERDICT
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.write.estimate import Costs, Estimate, costs_of
 from jaxstab.atlas.write.resolution import Resolution, ResolutionPlan
 from jaxstab.atlas.write.sampled import (
-    Measured,
+    Enough,
     Sample,
+    has_small_spreads,
     sample_of_cells,
     sample_of_limits,
-    sampled_radius_error,
+    sample_of_radii,
 )
 from jaxstab.numbers import checked_number
 
-_GOALS = {"accuracy": "limit_error", "decided": "undecided"}
+_OF_ERRORS = "accuracy", "decided"
 _LIMITS = {
     "accuracy": (1e-9, 1.0),
     "decided": (0.0, 1.0 - 1e-9),
@@ -45,7 +47,8 @@ _LIMITS = {
 }
 _UNITS = {"size": " bytes", "time": " s"}
 
-_FEW, _MANY = 8, 40  # places of a sample: to find the way, and of what is promised
+_FEW, _SOME, _MANY = 3, 6, 40  # parts of a sample: to find the way, of a row, of what is promised
+_FAR = 2.0  # spreads from all that is wished for
 _NEAR = 0.65  # of a wish: a smaller error is more than was wished for
 _AIM = 0.85  # of a wish
 _ROUNDS = 7
@@ -89,16 +92,15 @@ def plan_resolution(
     wishes = {"accuracy": accuracy, "decided": decided, "size": size, "time": time}
     name, value = _only_wish({key: wish for key, wish in wishes.items() if wish is not None})
     range_ = _Range(spec, name)
-    if name in _GOALS:
+    if name in _OF_ERRORS:
         scale, chosen = range_.of_error(name, value)
     else:
-        scale = range_.scale_within(name, value)
-        chosen = range_.judged(range_.plan(scale), _MANY)
+        scale, chosen = range_.of_cost(name, value)
     rows = [range_.given, chosen]
     for step in _LADDER:
         plan = range_.plan_or_none(scale * step)
         if plan and all(plan.spec != row.spec for row in rows):
-            rows.append(range_.judged(plan, _FEW))
+            rows.append(range_.judged(plan, _SOME))
     rows.sort(key=lambda row: row.size)
     return ResolutionPlan(f"{name} {value:g}", tuple(rows), range_.given, chosen)
 
@@ -122,28 +124,32 @@ class _Range:
 
     def __init__(self, spec: AtlasSpec, wish: str) -> None:
         self._spec = with_known_nodes(spec)
-        self._goal, self._knobs, self._power = _goal(self._spec, wish)
+        self._judge = _judge_of(self._spec, wish)
+        begin = process_time()
         self._reach = reach_of(self._spec)
+        hands = prod(len(ends_of(getattr(self._spec, name))) for name in HANDS)
+        self._region_seconds = (process_time() - begin) / (hands * self._reach.delay.size)
         self._costs: dict[tuple[int, ...], Costs] = {}
-        self._radii: dict[tuple[Any, ...], Measured] = {}
+        self._of_limits = 1.0  # of the seconds of limits of alpha that its costs say
+        self._radii: dict[tuple[Any, ...], Sample] = {}
         first = Plan(self._spec, lay_out(self._spec, self._reach))
-        self.given = self.judged(first, _FEW)
+        self.given = self.judged(first, _SOME)
         self._counts, self._error = counts_of(self._spec), self._error_of(self.given)
         while self._error == inf:
-            self._counts |= {knob: 2 * self._counts[knob] for knob in self._knobs}
-            self._error = self._error_of(self.judged(self._plan({}), _FEW))
+            self._counts |= {knob: 2 * self._counts[knob] for knob in self._judge.knobs}
+            self._error = self._error_of(self.judged(self._plan({}), _SOME))
         self._error = max(self._error, _LEAST_GOAL)
 
     @cached_property
     def _steps(self) -> dict[str, float]:
         """How many of each count there are at the resolution 1: each takes an equal part then."""
-        if len(self._knobs) == 1:
-            return {self._knobs[0]: float(self._counts[self._knobs[0]])}
+        if len(self._judge.knobs) == 1:
+            return {self._judge.knobs[0]: float(self._counts[self._judge.knobs[0]])}
         parts = {}
         whole_error = self._mean_error({})
-        for knob in self._knobs:
+        for knob in self._judge.knobs:
             ratio = self._mean_error({knob: 2 * self._counts[knob]}) / whole_error
-            part = 2.0 * (1.0 - min(1.0, ratio) ** (1.0 / self._power))
+            part = 2.0 * (1.0 - min(1.0, ratio) ** (1.0 / self._judge.power))
             parts[knob] = max(_LEAST_SHARE, part)
         whole = sum(parts.values()) / len(parts)
         return {knob: self._counts[knob] * part / whole for knob, part in parts.items()}
@@ -166,52 +172,81 @@ class _Range:
         return plan if self.estimate(plan).size <= LARGEST_ARRAY else None
 
     def estimate(self, plan: Plan) -> Estimate:
-        """Return what the build of a plan takes."""
+        """Return what the build of a plan takes; limits of alpha as at the last resolution seen."""
+        return self._costs_of(plan).of(plan, self._of_limits)
+
+    def _costs_of(self, plan: Plan) -> Costs:
         walls = plan.grid.shape[:2]
         if walls not in self._costs:
-            self._costs[walls] = costs_of(plan)
-        return self._costs[walls].of(plan)
+            costs = costs_of(plan)
+            self._costs[walls] = costs._replace(region_seconds=self._region_seconds)
+        return self._costs[walls]
 
     def judged(self, plan: Plan, places: int) -> Resolution:
-        """Return what a resolution is like, by so many places of its range."""
-        sample, products = Sample(), plan.spec.products
-        if ALPHA_LIMITS in products:
-            sample = sample_of_limits(plan, self._reach, places)
-        elif VERDICT in products:
-            sample = sample_of_cells(plan, places // 2)
-        if SPECTRAL_RADIUS in products:
-            key = (plan.grid.radius_cells, len(plan.grid.radius_range), places)
-            if key not in self._radii:
-                self._radii[key] = sampled_radius_error(plan, places // 2)
-            sample = sample._replace(radius_error=self._radii[key])
-        return Resolution(plan.spec, counts_of(plan.spec), *sample, *self.estimate(plan))
+        """Return what a resolution is like, by so many places of its range, or as will do."""
+        return self._row(plan, self._sample(self._judge.product, plan, places), places)
+
+    def _row(self, plan: Plan, sample: Sample, places: int) -> Resolution:
+        if SPECTRAL_RADIUS in plan.spec.products:
+            of_radii = self._sample(SPECTRAL_RADIUS, plan, places)
+            sample = sample._replace(radius_error=of_radii.radius_error)
+        if sample.timed.calls:
+            calls, columns, seconds = sample.timed
+            self._of_limits = seconds / self._costs_of(plan).limit_seconds(calls, columns)
+        known = sample.limit_error, sample.undecided, sample.radius_error, sample.query_seconds
+        return Resolution(plan.spec, counts_of(plan.spec), *known, *self.estimate(plan))
+
+    def _sample(
+        self, product: str, plan: Plan, places: int, enough: Enough = has_small_spreads
+    ) -> Sample:
+        if product == ALPHA_LIMITS:
+            return sample_of_limits(plan, self._reach, places, enough)
+        if product == VERDICT:
+            return sample_of_cells(plan, places // 2)
+        key = (plan.grid.radius_cells, len(plan.grid.radius_range), places)
+        if key not in self._radii:
+            self._radii[key] = sample_of_radii(plan, places // 2)
+        return self._radii[key]
 
     def of_error(self, name: str, value: float | int) -> tuple[float, Resolution]:
         """Return the resolution at which an error is as wished for, and what it is like."""
         wanted = value if name == "accuracy" else 1.0 - value
-        scale, error, places = 1.0, self._error, _FEW
-        met: list[tuple[float, Resolution]] = []
+        scale, error = 1.0, self._error
+        met: list[tuple[float, Plan, Sample]] = []
         for _ in range(_ROUNDS):
-            scale *= (error / (_AIM * wanted)) ** (1.0 / self._power)
+            scale *= (error / (_AIM * wanted)) ** (1.0 / self._judge.power)
             plan = self.plan_or_none(scale)
             if plan is None:
                 raise ValueError(self._refusal(name, value, scale, error))
-            chosen = self.judged(plan, places)
-            error = max(self._error_of(chosen), _LEAST_GOAL)
-            if places == _MANY and error <= wanted:
-                met.append((scale, chosen))
+            shown = partial(self._is_shown, wanted)
+            sample = self._sample(self._judge.product, plan, _MANY, shown)
+            error = max(self._error_of(sample), _LEAST_GOAL)
+            if error <= wanted:
+                met.append((scale, plan, sample))
                 if error >= _NEAR * wanted or plan.spec == self.plan(_SCALES[0]).spec:
                     break
-            places = _MANY
         if not met:
             raise ValueError(
                 f"{name} is {value:g}, and resolutions of this range are too irregular to find one "
                 "that reaches it; give a plainer range, or the size of the file."
             )
-        return min(met, key=lambda one: one[1].size)
+        scale, plan, sample = min(met, key=lambda one: self.estimate(one[1]).size)
+        return scale, self._row(plan, sample, _MANY)
 
-    def scale_within(self, name: str, value: float | int) -> float:
-        """Return the largest resolution whose file, or build, is not larger than wished for."""
+    def of_cost(self, name: str, value: float | int) -> tuple[float, Resolution]:
+        """Return the finest resolution that takes no more than is wished for, and what it is like.
+
+        How long its limits of alpha take is known when some of them are computed.
+        """
+        for number in range(_ROUNDS):
+            scale = self.scale_within(name, value, _AIM**number)
+            chosen = self.judged(self.plan(scale), _MANY)
+            if name == "size" or chosen.seconds <= value:
+                break
+        return scale, chosen
+
+    def scale_within(self, name: str, value: float | int, aim: float = 1.0) -> float:
+        """Return the largest resolution that takes a share of the wished size or time at most."""
 
         def cost(scale: float) -> float:
             plan = self.plan_or_none(scale)
@@ -222,7 +257,7 @@ class _Range:
 
         low, high = _SCALES
         least = cost(low)
-        if least > value:
+        if least > aim * value:
             rounded = float(f"{least:.3g}")
             raise ValueError(
                 f"{name} is {value:g}{_UNITS[name]}, and the coarsest atlas of this range takes "
@@ -230,34 +265,35 @@ class _Range:
             )
         for _ in range(40):
             middle = (low * high) ** 0.5
-            low, high = (middle, high) if cost(middle) <= value else (low, middle)
+            low, high = (middle, high) if cost(middle) <= aim * value else (low, middle)
         return low
 
     def _plan(self, counts: Mapping[str, int]) -> Plan:
         spec = with_counts(self._spec, {**self._counts, **counts})
         return Plan(spec, lay_out(spec, self._reach))
 
-    def _error_of(self, row: Resolution) -> float:
-        error: float = getattr(row, self._goal).value
+    def _error_of(self, sample: Sample | Resolution) -> float:
+        error: float = getattr(sample, self._judge.goal).value
         return error
+
+    def _is_shown(self, wanted: float, sample: Sample) -> bool:
+        """Whether an error is known well, or is clearly not the one that is wished for."""
+        value, spread = getattr(sample, self._judge.goal)
+        is_finer = value + _FAR * spread < _NEAR * wanted
+        return is_finer or value - _FAR * spread > wanted or has_small_spreads(sample)
 
     def _mean_error(self, counts: Mapping[str, int]) -> float:
         """Return an error that few places show: with limits of alpha, the undecided share.
 
         A limit's error is half the height of what it leaves undecided.
         """
-        plan = self._plan(counts)
-        if ALPHA_LIMITS in plan.spec.products:
-            error = sample_of_limits(plan, self._reach, _FEW).undecided.value
-        elif VERDICT in plan.spec.products:
-            error = sample_of_cells(plan, _FEW).undecided.value
-        else:
-            error = sampled_radius_error(plan, _FEW).value
-        return max(float(error), _LEAST_GOAL)
+        sample = self._sample(self._judge.product, self._plan(counts), _FEW)
+        error: float = getattr(sample, self._judge.mean).value
+        return max(error, _LEAST_GOAL)
 
     def _refusal(self, name: str, value: float, scale: float, error: float) -> str:
         largest = self.scale_within("size", LARGEST_ARRAY)
-        least = error * (scale / largest) ** self._power
+        least = error * (scale / largest) ** self._judge.power
         nearest = f"{least:.2g}" if name == "accuracy" else f"{1.0 - least:.6g}"
         return (
             f"{name} is {value:g}, and an atlas of this range that can be opened, with up to "
@@ -265,20 +301,42 @@ class _Range:
         )
 
 
-def _goal(spec: AtlasSpec, wish: str) -> tuple[str, list[str], float]:
-    """Return which error is to fall, the counts that it depends on and the power of its fall.
+class _Judge(NamedTuple):
+    """By what the resolutions of a range are judged.
+
+    Attributes:
+        product: of which cells are sampled.
+        mean: the error that few of them show.
+        goal: the error that is to fall.
+        knobs: the counts that it depends on.
+        power: of its fall.
+    """
+
+    product: str
+    mean: str
+    goal: str
+    knobs: Sequence[str]
+    power: float
+
+
+_JUDGES = (
+    _Judge(ALPHA_LIMITS, "undecided", "limit_error", (*HANDS, *OF_LIMITS), 2.0),
+    _Judge(VERDICT, "undecided", "undecided", (*WALLS, *HANDS), 1.0),
+    _Judge(SPECTRAL_RADIUS, "radius_error", "radius_error", (*WALLS, *HANDS), 3.0),
+)
+
+
+def _judge_of(spec: AtlasSpec, wish: str) -> _Judge:
+    """Return by what the resolutions of a range are judged for a wish.
 
     Raises:
         ValueError: the specification has no product to which the wish applies.
     """
     if wish == "accuracy" and ALPHA_LIMITS not in spec.products:
         raise ValueError(f"accuracy is of limits of alpha; add {ALPHA_LIMITS!r} to the products.")
-    if ALPHA_LIMITS in spec.products:
-        goal, knobs, power = _GOALS.get(wish, "limit_error"), (*HANDS, *OF_LIMITS), 2.0
-    elif VERDICT in spec.products:
-        goal, knobs, power = "undecided", (*WALLS, *HANDS), 1.0
-    elif SPECTRAL_RADIUS in spec.products and wish != "decided":
-        goal, knobs, power = "radius_error", (*WALLS, *HANDS), 3.0
-    else:
+    judge = next((judge for judge in _JUDGES if judge.product in spec.products), None)
+    if judge is None or (wish == "decided" and judge.product == SPECTRAL_RADIUS):
         raise ValueError(f"{wish} needs verdicts; add {ALPHA_LIMITS!r} to the products.")
-    return goal, [name for name in knobs if not is_fixed(spec, name)], power
+    knobs = tuple(name for name in judge.knobs if not is_fixed(spec, name))
+    goal = "undecided" if wish == "decided" else judge.goal
+    return judge._replace(goal=goal, knobs=knobs)
