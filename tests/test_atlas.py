@@ -63,7 +63,7 @@ def true_verdict(point: tuple[float, ...]) -> int | None:
 
 @pytest.fixture(scope="module")
 def grid() -> Grid:
-    return lay_out(AtlasSpec(alpha=FittedAxis(40), beta=FittedAxis(40)))
+    return lay_out(AtlasSpec(alpha=FittedAxis(40), beta=FittedAxis(40), delay_cells=0))
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 3])

@@ -11,6 +11,7 @@ All inputs are exact: a float means the binary number that it holds.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import flint
@@ -66,6 +67,16 @@ def sampled_plant(gamma: Number, delta: Number, fraction: Number) -> Plant:
     z times C adj(z - Phi) (Gamma0 + Gamma1 / z), where Gamma0 holds the motion after 1 - fraction
     samples of force and Gamma1 the rest of the motion after one whole sample.
     """
+    return _sampled_to(mp.prec, gamma, delta, fraction)
+
+
+@lru_cache(maxsize=4096)  # many walls are asked of one plant
+def _sampled_to(precision: int, gamma: Number, delta: Number, fraction: Number) -> Plant:
+    with mp.workprec(precision):
+        return _sampled(gamma, delta, fraction)
+
+
+def _sampled(gamma: Number, delta: Number, fraction: Number) -> Plant:
     position, velocity = motion(gamma, delta, 1)
     state_12, state_22 = velocity, 1 - delta * velocity - gamma * position
     d0 = mp.exp(-mpf(delta))
