@@ -288,6 +288,7 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
         ["--masses", "0.3:0.2"],
         ["--cells", "1,2"],
         ["--cells", "3,3,3"],
+        ["--output", "my-guard.h"],
         ["--json"],
     ],
 )

@@ -59,12 +59,14 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     warn(*scene.unusual())
     with refused():
         from jaxstab.durable import publish
+        from jaxstab.guard.header import checked_name
         from jaxstab.scene.guard import guard_about, header_of, scene_guard
 
+        name = checked_name(output.stem)  # before the proof, which takes long
         cells = {"cells": given["cells"]} if given["cells"] else {}
         with _progress() as show:
             made = scene_guard(scene, given["masses"], given["delays"], progress=show, **cells)
-        publish(header_of(scene, made, output.stem).encode(), output)
+        publish(header_of(scene, made, name).encode(), output)
         if plot:
             from jaxstab.pictures.guard import guard_figure
             from jaxstab.pictures.style import picture

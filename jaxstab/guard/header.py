@@ -15,6 +15,13 @@ _WIDTH = 96
 _LINE = ("kg", "N/m", "N s/m")
 
 
+def checked_name(name: str) -> str:
+    """Return a name that is valid in C, or raise ValueError."""
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"name is {name!r}; give letters, digits and underscores, a letter first.")
+    return name
+
+
 def guard_header(
     guard: Guard, name: str, about: str = "", units: tuple[str, str, str] = _LINE
 ) -> str:
@@ -37,8 +44,7 @@ def guard_header(
         >>> "double omega_guard_largest_stiffness(double damping" in header
         True
     """
-    if not _NAME.fullmatch(name):
-        raise ValueError(f"name is {name!r}; give letters, digits and underscores, a letter first.")
+    checked_name(name)
     grid, (stiffness_step, damping_step) = guard.grid, guard.units
     masses, delays, rows = grid.limit.shape
     values = {
