@@ -123,7 +123,7 @@ def _queries(rows: list[Row]) -> Iterator[Line]:
 
 def _answers(rows: list[Row]) -> Iterator[Line]:
     places = dict.fromkeys(_place_of_answers(row["section"]) for row in rows)
-    methods = "atlas, many points", "atlas, radii", "atlas, one by one"
+    methods = [m for m in dict.fromkeys(row["method"] for row in rows) if m.startswith("atlas")]
     for place, method in product(places, methods):
         some = [
             row
