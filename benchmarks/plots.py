@@ -39,6 +39,7 @@ _STYLES = {
     "stable_region": ("#0072B2", "o"),
     "its polygon": ("#E69F00", "s"),
     "atlas, many points": ("#0072B2", "o"),
+    "atlas, radii": ("#D55E00", "D"),
     "atlas, one by one": ("#009E73", "X"),
     "filled": ("#0072B2", "o"),
     "dense": ("#56B4E9", "^"),
