@@ -37,7 +37,7 @@ Points = list[np.ndarray]
 _CALL = 1_000_000  # points
 _CALLS = 3  # for each delay
 _ONE_BY_ONE = 1000
-_RADII = 100_000
+_RADII, _FEW_RADII = 10_000, 200  # each at a delay of its own, where any is asked for
 
 
 def rows(small: bool) -> Iterator[Row]:
@@ -50,14 +50,14 @@ def rows(small: bool) -> Iterator[Row]:
     points, calls = (2000, 1) if small else (_CALL, _CALLS)
     for delay in atlas.delays.tolist():
         lists = [_random_points(atlas, delay, rng, points) for _ in range(calls)]
-        for row in _rows(atlas, f"delay {delay:g}", lists):
+        for row in _rows(atlas, f"delay {delay:g}", lists, small):
             yield row | shared
     for place, moved in _PLACES.items():
         lists = [
             _inside(atlas, moved(atlas, rng, _at_any_delay(atlas, rng, points)))
             for _ in range(calls)
         ]
-        for row in _rows(atlas, place, lists):
+        for row in _rows(atlas, place, lists, small):
             yield row | shared
 
 
@@ -76,20 +76,20 @@ def _opening(path: Path, atlas: jaxstab.Atlas) -> dict[str, float]:
     return {name: timing.median for name, timing in timings.items()}
 
 
-def _rows(atlas: jaxstab.Atlas, section: str, lists: list[Points]) -> Iterator[Row]:
+def _rows(atlas: jaxstab.Atlas, section: str, lists: list[Points], small: bool) -> Iterator[Row]:
     """Ask lists of points of one length; the first one is timed."""
     points = lists[0][0].size
     ones = list(zip(*(values[:_ONE_BY_ONE].tolist() for values in lists[0]), strict=True))
     exact = [np.asarray(jaxstab.verdict(*some, resolve="exact")) for some in lists]
     said = [atlas.verdict(*some) for some in lists]
-    asked = [values[:_RADII] for values in lists[0]]
+    asked = [values[: _FEW_RADII if small else _RADII] for values in lists[0]]
     rivals: dict[str, Callable[[], Any]] = {
         "atlas, many points": lambda: atlas.verdict(*lists[0]),
         "atlas, radii": lambda: atlas.query(*asked),
         "atlas, one by one": lambda: [atlas.verdict(*point) for point in ones],
         "verdict": lambda: jaxstab.verdict(*lists[0]),
     }
-    timings = interleaved(rivals, budget=2.0)
+    timings = interleaved(rivals, budget=0.1 if small else 2.0)
     one_by_one = np.array(timings["atlas, one by one"].answer)
     on_the_spot = np.asarray(timings["verdict"].answer)
     place = section, float(lists[0][4].max())
