@@ -43,6 +43,7 @@ DEVICE = Device.modes([MODE], mass=0.25, damping=0.5).with_actuator(300.0).held_
 WINDOW = Velocity.difference(samples=4)
 LOOP = HapticLoop(device=DEVICE, sample_time=PERIOD, delay=1e-3, velocity=WINDOW)
 MASSES, DELAYS = (0.245, 0.255), (0.95e-3, 1.05e-3)
+BOXES, CALLS, GUARDS = 20, 4000, 4  # of the campaign
 
 
 def with_hand(loop: HapticLoop, mass: float, delay: float, arm: Arms) -> HapticLoop:
@@ -161,7 +162,7 @@ def test_boxes_hold_the_values_of_their_loops() -> None:
 
 @pytest.mark.campaign
 def test_many_boxes_hold_the_values_of_their_loops() -> None:
-    found = [assert_boxes_hold(seed, 20) for seed in range(100, 200)]
+    found = [assert_boxes_hold(seed, 20) for seed in range(100, 100 + BOXES)]
     assert max(worst for worst, _ in found) > 0.3
 
 
@@ -205,7 +206,7 @@ def test_what_the_header_lets_through_is_stable(guard: Guard, program: Path) -> 
 
 @pytest.mark.campaign
 def test_what_the_header_lets_through_is_stable_in_many_calls(guard: Guard, program: Path) -> None:
-    rows = rows_of(program, 20_000, 2)
+    rows = rows_of(program, CALLS, 2)
     assert set(codes_of(guard, rows, 2)) == {STABLE}
 
 
@@ -259,9 +260,12 @@ def test_walls_a_little_beyond_the_exact_limit_are_not_stable(guard: Guard) -> N
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("seed", range(12))
-def test_guards_of_random_devices_let_nothing_unstable_through(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(GUARDS))
+def test_guards_of_random_devices_let_nothing_unstable_through(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Light masses, stiff grips, modes next to half of the sampling rate; or they are refused."""
+    monkeypatch.setitem(jaxstab.guard.proof._MOST, DeviceBoxes, 1_000_000)  # half a minute
     rng = np.random.default_rng(seed)
     loop, hands, grid = drawn_loop(rng)
     mass = float(grid.mass[0]), float(grid.mass[0]) * 1.02
