@@ -1,5 +1,6 @@
 """Limits of presets against walls that scipy simulates on both sides of them, hands at random."""
 
+import os
 from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ Floats = NDArray[np.float64]
 
 DEVICES = [name for name, preset in device_presets().items() if "mass" in preset.numbers]
 SOFTWARE = [name for name, preset in software_presets().items() if preset.numbers]
+HANDS = int(os.environ.get("PRESET_HANDS", "12"))  # 56 at full size: 1,008 walls of each preset
 NEXT_TO_IT = 0.02  # of the largest stiffness: how far from it walls are simulated
 
 
@@ -121,6 +123,6 @@ def test_walls_next_to_a_presets_limits_come_to_rest_or_grow(software: str) -> N
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("software", SOFTWARE)
-def test_a_thousand_walls_next_to_the_limits_come_to_rest_or_grow(software: str) -> None:
-    """1,008 walls of each preset: random hands of devices with a mass, delays of 0 to 2 samples."""
-    judge(software, DEVICES, [0, 1, 2], 56, 60_000)
+def test_many_walls_next_to_the_limits_come_to_rest_or_grow(software: str) -> None:
+    """Random hands of devices with a mass, delays of 0 to 2 samples."""
+    judge(software, DEVICES, [0, 1, 2], HANDS, 60_000)

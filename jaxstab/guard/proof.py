@@ -37,7 +37,7 @@ def unproved(
     grid: Grid,
     cells: Int64[np.ndarray, "3 cell"] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Int64[np.ndarray, "3 cell"]:
+) -> Int64[np.ndarray, "3 unproved"]:
     """Return the cells for which it is not proved that no wall has a root on the unit circle.
 
     Args:
