@@ -16,6 +16,7 @@ from jaxstab import durable, write_atlas
 from jaxstab.atlas.write.tiles import shards_of
 
 LONG = pytest.mark.campaign
+MANY = int(os.environ.get("JAXSTAB_ROUNDS", "300"))  # 1,000 at full size
 RIVALS = Path(__file__).with_name("rival_builds.py")
 
 
@@ -96,7 +97,7 @@ def rivals(folder: Path, *words: str) -> list[int]:
     return [*map(int, done.stdout.split())]
 
 
-@pytest.mark.parametrize("rounds", [20, pytest.param(1000, marks=LONG)])
+@pytest.mark.parametrize("rounds", [20, pytest.param(MANY, marks=LONG)])
 def test_four_builders_at_once_publish_one_whole_file(rounds: int, tmp_path: Path) -> None:
     done, successes, refusals, others = rivals(tmp_path, "together", str(rounds))
     assert (done, others) == (rounds, 0)
@@ -105,7 +106,7 @@ def test_four_builders_at_once_publish_one_whole_file(rounds: int, tmp_path: Pat
     note("four builders at once", rounds=done, built=successes, refused=refusals, torn=others)
 
 
-@pytest.mark.parametrize("rounds", [10, pytest.param(500, marks=LONG)])
+@pytest.mark.parametrize("rounds", [10, pytest.param(MANY // 2, marks=LONG)])
 def test_where_all_have_the_lock_nothing_is_torn(rounds: int, tmp_path: Path) -> None:
     """As on a file system that lies: one builder takes the tiles of another away."""
     done, successes, refusals, others = rivals(tmp_path, "unlocked", str(rounds))
