@@ -250,7 +250,9 @@ def _whole_samples(window: float | None, sample_time: Numbers) -> int:
     nearest = round(samples)
     if abs(samples - nearest) > _WHOLE * samples:
         below, above = floor(samples), floor(samples) + 1
-        choice = " or ".join(f"{k * sample_time:g} s ({k} samples)" for k in (below, above) if k)
+        choice = " or ".join(
+            f"{k * sample_time:g} s ({k} sample{'s' if k > 1 else ''})" for k in (below, above) if k
+        )
         raise ValueError(
             f"window is {window:g} s, {samples:g} sampling periods; give a whole number of them: "
             f"{choice}."
