@@ -21,6 +21,7 @@ BENCHMARKS = (
     "answers",
     "resolution",
     "throughput",
+    "estimators",
     "filling",
     "scaling",
     "verdicts",

@@ -110,6 +110,21 @@ def _throughput(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
+def _estimators(rows: list[Row]) -> Figure:
+    figure, axes = _panels(1, 2, "Dense slices with velocity estimators beside eigenvalues")
+    columns = {
+        "seconds_per_point": "seconds per point",
+        "error": "distance at which wrong or undecided\n(share of the gains)",
+    }
+    names = [f"{row['section']}\ndegree {row['degree']}" for row in rows]
+    shown = [row | {"name": name} for row, name in zip(rows, names, strict=True)]
+    for panel, (column, label) in zip(axes[0], columns.items(), strict=True):
+        _lines(panel, shown, "name", column, floor=_SMALLEST, line="")
+        panel.set(yscale="log", ylabel=label)
+        panel.tick_params(axis="x", labelsize=7)
+    return _with_legend(figure, axes)
+
+
 def _regions(rows: list[Row]) -> Figure:
     figure, axes = _panels(1, 2, "Stable regions of random slices against certified root counts")
     _lines(axes[0, 0], rows[::2], "delay", "seconds")
@@ -351,6 +366,7 @@ _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "answers": _answers,
     "resolution": _resolution,
     "throughput": _throughput,
+    "estimators": _estimators,
     "filling": _filling,
     "scaling": _scaling,
     "stress": _stress,

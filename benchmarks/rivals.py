@@ -21,11 +21,14 @@ class Outline(NamedTuple):
 
 
 class LoopFamily:
-    """p(z) of one gamma, delta and delay as what it is, affine in (alpha, beta)."""
+    """p(z) of one gamma, delta, delay and estimator as what it is, affine in (alpha, beta)."""
 
-    def __init__(self, gamma: float, delta: float, delay: float) -> None:
+    def __init__(
+        self, gamma: float, delta: float, delay: float, velocity: jaxstab.Velocity | None = None
+    ) -> None:
+        plant = gamma, delta, delay
         alpha, beta = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
-        parts = jaxstab.characteristic_polynomial(alpha, beta, gamma, delta, delay)
+        parts = jaxstab.characteristic_polynomial(alpha, beta, *plant, velocity=velocity)
         plant, with_alpha, with_beta = np.asarray(parts)
         self.plant, self.alpha, self.beta = plant, with_alpha - plant, with_beta - plant
 

@@ -110,6 +110,16 @@ def _throughput(rows: list[Row]) -> Iterator[Line]:
             yield task, row["method"], time, _error(row["error"]), ratios
 
 
+def _estimators(rows: list[Row]) -> Iterator[Line]:
+    for row in rows:
+        if row["method"] == "verdict":
+            numpy, jax = row["cpu_times_numpy_eigvals"], row["cpu_times_jax_eigvals"]
+            task = f"slice of {row['points']:,} points, {row['section']}, degree {row['degree']}"
+            time = f"{_time(row['seconds_per_point'])} per point"
+            ratios = f"{numpy:,.0f} (NumPy), {jax:,.0f} (jax)"
+            yield task, row["method"], time, _error(row["error"]), ratios
+
+
 def _queries(rows: list[Row]) -> Iterator[Line]:
     rows = [row for row in rows if row["section"] == "wall" and row["delay"] == 1.0]
     finest = max(row["nodes_wall"] for row in rows)
@@ -227,6 +237,7 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "answers": _answers,
     "resolution": _resolution,
     "throughput": _throughput,
+    "estimators": _estimators,
     "filling": _filling,
     "verdicts": _verdicts,
     "loops": _loops,

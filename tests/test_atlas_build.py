@@ -19,6 +19,7 @@ import jax
 import numpy as np
 import pytest
 from builds import FORMER, KEY, TINY, entries, tiny_images, tiny_plan
+from campaign import many
 from counts import note
 from hostile import retold, sub
 
@@ -317,7 +318,7 @@ def test_after_a_death_at_any_call_there_is_the_old_file_or_the_new_one_and_a_bu
 def test_kill_9_at_any_time_leaves_the_old_file_or_the_new_one(
     whole: bytes, images: dict[Tile, bytes], tmp_path: Path
 ) -> None:
-    kills = int(os.environ.get("JAXSTAB_KILLS", "60"))
+    kills = many(1000)
     campaign = subprocess.run(
         [sys.executable, str(KILLS), str(tmp_path / "a.h5"), str(kills)],
         input=pickle.dumps((TINY, KEY, images, whole)),

@@ -166,10 +166,10 @@ def test_every_product_of_a_window_of_twenty(tmp_path: Path) -> None:
         gamma=(0.0, 1e-3),
         delta=jaxstab.ToleranceAxis(0.0, 8e-3, 0.2),
         delay=(1.0, 2.5),
-        limit_cells=64,
+        limit_cells=32,
         velocity=Velocity.difference(samples=20),
         products=("verdict", "alpha_limits", "spectral_radius", "outline", "summary"),
     )
     jaxstab.write_atlas(spec, path)
-    result = CliRunner().invoke(main, ["atlas", "verify", str(path), "--sample", "300"])
+    result = CliRunner().invoke(main, ["atlas", "verify", str(path), "--sample", "100"])
     assert result.exit_code == 0, result.output

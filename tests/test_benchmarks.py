@@ -137,6 +137,7 @@ def test_grids_find_the_boundary_within_a_cell(
 
 def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, Any]]]) -> None:
     assert {row["wrong"] for row in rows("throughput", method="verdict")} == {0}
+    assert {row["wrong"] for row in rows("estimators", method="verdict")} == {0}
     assert {row["wrong"] for row in rows("queries", method="atlas")} == {0}
     assert {row["error"] for row in rows("scaling", method="streamed verdict")} == {0}
     assert {row["wrong"] for row in rows("verdicts")} == {0}

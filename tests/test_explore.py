@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import MISSING, Browser, browser
+from campaign import many
 from commands import assert_one_sentence, run
 from explorer import (
     ANSWERS,
@@ -42,7 +43,7 @@ LARGEST_PAGE = 1.8e6  # bytes
 WITHIN_REACH = 20.0  # alpha and beta of stable walls are below 4
 needs_node = pytest.mark.skipif(NODE is None, reason="there is no node here")
 OWN_AXE = os.environ.get("JAXSTAB_AXE")  # a file axe.min.js, in place of the one that is installed
-POINTS = int(float(os.environ.get("EXPLORER_POINTS", "1e4")))  # asked in a browser; 1e5 for all
+POINTS = many(100_000)  # asked in a browser
 
 
 def page_of(table: dict[str, Any]) -> str:

@@ -3,7 +3,6 @@
 By Python, by C under the sanitizers of addresses and undefined behaviour, and by Octave.
 """
 
-import os
 import shutil
 import subprocess
 import tracemalloc
@@ -13,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from campaign import many
 from counts import note
 from hostile import Arrays, assembled, hostile_files, mutants
 from hostile_images import IMAGES, with_another_image
@@ -26,7 +26,7 @@ GOLDEN = ROOT / "data" / "golden" / "atlas-v3.h5"
 READERS = ROOT / "data" / "readers"
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 OUTSIDE = -1
-CI, CAMPAIGN = 500, int(os.environ.get("MUTANTS", "4000"))  # 50,000 at full size
+CI, CAMPAIGN = 500, many(20_000)
 MOST_MEMORY = 200 * 2**20  # bytes
 
 Said = tuple[bool, str]

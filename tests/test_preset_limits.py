@@ -1,12 +1,12 @@
 """Limits of presets against walls that scipy simulates on both sides of them, hands at random."""
 
-import os
 from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from campaign import many
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 DEVICES = [name for name, preset in device_presets().items() if "mass" in preset.numbers]
 SOFTWARE = [name for name, preset in software_presets().items() if preset.numbers]
-HANDS = int(os.environ.get("PRESET_HANDS", "12"))  # 56 at full size: 1,008 walls of each preset
+HANDS = many(56)  # at full size 1,008 walls of each preset
 NEXT_TO_IT = 0.02  # of the largest stiffness: how far from it walls are simulated
 
 
@@ -52,21 +52,21 @@ def grow(walls: Walls, software: str, samples: int) -> NDArray[np.bool_]:
     """Return whether positions grow: the largest of the last quarter against that before it."""
     period, count = walls.loops[0].sample_time, len(walls.loops)
     delays = np.array([round(loop.delay / period) for loop in walls.loops])
-    moves = np.array([transition(loop) for loop in walls.loops])
-    state = np.random.default_rng(1).normal(size=(count, 2)) * [1.0, 100.0]
-    past = [state[:, 0]] * 41
+    moves = np.array([transition(loop)[:2] for loop in walls.loops]).transpose(1, 2, 0)
+    position, speed = (np.random.default_rng(1).normal(size=(count, 2)) * [1.0, 100.0]).T
+    past = [position] * 41
     velocities = [np.zeros(count)] * 2
-    forces = [np.zeros(count)] * (max(delays) + 1)  # the newest first
+    forces = np.zeros((max(delays) + 1, count))
     largest = np.zeros((4, count))
     for k in range(samples):
-        past = [*past[1:], state[:, 0]]
+        past = [*past[1:], position]
         velocity = velocity_of(software, period, past, velocities)
         velocities = [velocities[1], velocity]
-        forces = [-walls.stiffness * state[:, 0] - walls.damping * velocity, *forces[:-1]]
-        force = np.choose(delays, forces)
-        state = (moves[:, :2, :2] @ state[..., None])[..., 0] + moves[:, :2, 2] * force[:, None]
-        quarter = 4 * k // samples
-        largest[quarter] = np.maximum(largest[quarter], np.abs(state[:, 0]))
+        forces[k % len(forces)] = -walls.stiffness * position - walls.damping * velocity
+        force = forces[(k - delays) % len(forces), np.arange(count)]
+        position, speed = (a * position + b * speed + c * force for a, b, c in moves)
+        quarter = largest[4 * k // samples]
+        np.maximum(quarter, np.abs(position), out=quarter)
     return ~np.isfinite(largest[3]) | (largest[3] > largest[2])
 
 

@@ -393,13 +393,6 @@ def largest_alpha(gamma: jax.Array) -> jax.Array:
 
 
 @pytest.mark.campaign
-def test_the_derivative_can_be_taken_in_reverse() -> None:
-    """It is traced, and not compiled, which takes long."""
-    (slope,) = jax.make_jaxpr(jax.grad(largest_alpha))(0.05).out_avals
-    assert slope.shape == ()
-
-
-@pytest.mark.campaign
 def test_reverse_mode_gives_the_derivative_too() -> None:
     step = 1e-15
     guess = angle_near(*map(float, stable_region(0.05, 0.1, DELAY).max_alpha), 0.05, 0.1)

@@ -128,7 +128,7 @@ def limit_error(atlas: Atlas) -> float:
     limits = atlas.alpha_limits(*others)
     stable = ~np.isnan(limits.upper) & ((limits.upper < np.inf) | (limits.upper_error == np.inf))
     velocity, position = atlas.filters or (None, None)
-    delays = np.unique([*np.linspace(atlas.delays[0], atlas.delays[-1], 61), *atlas.delays])
+    delays = np.unique([*np.linspace(atlas.delays[0], atlas.delays[-1], 31), *atlas.delays])
     hands = [
         (gamma, delta)
         for gamma in {*atlas.arrays["gamma"][[0, -1]].tolist()}

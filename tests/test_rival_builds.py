@@ -10,13 +10,14 @@ from pathlib import Path
 
 import pytest
 from builds import FORMER, KEY, TINY, entries, tiny_images
+from campaign import many
 from counts import note
 
 from jaxstab import durable, write_atlas
 from jaxstab.atlas.write.tiles import shards_of
 
 LONG = pytest.mark.campaign
-MANY = int(os.environ.get("JAXSTAB_ROUNDS", "300"))  # 1,000 at full size
+MANY = many(1000)
 RIVALS = Path(__file__).with_name("rival_builds.py")
 
 

@@ -71,12 +71,7 @@ def sampled_plant(gamma: Number, delta: Number, fraction: Number) -> Plant:
 
 
 @lru_cache(maxsize=4096)  # many walls are asked of one plant
-def _sampled_to(precision: int, gamma: Number, delta: Number, fraction: Number) -> Plant:
-    with mp.workprec(precision):
-        return _sampled(gamma, delta, fraction)
-
-
-def _sampled(gamma: Number, delta: Number, fraction: Number) -> Plant:
+def _sampled_to(_precision: int, gamma: Number, delta: Number, fraction: Number) -> Plant:
     position, velocity = motion(gamma, delta, 1)
     state_12, state_22 = velocity, 1 - delta * velocity - gamma * position
     d0 = mp.exp(-mpf(delta))
