@@ -127,10 +127,16 @@ def costs_of(plan: Plan) -> Costs:
     slices = np.mean([_of_slices(plan, delay) for delay in delays], axis=0)
     limits = radii = [0.0, 0.0]
     if ALPHA_LIMITS in plan.spec.products:
-        limits = np.mean([_of_limits(plan, *shares) for shares in _SHARES], axis=0).tolist()
+        limits = limit_costs(plan)
     if SPECTRAL_RADIUS in plan.spec.products:
         radii = np.mean([_of_radii(plan, along) for along, *_ in _SHARES], axis=0).tolist()
     return Costs(_of_region(plan), *slices.tolist(), *limits, *radii)
+
+
+def limit_costs(plan: Plan) -> list[float]:
+    """Return ``call_seconds`` and ``column_seconds`` of a plan with limits of alpha."""
+    found: list[float] = np.mean([_of_limits(plan, *one) for one in _SHARES], axis=0).tolist()
+    return found
 
 
 def _of_region(plan: Plan) -> float:

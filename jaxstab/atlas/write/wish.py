@@ -26,7 +26,7 @@ from jaxstab.atlas.compute.layout import ends_of, lay_out, reach_of
 from jaxstab.atlas.compute.plan import Plan
 from jaxstab.atlas.format.schema import ALPHA_LIMITS, LARGEST_ARRAY, SPECTRAL_RADIUS, VERDICT
 from jaxstab.atlas.format.spec import AtlasSpec
-from jaxstab.atlas.write.estimate import Costs, Estimate, costs_of
+from jaxstab.atlas.write.estimate import Costs, Estimate, costs_of, limit_costs
 from jaxstab.atlas.write.resolution import Resolution, ResolutionPlan
 from jaxstab.atlas.write.sampled import (
     Enough,
@@ -192,7 +192,12 @@ class _Range:
             sample = sample._replace(radius_error=of_radii.radius_error)
         if sample.timed.calls:
             calls, columns, seconds = sample.timed
-            self._of_limits = seconds / self._costs_of(plan).limit_seconds(calls, columns)
+            costs = self._costs_of(plan)
+            if places == _MANY:  # wide columns take longer than narrow ones
+                call, column = limit_costs(plan)
+                costs = costs._replace(call_seconds=call, column_seconds=column)
+                self._costs[plan.grid.shape[:2]] = costs
+            self._of_limits = seconds / costs.limit_seconds(calls, columns)
         known = sample.limit_error, sample.undecided, sample.radius_error, sample.query_seconds
         return Resolution(plan.spec, counts_of(plan.spec), *known, *self.estimate(plan))
 
