@@ -55,12 +55,20 @@ class Transfer(NamedTuple):
 
 
 def product(a: Polynomial, b: Polynomial) -> Polynomial:
-    """Return the product of two polynomials."""
+    """Return the product of two polynomials; those of windows have few terms that are not 0."""
     terms: list[list[DoubleDouble]] = [[] for _ in range(len(a) + len(b) - 1)]
+    others = [(j, other) for j, other in enumerate(b) if not _is_zero(other)]
     for i, one in enumerate(a):
-        for j, other in enumerate(b):
+        for j, other in [] if _is_zero(one) else others:
             terms[i + j].append(one * other)
+    if not all(terms):
+        nothing = (a[0] * b[0]).scaled(0.0)  # of the shape of all
+        terms = [column or [nothing] for column in terms]
     return tuple(reduce(DoubleDouble.__add__, column) for column in terms)
+
+
+def _is_zero(number: DoubleDouble) -> bool:
+    return type(number.hi) is float and number.hi == 0.0
 
 
 def size_of(polynomial: Polynomial) -> Array:
