@@ -156,6 +156,17 @@ def assert_boxes_hold(seed: int, boxes: int) -> tuple[float, int]:
     return float(worst), int(free.sum())
 
 
+def test_a_wide_delay_is_halved_before_what_is_narrow() -> None:
+    """Ten samples may turn the force by any angle: then halving all else would never end."""
+    top, limit = np.array([[10.0, 2.0], [45.0, 106.0]]), np.full((2, 2, 17), 5000.0)
+    grid = Grid(np.array([0.05, 2.0]), np.array([0.2, 10.0]), top, limit)
+    center = np.array([0.003, 0.5, 8.0, 0.5, 500.0, 8.0, 0.368])[:, None]
+    half = np.array([1e-9, 0.5, 8.0, 3e-8, 4e-3, 1e-5, 1e-8])[:, None]
+    free, shares = DeviceBoxes(LOOP.device, LOOP, HANDS, grid).judged(center, half)
+    assert not free.any()
+    assert shares[:, 0].argmax() == 1
+
+
 def test_boxes_hold_the_values_of_their_loops() -> None:
     """Of devices at random, delays over whole samples among them, against balls and mpmath."""
     found = [assert_boxes_hold(seed, 5) for seed in range(6)]

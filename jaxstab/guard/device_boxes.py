@@ -27,6 +27,7 @@ from jaxstab.ranges import HandRange
 _MASS, _DELAY, _DAMPING, _ARM, _THETA = 0, 1, 2, 3, 6
 _AT_ONCE = 2048
 _FAST = 1.0  # up to this angle all aliases are small
+_HINT = 0.1  # of the size of a function of which nothing else is known
 _FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
 _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
 _ROUNDED_UP = 1.0 + 1e-9
@@ -260,13 +261,17 @@ def _like(model: LinearModel, other: LinearModel) -> LinearModel:
 
 
 def _turned(phase: LinearModel) -> LinearModel:
-    """Return e^(-i phase); where the phase is hardly known, no more than its size."""
+    """Return e^(-i phase); where the phase is hardly known, its size, and what would tell it.
+
+    The slopes there are none of the function's: they say what to halve, and the rest pays for them.
+    """
     centre = np.exp(-1j * phase.centre)
     rest = 0.5 * (phase.swing - phase.rest) ** 2 + phase.rest + _EPS * (1.0 + np.abs(phase.centre))
     is_known = phase.swing < 1.0
-    slope = np.where(is_known, -1j * centre * phase.slope, 0.0)
+    hint = _HINT * phase.slope / np.maximum(phase.swing, 1.0)
+    slope = np.where(is_known, -1j * centre * phase.slope, hint)
     return LinearModel(
-        np.where(is_known, centre, 0.0), slope, np.where(is_known, rest, 1.0), phase.half
+        np.where(is_known, centre, 0.0), slope, np.where(is_known, rest, 1.0 + _HINT), phase.half
     )
 
 
