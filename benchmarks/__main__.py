@@ -70,7 +70,7 @@ def main() -> int:
             options = {"billion": True}
         if name in ("stress", "loops") and choice.points:
             options = {"points": choice.points}
-        if name == "stress":
+        if name in ("stress", "loops"):
             options |= {"keep": keep}
         rows = import_module(f"benchmarks.{name}").rows(choice.small, **options)
         print(keep(record.shown(rows)))

@@ -7,7 +7,8 @@ hold all roots, or the one that it makes smaller does. Points of regions lie nex
 corners and islands, next to boundaries that eigenvalues find whether the region has them or not,
 and anywhere; an UNRESOLVED region claims only what it contains. The judge is the criterion of Schur
 and Cohn in balls; ``unjudged`` is what their bits do not tell. Processes, one for each core, share
-the loops; seconds are those of CPU in the process that answered.
+the loops; seconds are those of CPU in the process that answered. The record is written as answers
+come: a campaign that is ended leaves one of what it did.
 """
 
 import os
@@ -57,19 +58,31 @@ class Tally(NamedTuple):
         return Tally(self.asked, self.rival_wrong, 0, self.unjudged, self.rival_seconds)
 
 
-def rows(small: bool, points: int = LOOPS) -> Iterator[Row]:
+def rows(
+    small: bool, points: int = LOOPS, keep: Callable[[list[Row]], object] = lambda rows: None
+) -> Iterator[Row]:
     count, workers = (_SMALL, 1) if small else (points // 2, os.cpu_count() or 1)
+    done: list[Row] = []
     for kind, words in ((MassLoop, ""), (DeviceLoop, " of devices")):
-        of_walls, of_radii, of_regions = _tallies(kind, count, workers)
-        yield _row("walls" + words, "verdict", of_walls, "undecided")
-        rivals = [one.of_rival() for one in of_walls]
-        yield _row("walls" + words, "numpy eigvals", rivals, "undecided")
-        yield _row("radii" + words, "spectral_radius", of_radii, "unbounded")
-        yield _row("points of regions" + words, "stable_region", of_regions, "unresolved")
+        for tallies in _tallies(kind, count, workers):
+            known = [*done, *_rows_of(words, *tallies)]
+            keep(known)
+        done = known
+    yield from done
 
 
-def _tallies(kind: type[Loop], count: int, workers: int) -> list[list[Tally]]:
-    """Return what became of the three kinds of questions about each loop."""
+def _rows_of(
+    words: str, of_walls: list[Tally], of_radii: list[Tally], of_regions: list[Tally]
+) -> Iterator[Row]:
+    yield _row("walls" + words, "verdict", of_walls, "undecided")
+    rivals = [one.of_rival() for one in of_walls]
+    yield _row("walls" + words, "numpy eigvals", rivals, "undecided")
+    yield _row("radii" + words, "spectral_radius", of_radii, "unbounded")
+    yield _row("points of regions" + words, "stable_region", of_regions, "unresolved")
+
+
+def _tallies(kind: type[Loop], count: int, workers: int) -> Iterator[list[list[Tally]]]:
+    """Yield what became of the three kinds of questions about each loop so far."""
     tallies: list[list[Tally]] = [[] for _ in _JUDGES]
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         answers = pool.map(partial(_judged, kind), range(count), chunksize=_SHARE)
@@ -88,7 +101,8 @@ def _tallies(kind: type[Loop], count: int, workers: int) -> list[list[Tally]]:
                     for judge, kept in zip(_JUDGES, tallies, strict=True)
                 )
                 print(f"{kind.__name__} {index + 1}: {'; '.join(counts)}", flush=True)
-    return tallies
+                yield tallies
+    yield tallies
 
 
 def _judged(kind: type[Loop], index: int) -> list[Tally]:
