@@ -116,10 +116,11 @@ def _estimators(rows: list[Row]) -> Figure:
         "seconds_per_point": "seconds per point",
         "error": "distance at which wrong or undecided\n(share of the gains)",
     }
-    names = [f"{row['section']}\ndegree {row['degree']}" for row in rows]
+    words = [row["section"].replace(" of ", "\nof ") for row in rows]
+    names = [f"{word}\ndegree {row['degree']}" for word, row in zip(words, rows, strict=True)]
     shown = [row | {"name": name} for row, name in zip(rows, names, strict=True)]
     for panel, (column, label) in zip(axes[0], columns.items(), strict=True):
-        _lines(panel, shown, "name", column, floor=_SMALLEST, line="")
+        _lines(panel, shown, "name", column, floor=_SMALLEST, line=" ")
         panel.set(yscale="log", ylabel=label)
         panel.tick_params(axis="x", labelsize=7)
     return _with_legend(figure, axes)
@@ -344,8 +345,8 @@ def _amplitudes(rows: list[Row]) -> Figure:
 
 
 def _loops(rows: list[Row]) -> Figure:
-    figure, axes = _panels(1, len(rows), "Random loops with estimators and filters, by balls")
-    for panel, row in zip(axes[0], rows, strict=True):
+    figure, axes = _panels(2, len(rows) // 2, "Random loops with estimators and filters, by balls")
+    for panel, row in zip(axes.ravel(), rows, strict=True):
         words = ("wrong", "undecided", "unbounded", "unresolved", "unjudged", "judged")
         names = [name for name in words if name in row]
         panel.barh(names, [row[name] for name in names])

@@ -140,10 +140,14 @@ def _marks(
     return _Marks(piece, theta, low, exists, branch, stages)
 
 
-def _on_curve(piece: Array, theta: Array, exists: Array) -> _Marks:
-    xp = namespace(theta)
-    branch = xp.full(piece.shape, Branch.CURVE)
-    low = xp.zeros_like(theta)
+def _on_curve(pieces: Pieces, piece: Array, theta: Array, exists: Array) -> _Marks:
+    """Return marks on the curve; in a short piece some round to an end, and are that corner."""
+    xp = namespace(pieces, theta)
+    begins, ends = theta == pieces.begin[piece], theta == pieces.end[piece]
+    branch = xp.where(begins, pieces.begin_branch[piece], Branch.CURVE)
+    branch = xp.where(ends, pieces.end_branch[piece], branch)
+    low = xp.where(begins, pieces.begin_low[piece], 0.0)
+    low = xp.where(ends, pieces.end_low[piece], low)
     return _marks(_ON_PIECE, piece=piece, theta=theta, low=low, exists=exists, branch=branch)
 
 
@@ -241,7 +245,7 @@ def _turning_points(
     last = xp.where(exists, nodes[piece, node + 1], nodes[piece, node])
     ends = tangents[is_beta, piece, node], tangents[is_beta, piece, node + 1]
     theta = bracketed_root(slope, (c, is_beta), nodes[piece, node], last, ends)
-    return _on_curve(piece, theta, exists), count <= slots
+    return _on_curve(pieces, piece, theta, exists), count <= slots
 
 
 def _spread(pieces: Pieces, nodes: Array, tangents: Array, count: int) -> _Marks:
@@ -263,7 +267,8 @@ def _spread(pieces: Pieces, nodes: Array, tangents: Array, count: int) -> _Marks
     rest = xp.where(width > 0.0, (goal - total[step]) / xp.where(width > 0.0, width, 1.0), 0.0)
     piece, node = xp.unravel_index(step, bend.shape)
     theta = nodes[piece, node + 1] + steps[piece, node] * rest
-    return _on_curve(piece, theta, xp.broadcast_to(xp.any(pieces.exists), piece.shape))
+    exists = xp.broadcast_to(xp.any(pieces.exists), piece.shape)
+    return _on_curve(pieces, piece, theta, exists)
 
 
 def _points(c: SliceCoefficients, marks: _Marks) -> Array:
