@@ -24,7 +24,7 @@ _IN_README = {  # parts of tasks, and their methods
     ("boundary of a slice", "closed form"),
     ("points, delay 1", "verdict"),
     ("points, delay 1", "spectral_radius"),
-    ("default atlas, at", "atlas, many points"),
+    ("default atlas, at any", "atlas, many points"),
     ("random and adversarial loops", "verdict"),
 }
 
