@@ -641,3 +641,9 @@ def test_audits_ask_no_wall_on_a_corner() -> None:
     largest = loop.damping_limits(0.0)[1]
     assert loop.verdict(0.0, 0.99 * largest) == STABLE
     assert loop.verdict(0.0, 1.01 * largest) == UNSTABLE
+
+
+def test_a_cut_off_may_be_an_array_of_jax() -> None:
+    numbers = 0.01, 0.1, 0.0, 0.01, 1.0
+    plain, of_jax = (Velocity.low_pass(cutoff) for cutoff in (0.05, jnp.asarray(0.05)))
+    assert jaxstab.verdict(*numbers, velocity=of_jax) == jaxstab.verdict(*numbers, velocity=plain)

@@ -1,6 +1,6 @@
 """Certified verdicts of any linear loop: of any device, velocity estimator and position filter."""
 
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -68,18 +68,11 @@ def filtered_verdict(points: Points, filters: Filters) -> Int8[np.ndarray, "*gri
 
 
 def filtered_loops(points: Points, form: Form, filters: Filters) -> LinearLoop:
-    """Return loops on the smallest grid that holds them; one alone is remembered."""
-    plant = points[2:]
-    if all(values.size == 1 for values in plant):
-        gamma, delta, delay = (values.item() for values in plant)
-        return _one_loop(gamma, delta, form.whole_delay, delay % 1.0, filters)
+    """Return loops on the smallest grid that holds them."""
     fraction: Any = points.delay % 1.0 if form.is_fractional else 0.0
     if form.is_fractional:  # of delays of the other form some number that is nowhere read
         fraction = np.where(fraction == 0.0, 0.5, fraction)
     return filtered_loop(points.gamma, points.delta, form.whole_delay, fraction, filters)
-
-
-_one_loop = lru_cache(64)(filtered_loop)  # numbers, with which pairs are several times faster
 
 
 @compiled(static=["degree"], many=_MANY, wide=True)
