@@ -8,16 +8,16 @@ boundary; ``undecided`` counts these walls, ``undecided_of_slice`` is the share 
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxstab
 from benchmarks.record import Row
-from benchmarks.rivals import LoopFamily
-from benchmarks.timing import interleaved
+from benchmarks.rivals import LoopFamily, jax_eigenvalues
+from benchmarks.timing import Timing, interleaved
+from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import (
     FilteredLoop,
@@ -48,7 +48,14 @@ _LAPACK_WORK = 2e4  # points times degree squared of one call
 _SHARES = 10.0 ** np.arange(-15.0, -2.0)  # of the gains, by which judged walls are moved
 _JUDGED = 24  # walls of the boundary
 
-_jax_eigenvalues = jax.jit(jnp.linalg.eigvals)
+
+class Judged(NamedTuple):
+    """Walls at distances from the boundary that are shares of the gains, and what is true there."""
+
+    walls: np.ndarray
+    distance: np.ndarray
+    known: np.ndarray
+    stable: np.ndarray
 
 
 def rows(small: bool) -> Iterator[Row]:
@@ -59,41 +66,28 @@ def rows(small: bool) -> Iterator[Row]:
 def _estimator_rows(words: str, velocity: Velocity, truth: Rational, small: bool) -> Iterator[Row]:
     balls = FilteredLoop(GAMMA, DELTA, DELAY, truth, average(1)).balls()
     border = Boundary(balls).points(np.random.default_rng(20))
+    judged = _judged(balls, border[:: max(len(border) // (2 if small else _JUDGED), 1)])
     side = 8 if small else 1000
     alpha, beta = (np.linspace(axis.min(), axis.max(), side) for axis in border.T)
     family = LoopFamily(GAMMA, DELTA, DELAY, velocity)
     slice_ = np.stack(np.meshgrid(alpha, beta), axis=-1).reshape(-1, 2)
-    some = max(int(_LAPACK_WORK / (family.plant.size - 1) ** 2), 1)
-    part = np.random.default_rng(0).permutation(slice_)[:some]
-    matrices = family.companions(*part.T)
+    matrices = family.companions(*_part(slice_, family).T)
     on_device = jax.device_put(matrices)
 
+    verdict = partial(_verdict, velocity)
     answers: dict[str, Callable[..., Any]] = {
-        "verdict": partial(_verdict, velocity),
+        "verdict": verdict,
         "numpy eigvals": lambda *walls: _codes(np.linalg.eigvals(family.companions(*walls))),
-        "jax eigvals": lambda *walls: _codes(_jax_eigenvalues(family.companions(*walls))),
+        "jax eigvals": lambda *walls: _codes(jax_eigenvalues(family.companions(*walls))),
     }
     calls: dict[str, Callable[[], Any]] = {
-        "verdict": partial(_verdict, velocity, alpha, beta[:, None]),
+        "verdict": partial(verdict, alpha, beta[:, None]),
         "numpy eigvals": partial(np.linalg.eigvals, matrices),
-        "jax eigvals": partial(_jax_eigenvalues, on_device),
+        "jax eigvals": partial(jax_eigenvalues, on_device),
     }
-    points = {"verdict": side**2, "numpy eigvals": some, "jax eigvals": some}
+    points = {name: side**2 if name == "verdict" else len(matrices) for name in calls}
     timings = interleaved(calls, budget=0.1 if small else 3.0, most=30)
-    cpu = {name: float(np.median(timings[name].cpu_seconds)) / points[name] for name in calls}
-    undecided = float(np.mean(np.asarray(timings["verdict"].answer) == UNDECIDED))
-
-    shares = np.concatenate([-_SHARES, _SHARES])
-    chosen = border[:: max(len(border) // (2 if small else _JUDGED), 1)]
-    walls = (chosen * (1.0 + shares[:, None, None])).reshape(-1, 2)
-    truths = [balls.is_stable(*wall) for wall in walls.tolist()]
-    known = np.array([one is not None for one in truths])
-    stable = np.array([bool(one) for one in truths])
-    distance = np.repeat(np.abs(shares), len(chosen))
     for name, answer in answers.items():
-        codes = np.asarray(answer(*walls.T))
-        right = codes == np.where(stable, STABLE, UNSTABLE)
-        open_ = codes == UNDECIDED
         yield {
             "section": words,
             "method": name,
@@ -102,14 +96,53 @@ def _estimator_rows(words: str, velocity: Velocity, truth: Rational, small: bool
             "points": points[name],
             **timings[name].columns(),
             "seconds_per_point": timings[name].median / points[name],
-            "error": float(distance[known & ~right].max(initial=0.0)),
-            "error_measure": MEASURE,
-            "judged": int(known.sum()),
-            "wrong": int(np.sum(known & ~right & ~open_)),
-            "undecided": int(np.sum(known & open_)),
-            **({} if name != "verdict" else {"undecided_of_slice": undecided}),
-            **({} if name != "verdict" else _ratios(cpu)),
+            **_errors(judged, np.asarray(answer(*judged.walls.T))),
+            **(_of_slice(timings, points) if name == "verdict" else {}),
         }
+
+
+def _part(slice_: np.ndarray, family: LoopFamily) -> np.ndarray:
+    """Return a random part of a slice, as much as LAPACK does in one short call."""
+    some = max(int(_LAPACK_WORK / (family.plant.size - 1) ** 2), 1)
+    return np.random.default_rng(0).permutation(slice_)[:some]
+
+
+def _judged(balls: BallLoop, border: np.ndarray) -> Judged:
+    """Return walls on both sides of points of the boundary, closer and closer, judged by balls."""
+    shares = np.concatenate([-_SHARES, _SHARES])
+    walls = (border * (1.0 + shares[:, None, None])).reshape(-1, 2)
+    truths = [balls.is_stable(*wall) for wall in walls.tolist()]
+    return Judged(
+        walls,
+        distance=np.repeat(np.abs(shares), len(border)),
+        known=np.array([one is not None for one in truths]),
+        stable=np.array([bool(one) for one in truths]),
+    )
+
+
+def _errors(judged: Judged, codes: np.ndarray) -> Row:
+    right = codes == np.where(judged.stable, STABLE, UNSTABLE)
+    open_ = codes == UNDECIDED
+    return {
+        "error": float(judged.distance[judged.known & ~right].max(initial=0.0)),
+        "error_measure": MEASURE,
+        "judged": int(judged.known.sum()),
+        "wrong": int(np.sum(judged.known & ~right & ~open_)),
+        "undecided": int(np.sum(judged.known & open_)),
+    }
+
+
+def _of_slice(timings: dict[str, Timing], points: dict[str, int]) -> Row:
+    """Return the undecided share of the slice, and CPU seconds of the rivals beside its own."""
+    cpu = {name: np.median(one.cpu_seconds) / points[name] for name, one in timings.items()}
+    rivals = ("numpy eigvals", "jax eigvals")
+    return {
+        "undecided_of_slice": float(np.mean(np.asarray(timings["verdict"].answer) == UNDECIDED)),
+        **{
+            f"cpu_times_{name.replace(' ', '_')}": float(cpu[name] / cpu["verdict"])
+            for name in rivals
+        },
+    }
 
 
 def _verdict(velocity: Velocity, alpha: np.ndarray, beta: np.ndarray) -> Any:
@@ -119,8 +152,3 @@ def _verdict(velocity: Velocity, alpha: np.ndarray, beta: np.ndarray) -> Any:
 def _codes(poles: Any) -> np.ndarray:
     radius = np.abs(np.asarray(poles)).max(axis=-1)
     return np.where(radius < 1.0, STABLE, UNSTABLE)
-
-
-def _ratios(cpu: dict[str, float]) -> dict[str, float]:
-    rivals = ("numpy eigvals", "jax eigvals")
-    return {f"cpu_times_{name.replace(' ', '_')}": cpu[name] / cpu["verdict"] for name in rivals}

@@ -94,7 +94,7 @@ def _tallies(kind: type[Loop], count: int, workers: int) -> Iterator[list[list[T
                     print(f"{words} at {_drawn(kind, index)[0]}", flush=True)
                 if judge is region and one.open:
                     print(f"region {index}: UNRESOLVED at {_drawn(kind, index)[0]}", flush=True)
-            if (index + 1) % _PROGRESS == 0:
+            if (index + 1) % _PROGRESS == 0 or index + 1 == count:
                 counts = (
                     f"{judge.__name__} {sum(one.wrong for one in kept)} wrong, "
                     f"{sum(one.open for one in kept)} open"
@@ -102,7 +102,6 @@ def _tallies(kind: type[Loop], count: int, workers: int) -> Iterator[list[list[T
                 )
                 print(f"{kind.__name__} {index + 1}: {'; '.join(counts)}", flush=True)
                 yield tallies
-    yield tallies
 
 
 def _judged(kind: type[Loop], index: int) -> list[Tally]:

@@ -4,11 +4,15 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import contourpy
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxstab
 
 _BATCH = 1 << 15  # matrices per call of LAPACK, so that memory stays bounded
+
+jax_eigenvalues = jax.jit(jnp.linalg.eigvals)
 
 Function = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

@@ -19,7 +19,7 @@ import numpy as np
 
 import jaxstab
 from benchmarks.record import Row
-from benchmarks.rivals import LoopFamily
+from benchmarks.rivals import LoopFamily, jax_eigenvalues
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth.slices import ExactSlice
 from jaxstab.batches import compiled
@@ -143,8 +143,8 @@ def _methods(exact: ExactSlice, side: int) -> list[Method]:
             "jax eigvals",
             False,
             len(device_matrices),
-            partial(_jax_eigenvalues, device_matrices),
-            lambda *points: _largest(_jax_eigenvalues(family.companions(*points))),
+            partial(jax_eigenvalues, device_matrices),
+            lambda *points: _largest(jax_eigenvalues(family.companions(*points))),
         ),
         Method(
             "numpy.roots",
@@ -173,9 +173,6 @@ def _radius(
     delay: float, alpha: np.ndarray, beta: np.ndarray, method: str = "fast"
 ) -> jaxstab.SpectralRadius:
     return jaxstab.spectral_radius(alpha, beta, GAMMA, DELTA, delay, method=method)
-
-
-_jax_eigenvalues = jax.jit(jnp.linalg.eigvals)
 
 
 def _largest(poles: Any) -> np.ndarray:
