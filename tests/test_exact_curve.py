@@ -64,6 +64,18 @@ def test_outlines_of_devices_that_stray_from_the_curve(number):
     assert np.array_equal(region.contains(*points.T), truths)
 
 
+@pytest.mark.parametrize(
+    ("number", "status"), [(861, RegionStatus.EMPTY), (40, RegionStatus.COMPLETE)]
+)
+def test_modes_that_nothing_damps_leave_the_circle_with_the_first_gain(number, status):
+    """Next to no gain they are next to the circle: not each wall there is on the boundary."""
+    loop, region, rng = drawn(number, DeviceLoop)
+    assert region.status == status
+    points = probes(region, loop.balls, rng)
+    truths = [loop.balls.is_stable(*point) for point in points.tolist()]
+    assert np.array_equal(region.contains(*points.T), truths)
+
+
 @pytest.mark.campaign
 @pytest.mark.parametrize("number", [25, 180, 371, 722, 978])
 def test_arcs_that_the_curve_passes_in_an_instant(number):

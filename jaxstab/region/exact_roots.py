@@ -8,21 +8,23 @@ z = r (1 + w) / (1 - w) turns the circle of radius r into the imaginary axis, z 
     p = sum c_k (z - r)^k = (1 - w)^-n sum c_k (2 r w)^k (1 - w)^(n - k)
 
 Routh's criterion counts the roots. r is just so much larger than 1 that the roots which the wall
-puts on the unit circle count as inside.
+puts on the unit circle count as inside: the less, the smaller the gains are, because a mode that
+nothing damps is on the circle without them, and moves as little as they are small.
 """
 
 from functools import lru_cache
 from math import comb
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int
 
 from jaxstab.arrays import tree_map
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.exact_points import polished_angles
 from jaxstab.region.filtered_curve import FilteredCurve
 
-_ON_CIRCLE = 1e-12  # a root so close is on the circle: a wall in float64 shifts it by less
+_ON_CIRCLE = 1e-14  # a root so close is on the circle, where gains count as much as the plant
+_STEP, _LEAST = 1e-3, 1e-15  # of the share that gains count for, and the least one
 _NEAR_CIRCLE = 1e-2
 _AT_ONCE = 1 << 11  # walls
 
@@ -33,28 +35,46 @@ def all_inside(
     """Return where all roots of p(z) are inside a circle; those on the unit circle count."""
     inside = np.zeros(np.shape(alpha.hi), bool)
     walls = [tree_map(np.ravel, wall) for wall in (alpha, beta)]
-    radius = within * (1.0 + _ON_CIRCLE)
     falling = np.ascontiguousarray(curve.pairs[0, 1, :, :, ::-1])  # in powers of z - 1
-    every = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], float(radius))
-    base, stiffness, damping = (
-        DoubleDouble(every.hi[:, k, None], every.lo[:, k, None]) for k in range(3)
-    )
-    for start in range(0, inside.size, _AT_ONCE):
-        part = slice(start, start + _AT_ONCE)
-        gains = (DoubleDouble(wall.hi[part], wall.lo[part]) for wall in walls)
-        products = (one * gain for one, gain in zip((stiffness, damping), gains, strict=True))
-        inside.flat[part] = _are_left(base + (next(products) + next(products)))
+    steps = _steps_below_one(curve, *walls)
+    for step in np.unique(steps):
+        outside = (within - 1.0) + _ON_CIRCLE * _STEP ** float(step)
+        parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], outside)
+        chosen = np.flatnonzero(steps == step)
+        for start in range(0, chosen.size, _AT_ONCE):
+            some = chosen[start : start + _AT_ONCE]
+            gains = (DoubleDouble(wall.hi[some], wall.lo[some]) for wall in walls)
+            inside.flat[some] = _are_left(_with_gains(parts, *gains))
     return inside
 
 
+def _steps_below_one(
+    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble
+) -> Int[np.ndarray, " wall"]:
+    """Return how much less than the plant the gains count for in p(z), in steps."""
+    base, stiffness, damping = np.sum(np.abs(curve.pairs[0, 0, 0]), axis=-1)
+    share = (np.abs(alpha.hi) * stiffness + np.abs(beta.hi) * damping) / base
+    share = np.clip(np.nan_to_num(share, nan=1.0), _LEAST, 1.0)
+    steps: np.ndarray = np.floor(np.log(share) / np.log(_STEP)).astype(int)
+    return steps
+
+
+def _with_gains(parts: DoubleDouble, alpha: DoubleDouble, beta: DoubleDouble) -> DoubleDouble:
+    base, stiffness, damping = (
+        DoubleDouble(parts.hi[:, k, None], parts.lo[:, k, None]) for k in range(3)
+    )
+    return base + (stiffness * alpha + damping * beta)
+
+
 @lru_cache(maxsize=64)
-def _parts_in_half_plane(falling: bytes, count: int, radius: float) -> DoubleDouble:
+def _parts_in_half_plane(falling: bytes, count: int, outside: float) -> DoubleDouble:
     """Return base, stiffness and damping (coefficient, part) in powers of w, highest first.
 
-    They are given in powers of z - 1, (pair, part, coefficient). Many walls are asked of one curve.
+    They are given in powers of z - 1, (pair, part, coefficient); r = 1 + outside. Many walls are
+    asked of one curve.
     """
     pairs = np.frombuffer(falling).reshape(2, 3, count).transpose(0, 2, 1)
-    return _to_half_plane(_about(DoubleDouble(*pairs), radius - 1.0), radius)
+    return _to_half_plane(_about(DoubleDouble(*pairs), outside), DoubleDouble.of(outside) + 1.0)
 
 
 def angles_on_circle(
@@ -96,7 +116,7 @@ def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
     return total
 
 
-def _to_half_plane(falling: DoubleDouble, radius: float) -> DoubleDouble:
+def _to_half_plane(falling: DoubleDouble, radius: DoubleDouble) -> DoubleDouble:
     """Return sum c_k (2 r w)^k (1 - w)^(n - k), highest power of w first."""
     degree = len(falling.hi) - 1
     total, factor = DoubleDouble.of(np.zeros_like(falling.hi)), DoubleDouble.of(1.0)
@@ -104,7 +124,7 @@ def _to_half_plane(falling: DoubleDouble, radius: float) -> DoubleDouble:
         index = degree - power
         one = DoubleDouble(falling.hi[index], falling.lo[index]) * factor
         total = total + DoubleDouble(one.hi[None], one.lo[None]) * _binomials(degree, power)
-        factor = factor * (2.0 * radius)
+        factor = factor * radius.scaled(2.0)
     return total
 
 
