@@ -55,6 +55,7 @@ _AMPLITUDE_STYLES = {
     "error": ("#0072B2", "o"),
     "median_over_signals": ("#009E73", "X"),
 }
+_DOCS, _ON_PAGES = Path(__file__).parents[1] / "docs", ("resolution",)
 _ULPS = (0.1, 1e20)  # smaller and larger errors are drawn here; at 1e16 no digit is right
 
 _SHOWN = (0.0, 0.5, 1.0, 5.0, 20.0, 60.0)  # delays, where all would be too many
@@ -68,6 +69,8 @@ def draw_all(folder: Path) -> None:
         path = record.path_of(one, folder.parent if one["small"] else folder).with_suffix(".png")
         figure.savefig(path, dpi=120)
         print(path)
+        if folder == record.RESULTS and one["benchmark"] in _ON_PAGES:
+            figure.savefig(_DOCS / f"{one['benchmark']}.png", dpi=90)
 
 
 def draw(one: Record) -> Figure:
