@@ -41,14 +41,18 @@ def true_gains(balls, theta):
         return float(alpha.mid()), float(beta.mid())
 
 
-@pytest.mark.parametrize("number", SLOW)
-def test_regions_of_slow_filters_are_right(number):
-    loop, region, rng = drawn(number)
-    assert region.status == RegionStatus.COMPLETE
+def assert_right_next_to_the_boundary(loop, region, rng):
     points = probes(region, loop.balls, rng)
     truths = [loop.balls.is_stable(*point) for point in points.tolist()]
     assert None not in truths
     assert np.array_equal(region.contains(*points.T), truths)
+
+
+@pytest.mark.parametrize("number", SLOW)
+def test_regions_of_slow_filters_are_right(number):
+    loop, region, rng = drawn(number)
+    assert region.status == RegionStatus.COMPLETE
+    assert_right_next_to_the_boundary(loop, region, rng)
 
 
 @pytest.mark.parametrize("number", [617, 3049, 3072])
@@ -59,9 +63,7 @@ def test_outlines_of_devices_that_stray_from_the_curve(number):
     """
     loop, region, rng = drawn(number, DeviceLoop)
     assert region.coefficients.filtered.is_exact
-    points = probes(region, loop.balls, rng)
-    truths = [loop.balls.is_stable(*point) for point in points.tolist()]
-    assert np.array_equal(region.contains(*points.T), truths)
+    assert_right_next_to_the_boundary(loop, region, rng)
 
 
 @pytest.mark.parametrize(
@@ -71,9 +73,7 @@ def test_modes_that_nothing_damps_leave_the_circle_with_the_first_gain(number, s
     """Next to no gain they are next to the circle: not each wall there is on the boundary."""
     loop, region, rng = drawn(number, DeviceLoop)
     assert region.status == status
-    points = probes(region, loop.balls, rng)
-    truths = [loop.balls.is_stable(*point) for point in points.tolist()]
-    assert np.array_equal(region.contains(*points.T), truths)
+    assert_right_next_to_the_boundary(loop, region, rng)
 
 
 @pytest.mark.campaign
@@ -83,9 +83,7 @@ def test_arcs_that_the_curve_passes_in_an_instant(number):
     loop, region, rng = drawn(number)
     assert region.status == RegionStatus.COMPLETE
     assert region.coefficients.filtered.stretches
-    points = probes(region, loop.balls, rng)
-    truths = [loop.balls.is_stable(*point) for point in points.tolist()]
-    assert np.array_equal(region.contains(*points.T), truths)
+    assert_right_next_to_the_boundary(loop, region, rng)
 
 
 def test_stretches_stand_for_angles():
