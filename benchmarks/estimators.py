@@ -15,7 +15,7 @@ import numpy as np
 
 import jaxstab
 from benchmarks.record import Row
-from benchmarks.rivals import LoopFamily, jax_eigenvalues
+from benchmarks.rivals import LAPACK_WORK, LoopFamily, jax_eigenvalues, largest_modulus
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
@@ -44,7 +44,6 @@ _ESTIMATORS: dict[str, tuple[Velocity, Rational]] = {
         times(difference(1), butterworth(_CUTOFF, 4)),
     ),
 }
-_LAPACK_WORK = 2e4  # points times degree squared of one call
 _SHARES = 10.0 ** np.arange(-15.0, -2.0)  # of the gains, by which judged walls are moved
 _JUDGED = 24  # walls of the boundary
 
@@ -103,7 +102,7 @@ def _estimator_rows(words: str, velocity: Velocity, truth: Rational, small: bool
 
 def _part(slice_: np.ndarray, family: LoopFamily) -> np.ndarray:
     """Return a random part of a slice, as much as LAPACK does in one short call."""
-    some = max(int(_LAPACK_WORK / (family.plant.size - 1) ** 2), 1)
+    some = max(int(LAPACK_WORK / (family.plant.size - 1) ** 2), 1)
     return np.random.default_rng(0).permutation(slice_)[:some]
 
 
@@ -150,5 +149,4 @@ def _verdict(velocity: Velocity, alpha: np.ndarray, beta: np.ndarray) -> Any:
 
 
 def _codes(poles: Any) -> np.ndarray:
-    radius = np.abs(np.asarray(poles)).max(axis=-1)
-    return np.where(radius < 1.0, STABLE, UNSTABLE)
+    return np.where(largest_modulus(poles) < 1.0, STABLE, UNSTABLE)

@@ -18,6 +18,7 @@ from scipy.interpolate import RegularGridInterpolator
 import jaxstab
 from benchmarks import truth
 from benchmarks.record import Row
+from benchmarks.rivals import largest_modulus
 from benchmarks.timing import interleaved
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 
@@ -183,5 +184,5 @@ def _eigenvalue_radius(axes: tuple[np.ndarray, ...], delay: float) -> np.ndarray
         part = (axis[start : start + _BATCH] for axis in axes)
         coefficients = jaxstab.characteristic_polynomial(*part, delay)
         companions = np.asarray(jaxstab.companion_matrix(coefficients))
-        found.append(np.abs(np.linalg.eigvals(companions)).max(axis=-1))
+        found.append(largest_modulus(np.linalg.eigvals(companions)))
     return np.concatenate(found)

@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmarks import filtered_ranges, truth
 from benchmarks.record import Row
+from benchmarks.rivals import largest_modulus
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
 from jaxstab.model import characteristic_polynomial, companion_matrix
@@ -177,7 +178,7 @@ def _smallest_on_circle(point: list[float]) -> float:
 def _radii(loop: HapticLoop, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
     plant = loop.gamma, loop.delta, loop.delay_samples
     walls = characteristic_polynomial(loop.alpha(stiffness), loop.beta(damping), *plant)
-    return np.abs(np.linalg.eigvals(companion_matrix(walls))).max(axis=-1)
+    return largest_modulus(np.linalg.eigvals(companion_matrix(walls)))
 
 
 def _random_wall(rng: np.random.Generator) -> Wall:

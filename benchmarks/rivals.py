@@ -7,14 +7,21 @@ import contourpy
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 import jaxstab
 
+LAPACK_WORK = 2e4  # points times degree squared of a timed call: as short as those of jaxstab
 _BATCH = 1 << 15  # matrices per call of LAPACK, so that memory stays bounded
 
 jax_eigenvalues = jax.jit(jnp.linalg.eigvals)
 
 Function = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def largest_modulus(poles: ArrayLike) -> np.ndarray:
+    """Return the modulus of the largest of each row of poles."""
+    return np.abs(np.asarray(poles)).max(axis=-1)
 
 
 class Outline(NamedTuple):
@@ -57,7 +64,7 @@ class LoopFamily:
         for start in range(0, alpha.size, _BATCH):
             part = slice(start, start + _BATCH)
             poles = np.linalg.eigvals(self.companions(alpha[part], beta[part]))
-            found[part] = np.abs(poles).max(axis=-1)
+            found[part] = largest_modulus(poles)
         return found
 
 

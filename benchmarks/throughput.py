@@ -19,7 +19,7 @@ import numpy as np
 
 import jaxstab
 from benchmarks.record import Row
-from benchmarks.rivals import LoopFamily, jax_eigenvalues
+from benchmarks.rivals import LAPACK_WORK, LoopFamily, jax_eigenvalues, largest_modulus
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth.slices import ExactSlice
 from jaxstab.batches import compiled
@@ -30,7 +30,6 @@ BAND = "largest distance from the boundary with a wrong or no verdict, relative 
 RADIUS_ERROR = "largest error of the spectral radius by certified roots"
 
 _CHAINS = 8  # independent sums of the plain kernel, so that no operation waits for the one before
-_LAPACK_WORK = 2e4  # points times degree squared of one call: as short as those of jaxstab
 _PYTHON_POINTS = 200  # for rivals that take one polynomial at a time
 _EIGENVALUES_ON_ACCELERATOR = 100
 
@@ -104,7 +103,7 @@ def _methods(exact: ExactSlice, side: int) -> list[Method]:
     def part(most: float) -> Points:
         return tuple(points[order[: max(int(most), 1)]] for points in slice_)
 
-    lapack = part(_LAPACK_WORK / degree**2)
+    lapack = part(LAPACK_WORK / degree**2)
     on_cpu = jax.default_backend() == "cpu"
     accelerated = lapack if on_cpu else part(_EIGENVALUES_ON_ACCELERATOR)
     one_by_one = part(_PYTHON_POINTS)
@@ -137,28 +136,28 @@ def _methods(exact: ExactSlice, side: int) -> list[Method]:
             False,
             len(matrices),
             partial(np.linalg.eigvals, matrices),
-            lambda *points: _largest(np.linalg.eigvals(family.companions(*points))),
+            lambda *points: largest_modulus(np.linalg.eigvals(family.companions(*points))),
         ),
         Method(
             "jax eigvals",
             False,
             len(device_matrices),
             partial(jax_eigenvalues, device_matrices),
-            lambda *points: _largest(jax_eigenvalues(family.companions(*points))),
+            lambda *points: largest_modulus(jax_eigenvalues(family.companions(*points))),
         ),
         Method(
             "numpy.roots",
             False,
             len(polynomials),
             lambda: [np.roots(polynomial) for polynomial in polynomials],
-            lambda *points: _largest([np.roots(p) for p in family.coefficients(*points)]),
+            lambda *points: largest_modulus([np.roots(p) for p in family.coefficients(*points)]),
         ),
         Method(
             "python-control poles",
             False,
             len(systems),
             lambda: [system.poles() for system in systems],
-            lambda *points: _largest(
+            lambda *points: largest_modulus(
                 [control.tf([1.0], p, dt=True).poles() for p in family.coefficients(*points)]
             ),
         ),
@@ -173,10 +172,6 @@ def _radius(
     delay: float, alpha: np.ndarray, beta: np.ndarray, method: str = "fast"
 ) -> jaxstab.SpectralRadius:
     return jaxstab.spectral_radius(alpha, beta, GAMMA, DELTA, delay, method=method)
-
-
-def _largest(poles: Any) -> np.ndarray:
-    return np.abs(np.asarray(poles)).max(axis=-1)
 
 
 # ---------------------------------------------------------------------------------------- errors

@@ -32,7 +32,7 @@ from jaxstab.point.verdict.linear import linear_verdict
 Excitation = Literal["force", "impact"]
 
 HORIZON = 1 << 18
-_STRETCH = 32  # samples, a power of two
+STRETCH = 32  # samples, a power of two
 _BLOCK = 64  # stretches of one product, a power of two
 _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 _ROUNDING = 2.0**-53
@@ -215,7 +215,7 @@ def device_settling_samples(
     def search(stiff: np.ndarray, damp: np.ndarray, is_hopeful: np.ndarray) -> np.ndarray:
         first = np.full(stiff.size, np.nan)
         wholes = np.full(stiff.size, int(delay))
-        for _, some in groups(wholes, np.ravel(is_hopeful), memory, _NUMBERS // _STRETCH):
+        for _, some in groups(wholes, np.ravel(is_hopeful), memory, _NUMBERS // STRETCH):
             walls = np.ravel(stiff)[some], np.ravel(damp)[some] / sample_time
             loops = balanced(device_loops(*walls, moves, int(delay), excitation, bank))
             with np.errstate(all="ignore"):
@@ -254,7 +254,7 @@ def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
     found = [search.deviation()]
     known = search.samples
     while known < samples:
-        blocks = ceil((samples - known) / (_STRETCH * _BLOCK))
+        blocks = ceil((samples - known) / (STRETCH * _BLOCK))
         search = search._replace(states=search.states[:, : blocks * _BLOCK]).doubled()
         found.append(search.deviation())
         known += found[-1].shape[1]
@@ -282,7 +282,7 @@ class _Search(NamedTuple):
         rows = np.zeros((count, 1, power.shape[1]))
         rows[:, 0, 0] = 1.0
         growth, error, zero = np.ones(count), 4.0 * _ROUNDING * _norm(power), np.zeros(count)
-        for _ in range(int(log2(_STRETCH))):
+        for _ in range(int(log2(STRETCH))):
             growth = growth * np.maximum(1.0, _norm(power) + error)
             rows = np.concatenate([rows, rows @ power], axis=1)
             power, error = _squared(power, error)
@@ -292,7 +292,7 @@ class _Search(NamedTuple):
     @property
     def samples(self) -> int:
         """How many samples of each loop are known."""
-        return self.states.shape[1] * _STRETCH
+        return self.states.shape[1] * STRETCH
 
     def deviation(self) -> Float64[np.ndarray, "loop sample"]:
         """Return the positions in the second half of the stretches; all, if there is but one."""
@@ -366,7 +366,7 @@ def _settle(
     alpha, beta, *propagators, whole_delay, is_hopeful = (np.ravel(lane) for lane in lanes)
     entries = np.array(propagators)
     first = np.full(alpha.shape, np.nan)
-    for whole, some in groups(whole_delay, is_hopeful, len(bank.steps), _NUMBERS // _STRETCH):
+    for whole, some in groups(whole_delay, is_hopeful, len(bank.steps), _NUMBERS // STRETCH):
         gains = alpha[some], beta[some]
         loops = loops_of(*gains, entries[:, some], whole, excitation, bank)
         if len(bank.steps):  # filters go on ringing: next to a rotation it is not

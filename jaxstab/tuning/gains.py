@@ -17,7 +17,7 @@ from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.settling import Excitation, checked_level, positions
+from jaxstab.motion.settling import STRETCH, Excitation, checked_level, positions
 from jaxstab.numbers import checked_number
 from jaxstab.tuning.component import ALL_GAINS
 from jaxstab.tuning.grid import FINE, Grid, zoomed
@@ -236,7 +236,7 @@ def _smallest_tails(
     """Return, for every sample, the smallest of all walls' largest deviations from then on."""
     alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
     size = loop.deviations(alphas[:1], betas[:1], excitation).transition.shape[1]
-    count = max(1, _NUMBERS // (settled.length + size**2 * 32))
+    count = max(1, _NUMBERS // (settled.length + size * (size + STRETCH)))
     smallest: list[tuple[np.ndarray, np.ndarray]] = []
     for begin in range(0, alphas.size, count):
         some = slice(begin, begin + count)
