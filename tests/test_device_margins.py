@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from campaign import many
 
 import jaxstab
 from benchmarks import filtered_ranges
@@ -70,8 +71,8 @@ def test_margins_of_random_devices_end_where_certified_roots_cross() -> None:
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", ["margins", "device_margins", "gaps"])
 def test_no_claim_about_random_loops_with_filters_is_wrong(kind: str) -> None:
-    tally, _ = getattr(filtered_ranges, kind)(np.random.default_rng(20), 30)
-    assert tally.judged > 250
+    tally, _ = getattr(filtered_ranges, kind)(np.random.default_rng(20), many(100))
+    assert tally.judged > 8 * many(100)
     assert tally.wrong == 0
 
 

@@ -221,7 +221,7 @@ def test_walls_next_to_the_limits_of_modes_motors_and_grips_come_to_rest_or_grow
 
 @pytest.mark.campaign
 def test_many_walls_next_to_the_limits_come_to_rest_or_grow() -> None:
-    assert judge(seed=2012, count=many(500)) > 1.5 * many(500)
+    assert judge(seed=2012, count=many(200)) > 1.5 * many(200)
 
 
 # ------------------------------------------------------------------------- what a scene is made of
