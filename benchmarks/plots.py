@@ -1,6 +1,6 @@
 """Draw every record as a PNG beside it, run time and error in one picture."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -312,22 +312,31 @@ def _criteria(rows: list[Row]) -> Figure:
 def _tuning(rows: list[Row]) -> Figure:
     plants = sum(row["repeats"] for row in rows)
     figure, axes = _panels(1, 2, f"Smallest radii of {plants:,} random plants")
-    judged = ("beaten", "region_below", "not_reached", "missed")
-    for panel, columns in zip(
-        axes[0], (judged, ("triple_root", "double_pair", "scanned")), strict=True
-    ):
+    panels = {
+        "what is wrong": ("beaten", "region_below", "not_reached", "missed"),
+        "where the smallest radius is": ("triple_root", "double_pair", "scanned"),
+    }
+    for panel, (title, columns) in zip(axes[0], panels.items(), strict=True):
         counts = [sum(row[column] for row in rows) for column in columns]
-        panel.barh([column.replace("_", " ") for column in columns], counts)
-        panel.set(xlabel="plants")
+        _counted(panel, columns, counts)
+        panel.set(title=title, xlabel="plants", xlim=(0.0, 1.15 * max(counts) or 1.0))
     return figure
+
+
+def _counted(panel: Axes, columns: Sequence[str], counts: Sequence[int]) -> None:
+    """Draw a bar with its number for each column: of none there is no bar to be seen."""
+    bars = panel.barh([column.replace("_", " ") for column in columns], counts)
+    panel.bar_label(bars, [f"{count:,}" for count in counts], padding=3)
 
 
 def _ranges(rows: list[Row]) -> Figure:
     figure, axes = _panels(1, len(rows), "Margins and limits, by certified root counts")
     for panel, row in zip(axes[0], rows, strict=True):
         columns = [name for name in ("wrong", "short", "judged") if name in row]
-        panel.barh(columns, [row[name] for name in columns])
+        counts = [row[name] for name in columns]
+        _counted(panel, columns, counts)
         panel.set(xscale="symlog", xlabel=row["section"].replace("_", " "))
+        panel.set_xlim(0.0, 10.0 * max(counts))
     return figure
 
 

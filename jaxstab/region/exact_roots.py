@@ -16,7 +16,7 @@ from functools import lru_cache
 from math import comb
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int
+from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import tree_map
 from jaxstab.model.double_double import DoubleDouble
@@ -36,11 +36,10 @@ def all_inside(
     inside = np.zeros(np.shape(alpha.hi), bool)
     walls = [tree_map(np.ravel, wall) for wall in (alpha, beta)]
     falling = np.ascontiguousarray(curve.pairs[0, 1, :, :, ::-1])  # in powers of z - 1
-    steps = _steps_below_one(curve, *walls)
-    for step in np.unique(steps):
-        outside = (within - 1.0) + _ON_CIRCLE * _STEP ** float(step)
-        parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], outside)
-        chosen = np.flatnonzero(steps == step)
+    outside = np.maximum(within - 1.0, _on_circle(curve, *walls))
+    for one in np.unique(outside).tolist():
+        parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], one)
+        chosen = np.flatnonzero(outside == one)
         for start in range(0, chosen.size, _AT_ONCE):
             some = chosen[start : start + _AT_ONCE]
             gains = (DoubleDouble(wall.hi[some], wall.lo[some]) for wall in walls)
@@ -48,15 +47,15 @@ def all_inside(
     return inside
 
 
-def _steps_below_one(
+def _on_circle(
     curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble
-) -> Int[np.ndarray, " wall"]:
-    """Return how much less than the plant the gains count for in p(z), in steps."""
+) -> Float64[np.ndarray, " wall"]:
+    """Return how far outside a root is on the circle: in steps, by what gains count for in p(z)."""
     base, stiffness, damping = np.sum(np.abs(curve.pairs[0, 0, 0]), axis=-1)
     share = (np.abs(alpha.hi) * stiffness + np.abs(beta.hi) * damping) / base
     share = np.clip(np.nan_to_num(share, nan=1.0), _LEAST, 1.0)
-    steps: np.ndarray = np.floor(np.log(share) / np.log(_STEP)).astype(int)
-    return steps
+    steps: np.ndarray = np.floor(np.log(share) / np.log(_STEP))
+    return _ON_CIRCLE * _STEP**steps
 
 
 def _with_gains(parts: DoubleDouble, alpha: DoubleDouble, beta: DoubleDouble) -> DoubleDouble:
