@@ -49,7 +49,7 @@ def answers() -> None:
     assert loop.verdict(2000.0, 20.0) == jaxstab.STABLE
     assert "N/m" in repr(loop.region())
     assert "<img" in loop.region()._repr_html_()
-    device = jaxstab.Device.mass_spring_damper(0.1, 1.5).with_actuator(500.0)
+    device = jaxstab.Device.mass_spring_damper(0.1, damping=1.5).with_actuator(500.0)
     general = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1e-3)
     assert general.limits().stiffness < loop.limits().stiffness
     jax.config.update("jax_enable_x64", True)

@@ -100,10 +100,10 @@ def _random_slice(rng: np.random.Generator, first: int, stop: int) -> Slice:
 def tally(place: Slice, rng: np.random.Generator) -> Tally:
     """Judge one slice at random points."""
     start = perf_counter()
-    region = stable_region(*place)
+    gamma, delta, delay, radius = place
+    region = stable_region(gamma, delta, delay, radius=radius)
     seconds = perf_counter() - start
     status = RegionStatus(int(region.status))
-    gamma, delta, delay, radius = place
     balls = FilteredLoop(gamma, delta, delay, difference(1), average(1)).balls()
     points = probes(region, Boundary(balls, radius), rng)
     expected = [balls.is_stable(*point, radius) for point in points.tolist()]

@@ -112,7 +112,7 @@ def tally(plant: Plant, rng: np.random.Generator) -> Tally:
         return Tally(status, False, False, missed, 0.0, seconds)
     gains = np.array([float(best.alpha), float(best.beta)])
     reached = float(truth.spectral_radius(*gains.tolist(), *plant)[1])
-    below = stable_region(*plant, value * (1.0 - _ALLOWED))
+    below = stable_region(*plant, radius=value * (1.0 - _ALLOWED))
     found = min(
         descent(family(plant), start, rng)[0]
         for start in (gains, np.zeros(2), rng.normal(size=2) * max(1.0, plant[0], *abs(gains)))

@@ -373,7 +373,7 @@ def test_vertices_of_passive_regions_need_less_than_the_damping_in_50_digits(del
         fold = fraction * (1 - fraction) * abs(force) ** 2 / (4 * mpf(delta))
         return (1 - fraction) * lagged(whole) + fraction * lagged(whole + 1) + fold
 
-    for vertex in passive_region(delta, delay, 1e-2).outline[::3]:
+    for vertex in passive_region(delta, delay, tolerance=1e-2).outline[::3]:
         alpha, beta = map(mpf, vertex)
         thetas = [mp.pi * k / 400 for k in range(1, 401)]
         assert max(need(alpha, beta, theta) for theta in thetas) < delta
@@ -393,15 +393,15 @@ def test_a_wall_of_negative_stiffness_is_not_passive():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((-1.0,), "delta is -1"),
-        ((float("nan"),), "delta is nan"),
-        ((1.0, -0.5), "delay is -0.5"),
-        ((1.0, 0.0, 0.0), "tolerance is 0"),
+        ({"delta": -1.0}, "delta is -1"),
+        ({"delta": float("nan")}, "delta is nan"),
+        ({"delta": 1.0, "delay": -0.5}, "delay is -0.5"),
+        ({"delta": 1.0, "tolerance": 0.0}, "tolerance is 0"),
     ],
 )
 def test_passive_region_refuses_bad_input(arguments, message):
     with pytest.raises(ValueError, match=message):
-        passive_region(*arguments)
+        passive_region(**arguments)
 
 
 # ------------------------------------------------------------------------- the paper's other claims

@@ -50,7 +50,7 @@ def random_slices(rng: np.random.Generator, count: int) -> Slices:
 
 def worst_error(theta: Any, gamma: Any, delta: Any, delay: Any, radius: Any) -> float:
     """The largest error beside the distance from (-gamma, 0), beyond the rounding of alpha."""
-    alpha, beta = boundary_curve(theta, gamma, delta, delay, radius)
+    alpha, beta = boundary_curve(theta, gamma, delta, delay, radius=radius)
     worst = 0.0
     places = np.broadcast_arrays(theta, gamma, delta, delay, radius)
     for a, b, *place in zip(alpha, beta, *places, strict=True):
@@ -85,21 +85,23 @@ def test_without_hand_and_delay_the_curve_is_the_known_one() -> None:
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 50.0])
 def test_the_curve_starts_on_the_line_of_a_root_at_plus_one(delay: float) -> None:
     for radius in (1.0, 0.8):
-        start = boundary_curve(0.0, 0.3, 0.2, delay, radius)
-        near = boundary_curve(1e-7, 0.3, 0.2, delay, radius)
+        start = boundary_curve(0.0, 0.3, 0.2, delay, radius=radius)
+        near = boundary_curve(1e-7, 0.3, 0.2, delay, radius=radius)
         np.testing.assert_allclose(start, near, rtol=1e-10)
         np.testing.assert_allclose(
-            start[0], plus_line(start[1], 0.3, 0.2, delay, radius), rtol=1e-14
+            start[0], plus_line(start[1], 0.3, 0.2, delay, radius=radius), rtol=1e-14
         )
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 50.0])
 def test_the_curve_ends_on_the_line_of_a_root_at_minus_one(delay: float) -> None:
     for radius in (1.0, 0.8):
-        end = boundary_curve(np.pi, 0.3, 0.2, delay, radius)
-        near = boundary_curve(np.pi - 1e-7, 0.3, 0.2, delay, radius)
+        end = boundary_curve(np.pi, 0.3, 0.2, delay, radius=radius)
+        near = boundary_curve(np.pi - 1e-7, 0.3, 0.2, delay, radius=radius)
         np.testing.assert_allclose(end, near, rtol=1e-9)
-        np.testing.assert_allclose(end[0], minus_line(end[1], 0.3, 0.2, delay, radius), rtol=1e-12)
+        np.testing.assert_allclose(
+            end[0], minus_line(end[1], 0.3, 0.2, delay, radius=radius), rtol=1e-12
+        )
 
 
 @pytest.mark.parametrize("delay", [0.0, 3.0, 0.25, 7.75])
@@ -109,7 +111,7 @@ def test_the_lines_put_a_real_root_at_plus_and_minus_the_radius(
 ) -> None:
     gamma, delta, beta = 0.4, 0.3, 0.75
     for line, z in ((plus_line, radius), (minus_line, -radius)):
-        alpha = float(line(beta, gamma, delta, delay, radius))
+        alpha = float(line(beta, gamma, delta, delay, radius=radius))
         polynomial = truth.polynomial(alpha, beta, gamma, delta, delay)
         scale = sum(abs(c) for c in polynomial)
         assert abs(truth.evaluate(polynomial, mpf(z))) < 1e-14 * scale
@@ -199,17 +201,17 @@ def test_the_limits_have_finite_derivatives(delay: float) -> None:
 @pytest.mark.parametrize(
     ("arguments", "name"),
     [
-        ((-0.1, 0.0, 0.0, 0.0), "theta"),
-        ((np.nan, 0.0, 0.0, 0.0), "theta"),
-        ((0.5, -1.0, 0.0, 0.0), "gamma"),
-        ((0.5, 0.0, np.inf, 0.0), "delta"),
-        ((0.5, 0.0, 0.0, -1.0), "delay"),
-        ((0.5, 0.0, 0.0, 0.0, 0.0), "radius"),
-        ((0.5, 0.0, 0.0, 0.0, 1.5), "radius"),
-        ((0.5, 0.0, 0.0, 0.0, -0.5), "radius"),
-        ((0.5, 0.0, 0.0, 0.0, np.nan), "radius"),
+        ({"theta": -0.1}, "theta"),
+        ({"theta": np.nan}, "theta"),
+        ({"gamma": -1.0}, "gamma"),
+        ({"delta": np.inf}, "delta"),
+        ({"delay": -1.0}, "delay"),
+        ({"radius": 0.0}, "radius"),
+        ({"radius": 1.5}, "radius"),
+        ({"radius": -0.5}, "radius"),
+        ({"radius": np.nan}, "radius"),
     ],
 )
-def test_bad_input_is_refused_by_name(arguments: tuple[float, ...], name: str) -> None:
+def test_bad_input_is_refused_by_name(arguments: dict[str, float], name: str) -> None:
     with pytest.raises(ValueError, match=rf"^{name} is [^\n]*; [^\n]*\.$"):
-        boundary_curve(*arguments)
+        boundary_curve(**{"theta": 0.5, "gamma": 0.0, "delta": 0.0, "delay": 0.0} | arguments)

@@ -20,7 +20,7 @@ PERIOD = 1e-3
 def test_a_device_of_one_mass_has_the_margins_of_the_five_numbers(
     velocity: Velocity | None, delay: float
 ) -> None:
-    device = sampled_device(Device.mass_spring_damper(0.1, 1.5), PERIOD, delay)
+    device = sampled_device(Device.mass_spring_damper(0.1, damping=1.5), PERIOD, delay)
     loop = jaxstab.HapticLoop(
         device_mass=0.1,
         device_damping=1.5,
@@ -54,8 +54,10 @@ def test_an_extra_delay_ends_where_the_equations_of_motion_do(delay: float) -> N
 
 
 def test_no_extra_delay_is_claimed_of_a_device_that_is_too_fast() -> None:
-    arm = Hand.mass_spring_damper(1.0, 5.0, 300.0).with_grip(1e11, 20.0)
-    device = Device.mass_spring_damper(0.25, 0.1).held_by(arm)
+    arm = Hand.mass_spring_damper(1.0, damping=5.0, stiffness=300.0).with_grip(
+        stiffness=1e11, damping=20.0
+    )
+    device = Device.mass_spring_damper(0.25, damping=0.1).held_by(arm)
     found = HapticLoop(device=device, sample_time=PERIOD).margins(300.0, 3.0)
     assert found.verdict == Verdict.STABLE
     assert found.stiffness_gain > 1.0
@@ -77,8 +79,12 @@ def test_no_claim_about_random_loops_with_filters_is_wrong(kind: str) -> None:
 
 
 def test_a_polygon_is_proved_for_each_device_of_a_list() -> None:
-    plain = Device.mass_spring_damper(0.25, 0.5)
-    arm = plain.held_by(Hand.mass_spring_damper(0.5, 5.0, 200.0).with_grip(5.0, 2000.0))
+    plain = Device.mass_spring_damper(0.25, damping=0.5)
+    arm = plain.held_by(
+        Hand.mass_spring_damper(0.5, damping=5.0, stiffness=200.0).with_grip(
+            stiffness=2000.0, damping=5.0
+        )
+    )
     shaky = Device.modes([Mode(frequency=60.0, damping_ratio=0.02, modal_mass=2.0)], mass=0.25)
     devices = [sampled_device(device, PERIOD, 1.0) for device in (plain, arm, shaky)]
     window = Velocity.difference(samples=10)
@@ -95,7 +101,7 @@ def test_a_polygon_is_proved_for_each_device_of_a_list() -> None:
 
 
 def test_margins_of_devices_refuse_what_is_no_filter() -> None:
-    device = sampled_device(Device.mass_spring_damper(0.1, 1.5), PERIOD, 1.0)
+    device = sampled_device(Device.mass_spring_damper(0.1, damping=1.5), PERIOD, 1.0)
     with pytest.raises(TypeError, match="velocity"):
         device_margins(device, 1.0, 1.0, velocity=Filter())
     with pytest.raises(ValueError, match="stiffness"):

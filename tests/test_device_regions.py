@@ -15,11 +15,15 @@ from jaxstab.region.status import RegionStatus
 ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
 MODE = Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
 DEVICES = {
-    "a mass": Device.mass_spring_damper(0.25, 0.1),
+    "a mass": Device.mass_spring_damper(0.25, damping=0.1),
     "a mode": Device.modes([MODE], mass=0.25, damping=0.1),
-    "a grip": Device.mass_spring_damper(0.25, 0.1).held_by(ARM.with_grip(2000.0, 4.0)),
-    "an actuator": Device.mass_spring_damper(0.25, 0.1).with_actuator(60.0),
-    "all": Device.modes([MODE], mass=0.25).with_actuator(300.0).held_by(ARM.with_grip(2e3, 4.0)),
+    "a grip": Device.mass_spring_damper(0.25, damping=0.1).held_by(
+        ARM.with_grip(stiffness=2000.0, damping=4.0)
+    ),
+    "an actuator": Device.mass_spring_damper(0.25, damping=0.1).with_actuator(60.0),
+    "all": Device.modes([MODE], mass=0.25)
+    .with_actuator(300.0)
+    .held_by(ARM.with_grip(stiffness=2e3, damping=4.0)),
     "an unstable device": Device.transfer_function([1.0], [0.25, 0.1, -3.0]),
     "a damper": Device.transfer_function([1.0], [2.0, 0.0]),
 }

@@ -124,9 +124,12 @@ def largest_stable(device: Device, damping: float = 4.0) -> float:
 
 
 def test_a_stiff_grip_is_a_glued_hand_and_a_fast_actuator_is_none() -> None:
-    device = Device.mass_spring_damper(0.25, 0.1)
+    device = Device.mass_spring_damper(0.25, damping=0.1)
     glued, free = largest_stable(device.held_by(ARM)), largest_stable(device)
-    grips = [largest_stable(device.held_by(ARM.with_grip(10.0**k, 1e2))) for k in (6, 8, 10)]
+    grips = [
+        largest_stable(device.held_by(ARM.with_grip(stiffness=10.0**k, damping=1e2)))
+        for k in (6, 8, 10)
+    ]
     errors = [abs(stiffness / glued - 1.0) for stiffness in grips]
     assert errors[2] < 2e-4
     assert errors[2] < errors[0]
@@ -172,7 +175,10 @@ def test_devices_respond_as_the_formulas_say() -> None:
     for one, expected in (
         (device, bare),
         (device.held_by(ARM), bare / (1.0 + bare * arm)),
-        (device.held_by(ARM.with_grip(2000.0, 4.0)), bare / (1.0 + bare / (1 / arm + 1 / grip))),
+        (
+            device.held_by(ARM.with_grip(stiffness=2000.0, damping=4.0)),
+            bare / (1.0 + bare / (1 / arm + 1 / grip)),
+        ),
         (device.with_actuator(200.0), motor * bare),
         (device.with_actuator(200.0).held_by(ARM), motor * bare / (1.0 + bare * arm)),
         (device.held_by(Hand.transfer_function([1.0, 5.0, 300.0], [1.0])), bare / (1 + bare * arm)),
@@ -186,7 +192,7 @@ def test_devices_respond_as_the_formulas_say() -> None:
 
 
 def test_state_spaces_that_are_not_minimal_are_reduced() -> None:
-    minimal = Device.mass_spring_damper(0.5, 2.0, 8.0)
+    minimal = Device.mass_spring_damper(0.5, damping=2.0, stiffness=8.0)
     a, b, c = [[0.0, 1.0], [-16.0, -4.0]], [0.0, 2.0], [1.0, 0.0]
     assert Device.state_space(a, b, c).compliance() == minimal.compliance()
     hidden = np.zeros((3, 3))
@@ -202,8 +208,8 @@ def test_state_spaces_that_are_not_minimal_are_reduced() -> None:
 
 def test_what_a_device_does_without_a_wall_is_said() -> None:
     assert Device.mass_spring_damper(1.0).stability == "marginal"
-    assert Device.mass_spring_damper(1.0, 1.0).stability == "marginal"
-    assert Device.mass_spring_damper(1.0, 1.0, 1.0).stability == "stable"
+    assert Device.mass_spring_damper(1.0, damping=1.0).stability == "marginal"
+    assert Device.mass_spring_damper(1.0, damping=1.0, stiffness=1.0).stability == "stable"
     assert Device.mass_spring_damper(1.0).held_by(ARM).stability == "stable"
     assert Device.transfer_function([1.0], [1.0, 0.0, -9.0]).stability == "unstable"
     undamped = Mode(frequency=3.0, damping_ratio=0.0, modal_mass=1.0)
@@ -226,7 +232,7 @@ def test_what_a_device_does_without_a_wall_is_said() -> None:
     ],
 )
 def test_systems_of_control_and_scipy_are_taken(system: Any) -> None:
-    expected = Device.mass_spring_damper(0.5, 2.0, 8.0)
+    expected = Device.mass_spring_damper(0.5, damping=2.0, stiffness=8.0)
     assert Device.from_control(system).compliance() == expected.compliance()
 
 
@@ -238,9 +244,9 @@ def test_zeros_and_poles_of_scipy_are_taken() -> None:
 
 
 def test_devices_and_hands_are_values_that_print_themselves() -> None:
-    device = Device.mass_spring_damper(0.25, 0.1).with_actuator(200.0)
-    held = device.held_by(ARM.with_grip(2000.0, 4.0))
-    assert held == device.held_by(ARM.with_grip(2000.0, 4.0))
+    device = Device.mass_spring_damper(0.25, damping=0.1).with_actuator(200.0)
+    held = device.held_by(ARM.with_grip(stiffness=2000.0, damping=4.0))
+    assert held == device.held_by(ARM.with_grip(stiffness=2000.0, damping=4.0))
     assert len({held, device, device}) == 2
     assert str(held) == (
         "0.25 kg, 0.1 N s/m; an actuator of 200 Hz; "
@@ -253,7 +259,7 @@ def test_devices_and_hands_are_values_that_print_themselves() -> None:
     ("call", "words"),
     [
         (lambda: Device.mass_spring_damper(0.0), "mass is 0.0"),
-        (lambda: Device.mass_spring_damper(1.0, np.nan), "damping is nan"),
+        (lambda: Device.mass_spring_damper(1.0, damping=np.nan), "damping is nan"),
         (lambda: Device.transfer_function([1.0, 0.0], [1.0, 2.0]), "not in z"),
         (lambda: Device.transfer_function([0.0], [1.0, 2.0]), "not all of them 0"),
         (lambda: Device.transfer_function([1.0], [0.0, 0.0]), "denominator is"),
@@ -266,13 +272,18 @@ def test_devices_and_hands_are_values_that_print_themselves() -> None:
         (lambda: Mode(frequency=1.0, damping_ratio=0.1, modal_mass=0.0), "modal_mass is 0.0"),
         (lambda: Mode(frequency=0.0, damping_ratio=0.1, modal_mass=1.0), "frequency is 0.0"),
         (lambda: Hand.transfer_function([1.0, 0.0, 0.0, 0.0], [1.0]), "two degrees"),
-        (lambda: ARM.with_grip(0.0), "holds something"),
-        (lambda: ARM.with_grip(1.0).with_grip(1.0), "has a grip"),
+        (lambda: ARM.with_grip(stiffness=0.0), "holds something"),
+        (lambda: ARM.with_grip(stiffness=1.0).with_grip(stiffness=1.0), "has a grip"),
         (lambda: Device.mass_spring_damper(1.0).with_actuator(0.0), "bandwidth is 0.0"),
         (lambda: Device.from_control(control.tf([1.0], [1.0, 2.0], 0.1)), "not in z"),
         (lambda: Device.from_control(scipy.signal.dlti([1.0], [1.0, 2.0], dt=0.1)), "not in z"),
         (lambda: Device.from_control(scipy.signal.lti([1.0, 0.0], [1.0, 2.0])), "not in z"),
-        (lambda: sampled_device(Device.mass_spring_damper(1.0, 0.0, 1e280), 1e-3, 0.0), "a pole"),
+        (
+            lambda: sampled_device(
+                Device.mass_spring_damper(1.0, damping=0.0, stiffness=1e280), 1e-3, 0.0
+            ),
+            "a pole",
+        ),
         (lambda: sampled_device(Device.mass_spring_damper(1e280), 1e-3, 0.0), "give SI units"),
         (lambda: sampled_device(Device.transfer_function([1], [1, -1e3]), 1.0, 0.0), "unstable"),
     ],
@@ -293,7 +304,9 @@ def test_what_is_no_device_is_refused() -> None:
 
 
 def test_few_walls_are_undecided_next_to_the_boundary() -> None:
-    device = Device.modes([MODE], mass=0.25, damping=0.1).held_by(ARM.with_grip(2000.0, 4.0))
+    device = Device.modes([MODE], mass=0.25, damping=0.1).held_by(
+        ARM.with_grip(stiffness=2000.0, damping=4.0)
+    )
     sampled = sampled_device(device, 1e-3, 1.5)
     loop, beta = sampled.loop(FILTERS), 2.0 * sampled.damping_unit
     low, high = 0.0, 0.2

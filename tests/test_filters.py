@@ -523,7 +523,7 @@ def test_a_region_that_is_not_resolved_claims_nothing() -> None:
 
 def test_filters_have_regions_of_stability_alone() -> None:
     with pytest.raises(ValueError, match=r"radius is 0\.9; with a filter only 1"):
-        jaxstab.stable_region(0.0, 0.0, 1.0, 0.9, velocity=Velocity.difference(samples=2))
+        jaxstab.stable_region(0.0, 0.0, 1.0, radius=0.9, velocity=Velocity.difference(samples=2))
 
 
 @pytest.mark.campaign

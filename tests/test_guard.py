@@ -31,7 +31,7 @@ REFUSED = 2
 
 @pytest.fixture(scope="module")
 def guard() -> Guard:
-    return build_guard(LOOP, HANDS, (0.24, 0.26), (0.9e-3, 1.1e-3), cells=(1, 1, 16))
+    return build_guard(LOOP, HANDS, mass=(0.24, 0.26), delay=(0.9e-3, 1.1e-3), cells=(1, 1, 16))
 
 
 @pytest.fixture(scope="module")

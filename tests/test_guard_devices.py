@@ -38,9 +38,11 @@ from jaxstab.model.filters import given_filters
 ROOT = Path(__file__).resolve().parents[1]
 PERIOD = 1e-3
 MODE = Mode(frequency=80.0, damping_ratio=0.02, modal_mass=0.8)
-GRIP = 2000.0, 4.0
+GRIP = 2000.0, 4.0  # N/m, N s/m
 HANDS = HandRange(mass=(0.0, 0.3), stiffness=(0.0, 200.0), damping=(0.5, 4.0))
-ARM = Hand.mass_spring_damper(0.1, 1.0, 100.0).with_grip(*GRIP)
+ARM = Hand.mass_spring_damper(0.1, damping=1.0, stiffness=100.0).with_grip(
+    stiffness=GRIP[0], damping=GRIP[1]
+)
 DEVICE = Device.modes([MODE], mass=0.25, damping=0.5).with_actuator(300.0).held_by(ARM)
 WINDOW = Velocity.difference(samples=4)
 LOOP = HapticLoop(device=DEVICE, sample_time=PERIOD, delay=1e-3, velocity=WINDOW)
@@ -67,14 +69,18 @@ def drawn_loop(rng: np.random.Generator) -> tuple[HapticLoop, HandRange, Grid]:
         )
         for _ in range(int(rng.integers(0, 3)))
     ]
-    body = mass, float(rng.choice([0.0, rng.uniform(0, 2)]))
-    device = Device.modes(modes, mass=body[0], damping=body[1]) if modes else None
-    device = device or Device.mass_spring_damper(*body, float(rng.choice([0.0, 300.0])))
+    damping = float(rng.choice([0.0, rng.uniform(0, 2)]))
+    device = Device.modes(modes, mass=mass, damping=damping) if modes else None
+    device = device or Device.mass_spring_damper(
+        mass, damping=damping, stiffness=float(rng.choice([0.0, 300.0]))
+    )
     if rng.random() < 0.5:
         device = device.with_actuator(rng.uniform(30, 800))
-    hand = Hand.mass_spring_damper(0.1, 1.0, 100.0)
+    hand = Hand.mass_spring_damper(0.1, damping=1.0, stiffness=100.0)
     if rng.random() < 0.6:
-        hand = hand.with_grip(10 ** rng.uniform(2, 5), float(rng.choice([0.0, rng.uniform(0, 30)])))
+        hand = hand.with_grip(
+            stiffness=10 ** rng.uniform(2, 5), damping=float(rng.choice([0.0, rng.uniform(0, 30)]))
+        )
     low, high = np.array([0.0, 0.0, 0.3]), np.array([0.5, 500.0, 8.0])
     ends = np.sort(rng.uniform(low, high, (2, 3)), axis=0)
     velocity = [None, Velocity.difference(samples=5), Velocity.low_pass(60.0)][rng.integers(3)]
@@ -184,7 +190,7 @@ def test_many_boxes_hold_the_values_of_their_loops() -> None:
 
 @pytest.fixture(scope="module")
 def guard() -> Guard:
-    return build_guard(LOOP, HANDS, MASSES, DELAYS, cells=(1, 1, 8))
+    return build_guard(LOOP, HANDS, mass=MASSES, delay=DELAYS, cells=(1, 1, 8))
 
 
 @pytest.fixture(scope="module")
@@ -240,7 +246,7 @@ def test_filters_are_those_of_the_loop() -> None:
     filters = {"velocity": Velocity.low_pass(60.0), "position": jaxstab.Filter.low_pass(200.0)}
     loop = HapticLoop(device=DEVICE, sample_time=PERIOD, **filters)
     hand = HandRange((0.1, 0.1), (50.0, 60.0), (1.0, 1.0))
-    guard = build_guard(loop, hand, (0.249, 0.251), (1e-3, 1.02e-3), cells=(1, 1, 8))
+    guard = build_guard(loop, hand, mass=(0.249, 0.251), delay=(1e-3, 1.02e-3), cells=(1, 1, 8))
     damping = np.linspace(0.05, 0.95, 19) * guard.grid.top.min()
     limits = guard.largest_stiffness(damping, 0.25, 1e-3)
     rows = np.column_stack([*np.broadcast_arrays(0.0, 0.0, 0.25, 1e-3, limits, damping)])
@@ -278,7 +284,7 @@ def guard_of(seed: int) -> Guard | None:
     mass = float(grid.mass[0]), float(grid.mass[0]) * 1.02
     delay = (float(grid.delay[0]) * PERIOD, (float(grid.delay[0]) + 0.1) * PERIOD)
     try:
-        return build_guard(loop, hands, mass, delay, cells=(1, 1, 8))
+        return build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 8))
     except (RuntimeError, NotImplementedError) as refusal:
         words = str(refusal)
     assert re.fullmatch(r"[^\n]*\.", words)
@@ -310,7 +316,7 @@ def test_guards_of_random_devices_let_nothing_unstable_through(
 
 def built(device: Device, hands: HandRange = HANDS, **change: Any) -> Guard:
     loop = HapticLoop(device=device, sample_time=PERIOD, delay=1e-3, **change)
-    return build_guard(loop, hands, MASSES, DELAYS, cells=(1, 1, 1))
+    return build_guard(loop, hands, mass=MASSES, delay=DELAYS, cells=(1, 1, 1))
 
 
 @pytest.mark.parametrize(
@@ -320,7 +326,9 @@ def built(device: Device, hands: HandRange = HANDS, **change: Any) -> Guard:
         Device.modes([MODE]),
         DEVICE.held_by(ARM),
         replace(DEVICE, hands=()).held_by(Hand.transfer_function([1.0, 5.0], [1.0])),
-        replace(DEVICE, hands=()).held_by(Hand.mass_spring_damper(0.1, 1.0).with_grip(0.0, 4.0)),
+        replace(DEVICE, hands=()).held_by(
+            Hand.mass_spring_damper(0.1, damping=1.0).with_grip(stiffness=0.0, damping=4.0)
+        ),
     ],
     ids=["transfer function", "no mass", "two hands", "another hand", "a grip without a spring"],
 )
@@ -330,8 +338,8 @@ def test_other_devices_are_refused(device: Device) -> None:
 
 
 def test_what_nothing_damps_is_refused() -> None:
-    arm = Hand.mass_spring_damper(0.1).with_grip(2000.0)
-    device = Device.mass_spring_damper(0.25, 0.5).held_by(arm)
+    arm = Hand.mass_spring_damper(0.1).with_grip(stiffness=2000.0)
+    device = Device.mass_spring_damper(0.25, damping=0.5).held_by(arm)
     with pytest.raises(NotImplementedError, match="damp"):
         built(device, HandRange(mass=(0.0, 0.1)))
 
@@ -342,13 +350,13 @@ def test_a_position_filter_without_a_positive_gain_is_refused() -> None:
         turned = jaxstab.Filter.transfer_function([-1.0], [1.0])
         loop = HapticLoop(**own, sample_time=PERIOD, position=turned)
         with pytest.raises(ValueError, match="gain"):
-            build_guard(loop, HANDS, MASSES, DELAYS)
+            build_guard(loop, HANDS, mass=MASSES, delay=DELAYS)
 
 
 def test_long_proofs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(jaxstab.guard.proof._MOST, DeviceBoxes, 1000)
     with pytest.raises(RuntimeError, match="five minutes; narrow the ranges"):
-        build_guard(LOOP, HANDS, MASSES, DELAYS, cells=(1, 1, 8))
+        build_guard(LOOP, HANDS, mass=MASSES, delay=DELAYS, cells=(1, 1, 8))
 
 
 def test_the_command_writes_a_header_of_a_scene_with_modes(tmp_path: Path) -> None:

@@ -3,8 +3,11 @@
 import re
 import subprocess
 import sys
+from collections.abc import Callable
+from inspect import Parameter, getmodule, isroutine, signature
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import pytest
 from calls import COMPUTING_CALLS
@@ -114,6 +117,33 @@ def test_every_public_callable_says_what_it_is_refuses_and_shows_and_where_it_is
         assert re.search(r"\bRaises:", text), "says nothing about errors"
     if computes(value):
         assert re.search(r"(?i)\b(paper|eqs?\.|theorem|criterion|table|sec\.)", text), "no source"
+
+
+POSITIONAL = Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD
+FIVE = ["alpha", "beta", "gamma", "delta", "delay"]
+NO_NUMBERS = {"C", "about", "executor", "outside", "progress", "units"}  # cannot be taken for one
+
+
+@pytest.mark.parametrize("name", jaxstab.__all__)
+def test_only_the_five_numbers_in_their_order_follow_a_second_argument_without_a_name(
+    name: str,
+) -> None:
+    value = getattr(jaxstab, name)
+    functions = [value] if is_function(value) else public_methods(value)
+    for function in functions:
+        given = [p.name for p in signature(function).parameters.values() if p.kind in POSITIONAL]
+        later = [p for p in given if p != "self"][2:]
+        numbers = [p for p in later if p not in NO_NUMBERS]
+        is_wall = given[-2:] == ["stiffness", "damping"]
+        assert is_wall or numbers == FIVE[len(FIVE) - len(numbers) :], (name, given)
+
+
+def public_methods(value: object) -> list[Callable[..., Any]]:
+    """The public functions that a class defines."""
+    if not isinstance(value, type):
+        return []
+    found = [getattr(value, name) for name in dir(value) if not name.startswith("_")]
+    return [one for one in found if isroutine(one) and "jaxstab" in str(getmodule(one))]
 
 
 def test_every_computing_function_is_in_the_table_of_calls() -> None:

@@ -80,11 +80,14 @@ def test_a_slice_that_float64_does_not_resolve_is_drawn_in_double_double() -> No
         assert np.mean(codes == code) > 0.9
 
 
-def dense_boundary(region: StableRegion, place: tuple[float, ...]) -> np.ndarray:
+def dense_boundary(
+    region: StableRegion, place: tuple[float, ...], radius: float = 1.0
+) -> np.ndarray:
     """Short chords (n, 2, 2) of the region's boundary: of its straight edges, and of the curve."""
     shares = np.linspace(0, 1, 65)
     begin, end = region.outline.angles[: len(region.branch), :, None].swapaxes(0, 1)
-    curve = np.stack(boundary_curve(begin + shares * (end - begin), *place), axis=-1)
+    theta = begin + shares * (end - begin)
+    curve = np.stack(boundary_curve(theta, *place, radius=radius), axis=-1)
     here, there = region.points[:-1, None], region.points[1:, None]
     lines = here + shares[:, None] * (there - here)
     on_curve = (region.branch == Branch.CURVE)[:, None, None]
@@ -98,36 +101,41 @@ def distance_to(chords: np.ndarray, point: np.ndarray) -> float:
     return float(np.hypot(*(here + np.clip(share, 0, 1)[:, None] * along - point).T).min())
 
 
+SHARP = (88.19443994045147, 0.4993197713896914, 0.5537552816061377), 0.8161400066925342
+
+
 def test_the_distance_next_to_a_sharp_turn_is_that_to_the_curve() -> None:
-    place = (88.19443994045147, 0.4993197713896914, 0.5537552816061377, 0.8161400066925342)
+    place, radius = SHARP
     point = np.array([72.49673704316012, -31.60018426249376])
-    region = stable_region(*place)
+    region = stable_region(*place, radius=radius)
     assert abs(region.distance(*point)) == pytest.approx(6.341586827520546e-4, rel=1e-9)
-    assert distance_to(dense_boundary(region, place), point) == pytest.approx(6.3416e-4, rel=1e-3)
+    assert distance_to(dense_boundary(region, place, radius), point) == pytest.approx(
+        6.3416e-4, rel=1e-3
+    )
 
 
 SLICES = [
-    (88.19443994045147, 0.4993197713896914, 0.5537552816061377, 0.8161400066925342),
-    (39.799975315059754, 0.4533140420022334, 4.0, 1.0),
-    (3.4221236931311325, 9.11095313928446, 6.351107263508205, 1.0),
-    (1e-3, 0.015, 1.0, 1.0),
-    (0.1, 0.05, 12.0, 0.97),
-    (11.523438187710303, 0.40536209838398013, 1.0, 1.0),
+    SHARP,
+    ((39.799975315059754, 0.4533140420022334, 4.0), 1.0),
+    ((3.4221236931311325, 9.11095313928446, 6.351107263508205), 1.0),
+    ((1e-3, 0.015, 1.0), 1.0),
+    ((0.1, 0.05, 12.0), 0.97),
+    ((11.523438187710303, 0.40536209838398013, 1.0), 1.0),
 ]
 
 
-@pytest.mark.parametrize("place", SLICES)
+@pytest.mark.parametrize(("place", "radius"), SLICES)
 def test_distances_are_those_to_dense_points_of_the_boundary(
-    place: tuple[float, ...], rng: np.random.Generator
+    place: tuple[float, ...], radius: float, rng: np.random.Generator
 ) -> None:
-    region = stable_region(*place)
+    region = stable_region(*place, radius=radius)
     low, high = region.points.min(axis=0), region.points.max(axis=0)
     size = high - low
     anywhere = rng.uniform(low - 0.3 * size, high + 0.3 * size, (6, 2))
     close = region.points[rng.integers(0, len(region.points), 6)] + 1e-3 * size * rng.normal(
         size=(6, 2)
     )
-    boundary = dense_boundary(region, place)
+    boundary = dense_boundary(region, place, radius)
     for point in np.concatenate([anywhere, close]):
         distance = abs(float(region.distance(*point)))
         dense = distance_to(boundary, point)

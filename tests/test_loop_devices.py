@@ -19,7 +19,7 @@ HELD = HapticLoop(
 )  # fmt: skip
 WINDOW = Velocity.difference(window=5e-3)
 MODES = Device.modes([Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)], mass=0.25)
-GRIPPED = MASS.held_by(ARM.with_grip(2000.0, 4.0))
+GRIPPED = MASS.held_by(ARM.with_grip(stiffness=2000.0, damping=4.0))
 
 
 def loop_of(device: Device, **fields: Any) -> HapticLoop:
@@ -45,7 +45,7 @@ def test_a_grip_of_growing_stiffness_becomes_a_glued_hand() -> None:
     glued = replace(HELD, velocity=WINDOW).limits()
     away = []
     for stiffness in (1e5, 1e6, 1e7, 1e8):
-        hand = ARM.with_grip(stiffness, damping=0.02 * stiffness)
+        hand = ARM.with_grip(stiffness=stiffness, damping=0.02 * stiffness)
         limits = loop_of(MASS.held_by(hand), velocity=WINDOW).limits()
         away.append(abs(limits.stiffness / glued.stiffness - 1.0))
     assert away == sorted(away, reverse=True)

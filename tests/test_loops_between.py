@@ -269,7 +269,9 @@ def test_a_hand_of_a_device_is_replaced_by_those_of_an_interval(rng: np.random.G
     worst = loop.worst_hand(hands, found.stiffness, found.damping)
     assert worst.verdict == Verdict.STABLE
     for mass in rng.uniform(0.8, 1.2, 8):
-        arm = Hand.mass_spring_damper(float(mass), 5.0, 300.0).with_grip(2000.0, 4.0)
+        arm = Hand.mass_spring_damper(float(mass), damping=5.0, stiffness=300.0).with_grip(
+            stiffness=2000.0, damping=4.0
+        )
         other = replace(loop, device=replace(loop.device, hands=(arm,)))
         assert other.is_stable(found.stiffness, found.damping)
     assert loop.worst_hand(hands, 1.01 * found.limit, found.damping).verdict == Verdict.UNSTABLE
@@ -309,7 +311,7 @@ def test_loops_with_nothing_between_are_refused(last: HapticLoop, message: str) 
 
 
 def test_parts_that_differ_are_named() -> None:
-    device = Device.mass_spring_damper(0.25, 0.1)
+    device = Device.mass_spring_damper(0.25, damping=0.1)
     loop = HapticLoop(device=device, sample_time=1e-3, velocity=Velocity.difference(5))
     for other in (
         replace(loop, velocity=Velocity.difference(6)),

@@ -135,7 +135,7 @@ def test_a_device_of_one_mass_is_the_loop_of_five_numbers() -> None:
     loop = jaxstab.HapticLoop(
         device_mass=0.25, device_damping=0.1, sample_time=PERIOD, delay=1.5 * PERIOD
     )
-    device = Device.mass_spring_damper(0.25, 0.1)
+    device = Device.mass_spring_damper(0.25, damping=0.1)
     options = {"samples": 100, "force": 1.0, "initial_velocity": 0.1, "between": 2}
     for one, other in zip(
         loop.simulate(*WALL, **options),

@@ -58,7 +58,8 @@ def random_slices(rng: np.random.Generator) -> list[tuple[float, ...]]:
 def test_no_point_is_misclassified(rng: np.random.Generator) -> None:
     wrong, decided = [], 0
     for place in random_slices(rng):
-        region = stable_region(*place)
+        gamma, delta, delay, radius = place
+        region = stable_region(gamma, delta, delay, radius=radius)
         assert region.status == RegionStatus.COMPLETE, place
         points = probes(region, rng, 12)
         for point, inside in zip(points, region.contains(*points.T), strict=True):
@@ -404,17 +405,17 @@ def test_reverse_mode_gives_the_derivative_too() -> None:
 @pytest.mark.parametrize(
     ("arguments", "name"),
     [
-        ((-1.0, 0.0, 0.0), "gamma"),
-        ((0.0, float("nan"), 0.0), "delta"),
-        ((0.0, 0.0, -1.0), "delay"),
-        ((0.0, 0.0, 0.0, 1.2), "radius"),
-        ((0.0, 0.0, 0.0, -0.5), "radius"),
-        ((0.0, 0.0, 0.0, 1.0, 0.0), "tolerance"),
+        ({"gamma": -1.0}, "gamma"),
+        ({"delta": float("nan")}, "delta"),
+        ({"delay": -1.0}, "delay"),
+        ({"radius": 1.2}, "radius"),
+        ({"radius": -0.5}, "radius"),
+        ({"tolerance": 0.0}, "tolerance"),
     ],
 )
-def test_bad_input_is_refused_by_name(arguments: tuple[float, ...], name: str) -> None:
+def test_bad_input_is_refused_by_name(arguments: dict[str, float], name: str) -> None:
     with pytest.raises(ValueError, match=rf"^{name} is [^\n]*\.$"):
-        stable_region(*arguments)
+        stable_region(**{"gamma": 0.0, "delta": 0.0, "delay": 0.0} | arguments)
 
 
 def test_an_outline_too_short_for_its_corners_is_refused() -> None:

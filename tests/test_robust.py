@@ -99,16 +99,16 @@ def test_a_verdict_on_a_wall_is_for_all_hands():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (((1.0, 0.0), (0.0, 0.0)), "gamma is"),
-        (((0.0, 1.0), (0.0, -1.0)), "delta is -1"),
-        (((0.0, float("nan")), (0.0, 1.0)), "gamma is nan"),
-        (((0.0, 1.0), (0.0, 1.0), -1.0), "delay is -1"),
-        (((0.0, 1.0), (0.0, 1.0), 0.0, 0.0), "tolerance is 0"),
+        ({"gamma": (1.0, 0.0)}, "gamma is"),
+        ({"delta": (0.0, -1.0)}, "delta is -1"),
+        ({"gamma": (0.0, float("nan"))}, "gamma is nan"),
+        ({"delay": -1.0}, "delay is -1"),
+        ({"tolerance": 0.0}, "tolerance is 0"),
     ],
 )
 def test_robust_region_refuses_bad_input(arguments, message):
     with pytest.raises(ValueError, match=message):
-        robust_region(*arguments)
+        robust_region(**{"gamma": (0.0, 1.0), "delta": (0.0, 1.0)} | arguments)
 
 
 @pytest.mark.parametrize("samples", [5, pytest.param(20, marks=pytest.mark.campaign)])

@@ -232,7 +232,7 @@ def test_a_scene_is_the_loop_of_its_modes_motor_and_grip(file: Path) -> None:
     mode = Mode(frequency=80.0, damping_ratio=0.02, modal_mass=1.5)
     device = Device.modes([mode], mass=0.25, damping=0.1).with_actuator(200.0)
     loop = HapticLoop(
-        device=device.held_by(arm.with_grip(2000.0, 4.0)),
+        device=device.held_by(arm.with_grip(stiffness=2000.0, damping=4.0)),
         sample_time=1e-3,
         delay=1e-3,
         velocity=Velocity.difference(samples=5),
@@ -428,12 +428,14 @@ def test_a_scene_of_a_general_device_has_a_picture(file: Path, tmp_path: Path) -
 
 def test_what_holds_a_device_still_is_its_static_stiffness() -> None:
     arm = Hand.mass_spring_damper(mass=0.3, stiffness=300.0, damping=2.0)
-    mass = Device.mass_spring_damper(0.25, 0.1)
+    mass = Device.mass_spring_damper(0.25, damping=0.1)
     assert mass.static_stiffness() == 0.0
     assert mass.held_by(arm).with_actuator(30.0).static_stiffness() == 300.0
-    held = mass.held_by(arm.with_grip(600.0, 4.0)).static_stiffness()
+    held = mass.held_by(arm.with_grip(stiffness=600.0, damping=4.0)).static_stiffness()
     assert held == pytest.approx(200.0, rel=1e-15)
     assert Device.transfer_function([1.0, 0.0], [1.0, 2.0, 3.0]).static_stiffness() == math.inf
-    loop = HapticLoop(device=mass.held_by(arm.with_grip(600.0, 4.0)), sample_time=1e-3)
+    loop = HapticLoop(
+        device=mass.held_by(arm.with_grip(stiffness=600.0, damping=4.0)), sample_time=1e-3
+    )
     pushed = loop.simulate(400.0, 5.0, samples=5000, force=1.0)
     assert float(pushed.position[-1]) == pytest.approx(1.0 / (400.0 + held), rel=1e-6)

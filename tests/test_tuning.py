@@ -141,7 +141,7 @@ class TestMinimizeRadius:
         assert int(best.status) == TuningStatus.SCANNED
         assert value < 0.998
         assert truth.spectral_radius(alpha, beta, *plant)[1] < value + 1e-6
-        assert jaxstab.stable_region(*plant, value * 0.999).is_empty
+        assert jaxstab.stable_region(*plant, radius=value * 0.999).is_empty
 
     def test_of_random_plants_is_reached_and_no_region_is_left_below(
         self, rng: np.random.Generator
@@ -155,7 +155,7 @@ class TestMinimizeRadius:
             value = float(best.value)
             reached = truth.spectral_radius(float(best.alpha), float(best.beta), *plant)[1]
             assert float(reached) == pytest.approx(value, rel=1e-3)
-            assert jaxstab.stable_region(*plant, value * 0.999).is_empty
+            assert jaxstab.stable_region(*plant, radius=value * 0.999).is_empty
 
     def test_of_jax_arrays_is_that_of_numpy_also_when_compiled(self) -> None:
         gammas = np.array([1e-3, 1.0, 10.601024803602744])

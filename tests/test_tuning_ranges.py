@@ -90,7 +90,8 @@ def test_of_one_loop_it_is_as_fast_as_the_fastest_wall() -> None:
 def test_loops_of_any_device_have_a_common_wall() -> None:
     loops = [
         HapticLoop(
-            device=Device.mass_spring_damper(mass, 0.1).with_actuator(300.0), sample_time=1e-3
+            device=Device.mass_spring_damper(mass, damping=0.1).with_actuator(300.0),
+            sample_time=1e-3,
         )
         for mass in (0.2, 0.25)
     ]

@@ -119,9 +119,11 @@ def device_of(drawn: devices.Drawn) -> Device:
     modes = [Mode(frequency=f, damping_ratio=z, modal_mass=m) for f, z, m in drawn.modes]
     device = Device.modes(modes, mass=drawn.mass, damping=drawn.damping)
     if drawn.hand is not None:
-        *arm, grip = drawn.hand
-        hand = Hand.mass_spring_damper(*arm)
-        device = device.held_by(hand if grip is None else hand.with_grip(grip[1], grip[0]))
+        mass, damping, stiffness, grip = drawn.hand
+        hand = Hand.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
+        device = device.held_by(
+            hand if grip is None else hand.with_grip(stiffness=grip[1], damping=grip[0])
+        )
     return device if drawn.bandwidth is None else device.with_actuator(drawn.bandwidth)
 
 

@@ -19,7 +19,7 @@ _VALIDITY_LEVELS = {"2": 0.02, "5": 0.05}  # percent, sec. VII
 
 
 def resolved_region(
-    gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
+    gamma: int | float, delta: int | float, delay: int | float, *, radius: int | float = 1.0
 ) -> StableRegion:
     """Return a stable region that is neither empty nor unresolved.
 
@@ -34,7 +34,7 @@ def resolved_region(
         1
     """
     require_x64(gamma, delta, delay, radius)
-    region = _kept_region(float(gamma), float(delta), float(delay), float(radius))
+    region = _kept_region(float(gamma), float(delta), float(delay), radius=float(radius))
     where = f"gamma = {gamma:g}, delta = {delta:g}, delay = {delay:g}, radius = {radius:g}"
     if region.is_empty:
         raise ValueError(f"no wall is stable for {where}; there is nothing to show.")
@@ -44,7 +44,7 @@ def resolved_region(
 
 
 def region_facts(
-    gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
+    gamma: int | float, delta: int | float, delay: int | float, *, radius: int | float = 1.0
 ) -> dict[str, Any]:
     """Return the numbers of a stable region by name: floats, lists of floats, words or None.
 
@@ -68,7 +68,7 @@ def region_facts(
         >>> [round(float(number), 4) for number in facts["largest_alpha"]]
         [0.1522, 0.4233]
     """
-    region = resolved_region(gamma, delta, delay, radius)
+    region = resolved_region(gamma, delta, delay, radius=radius)
     extent = np.ptp(region.points, axis=0)
     point = partial(_point, extent=extent, line=-gamma if radius == 1.0 else None)
     facts: dict[str, Any] = {
@@ -83,7 +83,7 @@ def region_facts(
     }
     if radius == 1.0:
         facts["largest_passive_alpha"] = _point(
-            passive_region(delta, delay, _FINE).max_alpha, extent
+            passive_region(delta, delay, tolerance=_FINE).max_alpha, extent
         )
         for percent, level in _VALIDITY_LEVELS.items():
             limit = linear_validity(level, gamma, delta, delay)

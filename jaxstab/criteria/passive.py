@@ -87,7 +87,7 @@ class PassiveRegion:
 
 
 def passive_region(
-    delta: int | float, delay: int | float = 0.0, tolerance: int | float = 1e-4
+    delta: int | float, delay: int | float = 0.0, *, tolerance: int | float = 1e-4
 ) -> PassiveRegion:
     """Return the set of walls that are passive whatever the mass, stiffness and hand.
 

@@ -36,9 +36,9 @@ _ENOUGH = 0.99  # of the stiffness at which a hand becomes unstable
 def build_guard(
     loop: LoopParameters,
     hands: HandRange,
+    *,
     mass: Range,
     delay: Range,
-    *,
     cells: tuple[int, int, int] = CELLS,
     progress: Callable[[float], None] | None = None,
 ) -> Guard:
@@ -66,7 +66,7 @@ def build_guard(
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-        >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+        >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
         >>> print(f"{guard.largest_stiffness(10.0, 0.25, 1e-3):.0f} N/m")
         4846 N/m
     """

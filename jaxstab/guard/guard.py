@@ -33,7 +33,7 @@ class Guard:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-        >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+        >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
         >>> print(f"{guard.largest_stiffness(20.0, 0.25, 1e-3):.0f} N/m")
         9692 N/m
     """
@@ -61,7 +61,7 @@ class Guard:
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
             >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-            >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+            >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
             >>> guard.largest_stiffness([0.0, 20.0], 0.25, 1.05e-3).round().tolist()
             [0.0, 9430.0]
         """
@@ -107,7 +107,7 @@ class Guard:
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
             >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-            >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+            >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
             >>> place = np.array([0.25]), np.array([1e-3])
             >>> exact = guard.exact_stiffness(np.full((1, 1, 1), 20.0), *place)
             >>> print(f"{float(exact[0, 0, 0]):.3g} N/m")
@@ -125,7 +125,7 @@ class Guard:
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
             >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-            >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+            >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
             >>> round(guard.granted, 2)
             0.89
         """

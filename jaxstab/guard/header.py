@@ -39,7 +39,7 @@ def guard_header(
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-        >>> guard = jaxstab.build_guard(loop, hands, mass, delay, cells=(1, 1, 4))
+        >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
         >>> header = jaxstab.guard_header(guard, "omega_guard")
         >>> "double omega_guard_largest_stiffness(double damping" in header
         True

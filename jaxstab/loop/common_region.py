@@ -150,7 +150,7 @@ def common_region(
         >>> free = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
         >>> loops = [
         ...     jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1e-3)
-        ...     for device in (free, free.held_by(arm.with_grip(2000.0, 4.0)))
+        ...     for device in (free, free.held_by(arm.with_grip(stiffness=2000.0, damping=4.0)))
         ... ]
         >>> jaxstab.common_region(loops).status.name
         'PROVED'

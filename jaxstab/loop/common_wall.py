@@ -138,7 +138,7 @@ def settling_times(
         gamma,
         delta,
         delay,
-        level,
+        level=level,
         excitation=excitation,
         horizon=_MOST,
         **first.filters,

@@ -64,7 +64,9 @@ class LoopInTime(LoopParameters):
             )
         else:
             wall = self._wall(stiffness, damping)
-            samples = motion.settling_samples(*wall, *self.slice, level, **options, **self.filters)
+            samples = motion.settling_samples(
+                *wall, *self.slice, level=level, **options, **self.filters
+            )
         return Settling(samples.value * self.sample_time, samples.status)
 
     def amplitude(

@@ -82,7 +82,7 @@ def _pole_at_minus_one() -> Finding:
 
 
 def _passive(delay: float) -> Finding:
-    largest = passive_region(1.0, delay, 1e-8).outline
+    largest = passive_region(1.0, delay, tolerance=1e-8).outline
     on_axis = largest[np.abs(largest[:, 1]) < 1e-9, 0]
     return number(float(on_axis.max()), 1.0 / (0.5 + delay), 1e-6, 8)
 
@@ -106,7 +106,12 @@ def _frequency() -> Finding:
     """Eq. (25) as printed, beside the poles of the device."""
     mass, damping, stiffness = 0.1, 1.5, 100.0
     printed = sqrt(stiffness / mass - damping**2 / (4.0 * mass))
-    pole = Device.mass_spring_damper(mass, damping, stiffness).poles().imag.max().item()
+    pole = (
+        Device.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
+        .poles()
+        .imag.max()
+        .item()
+    )
     words = f"{pole:.4f} rad/s; printed: {printed:.4f}"
     return Finding(words, f"{printed - pole:.1e}", abs(printed - pole) < _TINY)
 

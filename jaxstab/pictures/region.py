@@ -31,7 +31,7 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
 
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
     """
-    region = resolved_region(gamma, delta, delay, radius)
+    region = resolved_region(gamma, delta, delay, radius=radius)
     figure, ((panel,),) = panels(1, 1, width=1.35, height=1.25)
     inside = "stable region" if radius == 1.0 else f"all roots within {radius:g}"
     panel.plot(*closed_outline(region).T, color=BLUE, label=inside)

@@ -62,7 +62,7 @@ def device_margins(
     Source: lemmas B5, B13 and B14 of docs/proofs.md.
 
     Example:
-        >>> device = jaxstab.Device.mass_spring_damper(0.1, 1.5)
+        >>> device = jaxstab.Device.mass_spring_damper(0.1, damping=1.5)
         >>> device = device.with_actuator(500.0)
         >>> loop = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1.5e-3)
         >>> float(device_margins(loop.sampled, 300.0, 2.0).stiffness_gain)

@@ -148,8 +148,8 @@ def robust_region(
     gamma: Range,
     delta: Range,
     delay: float = 0.0,
-    tolerance: float = 0.02,
     *,
+    tolerance: float = 0.02,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> RobustRegion:

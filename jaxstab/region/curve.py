@@ -72,7 +72,7 @@ class SliceCoefficients(NamedTuple):
 
 
 def boundary_curve(
-    theta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
+    theta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, *, radius: Numbers = 1.0
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid"]]:
     """Return the wall gains (alpha, beta) that put a pair of roots at radius exp(+-i theta).
 
@@ -109,7 +109,7 @@ def boundary_curve(
 
 
 def plus_line(
-    beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
+    beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, *, radius: Numbers = 1.0
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = +radius; for radius 1 it is -gamma.
 
@@ -141,7 +141,7 @@ def plus_line(
 
 
 def minus_line(
-    beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
+    beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, *, radius: Numbers = 1.0
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = -radius.
 

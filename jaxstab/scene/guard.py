@@ -46,8 +46,8 @@ def scene_guard(
     return build_guard(
         loop,
         HandRange(hand.effective_mass, hand.stiffness, hand.damping),
-        masses or (shares[0] * mass, shares[1] * mass),
-        delays or (max(delay - beside * period, 0.0), delay + beside * period),
+        mass=masses or (shares[0] * mass, shares[1] * mass),
+        delay=delays or (max(delay - beside * period, 0.0), delay + beside * period),
         progress=progress,
         **({} if is_plain else {"cells": _DEVICE_CELLS}) | cells,
     )

@@ -140,17 +140,19 @@ def _device(scene: Scene, hand: OneHand) -> Device:
         )
         for mode in table.modes
     ]
-    own = table.effective_mass, table.damping
-    device = Device.mass_spring_damper(*own)
+    mass, damping = table.effective_mass, table.damping
+    device = Device.mass_spring_damper(mass, damping=damping)
     if modes:
-        device = Device.modes(modes, mass=own[0], damping=own[1])
+        device = Device.modes(modes, mass=mass, damping=damping)
     if table.actuator is not None:
         device = device.with_actuator(table.actuator.bandwidth)
     if scene.hand is None:
         return device
-    arm = Arm.mass_spring_damper(hand.mass, hand.damping, hand.stiffness)
+    arm = Arm.mass_spring_damper(hand.mass, damping=hand.damping, stiffness=hand.stiffness)
     grip = scene.hand.grip
-    return device.held_by(arm if grip is None else arm.with_grip(grip.stiffness, grip.damping))
+    return device.held_by(
+        arm if grip is None else arm.with_grip(stiffness=grip.stiffness, damping=grip.damping)
+    )
 
 
 def _check_scale(scene: Scene) -> None:

@@ -71,7 +71,7 @@ class MassLoop(NamedTuple):
     def settling(self, alpha: Any, beta: Any, level: float, excitation: Excitation) -> Settling:
         """Return the settling of walls in samples."""
         loop, filters = self.plant, as_keywords(self.filters)
-        return settling_samples(alpha, beta, *loop, level, excitation=excitation, **filters)
+        return settling_samples(alpha, beta, *loop, level=level, excitation=excitation, **filters)
 
     def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
         """Return how walls, side by side, come to rest."""

@@ -46,7 +46,7 @@ class Device:
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
         >>> device = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
-        >>> print(device.with_actuator(200.0).held_by(arm.with_grip(2000.0, 4.0)))
+        >>> print(device.with_actuator(200.0).held_by(arm.with_grip(stiffness=2000.0, damping=4.0)))
         0.25 kg, 0.1 N s/m; an actuator of 200 Hz; a hand of 1 kg, 5 N s/m, 300 N/m behind a grip
         of 4 N s/m, 2000 N/m
     """
@@ -57,7 +57,7 @@ class Device:
 
     @classmethod
     def mass_spring_damper(
-        cls, mass: float, damping: float = 0.0, stiffness: float = 0.0
+        cls, mass: float, *, damping: float = 0.0, stiffness: float = 0.0
     ) -> "Device":
         """Return a device of one mass.
 
@@ -71,7 +71,7 @@ class Device:
             ValueError: a value is out of range.
 
         Example:
-            >>> print(jaxstab.Device.mass_spring_damper(0.25, 0.1))
+            >>> print(jaxstab.Device.mass_spring_damper(0.25, damping=0.1))
             0.25 kg, 0.1 N s/m
         """
         return cls(
@@ -194,7 +194,7 @@ class Device:
 
         Example:
             >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
-            >>> device = jaxstab.Device.mass_spring_damper(0.25, 0.1).held_by(arm)
+            >>> device = jaxstab.Device.mass_spring_damper(0.25, damping=0.1).held_by(arm)
             >>> device.one_mass()
             MassSpringDamper(mass=1.25, damping=5.1, stiffness=300.0)
         """
@@ -215,7 +215,7 @@ class Device:
             ValueError: it is out of range.
 
         Example:
-            >>> device = jaxstab.Device.mass_spring_damper(0.25, 0.1).with_actuator(500.0)
+            >>> device = jaxstab.Device.mass_spring_damper(0.25, damping=0.1).with_actuator(500.0)
             >>> round(float(abs(device.poles()).max() / (2 * np.pi)))  # Hz
             500
         """
@@ -236,7 +236,7 @@ class Device:
         It is 0 for a free mass, and infinite where a constant force moves nothing.
 
         Example:
-            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1, stiffness=40.0).static_stiffness()
+            >>> jaxstab.Device.mass_spring_damper(0.25, stiffness=40.0).static_stiffness()
             40.0
         """
         import flint
@@ -251,7 +251,7 @@ class Device:
         Each is the nearest complex float64, or a neighbour of it.
 
         Example:
-            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1).poles().real.round(3).tolist()
+            >>> jaxstab.Device.mass_spring_damper(0.25, damping=0.1).poles().real.round(3).tolist()
             [0.0, -0.4]
         """
         balls = [ball for ball, count in _pole_balls(self) for _ in range(count)]
@@ -265,9 +265,9 @@ class Device:
         A free mass is marginal. Poles within 1e-60 rad/s of the imaginary axis count as on it.
 
         Example:
-            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1).stability  # it may drift
+            >>> jaxstab.Device.mass_spring_damper(0.25, damping=0.1).stability  # it may drift
             'marginal'
-            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1, stiffness=40.0).stability
+            >>> jaxstab.Device.mass_spring_damper(0.25, damping=0.1, stiffness=40.0).stability
             'stable'
         """
         parts = [ball.real for ball, _ in _pole_balls(self)]
@@ -279,7 +279,7 @@ class Device:
         """Return device and hands as one mass: glued, without actuators; else None.
 
         Example:
-            >>> jaxstab.Device.mass_spring_damper(0.25, 0.1).one_mass()
+            >>> jaxstab.Device.mass_spring_damper(0.25, damping=0.1).one_mass()
             MassSpringDamper(mass=0.25, damping=0.1, stiffness=0.0)
         """
         parts: list[Any] = [self.mechanism]

@@ -294,8 +294,10 @@ def _of_samples(
 def _device_of(loop: LoopParameters) -> Device:
     if loop.device is not None:
         return loop.device
-    hand = Hand.mass_spring_damper(loop.hand_mass, loop.hand_damping, loop.hand_stiffness)
-    return Device.mass_spring_damper(loop.device_mass, loop.device_damping).held_by(hand)
+    hand = Hand.mass_spring_damper(
+        loop.hand_mass, damping=loop.hand_damping, stiffness=loop.hand_stiffness
+    )
+    return Device.mass_spring_damper(loop.device_mass, damping=loop.device_damping).held_by(hand)
 
 
 def _shared(chain: Filter) -> Filter:

@@ -34,7 +34,7 @@ class Hand:
 
     @classmethod
     def mass_spring_damper(
-        cls, mass: float = 0.0, damping: float = 0.0, stiffness: float = 0.0
+        cls, mass: float = 0.0, *, damping: float = 0.0, stiffness: float = 0.0
     ) -> "Hand":
         """Return an arm of one mass on a spring and a damper to the ground.
 
@@ -79,7 +79,7 @@ class Hand:
         what = "the force on a hand grows with the acceleration at most, two degrees"
         return cls(checked_transfer_function(numerator, denominator, 2, what))
 
-    def with_grip(self, stiffness: float, damping: float = 0.0) -> "Hand":
+    def with_grip(self, *, stiffness: float, damping: float = 0.0) -> "Hand":
         """Return the same arm behind a grip: a spring and a damper side by side, without mass.
 
         Args:
