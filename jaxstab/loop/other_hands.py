@@ -36,9 +36,7 @@ def loops_with_hands(loop: "HapticLoop", device: Device, hands: HandRange) -> Lo
     grip = device.hands[0].grip if device.hands else None
     free = replace(device, hands=())
     first, last = (
-        Hand.mass_spring_damper(
-            *(pair[end] for pair in (hands.mass, hands.damping, hands.stiffness))
-        )
+        Hand.mass_spring_damper(**{name: pair[end] for name, pair in hands._asdict().items()})
         for end in (0, 1)
     )
     return LoopsBetween(
