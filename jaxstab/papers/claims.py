@@ -106,12 +106,8 @@ def _frequency() -> Finding:
     """Eq. (25) as printed, beside the poles of the device."""
     mass, damping, stiffness = 0.1, 1.5, 100.0
     printed = sqrt(stiffness / mass - damping**2 / (4.0 * mass))
-    pole = (
-        Device.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
-        .poles()
-        .imag.max()
-        .item()
-    )
+    device = Device.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
+    pole = device.poles().imag.max().item()
     words = f"{pole:.4f} rad/s; printed: {printed:.4f}"
     return Finding(words, f"{printed - pole:.1e}", abs(printed - pole) < _TINY)
 
