@@ -266,6 +266,8 @@ def test_bad_gains_are_refused(call: Any, message: str) -> None:
 
 
 def test_beyond_the_wall_nothing_is_positional() -> None:
+    with pytest.raises(TypeError, match=r"^HapticLoop\."):
+        HapticLoop(0.25, 0.1, 1e-3)  # type: ignore[misc]
     with pytest.raises(TypeError):
         OMEGA.settling_time(1000.0, 10.0, 0.05)  # type: ignore[misc]
     with pytest.raises(TypeError):

@@ -1,5 +1,6 @@
 """The haptic loop: one value in SI units, its answers as methods."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from jaxtyping import Float64
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 
 @pytree
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)  # a mistake names this class
 class HapticLoop(LoopWithWalls):
     """A haptic device held by a hand, and the sampled loop that renders a virtual wall on it.
 
