@@ -107,6 +107,7 @@ def browser() -> Iterator[Browser]:
 def _arguments(profile: Path) -> list[str]:
     return [
         "--headless=new",
+        "--disable-ipc-flooding-protection",  # a page writes its link after a pause, a test at once
         "--no-sandbox",  # containers often run as root
         "--disable-gpu",
         "--disable-dev-shm-usage",
