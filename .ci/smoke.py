@@ -54,8 +54,10 @@ def answers() -> None:
     assert general.limits().stiffness < loop.limits().stiffness
     jax.config.update("jax_enable_x64", True)
     alpha = np.linspace(0.0, 0.2, 101)
-    radii = jaxstab.spectral_radius(alpha, 0.2, 0.0, 0.015, 1.0).value
-    traced = jax.jit(lambda a: jaxstab.spectral_radius(a, 0.2, 0.0, 0.015, 1.0).value)(alpha)
+    radii = jaxstab.spectral_radius(alpha, 0.2, gamma=0.0, delta=0.015, delay=1.0).value
+    traced = jax.jit(
+        lambda a: jaxstab.spectral_radius(a, 0.2, gamma=0.0, delta=0.015, delay=1.0).value
+    )(alpha)
     assert np.allclose(radii, traced, rtol=0.0, atol=1e-12)
 
 
@@ -70,7 +72,7 @@ def atlas() -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         built = jaxstab.build_atlas(spec, Path(folder) / "atlas.h5")
-        assert built.verdict(0.05, 0.3, 0.0, 0.015, 1.0) == jaxstab.STABLE
+        assert built.verdict(0.05, 0.3, gamma=0.0, delta=0.015, delay=1.0) == jaxstab.STABLE
 
 
 commands()

@@ -15,9 +15,9 @@ hands = jaxstab.HandRange(mass=(0.0, 1.0))
 assert_type(loop.worst_hand(hands, 1000.0, 10.0).verdict, jaxstab.Verdict)
 window = jaxstab.Velocity.difference(window=0.02)
 assert_type(window, jaxstab.Velocity)
-region = jaxstab.stable_region(0.0, 0.015, 1.0, velocity=window.per_sample(1e-3))
+region = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0, velocity=window.per_sample(1e-3))
 assert_type(region, jaxstab.StableRegion)
-radius: Any = jaxstab.spectral_radius(0.1, 0.2, 0.0, 0.015, 1.0).value
+radius: Any = jaxstab.spectral_radius(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0).value
 atlas = jaxstab.open_atlas("atlas.h5")
-assert_type(atlas.query(0.1, 0.2, 0.0, 0.015, 1.0), jaxstab.AtlasAnswer)
+assert_type(atlas.query(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0), jaxstab.AtlasAnswer)
 axes: tuple[str, ...] = jaxstab.AXES

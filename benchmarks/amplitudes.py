@@ -17,6 +17,7 @@ from benchmarks.record import Row
 from benchmarks.truth.disturbed import Disturbance, Disturbed, largest, worst_signals
 from benchmarks.truth.march import Taps, butterworth_taps, difference_taps, low_pass_taps
 from jaxstab import Filter, Velocity, amplitude, stable_region
+from jaxstab.model import by_name
 from jaxstab.point import spectral_radius
 
 _LOOPS, _STARTS = 200, 5000
@@ -43,7 +44,7 @@ def _row(seed: int, loops: int, starts: int) -> Row:
     for _ in range(loops):
         filters, loop = random_case(rng)
         start = process_time()
-        amplitude(*loop.wall, *loop.plant, encoder=1.0, **filters)
+        amplitude(*loop.wall, **by_name(*loop.plant), encoder=1.0, **filters)
         seconds.append(process_time() - start)
         of_signals, share = excess_of_signals(filters, loop)
         tight.append(share)
@@ -79,7 +80,8 @@ def excess_of_signals(filters: dict[str, Any], loop: Disturbed) -> tuple[float, 
     for error, push, rub in causes:
         bound = np.array(
             amplitude(
-                *loop.wall, *loop.plant, encoder=2.0 * error, force_step=2.0 * push, friction=rub,
+                *loop.wall, **by_name(*loop.plant),
+                encoder=2.0 * error, force_step=2.0 * push, friction=rub,
                 **filters,
             )[:3]
         )  # fmt: skip
@@ -107,7 +109,7 @@ def _searched(
     filters: dict[str, Any], loop: Disturbed, runs: int, step: float, rng: np.random.Generator
 ) -> tuple[float, float]:
     samples = _samples(filters, loop)
-    proved = amplitude(*loop.wall, *loop.plant, encoder=1.0, force_step=step, **filters)
+    proved = amplitude(*loop.wall, **by_name(*loop.plant), encoder=1.0, force_step=step, **filters)
     bound = np.array(proved[:3])
     count = runs // _ROUNDS
     states = _random_starts(loop, count, rng)
@@ -137,7 +139,7 @@ def _random_starts(loop: Disturbed, count: int, rng: np.random.Generator) -> np.
 
 def _samples(filters: dict[str, Any], loop: Disturbed) -> int:
     """How many samples a start takes to decay."""
-    radius = float(spectral_radius(*loop.wall, *loop.plant, **filters).value)
+    radius = float(spectral_radius(*loop.wall, **by_name(*loop.plant), **filters).value)
     return round(np.log(_DECAYED) / np.log(radius)) + 50
 
 
@@ -148,12 +150,12 @@ def random_case(rng: np.random.Generator) -> Case:
         gamma = float(rng.choice([0.0, 10.0 ** rng.uniform(-6.0, -1.0)]))
         delta = 10.0 ** rng.uniform(-4.0, -1.0)
         delay = float(rng.choice([0.0, 1.0, 2.0, rng.uniform(0.0, 2.5)]))
-        region = stable_region(gamma, delta, delay, **filters)
+        region = stable_region(gamma=gamma, delta=delta, delay=delay, **filters)
         if region.is_empty or not np.isfinite(region.max_alpha[0]):
             continue
         stiffest = region.max_alpha
         wall = stiffest[0] * rng.uniform(0.05, 0.98), stiffest[1] * rng.uniform(0.5, 1.3)
-        radius = spectral_radius(*wall, gamma, delta, delay, **filters).value
+        radius = spectral_radius(*wall, gamma=gamma, delta=delta, delay=delay, **filters).value
         if radius < _SLOWEST:
             plant = gamma, delta, delay
             return filters, Disturbed((float(wall[0]), float(wall[1])), plant, velocity, position)
@@ -166,11 +168,11 @@ def _random_filters(rng: np.random.Generator) -> tuple[dict[str, Any], list[Taps
         velocity, taps = Velocity.difference(samples=samples), [difference_taps(samples)]
     elif kind == "low pass":
         order = int(rng.integers(1, 3))
-        velocity = Velocity.low_pass(cutoff, order)
+        velocity = Velocity.low_pass(cutoff, order=order)
         taps = [difference_taps(1), *[low_pass_taps(cutoff)] * order]
     elif kind == "Butterworth":
         order = int(rng.integers(1, 5))
-        velocity = Velocity.butterworth(cutoff, order)
+        velocity = Velocity.butterworth(cutoff, order=order)
         taps = [difference_taps(1), *butterworth_taps(cutoff, order)]
     elif kind == "exponential":
         factor = float(rng.uniform(0.1, 0.9))

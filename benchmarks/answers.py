@@ -18,6 +18,7 @@ import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
 from jaxstab.conventions import UNDECIDED
+from jaxstab.model import by_name
 
 MEASURE = "share of random points without a right verdict: undecided or wrong"
 RADIUS_MEASURE = "share of random points without a radius, or with one outside of its bound"
@@ -68,8 +69,10 @@ def _opening(path: Path, atlas: jaxstab.Atlas) -> dict[str, float]:
     timings = interleaved(
         {
             "opening_seconds": lambda: jaxstab.open_atlas(path),
-            "opening_and_verdict_seconds": lambda: jaxstab.open_atlas(path).verdict(*point),
-            "opening_and_query_seconds": lambda: jaxstab.open_atlas(path).query(*point),
+            "opening_and_verdict_seconds": lambda: jaxstab.open_atlas(path).verdict(
+                **by_name(*point)
+            ),
+            "opening_and_query_seconds": lambda: jaxstab.open_atlas(path).query(**by_name(*point)),
         },
         budget=1.0,
     )
@@ -80,14 +83,14 @@ def _rows(atlas: jaxstab.Atlas, section: str, lists: list[Points], small: bool) 
     """Ask lists of points of one length; the first one is timed."""
     points = lists[0][0].size
     ones = list(zip(*(values[:_ONE_BY_ONE].tolist() for values in lists[0]), strict=True))
-    exact = [np.asarray(jaxstab.verdict(*some, resolve="exact")) for some in lists]
-    said = [atlas.verdict(*some) for some in lists]
+    exact = [np.asarray(jaxstab.verdict(**by_name(*some), resolve="exact")) for some in lists]
+    said = [atlas.verdict(**by_name(*some)) for some in lists]
     asked = [values[: _FEW_RADII if small else _RADII] for values in lists[0]]
     rivals: dict[str, Callable[[], Any]] = {
-        "atlas, many points": lambda: atlas.verdict(*lists[0]),
-        "atlas, radii": lambda: atlas.query(*asked),
-        "atlas, one by one": lambda: [atlas.verdict(*point) for point in ones],
-        "verdict": lambda: jaxstab.verdict(*lists[0]),
+        "atlas, many points": lambda: atlas.verdict(**by_name(*lists[0])),
+        "atlas, radii": lambda: atlas.query(**by_name(*asked)),
+        "atlas, one by one": lambda: [atlas.verdict(**by_name(*point)) for point in ones],
+        "verdict": lambda: jaxstab.verdict(**by_name(*lists[0])),
     }
     timings = interleaved(rivals, budget=0.1 if small else 2.0)
     one_by_one = np.array(timings["atlas, one by one"].answer)
@@ -125,7 +128,7 @@ def _ends_at(atlas: jaxstab.Atlas, delay: np.ndarray) -> np.ndarray:
 def _beside_limits(atlas: jaxstab.Atlas, rng: np.random.Generator, points: Points) -> Points:
     """Move alpha next to the lower or the upper limit, as far as its error, or less, or more."""
     alpha, *others = points
-    limits = atlas.alpha_limits(*others)
+    limits = atlas.alpha_limits(**by_name(*others))
     is_upper = rng.random(alpha.size) < 0.5
     limit = np.where(is_upper, limits.upper, limits.lower)
     error = np.where(is_upper, limits.upper_error, limits.lower_error)
@@ -192,7 +195,7 @@ _PLACES: dict[str, Callable[[jaxstab.Atlas, np.random.Generator, Points], Points
 
 
 def _radius_row(section: str, delay: float, timing: Timing, asked: Points) -> Row:
-    answer, exact = timing.answer, jaxstab.spectral_radius(*asked)
+    answer, exact = timing.answer, jaxstab.spectral_radius(**by_name(*asked))
     radius, error = np.asarray(exact.value), np.asarray(exact.error)
     is_known = np.isfinite(answer.radius_error)
     off = np.abs(answer.spectral_radius - radius)

@@ -87,7 +87,7 @@ def _decay(family: LoopFamily) -> Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 def verdict_grid(alpha: np.ndarray, beta: np.ndarray, delay: float) -> Outline:
     """Contour certified verdicts on a grid."""
-    codes = np.asarray(jaxstab.verdict(alpha, beta[:, None], GAMMA, DELTA, delay))
+    codes = np.asarray(jaxstab.verdict(alpha, beta[:, None], gamma=GAMMA, delta=DELTA, delay=delay))
     return contour(alpha, beta, _UNSTABLE_IS_ONE[codes])
 
 
@@ -108,7 +108,7 @@ def _traced(exact: ExactSlice, resolution: float) -> Outline:
 
 
 def _closed_form(delay: float, points: int) -> jax.Array:
-    region = region_outline(jax.numpy.asarray(GAMMA), DELTA, delay, points=points)
+    region = region_outline(gamma=jax.numpy.asarray(GAMMA), delta=DELTA, delay=delay, points=points)
     return region.outline.vertices
 
 
@@ -157,9 +157,9 @@ def _region_rows(exact: ExactSlice, small: bool) -> Iterator[Row]:
 
 
 def _stable_region(delay: float, tolerance: float) -> np.ndarray:
-    return stable_region(GAMMA, DELTA, delay, tolerance=tolerance).points
+    return stable_region(gamma=GAMMA, delta=DELTA, delay=delay, tolerance=tolerance).points
 
 
 def _vertices(delay: float, gamma: jax.Array, delta: jax.Array) -> jax.Array:
-    region = region_outline(gamma, delta, delay, points=_OUTLINE_POINTS)
+    region = region_outline(gamma=gamma, delta=delta, delay=delay, points=_OUTLINE_POINTS)
     return region.outline.vertices

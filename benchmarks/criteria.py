@@ -16,6 +16,7 @@ from benchmarks.record import Row
 from benchmarks.truth import NotCertain
 from benchmarks.truth.validity import first_rise, random_questions
 from jaxstab.criteria import LinearValidity, ValidityStatus, linear_validity
+from jaxstab.model import by_name
 
 _QUESTIONS, _SMALL = 100_000, 200
 _CHUNK = 10_000
@@ -32,7 +33,7 @@ def _row(seed: int, count: int) -> Row:
     questions = random_questions(np.random.default_rng([20120412, seed]), count)
     start, raised, answer = perf_counter(), 0, None
     try:
-        answer = linear_validity(*questions)
+        answer = linear_validity(questions[0], **by_name(*questions[1:]))
     except (ArithmeticError, ValueError, RuntimeError) as error:
         raised = 1
         print(f"seed {seed}: {error!r}")

@@ -145,7 +145,7 @@ def _of_slice(timings: dict[str, Timing], points: dict[str, int]) -> Row:
 
 
 def _verdict(velocity: Velocity, alpha: np.ndarray, beta: np.ndarray) -> Any:
-    return jaxstab.verdict(alpha, beta, GAMMA, DELTA, DELAY, velocity=velocity)
+    return jaxstab.verdict(alpha, beta, gamma=GAMMA, delta=DELTA, delay=DELAY, velocity=velocity)
 
 
 def _codes(poles: Any) -> np.ndarray:

@@ -20,6 +20,7 @@ from benchmarks.timing import interleaved
 from jaxstab import verdict
 from jaxstab.atlas.compute.verdicts import node_verdicts, undecided_nodes
 from jaxstab.conventions import STABLE, UNSTABLE
+from jaxstab.model import by_name
 
 GAMMA, DELTA = 1e-3, 0.015
 MEASURE = "share of sampled nodes next to the boundary with a wrong or no verdict"
@@ -54,7 +55,7 @@ class Slice(NamedTuple):
 
     def dense(self) -> np.ndarray:
         point = (self.alpha[:, None], self.beta, self.gamma, self.delta, self.delay)
-        return np.asarray(verdict(*point, resolve="exact"))
+        return np.asarray(verdict(**by_name(*point), resolve="exact"))
 
 
 def rows(small: bool) -> Iterator[Row]:

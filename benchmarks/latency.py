@@ -93,8 +93,8 @@ def _command(*words: str) -> tuple[str, ...]:
 
 
 def _questions() -> list[Question]:
-    five = f"{ALPHA}, {BETA}, {GAMMA}, {DELTA}, {float(DELAY)}"
-    three = f"{GAMMA}, {DELTA}, {float(DELAY)}"
+    slice_ = f"gamma={GAMMA}, delta={DELTA}, delay={float(DELAY)}"
+    five = f"{ALPHA}, {BETA}, {slice_}"
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     snippet = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)[0]
     atlas = str(ROOT / "data" / "golden")
@@ -112,7 +112,7 @@ def _questions() -> list[Question]:
             f"print(float(jaxstab.spectral_radius({five}).value))"
         ), _judge_radius, "spectral_radius"),
         Question("stable_region", 2.0, _python(
-            f"print(float(jaxstab.stable_region({three}).max_alpha[0]))"
+            f"print(float(jaxstab.stable_region({slice_}).max_alpha[0]))"
         ), _judge_largest, "outline"),
         Question("margins", 2.0, _python(
             f"print(loop.alpha(float(loop.margins({_WALL}).stiffness[1])))"
@@ -125,7 +125,8 @@ def _questions() -> list[Question]:
             "print(best.radius, loop.alpha(best.stiffness), loop.beta(best.damping))"
         ), _judge_best, "best_gains"),
         Question("robust_region", 4.0, _python(
-            f"region = jaxstab.robust_region((0.0, {GAMMA}), (0.0, 0.015), {float(DELAY)})\n"
+            f"slice_ = dict(gamma=(0.0, {GAMMA}), delta=(0.0, 0.015), delay={float(DELAY)})\n"
+            "region = jaxstab.robust_region(**slice_)\n"
             "print(float(region.max_alpha[0]))"
         ), _judge_robust, "robust_region"),
         Question("README's first snippet", 3.0, ("-c", snippet)),

@@ -21,6 +21,7 @@ from benchmarks.record import Row
 from benchmarks.rivals import largest_modulus
 from benchmarks.timing import interleaved
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model import by_name
 
 MEASURE = "share of random points without a right verdict: undecided or wrong"
 GAMMA_END, DELTA_END = 1e-3, 0.015
@@ -133,7 +134,7 @@ def _methods(atlas: jaxstab.Atlas, asked: Asked) -> dict[str, tuple[Callable[[],
     """Return the ways to answer, each with the bytes that it keeps."""
     nodes = tuple(atlas.nodes(0).values())
     codes = atlas.arrays["verdict"][..., 0]
-    radius = np.asarray(jaxstab.spectral_radius(*np.ix_(*nodes), asked.delay).value)
+    radius = np.asarray(jaxstab.spectral_radius(**by_name(*np.ix_(*nodes), asked.delay)).value)
     linear = RegularGridInterpolator(nodes, radius, bounds_error=False)
     in_memory = sum(array.nbytes for array in atlas.arrays.values())
     return {
@@ -146,7 +147,7 @@ def _methods(atlas: jaxstab.Atlas, asked: Asked) -> dict[str, tuple[Callable[[],
 
 
 def _of_atlas(atlas: jaxstab.Atlas, asked: Asked) -> Answer:
-    answer = atlas.query(*asked.axes, asked.delay, outside="undecided")
+    answer = atlas.query(**by_name(*asked.axes, asked.delay), outside="undecided")
     return Answer(answer.verdict, answer.spectral_radius)
 
 
@@ -164,7 +165,7 @@ def _of_interpolator(linear: RegularGridInterpolator, asked: Asked) -> Answer:
 
 
 def _of_verdict(asked: Asked) -> Answer:
-    codes = np.asarray(jaxstab.verdict(*asked.axes, asked.delay))
+    codes = np.asarray(jaxstab.verdict(**by_name(*asked.axes, asked.delay)))
     return Answer(codes, np.full(codes.shape, np.nan))
 
 
@@ -182,7 +183,7 @@ def _eigenvalue_radius(axes: tuple[np.ndarray, ...], delay: float) -> np.ndarray
     found = []
     for start in range(0, axes[0].size, _BATCH):
         part = (axis[start : start + _BATCH] for axis in axes)
-        coefficients = jaxstab.characteristic_polynomial(*part, delay)
+        coefficients = jaxstab.characteristic_polynomial(**by_name(*part, delay))
         companions = np.asarray(jaxstab.companion_matrix(coefficients))
         found.append(largest_modulus(np.linalg.eigvals(companions)))
     return np.concatenate(found)

@@ -21,7 +21,7 @@ from benchmarks.record import Row
 from benchmarks.rivals import largest_modulus
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
-from jaxstab.model import characteristic_polynomial, companion_matrix
+from jaxstab.model import by_name, characteristic_polynomial, companion_matrix
 from jaxstab.ranges import HandRange, RobustLimit
 from jaxstab.ranges.first_crossings import WAYS, first_crossings
 from jaxstab.region import RegionStatus, stable_region
@@ -78,7 +78,7 @@ def is_limit_wrong(
     loop: HapticLoop, hands: HandRange, answer: RobustLimit, rng: np.random.Generator
 ) -> bool:
     """Whether a hand refutes the proved wall, or a wall the limit."""
-    choices = [[*ends, rng.uniform(*ends)] for ends in hands for _ in range(_HANDS)]
+    choices = [[*ends, rng.uniform(*ends)] for ends in vars(hands).values() for _ in range(_HANDS)]
     drawn = np.array([rng.choice(ends) for ends in choices]).reshape(3, -1).T
     sample = [answer.loop, *(_held(loop, hand) for hand in drawn)]
     if answer.is_proved:
@@ -90,7 +90,9 @@ def is_limit_wrong(
     if not answer.limit > 0.0:
         return False
     stiffness, damping = answer.limit * _STIFFER[:, None], loop.damping(_DAMPINGS)
-    corners = np.unique(np.stack(np.meshgrid(*hands), axis=-1).reshape(-1, 3), axis=0)
+    corners = np.unique(
+        np.stack(np.meshgrid(*vars(hands).values()), axis=-1).reshape(-1, 3), axis=0
+    )
     few = [*sample[:_FEW], *(_held(loop, corner) for corner in corners)]
     radii = np.max([_radii(one, stiffness, damping) for one in few], axis=0)
     likely = np.argsort(radii, axis=None)[:_LIKELY]
@@ -177,7 +179,7 @@ def _smallest_on_circle(point: list[float]) -> float:
 
 def _radii(loop: HapticLoop, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
     plant = loop.gamma, loop.delta, loop.delay_samples
-    walls = characteristic_polynomial(loop.alpha(stiffness), loop.beta(damping), *plant)
+    walls = characteristic_polynomial(loop.alpha(stiffness), loop.beta(damping), **by_name(*plant))
     return largest_modulus(np.linalg.eigvals(companion_matrix(walls)))
 
 
@@ -188,7 +190,7 @@ def _random_wall(rng: np.random.Generator) -> Wall:
     gamma = float(rng.choice(hands))
     delta = float(rng.choice([10 ** rng.uniform(-4, 0), rng.uniform(0, 2)]))
     delay = float(rng.choice([rng.integers(0, 8), rng.uniform(0, 8)]))
-    region = stable_region(gamma, delta, delay)
+    region = stable_region(gamma=gamma, delta=delta, delay=delay)
     edge = region.points[np.isfinite(region.points[:, 0])]
     if region.status != RegionStatus.COMPLETE or len(edge) < 2:
         return _random_wall(rng)
@@ -207,7 +209,8 @@ def _random_range(rng: np.random.Generator) -> tuple[HapticLoop, HandRange]:
     )
     stiffest = rng.choice([10 ** rng.uniform(-3, 0), rng.uniform(1, 12)])
     ends = rng.uniform(0, 3), stiffest, rng.uniform(0, 1)
-    return loop, HandRange(*((0.0, float(end * rng.integers(0, 2))) for end in ends))
+    ranges = [(0.0, float(end * rng.integers(0, 2))) for end in ends]
+    return loop, HandRange(mass=ranges[0], stiffness=ranges[1], damping=ranges[2])
 
 
 def _held(loop: HapticLoop, hand: np.ndarray | list[float]) -> HapticLoop:

@@ -101,7 +101,7 @@ def tally(place: Slice, rng: np.random.Generator) -> Tally:
     """Judge one slice at random points."""
     start = perf_counter()
     gamma, delta, delay, radius = place
-    region = stable_region(gamma, delta, delay, radius=radius)
+    region = stable_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     seconds = perf_counter() - start
     status = RegionStatus(int(region.status))
     balls = FilteredLoop(gamma, delta, delay, difference(1), average(1)).balls()

@@ -19,6 +19,7 @@ import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model import by_name
 
 MEASURE = "share of random points without a right verdict: undecided or wrong"
 
@@ -45,7 +46,7 @@ def rows(small: bool) -> Iterator[Row]:
             walls = list(atlases["verdict"][0].nodes(0).values())[:2]
             points = 500 if small else _POINTS
             asked = [rng.uniform(nodes[0], nodes[-1], points) for nodes in walls]
-            true = np.asarray(jaxstab.verdict(*asked, *_HAND, _DELAY, resolve="exact"))
+            true = np.asarray(jaxstab.verdict(**by_name(*asked, *_HAND, _DELAY), resolve="exact"))
         yield from _rows(count, _rivals(atlases, asked), true, small)
 
 
@@ -73,7 +74,8 @@ def _rivals(
     nodes = list(atlas.nodes(0).values())[:2]
     codes = atlas.arrays["verdict"][:, :, 0, 0, 0]
     cells = atlas.arrays["cell_verdict"][:, :, 0, 0, 0]
-    radii = partial(jaxstab.spectral_radius, nodes[0][:, None], nodes[1], *_HAND, _DELAY)
+    slice_ = by_name(*_HAND, _DELAY)
+    radii = partial(jaxstab.spectral_radius, nodes[0][:, None], nodes[1], **slice_)
     timing = interleaved({"radii": radii}, budget=0.0, least=2, most=2)["radii"]
     radius, radius_seconds = np.asarray(timing.answer.value), min(timing.cpu_seconds)
     linear = RegularGridInterpolator(nodes, radius)
@@ -83,7 +85,7 @@ def _rivals(
         "linear radius": Rival(partial(_by_radius, linear, asked), radius.nbytes, radius_seconds),
         "proved cells": Rival(partial(_by_cells, nodes, cells, asked), cells.nbytes, seconds),
         "proved limits": Rival(
-            partial(limits.verdict, *asked, *_HAND, _DELAY),
+            partial(limits.verdict, *asked, **slice_),
             limits.arrays["alpha_limits"].nbytes,
             limit_seconds,
         ),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import jaxstab
+from jaxstab.model import by_name
 
 LAPACK_WORK = 2e4  # points times degree squared of a timed call: as short as those of jaxstab
 _BATCH = 1 << 15  # matrices per call of LAPACK, so that memory stays bounded
@@ -39,7 +40,7 @@ class LoopFamily:
     ) -> None:
         plant = gamma, delta, delay
         alpha, beta = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
-        parts = jaxstab.characteristic_polynomial(alpha, beta, *plant, velocity=velocity)
+        parts = jaxstab.characteristic_polynomial(alpha, beta, **by_name(*plant), velocity=velocity)
         plant, with_alpha, with_beta = np.asarray(parts)
         self.plant, self.alpha, self.beta = plant, with_alpha - plant, with_beta - plant
 

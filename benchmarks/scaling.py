@@ -20,6 +20,7 @@ from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily
 from benchmarks.timing import Timing, interleaved
 from jaxstab.conventions import STABLE, UNSTABLE
+from jaxstab.model import by_name
 from jaxstab.region import boundary_curve
 
 GAMMA, DELTA = 1e-3, 0.015
@@ -51,7 +52,7 @@ def streamed_rows(count: int, judged: int) -> list[Row]:
     timing = interleaved({"streamed": call}, budget=5.0, least=1, most=5)["streamed"]
     peak_mib = _peak_mib()
     points = _sampled(axes, judged)
-    codes = np.asarray(jaxstab.verdict(*points, GAMMA, DELTA, _STREAM_DELAY))
+    codes = np.asarray(jaxstab.verdict(*points, gamma=GAMMA, delta=DELTA, delay=_STREAM_DELAY))
     row = _row("points", "streamed verdict", _STREAM_DELAY, axes[0].size * axes[1].size, timing)
     row |= _wrong_share(codes, points, _STREAM_DELAY)
     row |= {"stable_points": timing.answer, "start_mib": start_mib, "peak_mib": peak_mib}
@@ -66,16 +67,20 @@ def delay_rows(delay: float, side: int, judged: int) -> list[Row]:
     some = family.companions(*_sampled(axes, min(few, side**2)))
     start_mib = _peak_mib()
     calls: dict[str, Callable[[], Any]] = {
-        "verdict": lambda: jaxstab.verdict(*axes, GAMMA, DELTA, delay),
-        "spectral_radius": lambda: jaxstab.spectral_radius(*axes, GAMMA, DELTA, delay),
+        "verdict": lambda: jaxstab.verdict(*axes, gamma=GAMMA, delta=DELTA, delay=delay),
+        "spectral_radius": lambda: jaxstab.spectral_radius(
+            *axes, gamma=GAMMA, delta=DELTA, delay=delay
+        ),
         "numpy eigvals": lambda: np.linalg.eigvals(some),
     }
     timings = interleaved(calls, budget=1.0, most=20)
     memory = {"start_mib": start_mib, "peak_mib": _peak_mib()}
     points = _sampled(axes, judged)
     exact = np.array([_true_radius(*point, delay) for point in zip(*points, strict=True)])
-    radius = np.asarray(jaxstab.spectral_radius(*points, GAMMA, DELTA, delay).value)
-    codes = np.asarray(jaxstab.verdict(*points, GAMMA, DELTA, delay))
+    radius = np.asarray(
+        jaxstab.spectral_radius(*points, gamma=GAMMA, delta=DELTA, delay=delay).value
+    )
+    codes = np.asarray(jaxstab.verdict(*points, gamma=GAMMA, delta=DELTA, delay=delay))
     errors = {
         "verdict": _wrong_share(codes, points, delay),
         "spectral_radius": _radius_error(radius, exact),
@@ -90,14 +95,18 @@ def delay_rows(delay: float, side: int, judged: int) -> list[Row]:
 
 def _streamed(axes: Axes) -> int:
     """Return how many points are stable, chunk after chunk."""
-    chunks = jaxstab.sweep(jaxstab.verdict, *axes, GAMMA, DELTA, _STREAM_DELAY, chunk=_CHUNK)
+    chunks = jaxstab.sweep(
+        jaxstab.verdict, **by_name(*axes, GAMMA, DELTA, _STREAM_DELAY), chunk=_CHUNK
+    )
     return sum(int(np.count_nonzero(np.asarray(codes) == STABLE)) for _, codes in chunks)
 
 
 def _axes(delay: float, side: int) -> Axes:
     """Return the axes of a square grid around the stable region."""
     angles = np.linspace(0.0, 1.0, 200) * np.pi / (2.0 * delay + 2.0)
-    alpha, beta = (np.asarray(v) for v in boundary_curve(angles, GAMMA, DELTA, delay))
+    alpha, beta = (
+        np.asarray(v) for v in boundary_curve(angles, gamma=GAMMA, delta=DELTA, delay=delay)
+    )
     return (
         np.linspace(-2.0 * GAMMA, 1.1 * alpha.max(), side)[:, None],
         np.linspace(1.1 * beta.min(), 1.1 * beta.max(), side),

@@ -165,13 +165,15 @@ def _methods(exact: ExactSlice, side: int) -> list[Method]:
 
 
 def _verdict(delay: float, alpha: np.ndarray, beta: np.ndarray) -> jax.Array:
-    return jaxstab.verdict(alpha, beta, GAMMA, DELTA, delay)
+    return jaxstab.verdict(alpha, beta, gamma=GAMMA, delta=DELTA, delay=delay)
 
 
 def _radius(
     delay: float, alpha: np.ndarray, beta: np.ndarray, method: str = "fast"
 ) -> jaxstab.SpectralRadius:
-    return jaxstab.spectral_radius(alpha, beta, GAMMA, DELTA, delay, method=method)
+    return jaxstab.spectral_radius(
+        alpha, beta, gamma=GAMMA, delta=DELTA, delay=delay, method=method
+    )
 
 
 # ---------------------------------------------------------------------------------------- errors

@@ -25,6 +25,7 @@ from benchmarks.record import Row
 from benchmarks.truth.filtered import FilteredLoop
 from benchmarks.truth.random_loops import MassLoop
 from jaxstab import Verdict, verdict
+from jaxstab.model import by_name
 from jaxstab.region import StableRegion, stable_region
 from jaxstab.tuning import TuningStatus, minimize_radius
 
@@ -104,15 +105,15 @@ def random_plant(rng: np.random.Generator, first: int, stop: int) -> Plant:
 def tally(plant: Plant, rng: np.random.Generator) -> Tally:
     """Judge one plant."""
     start = process_time()
-    best = minimize_radius(*plant)
+    best = minimize_radius(**by_name(*plant))
     seconds = process_time() - start
     status, value = TuningStatus(int(best.status)), float(best.value)
     if status == TuningStatus.NO_STABLE_GAINS:
-        missed = not stable_region(*plant).is_empty
+        missed = not stable_region(**by_name(*plant)).is_empty
         return Tally(status, False, False, missed, 0.0, seconds)
     gains = np.array([float(best.alpha), float(best.beta)])
     reached = float(truth.spectral_radius(*gains.tolist(), *plant)[1])
-    below = stable_region(*plant, radius=value * (1.0 - _ALLOWED))
+    below = stable_region(**by_name(*plant), radius=value * (1.0 - _ALLOWED))
     found = min(
         descent(family(plant), start, rng)[0]
         for start in (gains, np.zeros(2), rng.normal(size=2) * max(1.0, plant[0], *abs(gains)))
@@ -127,7 +128,7 @@ def filtered_tally(loop: MassLoop, rng: np.random.Generator) -> Tally:
     exact = FilteredLoop(*loop.plant, *truths)
     region = loop.region()
     start = process_time()
-    best = minimize_radius(*loop.plant, velocity=velocity, position=position)
+    best = minimize_radius(**by_name(*loop.plant), velocity=velocity, position=position)
     seconds = process_time() - start
     status, value = TuningStatus(int(best.status)), float(best.value)
     main = region.main
@@ -157,7 +158,7 @@ def _has_a_proved_wall(loop: MassLoop, main: StableRegion, rng: np.random.Genera
     low, high = main.points.min(axis=0), main.points.max(axis=0)
     walls = (low + (high - low) * rng.random((_WALLS, 2))).T
     velocity, position, _ = loop.filters
-    codes = verdict(*walls, *loop.plant, velocity=velocity, position=position)
+    codes = verdict(*walls, **by_name(*loop.plant), velocity=velocity, position=position)
     return bool(np.any(main.contains(*walls) & (codes == Verdict.STABLE)))
 
 

@@ -91,7 +91,9 @@ def _codes(
         points = zip(alpha.tolist(), beta.tolist(), strict=True)
         return np.array([true_code(plant.polynomial(a, b, delay)) for a, b in points])
     resolve = "exact" if method == "verdict, exact" else None
-    return np.asarray(jaxstab.verdict(alpha, beta, gamma, delta, delay, resolve=resolve))
+    return np.asarray(
+        jaxstab.verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, resolve=resolve)
+    )
 
 
 def _share(undecided: np.ndarray, chosen: np.ndarray) -> float:

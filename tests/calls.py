@@ -16,35 +16,39 @@ import jaxstab
 from jaxstab.arrays import leaves
 
 COMPUTING_CALLS: dict[str, list[Any]] = {
-    "boundary_curve": [1.0, 0.001, 0.015, 1.0],
-    "minus_line": [0.1, 0.001, 0.015, 1.0],
-    "plus_line": [0.1, 0.001, 0.015, 1.0],
-    "region_outline": [0.001, 0.015, 1.0],
-    "stable_region": [0.001, 0.015, 1.0],
-    "plant_coefficients": [0.001, 0.015],
-    "characteristic_polynomial": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "boundary_curve": [1.0, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "minus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "plus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "region_outline": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "stable_region": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "plant_coefficients": [{"gamma": 0.001, "delta": 0.015}],
+    "characteristic_polynomial": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "companion_matrix": [[1.0, -0.5, 0.25]],
-    "closed_loop_poles": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "spectral_radius": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "is_stable": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "sweep": ["function", 0.1, 0.2, 0.001, 0.015, 1.0],
-    "verdict": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "settling_samples": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "amplitude": [0.1, 0.2, 0.001, 0.015, 1.0, {"encoder": 1.0, "friction": 0.01}],
-    "dominant_mode": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "minimize_radius": [0.001, 0.015, 1.0],
-    "minimize_radius_damping": [0.1, 0.001, 0.015, 1.0],
-    "minimize_settling": [0.001, 0.015, 1.0],
-    "margins": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "linear_alpha_limit": [0.2, 0.015, 1.0],
-    "linear_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "linear_error": [0.1, 0.2, 0.001, 0.015, 1.0],
-    "linear_validity": [0.02, 0.001, 0.015, 1.0],
-    "passive_region": [0.015, 1.0],
-    "region_facts": [0.001, 0.015, 1.0],
-    "resolved_region": [0.001, 0.015, 1.0],
-    "robust_region": [(0.0, 0.001), (0.0, 0.015), 1.0],
-    "routh_hurwitz_condition": [0.1, 0.2, 0.001, 0.015, 1.0],
+    "closed_loop_poles": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "spectral_radius": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "is_stable": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "sweep": ["function", 0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "verdict": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "settling_samples": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "amplitude": [
+        0.1,
+        0.2,
+        {"gamma": 0.001, "delta": 0.015, "delay": 1.0, "encoder": 1.0, "friction": 0.01},
+    ],
+    "dominant_mode": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "minimize_radius": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "minimize_radius_damping": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "minimize_settling": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "margins": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "linear_alpha_limit": [0.2, {"delta": 0.015, "delay": 1.0}],
+    "linear_condition": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "linear_error": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "linear_validity": [0.02, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "passive_region": [{"delta": 0.015, "delay": 1.0}],
+    "region_facts": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "resolved_region": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "robust_region": [{"gamma": (0.0, 0.001), "delta": (0.0, 0.015), "delay": 1.0}],
+    "routh_hurwitz_condition": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "trace_boundary": [
         ("gamma", "delta"),
         ((0.0, 1.0), (0.0, 1.0)),
@@ -97,9 +101,10 @@ def outcome(name: str, array: Callable[[Any], Any] | None = None) -> str:
         given = [
             OBJECTS[value]() if isinstance(value, str) else value for value in COMPUTING_CALLS[name]
         ]
+        options = given.pop() if isinstance(given[-1], dict) else {}
         if array is not None:
             given = [array(value) if _are_numbers(value) else value for value in given]
-        options = given.pop() if isinstance(given[-1], dict) else {}
+            options = {k: array(v) if _are_numbers(v) else v for k, v in options.items()}
         return as_text(attrgetter(name)(jaxstab)(*given, **options))
     except Exception as error:  # noqa: BLE001
         return f"{type(error).__name__}: {error}"

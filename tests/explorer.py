@@ -61,7 +61,7 @@ def velocity_of(estimator: dict[str, Any]) -> jaxstab.Velocity:
     if estimator["cutoff"]:
         is_butterworth = estimator["kind"] == "butterworth"
         make = jaxstab.Filter.butterworth if is_butterworth else jaxstab.Filter.low_pass
-        velocity *= make(estimator["cutoff"], estimator["order"])
+        velocity *= make(estimator["cutoff"], order=estimator["order"])
     if estimator["factor"] < 1.0:
         velocity *= jaxstab.Filter.exponential(estimator["factor"])
     return velocity
@@ -167,7 +167,7 @@ def _in_balls(case: Setup, angles: list[float], bits: int = 400) -> tuple[np.nda
     if estimator["cutoff"]:
         is_butterworth = estimator["kind"] == "butterworth"
         make = filtered.butterworth if is_butterworth else filtered.low_pass
-        parts.append(make(estimator["cutoff"], estimator["order"]))
+        parts.append(make(estimator["cutoff"], order=estimator["order"]))
     if estimator["factor"] < 1.0:
         parts.append(filtered.exponential(estimator["factor"]))
     loop = filtered.FilteredLoop(

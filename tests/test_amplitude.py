@@ -14,6 +14,7 @@ import jaxstab
 from benchmarks.amplitudes import excess_of_runs, excess_of_signals, random_case
 from benchmarks.truth import impulse
 from jaxstab import AmplitudeStatus, Filter, HapticLoop, Velocity, amplitude
+from jaxstab.model import by_name
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, tune_walls
 from jaxstab.tuning import TuningStatus
@@ -24,7 +25,7 @@ CASES: dict[str, Case] = {
     "plain": ({}, [impulse.difference(1)], []),
     "window": ({"velocity": Velocity.difference(samples=20)}, [impulse.difference(20)], []),
     "low pass": (
-        {"velocity": Velocity.low_pass(0.05, 2)},
+        {"velocity": Velocity.low_pass(0.05, order=2)},
         [impulse.difference(1), *[impulse.low_pass(math.exp(-0.1 * math.pi))] * 2],
         [],
     ),
@@ -53,7 +54,7 @@ def test_force_is_the_sum_of_moduli_to_50_digits(
     filters, velocity, position = CASES[case]
     exact = impulse.ExactLoop(*loop, velocity, position)
     for size, cause in (({"encoder": 2.0}, {"error": 1.0}), ({"force_step": 2.0}, {"pushed": 1.0})):
-        bound = amplitude(*loop, **size, **filters)
+        bound = amplitude(**by_name(*loop), **size, **filters)
         sums = exact.sums(LONG, **cause)
         assert int(bound.status) == AmplitudeStatus.PROVED
         with mp.workdps(impulse.DIGITS):
@@ -96,24 +97,24 @@ def test_next_to_the_boundary_is_still_proved(distance: float, looser: float) ->
     loop = EDGE * (1.0 - distance), 0.3, 0.0, 4e-4, 1.0
     exact = impulse.ExactLoop(*loop, [impulse.difference(1)])
     first = [float(x) for x, _, _ in exact.response(1000, error=1.0)]
-    pole = complex(jaxstab.closed_loop_poles(*loop)[0])
-    radius = float(jaxstab.spectral_radius(*loop).value)
+    pole = complex(jaxstab.closed_loop_poles(**by_name(*loop))[0])
+    radius = float(jaxstab.spectral_radius(**by_name(*loop)).value)
     angle, (a, b) = abs(np.angle(pole)), first[-2:]
     cosine, sine = a, (b / radius - a * math.cos(angle)) / math.sin(angle)
     later = np.arange(1, 1 << 22, dtype=float)
     moduli = np.abs(cosine * np.cos(angle * later) + sine * np.sin(angle * later))
     total = np.abs(first[:-1]).sum() + moduli.mean() * radius / (1.0 - radius)
-    bound = amplitude(*loop, encoder=2.0)
+    bound = amplitude(**by_name(*loop), encoder=2.0)
     assert total * (1.0 - 1e-4) < float(bound.position) < total * (1.1 + looser)
 
 
 def test_at_the_boundary_and_beyond_nothing_is_proved() -> None:
     alpha = np.array([0.13, EDGE * (1.0 + 1e-9), 0.2, 10.0, 1e6])
-    found = amplitude(alpha, 0.3, 0.0, 4e-4, 1.0, encoder=1.0, friction=0.1)
+    found = amplitude(alpha, 0.3, gamma=0.0, delta=4e-4, delay=1.0, encoder=1.0, friction=0.1)
     assert found.status.tolist() == [1, 2, 2, 2, 2]
     for values in found[:3]:
         assert np.isfinite(values).tolist() == [True, False, False, False, False]
-    creeping = amplitude(0.0, 0.5, 0.0, 0.0, 0.0, encoder=1.0)
+    creeping = amplitude(0.0, 0.5, gamma=0.0, delta=0.0, delay=0.0, encoder=1.0)
     assert int(creeping.status) == AmplitudeStatus.NOT_PROVED
     assert "too close" in AmplitudeStatus(int(creeping.status)).words
 
@@ -122,22 +123,25 @@ def test_a_grid_has_the_bounds_of_each_loop() -> None:
     window = Velocity.difference(samples=4)
     alpha, delay = np.array([[0.002], [0.02], [0.5]]), np.array([0.0, 1.0, 1.5, 3.0])
     sizes = {"encoder": 1.0, "force_step": 0.01, "friction": np.array([0.0, 0.0, 1e-3, 2e-3])}
-    together = amplitude(alpha, 0.1, 1e-3, 0.01, delay, **sizes, velocity=window)
+    together = amplitude(alpha, 0.1, gamma=1e-3, delta=0.01, delay=delay, **sizes, velocity=window)
     assert together.position.shape == (3, 4)
     for row, column in np.ndindex(3, 4):
         rubbing = {"friction": sizes["friction"][column]}
         wall = alpha[row, 0], 0.1, 1e-3, 0.01, delay[column]
-        alone = amplitude(*wall, **(sizes | rubbing), velocity=window)
+        alone = amplitude(**by_name(*wall), **(sizes | rubbing), velocity=window)
         for one, other in zip(alone, together, strict=True):
             np.testing.assert_allclose(other[row, column], one, rtol=1e-6)
 
 
 def test_disturbances_add_up_and_errors_of_a_position_are_alike() -> None:
     loop = 0.004, 0.06, 1e-3, 0.015, 1.3
-    rounded, noisy = amplitude(*loop, encoder=2.0), amplitude(*loop, noise=1.0)
+    rounded, noisy = (
+        amplitude(**by_name(*loop), encoder=2.0),
+        amplitude(**by_name(*loop), noise=1.0),
+    )
     assert rounded[:3] == noisy[:3]
-    pushed = amplitude(*loop, force_step=0.2, friction=0.01)
-    both = amplitude(*loop, encoder=2.0, force_step=0.2, friction=0.01)
+    pushed = amplitude(**by_name(*loop), force_step=0.2, friction=0.01)
+    both = amplitude(**by_name(*loop), encoder=2.0, force_step=0.2, friction=0.01)
     for one, other, total in zip(rounded[:3], pushed[:3], both[:3], strict=True):
         assert float(total) == pytest.approx(float(one + other), rel=1e-9)
 
@@ -152,8 +156,8 @@ def test_in_si_units_is_the_same_in_other_units() -> None:
     unit = 0.25 / 1e-6
     sizes |= {"force_step": 0.01 / unit, "friction": 0.2 / unit}
     samples = Velocity.difference(samples=5)
-    wall = np.array([1000.0, 2000.0]) / unit, 20.0 / 250.0, *loop.slice
-    same = amplitude(*wall, **sizes, velocity=samples)
+    wall = np.array([1000.0, 2000.0]) / unit, 20.0 / 250.0
+    same = amplitude(*wall, **loop.slice, **sizes, velocity=samples)
     np.testing.assert_allclose(found.position, same.position, rtol=1e-9)
     np.testing.assert_allclose(found.velocity, same.velocity * 1e3, rtol=1e-9)
     np.testing.assert_allclose(found.force, same.force * unit, rtol=1e-9)
@@ -161,7 +165,7 @@ def test_in_si_units_is_the_same_in_other_units() -> None:
 
 def test_jax_arrays_give_jax_arrays_also_when_compiled() -> None:
     def position(alpha: Any) -> Any:
-        return amplitude(alpha, 0.06, 1e-3, 0.015, 1.0, encoder=1.0).position
+        return amplitude(alpha, 0.06, gamma=1e-3, delta=0.015, delay=1.0, encoder=1.0).position
 
     walls = jnp.array([0.004, 0.005, 0.5])
     expected = position(np.asarray(walls))
@@ -180,7 +184,7 @@ def test_jax_arrays_give_jax_arrays_also_when_compiled() -> None:
 )
 def test_refuses_what_is_no_disturbance(sizes: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        amplitude(0.004, 0.06, 1e-3, 0.015, 1.0, **sizes)
+        amplitude(0.004, 0.06, gamma=1e-3, delta=0.015, delay=1.0, **sizes)
 
 
 SCENE = {
@@ -290,7 +294,7 @@ def test_tune_of_a_scene_keeps_to_its_limit() -> None:
 
 def test_jax_refuses_derivatives_that_are_not_known() -> None:
     def position(alpha: jax.Array, encoder: jax.Array) -> jax.Array:
-        return amplitude(alpha, 0.5, 0.0, 0.015, 0.0, encoder=encoder).position
+        return amplitude(alpha, 0.5, gamma=0.0, delta=0.015, delay=0.0, encoder=encoder).position
 
     wall, resolution = jnp.asarray(0.1), jnp.asarray(2.0)
     by_resolution = jax.grad(position, argnums=1)(wall, resolution)

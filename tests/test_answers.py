@@ -15,6 +15,7 @@ from benchmarks import truth
 from jaxstab import HapticLoop
 from jaxstab.cli.main import main
 from jaxstab.conventions import Verdict
+from jaxstab.model import by_name
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.scene import EXAMPLE, Scene, check_walls, scene_limits
@@ -292,7 +293,7 @@ def test_the_radius_that_tune_prints_is_that_of_the_gains_that_it_prints() -> No
     lines = dict(printed("tune", *PHANTOM)[:6])  # of the smallest radius
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
     gains = loop.alpha(number(lines["stiffness"])), loop.beta(number(lines["damping"]))
-    radius = spectral_radius(*gains, loop.gamma, loop.delta, loop.delay_samples)
+    radius = spectral_radius(*gains, gamma=loop.gamma, delta=loop.delta, delay=loop.delay_samples)
     assert number(lines["spectral radius"]) == pytest.approx(float(radius.value), abs=1e-6)
     exact = answered("tune", *PHANTOM)["least_radius"]
     assert exact["rounded"]["stiffness"] == number(lines["stiffness"])
@@ -313,7 +314,7 @@ def test_printed_limits_are_rounded_inwards(delay: str) -> None:
     inwards = 1e-9 * (high - low)  # off the line alpha = -gamma itself
     for end in (low + inwards, high):
         point = (end * 1e-5, 7e-2, 123e-5, 1.5e-2, float(delay) * 1e3)
-        assert verdict(*point) in (Verdict.STABLE, Verdict.UNDECIDED)
+        assert verdict(**by_name(*point)) in (Verdict.STABLE, Verdict.UNDECIDED)
     design = [*scene[:-2], "--stiffness", "1000"]
     shown, found = dict(printed("design", *design)), answered("design", *design)
     for quantity in ("sample time", "delay"):

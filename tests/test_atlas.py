@@ -221,10 +221,10 @@ def test_text_is_no_number(atlas: Atlas) -> None:
 
 def test_queries_broadcast_and_may_be_empty(atlas: Atlas) -> None:
     nodes = atlas.nodes(0)
-    answer = atlas.query(nodes["alpha"], nodes["beta"][:, None], 0.0, 0.005, 0.0)
+    answer = atlas.query(nodes["alpha"], nodes["beta"][:, None], gamma=0.0, delta=0.005, delay=0.0)
     assert answer.verdict.shape == answer.status.shape == (20, 24)
     assert answer.verdict.dtype == answer.status.dtype == np.int8
-    assert atlas.query([], 0.1, 0.0, 0.0, [0.0]).spectral_radius.shape == (0,)
+    assert atlas.query([], 0.1, gamma=0.0, delta=0.0, delay=[0.0]).spectral_radius.shape == (0,)
     assert all(status.words for status in QueryStatus)
 
 
@@ -261,7 +261,7 @@ def test_an_answer_needs_no_jax(tmp_path: Path) -> None:
         "    sys.modules[name] = None\n"
         "import jaxstab\n"
         "atlas = jaxstab.open_atlas(sys.argv[1])\n"
-        "print(atlas.query(0.1, 0.5, 0.0005, 0.01, 0.0).verdict)\n"
+        "print(atlas.query(0.1, 0.5, gamma=0.0005, delta=0.01, delay=0.0).verdict)\n"
     )
     path = write_small(tmp_path)
     completed = subprocess.run(

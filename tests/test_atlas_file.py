@@ -30,6 +30,7 @@ from jaxstab.atlas.compute.products import compute_tile
 from jaxstab.atlas.format import footer, schema
 from jaxstab.atlas.read import file
 from jaxstab.atlas.write.verify import verify_atlas
+from jaxstab.model import by_name
 
 FOREIGN = {
     "empty": b"",
@@ -234,11 +235,11 @@ def test_a_code_that_is_none_is_refused_when_it_is_asked_for(name: str, tmp_path
 def test_whatever_becomes_of_the_file_an_opened_atlas_answers_as_before(tmp_path: Path) -> None:
     path = write_small(tmp_path)
     whole, point = ask_for_all(path), (0.1, 0.5, 0.0005, 0.01, 0.0)
-    known = open_atlas(path).query(*point)
+    known = open_atlas(path).query(**by_name(*point))
     atlas = open_atlas(path)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2] + bytes(len(data)))
-    answer = atlas.query(*point)
+    answer = atlas.query(**by_name(*point))
     assert answer.verdict == known.verdict
     assert answer.spectral_radius == known.spectral_radius
     path.unlink()
@@ -289,8 +290,8 @@ def test_what_is_too_large_is_refused_and_the_rest_answers(
     atlas = open_atlas(path)
     size = 4 * prod(atlas.arrays[name].size for name in schema.RADIUS_CELL)
     assert f"has {size} bytes of radius_kind" in refusal(
-        path, lambda _: atlas.query(0.1, 0.5, 0.0005, 0.01, 0.0)
+        path, lambda _: atlas.query(0.1, 0.5, gamma=0.0005, delta=0.01, delay=0.0)
     )
-    assert atlas.verdict(0.1, 0.5, 0.0005, 0.01, 0.0) == jaxstab.STABLE
+    assert atlas.verdict(0.1, 0.5, gamma=0.0005, delta=0.01, delay=0.0) == jaxstab.STABLE
     with pytest.raises(KeyError):
         atlas.arrays["passengers"]

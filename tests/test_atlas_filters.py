@@ -10,6 +10,7 @@ import jaxstab
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import AtlasSpec, Filter, FittedAxis, Velocity
 from jaxstab.cli.main import main
+from jaxstab.model import by_name
 
 WINDOW = Path(__file__).resolve().parents[1] / "data" / "golden" / "atlas-v3-window.h5"
 FIVE = Velocity.difference(samples=5)
@@ -29,13 +30,15 @@ def atlas() -> jaxstab.Atlas:
         ("[velocity]\nwindow_samples = 20", Velocity.difference(samples=20), None),
         (
             "[velocity]\nwindow_samples = 4\ncutoff = 0.1\norder = 2\nfactor = 0.5",
-            Velocity.difference(samples=4) * Filter.low_pass(0.1, 2) * Filter.exponential(0.5),
+            Velocity.difference(samples=4)
+            * Filter.low_pass(0.1, order=2)
+            * Filter.exponential(0.5),
             None,
         ),
         (
             '[position]\ncutoff = 0.2\norder = 3\nkind = "butterworth"',
             None,
-            Filter.butterworth(0.2, 3),
+            Filter.butterworth(0.2, order=3),
         ),
         (
             "[velocity]\nnumerator = [1.0, 0.0, -1.0]\ndenominator = [2.0, 0.0, 0.0]\n"
@@ -92,13 +95,15 @@ def test_a_bad_filter_is_refused_in_a_sentence(text: str, words: str) -> None:
 def test_an_atlas_answers_for_its_estimator(atlas: jaxstab.Atlas, rng: np.random.Generator) -> None:
     for number, delay in enumerate(atlas.delays.tolist()):
         points = [rng.uniform(axis[0], axis[-1], 4000) for axis in atlas.nodes(number).values()]
-        answer = atlas.query(*points, delay)
-        exact = jaxstab.verdict(*points, delay, velocity=FIVE)
+        answer = atlas.query(**by_name(*points, delay))
+        exact = jaxstab.verdict(**by_name(*points, delay), velocity=FIVE)
         is_decided = np.isin(answer.verdict, (jaxstab.STABLE, jaxstab.UNSTABLE))
         assert np.mean(is_decided) > 0.97
         assert not np.any(is_decided & (answer.verdict != exact) & (exact != jaxstab.UNDECIDED))
-        assert np.any(exact != jaxstab.verdict(*points, delay))  # for the other loop it were wrong
-        radius = jaxstab.spectral_radius(*points, delay, velocity=FIVE)
+        assert np.any(
+            exact != jaxstab.verdict(**by_name(*points, delay))
+        )  # for the other loop it were wrong
+        radius = jaxstab.spectral_radius(**by_name(*points, delay), velocity=FIVE)
         aside = np.abs(answer.spectral_radius - radius.value)
         assert np.all(aside <= answer.radius_error + radius.error)
 
@@ -110,7 +115,7 @@ def test_answers_hold_against_certified_roots(
     judged = 0
     for _ in range(60):
         alpha, beta, gamma, delta = (rng.uniform(axis[0], axis[-1]) for axis in nodes.values())
-        code = atlas.verdict(alpha, beta, gamma, delta, 1.0)
+        code = atlas.verdict(alpha, beta, gamma=gamma, delta=delta, delay=1.0)
         true = FilteredLoop(gamma, delta, 1.0, difference(5), average(1)).code(alpha, beta)
         if code != jaxstab.UNDECIDED and true != jaxstab.UNDECIDED:
             assert code == true
@@ -120,22 +125,26 @@ def test_answers_hold_against_certified_roots(
 
 def test_a_question_about_another_estimator_is_refused(atlas: jaxstab.Atlas) -> None:
     point = (0.01, 0.1, 0.0004, 0.007, 1.0)
-    named = atlas.query(*point, velocity=FIVE)
-    assert named.verdict == atlas.query(*point).verdict == atlas.verdict(*point, velocity=FIVE)
+    named = atlas.query(**by_name(*point), velocity=FIVE)
+    assert (
+        named.verdict
+        == atlas.query(**by_name(*point)).verdict
+        == atlas.verdict(**by_name(*point), velocity=FIVE)
+    )
     for ask in (atlas.query, atlas.verdict):
         with pytest.raises(ValueError, match=r"window of 10 samples.*this atlas is of.* of 5 sam"):
-            ask(*point, velocity=Velocity.difference(samples=10))
+            ask(**by_name(*point), velocity=Velocity.difference(samples=10))
         with pytest.raises(ValueError, match=r"position: a low pass at 0\.1 of the sampling rate"):
-            ask(*point, velocity=FIVE, position=Filter.low_pass(0.1))
+            ask(**by_name(*point), velocity=FIVE, position=Filter.low_pass(0.1))
 
 
 def test_what_it_leaves_open_is_computed_for_its_estimator(atlas: jaxstab.Atlas) -> None:
     delay, hand = 1.0, (0.0002, 0.003)
-    limits = atlas.alpha_limits(0.1, *hand, delay)
+    limits = atlas.alpha_limits(0.1, **by_name(*hand, delay))
     point = (float(limits.upper), 0.1, *hand, delay)
-    assert atlas.query(*point).verdict == jaxstab.UNDECIDED
-    exact = jaxstab.verdict(*point, velocity=FIVE)
-    assert atlas.query(*point, exact=True).verdict == exact != jaxstab.UNDECIDED
+    assert atlas.query(**by_name(*point)).verdict == jaxstab.UNDECIDED
+    exact = jaxstab.verdict(**by_name(*point), velocity=FIVE)
+    assert atlas.query(**by_name(*point), exact=True).verdict == exact != jaxstab.UNDECIDED
 
 
 def test_the_file_says_its_estimator_in_words_and_numbers(atlas: jaxstab.Atlas) -> None:

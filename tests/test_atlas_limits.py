@@ -8,6 +8,7 @@ from jaxstab import AXES, STABLE, UNDECIDED, UNSTABLE, Atlas, QueryStatus, stabl
 from jaxstab.atlas.format.schema import PRODUCTS
 from jaxstab.atlas.read import file
 from jaxstab.atlas.read.answer import checked_range
+from jaxstab.model import by_name
 
 DELAYS = (0.0, 1.5)
 FEW = 20_000  # points that NumPy computes
@@ -28,61 +29,61 @@ def test_verdicts_by_limits_are_those_of_the_certified_recursion(
     atlas: Atlas, delay: float, rng: np.random.Generator
 ) -> None:
     points = random_points(atlas, delay, 100_000, rng)
-    answered = atlas.verdict(*points, delay)
+    answered = atlas.verdict(**by_name(*points, delay))
     assert np.mean(answered != UNDECIDED) > 0.9965  # 0.99704 of the box at delay 1.5
     some = [values[:FEW] for values in points]
-    answered, computed = answered[:FEW], verdict(*some, delay, resolve="exact")
+    answered, computed = answered[:FEW], verdict(**by_name(*some, delay), resolve="exact")
     decided = answered != UNDECIDED
     np.testing.assert_array_equal(answered[decided], computed[decided])
 
 
 def test_one_point_and_many_are_answered_alike(atlas: Atlas, rng: np.random.Generator) -> None:
     points = random_points(atlas, 1.5, 500, rng)
-    many = atlas.verdict(*points, 1.5)
-    np.testing.assert_array_equal(many, atlas.query(*points, 1.5).verdict)
+    many = atlas.verdict(**by_name(*points, 1.5))
+    np.testing.assert_array_equal(many, atlas.query(**by_name(*points, 1.5)).verdict)
     for index in range(500):
-        one = atlas.verdict(*(float(values[index]) for values in points), 1.5)
+        one = atlas.verdict(**by_name(*(float(values[index]) for values in points), 1.5))
         assert one == many[index]
         assert one.dtype == np.int8
-    assert atlas.verdict(np.zeros((0, 3)), 0.3, 0.0, 0.0, 0).shape == (0, 3)
+    assert atlas.verdict(np.zeros((0, 3)), 0.3, gamma=0.0, delta=0.0, delay=0).shape == (0, 3)
 
 
 def test_every_edge_of_a_cell_belongs_to_it(atlas: Atlas) -> None:
     nodes = atlas.nodes(0)
     beta = np.linspace(nodes["beta"][0], nodes["beta"][-1], 193)
     points = np.meshgrid(nodes["alpha"], beta, nodes["gamma"], nodes["delta"])
-    answered = atlas.verdict(*points, 0.0)
+    answered = atlas.verdict(**by_name(*points, 0.0))
     assert np.mean(answered == UNDECIDED) < 0.05  # alpha = -gamma is an edge of the region
-    computed = np.asarray(verdict(*points, 0.0, resolve="exact"))
+    computed = np.asarray(verdict(**by_name(*points, 0.0), resolve="exact"))
     decided = answered != UNDECIDED
     np.testing.assert_array_equal(answered[decided], computed[decided])
 
 
 def test_what_is_left_open_can_be_settled(atlas: Atlas) -> None:
-    region = stable_region(0.0005, 0.004, 0.0)
+    region = stable_region(gamma=0.0005, delta=0.004, delay=0.0)
     alpha, beta = (float(gain) for gain in region.max_alpha)
     for factor, code in ((1 - 1e-9, STABLE), (1 + 1e-9, UNSTABLE)):
         point = (alpha * factor, beta, 0.0005, 0.004, 0.0)
-        assert atlas.verdict(*point) == UNDECIDED
-        assert atlas.verdict(*point, exact=True) == code
-        answer = atlas.query(*point, exact=True)
+        assert atlas.verdict(**by_name(*point)) == UNDECIDED
+        assert atlas.verdict(**by_name(*point), exact=True) == code
+        answer = atlas.query(**by_name(*point), exact=True)
         assert (answer.verdict, answer.status) == (code, QueryStatus.EXACT)
-    between = atlas.query(0.05, 0.3, 0.0005, 0.004, 0.75, exact=True)
+    between = atlas.query(0.05, 0.3, gamma=0.0005, delta=0.004, delay=0.75, exact=True)
     assert (between.verdict, between.status) == (STABLE, QueryStatus.EXACT)
 
 
 @pytest.mark.parametrize("delay", DELAYS)
 def test_limits_hold_the_exact_ones(atlas: Atlas, delay: float) -> None:
     for gamma, delta in ((0.0, 0.0), (0.0004, 0.0123), (0.001, 0.005)):
-        region = stable_region(gamma, delta, delay)
+        region = stable_region(gamma=gamma, delta=delta, delay=delay)
         beta = np.linspace(0.05, 0.25, 7)
-        found = atlas.alpha_limits(beta, gamma, delta, delay)
+        found = atlas.alpha_limits(beta, gamma=gamma, delta=delta, delay=delay)
         for index, row in enumerate(beta.tolist()):
             low, high = (float(limit) for limit in region.alpha_limits(row))
             assert abs(found.lower[index] - low) <= found.lower_error[index] + 1e-15
             assert abs(found.upper[index] - high) <= found.upper_error[index] + 1e-15
             assert found.upper_error[index] < 0.01 * high
-        largest = atlas.max_alpha(gamma, delta, delay)
+        largest = atlas.max_alpha(gamma=gamma, delta=delta, delay=delay)
         exact = float(region.max_alpha[0])
         assert largest.alpha <= exact * (1 + 1e-14) <= largest.bound * (1 + 2e-14)
         assert largest.bound - largest.alpha < 0.01 * exact
@@ -90,37 +91,55 @@ def test_limits_hold_the_exact_ones(atlas: Atlas, delay: float) -> None:
 
 def test_a_row_without_a_stable_alpha_has_no_limits(atlas: Atlas) -> None:
     beta = atlas.nodes(0)["beta"][-1]
-    found = atlas.alpha_limits(beta, 0.0, 0.0, 0.0)
+    found = atlas.alpha_limits(beta, gamma=0.0, delta=0.0, delay=0.0)
     assert np.isnan(found.lower)
     assert np.isnan(found.upper)
 
 
 def test_the_worst_of_many_hands_decides(atlas: Atlas, rng: np.random.Generator) -> None:
     gamma, delta = (0.0002, 0.0009), (0.001, 0.012)
-    low, high = atlas.common_alpha_limits(0.3, gamma, delta, 1.5)
+    low, high = atlas.common_alpha_limits(0.3, gamma=gamma, delta=delta, delay=1.5)
     hands = rng.uniform(*gamma, 2000), rng.uniform(*delta, 2000)
     for alpha in (low + 1e-12, high - 1e-12):
-        codes = np.asarray(verdict(alpha, 0.3, *hands, 1.5))
+        codes = np.asarray(verdict(alpha, 0.3, **by_name(*hands, 1.5)))
         assert np.all(codes == STABLE)
-        assert atlas.worst_verdict(alpha, 0.3, gamma, delta, 1.5) == STABLE
-    assert atlas.worst_verdict(high * 1.05, 0.3, gamma, delta, 1.5) == UNSTABLE
-    worst = min(float(stable_region(g, d, 1.5).alpha_limits(0.3)[1]) for g in gamma for d in delta)
+        assert atlas.worst_verdict(alpha, 0.3, gamma=gamma, delta=delta, delay=1.5) == STABLE
+    assert atlas.worst_verdict(high * 1.05, 0.3, gamma=gamma, delta=delta, delay=1.5) == UNSTABLE
+    worst = min(
+        float(stable_region(gamma=g, delta=d, delay=1.5).alpha_limits(0.3)[1])
+        for g in gamma
+        for d in delta
+    )
     assert 0.99 * worst < high <= worst
 
 
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda atlas: atlas.alpha_limits(np.nan, 0.0, 0.0, 0.0), "beta is nan"),
-        (lambda atlas: atlas.alpha_limits(0.1, 1.0, 0.0, 0.0), "gamma is 1.0, and this atlas"),
-        (lambda atlas: atlas.alpha_limits(0.1, 0.0, 0.0, 0.5), "delay is 0.5; this atlas has"),
-        (lambda atlas: atlas.max_alpha(0.0, -1.0, 0.0), "delta is -1.0, and this atlas"),
+        (lambda atlas: atlas.alpha_limits(np.nan, gamma=0.0, delta=0.0, delay=0.0), "beta is nan"),
         (
-            lambda atlas: atlas.worst_verdict(0.1, 0.1, (0.001, 0.0), (0.0, 0.01), 0.0),
+            lambda atlas: atlas.alpha_limits(0.1, gamma=1.0, delta=0.0, delay=0.0),
+            "gamma is 1.0, and this atlas",
+        ),
+        (
+            lambda atlas: atlas.alpha_limits(0.1, gamma=0.0, delta=0.0, delay=0.5),
+            "delay is 0.5; this atlas has",
+        ),
+        (
+            lambda atlas: atlas.max_alpha(gamma=0.0, delta=-1.0, delay=0.0),
+            "delta is -1.0, and this atlas",
+        ),
+        (
+            lambda atlas: atlas.worst_verdict(
+                0.1, 0.1, gamma=(0.001, 0.0), delta=(0.0, 0.01), delay=0.0
+            ),
             "gamma is .0.001, 0.0.; give its lowest and its highest",
         ),
-        (lambda atlas: atlas.verdict(9.0, 0.1, 0.0, 0.0, 0.0), "alpha is 9.0, and this atlas"),
-        (lambda atlas: atlas.verdict(np.nan, 0.1, 0.0, 0.0, 0.0), "alpha is nan"),
+        (
+            lambda atlas: atlas.verdict(9.0, 0.1, gamma=0.0, delta=0.0, delay=0.0),
+            "alpha is 9.0, and this atlas",
+        ),
+        (lambda atlas: atlas.verdict(np.nan, 0.1, gamma=0.0, delta=0.0, delay=0.0), "alpha is nan"),
     ],
 )
 def test_questions_that_cannot_be_answered_are_refused(atlas: Atlas, ask, words: str) -> None:
@@ -133,8 +152,14 @@ def test_questions_that_cannot_be_answered_are_refused(atlas: Atlas, ask, words:
     [
         (lambda _: checked_range("gamma", np.int8(0)), "gamma is np.int8.0.; give its lowest"),
         (lambda _: checked_range("gamma", (0.0, 0.1, 0.2)), "gamma is .0.0, 0.1, 0.2.; give its"),
-        (lambda a: a.query(np.ma.array([0.1], mask=[1]), 0.1, 0, 0, 0), "alpha is a masked array"),
-        (lambda a: a.verdict(0.1, 0.1, 0, 0, 10**400), "delay is 10000.*; give real numbers"),
+        (
+            lambda a: a.query(np.ma.array([0.1], mask=[1]), 0.1, gamma=0, delta=0, delay=0),
+            "alpha is a masked array",
+        ),
+        (
+            lambda a: a.verdict(0.1, 0.1, gamma=0, delta=0, delay=10**400),
+            "delay is 10000.*; give real numbers",
+        ),
     ],
 )
 def test_what_is_no_number_is_refused_by_its_name(atlas: Atlas, ask, words: str) -> None:
@@ -150,7 +175,7 @@ def test_without_the_product_there_are_verdicts_but_no_limits() -> None:
     point = dict(zip(AXES, (0.1, 0.3, 0.0005, 0.004, 0.0), strict=True))
     assert atlas.verdict(**point) == STABLE
     with pytest.raises(ValueError, match="holds no limits of alpha"):
-        atlas.max_alpha(0.0, 0.0, 0.0)
+        atlas.max_alpha(gamma=0.0, delta=0.0, delay=0.0)
 
 
 # -------------------------------------------------------------------------------- between delays
@@ -177,39 +202,42 @@ def test_verdicts_between_delays_are_those_of_the_recursion(
     moving: Atlas, rng: np.random.Generator
 ) -> None:
     points = points_between(moving, 6000, rng)
-    assert np.mean(moving.verdict(*points) != UNDECIDED) > 0.99
-    at = moving.alpha_limits(*(values[:3000] for values in points[1:]))
+    assert np.mean(moving.verdict(**by_name(*points)) != UNDECIDED) > 0.99
+    at = moving.alpha_limits(**by_name(*(values[:3000] for values in points[1:])))
     with np.errstate(invalid="ignore"):
         beside = rng.choice([at.lower + 1.01 * at.lower_error, at.upper - 1.01 * at.upper_error])
     points[0][:3000] = np.where(np.isfinite(beside), beside, points[0][:3000])
-    answered = moving.query(*points, outside="undecided").verdict
-    exact = np.asarray(verdict(*points, resolve="exact"))
+    answered = moving.query(**by_name(*points), outside="undecided").verdict
+    exact = np.asarray(verdict(**by_name(*points), resolve="exact"))
     decided = answered != UNDECIDED
     np.testing.assert_array_equal(answered[decided], exact[decided])
 
 
 def test_limits_between_delays_hold_the_exact_ones(moving: Atlas) -> None:
     delays = np.array([0.0, 0.3, 0.999, 1.0, 1.37, 1.5])
-    found = moving.alpha_limits(0.3, 0.0004, 0.003, delays)
+    found = moving.alpha_limits(0.3, gamma=0.0004, delta=0.003, delay=delays)
     for index, delay in enumerate(delays.tolist()):
-        region = stable_region(0.0004, 0.003, delay)
+        region = stable_region(gamma=0.0004, delta=0.003, delay=delay)
         low, high = (float(limit) for limit in region.alpha_limits(0.3))
         assert abs(found.lower[index] - low) <= found.lower_error[index] + 1e-15
         assert abs(found.upper[index] - high) <= found.upper_error[index] <= 0.02 * high
-        largest = moving.max_alpha(0.0004, 0.003, delay)
+        largest = moving.max_alpha(gamma=0.0004, delta=0.003, delay=delay)
         assert largest.alpha <= float(region.max_alpha[0]) <= largest.bound
 
 
 def test_a_delay_is_a_number_or_an_array(moving: Atlas, rng: np.random.Generator) -> None:
     points = points_between(moving, 300, rng)
-    many = moving.verdict(*points)
-    np.testing.assert_array_equal(many, moving.query(*points).verdict)
+    many = moving.verdict(**by_name(*points))
+    np.testing.assert_array_equal(many, moving.query(**by_name(*points)).verdict)
     for index, point in enumerate(zip(*(values.tolist() for values in points), strict=True)):
-        assert moving.verdict(*point) == many[index]
-    status = moving.query(*points).status
+        assert moving.verdict(**by_name(*point)) == many[index]
+    status = moving.query(**by_name(*points)).status
     assert set(status.tolist()) <= {QueryStatus.CELL, QueryStatus.UNDECIDED_CELL}
-    assert moving.worst_verdict(0.05, 0.3, (0.0, 0.001), (0.001, 0.01), 1.37) == STABLE
+    assert (
+        moving.worst_verdict(0.05, 0.3, gamma=(0.0, 0.001), delta=(0.001, 0.01), delay=1.37)
+        == STABLE
+    )
     with pytest.raises(ValueError, match=r"^alpha is 0.5, and .* at delay 1.37; ask inside"):
-        moving.verdict(0.5, 0.3, 0.0, 0.0, 1.37)
+        moving.verdict(0.5, 0.3, gamma=0.0, delta=0.0, delay=1.37)
     with pytest.raises(ValueError, match=r"^delay is 1.6, and this atlas reaches from 0.0 to 1.5"):
-        moving.alpha_limits(0.3, 0.0, 0.0, [0.3, 1.6])
+        moving.alpha_limits(0.3, gamma=0.0, delta=0.0, delay=[0.3, 1.6])

@@ -11,6 +11,7 @@ from commands import assert_one_sentence, run, run_code, run_process
 
 import jaxstab
 from jaxstab import AtlasSpec, FittedAxis, HapticLoop, LoopAtlas, Velocity, Verdict
+from jaxstab.model import by_name
 from jaxstab.scene import Scene
 from jaxstab.scene.atlas import atlas_spec, spec_text
 from jaxstab.scene.members import corners_of, loop_of_member
@@ -121,7 +122,7 @@ def test_walls_are_clamped_to_stable_ones(file: Path) -> None:
         stays = view.verdict(wanted, given, "undecided") == Verdict.STABLE
         assert np.array_equal(left.stiffness[stays], wanted[stays])
         assert np.array_equal(left.damping[stays], given[stays])
-        own = view.atlas.clamp(loop.alpha(wanted), loop.beta(given), *view._plant)
+        own = view.atlas.clamp(loop.alpha(wanted), loop.beta(given), **view._slice)
         assert np.mean(is_left == (own.verdict == Verdict.STABLE)) > 0.99
         both = is_left & (own.verdict == Verdict.STABLE)
         assert left.stiffness[both] == pytest.approx(loop.stiffness(own.alpha[both]), rel=1e-6)
@@ -136,11 +137,15 @@ def test_gains_that_are_no_gains_are_not_clamped() -> None:
         with pytest.raises(ValueError, match=r"stiffness|damping"):
             view.clamp(*wall)
         with pytest.raises(ValueError, match=r"alpha|beta"):
-            atlas.clamp(*wall, 0.0005, 0.01, 1.0)
+            atlas.clamp(*wall, gamma=0.0005, delta=0.01, delay=1.0)
     for plant in ((1.0, 0.01, 1.0), (0.0005, 1.0, 1.0), (0.0005, 0.01, 9.0)):
         with pytest.raises(ValueError, match="this atlas"):
-            atlas.clamp(0.1, 0.1, *plant)
-        assert atlas.clamp(0.1, 0.1, *plant, "undecided") == (0.0, 0.0, Verdict.UNDECIDED)
+            atlas.clamp(0.1, 0.1, **by_name(*plant))
+        assert atlas.clamp(0.1, 0.1, **by_name(*plant), outside="undecided") == (
+            0.0,
+            0.0,
+            Verdict.UNDECIDED,
+        )
 
 
 @pytest.mark.parametrize("file", [PLAIN, WINDOW])

@@ -35,8 +35,8 @@ def atlas(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
 
 def test_outlines_and_corners_are_those_of_the_region(atlas: Atlas) -> None:
     for gamma, delta, delay in ((0.0, 0.0, 0.0), (0.001, 0.005, 0.0), (0.0, 0.015, 1.5)):
-        region = stable_region(gamma, delta, delay)
-        outline = atlas.outline(gamma, delta, delay)
+        region = stable_region(gamma=gamma, delta=delta, delay=delay)
+        outline = atlas.outline(gamma=gamma, delta=delta, delay=delay)
         assert outline.status == 0
         np.testing.assert_array_equal(outline.points, region.points)
         np.testing.assert_array_equal(outline.branch, region.branch)
@@ -44,7 +44,7 @@ def test_outlines_and_corners_are_those_of_the_region(atlas: Atlas) -> None:
 
 
 def test_the_points_have_a_root_on_the_unit_circle(atlas: Atlas) -> None:
-    outline = atlas.outline(0.001, 0.015, 1.5)
+    outline = atlas.outline(gamma=0.001, delta=0.015, delay=1.5)
     for alpha, beta in outline.points[::200].tolist():
         moduli = [abs(root) for root in truth.roots(alpha, beta, 0.001, 0.015, 1.5)]
         assert min(abs(modulus - 1) for modulus in moduli) < 1e-9
@@ -60,13 +60,13 @@ def test_summaries_are_the_closed_forms(atlas: Atlas) -> None:
     assert atlas.arrays["largest_beta"][0, 0, 0] == pytest.approx(2.0, rel=1e-12)
     # The integral of 2 b (2 - b) / (b + 2) over 0 < b < 2
     assert atlas.arrays["stable_area"][0, 0, 0] == pytest.approx(12 - 16 * np.log(2), rel=1e-9)
-    other = minimize_radius(0.001, 0.005, 1.5)
+    other = minimize_radius(gamma=0.001, delta=0.005, delay=1.5)
     assert atlas.arrays["least_radius"][1, 1, 1] == pytest.approx(float(other.value), abs=1e-12)
 
 
 def test_what_is_not_there_is_refused_in_a_sentence(atlas: Atlas, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"delta is 0.004; outlines are at its nodes 0.0, 0.005"):
-        atlas.outline(0.0, 0.004, 0.0)
+        atlas.outline(gamma=0.0, delta=0.004, delay=0.0)
     verdicts = build_atlas(
         AtlasSpec(
             alpha=[0, 0.1],
@@ -79,7 +79,7 @@ def test_what_is_not_there_is_refused_in_a_sentence(atlas: Atlas, tmp_path: Path
         tmp_path / "verdicts.h5",
     )
     with pytest.raises(ValueError, match="holds no outlines"):
-        verdicts.outline(0.0, 0.0, 0.0)
+        verdicts.outline(gamma=0.0, delta=0.0, delay=0.0)
     assert open_atlas(tmp_path / "verdicts.h5").products == ("verdict",)
 
 

@@ -90,7 +90,9 @@ def dense(of: Slice) -> np.ndarray:
     """Every node by a verdict of its own; all in lists of one length, compiled once."""
     alpha, beta = (gain.ravel() for gain in np.meshgrid(of.alpha, of.beta, indexing="ij"))
     listed = np.resize(alpha, LONGEST), np.resize(beta, LONGEST)
-    codes = np.asarray(verdict(*listed, of.gamma, of.delta, of.delay, resolve="exact"))
+    codes = np.asarray(
+        verdict(*listed, gamma=of.gamma, delta=of.delta, delay=of.delay, resolve="exact")
+    )
     return codes[: alpha.size].reshape(of.alpha.size, of.beta.size)
 
 
@@ -169,11 +171,9 @@ class Recorder:
         self.points: list[tuple[float, float]] = []
         monkeypatch.setattr(verdicts, "verdict", self.verdict)
 
-    def verdict(
-        self, alpha: np.ndarray, beta: np.ndarray, *rest: object, **keywords: Any
-    ) -> object:
+    def verdict(self, alpha: np.ndarray, beta: np.ndarray, **keywords: Any) -> object:
         self.points += zip(alpha.tolist(), beta.tolist(), strict=True)
-        return verdict(alpha, beta, *rest, **keywords)
+        return verdict(alpha, beta, **keywords)
 
 
 def test_without_a_gap_each_node_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,7 +231,9 @@ def test_unstable_loops_of_a_long_delay_are_decided_by_a_root_where_the_recursio
 
 def test_a_recursion_that_breaks_down_leaves_unstable_loops_decided() -> None:
     # gamma = delta = 0 without delay: p(0) = beta / 2, so a coefficient of reflection is exactly 1.
-    codes = verdict(np.array([0.1, 0.5, 1.5]), 2.0, 0.0, 0.0, 0.0, resolve="exact")
+    codes = verdict(
+        np.array([0.1, 0.5, 1.5]), 2.0, gamma=0.0, delta=0.0, delay=0.0, resolve="exact"
+    )
     assert np.all(codes == UNSTABLE)
 
 
@@ -337,6 +339,10 @@ def test_all_cells_but_those_at_the_boundary_are_proved(
         for nodes, cell, share in zip((alpha, beta), (i, j), part, strict=False)
     )
     exact = verdict(
-        *gains, 1e-3, delta[0] + part[2] * (delta[1] - delta[0]), delay, resolve="exact"
+        *gains,
+        gamma=1e-3,
+        delta=delta[0] + part[2] * (delta[1] - delta[0]),
+        delay=delay,
+        resolve="exact",
     )
     assert not np.any((codes[i, j] != UNDECIDED) & (codes[i, j] != exact))

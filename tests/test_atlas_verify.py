@@ -153,8 +153,8 @@ def test_wrong_values_under_right_digests_are_found_by_computing_them_again(
 def test_a_radius_that_cannot_be_computed_is_not_taken_for_right(
     whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def lost(*point: Any, **filters: Any) -> Any:
-        radius = spectral_radius(*point, **filters)
+    def lost(**asked: Any) -> Any:
+        radius = spectral_radius(**asked)
         return radius._replace(value=np.full_like(radius.value, np.nan))
 
     monkeypatch.setattr("jaxstab.atlas.write.verify.spectral_radius", lost)

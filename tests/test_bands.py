@@ -89,7 +89,7 @@ def test_what_is_said_of_a_column_is_true_of_every_point(
     alpha = np.clip(alpha, *domain.alpha)
 
     is_stable, is_unstable, _ = answers(columns, box, cell, (alpha, beta, gamma, delta, delay))
-    codes = np.asarray(verdict(alpha, beta, gamma, delta, delay, resolve="exact"))
+    codes = np.asarray(verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, resolve="exact"))
     assert np.all(codes[is_stable] == STABLE)
     assert not np.any(codes[is_unstable] == STABLE)
     assert np.mean(is_stable | is_unstable) > (0.6 if delay_width < 0.1 else -1.0)
@@ -127,7 +127,7 @@ def test_what_is_said_of_a_gap_is_true_of_every_point(
     within = rng.choice([-1.0, 1.0, 0.2], (2, len(some))) / (1 + 1e-9)
     gamma = np.maximum(hands.gamma[box] + within[0] * hands.half_gamma[box], 0.0)
     delta = np.maximum(hands.delta[box] + within[1] * hands.half_delta[box], 0.0)
-    exact = np.asarray(verdict(alpha, at, gamma, delta, delay, resolve="exact"))
+    exact = np.asarray(verdict(alpha, at, gamma=gamma, delta=delta, delay=delay, resolve="exact"))
     assert not np.any((exact != code) & (exact != UNDECIDED))
     widths = np.where(
         is_gap, np.clip(gaps.high, *domain.alpha) - np.clip(gaps.low, *domain.alpha), 0
@@ -168,7 +168,7 @@ def test_patches_hold_the_curve_of_every_hand(rng: np.random.Generator) -> None:
     theta = 0.5 * (patches.first + patches.last)[k] + place[0] * half[0] * (1 - 1e-12)
     box = patches.box[k]
     gamma, delta = hands.gamma[box] + place[1] * half[1], hands.delta[box] + place[2] * half[2]
-    curve = boundary_curve(np.clip(theta, 0, np.pi), gamma, delta, 2.5)
+    curve = boundary_curve(np.clip(theta, 0, np.pi), gamma=gamma, delta=delta, delay=2.5)
     for gain, model in zip(curve, (patches.alpha, patches.beta), strict=True):
         linear = model.centre[k] + np.sum(model.slope[:, k] * half * place, axis=0)
         assert np.all(np.abs(np.asarray(gain) - linear) <= model.rest[k])
@@ -233,10 +233,10 @@ FILTERED_BOXES = {  # filters, those of the truth; a box of hands; delay; domain
         Domain((-0.02, 0.15), (-0.5, 0.9)),
     ),
     "poles, and zeros at -1": (
-        (Velocity.low_pass(0.1), Filter.butterworth(0.2, 2)),
+        (Velocity.low_pass(0.1), Filter.butterworth(0.2, order=2)),
         (
-            filtered.times(filtered.difference(1), filtered.low_pass(0.1, 1)),
-            filtered.butterworth(0.2, 2),
+            filtered.times(filtered.difference(1), filtered.low_pass(0.1, order=1)),
+            filtered.butterworth(0.2, order=2),
         ),
         (0.05, 0.1, 1e-3, 1e-3),
         1.5,

@@ -198,7 +198,11 @@ def test_stress_finds_no_wrong_certified_answer_and_names_its_worst_loops(
 
 WALL = (0.003, 0.02, 0.0, 0.015, 1.5)
 LOOP = HapticLoop(device_mass=1.0, device_damping=0.5432825400259356, sample_time=1.0, delay=0.5)
-HANDS = HandRange((0.0, 2.683572731924306), (0.0, 11.00056392632787), (0.0, 0.5129250179766981))
+HANDS = HandRange(
+    mass=(0.0, 2.683572731924306),
+    stiffness=(0.0, 11.00056392632787),
+    damping=(0.0, 0.5129250179766981),
+)
 
 
 def test_the_judges_of_ranges_find_margins_and_limits_that_are_false(

@@ -22,6 +22,7 @@ from jaxstab.criteria import (
 from jaxstab.criteria.cosine_series import largest_value
 from jaxstab.criteria.sign_changes import Series, sign_changes
 from jaxstab.criteria.validity import ValidityStatus
+from jaxstab.model import by_name
 from jaxstab.region import boundary_curve
 
 ANCHORS = Path(__file__).parents[1] / "data" / "reference" / "anchors.tsv"
@@ -48,7 +49,9 @@ def test_routh_hurwitz_is_the_stability_of_the_third_order_model(rng):
     cubic = np.stack([lag, 1 + delta * lag, gamma * lag + delta + beta, gamma + alpha], axis=-1)
     stable = [np.all(np.roots(row).real < 0) for row in cubic]
     assert 0 < sum(stable) < count
-    assert np.array_equal(routh_hurwitz_condition(alpha, beta, gamma, delta, delay), stable)
+    assert np.array_equal(
+        routh_hurwitz_condition(alpha, beta, gamma=gamma, delta=delta, delay=delay), stable
+    )
 
 
 def test_linear_condition_is_routh_hurwitz_without_the_small_term(rng):
@@ -56,31 +59,31 @@ def test_linear_condition_is_routh_hurwitz_without_the_small_term(rng):
     gamma, delay = 1e-3, 1.0
     # Without physical damping the small term is zero.
     assert np.array_equal(
-        linear_condition(alpha, beta, gamma, 0.0, delay),
-        routh_hurwitz_condition(alpha, beta, gamma, 0.0, delay),
+        linear_condition(alpha, beta, gamma=gamma, delta=0.0, delay=delay),
+        routh_hurwitz_condition(alpha, beta, gamma=gamma, delta=0.0, delay=delay),
     )
     assert not np.array_equal(
-        linear_condition(alpha, beta, gamma, 0.05, delay),
-        routh_hurwitz_condition(alpha, beta, gamma, 0.05, delay),
+        linear_condition(alpha, beta, gamma=gamma, delta=0.05, delay=delay),
+        routh_hurwitz_condition(alpha, beta, gamma=gamma, delta=0.05, delay=delay),
     )
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.75])
 def test_linear_limit_is_where_the_linear_condition_changes(delay):
-    limit = float(linear_alpha_limit(0.2, 0.015, delay))
+    limit = float(linear_alpha_limit(0.2, delta=0.015, delay=delay))
     assert limit == pytest.approx((0.2 + 0.015) / (0.5 + delay), rel=1e-15)
-    assert linear_condition(limit * (1 - 1e-15), 0.2, 1e-3, 0.015, delay)
-    assert not linear_condition(limit * (1 + 1e-15), 0.2, 1e-3, 0.015, delay)
-    assert not linear_condition(-1e-3, 0.2, 1e-3, 0.015, delay)
+    assert linear_condition(limit * (1 - 1e-15), 0.2, gamma=1e-3, delta=0.015, delay=delay)
+    assert not linear_condition(limit * (1 + 1e-15), 0.2, gamma=1e-3, delta=0.015, delay=delay)
+    assert not linear_condition(-1e-3, 0.2, gamma=1e-3, delta=0.015, delay=delay)
 
 
 def test_linear_error_is_24_with_its_sign(rng):
     for alpha, beta, gamma, delta, delay in rng.uniform(0, 1, (20, 5)):
         limit = (mpf(beta) + delta) / (mpf(delay) + mpf(1) / 2)
         expected = (limit - alpha) / (mpf(alpha) + gamma)
-        assert float(linear_error(alpha, beta, gamma, delta, delay)) == pytest.approx(
-            float(expected), rel=1e-14, abs=1e-14
-        )
+        assert float(
+            linear_error(alpha, beta, gamma=gamma, delta=delta, delay=delay)
+        ) == pytest.approx(float(expected), rel=1e-14, abs=1e-14)
 
 
 # ---------------------------------------------------------------------- validity: sec. VII, Fig. 7
@@ -88,7 +91,7 @@ def test_linear_error_is_24_with_its_sign(rng):
 
 def test_validity_points_are_those_of_fig_7():
     level, gamma, delta, delay, theta, alpha, beta = fig_7_points()
-    found = linear_validity(level, gamma, delta, delay)
+    found = linear_validity(level, gamma=gamma, delta=delta, delay=delay)
     assert np.all(found.status == ValidityStatus.FOUND)
     # The condition of the problem is about 1 / level.
     for value, expected in [(found.alpha, alpha), (found.beta, beta), (found.theta, theta)]:
@@ -96,10 +99,10 @@ def test_validity_points_are_those_of_fig_7():
 
 
 def test_validity_of_a_free_mass_without_delay_is_the_closed_form():
-    assert float(linear_validity(0.02, 0.0, 0.0, 0.0).alpha) == pytest.approx(
+    assert float(linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0).alpha) == pytest.approx(
         0.038827412153, rel=1e-11
     )
-    assert float(linear_validity(0.02, 0.0, 0.0, 1.0).alpha) == pytest.approx(
+    assert float(linear_validity(0.02, gamma=0.0, delta=0.0, delay=1.0).alpha) == pytest.approx(
         0.0115181557089, rel=1e-11
     )
 
@@ -107,7 +110,7 @@ def test_validity_of_a_free_mass_without_delay_is_the_closed_form():
 def test_human_stiffness_moves_the_points_of_fig_7_by_less_than_the_paper_says():
     levels, delays = np.array([0.02, 0.05]), np.array([0.0, 1.0])
     grid = np.meshgrid(levels, [0.0, 1e-3], DELTAS, delays, indexing="ij")
-    alpha = np.asarray(linear_validity(*grid).alpha)
+    alpha = np.asarray(linear_validity(grid[0], **by_name(*grid[1:])).alpha)
     assert np.max(np.abs(alpha[:, 1] / alpha[:, 0] - 1)) < 0.002
 
 
@@ -116,7 +119,7 @@ def test_human_stiffness_moves_the_points_of_fig_7_by_less_than_the_paper_says()
     [(0.02, 1e-3, 0.015, 1.0), (0.05, 1e-3, 0.0, 0.0), (0.02, 0.1, 0.3, 2.5), (0.5, 0.0, 0.1, 5.0)],
 )
 def test_validity_is_the_first_rise_of_the_signed_error(level, gamma, delta, delay):
-    found = linear_validity(level, gamma, delta, delay)
+    found = linear_validity(level, gamma=gamma, delta=delta, delay=delay)
 
     def signed_error(theta):
         alpha, beta = truth.boundary_point(theta, gamma, delta, delay)
@@ -131,15 +134,20 @@ def test_validity_is_the_first_rise_of_the_signed_error(level, gamma, delta, del
 
 def test_the_absolute_error_of_24_also_reaches_2_percent_before_the_point_of_fig_7():
     gamma, delta, delay = 0.0, 0.015, 1.0
-    last = float(linear_validity(0.02, gamma, delta, delay).theta) * (1 - 1e-12)
+    last = float(linear_validity(0.02, gamma=gamma, delta=delta, delay=delay).theta) * (1 - 1e-12)
     theta = np.linspace(1e-3, last, 400)
-    error = linear_error(*boundary_curve(theta, gamma, delta, delay), gamma, delta, delay)
+    error = linear_error(
+        *boundary_curve(theta, gamma=gamma, delta=delta, delay=delay),
+        gamma=gamma,
+        delta=delta,
+        delay=delay,
+    )
     assert np.sum(np.diff(np.abs(error) > 0.02)) == 1
     assert error[0] < -0.02
 
 
 def test_validity_says_where_there_is_none():
-    found = linear_validity(0.02, np.array([9.0, 1e-3]), 0.5, 0.0)
+    found = linear_validity(0.02, gamma=np.array([9.0, 1e-3]), delta=0.5, delay=0.0)
     assert found.status.tolist() == [ValidityStatus.NEVER, ValidityStatus.FOUND]
     assert np.isnan(found.alpha[0])
     assert "never" in ValidityStatus.NEVER.words
@@ -155,7 +163,7 @@ PASSED_RISES = [
 
 @pytest.mark.parametrize(("question", "theta"), PASSED_RISES)
 def test_the_first_rise_is_not_passed(question, theta):
-    found = linear_validity(*question)
+    found = linear_validity(question[0], **by_name(*question[1:]))
     true = first_rise(*question)
     assert found.status == ValidityStatus.FOUND
     assert float(found.theta) == pytest.approx(float(true.theta), rel=1e-13)
@@ -166,7 +174,7 @@ def test_the_first_rise_is_not_passed(question, theta):
 
 def test_rises_of_random_hands_are_the_first_ones(rng):
     questions = random_questions(rng, 40)
-    found = linear_validity(*questions)
+    found = linear_validity(questions[0], **by_name(*questions[1:]))
     for number, question in enumerate(questions.T):
         true = first_rise(*question)
         if true is None:
@@ -178,7 +186,7 @@ def test_rises_of_random_hands_are_the_first_ones(rng):
 
 def test_a_question_that_cannot_be_answered_spoils_no_other():
     # Between 1e-18 and rounding of the series nothing is told.
-    found = linear_validity(np.array([0.02, 1e-18, 0.05]), 0.0, 0.0, 0.0)
+    found = linear_validity(np.array([0.02, 1e-18, 0.05]), gamma=0.0, delta=0.0, delay=0.0)
     assert found.status.tolist() == [
         ValidityStatus.FOUND,
         ValidityStatus.NOT_PROVED,
@@ -199,7 +207,7 @@ def test_a_question_that_cannot_be_answered_spoils_no_other():
 )
 def test_validity_refuses_bad_input(arguments, message):
     with pytest.raises(ValueError, match=message):
-        linear_validity(*arguments)
+        linear_validity(arguments[0], **by_name(*arguments[1:]))
 
 
 def test_the_largest_value_of_random_series_is_that_of_a_dense_scan(rng):
@@ -284,12 +292,12 @@ def needed_damping(alpha, beta, delay, theta, aliases=2000):
 
 def test_passive_region_without_delay_is_the_triangle_28():
     delta = 0.7
-    outline = passive_region(delta).outline
+    outline = passive_region(delta=delta).outline
     assert np.allclose(outline, [[0, -delta], [2 * delta, 0], [0, delta]], rtol=2e-12, atol=1e-15)
 
 
 def test_passive_region_of_one_sample_of_delay_is_a_conic(rng):
-    region = passive_region(1.0, 1.0)
+    region = passive_region(delta=1.0, delay=1.0)
     alpha, beta = rng.uniform(0, 1, 500), rng.uniform(-1.1, 1.1, 500)
     # alpha (1/2 + c) + beta (1 - 2 c^2) < 1 for all c in [-1, 1]
     peak = np.where(beta > 0, alpha / (4 * np.where(beta > 0, beta, 1.0)), 2.0)
@@ -304,7 +312,7 @@ def test_passive_region_of_one_sample_of_delay_is_a_conic(rng):
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.25, 2.0])
 def test_passive_region_is_that_of_the_aliased_power(delay):
     delta = 0.4
-    region = passive_region(delta, delay, tolerance=1e-3)
+    region = passive_region(delta=delta, delay=delay, tolerance=1e-3)
     thetas = np.linspace(1e-3, pi, 120)
     for alpha, beta in region.outline[:: max(1, len(region.outline) // 8)]:
         need = max(needed_damping(alpha, beta, delay, theta) for theta in thetas)
@@ -327,7 +335,7 @@ def test_colgates_formula_with_a_fractional_delay_put_in_is_no_criterion():
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 3.5, 50.0, 300.0])
 def test_passive_outline_is_convex_proved_and_tight(delay):
-    region = passive_region(0.2, delay)
+    region = passive_region(delta=0.2, delay=delay)
     outline = region.outline
     edges = np.roll(outline, -1, axis=0) - outline
     following = np.roll(edges, -1, axis=0)
@@ -345,7 +353,7 @@ def test_passive_outline_is_convex_proved_and_tight(delay):
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.25])
 def test_a_passive_wall_is_stable_for_any_hand(delay, rng):
     delta = 0.5
-    walls = passive_region(delta, delay, tolerance=1e-2).outline * (1 - 1e-6)
+    walls = passive_region(delta=delta, delay=delay, tolerance=1e-2).outline * (1 - 1e-6)
     for alpha, beta in rng.permutation(walls)[:6]:
         for gamma, more, mass in zip(
             [*rng.uniform(0, 12, 4), pi**2 + delta**2 / 4],
@@ -373,21 +381,21 @@ def test_vertices_of_passive_regions_need_less_than_the_damping_in_50_digits(del
         fold = fraction * (1 - fraction) * abs(force) ** 2 / (4 * mpf(delta))
         return (1 - fraction) * lagged(whole) + fraction * lagged(whole + 1) + fold
 
-    for vertex in passive_region(delta, delay, tolerance=1e-2).outline[::3]:
+    for vertex in passive_region(delta=delta, delay=delay, tolerance=1e-2).outline[::3]:
         alpha, beta = map(mpf, vertex)
         thetas = [mp.pi * k / 400 for k in range(1, 401)]
         assert max(need(alpha, beta, theta) for theta in thetas) < delta
 
 
 def test_without_physical_damping_no_wall_is_passive():
-    region = passive_region(0.0, 1.0)
+    region = passive_region(delta=0.0, delay=1.0)
     assert region.outline.shape == (0, 2)
     assert not np.any(region.contains(np.array([0.0, 0.1]), 0.0))
     assert region.max_alpha.tolist() == [0.0, 0.0]
 
 
 def test_a_wall_of_negative_stiffness_is_not_passive():
-    assert passive_region(1.0).contains(np.array([0.1, -0.1]), 0.0).tolist() == [True, False]
+    assert passive_region(delta=1.0).contains(np.array([0.1, -0.1]), 0.0).tolist() == [True, False]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxstab.model import characteristic_polynomial
+from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.region.crossings import crossings
 from jaxstab.region.curve import boundary_curve, slice_coefficients
 from jaxstab.region.scan import scan_angles
@@ -32,7 +32,9 @@ def found(place: Place) -> np.ndarray:
 
 def sizes_of_roots(theta: np.ndarray, place: Place) -> np.ndarray:
     """Return |z| of all roots for the walls of the curve at these angles."""
-    p = np.asarray(characteristic_polynomial(*boundary_curve(theta, *place), *place))
+    p = np.asarray(
+        characteristic_polynomial(*boundary_curve(theta, **by_name(*place)), **by_name(*place))
+    )
     return np.abs([np.roots(one) for one in p])
 
 

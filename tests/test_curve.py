@@ -9,6 +9,7 @@ import pytest
 from mpmath import mp, mpf
 
 from benchmarks import truth
+from jaxstab.model import by_name
 from jaxstab.region import boundary_curve, minus_line, plus_line
 from jaxstab.region.curve import curve_point, poles, slice_coefficients
 from jaxstab.region.roots import with_slope
@@ -50,7 +51,7 @@ def random_slices(rng: np.random.Generator, count: int) -> Slices:
 
 def worst_error(theta: Any, gamma: Any, delta: Any, delay: Any, radius: Any) -> float:
     """The largest error beside the distance from (-gamma, 0), beyond the rounding of alpha."""
-    alpha, beta = boundary_curve(theta, gamma, delta, delay, radius=radius)
+    alpha, beta = boundary_curve(theta, gamma=gamma, delta=delta, delay=delay, radius=radius)
     worst = 0.0
     places = np.broadcast_arrays(theta, gamma, delta, delay, radius)
     for a, b, *place in zip(alpha, beta, *places, strict=True):
@@ -78,29 +79,31 @@ def test_the_curve_of_a_decay_rate_is_within_1e_13_of_the_truth(rng: np.random.G
 
 def test_without_hand_and_delay_the_curve_is_the_known_one() -> None:
     theta = np.linspace(1e-3, 3.0, 50)
-    alpha, beta = boundary_curve(theta, 0.0, 0.0, 0.0)
+    alpha, beta = boundary_curve(theta, gamma=0.0, delta=0.0, delay=0.0)
     np.testing.assert_allclose(alpha, 2 * beta * (2 - beta) / (beta + 2), rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 50.0])
 def test_the_curve_starts_on_the_line_of_a_root_at_plus_one(delay: float) -> None:
     for radius in (1.0, 0.8):
-        start = boundary_curve(0.0, 0.3, 0.2, delay, radius=radius)
-        near = boundary_curve(1e-7, 0.3, 0.2, delay, radius=radius)
+        start = boundary_curve(0.0, gamma=0.3, delta=0.2, delay=delay, radius=radius)
+        near = boundary_curve(1e-7, gamma=0.3, delta=0.2, delay=delay, radius=radius)
         np.testing.assert_allclose(start, near, rtol=1e-10)
         np.testing.assert_allclose(
-            start[0], plus_line(start[1], 0.3, 0.2, delay, radius=radius), rtol=1e-14
+            start[0],
+            plus_line(start[1], gamma=0.3, delta=0.2, delay=delay, radius=radius),
+            rtol=1e-14,
         )
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 50.0])
 def test_the_curve_ends_on_the_line_of_a_root_at_minus_one(delay: float) -> None:
     for radius in (1.0, 0.8):
-        end = boundary_curve(np.pi, 0.3, 0.2, delay, radius=radius)
-        near = boundary_curve(np.pi - 1e-7, 0.3, 0.2, delay, radius=radius)
+        end = boundary_curve(np.pi, gamma=0.3, delta=0.2, delay=delay, radius=radius)
+        near = boundary_curve(np.pi - 1e-7, gamma=0.3, delta=0.2, delay=delay, radius=radius)
         np.testing.assert_allclose(end, near, rtol=1e-9)
         np.testing.assert_allclose(
-            end[0], minus_line(end[1], 0.3, 0.2, delay, radius=radius), rtol=1e-12
+            end[0], minus_line(end[1], gamma=0.3, delta=0.2, delay=delay, radius=radius), rtol=1e-12
         )
 
 
@@ -111,7 +114,7 @@ def test_the_lines_put_a_real_root_at_plus_and_minus_the_radius(
 ) -> None:
     gamma, delta, beta = 0.4, 0.3, 0.75
     for line, z in ((plus_line, radius), (minus_line, -radius)):
-        alpha = float(line(beta, gamma, delta, delay, radius=radius))
+        alpha = float(line(beta, gamma=gamma, delta=delta, delay=delay, radius=radius))
         polynomial = truth.polynomial(alpha, beta, gamma, delta, delay)
         scale = sum(abs(c) for c in polynomial)
         assert abs(truth.evaluate(polynomial, mpf(z))) < 1e-14 * scale
@@ -119,20 +122,20 @@ def test_the_lines_put_a_real_root_at_plus_and_minus_the_radius(
 
 def test_a_root_at_one_takes_alpha_to_minus_gamma_exactly() -> None:
     gamma = np.array([0.0, 1e-9, 0.3, np.pi**2, 40.0])
-    np.testing.assert_array_equal(plus_line(0.7, gamma, 0.1, 2.0), -gamma)
+    np.testing.assert_array_equal(plus_line(0.7, gamma=gamma, delta=0.1, delay=2.0), -gamma)
 
 
 def test_without_damping_and_with_a_whole_delay_the_line_of_minus_one_is_at_infinity() -> None:
-    assert np.isinf(minus_line(0.5, 0.3, 0.0, 1.0))
-    assert np.isfinite(minus_line(0.5, 0.3, 0.0, 1.5))
+    assert np.isinf(minus_line(0.5, gamma=0.3, delta=0.0, delay=1.0))
+    assert np.isfinite(minus_line(0.5, gamma=0.3, delta=0.0, delay=1.5))
 
 
 @partial(jax.jit, static_argnames="delay")
 def slope_along(place: Any, way: Any, delay: float | None) -> Any:
     """The curve's slope in one direction: for all at once XLA compiles twice as long."""
 
-    def curve(*place: Any) -> Any:
-        return boundary_curve(*place) if delay is None else boundary_curve(*place, delay)
+    def curve(theta: Any, *slice_: Any) -> Any:
+        return boundary_curve(theta, **by_name(*slice_, *([] if delay is None else [delay])))
 
     return jax.jvp(curve, place, way)[1]
 

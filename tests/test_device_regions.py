@@ -5,6 +5,7 @@ import pytest
 
 import jaxstab
 from jaxstab import STABLE, UNSTABLE, Device, Filter, Hand, Mode, Velocity
+from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters
 from jaxstab.point.verdict.linear import linear_verdict
@@ -82,7 +83,10 @@ def test_a_mass_has_the_region_of_five_numbers(delay: float) -> None:
     device = Device.mass_spring_damper(mass, damping=2.0).held_by(ARM)
     slice_ = 300.0 * period**2 / 1.25, 7.0 * period / 1.25, delay
     sampled = sampled_device(device, period, delay)
-    region, expected = region_of(sampled, FILTERS["one sample"]), jaxstab.stable_region(*slice_)
+    region, expected = (
+        region_of(sampled, FILTERS["one sample"]),
+        jaxstab.stable_region(**by_name(*slice_)),
+    )
     units = period**2 / 1.25 / sampled.stiffness_unit, period / 1.25 / sampled.damping_unit
     assert float(region.area) * units[0] * units[1] == pytest.approx(float(expected.area), 1e-12)
     for one, other in (

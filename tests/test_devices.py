@@ -17,7 +17,7 @@ from benchmarks.truth import devices as truth
 from benchmarks.truth import filtered
 from benchmarks.truth.random_loops import device_of
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Device, Filter, Hand, Mode, Velocity
-from jaxstab.model import DoubleDouble
+from jaxstab.model import DoubleDouble, by_name
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.point.poles import linear_poles
 from jaxstab.point.radius.door import linear_spectral_radius
@@ -26,7 +26,7 @@ from jaxstab.point.verdict.linear import linear_verdict
 MODE = Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
 ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
 FILTERS = Velocity.difference(samples=4), Filter.low_pass(200.0)
-TRUE_FILTERS = filtered.difference(4), filtered.low_pass(0.2, 1)
+TRUE_FILTERS = filtered.difference(4), filtered.low_pass(0.2, order=1)
 
 
 def number(pair: DoubleDouble) -> mpf:
@@ -81,7 +81,7 @@ def test_verdicts_and_radii_against_certified_roots(seed: int) -> None:
     system = drawn.mechanism.system()
     period = drawn.sample_time
     # Butterworth's and low passes are given in Hz: those of the truth belong to a period of 1.
-    position = filtered.low_pass(200.0 * period, 1)
+    position = filtered.low_pass(200.0 * period, order=1)
     true = truth.DeviceLoop(system, period, drawn.delay, filtered.difference(4), position)
     stiffness = rng.uniform(-0.02, 0.2, 8) / sampled.stiffness_unit
     damping = rng.uniform(-0.02, 0.4, 8) / sampled.damping_unit
@@ -107,7 +107,7 @@ def test_a_mass_has_the_verdicts_of_five_numbers() -> None:
         alpha, beta = rng.uniform(-0.01, 0.4, 2000), rng.uniform(-0.1, 0.9, 2000)
         factors = sampled.stiffness_unit / period**2, sampled.damping_unit / period
         codes = linear_verdict(alpha * factors[0], beta * factors[1], sampled.loop())
-        np.testing.assert_array_equal(codes, jaxstab.verdict(alpha, beta, *slice_))
+        np.testing.assert_array_equal(codes, jaxstab.verdict(alpha, beta, **by_name(*slice_)))
         assert {STABLE, UNSTABLE} <= set(codes.tolist())
 
 

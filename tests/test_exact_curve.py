@@ -12,6 +12,7 @@ import jaxstab
 from benchmarks.loops import probes
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
+from jaxstab.model import by_name
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import curve_and_lift
@@ -150,7 +151,7 @@ def test_angles_of_a_scan_are_close_to_the_poles_that_float64_misses():
 def test_slice_that_its_own_form_does_not_resolve():
     """gamma next to (2 pi)^2: a cosine of the hand's own frequency loses all digits."""
     plant = 39.48888856851112, 0.0, 5.153715254681396
-    region = jaxstab.stable_region(*plant)
+    region = jaxstab.stable_region(**by_name(*plant))
     assert region.status == RegionStatus.COMPLETE
     rng = np.random.default_rng(3)
     size = np.ptp(region.points, axis=0)
@@ -165,7 +166,7 @@ def test_slice_that_its_own_form_does_not_resolve():
 def test_a_root_that_no_wall_moves_leaves_nothing(samples):
     """An undamped hand at the Nyquist frequency: pi^2 in float64 moves its root at -1 by 1e-32."""
     window = jaxstab.Velocity.difference(samples=samples)
-    region = jaxstab.stable_region(float(np.pi**2), 0.0, 0.0, velocity=window)
+    region = jaxstab.stable_region(gamma=float(np.pi**2), delta=0.0, delay=0.0, velocity=window)
     assert region.status == RegionStatus.EMPTY
 
 

@@ -14,6 +14,7 @@ from mpmath import mp, mpf
 import jaxstab
 from benchmarks import truth
 from jaxstab.conventions import RadiusStatus
+from jaxstab.model import by_name
 from jaxstab.point.radius import cubic, dominance, door, fast_radius, power_iteration
 from jaxstab.point.radius.dominant_root import Loop
 from jaxstab.point.verdict.loop import float_plant
@@ -64,7 +65,7 @@ def assert_honest_and_precise(rng: np.random.Generator, delay: float) -> None:
     gamma, delta = rng.uniform(0.0, 2.0, count), rng.uniform(0.0, 0.5, count)
     gamma[::2], delta[::2] = 1e-3, 0.015
     scenes = np.array([alpha, beta, gamma, delta, np.full(count, delay)])
-    radius = jaxstab.spectral_radius(alpha, beta, gamma, delta, delay)
+    radius = jaxstab.spectral_radius(alpha, beta, gamma=gamma, delta=delta, delay=delay)
     assert_honest(radius, scenes)
     assert (radius.error < (1e-12 if delay <= 20.0 else 1e-11)).all()
 
@@ -92,7 +93,7 @@ class TestFastRadius:
                 rng.choice([0.0, 1.0, 0.5, 5.0], count),
             ]
         )
-        assert_honest(jaxstab.spectral_radius(*scenes), scenes)
+        assert_honest(jaxstab.spectral_radius(**by_name(*scenes)), scenes)
 
     @pytest.mark.parametrize("anchor", first_and_campaign(anchors("smallest_radius")[:8], 3))
     def test_is_honest_around_a_triple_root(
@@ -107,7 +108,7 @@ class TestFastRadius:
                 *(np.full(8, value) for value in (gamma, delta, delay)),
             ]
         )
-        radius = jaxstab.spectral_radius(*scenes)
+        radius = jaxstab.spectral_radius(**by_name(*scenes))
         assert_honest(radius, scenes)
         assert (radius.error < 1e-3).all()
 
@@ -127,18 +128,18 @@ class TestFastRadius:
         moved = 1.0 + rng.choice([0.0, 1e-15, 1e-12, 1e-9, 1e-6], 20)
         zeros = np.zeros(20)
         scenes = np.array([alpha * moved, beta, zeros, zeros, zeros])
-        assert_honest(jaxstab.spectral_radius(*scenes), scenes)
+        assert_honest(jaxstab.spectral_radius(**by_name(*scenes)), scenes)
 
     @pytest.mark.parametrize("delay", first_and_campaign([1.0, 2.5, 5.0, 20.0], 2))
     def test_knows_the_free_plant_whose_roots_at_zero_are_multiple(self, delay: float) -> None:
-        radius = jaxstab.spectral_radius(0.0, 0.0, 0.5, 0.2, delay)
+        radius = jaxstab.spectral_radius(0.0, 0.0, gamma=0.5, delta=0.2, delay=delay)
         assert abs(mpf(float(radius.value)) - mp.exp(-mpf(0.2) / 2)) <= float(radius.error)
         assert float(radius.error) < 1e-12
 
     def test_a_slow_loop_keeps_all_digits(self) -> None:
         """Stiffness of 1e-8 moves the roots by 1e-4 from z = 1; eigenvalues lose four digits."""
         scenes = np.array([[1e-8, 1e-8], [2e-4, 1e-4], [0.0, 1e-9], [0.0, 1e-5], [0.0, 2.0]])
-        radius = jaxstab.spectral_radius(*scenes)
+        radius = jaxstab.spectral_radius(**by_name(*scenes))
         assert_honest(radius, scenes)
         assert (radius.error < 1e-14).all()
 
@@ -146,11 +147,11 @@ class TestFastRadius:
         """Blocks of a grid that broadcasts, lists filled up, several delays at once."""
         alpha, beta = np.linspace(0.01, 0.3, 23)[:, None, None], np.linspace(0.1, 0.9, 11)[:, None]
         scene = alpha, beta, 1e-3, 0.015
-        listed = jaxstab.spectral_radius(*scene, np.array([0.0, 1.0]))
+        listed = jaxstab.spectral_radius(**by_name(*scene, np.array([0.0, 1.0])))
         monkeypatch.setattr(fast_radius, "_LIST", 16)
         monkeypatch.setattr(fast_radius, "_BLOCK", 100)
         for number, delay in enumerate((0.0, 1.0)):
-            blocks = jaxstab.spectral_radius(*scene, delay)
+            blocks = jaxstab.spectral_radius(**by_name(*scene, delay))
             assert blocks.value.shape == (23, 11, 1)
             apart = np.abs(blocks.value[..., 0] - listed.value[..., number])
             assert (apart <= blocks.error[..., 0] + listed.error[..., number]).all()
@@ -161,13 +162,15 @@ class TestFastRadius:
     ) -> None:
         plant = np.full(60, 0.3), np.full(60, 0.1)  # in arrays, as above: it is compiled once
         scene = *gains_around_the_stable_set(rng, delay, 60), *plant, delay
-        fast = jaxstab.spectral_radius(*scene)
-        companion = jaxstab.spectral_radius(*scene, method="companion")
+        fast = jaxstab.spectral_radius(**by_name(*scene))
+        companion = jaxstab.spectral_radius(**by_name(*scene), method="companion")
         assert (np.abs(fast.value - companion.value) <= fast.error + companion.error).all()
         assert (fast.status == RadiusStatus.PROVED).all()
 
     def test_gains_beyond_all_float64_can_square_are_answered(self) -> None:
-        radius = jaxstab.spectral_radius(np.array([1e100, -1e120]), 1.0, 0.1, 0.1, 0)
+        radius = jaxstab.spectral_radius(
+            np.array([1e100, -1e120]), 1.0, gamma=0.1, delta=0.1, delay=0
+        )
         assert radius.value.shape == (2,)
         assert ((radius.status == RadiusStatus.PROVED) == np.isfinite(radius.error)).all()
 
@@ -183,7 +186,7 @@ def test_leaves_less_than_a_permille_to_the_eigenvalues(delay: float) -> None:
 
 def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(ValueError, match="method is 'slow'"):
-        jaxstab.spectral_radius(0.1, 0.1, 0.0, 0.0, 0, method="slow")
+        jaxstab.spectral_radius(0.1, 0.1, gamma=0.0, delta=0.0, delay=0, method="slow")
 
 
 class TestPowerIteration:

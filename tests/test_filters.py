@@ -21,6 +21,7 @@ from benchmarks.truth import filtered as truth
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, hostile_walls
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
+from jaxstab.model import by_name
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
 from jaxstab.point.verdict.dense import dense_codes, rounded_loop, without_zeros
@@ -31,12 +32,12 @@ from jaxstab.region.curve import curve_and_lift, mass_coefficients
 ESTIMATORS: dict[str, tuple[Velocity, truth.Rational]] = {
     "window 20": (Velocity.difference(samples=20), truth.difference(20)),
     "low pass": (
-        Velocity.low_pass(0.05, 2),
-        truth.times(truth.difference(1), truth.low_pass(0.05, 2)),
+        Velocity.low_pass(0.05, order=2),
+        truth.times(truth.difference(1), truth.low_pass(0.05, order=2)),
     ),
     "Butterworth": (
-        Velocity.butterworth(0.1, 5),
-        truth.times(truth.difference(1), truth.butterworth(0.1, 5)),
+        Velocity.butterworth(0.1, order=5),
+        truth.times(truth.difference(1), truth.butterworth(0.1, order=5)),
     ),
     "chain": (
         Velocity.difference(samples=3) * Filter.exponential(0.25) * Filter.average(samples=2),
@@ -52,7 +53,7 @@ ESTIMATORS: dict[str, tuple[Velocity, truth.Rational]] = {
 }
 FILTERS: dict[str, tuple[Filter, truth.Rational]] = {
     "no filter": (Filter(), truth.average(1)),
-    "low pass": (Filter.low_pass(0.2), truth.low_pass(0.2, 1)),
+    "low pass": (Filter.low_pass(0.2), truth.low_pass(0.2, order=1)),
 }
 PLANTS = [(0.0, 0.0, 1.0), (1e-3, 1e-2, 0.0), (1e-3, 1e-2, 2.5)]
 
@@ -85,7 +86,7 @@ def frequency_response(filter_: Filter, frequency: float, sample_time: float) ->
 @pytest.mark.parametrize("order", [1, 2, 5, 8])
 def test_butterworth_is_that_of_scipy(order: int) -> None:
     sos = scipy.signal.butter(order, 80.0, fs=1000.0, output="sos")
-    filter_ = Filter.butterworth(80.0, order)
+    filter_ = Filter.butterworth(80.0, order=order)
     for frequency in (0.0, 3.0, 80.0, 333.0):
         _, (expected,) = scipy.signal.sosfreqz(sos, [frequency], fs=1000.0)
         np.testing.assert_allclose(frequency_response(filter_, frequency, 1e-3), expected, 1e-11)
@@ -109,7 +110,9 @@ def test_filters_by_their_difference_equations(
         np.testing.assert_allclose(frequency_response(filter_, frequency, 1e-3), expected, 1e-13)
 
 
-@pytest.mark.parametrize("filter_", [Filter.low_pass(1.0, 3), Filter.butterworth(1.0, 4)])
+@pytest.mark.parametrize(
+    "filter_", [Filter.low_pass(1.0, order=3), Filter.butterworth(1.0, order=4)]
+)
 def test_the_gain_at_rest_is_one_although_the_cut_off_is_low(filter_: Filter) -> None:
     above, below = (sum(c.hi + c.lo for c in one) for one in filter_.transfer(1e-4)[:2])
     assert above / below == pytest.approx(1.0, abs=1e-2)  # sums of float64; pairs know better
@@ -128,9 +131,9 @@ def test_verdicts_and_radii_against_certified_roots(
     rng = np.random.default_rng(len(estimator) + int(10 * plant[2]))
     alpha, beta = rng.uniform(-0.01, 0.08, 6), rng.uniform(-0.1, 0.3, 6)
     filters: dict[str, Any] = {"velocity": velocity, "position": smoother}
-    codes = jaxstab.verdict(alpha, beta, *plant, **filters)
+    codes = jaxstab.verdict(alpha, beta, **by_name(*plant), **filters)
     assert codes.tolist() == [loop.code(*wall) for wall in zip(alpha, beta, strict=True)]
-    radius = jaxstab.spectral_radius(alpha, beta, *plant, **filters)
+    radius = jaxstab.spectral_radius(alpha, beta, **by_name(*plant), **filters)
     assert np.all(radius.error < 1e-13)
     for wall, value, error in zip(zip(alpha, beta, strict=True), *radius[:2], strict=True):
         assert abs(loop.radius(*wall) - flint.arb(float(value))) <= float(error)
@@ -141,12 +144,14 @@ def test_the_largest_stiffness_of_known_estimators(
     velocity: Velocity, delay: float, alpha: float, beta: float
 ) -> None:
     walls = alpha * np.array([1.0 - 1e-9, 1.0 + 1e-9])
-    assert jaxstab.verdict(walls, beta, 0.0, 0.0, delay, velocity=velocity).tolist() == [
+    assert jaxstab.verdict(
+        walls, beta, gamma=0.0, delta=0.0, delay=delay, velocity=velocity
+    ).tolist() == [
         STABLE,
         UNSTABLE,
     ]
     around = beta * (1.0 + np.linspace(-1e-2, 1e-2, 21))
-    codes = jaxstab.verdict(walls[1], around, 0.0, 0.0, delay, velocity=velocity)
+    codes = jaxstab.verdict(walls[1], around, gamma=0.0, delta=0.0, delay=delay, velocity=velocity)
     assert np.all(codes == UNSTABLE)
 
 
@@ -156,7 +161,9 @@ def test_islands_are_stable_and_cut_off_from_small_gains(
 ) -> None:
     window = Velocity.difference(samples=samples)
     shares = np.linspace(0.01, 1.0, 100)
-    codes = jaxstab.verdict(alpha * shares, beta * shares, 0.0, 0.0, delay, velocity=window)
+    codes = jaxstab.verdict(
+        alpha * shares, beta * shares, gamma=0.0, delta=0.0, delay=delay, velocity=window
+    )
     assert codes[-1] == STABLE
     assert UNSTABLE in codes
 
@@ -175,10 +182,12 @@ def test_only_walls_next_to_the_boundary_are_undecided(estimator: str) -> None:
     plant = (1e-4, 2e-3, 1.0)
     beta = 0.04
     edge = bisected(
-        lambda alpha: int(jaxstab.verdict(alpha, beta, *plant, velocity=velocity)), 0.0, 1.0
+        lambda alpha: int(jaxstab.verdict(alpha, beta, **by_name(*plant), velocity=velocity)),
+        0.0,
+        1.0,
     )
     walls = edge * (1.0 + np.array([-1e-9, -1e-11, 1e-11, 1e-9]))
-    codes = jaxstab.verdict(walls, beta, *plant, velocity=velocity)
+    codes = jaxstab.verdict(walls, beta, **by_name(*plant), velocity=velocity)
     loop = truth.FilteredLoop(*plant, v, truth.average(1))
     assert codes.tolist() == [loop.code(alpha, beta) for alpha in walls]
     assert UNDECIDED not in codes
@@ -214,9 +223,10 @@ def test_zeros_left_out_change_no_verdict(samples: int, delay: float) -> None:
 
 def test_a_window_of_one_sample_is_the_loop_of_the_paper() -> None:
     walls = np.linspace(-0.1, 0.8, 50)[:, None], np.linspace(-0.2, 2.0, 40)
+    loop = by_name(*walls, 1e-3, 1e-2, 0.5)
     for function in (jaxstab.verdict, jaxstab.spectral_radius, jaxstab.closed_loop_poles):
-        plain = function(*walls, 1e-3, 1e-2, 0.5)
-        window = function(*walls, 1e-3, 1e-2, 0.5, velocity=Velocity.difference(samples=1))
+        plain = function(**loop)
+        window = function(**loop, velocity=Velocity.difference(samples=1))
         for one, other in zip(np.atleast_1d(plain), np.atleast_1d(window), strict=True):
             np.testing.assert_array_equal(one, other)
 
@@ -226,13 +236,15 @@ def test_arrays_of_delays_answer_as_single_ones(delays: Any) -> None:
     velocity = Velocity.low_pass(0.1)
     delays = np.array(delays)
     alpha = np.array([0.02, 0.3, -0.1])
-    together = jaxstab.verdict(alpha, 0.2, 1e-3, 1e-2, delays, velocity=velocity)
-    radii = jaxstab.spectral_radius(alpha, 0.2, 1e-3, 1e-2, delays, velocity=velocity)
+    together = jaxstab.verdict(alpha, 0.2, gamma=1e-3, delta=1e-2, delay=delays, velocity=velocity)
+    radii = jaxstab.spectral_radius(
+        alpha, 0.2, gamma=1e-3, delta=1e-2, delay=delays, velocity=velocity
+    )
     grid = np.broadcast_arrays(alpha, delays)
     for index in np.ndindex(together.shape):
         one = grid[0][index], 0.2, 1e-3, 1e-2, grid[1][index]
-        assert together[index] == jaxstab.verdict(*one, velocity=velocity)
-        alone = jaxstab.spectral_radius(*one, velocity=velocity)
+        assert together[index] == jaxstab.verdict(**by_name(*one), velocity=velocity)
+        alone = jaxstab.spectral_radius(**by_name(*one), velocity=velocity)
         assert abs(radii.value[index] - alone.value) <= radii.error[index] + alone.error
 
 
@@ -263,7 +275,9 @@ def test_radii_are_the_growth_of_a_simulated_loop(
     velocity: Velocity, filter_: tuple[list[float], list[float]], alpha: float
 ) -> None:
     growth = simulated_growth(filter_, alpha, 0.1, 1)
-    radius = jaxstab.spectral_radius(alpha, 0.1, 1e-3, 1e-2, 1.0, velocity=velocity)
+    radius = jaxstab.spectral_radius(
+        alpha, 0.1, gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity
+    )
     assert growth == pytest.approx(float(radius.value), abs=5e-4)
 
 
@@ -285,7 +299,7 @@ def slope_of_true_radius(factor: float) -> float:
 def test_the_derivative_in_a_factor_against_differences_of_balls() -> None:
     def radius(factor: float) -> Any:
         velocity = Velocity.exponential(factor)
-        return jaxstab.spectral_radius(*WALL, *HAND, velocity=velocity).value
+        return jaxstab.spectral_radius(*WALL, **by_name(*HAND), velocity=velocity).value
 
     assert jax.grad(radius)(0.25) == pytest.approx(slope_of_true_radius(0.25), rel=1e-10)
 
@@ -294,7 +308,9 @@ def test_the_derivative_in_a_factor_against_differences_of_balls() -> None:
 @pytest.mark.parametrize("way", ["forwards", "backwards"])
 def test_the_derivative_in_a_cut_off_against_differences_of_balls(way: str) -> None:
     def radius(cutoff: float) -> Any:
-        return jaxstab.spectral_radius(*WALL, *HAND, velocity=Velocity.low_pass(cutoff)).value
+        return jaxstab.spectral_radius(
+            *WALL, **by_name(*HAND), velocity=Velocity.low_pass(cutoff)
+        ).value
 
     cutoff = -np.log(0.75) / (2.0 * np.pi)  # the same filter as by a factor of 0.25
     slope = slope_of_true_radius(0.25) * 2.0 * np.pi * 0.75  # d factor / d cutoff
@@ -306,10 +322,10 @@ def test_jax_arrays_and_transformations_answer_as_numpy_does() -> None:
     alpha = np.linspace(-0.01, 0.1, 7)
     rest: tuple[float, ...] = (0.05, 1e-3, 1e-2, 1.5)
     velocity, position = Velocity.difference(samples=4), Filter.low_pass(0.2)
-    plain = jaxstab.verdict(alpha, *rest, velocity=velocity, position=position)
+    plain = jaxstab.verdict(**by_name(alpha, *rest), velocity=velocity, position=position)
 
     def code(alpha: Any) -> Any:
-        return jaxstab.verdict(alpha, *rest, velocity=velocity, position=position)
+        return jaxstab.verdict(**by_name(alpha, *rest), velocity=velocity, position=position)
 
     given = code(jnp.asarray(alpha))
     assert isinstance(given, jax.Array)
@@ -320,15 +336,19 @@ def test_jax_arrays_and_transformations_answer_as_numpy_does() -> None:
 def test_grids_that_go_through_xla_answer_as_few_points_do() -> None:
     alpha, beta = np.linspace(-0.002, 0.01, 120)[:, None], np.linspace(-0.02, 0.1, 100)
     velocity = Velocity.difference(samples=20)
-    many = jaxstab.verdict(alpha, beta, 1e-6, 1e-4, 1.0, velocity=velocity)
+    many = jaxstab.verdict(alpha, beta, gamma=1e-6, delta=1e-4, delay=1.0, velocity=velocity)
     for row in (0, 30, 77):
-        few = jaxstab.verdict(alpha[row], beta, 1e-6, 1e-4, 1.0, velocity=velocity)
+        few = jaxstab.verdict(
+            alpha[row], beta, gamma=1e-6, delta=1e-4, delay=1.0, velocity=velocity
+        )
         np.testing.assert_array_equal(many[row], few)
 
 
 def test_arrays_of_delays_refuse_traced_filters_in_one_sentence() -> None:
     def code(cutoff: Any) -> Any:
-        return jaxstab.verdict(0.1, 0.1, 0.0, 0.0, [0.0, 1.0], velocity=Velocity.low_pass(cutoff))
+        return jaxstab.verdict(
+            0.1, 0.1, gamma=0.0, delta=0.0, delay=[0.0, 1.0], velocity=Velocity.low_pass(cutoff)
+        )
 
     with pytest.raises(TypeError, match="traced arguments with one delay"):
         jax.jit(code)(0.1)
@@ -342,9 +362,12 @@ def test_arrays_of_delays_refuse_traced_filters_in_one_sentence() -> None:
         (lambda: Filter.average(0), "samples is 0"),
         (lambda: Filter.low_pass(-1.0), "cutoff is -1.0"),
         (lambda: Filter.low_pass("10 Hz"), "cutoff is '10 Hz'"),
-        (lambda: Filter.low_pass(1.0, 0), "order is 0"),
+        (lambda: Filter.low_pass(1.0, order=0), "order is 0"),
         (lambda: Filter.low_pass(1e9).transfer(1.0), "closer to 1 / period"),
-        (lambda: Filter.butterworth(600.0, 2).transfer(1e-3), "below half of the sampling rate"),
+        (
+            lambda: Filter.butterworth(600.0, order=2).transfer(1e-3),
+            "below half of the sampling rate",
+        ),
         (lambda: Filter.exponential(1.5), "factor is 1.5"),
         (lambda: Filter.average(window=15.5e-3).transfer(1e-3), r"0.015 s \(15 .* 0.016 s \(16"),
         (lambda: Filter.transfer_function([1.0, 2.0, 3.0], [1.0, 0.5]), "proper"),
@@ -352,7 +375,7 @@ def test_arrays_of_delays_refuse_traced_filters_in_one_sentence() -> None:
         (lambda: Filter.transfer_function([0.0], [1.0, 0.5]), "not 0"),
         (lambda: Filter.transfer_function([1.0], [float("nan")]), "denominator is nan"),
         (lambda: Filter.transfer_function([1.0], [1.0] + [0.0] * 41), "degree 41"),
-        (lambda: (Filter.low_pass(0.1, 40) * Filter.low_pass(0.1)).transfer(), "order 41"),
+        (lambda: (Filter.low_pass(0.1, order=40) * Filter.low_pass(0.1)).transfer(), "order 41"),
         (lambda: Velocity.transfer_function([1.0, -0.9], [1.0, 0.0]), "0 at rest"),
         (lambda: Velocity.transfer_function([1.0], [1.0, 0.0]), "0 at rest"),
         (lambda: given_filters(20, None), "give a jaxstab.Velocity"),
@@ -377,7 +400,7 @@ COMPONENTS = [
 
 @pytest.mark.parametrize(("velocity", "delay", "areas"), COMPONENTS)
 def test_regions_have_their_islands(velocity: Velocity, delay: float, areas: list[float]) -> None:
-    region = jaxstab.stable_region(0.0, 0.0, delay, velocity=velocity)
+    region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=delay, velocity=velocity)
     assert [float(one.area) for one in region.components] == pytest.approx(areas, rel=0.03)
     assert region.main is not None
     assert float(region.main.area) == float(region.components[0].area)
@@ -391,7 +414,7 @@ def test_points_of_islands_are_in_one_island(
     samples: int, delay: float, alpha: float, beta: float
 ) -> None:
     velocity = Velocity.difference(samples=samples)
-    region = jaxstab.stable_region(0.0, 0.0, delay, velocity=velocity)
+    region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=delay, velocity=velocity)
     assert region.contains(alpha, beta)
     assert [bool(island.contains(alpha, beta)) for island in region.islands].count(True) == 1
     assert region.main is not None
@@ -402,7 +425,7 @@ def test_points_of_islands_are_in_one_island(
 def test_the_main_component_has_the_known_largest_stiffness(
     velocity: Velocity, delay: float, alpha: float, beta: float
 ) -> None:
-    region = jaxstab.stable_region(0.0, 0.0, delay, velocity=velocity)
+    region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=delay, velocity=velocity)
     assert region.main is not None
     np.testing.assert_allclose(region.main.max_alpha, [alpha, beta], rtol=1e-11)
 
@@ -424,7 +447,7 @@ def test_regions_agree_with_certified_verdicts(
         "velocity": ESTIMATORS[estimator][0],
         "position": FILTERS[position][0],
     }
-    region = jaxstab.stable_region(*plant, **filters)
+    region = jaxstab.stable_region(**by_name(*plant), **filters)
     assert region.status == jaxstab.RegionStatus.COMPLETE
     rng = np.random.default_rng(7)
     low, high = region.points.min(axis=0), region.points.max(axis=0)
@@ -437,7 +460,7 @@ def test_regions_agree_with_certified_verdicts(
         -1.0, 2.0, (200, 1)
     )
     alpha, beta = np.concatenate([near, far]).T
-    codes = jaxstab.verdict(alpha, beta, *plant, **filters)
+    codes = jaxstab.verdict(alpha, beta, **by_name(*plant), **filters)
     inside = region.contains(alpha, beta)
     assert not np.any(inside & (codes == UNSTABLE))
     assert not np.any(~inside & (codes == STABLE))
@@ -451,11 +474,11 @@ def test_regions_where_the_position_filter_is_zero_at_the_nyquist_frequency(
 ) -> None:
     # The line of a real root at -1 is one of constant beta then.
     filters: dict[str, Any] = {"position": Filter.average(samples)}
-    region = jaxstab.stable_region(*plant, **filters)
+    region = jaxstab.stable_region(**by_name(*plant), **filters)
     assert region.status == jaxstab.RegionStatus.COMPLETE
     rng = np.random.default_rng(1)
     alpha, beta = rng.uniform(-0.5, 2.0, 2000), rng.uniform(-1.0, 4.0, 2000)
-    codes = jaxstab.verdict(alpha, beta, *plant, **filters)
+    codes = jaxstab.verdict(alpha, beta, **by_name(*plant), **filters)
     np.testing.assert_array_equal(region.contains(alpha, beta), codes == STABLE)
     assert STABLE in codes
 
@@ -463,7 +486,7 @@ def test_regions_where_the_position_filter_is_zero_at_the_nyquist_frequency(
 def test_corners_of_filtered_regions_have_roots_on_the_circle_and_none_outside() -> None:
     velocity, v = ESTIMATORS["window 20"]
     loop = truth.FilteredLoop(1e-3, 1e-2, 1.0, v, truth.average(1))
-    corners = jaxstab.stable_region(1e-3, 1e-2, 1.0, velocity=velocity).corners
+    corners = jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity).corners
     for alpha, beta in corners:
         coefficients = [float(c.mid()) for c in loop.polynomial(float(alpha), float(beta))]
         moduli = np.abs(np.roots(coefficients))
@@ -473,22 +496,24 @@ def test_corners_of_filtered_regions_have_roots_on_the_circle_and_none_outside()
 
 
 def test_a_window_of_one_sample_has_the_region_of_the_paper() -> None:
-    plain = jaxstab.stable_region(1e-3, 1e-2, 0.5)
-    window = jaxstab.stable_region(1e-3, 1e-2, 0.5, velocity=Velocity.difference(samples=1))
+    plain = jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=0.5)
+    window = jaxstab.stable_region(
+        gamma=1e-3, delta=1e-2, delay=0.5, velocity=Velocity.difference(samples=1)
+    )
     np.testing.assert_array_equal(plain.points, window.points)
     assert len(plain.components) == 1
     assert not plain.islands
 
 
 def test_regions_of_filters_whose_poles_float64_does_not_tell_apart() -> None:
-    velocity = Velocity.butterworth(0.02, 8)
-    region = jaxstab.stable_region(1e-3, 1e-2, 1.0, velocity=velocity)
+    velocity = Velocity.butterworth(0.02, order=8)
+    region = jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
     assert region.status == jaxstab.RegionStatus.COMPLETE
     rng = np.random.default_rng(8)
     vertices = region.points[rng.integers(0, len(region.points), 400)]
     away = np.repeat([[1e-4], [1e-1]], 200, axis=0) * np.ptp(region.points, axis=0)
     walls = (vertices + rng.normal(size=(400, 2)) * away).T
-    codes = jaxstab.verdict(*walls, 1e-3, 1e-2, 1.0, velocity=velocity)
+    codes = jaxstab.verdict(*walls, gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
     inside = region.contains(*walls)
     is_decided = codes != UNDECIDED
     assert np.mean(is_decided) > 0.95
@@ -498,14 +523,14 @@ def test_regions_of_filters_whose_poles_float64_does_not_tell_apart() -> None:
 def test_a_hand_far_above_a_cut_off_has_a_region() -> None:
     # At its resonance the curve is a steep line, for 2e-8 of an angle.
     place = (0.5316505894594178, 8.394132253328545e-05, 2.0)
-    velocity = Velocity.butterworth(0.017358, 10)
-    region = jaxstab.stable_region(*place, velocity=velocity)
+    velocity = Velocity.butterworth(0.017358, order=10)
+    region = jaxstab.stable_region(**by_name(*place), velocity=velocity)
     assert region.status == jaxstab.RegionStatus.COMPLETE
     rng = np.random.default_rng(3)
     edges = rng.integers(len(region.points), size=300)
     away = rng.normal(size=(300, 2)) * 10.0 ** rng.uniform(-6.0, 0.0, (300, 1))
     walls = (region.points[edges] + np.ptp(region.points, axis=0) * away).T
-    codes = jaxstab.verdict(*walls, *place, velocity=velocity)
+    codes = jaxstab.verdict(*walls, **by_name(*place), velocity=velocity)
     inside = region.contains(*walls)
     assert not np.any(inside & (codes == UNSTABLE))
     assert not np.any(~inside & (codes == STABLE))
@@ -513,8 +538,8 @@ def test_a_hand_far_above_a_cut_off_has_a_region() -> None:
 
 
 def test_a_region_that_is_not_resolved_claims_nothing() -> None:
-    velocity = Velocity.butterworth(0.005, 20)
-    region = jaxstab.stable_region(1e-3, 1e-2, 1.0, velocity=velocity)
+    velocity = Velocity.butterworth(0.005, order=20)
+    region = jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
     assert region.status == jaxstab.RegionStatus.UNRESOLVED
     assert region.components == []
     assert region.main is None
@@ -523,17 +548,19 @@ def test_a_region_that_is_not_resolved_claims_nothing() -> None:
 
 def test_filters_have_regions_of_stability_alone() -> None:
     with pytest.raises(ValueError, match=r"radius is 0\.9; with a filter only 1"):
-        jaxstab.stable_region(0.0, 0.0, 1.0, radius=0.9, velocity=Velocity.difference(samples=2))
+        jaxstab.stable_region(
+            gamma=0.0, delta=0.0, delay=1.0, radius=0.9, velocity=Velocity.difference(samples=2)
+        )
 
 
 @pytest.mark.campaign
 def test_a_region_that_proofs_contradict_claims_nothing() -> None:
     # The scan finds no piece of this one; most small gains are stable.
     velocity = Velocity.transfer_function([1.0, -1.1875, 0.1875], [1.0, 0.3125, -0.2578125, 0.0])
-    filters = {"velocity": velocity, "position": Filter.butterworth(0.005355365513565198, 7)}
+    filters = {"velocity": velocity, "position": Filter.butterworth(0.005355365513565198, order=7)}
     plant = 0.6185486656816983, 0.0, 1.3859936203430451e-09
-    assert jaxstab.verdict(1.5e-5, 5.6e-6, *plant, **filters) == STABLE
-    region = jaxstab.stable_region(*plant, **filters)
+    assert jaxstab.verdict(1.5e-5, 5.6e-6, **by_name(*plant), **filters) == STABLE
+    region = jaxstab.stable_region(**by_name(*plant), **filters)
     assert region.contains(1.5e-5, 5.6e-6) or region.status == jaxstab.RegionStatus.UNRESOLVED
 
 
@@ -603,7 +630,9 @@ def test_lines_at_poles_of_the_curve_bound_regions(
 
 
 def test_a_line_at_a_pole_is_part_of_the_boundary() -> None:
-    region = jaxstab.stable_region(0.0, 0.0, 0.0, position=Filter.average(samples=4))
+    region = jaxstab.stable_region(
+        gamma=0.0, delta=0.0, delay=0.0, position=Filter.average(samples=4)
+    )
     assert region.max_alpha == pytest.approx([8.0 / 3.0, 2.0], rel=1e-12)
     on_line = np.abs(region.points[:, 1] - 2.0) < 1e-12
     assert np.ptp(region.points[on_line, 0]) == pytest.approx(8.0 / 3.0)
@@ -611,7 +640,12 @@ def test_a_line_at_a_pole_is_part_of_the_boundary() -> None:
         assert region.contains(alpha, 2.0 - 1e-9)
         assert not region.contains(alpha, 2.0 + 1e-9)
         assert jaxstab.verdict(
-            alpha, [2.0 - 1e-9, 2.0 + 1e-9], 0.0, 0.0, 0.0, position=Filter.average(samples=4)
+            alpha,
+            [2.0 - 1e-9, 2.0 + 1e-9],
+            gamma=0.0,
+            delta=0.0,
+            delay=0.0,
+            position=Filter.average(samples=4),
         ).tolist() == [STABLE, UNSTABLE]
 
 
@@ -646,4 +680,6 @@ def test_audits_ask_no_wall_on_a_corner() -> None:
 def test_a_cut_off_may_be_an_array_of_jax() -> None:
     numbers = 0.01, 0.1, 0.0, 0.01, 1.0
     plain, of_jax = (Velocity.low_pass(cutoff) for cutoff in (0.05, jnp.asarray(0.05)))
-    assert jaxstab.verdict(*numbers, velocity=of_jax) == jaxstab.verdict(*numbers, velocity=plain)
+    assert jaxstab.verdict(**by_name(*numbers), velocity=of_jax) == jaxstab.verdict(
+        **by_name(*numbers), velocity=plain
+    )

@@ -83,7 +83,9 @@ def codes_of(guard: Guard, rows: np.ndarray) -> np.ndarray:
     delta = (guard.loop.device_damping + rows[:, 6]) * period / moved
     wall = alpha, rows[:, 1] * period / moved
     return np.asarray(
-        jaxstab.verdict(*wall, gamma, delta, rows[:, 3] / period, **guard.loop.filters)
+        jaxstab.verdict(
+            *wall, gamma=gamma, delta=delta, delay=rows[:, 3] / period, **guard.loop.filters
+        )
     )
 
 
@@ -131,7 +133,7 @@ def test_certified_roots_agree(guard: Guard, program: Path) -> None:
 
 def test_the_header_is_of_the_same_numbers_as_python(guard: Guard, program: Path) -> None:
     rows = rows_of(program, 5_000, 3)
-    own = guard.largest_stiffness(rows[:, 5], rows[:, 2], rows[:, 3])
+    own = guard.largest_stiffness(rows[:, 5], mass=rows[:, 2], delay=rows[:, 3])
     assert own == pytest.approx(rows[:, 7], rel=1e-9, abs=1e-6)
 
 
@@ -139,8 +141,8 @@ def test_it_grants_nine_tenths_and_never_more_than_is_stable(guard: Guard) -> No
     assert 0.9 < guard.granted < 1.0
     mass, delay = np.linspace(*guard.mass, 5), np.linspace(*guard.delay, 5)
     damping = np.broadcast_to(np.linspace(0.0, 200.0, 100), (5, 5, 100))
-    exact = guard.exact_stiffness(damping, mass, delay)
-    own = guard.largest_stiffness(damping, mass[:, None, None], delay[:, None])
+    exact = guard.exact_stiffness(damping, mass=mass, delay=delay)
+    own = guard.largest_stiffness(damping, mass=mass[:, None, None], delay=delay[:, None])
     assert np.all(own <= exact)
 
 
@@ -233,8 +235,12 @@ def test_nothing_crosses_the_circle_next_to_one() -> None:
         holds += force * cosine**2 * beta * (1.0 - 0.5 * angles)
         freed = (cosine > 0.0) & (holds > turns * angles**2)
         z = np.exp(1j * angles)
-        base = np.polyval(jaxstab.characteristic_polynomial(0.0, beta, gamma, delta, delay), z)
-        full = np.polyval(jaxstab.characteristic_polynomial(1.0, beta, gamma, delta, delay), z)
+        base = np.polyval(
+            jaxstab.characteristic_polynomial(0.0, beta, gamma=gamma, delta=delta, delay=delay), z
+        )
+        full = np.polyval(
+            jaxstab.characteristic_polynomial(1.0, beta, gamma=gamma, delta=delta, delay=delay), z
+        )
         twist = np.imag(base * np.conj(full - base))
         assert np.all(twist[freed] > 0.0)
 

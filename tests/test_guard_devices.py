@@ -97,7 +97,8 @@ def drawn_loop(rng: np.random.Generator) -> tuple[HapticLoop, HandRange, Grid]:
         rng.uniform(0.1, 1.0, (2, 2)) * mass / PERIOD,
         rng.uniform(0.0, 0.3, (2, 2, 5)) * mass / PERIOD**2,
     )
-    return loop, HandRange(*ends.T.tolist()), grid
+    ranges = dict(zip(("mass", "stiffness", "damping"), ends.T.tolist(), strict=True))
+    return loop, HandRange(**ranges), grid
 
 
 def true_value(loop: HapticLoop, wall: tuple[float, float], theta: float) -> mpc:
@@ -121,8 +122,8 @@ def assert_boxes_hold(seed: int, boxes: int) -> tuple[float, int]:
         proof = DeviceBoxes(loop.device, loop, hands, grid)
     except NotImplementedError:
         return 0.0, 0
-    low = np.array([0.0, 0.0, 0.0, *(end for end, _ in hands), 0.0])[:, None]
-    high = np.array([1.0, 1.0, 4.0, *(end for _, end in hands), np.pi])[:, None]
+    low = np.array([0.0, 0.0, 0.0, *(end for end, _ in vars(hands).values()), 0.0])[:, None]
+    high = np.array([1.0, 1.0, 4.0, *(end for _, end in vars(hands).values()), np.pi])[:, None]
     size = 0.5 ** rng.integers(0, 9, (7, boxes))
     size[2] = np.minimum(size[2], 0.25)
     place = np.floor(rng.random((7, boxes)) / size) * size
@@ -231,7 +232,7 @@ def test_what_the_header_lets_through_is_stable_in_many_calls(guard: Guard, prog
 
 def test_certified_roots_of_the_equations_of_motion_agree(guard: Guard, program: Path) -> None:
     rows = rows_of(program, 3, 3)
-    hands = guard.hands._replace(mass=(0.01, 0.3))  # the equations divide by the mass
+    hands = replace(guard.hands, mass=(0.01, 0.3))  # the equations divide by the mass
     for row, arm in zip(rows, arms_of(hands, np.random.default_rng(3), 3), strict=True):
         _, _, mass, delay, stiffness, damping = row[:6].tolist()
         body = mpf(mass), mpf(DEVICE.mechanism.damping), mpf(0)
@@ -245,16 +246,18 @@ def test_certified_roots_of_the_equations_of_motion_agree(guard: Guard, program:
 def test_filters_are_those_of_the_loop() -> None:
     filters = {"velocity": Velocity.low_pass(60.0), "position": jaxstab.Filter.low_pass(200.0)}
     loop = HapticLoop(device=DEVICE, sample_time=PERIOD, **filters)
-    hand = HandRange((0.1, 0.1), (50.0, 60.0), (1.0, 1.0))
+    hand = HandRange(mass=(0.1, 0.1), stiffness=(50.0, 60.0), damping=(1.0, 1.0))
     guard = build_guard(loop, hand, mass=(0.249, 0.251), delay=(1e-3, 1.02e-3), cells=(1, 1, 8))
     damping = np.linspace(0.05, 0.95, 19) * guard.grid.top.min()
-    limits = guard.largest_stiffness(damping, 0.25, 1e-3)
+    limits = guard.largest_stiffness(damping, mass=0.25, delay=1e-3)
     rows = np.column_stack([*np.broadcast_arrays(0.0, 0.0, 0.25, 1e-3, limits, damping)])
     assert set(codes_of(guard, rows[limits > 0.0], 4)) == {STABLE}
     assert (
         0.0
         < limits.max()
-        <= guard.exact_stiffness(damping[None, None], np.array([0.25]), np.array([1e-3])).max()
+        <= guard.exact_stiffness(
+            damping[None, None], mass=np.array([0.25]), delay=np.array([1e-3])
+        ).max()
     )
 
 
@@ -265,10 +268,13 @@ def test_it_grants_nine_tenths_of_what_is_stable(guard: Guard) -> None:
 
 def test_walls_a_little_beyond_the_exact_limit_are_not_stable(guard: Guard) -> None:
     """The limit that the share is of is a limit: some arm is unstable 2 % above it."""
-    place = np.array([0.25]), np.array([1e-3])
+    place = {"mass": np.array([0.25]), "delay": np.array([1e-3])}
     damping = np.array([5.0, 15.0, 25.0])
-    exact = guard.exact_stiffness(damping[None, None], *place)[0, 0]
-    arms = [Arms(*one) for one in np.array(np.meshgrid(*guard.hands)).reshape(3, -1).T.tolist()]
+    exact = guard.exact_stiffness(damping[None, None], **place)[0, 0]
+    arms = [
+        Arms(*one)
+        for one in np.array(np.meshgrid(*vars(guard.hands).values())).reshape(3, -1).T.tolist()
+    ]
     for b, k in zip(damping, exact, strict=True):
         above, below = (
             [int(with_hand(LOOP, 0.25, 1e-3, arm).verdict(share * k, b)) for arm in arms]
@@ -306,7 +312,7 @@ def test_guards_of_random_devices_let_nothing_unstable_through(
         rng = np.random.default_rng(seed)
         places = rng.random((300, 2)) * np.ptp(ends, axis=1) + ends[:, 0]
         damping = rng.random(300) * float(guard.grid.top.max())
-        limits = guard.largest_stiffness(damping, *places.T)
+        limits = guard.largest_stiffness(damping, mass=places[:, 0], delay=places[:, 1])
         rows = np.column_stack([0.0 * places, places, limits, damping])[limits > 0.0]
         assert set(codes_of(guard, rows, seed)) <= {STABLE}, seed
 

@@ -20,6 +20,7 @@ from programs_in_c import compiled
 
 from jaxstab import Atlas, open_atlas
 from jaxstab.atlas.format import schema
+from jaxstab.model import by_name
 
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = ROOT / "data" / "golden" / "atlas-v3.h5"
@@ -59,7 +60,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Base:
     atlas = open_atlas(path)
     on_limits = points[codes_of(atlas, points) != OUTSIDE][:100].copy()
     for point in on_limits:
-        upper = atlas.alpha_limits(*map(float, point[1:])).upper
+        upper = atlas.alpha_limits(**by_name(*map(float, point[1:]))).upper
         point[0] = upper if np.isfinite(upper) else point[0]
     points = np.concatenate([points, on_limits])
     return Base(arrays, points, codes_of(atlas, points))
@@ -70,7 +71,7 @@ def codes_of(atlas: Atlas, points: np.ndarray) -> np.ndarray:
 
     They read nothing else; where there are no limits Python may know a radius.
     """
-    answer = atlas.query(*points.T, outside="undecided")
+    answer = atlas.query(**by_name(*points.T), outside="undecided")
     early, late = atlas.arrays[schema.LIMIT_RANGE][:, :2].T
     has_limits = ((points[:, 4:] >= early) & (points[:, 4:] <= late)).any(axis=1)
     return np.where(has_limits & (answer.status < 4), answer.verdict, OUTSIDE)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 import jaxstab
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, HapticLoop
+from jaxstab.model import by_name
 
 DELAYS = (0.0, 0.5, 2.0)  # few, for each is compiled
 WALLS = 64  # at once: one size, compiled once
@@ -29,7 +30,7 @@ def walls(seed: int, delay: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def codes_of(*point: Any, **options: Any) -> np.ndarray:
-    return np.asarray(jaxstab.verdict(*point, **options))
+    return np.asarray(jaxstab.verdict(**by_name(*point), **options))
 
 
 @few
@@ -49,8 +50,8 @@ def test_the_two_ways_to_a_radius_agree_within_their_bounds_and_with_the_verdict
     plant: tuple[float, float, float], seed: int
 ) -> None:
     alpha, beta = walls(seed, plant[2])
-    fast = jaxstab.spectral_radius(alpha, beta, *plant)
-    companion = jaxstab.spectral_radius(alpha, beta, *plant, method="companion")
+    fast = jaxstab.spectral_radius(alpha, beta, **by_name(*plant))
+    companion = jaxstab.spectral_radius(alpha, beta, **by_name(*plant), method="companion")
     both = np.asarray(fast.error) + np.asarray(companion.error)
     assert np.all(np.abs(np.asarray(fast.value) - np.asarray(companion.value)) <= both)
     codes = codes_of(alpha, beta, *plant)
@@ -65,14 +66,14 @@ def test_an_answer_does_not_depend_on_the_shape_of_the_question(
     plant: tuple[float, float, float], seed: int, cut: int
 ) -> None:
     alpha, beta = walls(seed, plant[2])
-    whole = jaxstab.spectral_radius(alpha, beta, *plant)
+    whole = jaxstab.spectral_radius(alpha, beta, **by_name(*plant))
     codes = codes_of(alpha, beta, *plant)
     order = np.roll(np.arange(WALLS), cut)
     for form in (order, order.reshape(8, -1)):
-        turned = jaxstab.spectral_radius(alpha[form], beta[form], *plant)
+        turned = jaxstab.spectral_radius(alpha[form], beta[form], **by_name(*plant))
         np.testing.assert_array_equal(turned.value, np.asarray(whole.value)[form])
         np.testing.assert_array_equal(codes_of(alpha[form], beta[form], *plant), codes[form])
-    pieces = jaxstab.sweep(jaxstab.verdict, alpha, beta, *plant, chunk=WALLS // 2)
+    pieces = jaxstab.sweep(jaxstab.verdict, alpha, beta, **by_name(*plant), chunk=WALLS // 2)
     for place, part in pieces:
         np.testing.assert_array_equal(part, codes[place])
 
@@ -100,9 +101,9 @@ def test_a_loop_in_other_units_is_the_same_loop(
         jaxstab.spectral_radius(
             loop.alpha(own.stiffness(alpha) * by_stiffness),
             loop.beta(own.damping(beta) * by_damping),
-            loop.gamma,
-            loop.delta,
-            0.0,
+            gamma=loop.gamma,
+            delta=loop.delta,
+            delay=0.0,
         )
         for loop, by_stiffness, by_damping in (
             (own, 1.0, 1.0),
@@ -122,13 +123,13 @@ def test_a_verdict_is_constant_along_a_segment_that_the_boundary_does_not_cross(
     alpha, beta = walls(seed, delay)
     codes = codes_of(alpha, beta, *plant)
     theta = np.linspace(1e-4, np.pi - 1e-4, 4001)
-    curve = np.stack(jaxstab.boundary_curve(theta, *plant))
+    curve = np.stack(jaxstab.boundary_curve(theta, **by_name(*plant)))
     gaps = np.hypot(*np.diff(curve))
     gap = np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))  # to the neighbours
     point = np.stack([alpha, beta])
     to_curve = (np.hypot(*(point[:, :, None] - curve[:, None, :])) - gap).min(axis=1)
     room = np.minimum(to_curve, np.abs(alpha + gamma))
-    offset = float(jaxstab.minus_line(0.0, *plant))
+    offset = float(jaxstab.minus_line(0.0, **by_name(*plant)))
     if np.isfinite(offset):
         room = np.minimum(room, np.abs(alpha + 2.0 * beta - offset) / np.sqrt(5.0))
     angle = np.random.default_rng(seed).uniform(0, 2 * np.pi, WALLS)

@@ -11,6 +11,7 @@ import pytest
 import jaxstab
 from benchmarks import truth
 from jaxstab import Filter, HapticLoop, Velocity, Verdict
+from jaxstab.model import by_name
 from jaxstab.region import Branch, RegionStatus, StableRegion, boundary_curve, stable_region
 
 
@@ -87,7 +88,7 @@ def dense_boundary(
     shares = np.linspace(0, 1, 65)
     begin, end = region.outline.angles[: len(region.branch), :, None].swapaxes(0, 1)
     theta = begin + shares * (end - begin)
-    curve = np.stack(boundary_curve(theta, *place, radius=radius), axis=-1)
+    curve = np.stack(boundary_curve(theta, **by_name(*place), radius=radius), axis=-1)
     here, there = region.points[:-1, None], region.points[1:, None]
     lines = here + shares[:, None] * (there - here)
     on_curve = (region.branch == Branch.CURVE)[:, None, None]
@@ -107,7 +108,7 @@ SHARP = (88.19443994045147, 0.4993197713896914, 0.5537552816061377), 0.816140006
 def test_the_distance_next_to_a_sharp_turn_is_that_to_the_curve() -> None:
     place, radius = SHARP
     point = np.array([72.49673704316012, -31.60018426249376])
-    region = stable_region(*place, radius=radius)
+    region = stable_region(**by_name(*place), radius=radius)
     assert abs(region.distance(*point)) == pytest.approx(6.341586827520546e-4, rel=1e-9)
     assert distance_to(dense_boundary(region, place, radius), point) == pytest.approx(
         6.3416e-4, rel=1e-3
@@ -128,7 +129,7 @@ SLICES = [
 def test_distances_are_those_to_dense_points_of_the_boundary(
     place: tuple[float, ...], radius: float, rng: np.random.Generator
 ) -> None:
-    region = stable_region(*place, radius=radius)
+    region = stable_region(**by_name(*place), radius=radius)
     low, high = region.points.min(axis=0), region.points.max(axis=0)
     size = high - low
     anywhere = rng.uniform(low - 0.3 * size, high + 0.3 * size, (6, 2))
@@ -147,10 +148,10 @@ def test_the_distance_of_an_unstable_wall_is_the_way_to_the_stable_ones() -> Non
     place = (11.405564355911224, 1.5592429629386233e-06, 8.243292912477305)
     wall = np.array([12.273777225929214, -5.663227002875532])
     distance = float(loop_of(*place).boundary_distance(*wall))
-    boundary = dense_boundary(stable_region(*place), place)
+    boundary = dense_boundary(stable_region(**by_name(*place)), place)
     assert distance == pytest.approx(-distance_to(boundary, wall), rel=1e-4)
     theta = np.linspace(0, np.pi, 200_001)[1:-1]
-    curve = np.stack(boundary_curve(theta, *place), axis=-1)
+    curve = np.stack(boundary_curve(theta, **by_name(*place)), axis=-1)
     away = np.hypot(*(curve - wall).T)
     assert away.min() < 1e-3
     assert not is_stable(*curve[np.argmin(away)] * (1 - 1e-6), loop_of(*place))
@@ -170,28 +171,30 @@ def test_a_loop_given_for_numbers_is_answered_in_one_sentence() -> None:
 
 def test_a_traced_slice_is_sent_to_region_outline() -> None:
     with pytest.raises(TypeError, match=r"^stable_region [^\n]*call region_outline\."):
-        jax.jit(lambda gamma: stable_region(gamma, 0.1, 1.0).max_alpha)(0.1)
-    assert stable_region(jnp.asarray(0.1), 0.1, 1.0).status == RegionStatus.COMPLETE
+        jax.jit(lambda gamma: stable_region(gamma=gamma, delta=0.1, delay=1.0).max_alpha)(0.1)
+    assert (
+        stable_region(gamma=jnp.asarray(0.1), delta=0.1, delay=1.0).status == RegionStatus.COMPLETE
+    )
 
 
 def test_long_delays_are_answered_or_refused() -> None:
-    region = stable_region(1e-3, 0.015, 300.0)
+    region = stable_region(gamma=1e-3, delta=0.015, delay=300.0)
     assert region.status == RegionStatus.COMPLETE
     alpha, beta = map(float, region.max_alpha)
     place = (1e-3, 0.015, 300.0)
-    assert jaxstab.verdict(alpha - 1e-7, beta, *place) == Verdict.STABLE
-    assert jaxstab.verdict(alpha + 1e-7, beta, *place) == Verdict.UNSTABLE
+    assert jaxstab.verdict(alpha - 1e-7, beta, **by_name(*place)) == Verdict.STABLE
+    assert jaxstab.verdict(alpha + 1e-7, beta, **by_name(*place)) == Verdict.UNSTABLE
     with pytest.raises(ValueError, match=r"^delay is 2000\.0; [^\n]*500 samples\.$"):
-        stable_region(1e-3, 0.015, 2000.0)
+        stable_region(gamma=1e-3, delta=0.015, delay=2000.0)
 
 
 def test_corners_on_a_line_have_its_alpha_and_no_negative_zeros() -> None:
-    region = stable_region(0.0, 0.0, 0.0)
+    region = stable_region(gamma=0.0, delta=0.0, delay=0.0)
     for numbers in (region.points, region.corners, region.max_alpha, region.max_beta):
         assert not np.any(np.signbit(numbers) & (numbers == 0.0))
     assert region.max_beta[0] == 0.0
     for gamma in (1e-3, 0.3):
-        corners = stable_region(gamma, 0.1, 1.5).corners
+        corners = stable_region(gamma=gamma, delta=0.1, delay=1.5).corners
         np.testing.assert_array_equal(corners[:, 0], -gamma)
 
 
@@ -199,11 +202,11 @@ def test_regions_and_limits_do_not_import_jax() -> None:
     program = (
         "import sys, numpy as np, jaxstab\n"
         "loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)\n"
-        "region = jaxstab.stable_region(1e-3, 0.015, 1.5)\n"
+        "region = jaxstab.stable_region(gamma=1e-3, delta=0.015, delay=1.5)\n"
         "region.area, region.contains(0.1, [0.2, 0.3]), region.distance(0.1, 0.2)\n"
         "region.alpha_limits(0.3), region.beta_limits(0.1), region.rows_are_intervals\n"
         "loop.limits(), loop.stiffness_limits(np.arange(9.0))\n"
-        "loop.boundary_distance(10.0, 1.0), jaxstab.boundary_curve(1.0, 0.1, 0.1, 1.5)\n"
+        "loop.boundary_distance(10.0, 1.0), jaxstab.boundary_curve(1.0, **loop.slice)\n"
         "assert 'jax' not in sys.modules\n"
     )
     run([sys.executable, "-c", program], check=True, timeout=60)

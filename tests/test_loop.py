@@ -17,6 +17,7 @@ from benchmarks.truth.march import (
     march_through_filters,
 )
 from jaxstab import Filter, HapticLoop, RegionStatus, Velocity, Verdict
+from jaxstab.model import by_name
 
 OMEGA = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
 WINDOW = replace(OMEGA, velocity=Velocity.difference(samples=20))
@@ -121,13 +122,17 @@ def test_answers_are_those_of_the_five_numbers() -> None:
     stiffness, damping = walls_of(WINDOW, 40)
     five = WINDOW.alpha(stiffness), WINDOW.beta(damping), WINDOW.gamma, WINDOW.delta, 1.0
     own = {"velocity": Velocity.difference(samples=20)}
-    assert np.array_equal(WINDOW.verdict(stiffness, damping), jaxstab.verdict(*five, **own))
-    assert np.array_equal(WINDOW.poles(stiffness, damping), jaxstab.closed_loop_poles(*five, **own))
+    assert np.array_equal(
+        WINDOW.verdict(stiffness, damping), jaxstab.verdict(**by_name(*five), **own)
+    )
+    assert np.array_equal(
+        WINDOW.poles(stiffness, damping), jaxstab.closed_loop_poles(**by_name(*five), **own)
+    )
     settling = WINDOW.settling_time(stiffness, damping, horizon=4096)
-    samples = jaxstab.settling_samples(*five, horizon=4096, **own)
+    samples = jaxstab.settling_samples(**by_name(*five), horizon=4096, **own)
     assert np.array_equal(settling.value, samples.value * 1e-3, equal_nan=True)
     mode = WINDOW.oscillation(stiffness, damping)
-    plain = jaxstab.dominant_mode(*five, **own)
+    plain = jaxstab.dominant_mode(**by_name(*five), **own)
     assert np.array_equal(mode.frequency, plain.frequency / (2e-3 * np.pi))
 
 
@@ -158,12 +163,12 @@ def test_the_dense_case_goes_through_jit_and_vmap() -> None:
 SI_FILTERS: dict[str, tuple[dict[str, Any], list[Taps], list[Taps]]] = {
     "window in s": ({"velocity": Velocity.difference(window=0.02)}, [difference_taps(10)], []),
     "low pass in Hz": (
-        {"velocity": Velocity.low_pass(40.0, 2), "position": Filter.low_pass(150.0)},
+        {"velocity": Velocity.low_pass(40.0, order=2), "position": Filter.low_pass(150.0)},
         [difference_taps(1), low_pass_taps(0.08), low_pass_taps(0.08)],
         [low_pass_taps(0.3)],
     ),
     "Butterworth in Hz": (
-        {"velocity": Velocity.butterworth(50.0, 3)},
+        {"velocity": Velocity.butterworth(50.0, order=3)},
         [difference_taps(1), *butterworth_taps(0.1, 3)],
         [],
     ),
@@ -187,7 +192,8 @@ def test_a_simulated_loop_moves_as_lfilter_has_it(case: str) -> None:
     wall = (400.0, 4.0)
     response = loop.simulate(*wall, samples=300, initial_velocity=0.1)
     states, _ = march_through_filters(
-        loop.slice, (loop.alpha(wall[0]), loop.beta(wall[1])), velocity, position, 300,
+        tuple(loop.slice.values()), (loop.alpha(wall[0]), loop.beta(wall[1])),
+        velocity, position, 300,
         start=(0.0, 0.1 * loop.sample_time),
     )  # fmt: skip
     size = np.abs(states[:, 0]).max()
@@ -200,7 +206,7 @@ def test_a_simulated_loop_moves_as_lfilter_has_it(case: str) -> None:
 
 
 def test_a_region_is_asked_in_si_units() -> None:
-    region, whole = HELD.region(), jaxstab.stable_region(*HELD.slice)
+    region, whole = HELD.region(), jaxstab.stable_region(**HELD.slice)
     scale = np.array([HELD.stiffness(1.0), HELD.damping(1.0)])
     assert region.status == RegionStatus.COMPLETE
     np.testing.assert_array_equal(region.outline, whole.points * scale)
@@ -231,9 +237,12 @@ def test_a_coarser_outline_has_fewer_points_and_the_same_limits() -> None:
     ("filters", "message"),
     [
         ({"velocity": Velocity.difference(window=15.5e-3)}, r"0.015 s \(15 .* 0.016 s \(16"),
-        ({"velocity": Velocity.butterworth(600.0, 2)}, "below half of the sampling rate, 500 Hz"),
+        (
+            {"velocity": Velocity.butterworth(600.0, order=2)},
+            "below half of the sampling rate, 500 Hz",
+        ),
         ({"position": Filter.low_pass(1e9)}, "closer to 1 / period"),
-        ({"position": Filter.low_pass(10.0, 40) * Filter.low_pass(10.0)}, "order 41"),
+        ({"position": Filter.low_pass(10.0, order=40) * Filter.low_pass(10.0)}, "order 41"),
     ],
 )
 def test_a_filter_that_does_not_go_with_the_period_is_refused_at_birth(
@@ -276,6 +285,6 @@ def test_beyond_the_wall_nothing_is_positional() -> None:
 
 def test_functions_of_five_numbers_name_the_method() -> None:
     with pytest.raises(TypeError, match=r"loop.region\(\)"):
-        jaxstab.stable_region(OMEGA, 0.0, 1.0)
+        jaxstab.stable_region(OMEGA)
     with pytest.raises(TypeError, match=r"loop.margins\(K, B\)"):
-        jaxstab.margins(OMEGA, 1000.0, 10.0, 0.0, 1.0)
+        jaxstab.margins(OMEGA, 1000.0, gamma=0.0, delta=0.0, delay=1.0)

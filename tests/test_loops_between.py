@@ -94,7 +94,7 @@ def truth_at(name: str, share: float) -> Any:
     """p(z) in balls of the loop at a share of the way, for K in N/m and B in N s/m."""
     first, last = ENDS[name]
     drawn, cutoff = drawn_at(name, first + share * (last - first))
-    velocity = filtered.times(filtered.difference(1), filtered.low_pass(cutoff, 1))
+    velocity = filtered.times(filtered.difference(1), filtered.low_pass(cutoff, order=1))
     system = drawn.mechanism.system()
     return devices.DeviceLoop(system, PERIOD, drawn.delay, velocity, filtered.average(1)).balls()
 

@@ -12,6 +12,7 @@ import jaxstab
 from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict
+from jaxstab.model import by_name
 
 FREE = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0)  # K = alpha, B = beta
 PHANTOM = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1.5e-3)
@@ -126,7 +127,7 @@ AXES_OF_STEPS = (0, 0, 1, 1, 4)
 
 def steps(*point: Any, **filters: Any) -> list[Any]:
     """The five ways from a wall to instability: in alpha and beta down and up, in delay."""
-    found = jaxstab.margins(*point, **filters)
+    found = jaxstab.margins(**by_name(*point), **filters)
     alphas, betas = found.stiffness - point[0], found.damping - point[1]
     return [alphas[0], alphas[1], betas[0], betas[1], found.extra_delay]
 
@@ -333,9 +334,9 @@ def test_a_delay_that_only_comes_near_the_circle_is_told_from_one_that_meets_it(
     found = jaxstab.margins(
         1.7227216180065996,
         -0.877380055459924,
-        9.809468907757546,
-        0.008939127392511253,
-        3.196294952593754,
+        gamma=9.809468907757546,
+        delta=0.008939127392511253,
+        delay=3.196294952593754,
     )
     assert found.verdict == Verdict.STABLE
     assert found.extra_delay == np.inf
@@ -353,7 +354,7 @@ def test_the_delay_of_walls_with_critical_angles_down_to_zero_may_grow(
     wall: tuple[float, ...],
 ) -> None:
     """A first stretch of 1024 samples had too many boxes, and none of the delay was proved."""
-    extra = float(jaxstab.margins(*wall).extra_delay)
+    extra = float(jaxstab.margins(**by_name(*wall)).extra_delay)
     assert extra > 0.01
     assert truth.unstable_count(*wall[:4], wall[4] + extra * (1.0 - 1e-6)) == 0
     assert truth.unstable_count(*wall[:4], wall[4] + extra * (1.0 + 1e-6)) != 0
@@ -374,16 +375,16 @@ FILTERED = {  # alpha, beta, gamma, delta, delay; the filters here and, exactly,
         (0.02, 0.1, 0.01, 0.02, 1.3),
         (Velocity.difference(samples=6) * Filter.low_pass(0.2), Filter.exponential(0.6)),
         (
-            filtered.times(filtered.difference(6), filtered.low_pass(0.2, 1)),
+            filtered.times(filtered.difference(6), filtered.low_pass(0.2, order=1)),
             filtered.exponential(0.6),
         ),
     ),
     "Butterworth, poles next to -1": (
         (0.002, 0.02, 0.0, 0.1, 2.0),
-        (Velocity.butterworth(0.1, 5), Filter.butterworth(0.45, 4)),
+        (Velocity.butterworth(0.1, order=5), Filter.butterworth(0.45, order=4)),
         (
-            filtered.times(filtered.difference(1), filtered.butterworth(0.1, 5)),
-            filtered.butterworth(0.45, 4),
+            filtered.times(filtered.difference(1), filtered.butterworth(0.1, order=5)),
+            filtered.butterworth(0.45, order=4),
         ),
     ),
 }

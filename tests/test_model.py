@@ -14,7 +14,7 @@ from mpmath import mp, mpf
 
 import jaxstab
 from benchmarks import truth
-from jaxstab.model import DoubleDouble, polynomial_degree
+from jaxstab.model import DoubleDouble, by_name, polynomial_degree
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 FIELDS = jaxstab.PlantCoefficients._fields
@@ -177,31 +177,31 @@ class TestPlantCoefficients:
     def test_have_the_last_digit_right(self, fraction: float) -> None:
         slices = hard_slices() if fraction == 0.0 else hard_slices()[::3]
         gamma, delta = np.array(slices).T
-        computed = jaxstab.plant_coefficients(gamma, delta, fraction)
+        computed = jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=fraction)
         assert_right(computed, [truth.plant(g, d, fraction) for g, d in slices])
 
     def test_meet_the_reference_file(self) -> None:
         lines = (REFERENCE / "coefficients.tsv").read_text().splitlines()
         rows = list(csv.DictReader((x for x in lines if x[0] != "#"), delimiter="\t"))
         inputs = np.array([[float(r[k]) for k in ("gamma", "delta", "fraction")] for r in rows]).T
-        computed = jaxstab.plant_coefficients(*inputs)
+        computed = jaxstab.plant_coefficients(**by_name(*inputs))
         exact = [truth.Plant(*(mpf(row[name]) for name in truth.Plant._fields)) for row in rows]
         assert_right(computed, exact)
 
     def test_at_rest_the_numerator_is_half_z_plus_1(self) -> None:
-        plant = jaxstab.plant_coefficients(0.0, 0.0)
+        plant = jaxstab.plant_coefficients(gamma=0.0, delta=0.0)
         assert [float(x) for x in plant] == [-2.0, 1.0, 0.5, 0.5, 0.0, 1.0, 0.0, 0.0]
 
     def test_the_denominator_at_one_keeps_its_digits(self) -> None:
         gamma = np.array([1e-300, 1e-30, 1e-12, 1e-3, 1.0, 40.0])
-        computed = jaxstab.plant_coefficients(gamma, 0.015).den_at_one
+        computed = jaxstab.plant_coefficients(gamma=gamma, delta=0.015).den_at_one
         exact = [g * truth.plant(g, 0.015).sum for g in gamma.tolist()]
         assert ulps(computed, exact) <= 1.0
 
     def test_far_outside_the_box_they_stay_right(self) -> None:
         slices = [(1e3, 0.0), (1e4, 1.0), (0.0, 1e3), (1e3, 1e3), (250000.0 / 25, 100.0)]
         gamma, delta = np.array(slices).T
-        computed = jaxstab.plant_coefficients(gamma, delta)
+        computed = jaxstab.plant_coefficients(gamma=gamma, delta=delta)
         assert_right(computed, [truth.plant(g, d) for g, d in slices])
 
     @pytest.mark.parametrize(
@@ -225,9 +225,9 @@ class TestPlantCoefficients:
 
     def test_a_whole_delay_is_the_limit_of_fractional_ones(self) -> None:
         tiny = 2.0**-40
-        whole = jaxstab.plant_coefficients(2.0, 0.3, 1.0)
-        above = jaxstab.plant_coefficients(2.0, 0.3, 1.0 + tiny)
-        below = jaxstab.plant_coefficients(2.0, 0.3, 1.0 - tiny)
+        whole = jaxstab.plant_coefficients(gamma=2.0, delta=0.3, delay=1.0)
+        above = jaxstab.plant_coefficients(gamma=2.0, delta=0.3, delay=1.0 + tiny)
+        below = jaxstab.plant_coefficients(gamma=2.0, delta=0.3, delay=1.0 - tiny)
         numerator = lambda p: np.array([p.n2, p.n1, p.n0])  # noqa: E731
         np.testing.assert_allclose(numerator(above), numerator(whole), atol=4 * tiny)
         # just below, one sample less of delay makes up for one power of z
@@ -247,7 +247,7 @@ class TestPlantCoefficients:
             if number % fine == 0:
                 seen.append(state[0])
             state = a @ state + b * push
-        plant = jaxstab.plant_coefficients(gamma, delta, late / fine)
+        plant = jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=late / fine)
         numerator = [float(plant.n2), float(plant.n1), float(plant.n0)]
         impulse = np.zeros(len(seen))
         impulse[0] = 1.0
@@ -258,38 +258,42 @@ class TestPlantCoefficients:
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
-            ((-1.0, 0.0), "gamma is -1.0"),
-            ((0.0, -0.1), "delta is -0.1"),
-            ((float("nan"), 0.0), "gamma is nan"),
-            ((1e5, 0.0), "gamma is 100000.0"),
+            ((-1.0, 0.0, 0.0), "gamma is -1.0"),
+            ((0.0, -0.1, 0.0), "delta is -0.1"),
+            ((float("nan"), 0.0, 0.0), "gamma is nan"),
+            ((1e5, 0.0, 0.0), "gamma is 100000.0"),
             ((0.0, 0.0, -0.5), "delay is -0.5"),
             ((0.0, 0.0, float("inf")), "delay is inf"),
         ],
     )
     def test_refuses_bad_values_by_name(self, arguments: tuple[float, ...], message: str) -> None:
         with pytest.raises(ValueError, match=message):
-            jaxstab.plant_coefficients(*arguments)
+            jaxstab.plant_coefficients(**by_name(*arguments))
 
     def test_what_is_remembered_of_arrays_is_nobody_elses_to_change(self) -> None:
         gamma, delta = np.array([0.0, 0.3]), np.array([0.1, 0.2])
-        first = jaxstab.plant_coefficients(gamma, delta, 0.4)
+        first = jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=0.4)
         kept = np.copy(first.n1)
         first.n1[:] = 7.0
-        np.testing.assert_array_equal(jaxstab.plant_coefficients(gamma, delta, 0.4).n1, kept)
-        gamma[1], alone = 2.0, jaxstab.plant_coefficients(2.0, 0.2, 0.4)
-        again = jaxstab.plant_coefficients(gamma, delta, 0.4)
+        np.testing.assert_array_equal(
+            jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=0.4).n1, kept
+        )
+        gamma[1], alone = 2.0, jaxstab.plant_coefficients(gamma=2.0, delta=0.2, delay=0.4)
+        again = jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=0.4)
         np.testing.assert_array_equal([part[1] for part in again], alone)
 
     def test_refuses_a_traced_delay(self) -> None:
         with pytest.raises(TypeError, match="concrete"):
-            jax.jit(lambda delay: jaxstab.plant_coefficients(0.0, 0.0, delay))(1.0)
+            jax.jit(lambda delay: jaxstab.plant_coefficients(gamma=0.0, delta=0.0, delay=delay))(
+                1.0
+            )
 
 
 def plant_slopes(mode: str, delay: float, gammas: np.ndarray, deltas: np.ndarray) -> np.ndarray:
     """The derivatives (gamma or delta, field, slice) of the plant's coefficients, by JAX."""
 
     def fields(gamma: jax.Array, delta: jax.Array) -> jax.Array:
-        return jnp.stack(jaxstab.plant_coefficients(gamma, delta, delay))
+        return jnp.stack(jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=delay))
 
     @jax.jit
     def forwards(*plant: jax.Array) -> jax.Array:
@@ -322,7 +326,7 @@ class TestCharacteristicPolynomial:
         self, delay: float, rng: np.random.Generator
     ) -> None:
         scenes = random_scenes(rng, 60)
-        computed = jaxstab.characteristic_polynomial(*np.array(scenes).T, delay)
+        computed = jaxstab.characteristic_polynomial(**by_name(*np.array(scenes).T, delay))
         assert computed.shape == (60, 1 + truth.degree(delay))
         for row, scene in zip(computed, scenes, strict=True):
             assert ulps(row, truth.polynomial(*scene, delay)) <= 1.0, scene
@@ -332,35 +336,41 @@ class TestCharacteristicPolynomial:
         gamma, delta = 1.3, 0.2
         plant = truth.plant(gamma, delta)
         alpha = float(-plant.d1 / plant.n2)
-        computed = jaxstab.characteristic_polynomial(alpha, 0.0, gamma, delta, 0)
+        computed = jaxstab.characteristic_polynomial(alpha, 0.0, gamma=gamma, delta=delta, delay=0)
         exact = truth.polynomial(alpha, 0.0, gamma, delta, 0)
         assert abs(exact[1]) < 1e-16
         assert ulps(computed, exact) <= 8.0
 
     def test_broadcasts(self) -> None:
         alpha, beta = np.linspace(0, 1, 3)[:, None], np.linspace(0, 1, 4)
-        assert jaxstab.characteristic_polynomial(alpha, beta, 0.0, 0.0, 2).shape == (3, 4, 6)
+        assert jaxstab.characteristic_polynomial(
+            alpha, beta, gamma=0.0, delta=0.0, delay=2
+        ).shape == (3, 4, 6)
 
     def test_pads_an_array_of_delays_with_powers_of_z(self) -> None:
         delays = [0.0, 1.0, 2.5]
-        padded = jaxstab.characteristic_polynomial(0.1, 0.2, 0.3, 0.4, np.array(delays))
+        padded = jaxstab.characteristic_polynomial(
+            0.1, 0.2, gamma=0.3, delta=0.4, delay=np.array(delays)
+        )
         assert polynomial_degree(np.array(delays)) == 6
         for row, delay in zip(padded, delays, strict=True):
-            alone = jaxstab.characteristic_polynomial(0.1, 0.2, 0.3, 0.4, delay)
+            alone = jaxstab.characteristic_polynomial(0.1, 0.2, gamma=0.3, delta=0.4, delay=delay)
             np.testing.assert_array_equal(row, np.pad(alone, (0, 7 - len(alone))))
 
     def test_is_continuous_in_the_delay(self) -> None:
         """Below a whole delay the polynomial has one root less at zero, all others agree."""
-        below = jaxstab.characteristic_polynomial(0.1, 0.2, 0.3, 0.4, 2 - 1e-13)
-        whole = jaxstab.characteristic_polynomial(0.1, 0.2, 0.3, 0.4, 2)
-        above = jaxstab.characteristic_polynomial(0.1, 0.2, 0.3, 0.4, 2 + 1e-13)
+        below = jaxstab.characteristic_polynomial(0.1, 0.2, gamma=0.3, delta=0.4, delay=2 - 1e-13)
+        whole = jaxstab.characteristic_polynomial(0.1, 0.2, gamma=0.3, delta=0.4, delay=2)
+        above = jaxstab.characteristic_polynomial(0.1, 0.2, gamma=0.3, delta=0.4, delay=2 + 1e-13)
         np.testing.assert_allclose(below, whole, atol=1e-12)
         np.testing.assert_allclose(above, np.append(whole, 0.0), atol=1e-12)
 
     @pytest.mark.parametrize("delay", [0, pytest.param(1.6, marks=pytest.mark.campaign)])
     def test_jit_and_vmap_work(self, delay: float) -> None:
         point = (0.1, 0.2, 0.3, 0.4)
-        function = lambda a, b, g, d: jaxstab.characteristic_polynomial(a, b, g, d, delay)  # noqa: E731
+        function = lambda a, b, g, d: jaxstab.characteristic_polynomial(  # noqa: E731
+            a, b, gamma=g, delta=d, delay=delay
+        )
         mapped = jax.jit(jax.vmap(function, in_axes=(0, None, None, None)))
         several = (jnp.array([0.1, 0.5]), *point[1:])
         np.testing.assert_allclose(mapped(*several)[0], function(*point), rtol=1e-15)
@@ -368,7 +378,9 @@ class TestCharacteristicPolynomial:
     @pytest.mark.campaign
     @pytest.mark.parametrize("delay", [0, 1.6])
     def test_is_differentiable(self, delay: float) -> None:
-        function = lambda a, b, g, d: jaxstab.characteristic_polynomial(a, b, g, d, delay)  # noqa: E731
+        function = lambda a, b, g, d: jaxstab.characteristic_polynomial(  # noqa: E731
+            a, b, gamma=g, delta=d, delay=delay
+        )
         mapped = jax.jit(jax.vmap(function, in_axes=(0, None, None, None)))
         several = (jnp.array([0.1, 0.5]), 0.2, 0.3, 0.4)
         check_grads(mapped, several, order=1, modes=["fwd"], rtol=1e-6, atol=1e-6)
@@ -376,7 +388,7 @@ class TestCharacteristicPolynomial:
     @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e200])
     def test_refuses_gains_that_are_no_numbers(self, value: float) -> None:
         with pytest.raises(ValueError, match="alpha is"):
-            jaxstab.characteristic_polynomial(value, 0.0, 0.0, 0.0, 0)
+            jaxstab.characteristic_polynomial(value, 0.0, gamma=0.0, delta=0.0, delay=0)
 
 
 class TestCompanionMatrix:
@@ -395,7 +407,9 @@ class TestCompanionMatrix:
             seen = positions[k - delay] if k >= delay else 0.0
             before = positions[k - delay - 1] if k > delay else 0.0
             state = a @ state - b * (alpha * seen + beta * (seen - before))
-        p = np.asarray(jaxstab.characteristic_polynomial(alpha, beta, gamma, delta, delay))
+        p = np.asarray(
+            jaxstab.characteristic_polynomial(alpha, beta, gamma=gamma, delta=delta, delay=delay)
+        )
         # after the start-up every window of the motion satisfies p(shift) x = 0
         windows = np.lib.stride_tricks.sliding_window_view(positions, len(p))[:, ::-1]
         np.testing.assert_allclose(windows[delay + 1 :] @ p, 0.0, atol=1e-12)

@@ -16,6 +16,7 @@ from benchmarks.truth.march import (
     march_through_filters,
 )
 from jaxstab import Filter, SettlingStatus, Velocity
+from jaxstab.model import by_name
 
 WALL = (0.004, 0.04)
 PLANTS = [(1e-3, 0.015, delay) for delay in (0.0, 1.0, 2.5)]
@@ -27,12 +28,12 @@ Case = tuple[dict[str, Any], list[Taps], list[Taps]]
 CASES: dict[str, Case] = {
     "window": ({"velocity": Velocity.difference(samples=20)}, [difference_taps(20)], []),
     "low pass": (
-        {"velocity": Velocity.low_pass(0.05, 2)},
+        {"velocity": Velocity.low_pass(0.05, order=2)},
         [difference_taps(1), low_pass_taps(0.05), low_pass_taps(0.05)],
         [],
     ),
     "Butterworth": (
-        {"velocity": Velocity.butterworth(0.1, 5)},
+        {"velocity": Velocity.butterworth(0.1, order=5)},
         [difference_taps(1), *butterworth_taps(0.1, 5)],
         [],
     ),
@@ -60,7 +61,7 @@ CASES: dict[str, Case] = {
         [([2.0, 0.0, 1.0], [1.0, 0.5, 0.0])],
     ),
     "position alone": (
-        {"position": Filter.butterworth(0.2, 3)},
+        {"position": Filter.butterworth(0.2, order=3)},
         [difference_taps(1)],
         butterworth_taps(0.2, 3),
     ),
@@ -88,7 +89,7 @@ def test_settling_is_that_of_a_loop_that_lfilter_runs(
         "impact": settled_since(hit[:, 0], 0.0, 0.02 * np.abs(hit[:, 0]).max()),
     }
     for excitation, samples in expected.items():
-        found = jaxstab.settling_samples(*WALL, *plant, excitation=excitation, **filters)
+        found = jaxstab.settling_samples(*WALL, **by_name(*plant), excitation=excitation, **filters)
         assert int(found.status) == SettlingStatus.SETTLED
         assert float(found.value) == samples
 
@@ -125,7 +126,7 @@ def test_settling_is_proved_in_units_in_which_powers_are_small(
     """In those of one mass the bounds of rounding grew faster than the loop decayed."""
     pushed, _ = march_through_filters(plant, wall, *taps, 3 * samples, push=wall[0] + plant[0])
     assert settled_since(pushed[:, 0], 1.0, 0.02) == samples
-    found = jaxstab.settling_samples(*wall, *plant, **filters)
+    found = jaxstab.settling_samples(*wall, **by_name(*plant), **filters)
     assert int(found.status) == SettlingStatus.SETTLED
     assert float(found.value) == samples
 
@@ -133,10 +134,12 @@ def test_settling_is_proved_in_units_in_which_powers_are_small(
 def test_settling_of_a_grid_is_that_of_each_loop() -> None:
     velocity = Velocity.difference(samples=5) * Filter.low_pass(0.1)
     betas, delays = np.array([[0.04], [0.06]]), np.array([0.0, 1.5, 3.0])
-    together = jaxstab.settling_samples(0.003, betas, 1e-3, 0.015, delays, velocity=velocity)
+    together = jaxstab.settling_samples(
+        0.003, betas, gamma=1e-3, delta=0.015, delay=delays, velocity=velocity
+    )
     for index in np.ndindex(together.value.shape):
         point = 0.003, betas[index[0], 0], 1e-3, 0.015, delays[index[1]]
-        alone = jaxstab.settling_samples(*point, velocity=velocity)
+        alone = jaxstab.settling_samples(**by_name(*point), velocity=velocity)
         assert float(together.value[index]) == float(alone.value)
     assert (together.status == SettlingStatus.SETTLED).all()
 
@@ -144,17 +147,23 @@ def test_settling_of_a_grid_is_that_of_each_loop() -> None:
 def test_an_unstable_loop_never_settles_and_one_that_rings_for_long_is_not_proved() -> None:
     """A wall of 5000 N/m and 30 N s/m on 0.25 kg at 1 kHz, one sample of delay, windows of 20."""
     velocity = Velocity.difference(samples=20)
-    found = jaxstab.settling_samples(0.02, 0.12, 0.0, 4e-4, 1.0, velocity=velocity)
+    found = jaxstab.settling_samples(
+        0.02, 0.12, gamma=0.0, delta=4e-4, delay=1.0, velocity=velocity
+    )
     assert float(found.value) == np.inf
     assert int(found.status) == SettlingStatus.UNSTABLE
-    slow = jaxstab.settling_samples(1e-6, 1e-6, 0.0, 0.0, 0.0, horizon=64, velocity=velocity)
+    slow = jaxstab.settling_samples(
+        1e-6, 1e-6, gamma=0.0, delta=0.0, delay=0.0, horizon=64, velocity=velocity
+    )
     assert np.isnan(slow.value)
     assert int(slow.status) == SettlingStatus.NOT_SETTLED
 
 
 def test_settling_refuses_traced_filters_in_one_sentence() -> None:
     def settled(cutoff: Any) -> Any:
-        return jaxstab.settling_samples(*WALL, *PLANTS[0], velocity=Velocity.low_pass(cutoff))
+        return jaxstab.settling_samples(
+            *WALL, **by_name(*PLANTS[0]), velocity=Velocity.low_pass(cutoff)
+        )
 
     with pytest.raises(TypeError, match="filters of concrete numbers"):
         jax.jit(settled)(0.1)
@@ -207,7 +216,7 @@ def test_the_dominant_mode_is_what_is_left_of_a_motion(case: str) -> None:
     """Three samples of a lone pair, and a fourth, tell its decay and its frequency."""
     filters, velocity, position = CASES[case]
     states, _ = march_through_filters(PLANTS[1], WALL, velocity, position, 400, start=(0.0, 1.0))
-    mode = jaxstab.dominant_mode(*WALL, *PLANTS[1], **filters)
+    mode = jaxstab.dominant_mode(*WALL, **by_name(*PLANTS[1]), **filters)
     last = states[-160:, 0]
     square = (last[1:-2] * last[3:] - last[2:-1] ** 2) / (last[:-3] * last[2:-1] - last[1:-2] ** 2)
     decay = -0.5 * np.log(np.median(square))

@@ -60,7 +60,10 @@ def test_axes_without_width_are_refused_and_hands_next_to_each_other_are_not(
     spec = AtlasSpec.from_toml(
         hands + "products = ['alpha_limits']\n" + "\n".join(f"{k} = {v}" for k, v in walls.items())
     )
-    assert build_atlas(spec, tmp_path / "a.h5").verdict(0.1, 0.15, 5e-324, 0.0, 0.0) == STABLE
+    assert (
+        build_atlas(spec, tmp_path / "a.h5").verdict(0.1, 0.15, gamma=5e-324, delta=0.0, delay=0.0)
+        == STABLE
+    )
     # At one delay: at all of the default ones it is 45 s of the same.
     few = "delay = [0.0]\nproducts = ['alpha_limits']\n"
     (tmp_path / "near.toml").write_text("gamma = [0.0, 5e-324]\n" + few)

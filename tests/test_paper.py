@@ -54,7 +54,9 @@ def test_figure_7_marks_2_and_5_percent():
     ):
         marks = sorted(tuple(points[0]) for points in lines(panel) if len(points) == 1)
         scenes = [(level, delta) for delta in (0.0, 0.005, 0.01, 0.015) for level in (0.02, 0.05)]
-        found = (linear_validity(level, gamma, delta, delay) for level, delta in scenes)
+        found = (
+            linear_validity(level, gamma=gamma, delta=delta, delay=delay) for level, delta in scenes
+        )
         assert marks == sorted((float(point.alpha), float(point.beta)) for point in found)
 
 

@@ -109,11 +109,11 @@ def test_fixed_parameters_are_not_gridded_and_the_atlas_answers_at_them(
     assert atlas.arrays["cell_verdict"].shape == (79, 69, 1, 1, 2)
     nodes = atlas.nodes(1)
     dense_codes = verdict(
-        nodes["alpha"][:, None], nodes["beta"], 0.001, 0.015, 2.0, resolve="exact"
+        nodes["alpha"][:, None], nodes["beta"], gamma=0.001, delta=0.015, delay=2.0, resolve="exact"
     )
     np.testing.assert_array_equal(atlas.arrays["verdict"][:, :, 0, 0, 1], dense_codes)
     alpha, beta = (rng.uniform(nodes[name][0], nodes[name][-1], 300) for name in ("alpha", "beta"))
-    answer = atlas.query(alpha, beta, 0.001, 0.015, 2.0)
+    answer = atlas.query(alpha, beta, gamma=0.001, delta=0.015, delay=2.0)
     decided = answer.status == QueryStatus.CELL
     assert decided.mean() > 0.9
     assert atlas.decided_fraction(1) > 0.9
@@ -121,7 +121,7 @@ def test_fixed_parameters_are_not_gridded_and_the_atlas_answers_at_them(
         point = float(alpha[index]), float(beta[index]), 0.001, 0.015, 2.0
         assert answer.verdict[index] == (UNSTABLE if truth.unstable_count(*point) else STABLE)
     with pytest.raises(ValueError, match="gamma is"):
-        atlas.query(0.01, 0.1, 0.0011, 0.015, 2.0)
+        atlas.query(0.01, 0.1, gamma=0.0011, delta=0.015, delay=2.0)
 
 
 @pytest.mark.parametrize("name", ["gamma", "delta"])
@@ -161,8 +161,8 @@ def test_a_tolerance_sets_the_number_of_nodes_and_what_moves_between_them(name: 
 def test_an_axis_is_laid_around_a_region_that_is_known(
     status: RegionStatus, says: str, fitted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    empty = replace(stable_region(np.pi**2, 0.0, 1.0), status=np.array(status))
-    assert stable_region(np.pi**2, 0.0, 1.0).is_empty
+    empty = replace(stable_region(gamma=np.pi**2, delta=0.0, delay=1.0), status=np.array(status))
+    assert stable_region(gamma=np.pi**2, delta=0.0, delay=1.0).is_empty
     monkeypatch.setattr(tolerance, "stable_region", lambda *_, **__: empty)
     axes = (
         {"gamma": [1.0]}

@@ -97,7 +97,7 @@ def test_each_documented_estimator_is_what_its_source_computes(name: str) -> Non
         ({"cutoff": 100.0}, Velocity.low_pass(100.0)),
         (
             {"cutoff": 80.0, "order": 2, "kind": "butterworth", "window_samples": 3},
-            Velocity.difference(3) * Filter.butterworth(80.0, 2),
+            Velocity.difference(3) * Filter.butterworth(80.0, order=2),
         ),
         ({"factor": 0.2}, Velocity.exponential(0.2)),
         (

@@ -18,6 +18,7 @@ from benchmarks import truth
 from benchmarks.truth import problems
 from benchmarks.truth.problems import PROBLEMS, Problem
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, SettlingStatus
+from jaxstab.model import by_name
 
 # What does not converge, and why: a limit that is gone fails the test.
 _AT_POLE = "a pole stays within a rounding of 1 or -1 whatever the gains, and nothing else is tried"
@@ -118,7 +119,7 @@ class TestRegistry:
 @cache
 def answers(name: str, **options: Any) -> Any:
     """What a function says of all problems, in one call."""
-    return getattr(jaxstab, name)(*problems.points().T, **options)
+    return getattr(jaxstab, name)(**by_name(*problems.points().T), **options)
 
 
 def _verdict_of(number: int, **options: Any) -> int:
@@ -256,13 +257,15 @@ _THETAS = np.array([0.01, 0.5, 2.5])
 @cache
 def plants() -> Any:
     gamma, delta, delay = problems.points().T[2:]
-    return jaxstab.plant_coefficients(gamma, delta, delay)
+    return jaxstab.plant_coefficients(gamma=gamma, delta=delta, delay=delay)
 
 
 @cache
 def curves() -> tuple[np.ndarray, np.ndarray]:
     gamma, delta, delay = (column[:, None] for column in problems.points().T[2:])
-    return tuple(map(np.asarray, jaxstab.boundary_curve(_THETAS, gamma, delta, delay)))
+    return tuple(
+        map(np.asarray, jaxstab.boundary_curve(_THETAS, gamma=gamma, delta=delta, delay=delay))
+    )
 
 
 def plant_coefficients_are_good(number: int, problem: Problem) -> bool:
@@ -293,7 +296,9 @@ def boundary_curve_is_good(number: int, problem: Problem) -> bool:
 
 def plus_line_is_good(number: int, problem: Problem) -> bool:
     _, beta, gamma, delta, delay = problem.point
-    return abs(float(jaxstab.plus_line(beta, gamma, delta, delay)) + gamma) < 1e-300  # denormals
+    return (
+        abs(float(jaxstab.plus_line(beta, gamma=gamma, delta=delta, delay=delay)) + gamma) < 1e-300
+    )  # denormals
 
 
 def minus_line_is_good(number: int, problem: Problem) -> bool:
@@ -302,7 +307,7 @@ def minus_line_is_good(number: int, problem: Problem) -> bool:
     whole, fraction = truth.split_delay(delay)
     with mp.workdps(300):
         plant = truth.sampled_plant(gamma, delta, fraction if fraction else 0)
-        found = float(jaxstab.minus_line(beta, gamma, delta, delay))
+        found = float(jaxstab.minus_line(beta, gamma=gamma, delta=delta, delay=delay))
         if plant.difference == 0:
             return not np.isfinite(found)
         offset = (-1) ** whole * (1 - plant.d1 + plant.d0) / plant.difference

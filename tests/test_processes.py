@@ -13,6 +13,7 @@ import pytest
 import jaxstab
 from benchmarks.truth.problems import PROBLEMS
 from jaxstab.atlas.write.workers import processes
+from jaxstab.model import by_name
 
 DELAY = 0.0  # one, for each is compiled in each process
 COUNT = 2**16 + 3  # enough for threads to share it, and no multiple of what they share it by
@@ -36,11 +37,15 @@ def answers(device: int) -> Answers:
     """What is said of the loops, on one of the devices of a process."""
     points = loops()
     with jax.default_device(jax.devices()[device]):
-        radius = jaxstab.spectral_radius(*points, DELAY)
-        by_matrices = jaxstab.spectral_radius(*points[:, :SOME], DELAY, method="companion")
-        curve = jaxstab.boundary_curve(np.linspace(0.1, 3.0, COUNT), 0.001, 0.015, DELAY)
+        radius = jaxstab.spectral_radius(**by_name(*points, DELAY))
+        by_matrices = jaxstab.spectral_radius(
+            **by_name(*points[:, :SOME], DELAY), method="companion"
+        )
+        curve = jaxstab.boundary_curve(
+            np.linspace(0.1, 3.0, COUNT), gamma=0.001, delta=0.015, delay=DELAY
+        )
         found = {
-            "verdict": jaxstab.verdict(*points, DELAY),
+            "verdict": jaxstab.verdict(**by_name(*points, DELAY)),
             "radius": radius.value,
             "radius_error": radius.error,
             "radius by matrices": by_matrices.value,
@@ -80,11 +85,13 @@ def test_threads_and_devices_change_no_bit(here: Answers, other_machine: Executo
 
 def test_a_single_loop_and_a_few_get_the_same_bits_and_many_agree_with_them(here: Answers) -> None:
     points, some = loops(), np.arange(240).reshape(4, 3, 20)
-    few = jaxstab.spectral_radius(*points[:, some], DELAY)
-    np.testing.assert_array_equal(jaxstab.verdict(*points[:, some], DELAY), here["verdict"][some])
+    few = jaxstab.spectral_radius(**by_name(*points[:, some], DELAY))
+    np.testing.assert_array_equal(
+        jaxstab.verdict(**by_name(*points[:, some], DELAY)), here["verdict"][some]
+    )
     for number in range(40):
-        alone = jaxstab.spectral_radius(*points[:, number], DELAY)
-        assert jaxstab.verdict(*points[:, number], DELAY) == here["verdict"][number]
+        alone = jaxstab.spectral_radius(**by_name(*points[:, number], DELAY))
+        assert jaxstab.verdict(**by_name(*points[:, number], DELAY)) == here["verdict"][number]
         assert alone.value == few.value.flat[number]
         assert alone.error == few.error.flat[number]
     # The many are computed in another way: their radii lie within the errors of both.
@@ -94,12 +101,12 @@ def test_a_single_loop_and_a_few_get_the_same_bits_and_many_agree_with_them(here
 
 
 def test_a_worker_process_that_sets_nothing_answers_plain_numbers_as_this_one() -> None:
-    loop = (0.1, 0.2, 0.001, 0.015, 1.0)
+    loop = by_name(0.1, 0.2, 0.001, 0.015, 1.0)
     with processes(1) as executor:
-        verdict = executor.submit(jaxstab.verdict, *loop).result()
-        radius = executor.submit(jaxstab.spectral_radius, *loop).result()
-    assert verdict == jaxstab.verdict(*loop)
-    assert (radius.value, radius.error) == tuple(jaxstab.spectral_radius(*loop)[:2])
+        verdict = executor.submit(jaxstab.verdict, **loop).result()
+        radius = executor.submit(jaxstab.spectral_radius, **loop).result()
+    assert verdict == jaxstab.verdict(**loop)
+    assert (radius.value, radius.error) == tuple(jaxstab.spectral_radius(**loop)[:2])
 
 
 @pytest.mark.campaign

@@ -15,7 +15,7 @@ from jaxstab.boxes.cell_polynomial import WallBoxes, cell_polynomial
 from jaxstab.boxes.outer_roots import RadiusSurfaces, SurfaceKind, radius_surfaces
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.boxes.quadratics import FIRST, SECOND, VARIABLES, Quadratic
-from jaxstab.model import characteristic_polynomial
+from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import Velocity, as_keywords, known_filters
 
 Floats = NDArray[np.float64]
@@ -135,7 +135,9 @@ def test_the_radius_of_a_cell_is_enclosed_at_its_points(
 def computed(walls_and_hands: list[Floats], delay: float, **filters: Any) -> Floats:
     """Return radii by NumPy's eigenvalues."""
     alpha, beta, gamma, delta = walls_and_hands
-    rows = np.asarray(characteristic_polynomial(alpha, beta, gamma, delta, delay, **filters))
+    rows = np.asarray(
+        characteristic_polynomial(alpha, beta, gamma=gamma, delta=delta, delay=delay, **filters)
+    )
     matrices = np.zeros((len(rows), rows.shape[1] - 1, rows.shape[1] - 1))
     matrices[:, 0] = -rows[:, 1:]
     matrices[:, range(1, matrices.shape[1]), range(matrices.shape[1] - 1)] = 1.0
@@ -237,8 +239,8 @@ def test_radii_between_delays_are_within_their_bounds(
         along = np.linspace(low[0], high[0], atlas.arrays["radius_kind"].shape[0] + 1)
         walls[0, ::3] = rng.choice(along[1:-1], 100)  # on faces of cells
         points = (*walls, *rng.uniform([[0.0], [0.005]], [[0.0005], [0.01]], (2, 300)), delay)
-        answer = atlas.query(*points, outside="undecided")
-        exact = spectral_radius(*points)
+        answer = atlas.query(**by_name(*points), outside="undecided")
+        exact = spectral_radius(**by_name(*points))
         off = np.abs(answer.spectral_radius - exact.value) - exact.error
         assert np.all((off <= answer.radius_error) | (answer.status == QueryStatus.OUTSIDE))
         for index in range(3):
@@ -261,8 +263,8 @@ def test_radii_of_the_default_atlas_keep_what_is_promised(
         low, high = ends[np.searchsorted(ends[:, 0], delay, side="right") - 1, 2:].reshape(2, 2).T
         walls = rng.uniform(low[:, None], high[:, None], (2, 5000))
         hands = rng.uniform(0.0, [[1e-3], [0.015]], (2, 5000))
-        answer = atlas.query(*walls, *hands, delay)
-        exact = spectral_radius(*walls, *hands, delay)
+        answer = atlas.query(**by_name(*walls, *hands, delay))
+        exact = spectral_radius(**by_name(*walls, *hands, delay))
         off = np.abs(answer.spectral_radius - exact.value) - exact.error
         assert np.all(off <= answer.radius_error)
         errors.append(answer.radius_error[exact.value < 1.0])

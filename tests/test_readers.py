@@ -22,6 +22,7 @@ from jaxstab.atlas.format.digest import content_digest, digest_of
 from jaxstab.atlas.format.schema import PRODUCTS, SCHEMA_VERSION, SLICE, VARIABLES
 from jaxstab.atlas.read.file import table_of
 from jaxstab.atlas.write.image import checked_datasets, opened, text_of
+from jaxstab.model import by_name
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 GOLDEN = DATA / "golden" / "atlas-v3.h5"
@@ -67,7 +68,7 @@ def points(atlas: Atlas) -> np.ndarray:
         inside = np.stack([rng.uniform(axis[0], axis[-1], CASES) for axis in nodes], axis=1)
         on_edges = np.stack([rng.choice(axis, CASES) for axis in edges], axis=1)
         on_limits = inside.copy()
-        at = atlas.alpha_limits(*inside.T[1:], delay)
+        at = atlas.alpha_limits(**by_name(*inside.T[1:], delay))
         on_limits[: CASES // 2, 0] = (at.lower + at.lower_error)[: CASES // 2]
         on_limits[CASES // 2 :, 0] = (at.upper - at.upper_error)[CASES // 2 :]
         on_limits = on_limits[np.isfinite(on_limits[:, 0])]
@@ -100,9 +101,9 @@ def expected(atlas: Atlas, points: np.ndarray) -> Answers:
     )
     for place, (alpha, *hand) in enumerate(points.tolist()):
         try:
-            at = atlas.alpha_limits(*hand)
+            at = atlas.alpha_limits(**by_name(*hand))
             answers.limits[place] = [at.lower, at.lower_error, at.upper, at.upper_error]
-            answers.codes[place] = atlas.verdict(alpha, *hand)
+            answers.codes[place] = atlas.verdict(**by_name(alpha, *hand))
         except ValueError:
             continue
     return answers
@@ -121,7 +122,7 @@ def clamped(atlas: Atlas, points: np.ndarray) -> np.ndarray:
     """What Python leaves of walls (point, 3): the code, alpha and beta."""
     left = np.column_stack([np.full(len(points), OUTSIDE), np.zeros((len(points), 2))])
     here = _may_be_clamped(atlas, points)
-    found = atlas.clamp(*points[here].T)
+    found = atlas.clamp(**by_name(*points[here].T))
     left[here] = np.column_stack([found.verdict, found.alpha, found.beta])
     return left
 
@@ -165,7 +166,7 @@ def test_what_is_clamped_is_as_stiff_as_any_wall_that_the_atlas_grants(
         ends = atlas.arrays["limit_range"]
         row = ends[np.searchsorted(ends[:, 0], plant[2], "right") - 1]
         others = np.linspace(max(row[4], 0.0), min(given, row[5]), 501)
-        at = atlas.alpha_limits(others, *plant)
+        at = atlas.alpha_limits(others, **by_name(*plant))
         top = np.minimum(at.upper - at.upper_error, min(wanted, row[3]))
         granted = np.where(at.lower + at.lower_error < top, top, -1.0)
         assert alpha[number] >= granted.max() * (1.0 - 1e-9)
@@ -188,7 +189,7 @@ def test_the_golden_atlas_is_read_today(
         nodes = atlas.nodes(atlas.delays.tolist().index(delay)).values()
         for _ in range(8):
             point = (*(float(rng.uniform(axis[0], axis[-1])) for axis in nodes), delay)
-            answer = atlas.query(*point)
+            answer = atlas.query(**by_name(*point))
             radius = _true_radius(point, is_windowed=golden == WINDOW)
             assert abs(answer.spectral_radius - radius) <= answer.radius_error
             if answer.verdict != UNDECIDED:
@@ -359,7 +360,7 @@ def test_xarray_finds_named_coordinates(golden: Path, atlas: Atlas) -> None:
         for gamma, delta, delay in product(*(atlas.arrays[n].tolist() for n in SLICE)):
             plane = dataset.sel(gamma=gamma, delta=delta, delay=delay)
             gains = np.broadcast_arrays(*xarray.broadcast(plane.alpha, plane.beta))
-            answer = atlas.query(*gains, gamma, delta, delay)
+            answer = atlas.query(*gains, gamma=gamma, delta=delta, delay=delay)
             assert np.all(answer.status == QueryStatus.NODE)
             decided = np.asarray(plane.verdict != UNDECIDED)
             np.testing.assert_array_equal(answer.verdict[decided], plane.verdict.data[decided])

@@ -10,6 +10,7 @@ import pytest
 from mpmath import mp, mpf
 
 from benchmarks import truth
+from jaxstab.model import by_name
 from jaxstab.region import (
     Branch,
     RegionStatus,
@@ -59,7 +60,7 @@ def test_no_point_is_misclassified(rng: np.random.Generator) -> None:
     wrong, decided = [], 0
     for place in random_slices(rng):
         gamma, delta, delay, radius = place
-        region = stable_region(gamma, delta, delay, radius=radius)
+        region = stable_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
         assert region.status == RegionStatus.COMPLETE, place
         points = probes(region, rng, 12)
         for point, inside in zip(points, region.contains(*points.T), strict=True):
@@ -72,7 +73,7 @@ def test_no_point_is_misclassified(rng: np.random.Generator) -> None:
 
 
 def test_without_hand_and_delay_the_region_is_the_known_one() -> None:
-    region = stable_region(0.0, 0.0, 0.0)
+    region = stable_region(gamma=0.0, delta=0.0, delay=0.0)
     np.testing.assert_allclose(region.max_alpha, [12 - 8 * sqrt(2), 2 * sqrt(2) - 2], rtol=1e-14)
     np.testing.assert_allclose(region.max_beta, [0, 2], atol=1e-14)
     np.testing.assert_allclose(region.area, 12 - 16 * log(2), rtol=1e-13)
@@ -88,12 +89,14 @@ def test_without_hand_and_delay_the_region_is_the_known_one() -> None:
 def test_the_largest_stiffness_without_a_hand_is_the_known_one(
     delay: float, largest: float
 ) -> None:
-    assert float(stable_region(0.0, 0.0, delay).max_alpha[0]) == pytest.approx(largest, abs=5e-6)
+    assert float(stable_region(gamma=0.0, delta=0.0, delay=delay).max_alpha[0]) == pytest.approx(
+        largest, abs=5e-6
+    )
 
 
 def test_the_left_edge_is_at_minus_gamma() -> None:
     for gamma in (0.0, 0.02, 0.3):
-        region = stable_region(gamma, 0.1, 1.0)
+        region = stable_region(gamma=gamma, delta=0.1, delay=1.0)
         left = region.points[:-1][region.branch == Branch.Z_PLUS_ONE]
         np.testing.assert_allclose(left[:, 0], -gamma, rtol=1e-14, atol=1e-14)
         assert np.min(region.points[:, 0]) == pytest.approx(-gamma, abs=1e-14)
@@ -101,11 +104,13 @@ def test_the_left_edge_is_at_minus_gamma() -> None:
 
 @pytest.mark.parametrize(("gamma", "delay"), [(NYQUIST / 4, 0.0), (NYQUIST / 16, 1.0)])
 def test_some_hands_leave_no_positive_stiffness(gamma: float, delay: float) -> None:
-    assert float(stable_region(gamma, 0.0, delay).max_alpha[0]) == pytest.approx(0, abs=1e-14)
+    assert float(stable_region(gamma=gamma, delta=0.0, delay=delay).max_alpha[0]) == pytest.approx(
+        0, abs=1e-14
+    )
 
 
 def test_beyond_the_nyquist_frequency_the_region_is_a_triangle() -> None:
-    region = stable_region(NYQUIST + 0.25, 1.0, 0.0)
+    region = stable_region(gamma=NYQUIST + 0.25, delta=1.0, delay=0.0)
     assert len(region.corners) == 3
     assert set(region.branch.tolist()) == set(Branch)
     sides = region.corners - np.roll(region.corners, 1, axis=0)
@@ -143,7 +148,7 @@ def undamped_limit(gamma: float, beta: float) -> float:
 def test_the_region_of_an_undamped_hand_next_to_the_nyquist_frequency(share: float) -> None:
     gamma = NYQUIST * share**2
     area, *heights = undamped_region(gamma)
-    region = stable_region(gamma, 0.0, 0.0)
+    region = stable_region(gamma=gamma, delta=0.0, delay=0.0)
     assert region.status == RegionStatus.COMPLETE
     assert float(region.area) == pytest.approx(area, rel=1e-9)
     # All digits, though a float64 of the angle holds few digits of its distance to pi.
@@ -169,7 +174,7 @@ def test_the_region_of_an_undamped_hand_next_to_the_nyquist_frequency(share: flo
 def test_regions_of_small_margins_are_resolved(
     place: tuple[float, float, float], corners: int, rng: np.random.Generator
 ) -> None:
-    region = stable_region(*place)
+    region = stable_region(**by_name(*place))
     assert region.status == RegionStatus.COMPLETE
     assert len(region.corners) == corners
     points = probes(region, rng, 12)
@@ -192,10 +197,10 @@ def test_cuts_between_two_angles_of_the_scan_are_found(
     place: tuple[float, float, float], theta: float
 ) -> None:
     """The curve at this angle is outside of the region, not on its outline."""
-    wall = boundary_curve(theta, *place)
+    wall = boundary_curve(theta, **by_name(*place))
     lower, _ = truth.spectral_radius(*map(float, wall), *place)
     assert lower > 1.0 + 1e-7
-    region = stable_region(*place)
+    region = stable_region(**by_name(*place))
     assert region.status == RegionStatus.COMPLETE
     assert not region.contains(*wall)
     assert float(region.distance(*wall)) < -1e-7
@@ -203,13 +208,13 @@ def test_cuts_between_two_angles_of_the_scan_are_found(
 
 def test_an_outline_with_a_cut_that_its_scan_missed_is_unresolved() -> None:
     place = (0.3748891679491507, 0.5807087649792142, 6.901339437787484)
-    assert region_outline(*place).status == RegionStatus.UNRESOLVED
-    assert region_outline(*place, fineness=4).status == RegionStatus.COMPLETE
+    assert region_outline(**by_name(*place)).status == RegionStatus.UNRESOLVED
+    assert region_outline(**by_name(*place), fineness=4).status == RegionStatus.COMPLETE
 
 
 def test_an_unresolved_region_claims_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jaxstab.region.search._SCANS", ((1, 4, 1e-4),))  # no finer ones
-    region = stable_region(39.52046, 0.13948, 4.0)
+    region = stable_region(gamma=39.52046, delta=0.13948, delay=4.0)
     assert region.status == RegionStatus.UNRESOLVED
     assert not region.is_empty
     assert not region.rows_are_intervals
@@ -221,7 +226,7 @@ def test_an_unresolved_region_claims_nothing(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
 def test_an_undamped_hand_at_the_nyquist_frequency_leaves_nothing(delay: float) -> None:
-    region = stable_region(NYQUIST, 0.0, delay)
+    region = stable_region(gamma=NYQUIST, delta=0.0, delay=delay)
     assert region.is_empty
     assert region.points.shape == (0, 2)
     assert len(region.corners) == len(region.branch) == 0
@@ -239,7 +244,7 @@ def test_the_outline_is_closed_counter_clockwise_and_within_the_tolerance(
     place: tuple[float, float, float],
 ) -> None:
     tolerance = 1e-5
-    region = stable_region(*place, tolerance=tolerance)
+    region = stable_region(**by_name(*place), tolerance=tolerance)
     x, y = region.points.T
     polygon = 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
     np.testing.assert_array_equal(region.points[0], region.points[-1])
@@ -254,7 +259,7 @@ def test_the_outline_is_closed_counter_clockwise_and_within_the_tolerance(
 
 @pytest.mark.parametrize("place", [(*HAPTIC, 1.0), (0.3, 0.1, 2.5), (20.0, 0.5, 3.0)])
 def test_a_corner_has_two_kinds_of_roots_on_the_circle(place: tuple[float, float, float]) -> None:
-    corners = stable_region(*place).corners
+    corners = stable_region(**by_name(*place)).corners
     assert len(corners) > 0
     for alpha, beta in corners:
         moduli = [abs(root) for root in truth.roots(float(alpha), float(beta), *place)]
@@ -265,7 +270,7 @@ def test_a_corner_has_two_kinds_of_roots_on_the_circle(place: tuple[float, float
 
 def test_each_piece_names_the_root_on_the_circle() -> None:
     place = (NYQUIST + 0.25, 1.0, 0.0)
-    region = stable_region(*place, tolerance=1e-3)
+    region = stable_region(**by_name(*place), tolerance=1e-3)
     signs = {Branch.Z_PLUS_ONE: 1, Branch.Z_MINUS_ONE: -1}
     for first, last, branch in zip(region.points, region.points[1:], region.branch, strict=False):
         middle = map(float, 0.5 * (first + last))
@@ -275,7 +280,7 @@ def test_each_piece_names_the_root_on_the_circle() -> None:
 
 
 def test_a_long_delay_has_a_small_region() -> None:
-    region = stable_region(0.0, 0.0, 50.0)
+    region = stable_region(gamma=0.0, delta=0.0, delay=50.0)
     assert region.status == RegionStatus.COMPLETE
     alpha, beta = map(float, region.max_alpha)
     assert is_stable(alpha - 1e-6, beta, (0.0, 0.0, 50.0, 1.0))
@@ -283,7 +288,7 @@ def test_a_long_delay_has_a_small_region() -> None:
 
 
 def test_the_distance_is_that_to_the_known_curve(rng: np.random.Generator) -> None:
-    region = stable_region(0.0, 0.0, 0.0)
+    region = stable_region(gamma=0.0, delta=0.0, delay=0.0)
     beta = np.linspace(0, 2, 200_001)
     curve = np.stack([2 * beta * (2 - beta) / (beta + 2), beta])
     alpha, damping = rng.uniform([-0.2, -0.2], [0.9, 2.2], (40, 2)).T
@@ -297,7 +302,7 @@ def test_the_distance_is_that_to_the_known_curve(rng: np.random.Generator) -> No
 
 
 def test_lines_beside_the_region_have_no_limits() -> None:
-    region = stable_region(*HAPTIC, 1.0)
+    region = stable_region(**by_name(*HAPTIC, 1.0))
     assert np.all(np.isnan(region.alpha_limits(np.array([[-1.0, 2.0]]))))
     assert region.alpha_limits(np.array([[-1.0, 2.0]])).shape == (1, 2, 2)
     assert np.all(np.isnan(region.beta_limits(0.2)))
@@ -338,13 +343,13 @@ def exact_largest(gamma: mpf, delta: mpf, guess: float) -> mpf:
 
 def angle_near(alpha: float, beta: float, gamma: float, delta: float) -> float:
     theta = np.linspace(0.01, 1.5, 3000)
-    curve = boundary_curve(theta, gamma, delta, DELAY)
+    curve = boundary_curve(theta, gamma=gamma, delta=delta, delay=DELAY)
     return float(theta[np.argmin(np.hypot(curve[0] - alpha, curve[1] - beta))])
 
 
 def quantities(gamma: jax.Array, delta: jax.Array) -> jax.Array:
     """The beta of the corner at the end of the curve, a limit of alpha, the largest alpha."""
-    region = region_outline(gamma, delta, DELAY)
+    region = region_outline(gamma=gamma, delta=delta, delay=DELAY)
     end_of_curve = region.outline.corners[1, 1]
     return jnp.stack([end_of_curve, region.alpha_limits(ROW)[1], region.max_alpha[0]])
 
@@ -354,12 +359,14 @@ PLACES = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
 
 @pytest.mark.campaign
 def test_many_slices_at_once_are_the_single_ones() -> None:
-    mapped = jax.jit(jax.vmap(lambda gamma, delta: region_outline(gamma, delta, DELAY)))
+    mapped = jax.jit(
+        jax.vmap(lambda gamma, delta: region_outline(gamma=gamma, delta=delta, delay=DELAY))
+    )
     batch = mapped(*jnp.asarray(PLACES).T)
     assert batch.outline.vertices.shape == (len(PLACES), 256, 2)
     np.testing.assert_array_equal(batch.status, RegionStatus.COMPLETE)
     for index, place in enumerate(PLACES):
-        single = stable_region(*place, DELAY)
+        single = stable_region(**by_name(*place, DELAY))
         np.testing.assert_allclose(batch.max_alpha[index], single.max_alpha, rtol=1e-13)
         found = batch.outline.corners[index][: len(single.corners)]
         np.testing.assert_allclose(found, single.corners, rtol=1e-13)
@@ -377,7 +384,7 @@ def test_corners_limits_and_the_largest_alpha_are_differentiable() -> None:
     by_both, every = jax.vmap(differentiated)(*jnp.asarray(PLACES[:2]).T)
     step = mpf(10) ** -15
     for place, slopes, values in zip(PLACES, np.stack(by_both, axis=-1), every, strict=False):
-        region = stable_region(*place, DELAY)
+        region = stable_region(**by_name(*place, DELAY))
         points = [(-place[0], float(values[0])), (float(values[1]), ROW), tuple(region.max_alpha)]
         exact: list[Callable[[mpf, mpf, float], mpf]] = [exact_corner, exact_limit, exact_largest]
         for index, (function, point) in enumerate(zip(exact, points, strict=True)):
@@ -390,13 +397,15 @@ def test_corners_limits_and_the_largest_alpha_are_differentiable() -> None:
 
 
 def largest_alpha(gamma: jax.Array) -> jax.Array:
-    return region_outline(gamma, 0.1, DELAY).max_alpha[0]
+    return region_outline(gamma=gamma, delta=0.1, delay=DELAY).max_alpha[0]
 
 
 @pytest.mark.campaign
 def test_reverse_mode_gives_the_derivative_too() -> None:
     step = 1e-15
-    guess = angle_near(*map(float, stable_region(0.05, 0.1, DELAY).max_alpha), 0.05, 0.1)
+    guess = angle_near(
+        *map(float, stable_region(gamma=0.05, delta=0.1, delay=DELAY).max_alpha), 0.05, 0.1
+    )
     start, ahead = (exact_largest(mpf(0.05) + h, mpf(0.1), guess) for h in (0, mpf(step)))
     slope = jax.jit(jax.grad(largest_alpha))(jnp.asarray(0.05))
     assert float(slope) == pytest.approx(float((ahead - start) / mpf(step)), abs=1e-9)
@@ -420,4 +429,4 @@ def test_bad_input_is_refused_by_name(arguments: dict[str, float], name: str) ->
 
 def test_an_outline_too_short_for_its_corners_is_refused() -> None:
     with pytest.raises(ValueError, match=r"^points is 16; give at least 48 for 4 slots\.$"):
-        region_outline(0.0, 0.0, 0.0, points=16)
+        region_outline(gamma=0.0, delta=0.0, delay=0.0, points=16)

@@ -24,6 +24,7 @@ from jaxstab import (
 )
 from jaxstab.atlas.compute.counts import counts_of, with_counts
 from jaxstab.cli.main import main
+from jaxstab.model import by_name
 
 SLICE = AtlasSpec(
     gamma=[0.0005], delta=[0.01], delay=[1.0], products=["alpha_limits"], limit_cells=64
@@ -101,7 +102,7 @@ def undecided_share(atlas: Atlas) -> float:
     """Return the undecided share of random points: at any delay, or where there are no limits at
     the delays of the atlas."""
     points = places(atlas)
-    return float(np.mean(atlas.verdict(*points) == UNDECIDED))
+    return float(np.mean(atlas.verdict(**by_name(*points)) == UNDECIDED))
 
 
 def places(atlas: Atlas, count: int = 200_000) -> list[np.ndarray]:
@@ -126,7 +127,7 @@ def places(atlas: Atlas, count: int = 200_000) -> list[np.ndarray]:
 def limit_error(atlas: Atlas) -> float:
     """Return what 95 % of the errors keep, over the largest alphas: from regions, at some hands."""
     _, *others = places(atlas)
-    limits = atlas.alpha_limits(*others)
+    limits = atlas.alpha_limits(**by_name(*others))
     stable = ~np.isnan(limits.upper) & ((limits.upper < np.inf) | (limits.upper_error == np.inf))
     velocity, position = atlas.filters or (None, None)
     delays = np.unique([*np.linspace(atlas.delays[0], atlas.delays[-1], 31), *atlas.delays])
@@ -139,7 +140,9 @@ def limit_error(atlas: Atlas) -> float:
         max(
             float((region.main or region).points[:, 0].max())
             for hand in hands
-            for region in [stable_region(*hand, delay, velocity=velocity, position=position)]
+            for region in [
+                stable_region(**by_name(*hand, delay), velocity=velocity, position=position)
+            ]
             if not region.is_empty
         )
         for delay in delays.tolist()
@@ -151,8 +154,8 @@ def limit_error(atlas: Atlas) -> float:
 def radius_error(atlas: Atlas) -> float:
     """Return what half of the bounds keep at points that are stable, by exact verdicts."""
     points = places(atlas, 40_000)
-    errors = atlas.query(*points).radius_error
-    return float(np.median(errors[np.asarray(verdict(*points)) == STABLE]))
+    errors = atlas.query(**by_name(*points)).radius_error
+    return float(np.median(errors[np.asarray(verdict(**by_name(*points))) == STABLE]))
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab.conventions import Verdict
 from jaxstab.criteria import passive_region
+from jaxstab.model import by_name
 from jaxstab.ranges import HandRange, RobustStatus, robust_region
 from jaxstab.region import stable_region
 
@@ -27,7 +28,7 @@ RANGES = {
 
 @pytest.fixture(scope="module", params=RANGES)
 def robust(request):
-    return robust_region(*RANGES[request.param])
+    return robust_region(**by_name(*RANGES[request.param]))
 
 
 def random_hands(region, rng, count):
@@ -55,7 +56,7 @@ def test_outline_is_tight(robust):
 
 def test_passive_walls_lie_in_the_robust_region(robust):
     # At alpha = 0 the wall has no stiffness, and a hand of gamma = 0 none either: marginal.
-    passive = passive_region(robust.delta[0], robust.delay)
+    passive = passive_region(delta=robust.delta[0], delay=robust.delay)
     if robust.delta[0] == 0.0:
         assert not len(passive.outline)
         return
@@ -65,12 +66,12 @@ def test_passive_walls_lie_in_the_robust_region(robust):
 
 
 def test_the_passive_triangle_lies_in_the_robust_region_and_is_smaller():
-    robust = robust_region(*RANGES["figure 9"])
-    assert robust.max_alpha[0] > passive_region(1.0).max_alpha[0] * 1.1
+    robust = robust_region(**by_name(*RANGES["figure 9"]))
+    assert robust.max_alpha[0] > passive_region(delta=1.0).max_alpha[0] * 1.1
 
 
 def test_without_damping_only_the_origin_is_robust():
-    region = robust_region((0.0, 9.0), (0.0, 0.0), 0.0)
+    region = robust_region(gamma=(0.0, 9.0), delta=(0.0, 0.0), delay=0.0)
     assert region.status == RobustStatus.EMPTY
     assert region.outline.shape == (0, 2)
     assert np.all(np.isnan(region.max_alpha))
@@ -78,15 +79,15 @@ def test_without_damping_only_the_origin_is_robust():
 
 def test_of_one_hand_it_is_the_stable_region():
     gamma, delta = 0.2, 0.3
-    robust = robust_region((gamma, gamma), (delta, delta), 1.0, tolerance=0.005)
-    stable = stable_region(gamma, delta, 1.0)
+    robust = robust_region(gamma=(gamma, gamma), delta=(delta, delta), delay=1.0, tolerance=0.005)
+    stable = stable_region(gamma=gamma, delta=delta, delay=1.0)
     assert robust.status == RobustStatus.PROVED
     assert np.all(np.asarray(stable.contains(*robust.outline.T)))
     assert robust.max_alpha[0] == pytest.approx(float(stable.max_alpha[0]), rel=0.02)
 
 
 def test_a_verdict_on_a_wall_is_for_all_hands():
-    region = robust_region(*RANGES["haptic hands"])
+    region = robust_region(**by_name(*RANGES["haptic hands"]))
     alpha = np.array([0.05, 0.2, -1e-3, 0.0])
     codes = region.verdict(alpha, 0.3)
     assert codes.tolist()[:3] == [Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNSTABLE]
@@ -117,7 +118,7 @@ def test_a_robust_region_with_a_window_holds_for_hands_that_certified_roots_judg
 ) -> None:
     gamma, delta, delay = (0.0, 1e-3), (0.002, 0.01), 1.0
     window = jaxstab.Velocity.difference(samples=samples)
-    region = robust_region(gamma, delta, delay, velocity=window)
+    region = robust_region(gamma=gamma, delta=delta, delay=delay, velocity=window)
     assert region.status == RobustStatus.PROVED
     hands = [(g, d) for g in gamma for d in delta] + list(
         zip(rng.uniform(*gamma, 2), rng.uniform(*delta, 2), strict=True)

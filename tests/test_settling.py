@@ -11,6 +11,7 @@ import jaxstab
 from benchmarks import truth
 from benchmarks.truth.march import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
 from jaxstab import HapticLoop, SettlingStatus
+from jaxstab.model import by_name
 from jaxstab.motion.settling import positions
 from jaxstab.motion.transition import Loops
 
@@ -55,13 +56,13 @@ class TestSettling:
         deviation = np.exp(-delta / 2 * time) * (
             np.cos(phase) + delta / 2 / frequency * np.sin(phase)
         )
-        found = jaxstab.settling_samples(0.0, 0.0, gamma, delta, delay)
+        found = jaxstab.settling_samples(0.0, 0.0, gamma=gamma, delta=delta, delay=delay)
         assert float(found.value) == settled_since(deviation, 0.0, 0.02)
 
     def test_of_a_grid_of_delays_are_those_of_each_loop(self) -> None:
         delays = np.array([0.0, 0.4, 2.5])
         betas = np.array([[0.08], [0.1]])
-        together = jaxstab.settling_samples(0.004, betas, 1e-3, 0.015, delays)
+        together = jaxstab.settling_samples(0.004, betas, gamma=1e-3, delta=0.015, delay=delays)
         assert together.value.shape == (2, 3)
         assert (together.status == SettlingStatus.SETTLED).all()
         for column, delay in enumerate(delays):
@@ -79,8 +80,11 @@ class TestSettling:
     def test_many_loops_at_once_are_those_of_a_recurrence(self) -> None:
         """gamma = delta = 0, delay 1, on a grid larger than a batch: all in plain NumPy."""
         alpha, beta = np.linspace(0.002, 0.14, 40)[:, None], np.linspace(0.02, 0.55, 40)
-        found = jaxstab.settling_samples(alpha, beta, 0.0, 0.0, 1.0)
-        stable = np.asarray(jaxstab.verdict(alpha, beta, 0.0, 0.0, 1.0)) == jaxstab.STABLE
+        found = jaxstab.settling_samples(alpha, beta, gamma=0.0, delta=0.0, delay=1.0)
+        stable = (
+            np.asarray(jaxstab.verdict(alpha, beta, gamma=0.0, delta=0.0, delay=1.0))
+            == jaxstab.STABLE
+        )
         alpha, beta = np.broadcast_arrays(alpha, beta)
         alpha, beta = alpha[stable], beta[stable]
         x, v, previous, waiting, last = -np.ones((5, alpha.size))
@@ -108,7 +112,7 @@ class TestSettling:
         assert "horizon" in SettlingStatus(int(found.status)).words
 
     def test_on_the_edge_of_stability_does_not_end(self) -> None:
-        found = jaxstab.settling_samples(0.0, 0.5, 0.0, 0.0, 0)
+        found = jaxstab.settling_samples(0.0, 0.5, gamma=0.0, delta=0.0, delay=0)
         assert math.isnan(found.value)
         assert int(found.status) == SettlingStatus.NOT_SETTLED
 
@@ -134,7 +138,7 @@ class TestSettling:
         deviation = np.exp(-delta / 2 * time) * (
             np.cos(frequency * time) + delta / 2 / frequency * np.sin(frequency * time)
         )
-        found = jaxstab.settling_samples(0.0, 0.0, gamma, delta, 1.0)
+        found = jaxstab.settling_samples(0.0, 0.0, gamma=gamma, delta=delta, delay=1.0)
         assert float(found.value) == settled_since(deviation, 0.0, 0.02) > 30_000
 
     def test_of_random_loops_are_those_of_their_simulation(self, rng: np.random.Generator) -> None:
@@ -169,17 +173,24 @@ class TestSettling:
     @pytest.mark.campaign
     def test_of_jax_arrays_are_jax_arrays_also_when_compiled(self) -> None:
         alphas = jax.numpy.array([0.01, 0.03, 0.9])
-        direct = jaxstab.settling_samples(np.asarray(alphas), 0.3, 0.0, 0.0, 1)
-        function = jax.jit(lambda a: jaxstab.settling_samples(a, 0.3, 0.0, 0.0, 1))
-        for other in (function(alphas), jaxstab.settling_samples(alphas, 0.3, 0.0, 0.0, 1)):
+        direct = jaxstab.settling_samples(np.asarray(alphas), 0.3, gamma=0.0, delta=0.0, delay=1)
+        function = jax.jit(
+            lambda a: jaxstab.settling_samples(a, 0.3, gamma=0.0, delta=0.0, delay=1)
+        )
+        for other in (
+            function(alphas),
+            jaxstab.settling_samples(alphas, 0.3, gamma=0.0, delta=0.0, delay=1),
+        ):
             assert all(isinstance(field, jax.Array) for field in other)
             np.testing.assert_array_equal(other.value, direct.value)
             np.testing.assert_array_equal(other.status, direct.status)
 
     def test_maps_over_gains(self) -> None:
         alphas = np.array([0.01, 0.03])
-        direct = jaxstab.settling_samples(alphas, 0.3, 0.0, 0.0, 0).value
-        mapped = jax.vmap(lambda a: jaxstab.settling_samples(a, 0.3, 0.0, 0.0, 0).value)(alphas)
+        direct = jaxstab.settling_samples(alphas, 0.3, gamma=0.0, delta=0.0, delay=0).value
+        mapped = jax.vmap(
+            lambda a: jaxstab.settling_samples(a, 0.3, gamma=0.0, delta=0.0, delay=0).value
+        )(alphas)
         np.testing.assert_array_equal(direct, mapped)
         walls = np.array([2_000.0, 20_000.0])
         direct = PHANTOM.settling_time(walls, 20.0).value
@@ -198,7 +209,7 @@ class TestSettling:
     )
     def test_refuses(self, options: dict[str, object], message: str) -> None:
         with pytest.raises((ValueError, TypeError), match=message):
-            jaxstab.settling_samples(0.1, 0.3, 0.0, 0.0, 0, **options)
+            jaxstab.settling_samples(0.1, 0.3, gamma=0.0, delta=0.0, delay=0, **options)
 
 
 class TestDominantMode:
@@ -213,7 +224,7 @@ class TestDominantMode:
     )
     def test_is_the_logarithm_of_the_certified_root(self, scene: tuple[float, ...]) -> None:
         exponent = mp.log(truth.roots(*scene)[0])
-        mode = jaxstab.dominant_mode(*scene)
+        mode = jaxstab.dominant_mode(**by_name(*scene))
         ratio = -exponent.real / abs(exponent)
         assert float(mode.damping_ratio) == pytest.approx(float(ratio), rel=1e-11)
         assert float(mode.frequency) == pytest.approx(float(abs(exponent.imag)), rel=1e-11)

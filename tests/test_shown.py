@@ -72,7 +72,7 @@ def test_margins_print_a_table_that_is_rounded_inwards() -> None:
     assert "(N/m)" in stiffness
     assert "(N s/m)" in damping
     assert float(delay.split()[-1]) <= margins.extra_delay
-    plain = repr(jaxstab.margins(0.1, 0.2, 0.0, 0.015, 1.0))
+    plain = repr(jaxstab.margins(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
     assert "alpha" in plain
     assert "N/m" not in plain
 
@@ -114,7 +114,7 @@ def test_a_region_prints_four_lines_with_units(loop: jaxstab.HapticLoop) -> None
 
 
 def test_a_region_that_claims_nothing_prints_one_line() -> None:
-    empty = jaxstab.stable_region(np.pi**2, 0.0, 0.0)
+    empty = jaxstab.stable_region(gamma=np.pi**2, delta=0.0, delay=0.0)
     assert empty.status != RegionStatus.COMPLETE
     assert repr(empty) == f"StableRegion: {empty.status.words}"
     assert empty._repr_html_() == f"<pre>{empty!r}</pre>"
@@ -126,14 +126,14 @@ def test_what_jax_maps_over_prints_itself() -> None:
     printed = []
 
     def radius(alpha: jax.Array) -> jax.Array:
-        found = jaxstab.spectral_radius(alpha, 0.2, 0.0, 0.015, 1.0)
-        margins = jaxstab.margins(alpha, 0.2, 0.0, 0.015, 1.0)
+        found = jaxstab.spectral_radius(alpha, 0.2, gamma=0.0, delta=0.015, delay=1.0)
+        margins = jaxstab.margins(alpha, 0.2, gamma=0.0, delta=0.015, delay=1.0)
         printed.extend([repr(found), repr(margins)])
         return found.value
 
     jax.eval_shape(radius, jnp.asarray(0.1))
     assert [text.split("(")[0] for text in printed] == ["SpectralRadius", "Margins"]
-    region = jaxstab.stable_region(0.0, 0.015, 1.0)
+    region = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0)
     many = replace(region, status=jnp.ones(3, jnp.int8))
     assert repr(many).startswith("StableRegion of arrays")
 

@@ -12,6 +12,7 @@ from mpmath import mp, mpf
 import jaxstab
 from benchmarks import truth
 from jaxstab.conventions import RadiusStatus
+from jaxstab.model import by_name
 from jaxstab.point import grid
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
@@ -42,7 +43,7 @@ class TestPoles:
             (0.05, 0.2, 1e-3, 0.015, 2),
             (0.1, 0.2, 2.0, 0.1, 1.5),
         ]:
-            poles = np.asarray(jaxstab.closed_loop_poles(*scene))
+            poles = np.asarray(jaxstab.closed_loop_poles(**by_name(*scene)))
             exact = np.array([complex(root) for root in truth.roots(*scene)])
             assert len(poles) == len(exact)
             distance = np.abs(poles[:, None] - exact)
@@ -52,10 +53,10 @@ class TestPoles:
 
     def test_a_lower_degree_in_an_array_of_delays_ends_in_zeros(self) -> None:
         delays = np.array([2.5, 0.0, 1.0])
-        poles = jaxstab.closed_loop_poles(*SCENE, delays)
+        poles = jaxstab.closed_loop_poles(**by_name(*SCENE, delays))
         assert poles.shape == (3, 6)
         for row, delay in zip(poles, delays, strict=True):
-            alone = jaxstab.closed_loop_poles(*SCENE, delay)
+            alone = jaxstab.closed_loop_poles(**by_name(*SCENE, delay))
             np.testing.assert_allclose(row[: len(alone)], alone, rtol=1e-12)
             assert (row[len(alone) :] == 0).all()
 
@@ -63,26 +64,26 @@ class TestPoles:
 class TestSpectralRadius:
     def test_is_honest_over_the_reference_scenes(self) -> None:
         scenes = reference_scenes()
-        radius = jaxstab.spectral_radius(*np.array(list(scenes)).T)
+        radius = jaxstab.spectral_radius(**by_name(*np.array(list(scenes)).T))
         for number, (scene, moduli) in enumerate(scenes.items()):
             value, error = float(radius.value[number]), float(radius.error[number])
             assert abs(mpf(value) - moduli[0]) <= error, scene
 
     def test_converges_where_the_dominant_root_is_simple(self, rng: np.random.Generator) -> None:
-        radius = jaxstab.spectral_radius(*random_scenes(rng, 300))
+        radius = jaxstab.spectral_radius(**by_name(*random_scenes(rng, 300)))
         assert (radius.status == RadiusStatus.PROVED).all()
         assert np.quantile(radius.error, 0.95) < 1e-12
 
     def test_is_honest_at_random_scenes(self, rng: np.random.Generator) -> None:
         scenes = random_scenes(rng, 300)
-        radius = jaxstab.spectral_radius(*scenes)
+        radius = jaxstab.spectral_radius(**by_name(*scenes))
         for scene, value, error in zip(scenes.T.tolist(), radius.value, radius.error, strict=True):
             lower, upper = truth.spectral_radius(*scene)
             assert lower - float(error) <= mpf(float(value)) <= upper + float(error), scene
 
     def test_is_honest_at_a_triple_root(self) -> None:
         alpha, beta = 6 * TRIPLE_ROOT**2 - 2, 2 * TRIPLE_ROOT**3
-        radius = jaxstab.spectral_radius(alpha, beta, 0.0, 0.0, 0)
+        radius = jaxstab.spectral_radius(alpha, beta, gamma=0.0, delta=0.0, delay=0)
         lower, _ = truth.spectral_radius(alpha, beta, 0.0, 0.0, 0)
         assert abs(mpf(float(radius.value)) - lower) <= float(radius.error)
         assert float(radius.error) < 1e-3
@@ -90,13 +91,13 @@ class TestSpectralRadius:
     @pytest.mark.parametrize("delay", [0, 2])
     def test_is_honest_without_a_controller(self, delay: int) -> None:
         """alpha = beta = 0: roots at zero as many as the delay, defective in the companion."""
-        radius = jaxstab.spectral_radius(0.0, 0.0, 0.5, 0.2, delay)
+        radius = jaxstab.spectral_radius(0.0, 0.0, gamma=0.5, delta=0.2, delay=delay)
         assert abs(float(radius.value) - float(mp.exp(-mpf(0.2) / 2))) <= float(radius.error)
         assert float(radius.error) < 1e-12
 
     def test_broadcasts_over_five_axes_with_fractional_delays(self) -> None:
         axes = np.ix_([0.01, 0.1, 0.2], [0.1, 0.3], [0.0, 1e-3], [0.0, 0.015], [0.0, 0.5, 2.0])
-        radius = jaxstab.spectral_radius(*axes)
+        radius = jaxstab.spectral_radius(**by_name(*axes))
         assert radius.value.shape == radius.error.shape == radius.status.shape == (3, 2, 2, 2, 3)
         lower, upper = truth.spectral_radius(0.2, 0.1, 1e-3, 0.015, 0.5)
         error = float(radius.error[2, 0, 1, 1, 1])
@@ -104,7 +105,7 @@ class TestSpectralRadius:
 
     @pytest.mark.parametrize("delay", [0, pytest.param(1.5, marks=pytest.mark.campaign)])
     def test_gradient_is_the_motion_of_the_dominant_root(self, delay: float) -> None:
-        function = lambda *scene: jaxstab.spectral_radius(*scene, delay).value  # noqa: E731
+        function = lambda *scene: jaxstab.spectral_radius(**by_name(*scene, delay)).value  # noqa: E731
         gradient = jax.jit(jax.grad(function, argnums=(0, 1, 2, 3)))(*SCENE)
         for axis, derivative in enumerate(gradient):
             with mp.workdps(60):
@@ -117,12 +118,14 @@ class TestSpectralRadius:
 
     def test_gradient_is_finite_where_the_companion_matrix_is_defective(self) -> None:
         """alpha = beta = 0 with delay: the roots at zero are multiple, the dominant pair is not."""
-        function = lambda alpha: jaxstab.spectral_radius(alpha, 0.0, 0.5, 0.2, 2).value  # noqa: E731
+        function = lambda alpha: (  # noqa: E731
+            jaxstab.spectral_radius(alpha, 0.0, gamma=0.5, delta=0.2, delay=2).value
+        )
         assert jnp.isfinite(jax.grad(function)(0.0))
 
     def test_jit_and_vmap_agree_with_a_direct_call(self) -> None:
-        direct = jaxstab.spectral_radius(*SCENE, 1)
-        function = lambda alpha: jaxstab.spectral_radius(alpha, *SCENE[1:], 1)  # noqa: E731
+        direct = jaxstab.spectral_radius(**by_name(*SCENE, 1))
+        function = lambda alpha: jaxstab.spectral_radius(**by_name(alpha, *SCENE[1:], 1))  # noqa: E731
         for wrapped in (jax.jit(function), lambda a: jax.vmap(function)(jnp.array([a]))):
             assert float(jnp.ravel(wrapped(SCENE[0]).value)[0]) == pytest.approx(
                 float(direct.value), rel=1e-14
@@ -134,10 +137,12 @@ class TestIsStable:
         beta = rng.uniform(0.01, 1.99, 500)
         alpha = rng.uniform(-0.2, 1.0, 500)
         inside = (alpha > 0) & (alpha < 2 * beta * (2 - beta) / (beta + 2))
-        np.testing.assert_array_equal(jaxstab.is_stable(alpha, beta, 0.0, 0.0, 0), inside)
+        np.testing.assert_array_equal(
+            jaxstab.is_stable(alpha, beta, gamma=0.0, delta=0.0, delay=0), inside
+        )
 
     def test_a_marginal_loop_is_not_stable(self) -> None:
-        assert not jaxstab.is_stable(0.0, 0.5, 0.0, 0.0, 0)
+        assert not jaxstab.is_stable(0.0, 0.5, gamma=0.0, delta=0.0, delay=0)
 
 
 class TestSweep:
@@ -145,15 +150,15 @@ class TestSweep:
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         axes = np.ix_(np.linspace(0.01, 0.2, 9), np.linspace(0.1, 0.5, 7), [1e-3], [0.0], [0, 0.5])
-        whole = jaxstab.spectral_radius(*axes).value
+        whole = jaxstab.spectral_radius(**by_name(*axes)).value
         monkeypatch.setattr(grid, "CHUNK", 64)
-        np.testing.assert_array_equal(jaxstab.spectral_radius(*axes).value, whole)
+        np.testing.assert_array_equal(jaxstab.spectral_radius(**by_name(*axes)).value, whole)
 
     def test_streams_a_grid_in_order(self) -> None:
         axes = np.ix_([0.01, 0.1], [0.1, 0.3, 0.5], [1e-3], [0.0, 0.01], [1.0])
-        whole = np.ravel(jaxstab.spectral_radius(*axes).value)
+        whole = np.ravel(jaxstab.spectral_radius(**by_name(*axes)).value)
         seen = np.zeros_like(whole)
-        for points, part in jaxstab.sweep(jaxstab.spectral_radius, *axes, chunk=5):
+        for points, part in jaxstab.sweep(jaxstab.spectral_radius, **by_name(*axes), chunk=5):
             assert points.stop - points.start <= 5
             seen[points] = part.value
         np.testing.assert_array_equal(seen, whole)
@@ -161,7 +166,7 @@ class TestSweep:
     def test_a_billion_points_need_no_memory_before_they_are_asked_for(self) -> None:
         axis = np.linspace(0.01, 0.1, 1000)
         axes = np.ix_(axis, axis, axis, [0.0], [0.0])
-        points, part = next(jaxstab.sweep(jaxstab.is_stable, *axes, chunk=100))
+        points, part = next(jaxstab.sweep(jaxstab.is_stable, **by_name(*axes), chunk=100))
         assert (points, part.shape) == (slice(0, 100), (100,))
 
     def test_compiles_once_per_degree(self) -> None:
@@ -179,12 +184,12 @@ class TestSweep:
     @pytest.mark.parametrize("chunk", [0, -3])
     def test_refuses_an_empty_chunk(self, chunk: int) -> None:
         with pytest.raises(ValueError, match="chunk is"):
-            jaxstab.sweep(jaxstab.is_stable, 0.1, 0.1, 0.0, 0.0, 0, chunk=chunk)
+            jaxstab.sweep(jaxstab.is_stable, 0.1, 0.1, gamma=0.0, delta=0.0, delay=0, chunk=chunk)
 
 
 @pytest.mark.parametrize("method", ["fast", "companion"])
 def test_a_bound_holds_for_tiny_poles_of_a_strongly_damped_plant(method: str) -> None:
     point = (-1.904433602537459e-19, 0.0, 2731.67816822823, 104.53091730637838, 0.0)
-    radius = jaxstab.spectral_radius(*point, method=method)
+    radius = jaxstab.spectral_radius(**by_name(*point), method=method)
     low, high = truth.spectral_radius(*point)
     assert low - float(radius.error) <= float(radius.value) <= high + float(radius.error)

@@ -133,16 +133,21 @@ def test_in_the_plane_of_gains_the_trace_is_the_closed_form(window, gamma, delta
     assert trace.complete
     scale = np.maximum(1.0, np.abs(trace.points))
     pair = trace.branch == Branch.CURVE
-    curve = np.stack(boundary_curve(trace.theta[pair], gamma, delta, delay), axis=1)
+    curve = np.stack(
+        boundary_curve(trace.theta[pair], gamma=gamma, delta=delta, delay=delay), axis=1
+    )
     assert np.max(np.abs(curve - trace.points[pair]) / scale[pair]) < 1e-12
     plus, minus = (trace.points[trace.branch == b] for b in (Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE))
     assert np.max(np.abs(plus[:, 0] + gamma), initial=0.0) < 1e-12
-    line = minus_line(minus[:, 1], gamma, delta, delay)
+    line = minus_line(minus[:, 1], gamma=gamma, delta=delta, delay=delay)
     assert np.max(np.abs(line - minus[:, 0]), initial=0.0) < 1e-12 * np.max(scale)
     # All of the curve in the window is there.
     box = np.array(window)
     unit = in_window(trace.points, box)
-    dense = np.stack(boundary_curve(np.linspace(0, pi, 2001)[1:-1], gamma, delta, delay), axis=1)
+    dense = np.stack(
+        boundary_curve(np.linspace(0, pi, 2001)[1:-1], gamma=gamma, delta=delta, delay=delay),
+        axis=1,
+    )
     dense = in_window(dense, box)
     for point in dense[np.all((dense >= 0) & (dense <= 1), axis=1)]:
         assert np.min(np.linalg.norm(unit - point, axis=1)) < trace.resolution
@@ -192,7 +197,9 @@ def test_no_box_that_holds_a_root_is_called_free(rng):
     delta = rng.uniform(0, 3, count) * rng.choice([0, 0.01, 1], count)
     delay = np.where(rng.random(count) < 0.3, rng.integers(0, 4, count), rng.uniform(0, 4, count))
     theta = rng.uniform(0, pi, count)
-    alpha, beta = (np.asarray(v) for v in boundary_curve(theta, gamma, delta, delay))
+    alpha, beta = (
+        np.asarray(v) for v in boundary_curve(theta, gamma=gamma, delta=delta, delay=delay)
+    )
     loops = np.stack([alpha, beta, gamma, delta, delay, theta])
     loops = loops[:, np.abs(loops[:2]).max(axis=0) < 50]
     count = loops.shape[1]

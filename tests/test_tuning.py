@@ -14,6 +14,7 @@ import jaxstab
 from benchmarks import truth
 from benchmarks.truth.march import HELD, PHANTOM
 from jaxstab import TuningStatus
+from jaxstab.model import by_name
 
 LEAST_RADII = (0.587401, 0.752114, 0.824656, 0.864687, 0.889931, 0.907271)  # gamma = delta = 0
 LARGEST_ALPHAS = (12 - 8 * math.sqrt(2), 0.14447, 0.06243, 0.03478)
@@ -68,18 +69,20 @@ DOUBLE_PAIRS = [((1.0, 0.0, 1.0), 0.94862), ((5.0, 0.3, 0.5), 2.11121)]
 @partial(jax.jit, static_argnums=2)
 def slopes_in_gamma(gamma: jax.Array, delta: jax.Array, delay: float) -> tuple[jax.Array, ...]:
     """The derivatives of the smallest radius and of its gains: compiled once for each delay."""
-    return jax.jacfwd(lambda g: jaxstab.minimize_radius(g, delta, delay)[:3])(gamma)
+    return jax.jacfwd(lambda g: jaxstab.minimize_radius(gamma=g, delta=delta, delay=delay)[:3])(
+        gamma
+    )
 
 
 class TestMinimizeRadius:
     @pytest.mark.parametrize("delay", range(6))
     def test_of_the_undamped_mass_is_the_known_one(self, delay: int) -> None:
-        best = jaxstab.minimize_radius(0.0, 0.0, delay)
+        best = jaxstab.minimize_radius(gamma=0.0, delta=0.0, delay=delay)
         assert float(best.value) == pytest.approx(LEAST_RADII[delay], abs=5e-7)
         assert int(best.status) == TuningStatus.TRIPLE_ROOT
 
     def test_of_the_undamped_mass_without_delay_is_a_closed_form(self) -> None:
-        best = jaxstab.minimize_radius(0.0, 0.0, 0)
+        best = jaxstab.minimize_radius(gamma=0.0, delta=0.0, delay=0)
         root = 4 ** (1 / 3) - 1
         assert float(best.value) == pytest.approx(root, rel=1e-14)
         assert float(best.alpha) == pytest.approx(6 * root**2 - 2, rel=1e-13)
@@ -89,7 +92,7 @@ class TestMinimizeRadius:
         ("plant", "angle"), [(plant, 0.0) for plant in TRIPLE_ROOTS] + DOUBLE_PAIRS
     )
     def test_is_the_multiple_root_to_full_precision(self, plant: Plant, angle: float) -> None:
-        best = jaxstab.minimize_radius(*plant)
+        best = jaxstab.minimize_radius(**by_name(*plant))
         kind = TuningStatus.TRIPLE_ROOT if angle == 0 else TuningStatus.DOUBLE_PAIR
         assert int(best.status) == kind
         for mine, exact in zip(best[:3], multiple_root(plant, best, angle), strict=True):
@@ -99,7 +102,7 @@ class TestMinimizeRadius:
         "plant", [*TRIPLE_ROOTS, *(p for p, _ in DOUBLE_PAIRS), (10.601024803602744, 0.0, 0.5)]
     )
     def test_is_not_beaten_by_brute_force(self, plant: Plant, rng: np.random.Generator) -> None:
-        best = jaxstab.minimize_radius(*plant)
+        best = jaxstab.minimize_radius(**by_name(*plant))
         alpha, beta, value = (float(x) for x in best[:3])
         span = np.linspace(-1.5, 1.5, 120) * max(abs(alpha), abs(beta))
         grid = radii(plant, alpha + span[:, None], beta + span)
@@ -110,19 +113,21 @@ class TestMinimizeRadius:
     def test_says_where_it_only_knows_a_scan(self) -> None:
         """Beyond the Nyquist frequency a double and a simple real pole can face each other."""
         plant = (10.601024803602744, 0.0, 0.5)
-        best = jaxstab.minimize_radius(*plant)
+        best = jaxstab.minimize_radius(**by_name(*plant))
         assert int(best.status) == TuningStatus.SCANNED
         assert "scan" in TuningStatus(int(best.status)).words
 
     @pytest.mark.campaign
     def test_what_a_scan_found_has_no_slopes(self) -> None:
         plant = (10.601024803602744, 0.0, 0.5)
-        slopes = jax.jacfwd(lambda g: jaxstab.minimize_radius(g, *plant[1:])[:3])(plant[0])
+        slopes = jax.jacfwd(lambda g: jaxstab.minimize_radius(**by_name(g, *plant[1:]))[:3])(
+            plant[0]
+        )
         assert all(math.isnan(slope) for slope in slopes)
 
     def test_at_half_the_sampling_rate_no_gains_are_stable(self) -> None:
         """gamma = pi^2, delta = 0: a pole at z = -1 for every delay (sec. VIII of the paper)."""
-        best = jaxstab.minimize_radius(math.pi**2, 0.0, 1.0)
+        best = jaxstab.minimize_radius(gamma=math.pi**2, delta=0.0, delay=1.0)
         assert int(best.status) == TuningStatus.NO_STABLE_GAINS
         assert float(best.value) == pytest.approx(1.0, abs=1e-5)
 
@@ -135,13 +140,13 @@ class TestMinimizeRadius:
         ],
     )
     def test_finds_stable_gains_where_a_region_has_an_area(self, plant: Plant) -> None:
-        assert float(jaxstab.stable_region(*plant).area) > 10
-        best = jaxstab.minimize_radius(*plant)
+        assert float(jaxstab.stable_region(**by_name(*plant)).area) > 10
+        best = jaxstab.minimize_radius(**by_name(*plant))
         alpha, beta, value = (float(x) for x in best[:3])
         assert int(best.status) == TuningStatus.SCANNED
         assert value < 0.998
         assert truth.spectral_radius(alpha, beta, *plant)[1] < value + 1e-6
-        assert jaxstab.stable_region(*plant, radius=value * 0.999).is_empty
+        assert jaxstab.stable_region(**by_name(*plant), radius=value * 0.999).is_empty
 
     def test_of_random_plants_is_reached_and_no_region_is_left_below(
         self, rng: np.random.Generator
@@ -150,24 +155,24 @@ class TestMinimizeRadius:
         for _ in range(12):
             gamma = rng.choice([0.0, 10 ** rng.uniform(-5, 0), 10 ** rng.uniform(0, 2)])
             plant = gamma, 10 ** rng.uniform(-4, 0.5), rng.choice([0.0, 2.0, rng.uniform(0, 8)])
-            best = jaxstab.minimize_radius(*plant)
+            best = jaxstab.minimize_radius(**by_name(*plant))
             assert int(best.status) != TuningStatus.NO_STABLE_GAINS
             value = float(best.value)
             reached = truth.spectral_radius(float(best.alpha), float(best.beta), *plant)[1]
             assert float(reached) == pytest.approx(value, rel=1e-3)
-            assert jaxstab.stable_region(*plant, radius=value * 0.999).is_empty
+            assert jaxstab.stable_region(**by_name(*plant), radius=value * 0.999).is_empty
 
     def test_of_jax_arrays_is_that_of_numpy_also_when_compiled(self) -> None:
         gammas = np.array([1e-3, 1.0, 10.601024803602744])
-        plain = jaxstab.minimize_radius(gammas, 0.0, 0.5)
-        compiled = jax.jit(lambda g: jaxstab.minimize_radius(g, 0.0, 0.5))(gammas)
+        plain = jaxstab.minimize_radius(gamma=gammas, delta=0.0, delay=0.5)
+        compiled = jax.jit(lambda g: jaxstab.minimize_radius(gamma=g, delta=0.0, delay=0.5))(gammas)
         assert all(isinstance(field, np.ndarray) for field in plain)
         for mine, other in zip(plain, compiled, strict=True):
             np.testing.assert_allclose(mine, other, rtol=1e-12)
 
     def test_broadcasts_over_plants(self) -> None:
         gammas, deltas = np.array([[0.0], [1e-3], [1.0]]), np.array([0.0, 0.1])
-        best = jaxstab.minimize_radius(gammas, deltas, 1.0)
+        best = jaxstab.minimize_radius(gamma=gammas, delta=deltas, delay=1.0)
         assert best.value.shape == best.status.shape == (3, 2)
         assert set(np.unique(best.status)) == {TuningStatus.TRIPLE_ROOT, TuningStatus.DOUBLE_PAIR}
         assert float(best.value[0, 0]) == pytest.approx(LEAST_RADII[1], abs=5e-7)
@@ -187,7 +192,7 @@ class TestMinimizeRadius:
         gamma, delta, delay = plant
         slopes = slopes_in_gamma(gamma, delta, delay)
         step = mpf(10) ** -8
-        best = jaxstab.minimize_radius(*plant)
+        best = jaxstab.minimize_radius(**by_name(*plant))
         below, above = (
             multiple_root((mpf(gamma) + sign * step, delta, delay), best, angle) for sign in (-1, 1)
         )
@@ -197,22 +202,26 @@ class TestMinimizeRadius:
     @pytest.mark.campaign
     @pytest.mark.parametrize("plant", [TRIPLE_ROOTS[1], DOUBLE_PAIRS[0][0]])
     def test_derivative_is_the_same_backwards(self, plant: Plant) -> None:
-        smallest = lambda gamma: jaxstab.minimize_radius(gamma, *plant[1:]).value  # noqa: E731
+        smallest = lambda gamma: jaxstab.minimize_radius(**by_name(gamma, *plant[1:])).value  # noqa: E731
         backwards, forwards = jax.grad(smallest)(plant[0]), jax.jacfwd(smallest)(plant[0])
         assert float(backwards) == pytest.approx(float(forwards), rel=1e-12)
 
     def test_derivative_can_be_taken_backwards(self) -> None:
         """It is traced, and not compiled, which takes long."""
-        smallest = lambda gamma: jaxstab.minimize_radius(gamma, 0.1, 1.0).value  # noqa: E731
+        smallest = lambda gamma: jaxstab.minimize_radius(gamma=gamma, delta=0.1, delay=1.0).value  # noqa: E731
         assert jax.make_jaxpr(jax.grad(smallest))(1e-3).out_avals[0].shape == ()
 
     def test_needs_less_than_half_of_the_largest_stable_stiffness(self) -> None:
         for delay, largest in enumerate(LARGEST_ALPHAS):
-            assert 0 < float(jaxstab.minimize_radius(0.0, 0.0, delay).alpha) < largest / 2
+            assert (
+                0
+                < float(jaxstab.minimize_radius(gamma=0.0, delta=0.0, delay=delay).alpha)
+                < largest / 2
+            )
 
     def test_refuses_an_array_of_delays(self) -> None:
         with pytest.raises((ValueError, TypeError), match="delay"):
-            jaxstab.minimize_radius(0.0, 0.0, np.array([0.0, 1.0]))
+            jaxstab.minimize_radius(gamma=0.0, delta=0.0, delay=np.array([0.0, 1.0]))
 
 
 class TestMinimizeRadiusDamping:
@@ -221,7 +230,7 @@ class TestMinimizeRadiusDamping:
         [(0.1, (0.0, 0.0, 0.0)), (0.02, (1e-3, 0.015, 1.5)), (0.0, (1.0, 0.0, 1.0))],
     )
     def test_is_the_minimum_over_beta(self, alpha: float, plant: Plant) -> None:
-        best = jaxstab.minimize_radius_damping(alpha, *plant)
+        best = jaxstab.minimize_radius_damping(alpha, **by_name(*plant))
         betas = np.linspace(-1.0, 2.0, 30_001)
         values = radii(plant, np.array(alpha), betas)
         middle = values.argmin()
@@ -235,7 +244,7 @@ class TestMinimizeRadiusDamping:
         assert float(best.beta) == pytest.approx(refined.x, abs=1e-6)
 
     def test_of_a_wall_that_is_too_stiff_says_so(self) -> None:
-        best = jaxstab.minimize_radius_damping(0.8, 0.0, 0.0, 0.0)
+        best = jaxstab.minimize_radius_damping(0.8, gamma=0.0, delta=0.0, delay=0.0)
         assert int(best.status) == TuningStatus.NO_STABLE_GAINS
         assert float(best.value) > 1
 
@@ -256,7 +265,7 @@ def settled_mass(alpha: np.ndarray, beta: np.ndarray, delay: int, length: int) -
 @pytest.fixture(scope="module")
 def best() -> list[jaxstab.OptimalGains]:
     """The gains of least settling for the undamped mass, by delay."""
-    return [jaxstab.minimize_settling(0.0, 0.0, delay) for delay in range(4)]
+    return [jaxstab.minimize_settling(gamma=0.0, delta=0.0, delay=delay) for delay in range(4)]
 
 
 class TestMinimizeSettling:
@@ -284,30 +293,32 @@ class TestMinimizeSettling:
             assert settled_mass(alphas, betas, delay, 120).min() >= samples
 
     def test_with_a_given_stiffness_is_not_beaten_by_brute_force(self) -> None:
-        gains = jaxstab.minimize_settling(0.0, 0.0, 0, alpha=0.3)
+        gains = jaxstab.minimize_settling(gamma=0.0, delta=0.0, delay=0, alpha=0.3)
         brute = settled_mass(np.array(0.3), np.linspace(0.0, 2.0, 20_001), 0, 400)
         assert float(gains.alpha) == 0.3
         assert float(gains.value) == brute.min()
 
     def test_of_an_impact_is_slower_than_of_a_push(self, best: list[jaxstab.OptimalGains]) -> None:
-        gains = jaxstab.minimize_settling(0.0, 0.0, 1, excitation="impact")
-        proved = jaxstab.settling_samples(*gains[:2], 0.0, 0.0, 1, excitation="impact")
+        gains = jaxstab.minimize_settling(gamma=0.0, delta=0.0, delay=1, excitation="impact")
+        proved = jaxstab.settling_samples(
+            *gains[:2], gamma=0.0, delta=0.0, delay=1, excitation="impact"
+        )
         assert float(best[1].value) < float(gains.value) == float(proved.value)
 
     def test_without_stable_gains_is_infinite(self) -> None:
-        gains = jaxstab.minimize_settling(0.0, 0.0, 0, alpha=0.8)
+        gains = jaxstab.minimize_settling(gamma=0.0, delta=0.0, delay=0, alpha=0.8)
         assert math.isinf(gains.value)
         assert int(gains.status) == TuningStatus.NO_STABLE_GAINS
 
     def test_refuses_several_plants(self) -> None:
         with pytest.raises((ValueError, TypeError), match="gamma"):
-            jaxstab.minimize_settling(np.array([0.0, 0.1]), 0.0, 0)
+            jaxstab.minimize_settling(gamma=np.array([0.0, 0.1]), delta=0.0, delay=0)
 
 
 class TestOptimalGains:
     def test_for_the_radius_are_those_of_the_dimensionless_loop(self) -> None:
         wall = HELD.tune("radius")
-        best = jaxstab.minimize_radius(HELD.gamma, HELD.delta, 1.75)
+        best = jaxstab.minimize_radius(gamma=HELD.gamma, delta=HELD.delta, delay=1.75)
         assert HELD.alpha(wall.stiffness) == pytest.approx(float(best.alpha), rel=1e-14)
         assert HELD.beta(wall.damping) == pytest.approx(float(best.beta), rel=1e-14)
         assert wall.radius == pytest.approx(float(best.value), abs=1e-4)

@@ -13,13 +13,14 @@ import jaxstab
 from benchmarks.truth import filtered as truth
 from benchmarks.tuning import descent, radii
 from jaxstab import Filter, TuningStatus, Velocity
+from jaxstab.model import by_name
 
 WINDOW = {"velocity": Velocity.difference(samples=20)}
-LOW_PASS = {"velocity": Velocity.low_pass(0.05, 2)}
+LOW_PASS = {"velocity": Velocity.low_pass(0.05, order=2)}
 BOTH = {"velocity": Velocity.exponential(0.25), "position": Filter.low_pass(0.2)}
-BUTTERWORTH = {"velocity": Velocity.butterworth(0.02, 2)}
+BUTTERWORTH = {"velocity": Velocity.butterworth(0.02, order=2)}
 
-_SLOW = truth.times(truth.difference(1), truth.low_pass(0.05, 2))
+_SLOW = truth.times(truth.difference(1), truth.low_pass(0.05, order=2))
 _SMOOTH = truth.times(truth.difference(1), truth.exponential(0.25))
 _NONE = truth.average(1)
 
@@ -27,10 +28,10 @@ _NONE = truth.average(1)
 CASES: dict[str, tuple[dict[str, Any], tuple[Any, Any], tuple[float, float, float]]] = {
     "window": (WINDOW, (truth.difference(20), _NONE), (1e-4, 1e-3, 1.0)),
     "low pass, with an island that decays faster": (LOW_PASS, (_SLOW, _NONE), (0.0, 0.0, 0.0)),
-    "estimator and filter": (BOTH, (_SMOOTH, truth.low_pass(0.2, 1)), (1e-3, 0.015, 2.5)),
+    "estimator and filter": (BOTH, (_SMOOTH, truth.low_pass(0.2, order=1)), (1e-3, 0.015, 2.5)),
     "Butterworth": (
         BUTTERWORTH,
-        (truth.times(truth.difference(1), truth.butterworth(0.02, 2)), _NONE),
+        (truth.times(truth.difference(1), truth.butterworth(0.02, order=2)), _NONE),
         (1e-4, 1e-3, 5.0),
     ),
 }
@@ -50,12 +51,12 @@ class TestMinimizeRadius:
     @pytest.mark.parametrize("case", CASES)
     def test_is_reached_in_the_component_of_small_gains(self, case: str) -> None:
         filters, exact, plant = CASES[case]
-        best = jaxstab.minimize_radius(*plant, **filters)
+        best = jaxstab.minimize_radius(**by_name(*plant), **filters)
         gains = float(best.alpha), float(best.beta)
         loop = truth.FilteredLoop(*plant, *exact)
         reached = float(loop.radius(*gains).mid())
         assert reached == pytest.approx(float(best.value), rel=1e-3)
-        main = jaxstab.stable_region(*plant, **filters).main
+        main = jaxstab.stable_region(**by_name(*plant), **filters).main
         assert main is not None
         assert main.contains(*gains)
 
@@ -64,9 +65,9 @@ class TestMinimizeRadius:
         self, case: str, rng: np.random.Generator
     ) -> None:
         filters, exact, plant = CASES[case]
-        best = jaxstab.minimize_radius(*plant, **filters)
+        best = jaxstab.minimize_radius(**by_name(*plant), **filters)
         parts = polynomials(plant, exact)
-        main = jaxstab.stable_region(*plant, **filters).main
+        main = jaxstab.stable_region(**by_name(*plant), **filters).main
         assert main is not None
         gains, outline = np.array([float(best.alpha), float(best.beta)]), Path(main.points)
         for start in (gains, 0.1 * gains, 0.9 * main.points[len(main.points) // 3]):
@@ -76,8 +77,8 @@ class TestMinimizeRadius:
     def test_of_a_dense_grid_of_the_component_none_is_better(self) -> None:
         """The low pass has an island at (0.63, -2.76) with a radius of 0.915."""
         filters, exact, plant = CASES["low pass, with an island that decays faster"]
-        best = jaxstab.minimize_radius(*plant, **filters)
-        main = jaxstab.stable_region(*plant, **filters).main
+        best = jaxstab.minimize_radius(**by_name(*plant), **filters)
+        main = jaxstab.stable_region(**by_name(*plant), **filters).main
         assert main is not None
         low, high = main.points.min(axis=0), main.points.max(axis=0)
         alpha, beta = np.meshgrid(*(np.linspace(a, b, 60) for a, b in zip(low, high, strict=True)))
@@ -85,45 +86,49 @@ class TestMinimizeRadius:
         grid = np.stack([alpha[inside], beta[inside]], axis=1)
         values = radii(polynomials(plant, exact), grid)
         assert values.min() >= float(best.value) - 1e-9
-        island = jaxstab.spectral_radius(0.6275, -2.7573, *plant, **filters)
+        island = jaxstab.spectral_radius(0.6275, -2.7573, **by_name(*plant), **filters)
         assert float(island.value) + float(island.error) < float(best.value)
 
     def test_where_small_gains_are_not_stable_says_that_it_is_an_island(self) -> None:
         """A hand beyond the Nyquist frequency, undamped: the stable set is at alpha < 0."""
         plant, filters = (12.0, 0.0, 0.0), {"velocity": Velocity.difference(samples=2)}
-        assert jaxstab.stable_region(*plant, **filters).main is None
-        best = jaxstab.minimize_radius(*plant, **filters)
+        assert jaxstab.stable_region(**by_name(*plant), **filters).main is None
+        best = jaxstab.minimize_radius(**by_name(*plant), **filters)
         assert int(best.status) == TuningStatus.ISLAND
         wall = float(best.alpha), float(best.beta)
-        assert int(jaxstab.verdict(*wall, *plant, **filters)) == jaxstab.STABLE
+        assert int(jaxstab.verdict(*wall, **by_name(*plant), **filters)) == jaxstab.STABLE
 
     def test_a_window_of_one_sample_is_the_loop_of_the_paper(self) -> None:
-        plain = jaxstab.minimize_radius(1e-3, 0.015, 1.5)
-        window = jaxstab.minimize_radius(1e-3, 0.015, 1.5, velocity=Velocity.difference(samples=1))
+        plain = jaxstab.minimize_radius(gamma=1e-3, delta=0.015, delay=1.5)
+        window = jaxstab.minimize_radius(
+            gamma=1e-3, delta=0.015, delay=1.5, velocity=Velocity.difference(samples=1)
+        )
         for one, other in zip(plain, window, strict=True):
             np.testing.assert_array_equal(one, other)
 
     @pytest.mark.campaign
     def test_of_many_hands_and_of_jax_arrays(self) -> None:
         gammas, filters = np.array([0.0, 1e-3]), {"velocity": Velocity.difference(samples=3)}
-        together = jaxstab.minimize_radius(gammas, 0.01, 1.0, **filters)
-        compiled = jax.jit(lambda g: jaxstab.minimize_radius(g, 0.01, 1.0, **filters))(
-            jnp.asarray(gammas)
-        )
+        together = jaxstab.minimize_radius(gamma=gammas, delta=0.01, delay=1.0, **filters)
+        compiled = jax.jit(
+            lambda g: jaxstab.minimize_radius(gamma=g, delta=0.01, delay=1.0, **filters)
+        )(jnp.asarray(gammas))
         for number, gamma in enumerate(gammas):
-            alone = jaxstab.minimize_radius(gamma, 0.01, 1.0, **filters)
+            alone = jaxstab.minimize_radius(gamma=gamma, delta=0.01, delay=1.0, **filters)
             for one, many, traced in zip(alone, together, compiled, strict=True):
                 assert float(one) == pytest.approx(float(many[number]), rel=1e-12)
                 assert float(one) == pytest.approx(float(traced[number]), rel=1e-9)
 
     def test_of_a_loop_whose_plant_has_no_zero_near_the_circle(self) -> None:
         plant = (1e-4, 2.1, 1.0)
-        best = jaxstab.minimize_radius(*plant, velocity=Velocity.difference(samples=3))
+        best = jaxstab.minimize_radius(**by_name(*plant), velocity=Velocity.difference(samples=3))
         assert int(best.status) != TuningStatus.NO_STABLE_GAINS
 
     def test_refuses_traced_filters_in_one_sentence(self) -> None:
         def radius(cutoff: Any) -> Any:
-            return jaxstab.minimize_radius(0.0, 0.0, 0.0, velocity=Velocity.low_pass(cutoff)).value
+            return jaxstab.minimize_radius(
+                gamma=0.0, delta=0.0, delay=0.0, velocity=Velocity.low_pass(cutoff)
+            ).value
 
         with pytest.raises(TypeError, match="filters of concrete numbers"):
             jax.jit(radius)(0.1)
@@ -134,7 +139,7 @@ class TestMinimizeRadiusDamping:
     def test_is_the_least_of_a_dense_scan(self, case: str) -> None:
         filters, exact, plant = CASES[case]
         alpha = 5e-4
-        best = jaxstab.minimize_radius_damping(alpha, *plant, **filters)
+        best = jaxstab.minimize_radius_damping(alpha, **by_name(*plant), **filters)
         betas = np.linspace(0.0, 0.1, 4001)
         values = radii(polynomials(plant, exact), np.stack([np.full_like(betas, alpha), betas], 1))
         assert float(best.value) <= values.min() + 1e-6
@@ -143,10 +148,10 @@ class TestMinimizeRadiusDamping:
         assert abs(reached - flint.arb(float(best.value))) < 1e-6
 
     def test_of_a_stiffness_that_only_an_island_has_says_so(self) -> None:
-        best = jaxstab.minimize_radius_damping(0.6, 0.0, 0.0, 0.0, **LOW_PASS)
+        best = jaxstab.minimize_radius_damping(0.6, gamma=0.0, delta=0.0, delay=0.0, **LOW_PASS)
         assert int(best.status) == TuningStatus.ISLAND
         assert float(best.value) < 1.0
-        none = jaxstab.minimize_radius_damping(0.6, 0.0, 0.0, 0.0, **WINDOW)
+        none = jaxstab.minimize_radius_damping(0.6, gamma=0.0, delta=0.0, delay=0.0, **WINDOW)
         assert int(none.status) == TuningStatus.NO_STABLE_GAINS
 
 
@@ -166,10 +171,10 @@ class TestMinimizeSettling:
     def test_is_reached_and_not_beaten_by_brute_force(self) -> None:
         window, plant = 6, (0.0, 0.0, 1.0)
         filters = {"velocity": Velocity.difference(samples=window)}
-        best = jaxstab.minimize_settling(*plant, **filters)
+        best = jaxstab.minimize_settling(**by_name(*plant), **filters)
         gains = np.asarray(best.alpha), np.asarray(best.beta)
         assert settled_mass(*gains, window, 200) == float(best.value)
-        main = jaxstab.stable_region(*plant, **filters).main
+        main = jaxstab.stable_region(**by_name(*plant), **filters).main
         assert main is not None
         (_, high_alpha), (_, high_beta) = zip(main.points.min(0), main.points.max(0), strict=True)
         grid = np.meshgrid(np.linspace(0.0, high_alpha, 300), np.linspace(0.0, high_beta, 300))
@@ -177,7 +182,9 @@ class TestMinimizeSettling:
 
     def test_with_a_given_stiffness_is_not_beaten_by_brute_force(self) -> None:
         velocity = Velocity.difference(samples=6)
-        best = jaxstab.minimize_settling(0.0, 0.0, 1.0, alpha=0.005, velocity=velocity)
+        best = jaxstab.minimize_settling(
+            gamma=0.0, delta=0.0, delay=1.0, alpha=0.005, velocity=velocity
+        )
         betas = np.linspace(0.0, 0.3, 4001)
         brute = settled_mass(np.full(betas.shape, 0.005), betas, 6, 300)
         assert float(best.alpha) == 0.005

@@ -29,8 +29,10 @@ def test_no_verdict_is_wrong_however_close_to_the_boundary(
     for gamma, delta in random_plants(rng, POINTS[delay < 10] // PER_PLANT):
         plant = ExactPlant.of(gamma, delta, delay)
         alpha, beta, _ = points_near_the_boundary(rng, gamma, delta, delay, PER_PLANT)
-        quick = np.asarray(verdict(alpha, beta, gamma, delta, delay))
-        exact = np.asarray(verdict(alpha, beta, gamma, delta, delay, resolve="exact"))
+        quick = np.asarray(verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay))
+        exact = np.asarray(
+            verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, resolve="exact")
+        )
         for a, b, *codes in zip(alpha, beta, quick, exact, strict=True):
             true = true_code(plant.polynomial(a, b, delay))
             assert set(codes) <= {true, UNDECIDED}, (a, b, gamma, delta, delay, codes, true)
@@ -58,7 +60,7 @@ def test_the_undamped_free_device_without_delay_has_the_known_stable_set(
     beta = rng.uniform(0, 2, 400)
     distance = 10 ** rng.uniform(-17, -1, 400) * rng.choice([-1, 1], 400)
     alpha = 2 * beta * (2 - beta) / (beta + 2) * (1 + distance)
-    codes = np.asarray(verdict(alpha, beta, 0.0, 0.0, 0.0, resolve="exact"))
+    codes = np.asarray(verdict(alpha, beta, gamma=0.0, delta=0.0, delay=0.0, resolve="exact"))
     for a, b, code in zip(alpha, beta, codes, strict=True):
         a, b = Fraction(a), Fraction(b)
         limit = 2 * b * (2 - b) / (b + 2)
@@ -67,15 +69,17 @@ def test_the_undamped_free_device_without_delay_has_the_known_stable_set(
 
 @pytest.mark.parametrize("resolve", [None, "exact"])
 def test_a_root_at_one_stays_undecided(resolve: str | None) -> None:
-    codes = verdict(-1e-3, np.linspace(0.1, 0.5, 9), 1e-3, 0.015, DELAY_OF_MANY[:, None])
+    codes = verdict(
+        -1e-3, np.linspace(0.1, 0.5, 9), gamma=1e-3, delta=0.015, delay=DELAY_OF_MANY[:, None]
+    )
     assert np.all((codes == UNDECIDED) | (codes == UNSTABLE))
-    assert verdict(-1e-3, 0.1, 1e-3, 0.015, 0.0, resolve=resolve) == UNDECIDED
+    assert verdict(-1e-3, 0.1, gamma=1e-3, delta=0.015, delay=0.0, resolve=resolve) == UNDECIDED
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.5, 40.0])
 @pytest.mark.parametrize("gains", [(1e150, 0.1), (-1e150, 0.1), (0.1, 1e150), (1e150, -1e150)])
 def test_enormous_gains_are_unstable(gains: tuple[float, float], delay: float) -> None:
-    assert verdict(*gains, 1e-3, 0.015, delay) == UNSTABLE
+    assert verdict(*gains, gamma=1e-3, delta=0.015, delay=delay) == UNSTABLE
 
 
 def test_every_delay_of_an_array_gets_the_verdict_of_its_own(rng: np.random.Generator) -> None:
@@ -99,17 +103,17 @@ def test_the_verdict_of_a_large_grid_is_that_of_its_points(rng: np.random.Genera
 @pytest.mark.parametrize("transform", [jax.jit, jax.vmap])
 def test_the_verdict_goes_through_jit_and_vmap(transform: Callable[..., Callable]) -> None:
     alpha, beta = jnp.array([0.02, 0.3]), jnp.array([0.2, 0.2])
-    codes = transform(lambda a, b: verdict(a, b, 1e-3, 0.015, 1.0))(alpha, beta)
+    codes = transform(lambda a, b: verdict(a, b, gamma=1e-3, delta=0.015, delay=1.0))(alpha, beta)
     np.testing.assert_array_equal(codes, [STABLE, UNSTABLE])
 
 
 def test_the_verdict_of_numbers_may_be_asked_for_inside_of_jit() -> None:
-    assert jax.jit(lambda: verdict(0.02, 0.2, 1e-3, 0.015, 1.0))() == STABLE
+    assert jax.jit(lambda: verdict(0.02, 0.2, gamma=1e-3, delta=0.015, delay=1.0))() == STABLE
 
 
 def test_an_unknown_way_to_resolve_is_refused() -> None:
     with pytest.raises(ValueError, match=r"resolve is 'more'; give \"exact\" or None\."):
-        verdict(0.1, 0.2, 1e-3, 0.015, 1.0, resolve="more")
+        verdict(0.1, 0.2, gamma=1e-3, delta=0.015, delay=1.0, resolve="more")
 
 
 @pytest.mark.parametrize(
@@ -125,7 +129,7 @@ def test_the_bound_of_a_radius_holds_and_is_narrow(
     plant = ExactPlant.of(gamma, delta, delay)
     roots = [moduli(plant.polynomial(*p, delay), 400) for p in zip(alpha, beta, strict=True)]
     largest = [max(map(float, some)) for some in roots]
-    coefficients = characteristic_polynomial(alpha, beta, gamma, delta, delay)
+    coefficients = characteristic_polynomial(alpha, beta, gamma=gamma, delta=delta, delay=delay)
     for off in (0.0, 1e-9, -1e-5):
         radius = np.array(largest) * (1 + off)
         error = radius_error(coefficients, radius)
@@ -138,7 +142,7 @@ def test_the_bound_of_a_radius_holds_at_a_triple_root() -> None:
     root = mp.cbrt(4) - 1
     alpha, beta = float(6 * root**2 - 2), float(2 * root**3)
     lower, upper = truth.spectral_radius(alpha, beta, 0, 0, 0)
-    coefficients = characteristic_polynomial(alpha, beta, 0.0, 0.0, 0.0)
+    coefficients = characteristic_polynomial(alpha, beta, gamma=0.0, delta=0.0, delay=0.0)
     for radius in (float(root), float(upper), float(root) * (1 + 1e-7)):
         error = float(radius_error(coefficients, np.asarray(radius)))
         assert max(abs(lower - radius), abs(upper - radius)) <= error < 1e-3

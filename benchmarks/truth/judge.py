@@ -13,6 +13,7 @@ import jaxstab
 from benchmarks import eigenvalues, truth
 from benchmarks.truth.balls import ExactPlant, code_of
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model import by_name
 
 CERTIFIED = ("verdict", "verdict, exact", "spectral_radius", "spectral_radius, companion")
 RIVALS = ("numpy.roots", "eq. (9) as printed")
@@ -87,14 +88,16 @@ def answers_of(loops: Loops) -> dict[str, Answer]:
     unknown = np.full(len(alpha), np.nan)
     found = {}
     for name, resolve in (("verdict", None), ("verdict, exact", "exact")):
-        codes = jaxstab.verdict(*points[:4], loops.delay, resolve=resolve)
+        codes = jaxstab.verdict(**by_name(*points[:4], loops.delay), resolve=resolve)
         found[name] = Answer(np.asarray(codes), unknown, unknown)
     for name, method in (("spectral_radius", "fast"), ("spectral_radius, companion", "companion")):
-        radius = jaxstab.spectral_radius(*points[:4], loops.delay, method=method)
+        radius = jaxstab.spectral_radius(**by_name(*points[:4], loops.delay), method=method)
         value, bound = np.asarray(radius.value), np.asarray(radius.error)
         code = np.where(value + bound < 1, STABLE, np.where(value - bound > 1, UNSTABLE, UNDECIDED))
         found[name] = Answer(code, value, bound)
-    exact = jaxstab.characteristic_polynomial(alpha, beta, gamma, delta, loops.delay)
+    exact = jaxstab.characteristic_polynomial(
+        alpha, beta, gamma=gamma, delta=delta, delay=loops.delay
+    )
     found["numpy.roots"] = _by_roots(np.asarray(exact))
     if loops.delay % 1.0 == 0.0:
         found["eq. (9) as printed"] = _by_roots(

@@ -17,7 +17,7 @@ from benchmarks.truth import devices, filtered
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import FilteredLoop, Rational
-from jaxstab.model import Device, Filter, Hand, Mode, Velocity
+from jaxstab.model import Device, Filter, Hand, Mode, Velocity, by_name
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.radius.door import linear_spectral_radius
@@ -59,13 +59,13 @@ class MassLoop:
         return FilteredLoop(*self.plant, *self.filters.truths).balls()
 
     def verdict(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
-        return jaxstab.verdict(alpha, beta, *self.plant, **self._named)
+        return jaxstab.verdict(alpha, beta, **by_name(*self.plant), **self._named)
 
     def spectral_radius(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
-        return jaxstab.spectral_radius(alpha, beta, *self.plant, **self._named)
+        return jaxstab.spectral_radius(alpha, beta, **by_name(*self.plant), **self._named)
 
     def region(self) -> jaxstab.StableRegion:
-        return jaxstab.stable_region(*self.plant, **self._named)
+        return jaxstab.stable_region(**by_name(*self.plant), **self._named)
 
     @property
     def _named(self) -> dict[str, Any]:
@@ -172,11 +172,15 @@ def _factor(rng: np.random.Generator, period: float) -> Factor:
     order = int(rng.choice([1, 2, rng.integers(1, 9)]))
     kind = rng.integers(0, 4)
     if kind == 0:
-        return Filter.low_pass(cutoff / period, order), filtered.low_pass(cutoff, order), order
+        return (
+            Filter.low_pass(cutoff / period, order=order),
+            filtered.low_pass(cutoff, order=order),
+            order,
+        )
     if kind == 1:
         return (
-            Filter.butterworth(cutoff / period, order),
-            filtered.butterworth(cutoff, order),
+            Filter.butterworth(cutoff / period, order=order),
+            filtered.butterworth(cutoff, order=order),
             order,
         )
     if kind == 2:

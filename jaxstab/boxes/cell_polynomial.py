@@ -214,7 +214,7 @@ def _plant(hands: HandBoxes, delay: float, half_delay: float) -> dict[str, Quadr
     still = np.zeros_like(h_gamma)
     gamma = np.maximum(hands.gamma + np.stack([still, -h_gamma, h_gamma, still, still]), 0.0)
     delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
-    values = plant_coefficients(gamma, delta, delay)
+    values = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
     moves = _delay_moves(gamma, delta, delay) if half_delay else {}
     highest = gamma.max(axis=0), delta.max(axis=0)
     # More than a rounding is lost of N where it nearly vanishes, and of D where it decays.

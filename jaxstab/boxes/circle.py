@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
-from jaxstab.model import plant_coefficients
+from jaxstab.model import by_name, plant_coefficients
 from jaxstab.region.curve import SliceCoefficients
 
 _DOUBLINGS = 12  # enough for the stiffest and most damped hands
@@ -92,7 +92,9 @@ def accurate_plant(
     hands = np.stack([gamma, delta, delay - np.floor(delay)], axis=-1)
     hands, number = np.unique(hands, axis=0, return_inverse=True)
     alone = len(hands) == 1
-    exact = plant_coefficients(*(hands[0] if alone else hands.T))  # single ones are remembered
+    exact = plant_coefficients(
+        **by_name(*hands[0] if alone else hands.T)
+    )  # single ones are remembered
     plant = quick_plant(*hands.T)._replace(
         d1=exact.d1, d0=exact.d0, n2=exact.n2, n1=exact.n1, n0=exact.n0, sum=exact.sum
     )

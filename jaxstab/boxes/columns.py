@@ -25,6 +25,7 @@ from jaxstab.boxes.strips import (
     widened,
 )
 from jaxstab.conventions import NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
 
@@ -178,7 +179,7 @@ def _gap_verdicts(
         here = shares == share
         delay = columns.delay + share * _INSIDE * columns.half_delay
         walls = alpha[here], beta[here], np.maximum(gamma[here], 0.0), np.maximum(delta[here], 0.0)
-        some[here] = verdict(*walls, delay, resolve=resolve, **as_keywords(filters))
+        some[here] = verdict(**by_name(*walls, delay), resolve=resolve, **as_keywords(filters))
     codes[exists] = some
     codes[(codes == NOT_COMPUTED) & _may_be(strips, columns, domain)] = UNDECIDED
     low, high = strips.ends(columns)

@@ -124,7 +124,7 @@ def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> Pla
     still = np.zeros_like(h_gamma)
     gamma = np.maximum(hands.gamma + np.stack([still, -h_gamma, h_gamma, still, still]), 0.0)
     delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
-    values = plant_coefficients(gamma, delta, delay)
+    values = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
     half = np.stack([h_gamma, h_delta])
     moves = _delay_moves(hands, delay) if half_delay else {}
     if half_delay:

@@ -187,8 +187,9 @@ def _example(opened: "Atlas") -> dict[str, float]:
     alpha, beta = (
         nodes[name][:: -(-nodes[name].size // _MOST_ASKED)] for name in ("alpha", "beta")
     )
-    hand = point["gamma"], point["delta"], delay
-    i, j = (opened.verdict(alpha[:, None], beta, *hand) == STABLE).nonzero()
+    gamma, delta = point["gamma"], point["delta"]
+    codes = opened.verdict(alpha[:, None], beta, gamma=gamma, delta=delta, delay=delay)
+    i, j = (codes == STABLE).nonzero()
     if i.size:
         centre = i.size // 2
         point |= {"alpha": float(alpha[i[centre]]), "beta": float(beta[j[centre]])}

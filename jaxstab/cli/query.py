@@ -94,9 +94,9 @@ def query(
         if value is not None:
             raise ValueError(f"{name} is {value:g} without a scene; give --scene FILE.")
     points = _read_points(table, given) if table else _one_point(given)
-    alpha, beta, gamma, delta, delay = (points[name] for name in AXES)
     answer = jaxstab.open_atlas(file).query(
-        *(alpha, beta, gamma, delta, delay, outside or "error"),
+        **points,
+        outside=outside or "error",
         exact=exact,
         velocity=None if velocity is None else velocity_of(parsed(velocity, "--velocity: ")),
         position=None if position is None else position_of(parsed(position, "--position: ")),

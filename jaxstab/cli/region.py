@@ -47,7 +47,7 @@ def region(
     from jaxstab.criteria import region_facts
 
     with at_work(f"region of a loop with {delay:g} samples of delay"):
-        facts = region_facts(gamma, delta, delay, radius=radius)
+        facts = region_facts(gamma=gamma, delta=delta, delay=delay, radius=radius)
     if output:
         from jaxstab.durable import publish
         from jaxstab.pictures.region import region_figure

@@ -19,7 +19,7 @@ _VALIDITY_LEVELS = {"2": 0.02, "5": 0.05}  # percent, sec. VII
 
 
 def resolved_region(
-    gamma: int | float, delta: int | float, delay: int | float, *, radius: int | float = 1.0
+    *, gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
 ) -> StableRegion:
     """Return a stable region that is neither empty nor unresolved.
 
@@ -30,11 +30,13 @@ def resolved_region(
     Source: sec. V of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> jaxstab.resolved_region(0.0, 0.015, 1.0).loops
+        >>> jaxstab.resolved_region(gamma=0.0, delta=0.015, delay=1.0).loops
         1
     """
     require_x64(gamma, delta, delay, radius)
-    region = _kept_region(float(gamma), float(delta), float(delay), radius=float(radius))
+    region = _kept_region(
+        gamma=float(gamma), delta=float(delta), delay=float(delay), radius=float(radius)
+    )
     where = f"gamma = {gamma:g}, delta = {delta:g}, delay = {delay:g}, radius = {radius:g}"
     if region.is_empty:
         raise ValueError(f"no wall is stable for {where}; there is nothing to show.")
@@ -44,7 +46,7 @@ def resolved_region(
 
 
 def region_facts(
-    gamma: int | float, delta: int | float, delay: int | float, *, radius: int | float = 1.0
+    *, gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
 ) -> dict[str, Any]:
     """Return the numbers of a stable region by name: floats, lists of floats, words or None.
 
@@ -64,11 +66,11 @@ def region_facts(
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> facts = jaxstab.region_facts(0.0, 0.015, 1.0)
+        >>> facts = jaxstab.region_facts(gamma=0.0, delta=0.015, delay=1.0)
         >>> [round(float(number), 4) for number in facts["largest_alpha"]]
         [0.1522, 0.4233]
     """
-    region = resolved_region(gamma, delta, delay, radius=radius)
+    region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     extent = np.ptp(region.points, axis=0)
     point = partial(_point, extent=extent, line=-gamma if radius == 1.0 else None)
     facts: dict[str, Any] = {
@@ -83,10 +85,10 @@ def region_facts(
     }
     if radius == 1.0:
         facts["largest_passive_alpha"] = _point(
-            passive_region(delta, delay, tolerance=_FINE).max_alpha, extent
+            passive_region(delta=delta, delay=delay, tolerance=_FINE).max_alpha, extent
         )
         for percent, level in _VALIDITY_LEVELS.items():
-            limit = linear_validity(level, gamma, delta, delay)
+            limit = linear_validity(level, gamma=gamma, delta=delta, delay=delay)
             is_found = int(limit.status) == ValidityStatus.FOUND
             name = f"linear_condition_within_{percent}_percent_up_to"
             facts[name] = _point((limit.alpha, limit.beta), extent) if is_found else None

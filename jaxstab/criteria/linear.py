@@ -11,7 +11,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 
 
-def linear_alpha_limit(beta: Numbers, delta: Numbers, delay: Numbers) -> Float64[Array, "*grid"]:
+def linear_alpha_limit(beta: Numbers, *, delta: Numbers, delay: Numbers) -> Float64[Array, "*grid"]:
     """Return the alpha below which the linear condition promises stability.
 
     Args:
@@ -26,7 +26,7 @@ def linear_alpha_limit(beta: Numbers, delta: Numbers, delay: Numbers) -> Float64
     Source: eqs. (22) and (23) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> round(float(jaxstab.linear_alpha_limit(0.2, 0.015, 1.0)), 9)
+        >>> round(float(jaxstab.linear_alpha_limit(0.2, delta=0.015, delay=1.0)), 9)
         0.143333333
     """
     _, beta, _, delta, lag = checked_loop(0.0, beta, 0.0, delta, delay)
@@ -34,7 +34,7 @@ def linear_alpha_limit(beta: Numbers, delta: Numbers, delay: Numbers) -> Float64
 
 
 def linear_condition(
-    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+    alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> Bool[Array, "*grid"]:
     """Return True where the linear condition holds: alpha > -gamma and beta + delta > alpha t_r.
 
@@ -55,7 +55,7 @@ def linear_condition(
     Source: eqs. (19), (22) and (23) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> bool(jaxstab.linear_condition(0.1, 0.2, 0.0, 0.015, 1.0))
+        >>> bool(jaxstab.linear_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
         True
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
@@ -63,7 +63,7 @@ def linear_condition(
 
 
 def linear_error(
-    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+    alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> Float64[Array, "*grid"]:
     """Return (alpha_lin - alpha) / (alpha + gamma) for a point of the exact boundary.
 
@@ -85,8 +85,8 @@ def linear_error(
     Source: eq. (24) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> alpha, beta = jaxstab.boundary_curve(0.2, 0.0, 0.0, 0.0)
-        >>> round(float(jaxstab.linear_error(alpha, beta, 0.0, 0.0, 0.0)), 4)
+        >>> alpha, beta = jaxstab.boundary_curve(0.2, gamma=0.0, delta=0.0, delay=0.0)
+        >>> round(float(jaxstab.linear_error(alpha, beta, gamma=0.0, delta=0.0, delay=0.0)), 4)
         0.0203
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)

@@ -59,7 +59,7 @@ class PassiveRegion:
         """The vertex (alpha, beta) of the largest stiffness; (0, 0) for an empty region.
 
         Example:
-            >>> jaxstab.passive_region(0.015, 0.0).max_alpha.round(6).tolist()
+            >>> jaxstab.passive_region(delta=0.015, delay=0.0).max_alpha.round(6).tolist()
             [0.03, 0.0]
         """
         if not len(self.outline):
@@ -87,7 +87,7 @@ class PassiveRegion:
 
 
 def passive_region(
-    delta: int | float, delay: int | float = 0.0, *, tolerance: int | float = 1e-4
+    *, delta: int | float, delay: int | float = 0.0, tolerance: int | float = 1e-4
 ) -> PassiveRegion:
     """Return the set of walls that are passive whatever the mass, stiffness and hand.
 

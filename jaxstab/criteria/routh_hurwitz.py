@@ -7,7 +7,7 @@ from jaxstab.criteria.linear import checked_loop
 
 
 def routh_hurwitz_condition(
-    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+    alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> Bool[Array, "*grid"]:
     """Return True where the third-order model of the loop is stable.
 
@@ -28,7 +28,7 @@ def routh_hurwitz_condition(
     Source: eqs. (17)-(21) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> bool(jaxstab.routh_hurwitz_condition(0.1, 0.2, 0.0, 0.015, 1.0))
+        >>> bool(jaxstab.routh_hurwitz_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
         True
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)

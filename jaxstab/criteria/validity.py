@@ -22,6 +22,7 @@ from jaxstab.criteria.sign_changes import Series, SignChanges, sign_changes
 from jaxstab.model import (
     DoubleDouble,
     PlantPairs,
+    by_name,
     checked_delay,
     checked_delta,
     checked_gamma,
@@ -60,7 +61,7 @@ class LinearValidity(NamedTuple):
     """A point (alpha, beta) of the boundary, its angle on the curve, and a ValidityStatus.
 
     Example:
-        >>> found = jaxstab.linear_validity(0.02, 0.0, 0.0, 0.0)
+        >>> found = jaxstab.linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)
         >>> round(float(found.alpha), 9)
         0.038827412
     """
@@ -90,7 +91,7 @@ class _Question(NamedTuple):
 
 
 def linear_validity(
-    level: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+    level: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> LinearValidity:
     """Return the boundary point up to which the linear condition errs by at most ``level``.
 
@@ -172,7 +173,7 @@ def _answers(question: _Question) -> LinearValidity:
     point = np.full((3, len(question.level)), np.nan)
     point[:, owner] = alpha[first], beta[first], theta[first]
     slice_ = (values[owner] for values in question[1:])
-    inner = verdict(alpha[first] - _STEP_BACK * height[first], beta[first], *slice_)
+    inner = verdict(alpha[first] - _STEP_BACK * height[first], beta[first], **by_name(*slice_))
     is_edge = np.asarray(inner) == Verdict.STABLE
     status[owner] = np.where(is_edge, ValidityStatus.FOUND, ValidityStatus.OFF_THE_EDGE)
     return LinearValidity(point[0], point[1], point[2], status)

@@ -34,7 +34,7 @@ class Guard:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
         >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-        >>> print(f"{guard.largest_stiffness(20.0, 0.25, 1e-3):.0f} N/m")
+        >>> print(f"{guard.largest_stiffness(20.0, mass=0.25, delay=1e-3):.0f} N/m")
         9692 N/m
     """
 
@@ -46,7 +46,7 @@ class Guard:
     units: tuple[float, float] = field(repr=False)
 
     def largest_stiffness(
-        self, damping: Numbers, mass: Numbers, delay: Numbers
+        self, damping: Numbers, *, mass: Numbers, delay: Numbers
     ) -> Float64[np.ndarray, "*grid"]:
         """Return the stiffness up to which all walls are proved stable, as the C header does.
 
@@ -62,7 +62,7 @@ class Guard:
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
             >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
             >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-            >>> guard.largest_stiffness([0.0, 20.0], 0.25, 1.05e-3).round().tolist()
+            >>> guard.largest_stiffness([0.0, 20.0], mass=0.25, delay=1.05e-3).round().tolist()
             [0.0, 9430.0]
         """
         values = np.broadcast_arrays(
@@ -89,6 +89,7 @@ class Guard:
     def exact_stiffness(
         self,
         damping: Float64[np.ndarray, "mass delay damping"],
+        *,
         mass: Float64[np.ndarray, " mass"],
         delay: Float64[np.ndarray, " delay"],
     ) -> Float64[np.ndarray, "mass delay damping"]:
@@ -108,8 +109,8 @@ class Guard:
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
             >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
             >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-            >>> place = np.array([0.25]), np.array([1e-3])
-            >>> exact = guard.exact_stiffness(np.full((1, 1, 1), 20.0), *place)
+            >>> place = {"mass": np.array([0.25]), "delay": np.array([1e-3])}
+            >>> exact = guard.exact_stiffness(np.full((1, 1, 1), 20.0), **place)
             >>> print(f"{float(exact[0, 0, 0]):.3g} N/m")
             1.22e+04 N/m
         """
@@ -138,5 +139,5 @@ class Guard:
         damping = boundary.largest_damping()[..., None] * share
         limits = boundary.largest_stiffness(damping)
         exact = np.where(np.isfinite(limits), limits, 0.0)
-        own = self.largest_stiffness(damping, mass[:, None, None], delay[:, None])
+        own = self.largest_stiffness(damping, mass=mass[:, None, None], delay=delay[:, None])
         return float(np.sum(own) / np.sum(exact))

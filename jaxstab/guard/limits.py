@@ -96,7 +96,7 @@ def _of_masses(
     loop: LoopParameters, hands: HandRange, mass: np.ndarray, delay: np.ndarray
 ) -> Boundary:
     period = loop.sample_time
-    corners = np.array(list(product(*(sorted(set(ends)) for ends in hands))))
+    corners = np.array(list(product(*(sorted(set(ends)) for ends in vars(hands).values()))))
     moved = mass[:, None, None] + corners[:, 0]
     units = period**2 / moved, period / moved
     lag = np.broadcast_to(delay[:, None], (*moved.shape[:1], len(delay), len(corners)))

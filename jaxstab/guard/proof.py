@@ -49,7 +49,7 @@ def unproved(
     """
     proof = _Proof(loop, hands, grid)
     low, high = _starts(grid, cells)
-    rest = np.array([*hands, (0.0, pi * (1.0 + BEYOND))])[:, :, None]
+    rest = np.array([*vars(hands).values(), (0.0, pi * (1.0 + BEYOND))])[:, :, None]
     low, high = (
         np.concatenate([part, np.broadcast_to(rest[:, end], (4, part.shape[1]))])
         for end, part in enumerate((low, high))
@@ -73,7 +73,8 @@ def are_stable(
     """Return where the wall of the largest stiffness is proved stable for a random hand."""
     rng = np.random.default_rng(2008)
     share = rng.random((3, places.shape[1]))
-    hand = [low + (high - low) * part for (low, high), part in zip(hands, share, strict=True)]
+    ranges = vars(hands).values()
+    hand = [low + (high - low) * part for (low, high), part in zip(ranges, share, strict=True)]
     own_mass = grid.mass[0] + places[0] * step_of(grid.mass)
     delay = grid.delay[0] + places[1] * step_of(grid.delay)
     least = _SMALL * np.max(grid.limit)  # without, a free device drifts
@@ -92,9 +93,9 @@ def are_stable(
         codes = verdict(
             stiffness * period**2 / moved,
             damping * period / moved,
-            hand[1] * period**2 / moved,
-            (loop.device_damping + hand[2]) * period / moved,
-            delay,
+            gamma=hand[1] * period**2 / moved,
+            delta=(loop.device_damping + hand[2]) * period / moved,
+            delay=delay,
             **loop.filters,
         )
     return np.asarray(codes == Verdict.STABLE)

@@ -30,7 +30,7 @@ class Chatter(NamedTuple):
         """Return proved amplitudes of walls in m."""
         sampled = loop.sampled
         if sampled is None:
-            found = amplitude(alpha, beta, *loop.slice, encoder=self.encoder, **loop.filters)
+            found = amplitude(alpha, beta, **loop.slice, encoder=self.encoder, **loop.filters)
         else:
             filters = given_filters(loop.velocity, loop.position)
             found = device_amplitude(

@@ -185,10 +185,10 @@ def _is_proved(loop: LoopParameters, outline: Points) -> bool:
             [loop.sampled], outline, velocity=loop.velocity, position=loop.position
         )
         return bool(proved)
-    gamma, delta, delay = loop.slice
+    gamma, delta, delay = loop.slice.values()
     walls = np.stack([loop.alpha(outline[:, 0]), loop.beta(outline[:, 1])], axis=-1)
     hand, ends = ((gamma, gamma), (delta, delta)), (walls, np.roll(walls, -1, axis=0))
     is_free = not len(failures(*ends, *hand, delay, filters=given_filters(**loop.filters)))
     alpha, beta = walls[0]
-    one = verdict(alpha, beta, gamma, delta, delay, **loop.filters)
+    one = verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, **loop.filters)
     return is_free and int(one) == Verdict.STABLE

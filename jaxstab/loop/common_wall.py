@@ -130,14 +130,16 @@ def settling_times(
         wall = [np.array([stiffness]), np.array([damping])]
         single = [_times([loop], wall, np.inf, level, excitation, _MOST) for loop in loops]
         return np.concatenate(single)[:, 0]
-    points = np.array([(loop.alpha(stiffness), loop.beta(damping), *loop.slice) for loop in loops])
+    points = np.array(
+        [(loop.alpha(stiffness), loop.beta(damping), *loop.slice.values()) for loop in loops]
+    )
     alpha, beta, gamma, delta, delay = points.T
     found = settling_samples(
         alpha,
         beta,
-        gamma,
-        delta,
-        delay,
+        gamma=gamma,
+        delta=delta,
+        delay=delay,
         level=level,
         excitation=excitation,
         horizon=_MOST,

@@ -72,7 +72,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
         angles = np.full(2, np.nan)
         if np.all(np.isfinite(point)):
             alpha, beta = point.tolist()
-            poles = closed_loop_poles(alpha, beta, *loop.slice, **loop.filters)
+            poles = closed_loop_poles(alpha, beta, **loop.slice, **loop.filters)
             poles = poles[poles.imag >= 0.0]
             with np.errstate(divide="ignore"):
                 order = np.argsort(np.abs(np.log(np.abs(poles))))
@@ -109,7 +109,7 @@ def _moved(loop: LoopParameters, parts: _Parts, extreme: _Extreme, axis: int) ->
 def _parts(loop: LoopParameters) -> _Parts:
     """Return the parts of p(z), from p(z) of three walls."""
     gains = jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
-    base, *others = characteristic_polynomial(*gains, *loop.slice, **loop.filters)
+    base, *others = characteristic_polynomial(*gains, **loop.slice, **loop.filters)
     return base, others[0] - base, others[1] - base
 
 

@@ -22,7 +22,7 @@ def loops_with_hands(loop: "HapticLoop", device: Device, hands: HandRange) -> Lo
             several hands.
     """
     checked_range(hands)
-    varying = [f"hands.{name}" for name, (low, high) in hands._asdict().items() if low < high]
+    varying = [f"hands.{name}" for name, (low, high) in vars(hands).items() if low < high]
     if len(varying) > 1:
         raise ValueError(
             f"{' and '.join(varying)} vary; with a device an interval of one quantity of the hand "
@@ -36,7 +36,7 @@ def loops_with_hands(loop: "HapticLoop", device: Device, hands: HandRange) -> Lo
     grip = device.hands[0].grip if device.hands else None
     free = replace(device, hands=())
     first, last = (
-        Hand.mass_spring_damper(**{name: pair[end] for name, pair in hands._asdict().items()})
+        Hand.mass_spring_damper(**{name: pair[end] for name, pair in vars(hands).items()})
         for end in (0, 1)
     )
     return LoopsBetween(

@@ -341,7 +341,7 @@ def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
     """Return the stable walls of a loop; the last ones asked for are remembered."""
     sampled = loop.sampled
     if sampled is None:
-        region = stable_region(*loop.slice, tolerance=tolerance, **loop.filters)
+        region = stable_region(**loop.slice, tolerance=tolerance, **loop.filters)
     else:
         transfers = sampled.transfers(given_filters(loop.velocity, loop.position))
         region = linear_region(sampled.plant, *transfers, tolerance)
@@ -359,4 +359,4 @@ def traced_region(loop: LoopParameters) -> WallRegion:
             "the region of a loop with an estimator or a filter is searched outside of JAX: call "
             "limits, which JAX may trace, or make the loop of concrete numbers."
         )
-    return WallRegion(loop, region_outline(*loop.slice))
+    return WallRegion(loop, region_outline(**loop.slice))

@@ -63,9 +63,9 @@ class LoopInTime(LoopParameters):
                 *self._device_and_filters, stiffness, damping, level, **options
             )
         else:
-            wall = self._wall(stiffness, damping)
+            alpha, beta = self._wall(stiffness, damping)
             samples = motion.settling_samples(
-                *wall, *self.slice, level=level, **options, **self.filters
+                alpha, beta, **self.slice, level=level, **options, **self.filters
             )
         return Settling(samples.value * self.sample_time, samples.status)
 
@@ -123,7 +123,7 @@ class LoopInTime(LoopParameters):
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         found = motion.amplitude(
             *self._wall(stiffness, damping),
-            *self.slice,
+            **self.slice,
             encoder=checked("encoder", encoder, 0.0),
             force_step=checked("force_step", force_step, 0.0) / unit,
             friction=checked("friction", friction, 0.0) / unit,

@@ -88,7 +88,7 @@ def _tuned(loop: LoopParameters) -> TunedLoop:
     sampled = loop.sampled
     if sampled is not None:
         return DeviceLoop.of(sampled, given_filters(loop.velocity, loop.position))
-    gamma, delta, delay = loop.slice
+    gamma, delta, delay = loop.slice.values()
     return MassLoop.of((gamma, delta, delay), given_filters(**loop.filters))
 
 

@@ -7,6 +7,7 @@ from jaxstab import point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced
 from jaxstab.conventions import Verdict
 from jaxstab.loop.time_domain import LoopInTime
+from jaxstab.model import by_name
 from jaxstab.motion import Oscillation
 from jaxstab.motion.oscillation import mode_of
 from jaxstab.numbers import checked_word
@@ -56,7 +57,7 @@ class LoopWithWalls(LoopInTime):
         if self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
             return linear_verdict(*wall, self.linear)
-        return point.verdict(*wall, *self.slice, resolve=resolve, **self.filters)
+        return point.verdict(*wall, **self.slice, resolve=resolve, **self.filters)
 
     def is_stable(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
         """Return True where ``verdict`` proves that a wall is stable.
@@ -102,7 +103,7 @@ class LoopWithWalls(LoopInTime):
         wall = self._wall(stiffness, damping)
         if self.body is None:
             return linear_spectral_radius(*wall, self.linear)
-        return point.spectral_radius(*wall, *self.slice, **self.filters)
+        return point.spectral_radius(*wall, **self.slice, **self.filters)
 
     def poles(self, stiffness: Numbers, damping: Numbers) -> Complex128[Array, "*grid degree"]:
         """Return the poles z of the loop at walls, the one of the largest modulus first.
@@ -128,7 +129,7 @@ class LoopWithWalls(LoopInTime):
         wall = self._wall(stiffness, damping)
         if self.body is None:
             return linear_poles(*wall, self.linear)
-        return point.closed_loop_poles(*wall, *self.slice, **self.filters)
+        return point.closed_loop_poles(*wall, **self.slice, **self.filters)
 
     def margins(self, stiffness: Numbers, damping: Numbers) -> Margins:
         """Return how far stiffness, damping and delay of the loop at walls may change, each alone.
@@ -168,7 +169,7 @@ class LoopWithWalls(LoopInTime):
                 sampled, *wall, velocity=self.velocity, position=self.position
             )
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
-        found = ranges.margins(*self._wall(stiffness, damping), *plant, **self.filters)
+        found = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
         return WallMargins(
             found.verdict,
             self.stiffness(found.stiffness),

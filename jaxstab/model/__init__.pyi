@@ -6,6 +6,7 @@ from .filters import Filter as Filter
 from .filters import Velocity as Velocity
 from .loop import LoopParameters as LoopParameters
 from .parameters import TracedDelay as TracedDelay
+from .parameters import by_name as by_name
 from .parameters import checked_delay as checked_delay
 from .parameters import checked_delta as checked_delta
 from .parameters import checked_gain as checked_gain

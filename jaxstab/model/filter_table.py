@@ -83,7 +83,7 @@ class FilterTable(Table):
         """What follows after the window."""
         chain = Filter()
         if self.cutoff is not None:
-            chain *= _LOW_PASSES[self.kind or "low-pass"](self.cutoff, self.order or 1)
+            chain *= _LOW_PASSES[self.kind or "low-pass"](self.cutoff, order=self.order or 1)
         return chain if self.factor is None else chain * Filter.exponential(self.factor)
 
     def _given(self) -> list[str]:

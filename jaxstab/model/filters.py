@@ -68,7 +68,7 @@ class Filter:
         return cls((Average(samples, window),))
 
     @classmethod
-    def low_pass(cls, cutoff: Numbers, order: int = 1) -> "Filter":
+    def low_pass(cls, cutoff: Numbers, *, order: int = 1) -> "Filter":
         """Return first-order low passes in a row, each ((1 - q) z / (z - q)), q = exp(-2 pi f T).
 
         Args:
@@ -86,7 +86,7 @@ class Filter:
         return cls((LowPass(_positive("cutoff", cutoff), _checked_order(order)),))
 
     @classmethod
-    def butterworth(cls, cutoff: Numbers, order: int) -> "Filter":
+    def butterworth(cls, cutoff: Numbers, *, order: int) -> "Filter":
         """Return Butterworth's low pass by the bilinear transform, its cut-off prewarped.
 
         Args:
@@ -220,24 +220,24 @@ class Velocity:
         return cls(Filter.average(samples, window=window))
 
     @classmethod
-    def low_pass(cls, cutoff: Numbers, order: int = 1) -> "Velocity":
+    def low_pass(cls, cutoff: Numbers, *, order: int = 1) -> "Velocity":
         """Return the one-sample difference behind first-order low passes: ``Filter.low_pass``.
 
         Example:
             >>> print(jaxstab.Velocity.low_pass(100.0))
             the difference over one sample, a low pass at 100 Hz of order 1
         """
-        return cls(Filter.low_pass(cutoff, order))
+        return cls(Filter.low_pass(cutoff, order=order))
 
     @classmethod
-    def butterworth(cls, cutoff: Numbers, order: int) -> "Velocity":
+    def butterworth(cls, cutoff: Numbers, *, order: int) -> "Velocity":
         """Return the one-sample difference behind Butterworth's filter: ``Filter.butterworth``.
 
         Example:
             >>> print(jaxstab.Velocity.butterworth(100.0, order=2))
             the difference over one sample, a Butterworth filter at 100 Hz of order 2
         """
-        return cls(Filter.butterworth(cutoff, order))
+        return cls(Filter.butterworth(cutoff, order=order))
 
     @classmethod
     def exponential(cls, factor: Numbers) -> "Velocity":

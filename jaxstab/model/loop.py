@@ -10,7 +10,7 @@ from jaxstab.arrays import Numbers, constant, is_any_traced, is_jax, is_traced, 
 from jaxstab.model.device import Device, SampledDevice, sampled_device
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
-from jaxstab.model.parameters import TracedDelay
+from jaxstab.model.parameters import TracedDelay, by_name
 from jaxstab.model.sections import Average
 from jaxstab.numbers import checked_number
 
@@ -205,8 +205,8 @@ class LoopParameters:
         return nearest if abs(samples - nearest) <= 4.0 * ulp(samples) else samples
 
     @property
-    def slice(self) -> tuple[Numbers, Numbers, Numbers]:
-        """The numbers gamma, delta and delay of all walls of the loop (Table I).
+    def slice(self) -> dict[str, Any]:
+        """The numbers gamma, delta and delay of all walls of the loop, by name (Table I).
 
         The delay is a TracedDelay where JAX traces it or the sampling period.
 
@@ -214,12 +214,12 @@ class LoopParameters:
             >>> loop = jaxstab.HapticLoop(
             ...     device_mass=0.1, device_damping=1.5, hand_mass=0.1, sample_time=1e-3, delay=1e-3
             ... )
-            >>> int(jaxstab.verdict(loop.alpha(2000.0), loop.beta(20.0), *loop.slice))
+            >>> int(jaxstab.verdict(loop.alpha(2000.0), loop.beta(20.0), **loop.slice))
             1
         """
         is_traced_delay = is_any_traced(self.delay, self.sample_time)
         delay = self._traced_delay() if is_traced_delay else self.delay_samples
-        return self.gamma, self.delta, delay
+        return by_name(self.gamma, self.delta, delay)
 
     def _traced_delay(self) -> TracedDelay:
         whole = self._whole_delay

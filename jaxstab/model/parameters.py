@@ -1,6 +1,6 @@
 """The five dimensionless parameters (Table I): what is allowed for them."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -19,6 +19,12 @@ class TracedDelay(NamedTuple):
 
     whole: int
     fraction: Array
+
+
+def by_name(*numbers: Any) -> dict[str, Any]:
+    """Return the last of alpha, beta, gamma, delta and delay, given in this order, as keywords."""
+    names = "alpha", "beta", "gamma", "delta", "delay"
+    return dict(zip(names[-len(numbers) :], numbers, strict=True))
 
 
 def checked_gain(name: str, value: Numbers) -> Numbers:

@@ -67,7 +67,7 @@ class PlantCoefficients(NamedTuple):
     are N(1), N(-1) and D(1) = gamma N(1), each with a relative accuracy of its own.
 
     Example:
-        >>> plant = jaxstab.plant_coefficients(0.0, 0.0)
+        >>> plant = jaxstab.plant_coefficients(gamma=0.0, delta=0.0)
         >>> float(plant.n1), float(plant.n0)
         (0.5, 0.0)
     """
@@ -95,7 +95,9 @@ class PlantPairs(NamedTuple):
     den_at_one: DoubleDouble
 
 
-def plant_coefficients(gamma: Numbers, delta: Numbers, delay: Numbers = 0.0) -> PlantCoefficients:
+def plant_coefficients(
+    *, gamma: Numbers, delta: Numbers, delay: Numbers = 0.0
+) -> PlantCoefficients:
     """Discretise mass, spring and damper behind a zero-order hold and the fraction of a delay.
 
     Args:
@@ -118,7 +120,8 @@ def plant_coefficients(gamma: Numbers, delta: Numbers, delay: Numbers = 0.0) -> 
     delay the modified z-transform.
 
     Example:
-        >>> float(jaxstab.plant_coefficients(0.0, 0.0).n1)  # N(z) = (z + 1)/2 without hand
+        >>> free = jaxstab.plant_coefficients(gamma=0.0, delta=0.0)
+        >>> float(free.n1)  # N(z) = (z + 1)/2 without hand
         0.5
     """
     require_x64(gamma, delta)

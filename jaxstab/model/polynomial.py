@@ -44,10 +44,10 @@ def polynomial_degree(delay: Numbers) -> int:
 def characteristic_polynomial(
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Float64[Array, "*grid coefficient"]:
@@ -84,7 +84,7 @@ def characteristic_polynomial(
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) divided by -2 c1 gamma.
 
     Example:
-        >>> jaxstab.characteristic_polynomial(0.1, 0.2, 0.0, 0.0, 0.0).tolist()
+        >>> jaxstab.characteristic_polynomial(0.1, 0.2, gamma=0.0, delta=0.0, delay=0.0).tolist()
         [1.0, -1.85, 1.05, -0.1]
     """
     require_x64(alpha, beta, gamma, delta)

@@ -68,10 +68,10 @@ class Amplitude(NamedTuple):
 def amplitude(
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     encoder: Numbers = 0.0,
     force_step: Numbers = 0.0,
     friction: Numbers = 0.0,
@@ -121,7 +121,7 @@ def amplitude(
     to M8 of docs/proofs.md.
 
     Example:
-        >>> found = jaxstab.amplitude(0.1, 0.4, 0.0, 0.001, 0.0, encoder=1.0)
+        >>> found = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
         >>> round(float(found.position), 2)
         1.03
     """

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from jaxstab.arrays import Array, Numbers, namespace
-from jaxstab.model import require_x64
+from jaxstab.model import by_name, require_x64
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.point.poles import closed_loop_poles
 
@@ -32,10 +32,10 @@ class Oscillation(NamedTuple):
 def dominant_mode(
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Oscillation:
@@ -64,13 +64,13 @@ def dominant_mode(
     Source: the poles of eq. (9); z = exp(s T).
 
     Example:
-        >>> mode = jaxstab.dominant_mode(0.2, 0.2, 0.0, 0.015, 0.0)
+        >>> mode = jaxstab.dominant_mode(0.2, 0.2, gamma=0.0, delta=0.015, delay=0.0)
         >>> round(float(mode.damping_ratio), 4)
         0.1086
     """
     require_x64(alpha, beta, gamma, delta)
     point = alpha, beta, gamma, delta, delay
-    return mode_of(closed_loop_poles(*point, velocity=velocity, position=position))
+    return mode_of(closed_loop_poles(**by_name(*point), velocity=velocity, position=position))
 
 
 def mode_of(poles: Complex128[Array, "*grid degree"]) -> Oscillation:

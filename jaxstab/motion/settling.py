@@ -72,10 +72,10 @@ class Settling(NamedTuple):
 def settling_samples(
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     level: float = 0.02,
     excitation: Excitation = "force",
     horizon: int = HORIZON,
@@ -121,7 +121,7 @@ def settling_samples(
     lemmas M1 and M2 of docs/proofs.md.
 
     Example:
-        >>> int(jaxstab.settling_samples(0.1, 0.5, 0.0, 0.015, 0.0).value)
+        >>> int(jaxstab.settling_samples(0.1, 0.5, gamma=0.0, delta=0.015, delay=0.0).value)
         15
     """
     options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}
@@ -155,7 +155,9 @@ def settling_at_levels(
     grid = xp.broadcast_shapes(*map(np.shape, gains), propagate.shape[:-2], delay.shape)
     entries = [propagate[..., row, column] for row in (0, 1) for column in range(4)]
     search = partial(_settle, bank=bank_for(filters), excitation=excitation, horizon=horizon)
-    codes = verdict(alpha, beta, gamma, delta, delay, velocity=velocity, position=position)
+    codes = verdict(
+        alpha, beta, gamma=gamma, delta=delta, delay=delay, velocity=velocity, position=position
+    )
     is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
     lanes = *gains, *entries, np.floor(delay), ~is_unstable
     firsts = [

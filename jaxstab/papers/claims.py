@@ -24,12 +24,12 @@ _SAMPLES = 0.0, 1.0, 2.0, 3.0  # delays for which the best settling is asked
 
 
 def _left_edge() -> Finding:
-    points = stable_region(0.001, 0.015, 0.0).points
+    points = stable_region(gamma=0.001, delta=0.015, delay=0.0).points
     return number(float(points[:, 0].min()), -0.001, _TINY)
 
 
 def _largest(delta: float, delay: float) -> float:
-    return float(stable_region(0.0, delta, delay).max_alpha[0])
+    return float(stable_region(gamma=0.0, delta=delta, delay=delay).max_alpha[0])
 
 
 def _damping_helps() -> Finding:
@@ -51,8 +51,8 @@ def _stiffness_of_the_hand() -> Finding:
         for delay in _DELAYS
         for without, with_hand in [
             (
-                linear_validity(level, 0.0, delta, delay),
-                linear_validity(level, 0.001, delta, delay),
+                linear_validity(level, gamma=0.0, delta=delta, delay=delay),
+                linear_validity(level, gamma=0.001, delta=delta, delay=delay),
             )
         ]
     ]
@@ -60,38 +60,43 @@ def _stiffness_of_the_hand() -> Finding:
 
 
 def _tangent(delay: float) -> Finding:
-    alpha, beta = boundary_curve(1e-5, 0.0, 0.0, delay)
+    alpha, beta = boundary_curve(1e-5, gamma=0.0, delta=0.0, delay=delay)
     return number(float(beta) / float(alpha), 0.5 + delay, 1e-9)
 
 
 def _moves_left(gamma: float, delay: float) -> Finding:
-    return number(round(float(stable_region(gamma, 0.0, delay).max_alpha[0]), 15), 0.0, 0.0, 3)
+    return number(
+        round(float(stable_region(gamma=gamma, delta=0.0, delay=delay).max_alpha[0]), 15),
+        0.0,
+        0.0,
+        3,
+    )
 
 
 def _triangle() -> Finding:
-    corners = len(stable_region(pi**2 + 0.25, 1.0, 0.0).corners)
+    corners = len(stable_region(gamma=pi**2 + 0.25, delta=1.0, delay=0.0).corners)
     return Finding(f"{corners} corners", str(corners - 3), corners == 3)
 
 
 def _pole_at_minus_one() -> Finding:
     distances = [
-        float(abs(closed_loop_poles(-5.0, -1.0, pi**2, 0.0, delay) + 1.0).min())
+        float(abs(closed_loop_poles(-5.0, -1.0, gamma=pi**2, delta=0.0, delay=delay) + 1.0).min())
         for delay in _SAMPLES
     ]
     return Finding("z = -1", f"{max(distances):.0e}", max(distances) < 1e-7)
 
 
 def _passive(delay: float) -> Finding:
-    largest = passive_region(1.0, delay, tolerance=1e-8).outline
+    largest = passive_region(delta=1.0, delay=delay, tolerance=1e-8).outline
     on_axis = largest[np.abs(largest[:, 1]) < 1e-9, 0]
     return number(float(on_axis.max()), 1.0 / (0.5 + delay), 1e-6, 8)
 
 
 def _passive_inside() -> Finding:
-    corners = passive_region(1.0, 0.0).outline
+    corners = passive_region(delta=1.0, delay=0.0).outline
     vertices = corners.mean(axis=0) + _INSIDE * (corners - corners.mean(axis=0))
     gamma = np.linspace(0.0, pi**2 + 0.25, _HANDS)
-    codes = verdict(vertices[:, :1], vertices[:, 1:], gamma, 1.0, 0.0)
+    codes = verdict(vertices[:, :1], vertices[:, 1:], gamma=gamma, delta=1.0, delay=0.0)
     unstable = int(np.sum(codes != Verdict.STABLE))
     return Finding(f"{codes.size - unstable} of {codes.size} stable", str(unstable), unstable == 0)
 
@@ -125,7 +130,7 @@ def _plant_as_printed() -> Finding:
         complex((above + factor * b * c1 * (c3 - c2) * (z - 1.0)) / below).real
         for factor in (1.0, m / T)
     )
-    plant = plant_coefficients(gamma, delta)
+    plant = plant_coefficients(gamma=gamma, delta=delta)
     numerator = float(plant.n2) * z + float(plant.n1)
     exact = T**2 / m * numerator / (z**2 + float(plant.d1) * z + float(plant.d0))
     words = f"{exact:.6e} m/N; printed: {printed:.6e}; with m/T: {mended:.6e}"
@@ -137,7 +142,7 @@ def _undamped_mass() -> Finding:
 
 
 def _settling_grows() -> Finding:
-    counts = [int(minimize_settling(0.0, 0.0, delay).value) for delay in _SAMPLES]
+    counts = [int(minimize_settling(gamma=0.0, delta=0.0, delay=delay).value) for delay in _SAMPLES]
     growth = (counts[-1] - counts[0]) / (_SAMPLES[-1] - _SAMPLES[0])
     words = f"{growth:.2f} ({', '.join(map(str, counts))} samples)"
     return Finding(words, f"{growth - 5.0:+.2f}", round(growth) == 5)
@@ -145,7 +150,8 @@ def _settling_grows() -> Finding:
 
 def _half_of_the_stiffness() -> Finding:
     shares = [
-        float(minimize_settling(0.0, 0.0, delay).alpha) / _largest(0.0, delay) for delay in _SAMPLES
+        float(minimize_settling(gamma=0.0, delta=0.0, delay=delay).alpha) / _largest(0.0, delay)
+        for delay in _SAMPLES
     ]
     return bound(max(shares), 0.5)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas import Atlas
 from jaxstab.conventions import Verdict
+from jaxstab.model import by_name
 from jaxstab.pictures.shown import html_with_picture, new_axes
 from jaxstab.pictures.style import ALPHA_LABEL, BETA_LABEL, SKY, hand_label, picture
 
@@ -64,7 +65,9 @@ def draw_atlas(
     panels = figure.subplots(len(rows), len(numbers), squeeze=False)
     for column, number in zip(panels.T, numbers, strict=True):
         alpha, beta = _raster(atlas, number)
-        answer = atlas.query(alpha, beta[:, None], gamma, delta, atlas.delays[number])
+        answer = atlas.query(
+            alpha, beta[:, None], gamma=gamma, delta=delta, delay=atlas.delays[number]
+        )
         for panel, row in zip(column, rows, strict=True):
             if row == "verdict":
                 _draw_verdicts(panel, alpha, beta, answer.verdict)
@@ -105,7 +108,7 @@ def plot_atlas(
     )
     alpha, beta = _raster(atlas, number)
     panel = new_axes() if ax is None else ax
-    _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], *hand))
+    _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], **by_name(*hand)))
     panel.set(xlabel=ALPHA_LABEL, ylabel=BETA_LABEL)
     panel.set_title(rf"{hand_label(*hand[:2])}, $d = {hand[2]:g}$", fontsize=10)
     panel.legend(handles=_legend(), fontsize=8, loc="upper right")

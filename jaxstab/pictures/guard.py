@@ -52,7 +52,9 @@ def _draw(
 ) -> None:
     mass, delay = place
     damping = np.linspace(0.0, 1.1 * float(guard.grid.top.max()), _POINTS)
-    exact = guard.exact_stiffness(damping[None, None], np.array([mass]), np.array([delay]))[0, 0]
+    exact = guard.exact_stiffness(
+        damping[None, None], mass=np.array([mass]), delay=np.array([delay])
+    )[0, 0]
     panel.plot(damping, np.where(exact > 0.0, exact, np.nan), color=colour, lw=0.8, ls="--")
-    granted = guard.largest_stiffness(damping, mass, delay)
+    granted = guard.largest_stiffness(damping, mass=mass, delay=delay)
     panel.plot(damping, np.where(granted > 0.0, granted, np.nan), color=colour, lw=1.6, label=label)

@@ -147,9 +147,11 @@ def _draw_validity(panel: Axes, gamma: float, delay: float) -> None:
     beta = np.array([-0.02, window[1]])
     for delta, colour in _DAMPINGS:
         _draw(panel, [_Slice(gamma, delta, delay, colour)])
-        panel.plot(np.asarray(linear_alpha_limit(beta, delta, delay)), beta, "--", color=colour)
+        panel.plot(
+            np.asarray(linear_alpha_limit(beta, delta=delta, delay=delay)), beta, "--", color=colour
+        )
         for level, mark in _LEVELS:
-            point = linear_validity(level, gamma, delta, delay)
+            point = linear_validity(level, gamma=gamma, delta=delta, delay=delay)
             panel.plot(float(point.alpha), float(point.beta), mark, color=colour, markersize=6)
     panel.set(xlim=(-0.03 * window[0], window[0]), ylim=(-0.02, window[1]))
     panel.set_title(rf"$d = {delay:g}$, $\gamma = {gamma:g}$")
@@ -165,7 +167,7 @@ def _up_to_nyquist(rows: Sequence[tuple[float, float]]) -> Figure:
         for panel, share in zip(row, (0.5, 1.0), strict=True):
             slices = _frequencies(share, delta, delay)
             _draw(panel, slices)
-            passive = passive_region(delta, delay).outline
+            passive = passive_region(delta=delta, delay=delay).outline
             if len(passive):
                 panel.fill(*passive.T, facecolor=GREEN, alpha=0.45, zorder=3)
             panel.plot(0, 0, "+", color=BLACK, markersize=9, zorder=4)
@@ -198,7 +200,7 @@ def _frequencies(share: float, delta: float, delay: float) -> list[_Slice]:
 
 def _draw(panel: Axes, slices: Iterable[_Slice]) -> None:
     for part in slices:
-        region = resolved_region(part.gamma, part.delta, part.delay)
+        region = resolved_region(gamma=part.gamma, delta=part.delta, delay=part.delay)
         panel.plot(
             *closed_outline(region).T,
             part.style,

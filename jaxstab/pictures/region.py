@@ -31,17 +31,17 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
 
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
     """
-    region = resolved_region(gamma, delta, delay, radius=radius)
+    region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     figure, ((panel,),) = panels(1, 1, width=1.35, height=1.25)
     inside = "stable region" if radius == 1.0 else f"all roots within {radius:g}"
     panel.plot(*closed_outline(region).T, color=BLUE, label=inside)
     panel.fill(*closed_outline(region).T, facecolor=BLUE, alpha=0.15)
     window = panel.get_xlim(), panel.get_ylim()
-    passive = passive_region(delta, delay).outline
+    passive = passive_region(delta=delta, delay=delay).outline
     if len(passive):
         panel.fill(*passive.T, facecolor=GREEN, alpha=0.35, edgecolor=GREEN, label="passive region")
     beta = np.array(window[1])
-    limit = np.asarray(linear_alpha_limit(beta, delta, delay))
+    limit = np.asarray(linear_alpha_limit(beta, delta=delta, delay=delay))
     panel.plot(limit, beta, "--", color=RED, label="linear condition")
     panel.plot(*region.corners.T, "s", color=BLACK, markersize=5, label="corners")
     extent = np.ptp(region.points, axis=0)

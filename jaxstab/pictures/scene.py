@@ -141,7 +141,7 @@ def _passive(scene: Scene, loop: HapticLoop) -> _Part:
     outline = np.zeros((0, 2))
     if is_plain(loop):  # the theorem is of one mass and one difference
         own = loop.device_damping * loop.sample_time / loop.mass
-        corners = passive_region(own, loop.delay_samples).outline
+        corners = passive_region(delta=own, delay=loop.delay_samples).outline
         outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
     label = f"passive: {_up_to(outline, scene.units)}"
     return _Part(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})

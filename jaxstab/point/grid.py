@@ -15,7 +15,7 @@ from jaxtyping import Int64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, namespace, tree_map
 from jaxstab.batches import lists
-from jaxstab.model import characteristic_polynomial, checked_delay, require_x64
+from jaxstab.model import by_name, characteristic_polynomial, checked_delay, require_x64
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.numbers import checked_count
 
@@ -29,16 +29,17 @@ def sweep(
     function: Callable[..., Result],
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     chunk: int = CHUNK,
 ) -> Iterator[tuple[slice, Result]]:
     """Go through a grid that is larger than memory.
 
     Args:
-        function: called with five arrays of at most ``chunk`` points: spectral_radius, verdict ...
+        function: called with five arrays of at most ``chunk`` points, by their names:
+            spectral_radius, verdict ...
         alpha: wall stiffness K T^2/m, any shape; like the four others it broadcasts.
         beta: wall damping B T/m.
         gamma: physical stiffness k T^2/m.
@@ -58,7 +59,9 @@ def sweep(
 
     Example:
         >>> alpha = np.linspace(0.0, 0.2, 1000)
-        >>> parts = jaxstab.sweep(jaxstab.verdict, alpha, 0.2, 0.0, 0.015, 1.0, chunk=400)
+        >>> parts = jaxstab.sweep(
+        ...     jaxstab.verdict, alpha, 0.2, gamma=0.0, delta=0.015, delay=1.0, chunk=400
+        ... )
         >>> sum(int((codes == jaxstab.STABLE).sum()) for _, codes in parts)
         558
     """
@@ -69,7 +72,10 @@ def sweep(
     total = math.prod(shape)
     ranges = (slice(start, min(start + chunk, total)) for start in range(0, total, chunk))
     return (
-        (points, function(*looked_up(arguments, shape, np.arange(points.start, points.stop))))
+        (
+            points,
+            function(**by_name(*looked_up(arguments, shape, np.arange(points.start, points.stop)))),
+        )
         for points in ranges
     )
 
@@ -85,12 +91,11 @@ def over_grid(
     The results have the point as their first axis; if further axes are longer for a higher degree,
     shorter results are padded with zeros. Traced parameters form one padded batch.
     """
-    alpha, beta, gamma, delta, delay = parameters
     require_x64(*parameters)
     polynomial = partial(characteristic_polynomial, velocity=velocity, position=position)
     if is_any_traced(parameters, velocity, position):
-        return kernel(polynomial(alpha, beta, gamma, delta, delay))
-    delay = checked_delay(delay)
+        return kernel(polynomial(**by_name(*parameters)))
+    delay = checked_delay(parameters[-1])
     arguments = [np.asarray(value, np.float64) for value in parameters]
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     degrees = np.broadcast_to(np.ceil(delay), shape)
@@ -98,7 +103,7 @@ def over_grid(
     parts, results = [], []
     for part, padded in (pair for some in members for pair in lists(some, CHUNK, fewest=MANY)):
         listed = looked_up(arguments, shape, padded)
-        whole = kernel(polynomial(*listed))
+        whole = kernel(polynomial(**by_name(*listed)))
         parts.append(part)
         results.append(tree_map(lambda array, count=part.size: array[:count], whole))
     xp = namespace(parameters)

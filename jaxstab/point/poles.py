@@ -18,10 +18,10 @@ _MANY = 64 * MANY  # coefficients of as many points, or more: both namespaces ca
 def closed_loop_poles(
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Complex128[Array, "*grid degree"]:
@@ -49,7 +49,7 @@ def closed_loop_poles(
     error), so a root of multiplicity k is only good to about ulp^(1/k).
 
     Example:
-        >>> float(abs(jaxstab.closed_loop_poles(0.1, 0.2, 0.0, 0.015, 1.0)).max())
+        >>> float(abs(jaxstab.closed_loop_poles(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)).max())
         0.98712203...
     """
     point = alpha, beta, gamma, delta, delay

@@ -16,6 +16,7 @@ from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops, exclude_any_delay
 from jaxstab.boxes.first_root import Lines, Parts, first_roots
 from jaxstab.conventions import AXES, Verdict
+from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
 
@@ -73,7 +74,7 @@ def first_crossings(
 def _verdicts(
     gains: Float64[np.ndarray, "2 *wall"], walls: Walls, filters: Filters | None
 ) -> np.ndarray:
-    codes: np.ndarray = verdict(*gains, *_plants(walls), **as_keywords(filters))
+    codes: np.ndarray = verdict(**by_name(*gains, *_plants(walls)), **as_keywords(filters))
     return codes
 
 

@@ -7,7 +7,7 @@ stability is enough (lemma B6 of docs/proofs.md).
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from math import pi, sqrt
@@ -20,7 +20,7 @@ from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.circle import quick_plant
 from jaxstab.boxes.exclusion import Loops, exclude
 from jaxstab.conventions import UNDECIDED, Verdict
-from jaxstab.model import LoopParameters
+from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
 from jaxstab.model.linear_loop import filtered_loop
 from jaxstab.numbers import checked_number
@@ -44,7 +44,8 @@ _MOST = 1024  # hands judged at once
 _SMALLEST = 2.0**-20  # of the ranges: boxes are not halved beyond
 
 
-class HandRange(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class HandRange:
     """A range of hands: lowest and highest mass in kg, stiffness in N/m and damping in N s/m.
 
     Example:
@@ -115,9 +116,9 @@ def _worst_of(loop: Loop, hands: Hands, walls: Walls) -> list[WorstHand]:
     wall, hand = np.nonzero(may_be_worst)
     radii = np.full(may_be_worst.shape, -1.0)
     points = _points(loop, plants, walls, (wall, hand))
-    radii[wall, hand] = spectral_radius(*points, **loop.filters).value
+    radii[wall, hand] = spectral_radius(**by_name(*points), **loop.filters).value
     codes = np.full(radii.shape, Verdict.NOT_COMPUTED)
-    codes[wall, hand] = verdict(*points, **loop.filters)
+    codes[wall, hand] = verdict(**by_name(*points), **loop.filters)
     answers = []
     for number in range(len(walls)):
         unstable = codes[number] == Verdict.UNSTABLE
@@ -141,7 +142,7 @@ def _may_be_worst(
     grid = np.meshgrid(np.arange(len(walls)), _outermost(hands), indexing="ij")
     wall, hand = (numbers.ravel() for numbers in grid)
     points = _points(loop, plants, walls, (wall, hand))
-    some = np.asarray(spectral_radius(*points, **loop.filters).value)
+    some = np.asarray(spectral_radius(**by_name(*points), **loop.filters).value)
     radius = some.reshape(len(walls), -1).max(axis=1)
     # Next to the circle all may be the only one that is proved unstable.
     radius = np.where(radius > _CERTAIN, radius, np.minimum(radius, 1.0)) * (1.0 - _ASIDE)
@@ -260,7 +261,7 @@ def held(loop: Loop, hand: Float64[np.ndarray, " 3"]) -> Loop:
 
 def checked_range(hands: HandRange) -> None:
     """Refuse a range whose ends are out of order or negative."""
-    for name, (low, high) in hands._asdict().items():
+    for name, (low, high) in vars(hands).items():
         if not 0.0 <= low <= high < np.inf:
             raise ValueError(
                 f"hands.{name} is ({low}, {high}); give the lowest, >= 0, and the highest value."

@@ -44,7 +44,7 @@ class Margins(NamedTuple):
             of up to 1024 further samples (MOST_DELAY).
 
     Example:
-        >>> jaxstab.margins(0.1, 0.2, 0.0, 0.015, 1.0)
+        >>> jaxstab.margins(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
         Margins: stable        least   largest  factor
         alpha                  0       0.11185  1.1185
         beta                   0.1689  0.6702   3.351
@@ -75,10 +75,10 @@ class WallMargins(Margins):
 def margins(
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Margins:
@@ -111,7 +111,8 @@ def margins(
 
     Example:
         >>> window = jaxstab.Velocity.difference(samples=20)
-        >>> float(margins(0.003, 0.04, 0.0, 0.001, 1.0, velocity=window).stiffness_gain)
+        >>> found = margins(0.003, 0.04, gamma=0.0, delta=0.001, delay=1.0, velocity=window)
+        >>> float(found.stiffness_gain)
         2.7159...
     """
     filters = known_filters(velocity, position)

@@ -145,7 +145,9 @@ def _common_domain(loops: list[Loop]) -> Domain | None:
     """Return the span of stiffness and damping that all stable regions share, in SI units."""
     low, high = np.full(2, -np.inf), np.full(2, np.inf)
     for loop in loops:
-        region = stable_region(loop.gamma, loop.delta, loop.delay_samples, **loop.filters)
+        region = stable_region(
+            gamma=loop.gamma, delta=loop.delta, delay=loop.delay_samples, **loop.filters
+        )
         if region.status == RegionStatus.UNRESOLVED:
             continue
         if region.is_empty:

@@ -25,7 +25,7 @@ from jaxstab.arrays import Numbers
 from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.exclusion import Loops, exclude
 from jaxstab.conventions import Status, Verdict
-from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma
+from jaxstab.model import by_name, checked_delay, checked_delta, checked_gain, checked_gamma
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
@@ -74,10 +74,10 @@ class RobustRegion:
     one of a hand that has no such component.
 
     Example:
-        >>> region = jaxstab.robust_region((0.0, 0.001), (0.0, 0.015), 1.0)
+        >>> region = jaxstab.robust_region(gamma=(0.0, 0.001), delta=(0.0, 0.015), delay=1.0)
         >>> region.status.name, bool(region.contains(0.05, 0.3))
         ('PROVED', True)
-        >>> region = jaxstab.robust_region((0.0, 0.001), (0.01, 0.015), 1.0)
+        >>> region = jaxstab.robust_region(gamma=(0.0, 0.001), delta=(0.01, 0.015), delay=1.0)
         >>> region.max_alpha.round(3).tolist(), region.verdict([0.05, 0.2], 0.3).tolist()
         ([0.147, 0.426], [1, 2])
     """
@@ -145,10 +145,10 @@ class RobustRegion:
 
 
 def robust_region(
+    *,
     gamma: Range,
     delta: Range,
     delay: float = 0.0,
-    *,
     tolerance: float = 0.02,
     velocity: Velocity | None = None,
     position: Filter | None = None,
@@ -231,9 +231,9 @@ class _Sample:
                 self.hands = np.concatenate([self.hands, hand[None]])
                 gamma, delta = map(float, hand)
                 region = stable_region(
-                    gamma,
-                    delta,
-                    self.delay,
+                    gamma=gamma,
+                    delta=delta,
+                    delay=self.delay,
                     tolerance=_OUTLINE_TOLERANCE,
                     **as_keywords(self.filters),
                 )
@@ -351,4 +351,4 @@ def _verdicts(
 ) -> Int8[np.ndarray, "points hands"]:
     """Return the verdicts on all walls for all hands."""
     arguments = walls[:, :1], walls[:, 1:], hands[:, 0], hands[:, 1]
-    return np.asarray(verdict(*arguments, delay, **as_keywords(filters)))
+    return np.asarray(verdict(**by_name(*arguments, delay), **as_keywords(filters)))

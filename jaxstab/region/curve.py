@@ -72,7 +72,7 @@ class SliceCoefficients(NamedTuple):
 
 
 def boundary_curve(
-    theta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, *, radius: Numbers = 1.0
+    theta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid"]]:
     """Return the wall gains (alpha, beta) that put a pair of roots at radius exp(+-i theta).
 
@@ -99,7 +99,7 @@ def boundary_curve(
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) solved for (alpha, beta).
 
     Example:
-        >>> alpha, beta = jaxstab.boundary_curve(1.0, 0.0, 0.0, 0.0)
+        >>> alpha, beta = jaxstab.boundary_curve(1.0, gamma=0.0, delta=0.0, delay=0.0)
         >>> round(float(alpha), 6), round(float(beta), 6)
         (0.645005, 0.596893)
     """
@@ -109,7 +109,7 @@ def boundary_curve(
 
 
 def plus_line(
-    beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, *, radius: Numbers = 1.0
+    beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = +radius; for radius 1 it is -gamma.
 
@@ -130,7 +130,7 @@ def plus_line(
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = radius.
 
     Example:
-        >>> float(jaxstab.plus_line(0.5, 0.001, 0.015, 0.0))
+        >>> float(jaxstab.plus_line(0.5, gamma=0.001, delta=0.015, delay=0.0))
         -0.001
     """
     require_x64(beta, gamma, delta, radius)
@@ -141,7 +141,7 @@ def plus_line(
 
 
 def minus_line(
-    beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers, *, radius: Numbers = 1.0
+    beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = -radius.
 
@@ -155,7 +155,7 @@ def minus_line(
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = -radius.
 
     Example:
-        >>> round(float(jaxstab.minus_line(0.5, 0.0, 0.015, 0.0)), 4)
+        >>> round(float(jaxstab.minus_line(0.5, gamma=0.0, delta=0.015, delay=0.0)), 4)
         1599.036
     """
     require_x64(beta, gamma, delta, radius)

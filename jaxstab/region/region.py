@@ -28,10 +28,10 @@ _FINEST = 1e-10
 
 @refuses_loops("region()")
 def stable_region(
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     radius: Numbers = 1.0,
     tolerance: Numbers = 1e-6,
     velocity: Velocity | None = None,
@@ -67,7 +67,7 @@ def stable_region(
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
 
     Example:
-        >>> region = jaxstab.stable_region(0.0, 0.0, 0.0)
+        >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
         >>> round(float(region.max_alpha[0]), 9)  # 12 - 8 sqrt(2)
         0.686291501
     """
@@ -89,10 +89,10 @@ def stable_region(
 
 
 def region_outline(
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     radius: Numbers = 1.0,
     points: int = 256,
     slots: int = 4,
@@ -126,7 +126,8 @@ def region_outline(
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
 
     Example:
-        >>> round(float(jaxstab.region_outline(0.001, 0.015, 1.0).max_alpha[0]), 6)
+        >>> region = jaxstab.region_outline(gamma=0.001, delta=0.015, delay=1.0)
+        >>> round(float(region.max_alpha[0]), 6)
         0.15172
     """
     require_x64(gamma, delta, radius)

@@ -48,7 +48,8 @@ class ShownRegion:
         """The points of the largest stiffness and of the largest damping.
 
         Example:
-            >>> stiffest, most_damped = jaxstab.stable_region(0.0, 0.015, 1.0).extremes
+            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0)
+            >>> stiffest, most_damped = region.extremes
             >>> stiffest.round(4).tolist()
             [0.1522, 0.4233]
         """
@@ -99,7 +100,7 @@ class ShownRegion:
             ValueError: the region is empty or unresolved, or made of arrays of JAX.
 
         Example:
-            >>> axes = jaxstab.stable_region(0.0, 0.015, 1.0).plot()
+            >>> axes = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0).plot()
         """
         from jaxstab.pictures.shown import plot_region
 

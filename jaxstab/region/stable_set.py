@@ -34,9 +34,9 @@ class StableRegion(ShownRegion):
     Source: eq. (9) by the D-decomposition, of which the pieces around the stable set are kept.
 
     Example:
-        >>> round(float(jaxstab.stable_region(0.0, 0.0, 0.0).area), 6)
+        >>> round(float(jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0).area), 6)
         0.909645
-        >>> region = jaxstab.stable_region(0.0, 0.0, 0.0)
+        >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
         >>> region.is_empty, region.loops, region.corners.round(6).tolist()
         (False, 1, [[0.0, 0.0], [0.0, 2.0]])
         >>> region.rows_are_intervals, region.columns_are_intervals
@@ -89,7 +89,7 @@ class StableRegion(ShownRegion):
 
         Example:
             >>> window = jaxstab.Velocity.difference(samples=20)
-            >>> region = jaxstab.stable_region(0.0, 0.0004, 1.0, velocity=window)
+            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0004, delay=1.0, velocity=window)
             >>> [round(float(part.area), 5) for part in region.components]
             [0.00101, 0.00044]
         """
@@ -106,7 +106,8 @@ class StableRegion(ShownRegion):
 
         Example:
             >>> window = jaxstab.Velocity.difference(samples=20)
-            >>> main = jaxstab.stable_region(0.0, 0.0004, 1.0, velocity=window).main
+            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0004, delay=1.0, velocity=window)
+            >>> main = region.main
             >>> main.max_alpha.round(6).tolist()
             [0.008138, 0.051276]
         """
@@ -118,7 +119,8 @@ class StableRegion(ShownRegion):
 
         Example:
             >>> window = jaxstab.Velocity.difference(samples=20)
-            >>> islands = jaxstab.stable_region(0.0, 0.0004, 1.0, velocity=window).islands
+            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0004, delay=1.0, velocity=window)
+            >>> islands = region.islands
             >>> [island.max_alpha.round(4).tolist() for island in islands]
             [[0.0753, -0.4745]]
         """
@@ -167,7 +169,8 @@ class StableRegion(ShownRegion):
             ValueError: beta is NaN or infinite.
 
         Example:
-            >>> jaxstab.stable_region(0.0, 0.0, 0.0).alpha_limits([0.5, 3.0]).round(6).tolist()
+            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
+            >>> region.alpha_limits([0.5, 3.0]).round(6).tolist()
             [[0.0, 0.6], [nan, nan]]
         """
         (rows,) = float_arrays(checked_gain("beta", beta))
@@ -187,7 +190,8 @@ class StableRegion(ShownRegion):
             ValueError: alpha is NaN or infinite.
 
         Example:
-            >>> jaxstab.stable_region(0.0, 0.0, 0.0).beta_limits(0.5).round(6).tolist()
+            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
+            >>> region.beta_limits(0.5).round(6).tolist()
             [0.359612, 1.390388]
         """
         (columns,) = float_arrays(checked_gain("alpha", alpha))
@@ -207,7 +211,8 @@ class StableRegion(ShownRegion):
             ValueError: alpha or beta is NaN or infinite.
 
         Example:
-            >>> jaxstab.stable_region(0.0, 0.0, 0.0).contains(0.3, [0.1, 0.8]).tolist()
+            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
+            >>> region.contains(0.3, [0.1, 0.8]).tolist()
             [False, True]
         """
         points = _checked_points(alpha, beta)
@@ -227,7 +232,8 @@ class StableRegion(ShownRegion):
             ValueError: alpha or beta is NaN or infinite.
 
         Example:
-            >>> jaxstab.stable_region(0.0, 0.0, 0.0).distance(0.3, [0.1, 0.8]).round(6).tolist()
+            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
+            >>> region.distance(0.3, [0.1, 0.8]).round(6).tolist()
             [-0.064915, 0.3]
         """
         points = _checked_points(alpha, beta)

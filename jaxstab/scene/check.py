@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
+from jaxstab.model import by_name
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.motion.settling import settling_at_levels
@@ -259,7 +260,12 @@ def _margins_of(loops: list[HapticLoop], walls: list[Gains]) -> tuple[Ends, Ends
             (damping, [loop.beta for loop in loops]),
         )
     )
-    found = margins(alpha, beta, *np.array([loop.slice for loop in loops]).T, **loops[0].filters)
+    found = margins(
+        alpha,
+        beta,
+        **by_name(*np.array([[*loop.slice.values()] for loop in loops]).T),
+        **loops[0].filters,
+    )
     mass, period = np.array([[loop.mass] for loop in loops]), loops[0].sample_time
     delay = period * np.asarray(found.extra_delay)
     return (
@@ -293,7 +299,9 @@ def _settlings(loops: list[HapticLoop], walls: list[Gains]) -> list[Settling]:
             for level in _LEVELS
         ]
     else:
-        points = [(loop.alpha(wall[0]), loop.beta(wall[1]), *loop.slice) for loop, wall in pairs]
+        points = [
+            (loop.alpha(wall[0]), loop.beta(wall[1]), *loop.slice.values()) for loop, wall in pairs
+        ]
         alpha, beta, gamma, delta, delay = np.array(points).T
         filters = loops[0].filters
         found = settling_at_levels(

@@ -45,7 +45,7 @@ def scene_guard(
     mass, delay, period = scene.device.effective_mass, loop.delay, loop.sample_time
     return build_guard(
         loop,
-        HandRange(hand.effective_mass, hand.stiffness, hand.damping),
+        HandRange(mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping),
         mass=masses or (shares[0] * mass, shares[1] * mass),
         delay=delays or (max(delay - beside * period, 0.0), delay + beside * period),
         progress=progress,

@@ -190,7 +190,7 @@ class _Rows:
     def linear_rule(self, damping: float) -> float:
         """Return the largest stiffness of the linear rule at a damping."""
         loop = self.loop
-        limit = linear_alpha_limit(loop.beta(damping), loop.delta, loop.delay_samples)
+        limit = linear_alpha_limit(loop.beta(damping), delta=loop.delta, delay=loop.delay_samples)
         return self.safety * loop.stiffness(float(limit))
 
 
@@ -232,7 +232,7 @@ def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule
 
 def _passive(loop: HapticLoop, safety: float) -> StiffestWall:
     own = loop.device_damping * loop.sample_time / loop.mass
-    alpha, beta = passive_region(own, loop.delay_samples).max_alpha
+    alpha, beta = passive_region(delta=own, delay=loop.delay_samples).max_alpha
     return StiffestWall(safety * float(loop.stiffness(alpha)), float(loop.damping(beta)))
 
 

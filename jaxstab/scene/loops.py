@@ -49,7 +49,7 @@ def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
         ValueError: a quantity is out of range.
     """
     if hand is None:
-        hand = OneHand(*(low for low, _ in _range_of(scene.hand or Hand())))
+        hand = OneHand(*(low for low, _ in vars(_range_of(scene.hand or Hand())).values()))
     _check_scale(scene)
     controller = scene.controller
     mechanics = _one_mass(scene, hand) if is_one_mass(scene) else {"device": _device(scene, hand)}
@@ -71,7 +71,7 @@ def is_one_mass(scene: Scene) -> bool:
 def proves_hands(scene: Scene) -> bool:
     """Return whether what holds for all hands can be proved: of one mass, or of one quantity."""
     hands = hands_of(scene) or HandRange()
-    return is_one_mass(scene) or sum(low < high for low, high in hands) <= 1
+    return is_one_mass(scene) or sum(low < high for low, high in vars(hands).values()) <= 1
 
 
 def is_plain(loop: HapticLoop) -> bool:
@@ -116,7 +116,7 @@ def corner_loops(scene: Scene) -> list[HapticLoop]:
 
 
 def _range_of(hand: Hand) -> HandRange:
-    return HandRange(hand.effective_mass, hand.stiffness, hand.damping)
+    return HandRange(mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping)
 
 
 def _one_mass(scene: Scene, hand: OneHand) -> dict[str, float]:

@@ -251,7 +251,7 @@ def _no_root_outside(
         return np.zeros(0, bool)
     alpha, beta, *plant = scene.parameters(positions)
     gamma, delta, delay = (np.maximum(values, 0.0) for values in plant)
-    polynomials = characteristic_polynomial(alpha, beta, gamma, delta, delay)
+    polynomials = characteristic_polynomial(alpha, beta, gamma=gamma, delta=delta, delay=delay)
     roots = np.linalg.eigvals(companion_matrix(polynomials))
     edge: Bool[np.ndarray, " points"] = np.abs(roots).max(axis=1) <= 1.0 + _ON_CIRCLE
     return edge

@@ -50,7 +50,9 @@ ALL_GAINS = Component()
 def searched_component(gamma: float, delta: float, delay: float, filters: Filters) -> Component:
     """Return the component of small gains; if there is none, all gains and a status."""
     velocity, position = filters
-    return component_of(stable_region(gamma, delta, delay, velocity=velocity, position=position))
+    return component_of(
+        stable_region(gamma=gamma, delta=delta, delay=delay, velocity=velocity, position=position)
+    )
 
 
 def component_of(region: StableRegion) -> Component:

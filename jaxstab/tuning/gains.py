@@ -33,10 +33,10 @@ _DAMPINGS = np.geomspace(1e-7, 1e2, 600)  # of either sign, tried where the stif
 
 def minimize_radius_damping(
     alpha: float,
+    *,
     gamma: float,
     delta: float,
     delay: float,
-    *,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
@@ -67,7 +67,7 @@ def minimize_radius_damping(
     Source: eq. (9).
 
     Example:
-        >>> best = jaxstab.minimize_radius_damping(0.05, 0.0, 0.015, 1.0)
+        >>> best = jaxstab.minimize_radius_damping(0.05, gamma=0.0, delta=0.015, delay=1.0)
         >>> round(float(best.beta), 4), round(float(best.value), 4)
         (0.3203, 0.823)
     """
@@ -97,10 +97,10 @@ def smallest_radius_damping(loop: TunedLoop, alpha: float) -> OptimalGains:
 
 
 def minimize_settling(
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     level: float = 0.02,
     alpha: Numbers | None = None,
     excitation: Excitation = "force",
@@ -134,7 +134,7 @@ def minimize_settling(
     Source: the loop of eqs. (1)-(5); settling as in later papers of the same authors.
 
     Example:
-        >>> best = jaxstab.minimize_settling(0.0, 0.015, 0.0)
+        >>> best = jaxstab.minimize_settling(gamma=0.0, delta=0.015, delay=0.0)
         >>> int(best.value)  # samples
         6
     """

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from jaxstab.conventions import Verdict
+from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords
@@ -47,11 +48,11 @@ class MassLoop(NamedTuple):
 
     def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
         """Return the codes of walls."""
-        return np.asarray(verdict(alpha, beta, *self.plant, **as_keywords(self.filters)))
+        return np.asarray(verdict(alpha, beta, **by_name(*self.plant), **as_keywords(self.filters)))
 
     def spectral_radius(self, alpha: Any, beta: Any) -> SpectralRadius:
         """Return the radii of walls, with bounds."""
-        return spectral_radius(alpha, beta, *self.plant, **as_keywords(self.filters))
+        return spectral_radius(alpha, beta, **by_name(*self.plant), **as_keywords(self.filters))
 
     def radii(self, alpha: Any, beta: Any) -> np.ndarray:
         """Return the radii of walls; with filters, infinite for walls outside the search."""
@@ -66,12 +67,14 @@ class MassLoop(NamedTuple):
 
     def smallest_radius(self) -> OptimalGains:
         """Return the gains of the smallest radius."""
-        return minimize_radius(*self.plant, **as_keywords(self.filters))
+        return minimize_radius(**by_name(*self.plant), **as_keywords(self.filters))
 
     def settling(self, alpha: Any, beta: Any, level: float, excitation: Excitation) -> Settling:
         """Return the settling of walls in samples."""
         loop, filters = self.plant, as_keywords(self.filters)
-        return settling_samples(alpha, beta, *loop, level=level, excitation=excitation, **filters)
+        return settling_samples(
+            alpha, beta, **by_name(*loop), level=level, excitation=excitation, **filters
+        )
 
     def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
         """Return how walls, side by side, come to rest."""

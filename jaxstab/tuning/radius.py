@@ -19,6 +19,7 @@ from jaxstab.batches import on_host
 from jaxstab.conventions import Verdict
 from jaxstab.model import (
     PlantCoefficients,
+    by_name,
     checked_delay,
     checked_delta,
     checked_gamma,
@@ -39,10 +40,10 @@ _NEAR_CIRCLE = 0.9  # how far out zeros are that bend the curve sharply
 
 
 def minimize_radius(
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
@@ -78,7 +79,8 @@ def minimize_radius(
     Source: eq. (9) for the poles; the theorem of Blondel et al. (2012), IEEE TAC 57(12).
 
     Example:
-        >>> round(float(jaxstab.minimize_radius(0.0, 0.0, 0.0).value), 9)  # 4^(1/3) - 1
+        >>> best = jaxstab.minimize_radius(gamma=0.0, delta=0.0, delay=0.0)
+        >>> round(float(best.value), 9)  # 4^(1/3) - 1
         0.587401052
     """
     require_x64(gamma, delta)
@@ -94,7 +96,7 @@ def minimize_radius(
     if xp is not np:
         best = _followed(family, best, kind)
     scene = constant((best.alpha, best.beta, gamma, delta))
-    codes = verdict(*scene, delay, velocity=velocity, position=position)
+    codes = verdict(**by_name(*scene, delay), velocity=velocity, position=position)
     return _as_gains(best, kind, codes)
 
 
@@ -115,7 +117,7 @@ def _as_gains(best: Pair, kind: Array, codes: Array) -> OptimalGains:
 
 
 def _pairs(gamma: Array, delta: Array, delay: float) -> tuple[Family, tuple[Array, ...]]:
-    plant = plant_coefficients(gamma, delta, delay)
+    plant = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
     fields = on_host(
         lambda *fields: _searched(PlantCoefficients(*fields), int(delay)),
         *plant,

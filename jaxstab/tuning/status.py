@@ -34,7 +34,7 @@ class OptimalGains(NamedTuple):
     """The best gains, what they achieve (a radius, or samples) and how they are known.
 
     Example:
-        >>> best = jaxstab.minimize_radius(0.0, 0.0, 0.0)
+        >>> best = jaxstab.minimize_radius(gamma=0.0, delta=0.0, delay=0.0)
         >>> round(float(best.value), 9)  # 4^(1/3) - 1
         0.587401052
     """

@@ -20,7 +20,7 @@ from jaxstab.atlas.format.schema import (
     VERDICT,
 )
 from jaxstab.atlas.format.spec import AtlasSpec, ToleranceAxis
-from jaxstab.model import characteristic_polynomial
+from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import as_keywords
 
 TILE_NODES = 2**18  # at most, where a tile holds more than one slice
@@ -221,7 +221,7 @@ def plan_atlas(spec: AtlasSpec) -> Plan:
 def _degree(delay: float, spec: AtlasSpec) -> int:
     """Return the degree of the polynomials at a delay; no gain and no hand changes it."""
     zeros = (0.0, 0.0, 0.0, 0.0)
-    coefficients = characteristic_polynomial(*zeros, delay, **as_keywords(spec.filters))
+    coefficients = characteristic_polynomial(**by_name(*zeros, delay), **as_keywords(spec.filters))
     return int(coefficients.shape[-1]) - 1
 
 

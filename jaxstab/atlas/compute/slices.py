@@ -59,7 +59,9 @@ def slice_summaries(
         filters: velocity estimator and position filter of all of them.
     """
     regions = _regions(hands, delay, filters)
-    best = minimize_radius(hands[:, 0], hands[:, 1], delay, **as_keywords(filters))
+    best = minimize_radius(
+        gamma=hands[:, 0], delta=hands[:, 1], delay=delay, **as_keywords(filters)
+    )
     values = (
         [float(region.max_alpha[0]) for region in regions],
         [float(region.max_alpha[1]) for region in regions],
@@ -83,7 +85,10 @@ def _regions(
     hands: Float64[np.ndarray, "slice 2"], delay: float, filters: Filters | None
 ) -> list[StableRegion]:
     keywords = as_keywords(filters)
-    return [stable_region(gamma, delta, delay, **keywords) for gamma, delta in hands.tolist()]
+    return [
+        stable_region(gamma=gamma, delta=delta, delay=delay, **keywords)
+        for gamma, delta in hands.tolist()
+    ]
 
 
 def _ended(points: Float64[np.ndarray, "point 2"]) -> Float64[np.ndarray, "point_and_end 2"]:

@@ -69,7 +69,9 @@ def known_region(gamma: float, delta: float, delay: float, filters: Filters | No
     Raises:
         ValueError: it is unresolved, or a parameter is too large for the model.
     """
-    region = stable_region(gamma, delta, delay, tolerance=_FINENESS, **as_keywords(filters))
+    region = stable_region(
+        gamma=gamma, delta=delta, delay=delay, tolerance=_FINENESS, **as_keywords(filters)
+    )
     if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(
             f"no axis can be laid around the region at gamma {gamma:g}, delta {delta:g}, delay "

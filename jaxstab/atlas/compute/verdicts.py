@@ -13,6 +13,7 @@ from jaxstab.boxes.columns import column_gaps
 from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
 
@@ -46,7 +47,9 @@ def node_verdicts(
     hand, j, i = np.nonzero(codes == UNDECIDED)
     if hand.size:
         point = alpha[i], beta[j], gamma[hand], delta[hand]
-        codes[hand, j, i] = verdict(*point, delay, resolve="exact", **as_keywords(filters))
+        codes[hand, j, i] = verdict(
+            **by_name(*point, delay), resolve="exact", **as_keywords(filters)
+        )
     return codes.swapaxes(1, 2)
 
 

@@ -45,7 +45,7 @@ class AtlasAnswer:
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> answer = atlas.query([0.05, 0.18], 0.3, 0.0005, 0.01, 1.0)
+        >>> answer = atlas.query([0.05, 0.18], 0.3, gamma=0.0005, delta=0.01, delay=1.0)
         >>> [jaxstab.QueryStatus(int(code)).name for code in answer.status]
         ['CELL', 'CELL']
     """
@@ -113,6 +113,6 @@ def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[st
     if left.size:
         # By name at run time, so that reading an atlas imports no JAX.
         verdict: Callable[..., NDArray[np.int8]] = import_module("jaxstab.point").verdict
-        points = (where[name][left] for name in AXES)
-        answer.verdict[left] = np.asarray(verdict(*points, resolve="exact", **filters))
+        points = {name: where[name][left] for name in AXES}
+        answer.verdict[left] = np.asarray(verdict(**points, resolve="exact", **filters))
         answer.status[left] = QueryStatus.EXACT

@@ -59,9 +59,9 @@ class Atlas(HeldAtlas):
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
         [1, 2]
-        >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, 0.0005, 0.01, 1.0))
+        >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, gamma=0.0005, delta=0.01, delay=1.0))
         <Verdict.STABLE: 1>
-        >>> round(float(atlas.alpha_limits(0.3, 0.0005, 0.01, delay=1.0).upper), 6)
+        >>> round(float(atlas.alpha_limits(0.3, gamma=0.0005, delta=0.01, delay=1.0).upper), 6)
         0.136525
         >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
         >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0))
@@ -88,11 +88,11 @@ class Atlas(HeldAtlas):
         self,
         alpha: Numbers,
         beta: Numbers,
+        *,
         gamma: Numbers,
         delta: Numbers,
         delay: Numbers,
         outside: Outside = "error",
-        *,
         exact: bool = False,
         velocity: Any = None,
         position: Any = None,
@@ -154,11 +154,11 @@ class Atlas(HeldAtlas):
         self,
         alpha: Numbers,
         beta: Numbers,
+        *,
         gamma: Numbers,
         delta: Numbers,
         delay: Numbers,
         outside: Outside = "error",
-        *,
         exact: bool = False,
         velocity: Any = None,
         position: Any = None,
@@ -174,7 +174,7 @@ class Atlas(HeldAtlas):
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.verdict([0.05, 0.2], 0.3, 0.0005, 0.01, delay=1.0).tolist()
+            >>> atlas.verdict([0.05, 0.2], 0.3, gamma=0.0005, delta=0.01, delay=1.0).tolist()
             [1, 2]
         """
         self._check_filters(velocity, position)
@@ -183,10 +183,12 @@ class Atlas(HeldAtlas):
             codes = self._verdict_by_limits(given)
             if codes is not None and not (exact and np.any(codes == UNDECIDED)):
                 return codes
-        return self.query(*given, outside, exact=exact).verdict
+        return self.query(
+            **dict(zip(AXES, given, strict=True)), outside=outside, exact=exact
+        ).verdict
 
     def alpha_limits(
-        self, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+        self, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
     ) -> AlphaLimits:
         """Return the smallest and largest stable alpha, with proved errors.
 
@@ -205,7 +207,7 @@ class Atlas(HeldAtlas):
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> limits = atlas.alpha_limits([0.3, 0.5], 0.0005, 0.01, delay=1.0)
+            >>> limits = atlas.alpha_limits([0.3, 0.5], gamma=0.0005, delta=0.01, delay=1.0)
             >>> (limits.upper - limits.upper_error).round(4).tolist()  # proved stable up to here
             [0.1358, 0.1435]
         """
@@ -218,7 +220,7 @@ class Atlas(HeldAtlas):
         parts = zip(limits, errors, strict=True)
         return AlphaLimits(*(v.reshape(beta.shape) for pair in parts for v in pair))
 
-    def max_alpha(self, gamma: Numbers, delta: Numbers, delay: Numbers) -> MaxAlpha:
+    def max_alpha(self, *, gamma: Numbers, delta: Numbers, delay: Numbers) -> MaxAlpha:
         """Return the largest stable alpha of hands, where it is, and a proved bound.
 
         Args:
@@ -233,7 +235,7 @@ class Atlas(HeldAtlas):
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> largest = atlas.max_alpha(0.0005, 0.01, delay=1.0)
+            >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.0)
             >>> bool(largest.alpha <= largest.bound), round(float(largest.beta), 2)
             (True, 0.43)
         """
@@ -242,7 +244,7 @@ class Atlas(HeldAtlas):
         return MaxAlpha(*(value.reshape(points[0].shape) for value in found))
 
     def worst_verdict(
-        self, alpha: float, beta: float, gamma: Range, delta: Range, delay: float
+        self, alpha: float, beta: float, *, gamma: Range, delta: Range, delay: float
     ) -> np.int8:
         """Return the verdict on one wall for a box of hands.
 
@@ -270,7 +272,9 @@ class Atlas(HeldAtlas):
         table = self._asked_over(alpha, beta, gamma, delta, delay)
         return np.int8(table.worst_verdict(alpha, beta, gamma, delta, delay))
 
-    def common_alpha_limits(self, beta: float, gamma: Range, delta: Range, delay: float) -> Range:
+    def common_alpha_limits(
+        self, beta: float, *, gamma: Range, delta: Range, delay: float
+    ) -> Range:
         """Return the interval of alpha in which every hand of a box is proved stable.
 
         Args:
@@ -289,7 +293,9 @@ class Atlas(HeldAtlas):
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> low, high = atlas.common_alpha_limits(0.3, (0.0, 0.001), (0.0, 0.015), delay=1.0)
+            >>> low, high = atlas.common_alpha_limits(
+            ...     0.3, gamma=(0.0, 0.001), delta=(0.0, 0.015), delay=1.0
+            ... )
             >>> low < high, round(high, 2)
             (True, 0.13)
         """

@@ -49,6 +49,7 @@ class ClampsGains(ShownAtlas):
         self,
         alpha: Numbers,
         beta: Numbers,
+        *,
         gamma: Numbers,
         delta: Numbers,
         delay: Numbers,
@@ -77,7 +78,7 @@ class ClampsGains(ShownAtlas):
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> gains = atlas.clamp([0.05, 0.2], 0.3, 0.0005, 0.01, delay=1.0)
+            >>> gains = atlas.clamp([0.05, 0.2], 0.3, gamma=0.0005, delta=0.01, delay=1.0)
             >>> gains.alpha.round(3).tolist(), gains.beta.round(3).tolist()
             ([0.05, 0.136], [0.3, 0.298])
         """

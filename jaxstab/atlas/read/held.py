@@ -85,7 +85,7 @@ class HeldAtlas(AskedByLoops):
         """
         return to_xarray(self.arrays, self.created_by, self.filters_in_words)
 
-    def outline(self, gamma: float, delta: float, delay: float) -> AtlasOutline:
+    def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
         """Return the boundary of the stable region at a node, with its corners.
 
         Args:
@@ -105,7 +105,8 @@ class HeldAtlas(AskedByLoops):
             >>> spec = jaxstab.AtlasSpec(**axes, products=("outline",))
             >>> with TemporaryDirectory() as folder:
             ...     atlas = jaxstab.build_atlas(spec, Path(folder) / "atlas.h5")
-            >>> atlas.outline(0.0, 0.015, 1.0).points.max(axis=0).round(3).tolist()  # alpha, beta
+            >>> outline = atlas.outline(gamma=0.0, delta=0.015, delay=1.0)
+            >>> outline.points.max(axis=0).round(3).tolist()  # alpha, beta
             [0.152, 0.84]
         """
         return outline_at(self.arrays, gamma, delta, delay)

@@ -34,7 +34,7 @@ class AlphaLimits(NamedTuple):
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> limits = atlas.alpha_limits(0.3, 0.0005, 0.01, delay=1.0)
+        >>> limits = atlas.alpha_limits(0.3, gamma=0.0005, delta=0.01, delay=1.0)
         >>> print(f"up to {limits.upper:.6f}, wrong by less than {limits.upper_error:.0e}")
         up to 0.136525, wrong by less than 7e-04
     """
@@ -53,7 +53,7 @@ class MaxAlpha(NamedTuple):
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> largest = atlas.max_alpha(0.0005, 0.01, delay=1.0)
+        >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.0)
         >>> print(f"{largest.alpha:.4f} at {largest.beta:.4f}, none above {largest.bound:.4f}")
         0.1486 at 0.4343, none above 0.1506
     """

@@ -96,18 +96,18 @@ class LoopAtlas:
         self.atlas = atlas
         self.loop = _checked_loop(loop)
         _check_filters(atlas, self.loop)
-        names = "gamma", "delta", "delay"
-        numbers = zip(names, self.loop.slice, strict=True)
-        plant = [_node_or(atlas.arrays[name], value) for name, value in numbers]
-        for name, value in zip(names, plant, strict=True):
+        numbers = self.loop.slice.items()
+        self._slice: dict[str, Any] = {
+            name: _node_or(atlas.arrays[name], value) for name, value in numbers
+        }
+        for name, value in self._slice.items():
             nodes = atlas.arrays[name]
             if not nodes[0] <= value <= nodes[-1]:
                 raise ValueError(
                     f"{name} of the loop is {value!r}, and this atlas reaches from "
                     f"{float(nodes[0])!r} to {float(nodes[-1])!r}; ask another atlas, or build one."
                 )
-        self._plant = plant[0], plant[1], plant[2]
-        self._alphas, self._betas = _ends(atlas, plant[2])
+        self._alphas, self._betas = _ends(atlas, self._slice["delay"])
 
     def __repr__(self) -> str:
         """Return the atlas, and the loop."""
@@ -146,7 +146,7 @@ class LoopAtlas:
             ('CELL', 'STABLE')
         """
         wall = self._asked(stiffness, damping, outside)
-        return self.atlas.query(*wall, *self._plant, outside, exact=exact)
+        return self.atlas.query(*wall, **self._slice, outside=outside, exact=exact)
 
     def verdict(
         self,
@@ -161,7 +161,7 @@ class LoopAtlas:
         Args, errors and source: as ``query``.
         """
         wall = self._asked(stiffness, damping, outside)
-        return self.atlas.verdict(*wall, *self._plant, outside, exact=exact)
+        return self.atlas.verdict(*wall, **self._slice, outside=outside, exact=exact)
 
     def stiffness_limits(self, damping: Numbers) -> Floats:
         """Return the interval of stiffness in which every wall is proved stable, rounded inwards.
@@ -202,7 +202,7 @@ class LoopAtlas:
             >>> largest.stiffness <= largest.bound, round(largest.damping)
             (True, 43)
         """
-        found = self.atlas.max_alpha(*self._plant)
+        found = self.atlas.max_alpha(**self._slice)
         if np.isnan(found.alpha):
             return LargestStiffness(np.nan, np.nan, np.nan)
         # It is on an edge between two cells of beta, of which a rounded damping is in either.
@@ -238,7 +238,7 @@ class LoopAtlas:
         wall = np.broadcast_arrays(*given)
         refuse_negative(stiffness=wall[0], damping=wall[1])
         alpha, beta = np.asarray(self.loop.alpha(wall[0])), np.asarray(self.loop.beta(wall[1]))
-        found = self.atlas.clamp(alpha, beta, *self._plant, outside)
+        found = self.atlas.clamp(alpha, beta, **self._slice, outside=outside)
         is_whole = np.equal(found.alpha, alpha), np.equal(found.beta, beta)
         damped = np.where(is_whole[1], wall[1], self.loop.damping(found.beta))
         # The limit at the rounded damping, of which there is another alpha in SI units
@@ -247,7 +247,7 @@ class LoopAtlas:
         lowered = np.minimum(self.loop.stiffness(found.alpha), most)
         stiff = np.where(is_whole[0], wall[0], lowered * (1.0 - _ROUNDINGS))
         codes = self.atlas.verdict(
-            self.loop.alpha(stiff), self.loop.beta(damped), *self._plant, "undecided"
+            self.loop.alpha(stiff), self.loop.beta(damped), **self._slice, outside="undecided"
         )
         stays = (found.verdict == STABLE) & (codes == STABLE)
         return ClampedWalls(
@@ -259,7 +259,7 @@ class LoopAtlas:
     @np.errstate(invalid="ignore")  # infinite limits may have infinite errors
     def _limits(self, beta: Floats) -> Floats:
         """Return the stiffnesses between which all is proved stable, at values of beta."""
-        found = self.atlas.alpha_limits(beta, *self._plant)
+        found = self.atlas.alpha_limits(beta, **self._slice)
         lower = np.maximum(found.lower + found.lower_error, self._alphas[0])
         upper = np.minimum(found.upper - found.upper_error, self._alphas[1])
         ends = self.loop.stiffness(np.stack([lower, upper], axis=-1))

@@ -26,7 +26,7 @@ class AtlasOutline(NamedTuple):
         >>> spec = jaxstab.AtlasSpec(**hand, products=("outline",))
         >>> with TemporaryDirectory() as folder:
         ...     atlas = jaxstab.build_atlas(spec, Path(folder) / "outline.h5")
-        >>> outline = atlas.outline(0.0, 0.01, 1.0)
+        >>> outline = atlas.outline(gamma=0.0, delta=0.01, delay=1.0)
         >>> int(outline.status), outline.corners.round(3).tolist()
         (0, [[0.0, -0.01], [0.0, 0.836]])
     """

@@ -268,7 +268,7 @@ def _asked_cells(atlas: Atlas, rng: np.random.Generator) -> CellPart:
     points = [rng.uniform(along[0], along[-1], _POINTS) for along in nodes]
     begin = process_time()
     alpha, beta, gamma, delta = points
-    answer = atlas.query(alpha, beta, gamma, delta, float(atlas.delays[0]))
+    answer = atlas.query(alpha, beta, gamma=gamma, delta=delta, delay=float(atlas.delays[0]))
     seconds = (process_time() - begin) / _POINTS
     between = answer.status != QueryStatus.NODE
     undecided = np.mean(answer.verdict[between] == UNDECIDED)

@@ -18,6 +18,7 @@ from jaxstab.atlas.format.schema import ALPHA_LIMITS, LIMIT_RANGE, LIMITS, SPEC
 from jaxstab.atlas.read.atlas import Atlas
 from jaxstab.atlas.read.file import Contents
 from jaxstab.atlas.write.parts import LimitPart, cell_parts, limit_parts, radius_errors
+from jaxstab.model import by_name
 
 Floats = Float64[np.ndarray, "..."]
 
@@ -141,7 +142,7 @@ def _query_seconds(grid: Grid, parts: Sequence[LimitPart]) -> float:
     taken = []
     for _ in range(_REPEATS):
         begin = process_time()
-        atlas.verdict(*points)
+        atlas.verdict(**by_name(*points))
         taken.append(process_time() - begin)
     return min(taken) / _QUERIES
 

@@ -35,6 +35,7 @@ from jaxstab.atlas.read.file import table_of
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.write.image import checked_datasets, opened, text_of
 from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model import by_name
 from jaxstab.model.filters import as_keywords, known_filters
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.region import RegionStatus, stable_region
@@ -173,7 +174,7 @@ def _is_wrong_outline(datasets: Datasets, grid: _Grid, place: Place) -> bool:
     loop = _loop(grid, place)
     stored, region = (
         outline_at({**datasets, **grid.axes}, *loop),
-        stable_region(*loop, **grid.filters),
+        stable_region(**by_name(*loop), **grid.filters),
     )
     if stored.status != int(region.status) or not np.all(np.isfinite(stored.points)):
         return True
@@ -251,7 +252,7 @@ def _wrong_codes(
     codes: Int8[np.ndarray, " point"], point: tuple[Any, ...], filters: Mapping[str, Any]
 ) -> int:
     """Count codes that are none, and those that say the opposite of a verdict for the point."""
-    exact = np.asarray(verdict(*point, resolve="exact", **filters))
+    exact = np.asarray(verdict(**by_name(*point), resolve="exact", **filters))
     both = np.isin(codes, (STABLE, UNSTABLE)) & np.isin(exact, (STABLE, UNSTABLE))
     return int(np.sum((both & (codes != exact)) | (codes == NOT_COMPUTED)))
 
@@ -266,8 +267,8 @@ def _radii(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
         ends = row[2:4], row[4:], *hands
         alpha, beta, gamma, delta = (chance.uniform(low, high, each) for low, high in ends)
         point = alpha, beta, gamma, delta, chance.uniform(*row[:2])
-        answer = atlas.query(*point, outside="undecided")
-        radius = spectral_radius(*point, **filters)
+        answer = atlas.query(**by_name(*point), outside="undecided")
+        radius = spectral_radius(**by_name(*point), **filters)
         off = np.abs(answer.spectral_radius - radius.value) - radius.error
         is_known = np.isfinite(answer.radius_error)
         wrong += int(np.sum(is_known & ~(off <= answer.radius_error)))  # NaN is wrong, too
@@ -281,7 +282,7 @@ def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
     for number, delay in enumerate(atlas.delays):
         ends = [(nodes[0], nodes[-1]) for nodes in atlas.nodes(number).values()]
         point = (*(chance.uniform(*side, each) for side in ends), delay)
-        answer = atlas.query(*point)
+        answer = atlas.query(**by_name(*point))
         codes = np.where(answer.verdict == NOT_COMPUTED, np.int8(UNDECIDED), answer.verdict)
         wrong += _wrong_codes(codes, point, filters)
     points = each * atlas.delays.size

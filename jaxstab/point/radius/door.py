@@ -69,7 +69,7 @@ class SpectralRadius(NamedTuple):
         status: a RadiusStatus.
 
     Example:
-        >>> jaxstab.spectral_radius(0.1, 0.2, 0.0, 0.015, 1.0)
+        >>> jaxstab.spectral_radius(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
         0.98712203316983... +/- ... (proved)
     """
 
@@ -98,10 +98,10 @@ class SpectralRadius(NamedTuple):
 def spectral_radius(
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     method: str = "fast",
     velocity: Velocity | None = None,
     position: Filter | None = None,
@@ -138,7 +138,8 @@ def spectral_radius(
     Source: eq. (9); sec. V of the paper for its use.
 
     Example:
-        >>> round(float(jaxstab.spectral_radius(0.1, 0.2, 0.0, 0.015, 1.0).value), 9)
+        >>> radius = jaxstab.spectral_radius(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
+        >>> round(float(radius.value), 9)
         0.987122033
     """
     checked_word("method", method, ("fast", "companion"))
@@ -213,7 +214,7 @@ def _of_delay(
 def _few(parameters: list[Values], delay: float, *, is_fast: bool) -> tuple[Values, Values]:
     """Return value and error for a list of points: eigenvalues, proved in one of two ways."""
     alpha, beta, gamma, delta = parameters
-    coefficients = characteristic_polynomial(alpha, beta, gamma, delta, delay)
+    coefficients = characteristic_polynomial(alpha, beta, gamma=gamma, delta=delta, delay=delay)
     poles = companion_poles(coefficients)
     value, error = np.abs(poles[:, 0]), np.full(len(poles), np.inf)
     if is_fast:

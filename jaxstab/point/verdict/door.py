@@ -15,6 +15,7 @@ from jaxstab.batches import compiled, lists, over_tiles
 from jaxstab.conventions import UNDECIDED, UNSTABLE, Verdict
 from jaxstab.model import (
     DoubleDouble,
+    by_name,
     characteristic_polynomial,
     checked_delta,
     checked_gain,
@@ -44,10 +45,10 @@ _PAIRS = 1 << 12  # the same in double-double
 def verdict(
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     resolve: str | None = None,
     velocity: Velocity | None = None,
     position: Filter | None = None,
@@ -85,10 +86,10 @@ def verdict(
     Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> jaxstab.verdict([0.1, 1.5], 0.2, 0.0, 0.015, 1.0)
+        >>> jaxstab.verdict([0.1, 1.5], 0.2, gamma=0.0, delta=0.015, delay=1.0)
         array([1, 2], dtype=int8)
         >>> window = jaxstab.Velocity.difference(samples=20)
-        >>> jaxstab.verdict(0.1, 0.2, 0.0, 0.015, 1.0, velocity=window)
+        >>> jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0, velocity=window)
         array(2, dtype=int8)
     """
     if resolve not in (None, "exact"):
@@ -118,10 +119,10 @@ def verdict(
 def is_stable(
     alpha: Numbers,
     beta: Numbers,
+    *,
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
-    *,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Bool[Array, "*grid"]:
@@ -147,11 +148,11 @@ def is_stable(
     Source: sec. V of the paper.
 
     Example:
-        >>> jaxstab.is_stable([0.1, 1.5], 0.2, 0.0, 0.015, 1.0).tolist()
+        >>> jaxstab.is_stable([0.1, 1.5], 0.2, gamma=0.0, delta=0.015, delay=1.0).tolist()
         [True, False]
     """
     point = alpha, beta, gamma, delta, delay
-    return verdict(*point, velocity=velocity, position=position) == Verdict.STABLE
+    return verdict(**by_name(*point), velocity=velocity, position=position) == Verdict.STABLE
 
 
 def _float_verdict(point: list[Array], fraction: Array, form: Form) -> Array:
@@ -200,7 +201,7 @@ def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarr
             codes.flat[part] = _pair_codes(gathered(points, points.shape, part), form)
     for _, indices in points.groups(np.asarray(codes == UNDECIDED)):
         values = looked_up(list(points), points.shape, indices)
-        proved = have_outer_root(characteristic_polynomial(*values))
+        proved = have_outer_root(characteristic_polynomial(**by_name(*values)))
         proved &= ~is_plant_lost(*values[2:4])
         codes.flat[indices[proved]] = UNSTABLE
     return codes
