@@ -65,14 +65,12 @@ def rows(small: bool) -> Iterator[Row]:
 def _opening(path: Path, atlas: jaxstab.Atlas) -> dict[str, float]:
     """Time an opening, alone and with the first answer, which unpacks what it needs."""
     middle = [along[along.size // 2] for along in atlas.nodes(0).values()]
-    point = (*map(float, middle), float(atlas.delays[0]))
+    point = by_name(*map(float, middle), float(atlas.delays[0]))
     timings = interleaved(
         {
             "opening_seconds": lambda: jaxstab.open_atlas(path),
-            "opening_and_verdict_seconds": lambda: jaxstab.open_atlas(path).verdict(
-                **by_name(*point)
-            ),
-            "opening_and_query_seconds": lambda: jaxstab.open_atlas(path).query(**by_name(*point)),
+            "opening_and_verdict_seconds": lambda: jaxstab.open_atlas(path).verdict(**point),
+            "opening_and_query_seconds": lambda: jaxstab.open_atlas(path).query(**point),
         },
         budget=1.0,
     )
@@ -82,14 +80,15 @@ def _opening(path: Path, atlas: jaxstab.Atlas) -> dict[str, float]:
 def _rows(atlas: jaxstab.Atlas, section: str, lists: list[Points], small: bool) -> Iterator[Row]:
     """Ask lists of points of one length; the first one is timed."""
     points = lists[0][0].size
-    ones = list(zip(*(values[:_ONE_BY_ONE].tolist() for values in lists[0]), strict=True))
+    each = zip(*(values[:_ONE_BY_ONE].tolist() for values in lists[0]), strict=True)
+    ones = [by_name(*point) for point in each]
     exact = [np.asarray(jaxstab.verdict(**by_name(*some), resolve="exact")) for some in lists]
     said = [atlas.verdict(**by_name(*some)) for some in lists]
     asked = [values[: _FEW_RADII if small else _RADII] for values in lists[0]]
     rivals: dict[str, Callable[[], Any]] = {
         "atlas, many points": lambda: atlas.verdict(**by_name(*lists[0])),
         "atlas, radii": lambda: atlas.query(**by_name(*asked)),
-        "atlas, one by one": lambda: [atlas.verdict(**by_name(*point)) for point in ones],
+        "atlas, one by one": lambda: [atlas.verdict(**point) for point in ones],
         "verdict": lambda: jaxstab.verdict(**by_name(*lists[0])),
     }
     timings = interleaved(rivals, budget=0.1 if small else 2.0)

@@ -54,7 +54,8 @@ def held(
     share = rng.random((3, len(rows)))
     share = np.round(share) if corners else share
     mass, stiffness, damping = (
-        low + (high - low) * part for (low, high), part in zip(guard.hands, share, strict=True)
+        low + (high - low) * part
+        for (low, high), part in zip(vars(guard.hands).values(), share, strict=True)
     )
     period, moved = guard.loop.sample_time, rows[:, 2] + mass
     stiff = np.maximum(rows[:, 4], 1e-6)  # a free device without stiffness drifts
@@ -70,7 +71,7 @@ def held(
 def judged(guard: Guard, program: Path, mode: str, count: int, seed: int) -> np.ndarray:
     """Calls of C: K, B, mass, delay, a hand, whether nothing is larger than before, and a code."""
     own = guard.loop.sample_time, guard.loop.device_damping, 4
-    words = [mode, count, seed, *own, *(end for ends in guard.hands for end in ends)]
+    words = [mode, count, seed, *own, *(end for ends in vars(guard.hands).values() for end in ends)]
     done = subprocess.run([program, *map(str, words)], capture_output=True, check=True)
     return np.frombuffer(done.stdout).reshape(-1, 9)
 

@@ -97,7 +97,7 @@ def drawn_loop(rng: np.random.Generator) -> tuple[HapticLoop, HandRange, Grid]:
         rng.uniform(0.1, 1.0, (2, 2)) * mass / PERIOD,
         rng.uniform(0.0, 0.3, (2, 2, 5)) * mass / PERIOD**2,
     )
-    ranges = dict(zip(("mass", "stiffness", "damping"), ends.T.tolist(), strict=True))
+    ranges = dict(zip(("mass", "stiffness", "damping"), map(tuple, ends.T.tolist()), strict=True))
     return loop, HandRange(**ranges), grid
 
 
@@ -206,7 +206,7 @@ def arms_of(hands: HandRange, rng: np.random.Generator, count: int) -> list[Arms
     """Arms at random, some of whose numbers are at an end of their range."""
     share = rng.choice([0.0, 1.0, np.nan], (count, 3))
     share = np.where(np.isnan(share), rng.random((count, 3)), share)
-    low, high = np.array(hands).T
+    low, high = np.array(list(vars(hands).values())).T
     return [Arms(*one) for one in (low + (high - low) * share).tolist()]
 
 

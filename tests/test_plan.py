@@ -130,7 +130,7 @@ def test_a_tolerance_sets_the_number_of_nodes_and_what_moves_between_them(name: 
     fixed = {"gamma": [0.0005], "delta": [0.01]} | {"delay": [1.0], "products": ["verdict"]}
 
     def nodes(tolerance: float) -> np.ndarray:
-        axis = {name: ToleranceAxis(*ends[name], tolerance)}
+        axis = {name: ToleranceAxis(*ends[name], tolerance=tolerance)}
         spec = AtlasSpec(alpha=[0.0, 0.1], beta=[0.1, 0.2], **(fixed | axis))
         assert AtlasSpec.from_toml(spec.to_toml()) == spec
         return getattr(plan_atlas(spec).grid, name)
@@ -167,7 +167,7 @@ def test_an_axis_is_laid_around_a_region_that_is_known(
     axes = (
         {"gamma": [1.0]}
         if fitted
-        else {"gamma": ToleranceAxis(0, 1, 0.1), "alpha": [0.0, 1.0], "beta": [0.0, 1.0]}
+        else {"gamma": ToleranceAxis(0, 1, tolerance=0.1), "alpha": [0.0, 1.0], "beta": [0.0, 1.0]}
     )
     with pytest.raises(ValueError, match=re.escape(says)) as caught:
         plan_atlas(AtlasSpec(delta=[0.0], delay=[1.0], **axes))

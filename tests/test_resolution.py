@@ -59,7 +59,7 @@ RANGES = {
     "stiff": (
         AtlasSpec(
             gamma=[0.0, 0.05, 0.3, 1.0],
-            delta=ToleranceAxis(0.0, 0.6, 0.1),
+            delta=ToleranceAxis(0.0, 0.6, tolerance=0.1),
             delay=[0.0, 1.0],
             products=["alpha_limits"],
         ),

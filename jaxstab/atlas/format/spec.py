@@ -82,7 +82,7 @@ class ToleranceAxis:
 
     start: float | int
     stop: float | int
-    tolerance: float | int
+    tolerance: float | int = field(kw_only=True)
 
     def __post_init__(self) -> None:
         for name, *limits in (("start", 0.0), ("stop", 0.0), ("tolerance", 1e-3, 1.0)):
@@ -265,7 +265,9 @@ def _axis_of(name: str, entry: Any) -> Any:
     if set(entry) == {"values"}:
         return entry["values"]
     if set(entry) == set(_TOLERANT):
-        return ToleranceAxis(*(checked_number(f"{key} of {name}", entry[key]) for key in _TOLERANT))
+        return ToleranceAxis(
+            **{key: checked_number(f"{key} of {name}", entry[key]) for key in _TOLERANT}
+        )
     if set(entry) | {"spacing"} != set(_RANGE):
         others = {"fitted": ", or fitted", "tolerance": ", or start, stop and tolerance"}
         raise ValueError(
