@@ -42,7 +42,9 @@ def text_of(read: Callable[[], bytes], source: str | PathLike[str]) -> str:
         data = read()
         return data.decode("utf-8-sig")
     except OSError as error:
-        raise OSError(error.errno, f"cannot read {source}: {error.strerror}.") from error
+        raise OSError(
+            error.errno, f"cannot read {source}: {error.strerror}; name a file that can be read."
+        ) from error
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ValueError(

@@ -92,9 +92,8 @@ def accurate_plant(
     hands = np.stack([gamma, delta, delay - np.floor(delay)], axis=-1)
     hands, number = np.unique(hands, axis=0, return_inverse=True)
     alone = len(hands) == 1
-    exact = plant_coefficients(
-        **by_name(*hands[0] if alone else hands.T)
-    )  # single ones are remembered
+    # Single ones are remembered.
+    exact = plant_coefficients(**by_name(*hands[0] if alone else hands.T))
     plant = quick_plant(*hands.T)._replace(
         d1=exact.d1, d0=exact.d0, n2=exact.n2, n1=exact.n1, n0=exact.n0, sum=exact.sum
     )
