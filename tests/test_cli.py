@@ -190,7 +190,7 @@ def test_a_missing_specification_is_named() -> None:
         answer = run("atlas", *command, "nowhere.toml")
         assert answer.exit_code == 1
         assert_one_sentence(answer.stderr)
-        assert "nowhere.toml: No such file or directory." in answer.stderr
+        assert "nowhere.toml: No such file or directory; name a file" in answer.stderr
 
 
 def test_an_output_folder_that_cannot_be_written_is_one_sentence_before_the_work() -> None:
