@@ -113,10 +113,14 @@ import numpy as np
 import jaxstab
 from jaxstab import AtlasSpec, FittedAxis
 
-def loops(count):
+def walls(count):
     rng = np.random.default_rng(count)
-    plants = np.full(count, 1e-3), np.full(count, 0.015)
-    return rng.uniform(0.0, 0.3, count), rng.uniform(0.0, 0.9, count), *plants, 1.0
+    return rng.uniform(0.0, 0.3, count), rng.uniform(0.0, 0.9, count)
+
+def hands(count):
+    return {"gamma": np.full(count, 1e-3), "delta": np.full(count, 0.015), "delay": 1.0}
+
+free = {"gamma": 0.0, "delta": 0.0, "delay": 2.0}
 
 def trace(size):
     window = ((-0.01, 0.2), (0.0, size / 10))
@@ -129,23 +133,28 @@ def write(size):
         jaxstab.write_atlas(spec, folder + "/a.h5")
 
 CALLS = {
-    "verdict": (lambda size: jaxstab.verdict(*loops(size)), (33_000, 33_001, 34_000)),
+    "verdict": (
+        lambda size: jaxstab.verdict(*walls(size), **hands(size)), (33_000, 33_001, 34_000)
+    ),
     "verdict of a grid": (
-        lambda size: jaxstab.verdict(*np.ix_(*loops(size)[:2]), 0.0, 0.0, 2.0), (401, 402, 416)
+        lambda size: jaxstab.verdict(*np.ix_(*walls(size)), **free), (401, 402, 416)
     ),
     "verdict of hands": (
-        lambda size: jaxstab.verdict(0.1, *loops(size)[1:], resolve="exact"),
+        lambda size: jaxstab.verdict(0.1, walls(size)[1], **hands(size), resolve="exact"),
         (66_000, 66_001, 68_000),
     ),
     "radius of a large grid": (
-        lambda size: jaxstab.spectral_radius(*np.ix_(*loops(size)[:2]), 0.0, 0.0, 2.0),
+        lambda size: jaxstab.spectral_radius(*np.ix_(*walls(size)), **free),
         (600, 601, 608),
     ),
     "spectral_radius": (
-        lambda size: jaxstab.spectral_radius(*loops(size)), (17_000, 17_001, 18_000)
+        lambda size: jaxstab.spectral_radius(*walls(size), **hands(size)),
+        (17_000, 17_001, 18_000),
     ),
     "boundary_curve": (
-        lambda size: jaxstab.boundary_curve(np.linspace(0.1, 3.0, size), 1e-3, 0.015, 1.0),
+        lambda size: jaxstab.boundary_curve(
+            np.linspace(0.1, 3.0, size), gamma=1e-3, delta=0.015, delay=1.0
+        ),
         (100_000, 131_000),
     ),
     "trace_boundary": (trace, (10, 11, 12)),
