@@ -350,7 +350,7 @@ def refuses_loops(
             if arguments and isinstance(arguments[0], LoopParameters):
                 raise TypeError(
                     f"{function.__name__} takes dimensionless numbers and no HapticLoop; call "
-                    f"loop.{method}, or give **loop.slice, that is loop.gamma, loop.delta and the delay."
+                    f"loop.{method}, or give **loop.slice: loop.gamma, loop.delta and the delay."
                 )
             return function(*arguments, **options)
 
