@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced
+from jaxstab.conventions import AXES
 from jaxstab.numbers import checked
 from jaxstab.numbers import require_x64 as require_x64  # offered here, too
 
@@ -23,8 +24,7 @@ class TracedDelay(NamedTuple):
 
 def by_name(*numbers: Any) -> dict[str, Any]:
     """Return the last of alpha, beta, gamma, delta and delay, given in this order, as keywords."""
-    names = "alpha", "beta", "gamma", "delta", "delay"
-    return dict(zip(names[-len(numbers) :], numbers, strict=True))
+    return dict(zip(AXES[-len(numbers) :], numbers, strict=True))
 
 
 def checked_gain(name: str, value: Numbers) -> Numbers:
