@@ -1,6 +1,7 @@
 """The loop as mathematics: parameters, plant coefficients and p(z) against 50-digit truth."""
 
 import csv
+from operator import add, mul
 from pathlib import Path
 
 import flint
@@ -166,6 +167,19 @@ class TestDoubleDouble:
         for result, right in zip(operations(a, b), truths, strict=True):
             worst = max(abs(r / t - 1) for r, t in zip(self.exact(result), right, strict=True))
             assert worst < flint.fmpq(1, 2**100)
+
+    def test_floats_have_the_bits_of_arrays(self, rng: np.random.Generator) -> None:
+        hi = rng.normal(size=400) * 10.0 ** rng.integers(-150, 150, 400)
+        hi[:3] = 0.0, -1.0, 1e-300
+        lo = hi * rng.uniform(-1, 1, 400) * 2**-54
+        arrays = DoubleDouble(hi[:200], lo[:200]), DoubleDouble(hi[200:], lo[200:])
+        floats = [list(map(DoubleDouble, x.hi.tolist(), x.lo.tolist())) for x in arrays]
+        for operation in (add, mul):
+            for whole, others in ((arrays[1], floats[1]), (arrays[1].hi, arrays[1].hi.tolist())):
+                together = operation(arrays[0], whole)
+                alone = list(map(operation, floats[0], others))
+                np.testing.assert_array_equal(together.hi, [one.hi for one in alone])
+                np.testing.assert_array_equal(together.lo, [one.lo for one in alone])
 
     def test_a_product_of_tiny_numbers_is_rounded_not_flushed(self) -> None:
         product = DoubleDouble.of(jnp.asarray(0.3)) * jnp.asarray(1e-300)
