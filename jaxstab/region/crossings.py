@@ -7,6 +7,7 @@ not change from one angle to the other. NumPy only.
 """
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int
@@ -35,39 +36,65 @@ _POWERS = np.array([[1, 0, 0, 0], [-3, 3, 0, 0], [3, -6, 3, 0], [-1, 3, -3, 1]])
 
 Parts = Int[np.ndarray, " _"]  # numbers of intervals between two angles of the scan
 Controls = Float64[np.ndarray, "4 2 part"]
-Slopes = Float64[np.ndarray, "2 angle"]
+
+
+class _Cubics(NamedTuple):
+    """The parts of the curve that may touch another one or a line, as cubics in their angle.
+
+    Points and slopes are alpha, beta and the margins to the lines z = r and z = -r.
+    """
+
+    number: Parts  # of the interval between two angles of the scan
+    begin: Angles
+    end: Angles
+    controls: Float64[np.ndarray, "4 4 part"]  # the control points: (control, value, part)
+    begin_slopes: Float64[np.ndarray, "4 part"]
+    end_slopes: Float64[np.ndarray, "4 part"]
+    line: Parts  # number of the line at a pole on which the part lies, or 0
 
 
 @np.errstate(all="ignore")
 def crossings(c: SliceCoefficients, angles: Angles, length: int) -> Angles:
     """Return the angles, in order, at which the curve of a scan meets itself or a line."""
-    values, slopes = with_slope(lambda theta: _values(c, theta), angles)
-    controls = _control_points(angles, values, slopes)
-    if c.filtered is not None:
-        is_near = others_inside(c, angles, length, within=_NEARLY_STABLE)
-        is_near &= may_be_stable(c.filtered, *values[:2])
-        is_far = ~(is_near[1:] | is_near[:-1])
-        is_far &= _lines_of_parts(c.filtered, angles) == 0  # their parts may be long
-        controls[..., is_far | _spans_a_pole(c.filtered, angles)] = np.nan  # touches nothing
-    of_curve = _self_crossings(c, angles, controls[:, :2], slopes[:2])
-    of_lines = _line_crossings(c, angles, controls[:, 2:], slopes[2:])
-    every = np.sort(np.concatenate([of_curve, of_lines]))
+    cubics = _cubics(c, angles, length)
+    if not cubics.number.size:
+        return np.empty(0)
+    every = np.sort(np.concatenate([_self_crossings(c, cubics), _line_crossings(c, cubics)]))
     return every[np.diff(every, prepend=-np.inf) > _CLOSE]
+
+
+def _cubics(c: SliceCoefficients, angles: Angles, length: int) -> _Cubics:
+    """Return the parts that are worth it, with the slopes at their ends."""
+    number, line = np.arange(len(angles) - 1), np.zeros(len(angles) - 1, int)
+    if c.filtered is not None:
+        line = _lines_of_parts(c.filtered, angles)
+        is_near = _are_nearly_stable(c, c.filtered, angles, length)
+        is_near = is_near[1:] | is_near[:-1] | (line != 0)  # those of lines may be long
+        number = np.flatnonzero(is_near & ~_spans_a_pole(c.filtered, angles))
+    ends = np.unique(np.concatenate([number, number + 1]))
+    values, slopes = with_slope(lambda theta: _values(c, theta), angles[ends])
+    first = np.searchsorted(ends, number)
+    begin, end = angles[number], angles[number + 1]
+    here, there = values[:, first], values[:, first + 1]
+    begin_slopes, end_slopes = slopes[:, first], slopes[:, first + 1]
+    third = (end - begin) / 3.0
+    controls = np.stack([here, here + third * begin_slopes, there - third * end_slopes, there])
+    return _Cubics(number, begin, end, controls, begin_slopes, end_slopes, line[number])
+
+
+def _are_nearly_stable(
+    c: SliceCoefficients, curve: FilteredCurve, angles: Angles, length: int
+) -> np.ndarray:
+    """Return which angles of a loop with filters may have the stable set nearby."""
+    is_near = may_be_stable(curve, *curve_and_lift(c, angles)[:2])
+    is_near[is_near] = others_inside(c, angles[is_near], length, within=_NEARLY_STABLE)
+    return is_near
 
 
 def _values(c: SliceCoefficients, theta: np.ndarray) -> np.ndarray:
     """Return alpha, beta and the margins to the lines z = r and z = -r."""
     alpha, beta, lift = curve_and_lift(c, theta)
     return np.stack([alpha, beta, lift, minus_margin(c, alpha, beta)])
-
-
-def _control_points(
-    angles: Angles, values: Float64[np.ndarray, "4 angle"], slopes: Float64[np.ndarray, "4 angle"]
-) -> Float64[np.ndarray, "4 4 part"]:
-    """Return the control points (control, value, part) of the cubics between two angles each."""
-    here, there = values[:, :-1], values[:, 1:]
-    third = np.diff(angles) / 3.0
-    return np.stack([here, here + third * slopes[:, :-1], there - third * slopes[:, 1:], there])
 
 
 def _spans_a_pole(curve: FilteredCurve, angles: Angles) -> np.ndarray:
@@ -89,46 +116,42 @@ def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
 # ---------------------------------------------------------------------------- of two parts
 
 
-def _self_crossings(
-    c: SliceCoefficients, angles: Angles, controls: Controls, slopes: Slopes
-) -> Angles:
-    turning = _turning_parts(slopes)
-    loops = np.stack([np.tile(turning, 2), np.append(turning, turning + 1)])
-    pairs = np.concatenate([_touching_parts(controls), loops], axis=1)
-    if c.filtered is not None and c.filtered.lines:
-        line = _lines_of_parts(c.filtered, angles)[pairs]
-        pairs = pairs[:, (line[0] != line[1]) | (line[0] == 0)]
+def _self_crossings(c: SliceCoefficients, cubics: _Cubics) -> Angles:
+    controls = cubics.controls[:, :2]
+    pairs = np.concatenate([_touching_parts(cubics.number, controls), _loops(cubics)], axis=1)
+    line = cubics.line[pairs]
+    pairs = pairs[:, (line[0] != line[1]) | (line[0] == 0)]
     if not pairs.size:
         return np.empty(0)
     parts, shares = _starts(controls, pairs)
-    width = angles[parts + 1] - angles[parts]
-    return _meetings(c, angles[parts] + shares * width, angles[parts], width)
+    begin, width = cubics.begin[parts], (cubics.end - cubics.begin)[parts]
+    return _meetings(c, begin + shares * width, begin, width)
 
 
-def _touching_parts(controls: Controls) -> Int[np.ndarray, "2 pair"]:
+def _touching_parts(number: Parts, controls: Controls) -> Int[np.ndarray, "2 pair"]:
     """Return the pairs of parts, but for neighbours, of which the hulls may touch."""
     touching = [
         np.stack([first, second])[
             :, _hulls_overlap(controls, first, second) & _hulls_overlap(controls, second, first)
         ]
-        for first, second in _overlapping_boxes(controls.min(axis=0), controls.max(axis=0))
+        for first, second in _overlapping_boxes(number, controls.min(axis=0), controls.max(axis=0))
     ]
     return np.concatenate(touching, axis=1)
 
 
 def _overlapping_boxes(
-    low: Float64[np.ndarray, "2 part"], high: Float64[np.ndarray, "2 part"]
+    number: Parts, low: Float64[np.ndarray, "2 part"], high: Float64[np.ndarray, "2 part"]
 ) -> Iterator[tuple[Parts, Parts]]:
     """Yield pairs of parts, but for neighbours, of which the boxes overlap."""
-    count = low.shape[1]
+    count = len(number)
     rows = max(1, _AT_ONCE // count)
     for start in range(0, count, rows):
         part = slice(start, start + rows)
-        overlap = low[0, part, None] <= high[0, start:]
-        for lower, upper in ((low[0], high[0]), (low[1], high[1])):
+        overlap = number[part, None] + 1 < number[start:]
+        for lower, upper in zip(low, high, strict=True):
             overlap &= lower[part, None] <= upper[start:]
             overlap &= lower[start:] <= upper[part, None]
-        first, second = np.nonzero(np.triu(overlap, 2))
+        first, second = np.nonzero(overlap)
         yield first + start, second + start
 
 
@@ -145,13 +168,19 @@ def _hulls_overlap(controls: Controls, one: Parts, other: Parts) -> np.ndarray:
     return overlap
 
 
-def _turning_parts(slopes: Slopes) -> Parts:
+def _loops(cubics: _Cubics) -> Int[np.ndarray, "2 pair"]:
     """Return the parts that turn, alone or with the next one, by more than a right angle.
 
-    There may be a loop about what was a cusp.
+    There may be a loop about what was a cusp: each is a pair with itself and with the next one.
     """
-    alone, both = (np.sum(slopes[:, :-k] * slopes[:, k:], axis=0) < 0.0 for k in (1, 2))
-    return np.flatnonzero(alone[:-1] | alone[1:] | both)
+    begin, end = cubics.begin_slopes[:2], cubics.end_slopes[:2]
+    turns = np.sum(begin * end, axis=0) < 0.0
+    both_turn = np.sum(begin[:, :-1] * end[:, 1:], axis=0) < 0.0
+    is_next = np.diff(cubics.number) == 1
+    is_loop = turns.copy()
+    is_loop[:-1] |= is_next & (turns[1:] | both_turn)
+    alone, first = np.flatnonzero(is_loop), np.flatnonzero(is_loop[:-1] & is_next)
+    return np.stack([np.append(alone, first), np.append(alone, first + 1)])
 
 
 def _starts(
@@ -206,19 +235,18 @@ def _meetings(
 # ------------------------------------------------------------------------ of parts and lines
 
 
-def _line_crossings(
-    c: SliceCoefficients, angles: Angles, controls: Controls, slopes: Slopes
-) -> Angles:
+def _line_crossings(c: SliceCoefficients, cubics: _Cubics) -> Angles:
+    controls, begin, end = cubics.controls[:, 2:], cubics.begin, cubics.end
     crosses = _unlike(controls[0], controls[3])
     line, step = np.nonzero(crosses)
     may_touch = (controls.min(axis=0) < 0.0) & (controls.max(axis=0) > 0.0)
-    returns = may_touch & ~crosses & _unlike(slopes[:, :-1], slopes[:, 1:])
+    returns = may_touch & ~crosses & _unlike(cubics.begin_slopes[2:], cubics.end_slopes[2:])
     near_line, near_step = np.nonzero(returns)
-    lower, upper = angles[near_step], angles[near_step + 1]
+    lower, upper = begin[near_step], end[near_step]
     nearest = bracketed_root(_margin_slope, (c, near_line), lower, upper)
     begins, ends = np.concatenate([lower, nearest]), np.concatenate([nearest, upper])
     margins = controls[0][crosses], controls[3][crosses]
-    across = bracketed_root(_margin, (c, line), angles[step], angles[step + 1], margins)
+    across = bracketed_root(_margin, (c, line), begin[step], end[step], margins)
     return np.append(across, bracketed_root(_margin, (c, np.tile(near_line, 2)), begins, ends))
 
 
