@@ -132,32 +132,63 @@ def filtered_loop(
     return linear_loop(plant, velocity.filter.transfer(), position.transfer())
 
 
+class LoopFilters(NamedTuple):
+    """What estimator and position filter make of the loops of all plants.
+
+    products: what base (beside D), stiffness and damping (beside N) are products with.
+    sizes: bounds of the sums of the moduli of their coefficients.
+    lags: powers of 1/z before stiffness and damping.
+    at_one: numerator and denominator of P at z = 1.
+    at_minus_one: the same of V, less its difference, and of P at z = -1.
+    """
+
+    products: tuple[Polynomial, ...]
+    sizes: tuple[Array, ...]
+    lags: tuple[int, int]
+    at_one: tuple[Bounded, Bounded]
+    at_minus_one: tuple[Bounded, Bounded, Bounded, Bounded]
+
+
 def linear_loop(plant: SampledPlant, velocity: Transfer, position: Transfer) -> LinearLoop:
     """Return the loop of a plant, with T V(z) less its factor (1 - 1/z), and with P(z)."""
-    powers, factors = loop_factors(plant.lag, velocity, position)
-    filters = [reduce(product, each) for each in factors]
+    return loop_of(plant, loop_filters(velocity, position))
+
+
+def loop_filters(velocity: Transfer, position: Transfer) -> LoopFilters:
+    """Return what two filters make of all loops, to be kept for ``loop_of``."""
+    (above, steady), (below, steady_below) = velocity.sizes, position.sizes
+    return LoopFilters(
+        products=tuple(reduce(product, each) for each in _factors(velocity, position)),
+        sizes=(steady_below * steady, below * steady, 2.0 * above * steady_below),
+        lags=(velocity.lag + 1, position.lag),  # z - 1 is a sample more than 1 - 1/z
+        at_one=_values(position, 1.0),
+        at_minus_one=(*_values(velocity, -1.0), *_values(position, -1.0)),
+    )
+
+
+def loop_of(plant: SampledPlant, filters: LoopFilters) -> LinearLoop:
+    """Return the loop of a plant with two filters."""
+    powers = _powers(plant.lag, filters.lags)
     plants = plant.denominator, plant.numerator, plant.numerator
     zero = plant.denominator[0] - plant.denominator[0]
     parts = [
         product(one, other) + (zero,) * power
-        for one, other, power in zip(plants, filters, powers, strict=True)
+        for one, other, power in zip(plants, filters.products, powers, strict=True)
     ]
     degree = len(parts[0]) - 1
     base, stiffness, damping = ((zero,) * (degree + 1 - len(part)) + part for part in parts)
-    (above, steady), (below, steady_below) = velocity.sizes, position.sizes
-    sizes = steady_below * steady, below * steady, 2.0 * above * steady_below
     losses = plant.errors[1], plant.errors[0], plant.errors[0]
     errors = [
         size * (lost + _LOST * size_of(one))
-        for size, lost, one in zip(sizes, losses, plants, strict=True)
+        for size, lost, one in zip(filters.sizes, losses, plants, strict=True)
     ]
     return LinearLoop(
         base,
         stiffness,
         damping,
         errors=(errors[0], errors[1], errors[2]),
-        at_one=_at_one(plant, position),
-        at_minus_one=_at_minus_one(plant, velocity, position, [degree + k for k in powers]),
+        at_one=_at_one(plant, filters),
+        at_minus_one=_at_minus_one(plant, filters, [degree + power for power in powers]),
     )
 
 
@@ -168,27 +199,31 @@ def loop_factors(
 
     First the powers of z before the three, then the factors of each.
     """
+    return _powers(lag, (velocity.lag + 1, position.lag)), _factors(velocity, position)
+
+
+def _powers(lag: int, lags: tuple[int, int]) -> list[int]:
+    powers = [lag + sum(lags), *lags]
+    return [power - min(powers) for power in powers]
+
+
+def _factors(velocity: Transfer, position: Transfer) -> tuple[tuple[Polynomial, ...], ...]:
     (nv, dv), (np_, dp) = velocity[:2], position[:2]
-    lags = velocity.lag + 1, position.lag
-    powers = [lag + sum(lags), *lags]  # z - 1 is a sample more than 1 - 1/z
-    powers = [power - min(powers) for power in powers]
-    return powers, ((dp, dv), (np_, dv), (_DIFFERENCE, nv, dp))
+    return (dp, dv), (np_, dv), (_DIFFERENCE, nv, dp)
 
 
-def _at_one(plant: SampledPlant, position: Transfer) -> Affine:
+def _at_one(plant: SampledPlant, filters: LoopFilters) -> Affine:
     """Return p(1) over Dv(1), which is positive."""
     numerator, denominator = plant.at_one
-    above, below = _values(position, 1.0)
+    above, below = filters.at_one
     stiffness = numerator * above
     return Affine(denominator * below, stiffness, Bounded(stiffness.value * 0.0, 0.0))
 
 
-def _at_minus_one(
-    plant: SampledPlant, velocity: Transfer, position: Transfer, powers: list[int]
-) -> Affine:
+def _at_minus_one(plant: SampledPlant, filters: LoopFilters, powers: list[int]) -> Affine:
     """Return (-1)^degree p(-1); ``powers`` are those of z before the parts, and the degree more."""
     numerator, denominator = plant.at_minus_one
-    (nv, dv), (np_, dp) = _values(velocity, -1.0), _values(position, -1.0)
+    nv, dv, np_, dp = filters.at_minus_one
     minus_two = Bounded(DoubleDouble(-2.0, 0.0), 0.0)
     parts = denominator * dp * dv, numerator * np_ * dv, minus_two * numerator * nv * dp
     return Affine(

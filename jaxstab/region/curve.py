@@ -34,12 +34,12 @@ from jaxstab.batches import compiled
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
-from jaxstab.model.linear_loop import SampledPlant, sampled_mass
+from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import PlantPairs, plant_pairs
 from jaxstab.model.transfer import Transfer
 from jaxstab.numbers import checked
-from jaxstab.region.filtered_curve import FilteredCurve, System, filtered_curve
+from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve, mass_system
 from jaxstab.region.filtered_points import filtered_point
 from jaxstab.region.sines import sines
 
@@ -194,14 +194,6 @@ def mass_coefficients(
 ) -> SliceCoefficients:
     """Return the coefficients of the boundary of one slice with filters, for radius 1."""
     return filtered_coefficients(*mass_system(gamma, delta, delay, filters))
-
-
-def mass_system(gamma: float, delta: float, delay: float, filters: Filters) -> System:
-    """Return the plant of one mass, with T V(z) less its factor (1 - 1/z), and with P(z)."""
-    whole, fraction = divmod(delay, 1.0)
-    plant = sampled_mass(np.float64(gamma), np.float64(delta), int(whole), fraction)
-    velocity, position = filters
-    return plant, velocity.filter.transfer(), position.transfer()
 
 
 def filtered_coefficients(

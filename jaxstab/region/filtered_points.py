@@ -210,19 +210,20 @@ def _rows(curve: FilteredCurve, upper: Array, u: Array, *, with_slopes: bool) ->
 
 
 def _row_values(half: Half, u: Array, *, with_slopes: bool) -> Complex128[np.ndarray, "_ 6 angle"]:
+    rows = half.rows
     zeta = np.exp(1j * u)
     size = 2.0 * np.sin(0.5 * u)
-    count = half.straight.shape[1]
+    count = rows.straight.shape[1]
     straight, shifted = _powers(zeta, count), _powers(1j * size * np.exp(0.5j * u), count)
-    is_close = size < half.close[:, None]
-    values = np.where(is_close, _product(half.shifted, shifted), _product(half.straight, straight))
+    is_close = size < rows.close[:, None]
+    values = np.where(is_close, _product(rows.shifted, shifted), _product(rows.straight, straight))
     if not with_slopes:
         return np.stack([values])
     order = np.arange(float(count))
     slopes = np.where(
         is_close,
-        _product(half.shifted[:, 1:] * order[1:], shifted[:-1]) * zeta,
-        _product(half.straight * order, straight),
+        _product(rows.shifted[:, 1:] * order[1:], shifted[:-1]) * zeta,
+        _product(rows.straight * order, straight),
     )
     return np.stack([values, 1j * slopes])
 

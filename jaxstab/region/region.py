@@ -3,17 +3,16 @@
 from jaxstab.arrays import Numbers, is_traced, namespace, stored
 from jaxstab.batches import compiled
 from jaxstab.model import require_x64
-from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, whole_and_fraction
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region.curve import (
     SliceCoefficients,
     filtered_coefficients,
-    mass_system,
     slice_coefficients,
 )
-from jaxstab.region.filtered_curve import System
+from jaxstab.region.filtered_curve import System, mass_system
 from jaxstab.region.outline import extra_vertices, polygon
 from jaxstab.region.pieces import Pieces, find_pieces
 from jaxstab.region.resolution import resolved_outline
@@ -82,7 +81,7 @@ def stable_region(
         checked_number("radius", radius, 0.0, 1.0, is_open=True),
     )
     smallest = checked_number("tolerance", tolerance, _FINEST, is_open=True)
-    filters = given_filters(velocity, position)
+    filters = known_filters(velocity, position)
     if filters and plant[3] != 1.0:
         raise ValueError(f"radius is {plant[3]:g}; with a filter only 1 is answered.")
     return _stable_region(*plant, smallest, filters)

@@ -5,14 +5,14 @@ from math import ceil, sqrt
 import numpy as np
 
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.linear_loop import LinearLoop, linear_loop
+from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.region import measures
 from jaxstab.region.audit import is_contradicted
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift
 from jaxstab.region.exact_curve import in_pairs
 from jaxstab.region.exact_points import Pairs, exact_gains
-from jaxstab.region.filtered_curve import System, parts_in_pairs
+from jaxstab.region.filtered_curve import System, loop_of_system, parts_in_pairs
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import Pieces
 from jaxstab.region.scan import lone_partners
@@ -40,7 +40,7 @@ def resolved_outline(
     """
     if c.filtered is None or system is None:
         return c, _outline(c, delay, tolerance, may_be_empty, None)[0]
-    loop = linear_loop(*system)
+    loop = loop_of_system(system)
     curve, rough = c.filtered, None
     if not curve.loses_digits:
         outline, _ = _outline(c, delay, tolerance, may_be_empty, loop)

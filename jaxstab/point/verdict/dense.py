@@ -72,7 +72,7 @@ def without_zeros(loop: LinearLoop) -> LinearLoop:
 
 
 def _is_zero(values: Array) -> bool:
-    plain = type(values) is np.float64  # many times faster than an array of one
+    plain = type(values) in (float, np.float64)  # many times faster than an array of one
     return bool(values == 0.0) if plain else not np.any(values)
 
 
