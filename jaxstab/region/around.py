@@ -103,36 +103,28 @@ def rounded(polynomial: Polynomial) -> Coefficients:
 class Rows(NamedTuple):
     """Polynomials in powers of zeta and of s = zeta - 1, the lowest power first.
 
-    The powers of s have the smaller terms where abs(s) < ``close``.
+    Order 0 are the polynomials, order 1 their derivatives in zeta, which are multiplied by zeta in
+    powers of zeta. The powers of s have the smaller terms where abs(s) < ``close``.
     """
 
-    straight: Float64[np.ndarray, "row power"]
-    shifted: Float64[np.ndarray, "row power"]
+    straight: Float64[np.ndarray, "order row power"]
+    shifted: Float64[np.ndarray, "order row power"]
     close: Float64[np.ndarray, " row"]
 
     @classmethod
     def of(cls, polynomials: Sequence[Around]) -> "Rows":
         """Return the rows of some polynomials."""
         length = max(len(one.straight) for one in polynomials)
-        both = np.zeros((2, len(polynomials), length))
+        both = np.zeros((2, 2, len(polynomials), length))
         for row, one in enumerate(polynomials):
             for form, falling in enumerate(one):
-                both[form, row, : len(falling)] = rounded(falling)[::-1]
-        sizes, terms = np.abs(both)
+                both[form, 0, row, : len(falling)] = rounded(falling)[::-1]
+        order = np.arange(float(length))
+        both[0, 1] = both[0, 0] * order
+        both[1, 1, :, :-1] = (both[1, 0] * order)[:, 1:]
+        sizes, terms = np.abs(both[:, 0])
         is_less = terms @ _powers_of_steps(length) < np.sum(sizes, axis=1)[:, None]
         close = np.max(np.where(is_less, _STEPS, 0.0), axis=1)
-        return cls(straight=both[0], shifted=both[1], close=close)
-
-    @classmethod
-    def together(cls, *parts: "Rows") -> "Rows":
-        """Return the rows of all parts, in their order."""
-        length = max(part.straight.shape[1] for part in parts)
-        both = np.zeros((2, sum(len(part.close) for part in parts), length))
-        last = 0
-        for part in parts:
-            first, last = last, last + len(part.close)
-            both[:, first:last, : part.straight.shape[1]] = part.straight, part.shifted
-        close = np.concatenate([part.close for part in parts])
         return cls(straight=both[0], shifted=both[1], close=close)
 
 

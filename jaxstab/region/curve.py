@@ -201,7 +201,8 @@ def filtered_coefficients(
 ) -> SliceCoefficients:
     """Return the coefficients of the boundary of one plant with filters, for radius 1."""
     curve = filtered_curve(plant, velocity, position)
-    (den_plus, num_plus, *_), (den_minus, num_minus, _) = curve.plus.at_one, curve.at_minus_one
+    num_plus, den_plus = map(np.float64, curve.plus.at_one[:2])
+    den_minus, num_minus, _ = curve.at_minus_one
     one = np.float64(1.0)
     return SliceCoefficients(
         radius=one,

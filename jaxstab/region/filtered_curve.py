@@ -70,21 +70,25 @@ class Form(IntEnum):
 class Half(NamedTuple):
     """One half of the circle.
 
-    With a dash for the quotient (Q - Q(1)) / s the rows are D, N, Y, X, X' Y(1) - Y' X(1), which is
-    V' Y Y(1), and D' N(1) - N' D(1).
+    With a dash for the quotient (Q - Q(1)) / s the rows are N, D and D' N(1) - N' D(1); Y, X and
+    X' Y(1) - Y' X(1), which is V' Y Y(1).
     """
 
-    rows: Rows
-    at_one: Float64[np.ndarray, "4"]  # D, N, Y, X at zeta = 1
+    of_plant: Rows
+    of_estimate: Rows
+    at_one: tuple[float, float, float, float]  # N, D, Y, X at zeta = 1
     sign: float  # of z^w at zeta = 1
     forms: tuple[Form, Form]  # of W and of V
 
     @property
-    def constants(self) -> list[float]:
-        """D, N, Y and X at zeta = 1, W and V there if their form is DIRECT, and ``sign``."""
-        d, n, y, x = self.at_one
-        plant, estimate = (form == Form.DIRECT for form in self.forms)
-        return [d, n, y, x, -self.sign * d / n if plant else 0.0, x / y if estimate else 0.0]
+    def values(self) -> tuple[float, float]:
+        """W and V at zeta = 1, each if its form is DIRECT."""
+        n, d, y, x = self.at_one
+        of_plant, of_estimate = self.forms
+        return (
+            -self.sign * d / n if of_plant == Form.DIRECT else 0.0,
+            x / y if of_estimate == Form.DIRECT else 0.0,
+        )
 
 
 class FilteredCurve(NamedTuple):
@@ -125,8 +129,8 @@ class _HalfOfFilters(NamedTuple):
 
     of_d: Around  # the factors of D and N
     of_n: Around
-    at_one: Float64[np.ndarray, "2"]  # Y, X at zeta = 1
-    rows: Rows  # Y, X, X' Y(1) - Y' X(1)
+    at_one: tuple[float, float]  # Y, X at zeta = 1
+    rows: Rows
     form: Form
 
 
@@ -193,7 +197,7 @@ def _half_of_filters(
     return _HalfOfFilters(
         of_d=around(position.denominator, sign),
         of_n=around(position.numerator, sign),
-        at_one=rounded((y.value, x.value)),
+        at_one=(y.value.rounded(), x.value.rounded()),
         rows=Rows.of([y, x, minor(x, y)]),
         form=Form.DIRECT if sign > 0 else _form(x, y),
     )
@@ -201,10 +205,10 @@ def _half_of_filters(
 
 def _half(d: Around, n: Around, filters: _HalfOfFilters, *, sign: float, is_plus: bool) -> Half:
     d, n = d.times(filters.of_d), n.times(filters.of_n)
-    rows = Rows.together(Rows.of([d, n]), filters.rows, Rows.of([minor(d, n)]))
     return Half(
-        rows=rows,
-        at_one=np.concatenate([rounded((d.value, n.value)), filters.at_one]),
+        of_plant=Rows.of([n, d, minor(d, n)]),
+        of_estimate=filters.rows,
+        at_one=(n.value.rounded(), d.value.rounded(), *filters.at_one),
         sign=sign,
         forms=(Form.DIRECT if is_plus else _form(d, n), filters.form),
     )

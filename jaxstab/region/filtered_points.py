@@ -4,15 +4,15 @@ See ``filtered_curve`` for the form that is evaluated. Formulas are written once
 arrays with slopes.
 """
 
-from dataclasses import dataclass
 from math import comb
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
+from jaxstab.region.around import Rows
 from jaxstab.region.exact_points import determinants, exact_gains
 from jaxstab.region.filtered_curve import Angles, FilteredCurve, Form, Half
 from jaxstab.region.pole_lines import PoleLine
@@ -22,31 +22,30 @@ Values = Any  # an array, or a Dual
 _TINY = 1e-100  # in place of the angle 0, where quotients of sines have a limit
 
 
-@dataclass(frozen=True, slots=True)
-class Dual:
+class Dual(NamedTuple):
     """Numbers with their slopes in an angle; what stands to the right of a sign may have none."""
 
     value: Array
     slope: Array
 
     def __add__(self, other: Values) -> "Dual":
-        if isinstance(other, Dual):
+        if type(other) is Dual:
             return Dual(self.value + other.value, self.slope + other.slope)
         return Dual(self.value + other, self.slope)
 
     def __sub__(self, other: Values) -> "Dual":
-        if isinstance(other, Dual):
+        if type(other) is Dual:
             return Dual(self.value - other.value, self.slope - other.slope)
         return Dual(self.value - other, self.slope)
 
     def __mul__(self, other: Values) -> "Dual":
-        if isinstance(other, Dual):
+        if type(other) is Dual:
             slope = self.slope * other.value + self.value * other.slope
             return Dual(self.value * other.value, slope)
         return Dual(self.value * other, self.slope * other)
 
     def __truediv__(self, other: Values) -> "Dual":
-        if isinstance(other, Dual):
+        if type(other) is Dual:
             value = self.value / other.value
             return Dual(value, (self.slope - value * other.slope) / other.value)
         return Dual(self.value / other, self.slope / other)
@@ -62,6 +61,20 @@ class Dual:
         return Dual(self.value.imag, self.slope.imag)
 
 
+class _Circle(NamedTuple):
+    """The points zeta = e^(iu) of a half of the circle, and s = zeta - 1 with its size."""
+
+    zeta: Complex128[np.ndarray, " angle"]
+    s: Complex128[np.ndarray, " angle"]
+    size: Angles
+
+    @classmethod
+    def of(cls, u: Angles) -> "_Circle":
+        """Return the points at angles."""
+        size = 2.0 * np.sin(0.5 * u)
+        return cls(np.exp(1j * u), 1j * size * np.exp(0.5j * u), size)
+
+
 def filtered_point(
     curve: FilteredCurve, theta: Array, low: Array | float
 ) -> tuple[Array, Array, Array]:
@@ -70,8 +83,8 @@ def filtered_point(
     ``low`` is what rounding took from the angles. A complex step of theta (``with_slope``) adds the
     slopes.
     """
-    theta, low = np.broadcast_arrays(np.asarray(theta), low)
-    flat, rest = theta.ravel(), low.ravel()
+    theta = np.asarray(theta)
+    flat, rest = theta.ravel(), np.broadcast_to(low, theta.shape).ravel()
     turned = np.where(flat.real < 0.0, -1.0, 1.0)
     size, rest = flat.real * turned, rest.real * turned
     moves = flat.imag * turned if np.iscomplexobj(theta) else None
@@ -88,11 +101,17 @@ def filtered_point(
 def _float_values(curve: FilteredCurve, size: Angles, rest: Angles, moves: Angles | None) -> Array:
     """Return alpha, beta and the lift in float64, and how they move as their imaginary part."""
     upper, u = _folded(size, rest)
-    if moves is None:
-        return np.stack(_gains(curve, upper, u, with_slopes=False))
-    step = 1j * moves * np.where(upper, -1.0, 1.0)
-    gains = _gains(curve, upper, u, with_slopes=True)
-    return np.stack([one.value + step * one.slope for one in gains])
+    values = np.empty((3, len(u)), float if moves is None else complex)
+    for half, sign, chosen in ((curve.plus, 1.0, ~upper), (curve.minus, -1.0, upper)):
+        if not np.any(chosen):
+            continue
+        gains = _gains(curve, half, u[chosen], with_slopes=moves is not None)
+        if moves is None:
+            values[:, chosen] = gains
+        else:
+            step = 1j * (sign * moves[chosen])
+            values[:, chosen] = [one.value + step * one.slope for one in gains]
+    return values
 
 
 def _exact_values(curve: FilteredCurve, size: Angles, rest: Angles, moves: Angles | None) -> Array:
@@ -129,7 +148,7 @@ def _on_line(
     """Return alpha, beta and the lift next to a line at a pole, and their slopes."""
     (alpha, beta, angle), (alpha_slope, beta_slope, turn) = line.gains(size)
     below = 2.0 * np.sin(0.5 * angle) ** 2
-    lift = (alpha - curve.plus.constants[4]) / below
+    lift = (alpha - curve.plus.values[0]) / below
     lift_slope = (alpha_slope - lift * np.sin(angle) * turn) / below
     return np.stack([alpha, beta, lift]), np.stack([alpha_slope, beta_slope, lift_slope])
 
@@ -145,40 +164,44 @@ def root_angles(curve: FilteredCurve, theta: Array) -> Array:
 
 
 def _gains(
-    curve: FilteredCurve, upper: Array, u: Array, *, with_slopes: bool
+    curve: FilteredCurve, half: Half, u: Angles, *, with_slopes: bool
 ) -> tuple[Values, Values, Values]:
-    """Return alpha, beta and the lift, by the angles u of zeta on one half of the circle each."""
-    d, n, y, x, rise, fall = _rows(curve, upper, u, with_slopes=with_slopes)
-    d_one, n_one, y_one, x_one, plant_one, estimate_one, sign = _constants(curve, upper)
+    """Return alpha, beta and the lift, by the angles u of zeta on one half of the circle."""
+    circle = _Circle.of(u)
+    n, d, fall = _rows(half.of_plant, circle, with_slopes=with_slopes)
+    y, x, rise = _rows(half.of_estimate, circle, with_slopes=with_slopes)
+    n_one, d_one, y_one, x_one = map(_divisor, half.at_one)
+    (plant_one, estimate_one), sign = half.values, half.sign
     sine, cosine = _sinusoids(0.5, u, with_slopes=with_slopes)
     tangent = sine / cosine
-    rolled = _geometric(curve.lag, u, with_slopes=with_slopes)
-    plant = (rolled * d * n_one + fall) / n
-    plant = plant * (-sign / _divisor(n_one))
-    estimate = rise / y / _divisor(y_one)
+    rolled = _geometric(curve.lag, u, sine, with_slopes=with_slopes)
+    plant = (rolled * d * half.at_one[0] + fall) / n * (-sign / n_one)
+    estimate = rise / y / y_one
     plant_swing, estimate_swing = _swing(plant, tangent), _swing(estimate, tangent)
-    beta = plant_swing / estimate_swing
-    swing = beta * estimate.imag - plant.imag
-    alpha = tangent * swing * 2.0 + plant_one - beta * estimate_one
-    of_plant, of_estimate = curve.minus.forms
+    of_plant, of_estimate = half.forms
     if of_plant or of_estimate:
         turn = _turn(curve.lag, u, with_slopes=with_slopes)
         whole, speed = turn * d / n * -sign, x / y  # W and V
         if of_plant == Form.INVERSE:
-            gain, fallen = n / d, fall / d / -_divisor(d_one)
-            moved = rolled * (n_one / _divisor(d_one)) - fallen
+            gain, fallen = n / d, fall / d / -d_one
+            moved = rolled * (half.at_one[0] / d_one) - fallen
             plant_swing = _swing(moved, tangent) + tangent * _cross(fallen, rolled) * 2.0
             plant_swing = plant_swing * -sign / _square(gain)
         elif of_plant == Form.WHOLE:
             plant_swing = whole.imag / (sine * cosine * 2.0)
         if of_estimate == Form.INVERSE:
-            estimate_swing = _swing(rise / x / _divisor(x_one), tangent) * _square(speed)
+            estimate_swing = _swing(rise / x / x_one, tangent) * _square(speed)
         elif of_estimate == Form.WHOLE:
             estimate_swing = speed.imag / (sine * cosine * 2.0)
-        beta = _where(upper, plant_swing / estimate_swing, beta)
-        alpha = _where(upper, whole.real - beta * speed.real, alpha)
-    far_lift = (alpha - curve.plus.constants[4]) / (cosine * cosine * 2.0)
-    return alpha, beta, _where(upper, far_lift, swing / (sine * cosine))
+    beta = plant_swing / estimate_swing
+    swing = beta * estimate.imag - plant.imag
+    if of_plant or of_estimate:
+        alpha = whole.real - beta * speed.real
+    else:
+        alpha = tangent * swing * 2.0 + plant_one - beta * estimate_one
+    if half is curve.plus:
+        return alpha, beta, swing / (sine * cosine)
+    return alpha, beta, (alpha - curve.plus.values[0]) / (cosine * cosine * 2.0)
 
 
 def _swing(quotient: Values, tangent: Values) -> Values:
@@ -190,55 +213,42 @@ def _square(one: Values) -> Values:
     return one.real * one.real + one.imag * one.imag
 
 
-def _divisor(number: Array) -> Array:
+def _divisor(number: float) -> float:
     """Return a number, but 1 for 0: what is divided by it is not used."""
-    return np.where(number == 0.0, 1.0, number)
+    return number or 1.0
 
 
-def _constants(curve: FilteredCurve, upper: Array) -> list[Array]:
-    """Return the constants of the half of each angle, and the sign of z^w at zeta = 1."""
-    columns = ([*half.constants, half.sign] for half in (curve.minus, curve.plus))
-    return [np.where(upper, *pair) for pair in zip(*columns, strict=True)]
-
-
-def _rows(curve: FilteredCurve, upper: Array, u: Array, *, with_slopes: bool) -> list[Values]:
-    """Return the rows of the halves at zeta = e^(iu), in the powers that have smaller terms."""
-    values = np.empty((1 + with_slopes, 6, len(u)), complex)
-    for half, chosen in ((curve.plus, ~upper), (curve.minus, upper)):
-        values[..., chosen] = _row_values(half, u[chosen], with_slopes=with_slopes)
-    return [Dual(*pair) for pair in zip(*values, strict=True)] if with_slopes else list(values[0])
-
-
-def _row_values(half: Half, u: Array, *, with_slopes: bool) -> Complex128[np.ndarray, "_ 6 angle"]:
-    rows = half.rows
-    zeta = np.exp(1j * u)
-    size = 2.0 * np.sin(0.5 * u)
-    count = rows.straight.shape[1]
-    straight, shifted = _powers(zeta, count), _powers(1j * size * np.exp(0.5j * u), count)
-    is_close = size < rows.close[:, None]
-    values = np.where(is_close, _product(rows.shifted, shifted), _product(rows.straight, straight))
+def _rows(rows: Rows, circle: _Circle, *, with_slopes: bool) -> list[Values]:
+    """Return polynomials on the circle, in the powers that have smaller terms."""
+    orders, count = 1 + with_slopes, rows.straight.shape[2]
+    values = _product(rows.straight[:orders], _powers(circle.zeta, count))
+    near = np.flatnonzero(circle.size < np.max(rows.close))
+    if near.size:
+        shifted = _product(rows.shifted[:orders], _powers(circle.s[near], count))
+        shifted[1:] *= circle.zeta[near]
+        is_close = circle.size[near] < rows.close[:, None]
+        values[..., near] = np.where(is_close, shifted, values[..., near])
     if not with_slopes:
-        return np.stack([values])
-    order = np.arange(float(count))
-    slopes = np.where(
-        is_close,
-        _product(rows.shifted[:, 1:] * order[1:], shifted[:-1]) * zeta,
-        _product(rows.straight * order, straight),
-    )
-    return np.stack([values, 1j * slopes])
+        return list(values[0])
+    return list(map(Dual, values[0], 1j * values[1]))
 
 
-def _product(matrix: Array, columns: Complex128[np.ndarray, "power angle"]) -> Array:
-    """Return a real matrix times a complex one, which NumPy would make of two complex ones."""
-    product: Array = (matrix @ columns.view(float)).view(complex)
-    return product
+def _product(rows: Array, columns: Complex128[np.ndarray, "power angle"]) -> Array:
+    """Return real matrices times a complex one, which NumPy would make of complex ones."""
+    product = rows.reshape(-1, len(columns)) @ columns.view(float)
+    return product.view(complex).reshape(*rows.shape[:2], -1)
 
 
 def _powers(number: Array, count: int) -> Complex128[np.ndarray, "power angle"]:
-    """Return the powers 0 ... count - 1."""
+    """Return the powers 0 ... count - 1, by a few products of many of them."""
     powers = np.empty((count, len(number)), complex)
-    powers[0], powers[1:] = 1.0, number
-    return np.cumprod(powers, axis=0, out=powers)
+    powers[0], powers[1:2] = 1.0, number
+    known = 2
+    while known < count:
+        more = min(known - 1, count - known)
+        np.multiply(powers[1 : 1 + more], powers[known - 1], out=powers[known : known + more])
+        known += more
+    return powers
 
 
 def _sinusoids(factor: float, u: Array, *, with_slopes: bool) -> tuple[Values, Values]:
@@ -255,9 +265,8 @@ def _turn(factor: float, u: Array, *, with_slopes: bool) -> Values:
     return Dual(turn, 1j * factor * turn) if with_slopes else turn
 
 
-def _geometric(count: float, u: Array, *, with_slopes: bool) -> Values:
-    """Return 1 + zeta + ... + zeta^(count - 1)."""
-    sine, _ = _sinusoids(0.5, u, with_slopes=with_slopes)
+def _geometric(count: float, u: Array, sine: Values, *, with_slopes: bool) -> Values:
+    """Return 1 + zeta + ... + zeta^(count - 1), by the sine of u/2."""
     whole, _ = _sinusoids(0.5 * count, u, with_slopes=with_slopes)
     return _turn(0.5 * (count - 1.0), u, with_slopes=with_slopes) * (whole / sine)
 
@@ -265,13 +274,6 @@ def _geometric(count: float, u: Array, *, with_slopes: bool) -> Values:
 def _cross(one: Values, other: Values) -> Values:
     """Return the imaginary part of other times the conjugate of one."""
     return one.real * other.imag - one.imag * other.real
-
-
-def _where(mask: Array, one: Values, other: Values) -> Values:
-    if isinstance(one, Dual):
-        value = np.where(mask, one.value, other.value)
-        return Dual(value, np.where(mask, one.slope, other.slope))
-    return np.where(mask, one, other)
 
 
 def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle"]:
@@ -285,17 +287,25 @@ def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle
         above: np.ndarray = (determinants(curve.pairs, angles)[0] > 0.0) == (theta > 0.0)
         return above
     upper, folded = _folded(size, 0.0)
-    _, _, y, x, rise, _ = _rows(curve, upper, folded, with_slopes=False)
-    _, _, y_one, x_one, *_ = _constants(curve, upper)
-    tangent = np.tan(0.5 * folded)
-    swing = _swing(rise / y / _divisor(y_one), tangent)
-    of_estimate = curve.minus.forms[1]
-    if of_estimate == Form.INVERSE:
-        swing = np.where(upper, _swing(rise / x / _divisor(x_one), tangent), swing)
-    elif of_estimate == Form.WHOLE:
-        swing = np.where(upper, (x / y).imag, swing)
-    is_left: np.ndarray = ((swing > 0.0) != upper) == (theta > 0.0)
-    return is_left
+    is_left = np.empty(len(size), bool)
+    for half, chosen in ((curve.plus, ~upper), (curve.minus, upper)):
+        is_left[chosen] = _swing_of_estimate(half, folded[chosen]) > 0.0
+    oriented: np.ndarray = (is_left != upper) == (theta > 0.0)
+    return oriented
+
+
+def _swing_of_estimate(half: Half, u: Angles) -> Angles:
+    """Return a number of the sign of Im V at zeta = e^(iu)."""
+    y, x, rise = _rows(half.of_estimate, _Circle.of(u), with_slopes=False)
+    _, _, y_one, x_one = map(_divisor, half.at_one)
+    swing: Angles
+    if half.forms[1] == Form.WHOLE:
+        swing = (x / y).imag
+    elif half.forms[1] == Form.INVERSE:
+        swing = _swing(rise / x / x_one, np.tan(0.5 * u))
+    else:
+        swing = _swing(rise / y / y_one, np.tan(0.5 * u))
+    return swing
 
 
 def may_be_stable(curve: FilteredCurve, alpha: Array, beta: Array) -> Bool[np.ndarray, " wall"]:
