@@ -25,7 +25,9 @@ _GAINS = np.geomspace(1e-8, 1.0, 9)  # of alpha and of beta, of both signs
 Points = Float64[np.ndarray, "_ 2"]
 
 
-def is_contradicted(c: SliceCoefficients, outline: Outline, loop: LinearLoop) -> bool:
+def is_contradicted(
+    c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviation: float
+) -> bool:
     """Return whether a wall inside is proved unstable, or one outside stable.
 
     An outline without a loop claims that no wall is stable; gains of all sizes are tried then. An
@@ -36,12 +38,13 @@ def is_contradicted(c: SliceCoefficients, outline: Outline, loop: LinearLoop) ->
         c: the coefficients of the slice.
         outline: of the region.
         loop: the same loop, by which verdicts are proved.
+        deviation: of the outline from its curve.
     """
     size = int(outline.size)
     if size == 0:
         alpha, beta = _walls_of_all_sizes().T
         return bool(np.any(linear_verdict(alpha, beta, loop) == STABLE))
-    if float(measures.deviation(c, outline)) > _ROUGH:
+    if deviation > _ROUGH:
         return True
     edges = edges_of(outline.vertices[:size], outline.branches[: size - 1])
     walls = _beside(edges).T

@@ -208,13 +208,15 @@ def _survey(c: SliceCoefficients, pieces: Pieces, count: int) -> tuple[Array, Ar
     xp = namespace(c, pieces)
     beside = _BESIDE * (pieces.end - pieces.begin)[:, None]
     begin, end = pieces.begin[:, None] + beside, pieces.end[:, None] - beside
-    nodes = [begin + (end - begin) * np.linspace(0.0, 1.0, count - 2 * (count // 4))]
+    even = begin + (end - begin) * np.linspace(0.0, 1.0, count - 2 * (count // 4))
     # Half of them close in on the angles at which the curve flies off.
     shares = (np.arange(count // 4) + 0.5) / (count // 4)
-    for pole, apart in zip(*poles(constant(c)), strict=True):
-        first, last = (xp.arcsinh((limit - pole) / apart) for limit in (begin, end))
-        nodes.append(xp.clip(pole + apart * xp.sinh(first + (last - first) * shares), begin, end))
-    ordered = xp.sort(xp.concatenate(nodes, axis=1), axis=1)
+    angles, apart = poles(constant(c))
+    angles = xp.where(begin < 0.0, -angles, angles)  # (piece, pole): a piece has one sign
+    first, last = (xp.arcsinh((limit - angles) / apart)[..., None] for limit in (begin, end))
+    close = angles[..., None] + apart[:, None] * xp.sinh(first + (last - first) * shares)
+    close = xp.clip(close.reshape(len(begin), -1), begin, end)
+    ordered = xp.sort(xp.concatenate([even, close], axis=1), axis=1)
     return ordered, _tangent(c, ordered)
 
 

@@ -104,14 +104,14 @@ def _outline(
 ) -> tuple[Outline, Pieces]:
     """Return an outline, not ``resolved`` if verdicts contradict it, and its pieces."""
     pieces = refined_pieces(c, delay, may_be_empty=may_be_empty)
-    outline = _adapted(c, pieces, tolerance)
-    if outline.resolved and loop is not None and is_contradicted(c, outline, loop):
+    outline, deviation = _adapted(c, pieces, tolerance)
+    if outline.resolved and loop is not None and is_contradicted(c, outline, loop, deviation):
         outline = polygon(c, pieces._replace(resolved=np.bool_(False)), _FEWEST_POINTS)
     return outline, pieces
 
 
-def _adapted(c: SliceCoefficients, pieces: Pieces, tolerance: float) -> Outline:
-    """Return an outline of as many points as the tolerance asks for."""
+def _adapted(c: SliceCoefficients, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
+    """Return an outline of as many points as the tolerance asks for, and its deviation."""
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)
     outline = polygon(c, pieces, points)
@@ -119,7 +119,8 @@ def _adapted(c: SliceCoefficients, pieces: Pieces, tolerance: float) -> Outline:
     if outline.resolved and outline.size > 0 and deviation > tolerance:
         points = _enough_points(1.2 * points * sqrt(deviation / tolerance), fewest)
         outline = polygon(c, pieces, points)
-    return outline
+        deviation = float(measures.deviation(c, outline))
+    return outline, deviation
 
 
 def _enough_points(wanted: float, fewest: int) -> int:
