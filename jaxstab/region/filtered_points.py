@@ -4,6 +4,7 @@ See ``filtered_curve`` for the form that is evaluated. Formulas are written once
 arrays with slopes.
 """
 
+from functools import cache
 from math import comb
 from typing import Any, NamedTuple
 
@@ -308,13 +309,24 @@ def _swing_of_estimate(half: Half, u: Angles) -> Angles:
     return swing
 
 
-def may_be_stable(curve: FilteredCurve, alpha: Array, beta: Array) -> Bool[np.ndarray, " wall"]:
-    """Return False where a coefficient of p is above that of any stable polynomial: binomial."""
-    base, stiffness, damping = curve.parts[:, :, None]
-    degree = len(base) - 1
-    largest = np.array([comb(degree, k) for k in range(degree + 1)], float)[:, None]
-    fits: np.ndarray = np.all(abs(base + stiffness * alpha + damping * beta) <= largest, axis=0)
-    return fits
+def may_be_stable(
+    curve: FilteredCurve, alpha: Array, beta: Array, within: float = 1.0
+) -> Bool[np.ndarray, "*walls"]:
+    """Return False where not all roots of p are inside of a circle, by the coefficients alone.
+
+    They are at most those of (z + within)^n then.
+    """
+    base, stiffness, damping = curve.parts
+    largest = _binomials(len(base) - 1) * within ** np.arange(float(len(base)))
+    walls = np.stack([np.ones(alpha.size), alpha.ravel(), beta.ravel()])
+    coefficients = np.stack([base, stiffness, damping], axis=1) @ walls
+    fits: np.ndarray = np.all(np.abs(coefficients) <= largest[:, None], axis=0)
+    return fits.reshape(alpha.shape)
+
+
+@cache
+def _binomials(degree: int) -> Float64[np.ndarray, " coefficient"]:
+    return np.array([comb(degree, k) for k in range(degree + 1)], float)
 
 
 def filtered_quotient(

@@ -10,7 +10,13 @@ from jaxstab.arrays import Array, namespace, repeat, scan, stored
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift
 from jaxstab.region.exact_points import lines_crossing_of
 from jaxstab.region.exact_roots import all_inside
-from jaxstab.region.filtered_points import exact_walls, filtered_quotient, root_angles
+from jaxstab.region.filtered_curve import FilteredCurve
+from jaxstab.region.filtered_points import (
+    exact_walls,
+    filtered_quotient,
+    may_be_stable,
+    root_angles,
+)
 from jaxstab.region.lines import lines_crossing
 
 _REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
@@ -32,8 +38,27 @@ def others_inside(c: SliceCoefficients, theta: Array, length: int, within: float
     if xp is np and theta.size * length > _AT_ONCE and theta.size > 1:
         parts = np.array_split(theta, -(-theta.size * length // _AT_ONCE))
         return np.concatenate([others_inside(c, part, length, within) for part in parts])
-    shrunk = within ** -xp.arange(float(length)).reshape(-1, *(1 for _ in theta.shape))
-    return _all_inside(stored(other_roots(c, theta, length) * shrunk))
+    if c.filtered is not None:
+        return _others_inside(c, c.filtered, theta.ravel(), length, within).reshape(theta.shape)
+    return _all_inside(stored(_shrunk(other_roots(c, theta, length), within)))
+
+
+def _others_inside(
+    c: SliceCoefficients, curve: FilteredCurve, theta: Array, length: int, within: float
+) -> Array:
+    """Return the same for a loop with filters; p is divided only where its coefficients may be."""
+    alpha, beta = curve_and_lift(c, theta)[:2]
+    inside = may_be_stable(curve, alpha, beta, within)
+    wall, angle = (alpha[inside], beta[inside]), root_angles(curve, theta[inside])
+    others = _quotient(c, wall, 2.0 * np.cos(angle), 1.0, length)
+    inside[inside] = _all_inside(_shrunk(others, within))
+    return inside
+
+
+def _shrunk(falling: Array, within: float) -> Array:
+    """Return the polynomials of the roots over a number."""
+    powers = namespace(falling).arange(float(len(falling)))
+    return falling * (within**-powers).reshape(-1, *(1 for _ in falling.shape[1:]))
 
 
 def lines_crossing_is_stable(c: SliceCoefficients, length: int) -> Array:

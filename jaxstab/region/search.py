@@ -30,18 +30,19 @@ def refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) ->
     coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
     """
     length = coefficient_count(delay) if c.filtered is None else c.filtered.parts.shape[1] - 2
-    closer = crossings(c, slice_angles(c, length, 1), length)
+    first = slice_angles(c, length, 1)
+    closer = crossings(c, first, length)
     scans = _SCANS if c.filtered is None else _SCANS[:_FILTERED_SCANS]
     for fineness, most, outside in scans:
-        scan = slice_angles(c, length, fineness)
+        scan = first if fineness == 1 else slice_angles(c, length, fineness)
         pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
         if is_settled:
             return pieces
         if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.exists[0]:
             return pieces
-    first = tree_map(lambda x: x[:_KEPT] if x.ndim else x, pieces)  # there may be 1e5 of them
-    nowhere = np.zeros(len(first.exists), int)
-    return first._replace(successor=nowhere, resolved=np.bool_(False))
+    some = tree_map(lambda x: x[:_KEPT] if x.ndim else x, pieces)  # there may be 1e5 of them
+    nowhere = np.zeros(len(some.exists), int)
+    return some._replace(successor=nowhere, resolved=np.bool_(False))
 
 
 def _settled_pieces(
