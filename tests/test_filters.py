@@ -683,3 +683,8 @@ def test_a_cut_off_may_be_an_array_of_jax() -> None:
     assert jaxstab.verdict(**by_name(*numbers), velocity=of_jax) == jaxstab.verdict(
         **by_name(*numbers), velocity=plain
     )
+    one, other = (
+        jaxstab.stable_region(**by_name(*numbers[2:]), velocity=velocity)
+        for velocity in (of_jax, plain)
+    )
+    np.testing.assert_array_equal(one.points, other.points)
