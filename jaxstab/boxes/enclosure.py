@@ -9,8 +9,10 @@ they are short. With h = 1 - cos(theta) and the line of a root at 1 written out 
 so that curve and line stay apart wherever h does.
 """
 
+from collections.abc import Callable
+from functools import partial
 from math import pi
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -31,6 +33,7 @@ _TOLERATED = 8.0  # widths of what is not known of a patch, if halving it helps
 _CLEAR = 0.25  # of what the gains are divided by: how far from 0 it is
 _HELPS = 0.5  # times what was not known of the whole
 
+Model = TypeVar("Model", LinearModel, Moving)
 Patch = Float64[np.ndarray, " patch"]
 Box = Int64[np.ndarray, " patch"]
 
@@ -55,6 +58,22 @@ class Patches(NamedTuple):
     alpha: LinearModel
     beta: LinearModel
     may_turn: Bool[np.ndarray, " patch"]  # for one hand, beta is not proved monotonic in theta
+
+    def some(self, which: Bool[np.ndarray, " patch"] | Int64[np.ndarray, " some"]) -> "Patches":
+        """Return chosen patches."""
+        box, first, last, may_turn = (
+            part[which] for part in (self.box, self.first, self.last, self.may_turn)
+        )
+        return Patches(box, first, last, self.alpha.some(which), self.beta.some(which), may_turn)
+
+    @staticmethod
+    def joined(parts: "list[Patches]") -> "Patches":
+        """Return all patches of some lists, in order."""
+        *intervals, alphas, betas, may_turn = zip(*parts, strict=True)
+        box, first, last = map(np.concatenate, intervals)
+        alpha, beta = (LinearModel.joined(list(models)) for models in (alphas, betas))
+        every = Patches(box, first, last, alpha, beta, np.concatenate(may_turn))
+        return every.some(np.lexsort((first, box)))
 
 
 def curve_patches(
@@ -85,28 +104,45 @@ def curve_patches(
     intervals = _Intervals(
         np.repeat(boxes, count), np.tile(angles[:-1], boxes.size), np.tile(angles[1:], boxes.size)
     )
-    short, known = [], []
+    curve_of = partial(_curve, plant, turns, filters)
     rests = np.full((2, intervals.box.size), np.inf)  # of what the intervals are halves of
+    found = []
     for halving in range(_MOST_HALVINGS + 1):
-        is_short, is_inside = np.ones((2, intervals.box.size), bool)
-        for start in range(0, intervals.box.size, _BLOCK):
+        is_long = np.zeros(intervals.box.size, bool)
+        for start in range(0, max(intervals.box.size, 1), _BLOCK):
             block = slice(start, start + _BLOCK)
-            curve = _curve(plant, turns, intervals.some(block), filters)
-            is_short[block] = curve.is_short(width, rests[:, block])
-            is_inside[block] = ~curve.is_outside(domain)
+            some = intervals.some(block)
+            curve = curve_of(some)
+            is_inside = ~curve.is_outside(domain)
+            is_short = curve.is_short(width, rests[:, block]) | (halving == _MOST_HALVINGS)
+            found.append(curve.patches(some).some(is_inside & is_short))
+            is_long[block] = is_inside & ~is_short
             rests[:, block] = curve.rests
-        is_short |= halving == _MOST_HALVINGS
-        short.append(intervals.some(is_inside & is_short))
-        known.append(np.all(np.isfinite(rests), axis=0)[is_inside & is_short])
-        intervals = intervals.some(is_inside & ~is_short).halves()
-        rests = np.tile(rests[:, is_inside & ~is_short], 2)
-    parts = _Intervals(*map(np.concatenate, zip(*short, strict=True)))
-    order = np.lexsort((parts.first, parts.box))
-    parts = parts.some(order).joined(np.concatenate(known)[order], angles)
-    curve = _curve(plant, turns, parts, filters)
-    rate = curve.beta.rate
-    may_turn = ~((rate.low > 0.0) | (rate.high < 0.0))
-    return Patches(*parts, curve.alpha.value, curve.beta.value, may_turn)
+        if not is_long.any():
+            break
+        intervals = intervals.some(is_long).halves()
+        rests = np.tile(rests[:, is_long], 2)
+    return _with_unknown_joined(Patches.joined(found), angles, curve_of)
+
+
+def _with_unknown_joined(
+    patches: Patches,
+    angles: Float64[np.ndarray, " angle"],
+    curve_of: Callable[["_Intervals"], "_Curve"],
+) -> Patches:
+    """Join neighbours between two angles of which nothing is known: they say no more apart."""
+    box, first, last = patches[:3]
+    is_known = np.all(np.isfinite([patches.alpha.rest, patches.beta.rest]), axis=0)
+    between = np.searchsorted(angles, first, side="right")
+    follows = ~(is_known[1:] | is_known[:-1]) & (first[1:] == last[:-1])
+    follows &= (box[1:] == box[:-1]) & (between[1:] == between[:-1])
+    if not follows.any():
+        return patches
+    follows_one, has_one_behind = np.append(False, follows), np.append(follows, False)
+    begins, ends = has_one_behind & ~follows_one, follows_one & ~has_one_behind
+    wide = _Intervals(box[begins], first[begins], last[ends])
+    alone = patches.some(~(follows_one | has_one_behind))
+    return Patches.joined([alone, curve_of(wide).patches(wide)])
 
 
 def minus_line_models(
@@ -146,17 +182,6 @@ class _Intervals(NamedTuple):
             np.concatenate([middle, self.last]),
         )
 
-    def joined(
-        self, is_known: Bool[np.ndarray, " patch"], angles: Float64[np.ndarray, " angle"]
-    ) -> "_Intervals":
-        """Join neighbours between two angles of which nothing is known: they say no more apart."""
-        between = np.searchsorted(angles, self.first, side="right")
-        follows = ~(is_known[1:] | is_known[:-1]) & (self.first[1:] == self.last[:-1])
-        follows &= (self.box[1:] == self.box[:-1]) & (between[1:] == between[:-1])
-        begins = np.append(True, ~follows)[: self.box.size]
-        ends = np.append(~follows, True)[-self.box.size :] if self.box.size else begins
-        return _Intervals(self.box[begins], self.first[begins], self.last[ends])
-
 
 class _Curve(NamedTuple):
     """alpha and beta of patches, and both times ``square``, which may vanish.
@@ -166,17 +191,23 @@ class _Curve(NamedTuple):
     from below: where the walls' force is too small there is no root.
     """
 
-    alpha: Moving
+    alpha: LinearModel
     beta: Moving
-    square_gains: tuple[Moving, ...]  # beta; with filters alpha, too
-    square: Moving
-    lift: Moving
+    square_gains: tuple[LinearModel, ...]  # beta; with filters alpha, too
+    square: LinearModel
+    lift: LinearModel
     forces: Float64[np.ndarray, "3 patch"]
 
     @property
     def rests(self) -> Float64[np.ndarray, "2 patch"]:
         """The bounds of what the models leave unknown of alpha and beta."""
-        return np.stack([self.alpha.value.rest, self.beta.value.rest])
+        return np.stack([self.alpha.rest, self.beta.value.rest])
+
+    def patches(self, intervals: _Intervals) -> Patches:
+        """Return what is kept of the curve over these intervals."""
+        rate = self.beta.rate
+        may_turn = ~((rate.low > 0.0) | (rate.high < 0.0))
+        return Patches(*intervals, self.alpha, self.beta.value, may_turn)
 
     def is_short(
         self, width: tuple[float, float], before: Float64[np.ndarray, "2 patch"]
@@ -185,10 +216,8 @@ class _Curve(NamedTuple):
 
         A large unknown counts only if it is more than half of that ``before`` the last halving.
         """
-        short, square = np.ones(self.lift.value.rest.shape, bool), self.square.value
-        for gain, wanted, former in zip(
-            (self.alpha.value, self.beta.value), width, before, strict=True
-        ):
+        short, square = np.ones(self.lift.rest.shape, bool), self.square
+        for gain, wanted, former in zip((self.alpha, self.beta.value), width, before, strict=True):
             moves = 2.0 * np.abs(gain.slope[0]) * gain.half[0]
             short &= (moves <= np.maximum(wanted, gain.rest)) & np.isfinite(gain.rest)
             is_vain = gain.rest > _HELPS * former
@@ -200,16 +229,16 @@ class _Curve(NamedTuple):
     def is_outside(self, domain: Domain) -> Bool[np.ndarray, " patch"]:
         """Return which patches lie wholly outside, or beyond the line of a root at 1."""
         outside: np.ndarray = (
-            self.alpha.value.is_off(*domain.alpha)
+            self.alpha.is_off(*domain.alpha)
             | self.beta.value.is_off(*domain.beta)
-            | (self.lift.value.high < 0.0)
+            | (self.lift.high < 0.0)
         )
-        square = np.stack([self.square.value.low, self.square.value.high])
+        square = np.stack([self.square.low, self.square.high])
         if len(self.square_gains) == 1:  # |N|^2
             square[0] = 0.0
         for gain, limits in zip(self.square_gains, (domain.beta, domain.alpha), strict=False):
             ends = np.stack([square * end for end in limits]).reshape(4, -1)
-            outside |= gain.value.is_off(ends.min(axis=0), ends.max(axis=0))
+            outside |= gain.is_off(ends.min(axis=0), ends.max(axis=0))
         by_position, by_velocity, least = self.forces
         most = [np.max(np.abs(limits)) for limits in domain]
         outside |= most[0] * by_position + most[1] * by_velocity < least * (1.0 - _ROUNDING)
@@ -217,37 +246,38 @@ class _Curve(NamedTuple):
 
 
 def _curve(
-    plant: PlantModels, turns: int, intervals: _Intervals, filters: Filters | None
+    plant: PlantModels, turns: int, filters: Filters | None, intervals: _Intervals
 ) -> _Curve:
     """Evaluate the closed form, as in ``jaxstab.region.curve`` for radius 1."""
     first, last = intervals.first, intervals.last
     theta, half_theta = 0.5 * (first + last), 0.5 * (last - first) * (1.0 + _ROUNDING)
     plant = plant.some(intervals.box).beside(half_theta[None])
     waves = _waves(theta, turns, plant.gamma.half)
-    h, rest = waves.h, 2.0 - waves.h
-
     kappa, eps = plant.d0 + 1.0, 1.0 - plant.d0
     sigma, nu = plant.n2 + plant.n0, plant.n2 - plant.n0
+    h, rest = waves.h, 2.0 - waves.h
     d, q = h * -kappa + plant.gamma * plant.sum, h * -sigma + plant.sum
     sine_square = h * rest
     real, slope = d * q + sine_square * (eps * nu), q * eps - d * nu
     square = q * q + sine_square * (nu * nu)
     square_beta = -(waves.sine_ratio * real + waves.cos_turns * slope)
-    rise = (
-        q * (kappa - plant.gamma * sigma)
-        + rest * (waves.sine_ratio * slope + nu * (plant.gamma * nu - eps))
-        + waves.lag_ratio * real
-    )
     sizes = _least(d.value), np.sin(theta) * _least(eps), np.sqrt(square.value.high)
     forces = _forces(filters, theta, half_theta, sizes)
+
+    moving = q, rest, real, slope, waves.sine_ratio, waves.lag_ratio
+    by_q, by_rest = kappa - plant.gamma * sigma, nu * (plant.gamma * nu - eps)
+
+    def rise(q: Model, rest: Model, real: Model, slope: Model, sine: Model, lag: Model) -> Model:
+        return q * by_q + rest * (sine * slope + by_rest) + lag * real
+
     if filters is not None:
-        plain = _Plain(h, plant.gamma, square, square_beta, rise - square_beta)
+        plain = _Plain(h, plant.gamma, square, square_beta, rise(*moving) - square_beta)
         return _filtered(plain, theta, filters, forces)
     over_square = square.reciprocal()
     beta = square_beta * over_square
-    lift = over_square * rise
-    lift = lift - beta
-    return _Curve(h * lift - plant.gamma, beta, (square_beta,), square, lift, forces)
+    lift = over_square.value * rise(*(part.value for part in moving)) - beta.value
+    alpha = h.value * lift - plant.gamma
+    return _Curve(alpha, beta, (square_beta.value,), square.value, lift, forces)
 
 
 class _Plain(NamedTuple):
@@ -265,21 +295,31 @@ def _filtered(
 ) -> _Curve:
     """Return the curve with filters: a linear map of the one without, see lemma B12."""
     h, gamma, square, square_beta, square_lift = plain
-    p_rise, p_slope, v_rise, v_slope = filter_models(filters, theta, gamma.half)
+    parts = p_rise, p_slope, v_rise, v_slope = filter_models(filters, theta, gamma.half)
     at_one = filter_ends(filters).position_at_one
     p_zero = h * p_rise + at_one
     square_alpha = h * square_lift - square * gamma
     determinant = p_zero * v_slope - h * (p_slope * v_rise)
     both_beta = p_zero * square_beta - p_slope * square_alpha
-    both_alpha = v_slope * square_alpha - h * (v_rise * square_beta)
-    tilt = (v_slope * p_rise - p_slope * v_rise) * (square * gamma)
-    both_lift = v_slope * square_lift - v_rise * square_beta + _scaled(tilt, 1.0 / at_one)
     both = determinant * square
     over_both = both.reciprocal()
-    lift = both_lift * over_both
-    alpha = h * lift - gamma * (1.0 / at_one)
     beta = both_beta * over_both
-    return _Curve(alpha, beta, (both_beta, both_alpha), both, _scaled(lift, at_one), forces)
+    values = [p.value for p in (*parts, h, square, square_alpha, square_beta, square_lift)]
+    both_alpha, both_lift = _alpha_and_lift(values, gamma, 1.0 / at_one)
+    lift = both_lift * over_both.value
+    alpha = h.value * lift - gamma * (1.0 / at_one)
+    gains = both_beta.value, both_alpha
+    return _Curve(alpha, beta, gains, both.value, lift * at_one, forces)
+
+
+def _alpha_and_lift(
+    parts: list[LinearModel], gamma: LinearModel, over_one: float
+) -> tuple[LinearModel, LinearModel]:
+    """Return both of the curve with filters, times the determinant and |N|^2."""
+    p_rise, p_slope, v_rise, v_slope, h, square, square_alpha, square_beta, square_lift = parts
+    alpha = v_slope * square_alpha - h * (v_rise * square_beta)
+    tilt = (v_slope * p_rise - p_slope * v_rise) * (square * gamma)
+    return alpha, v_slope * square_lift - v_rise * square_beta + tilt * over_one
 
 
 def _forces(
@@ -303,10 +343,6 @@ def _least(function: LinearModel) -> Patch:
     """Bound the absolute value of a function from below."""
     least: Patch = np.maximum(np.abs(function.centre) - function.swing, 0.0)
     return least
-
-
-def _scaled(function: Moving, factor: float) -> Moving:
-    return Moving(function.value * factor, function.rate * factor)
 
 
 class _Waves(NamedTuple):

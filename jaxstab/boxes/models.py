@@ -60,6 +60,20 @@ class LinearModel:
         """An upper bound of a real function."""
         return self.centre + self.swing
 
+    def some(self, boxes: Any) -> "LinearModel":
+        """Return the models of chosen boxes: an index of numbers, of truth values, or a slice."""
+        parts = self.centre[boxes], self.slope[:, boxes], self.rest[boxes], self.half[:, boxes]
+        return LinearModel(*parts, self.has_products)
+
+    @staticmethod
+    def joined(models: "list[LinearModel]") -> "LinearModel":
+        """Return the models of the boxes of one, then of the next, all in the same variables."""
+        centre, slope, rest, half = (
+            np.concatenate([getattr(model, name) for model in models], axis=-1)
+            for name in ("centre", "slope", "rest", "half")
+        )
+        return LinearModel(centre, slope, rest, half, models[0].has_products)
+
     def __add__(self, other: "LinearModel | Number") -> "LinearModel":
         if not isinstance(other, LinearModel):
             return self._with(self.centre + other, self.slope, self.rest)
@@ -121,7 +135,9 @@ class LinearModel:
     def _with(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
         """Return a result of arithmetic on the same boxes, with its rounding."""
         exact = self._of(centre, slope, rest)
-        return self._of(centre, slope, rest + _ROUNDING * exact.size)
+        rounded = self._of(centre, slope, rest + _ROUNDING * exact.size)
+        vars(rounded)["_sloped"] = exact._sloped  # the slopes are the same
+        return rounded
 
     def _of(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
         return LinearModel(centre, slope, rest, self.half, self.has_products)
@@ -133,18 +149,19 @@ class LinearModel:
     def _with_products(
         self, products: tuple[Floats, Floats, Floats], centre: Floats, slope: Floats, rest: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Put products of t with the variables from what is left into their own variables."""
+        """Put products of t with the variables from what is left into their own variables.
+
+        The slope is changed in place.
+        """
         square, *parts = products
         t = len(self.half) // 2 - 1
         half, halves = self.half[t + 1], self.half[t + 2 :]
-        added = [
-            slope[: t + 1],
-            (slope[t + 1] + square)[None],
-            slope[t + 2 :] + parts[0] + parts[1],
-        ]
+        slope[t + 1] += square
+        for part in parts:
+            slope[t + 2 :] += part
         taken = 2.0 * abs(square) * half + ((abs(parts[0]) + abs(parts[1])) * halves).sum(axis=0)
         rest = rest * (1.0 + _ROUNDING) - taken
-        return centre + square * half, _namespace(rest).concatenate(added), rest
+        return centre + square * half, slope, rest
 
 
 def _products(one: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:

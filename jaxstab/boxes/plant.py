@@ -79,14 +79,7 @@ class PlantModels(NamedTuple):
 
     def some(self, box: Int64[np.ndarray, " some"]) -> "PlantModels":
         """Return the models of chosen boxes."""
-        return PlantModels(
-            *(
-                LinearModel(
-                    m.centre[box], m.slope[:, box], m.rest[box], m.half[:, box], m.has_products
-                )
-                for m in self
-            )
-        )
+        return PlantModels(*(model.some(box) for model in self))
 
     def beside(self, half: Float64[np.ndarray, "other box"]) -> "PlantModels":
         """Return the same models with other variables before theirs."""
