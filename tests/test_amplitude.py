@@ -71,6 +71,7 @@ def test_nothing_exceeds_a_bound_and_signals_reach_it(rng: np.random.Generator) 
         assert tight < 1.4
 
 
+@pytest.mark.campaign
 def test_no_run_with_a_quantised_encoder_and_force_exceeds_a_bound(
     rng: np.random.Generator,
 ) -> None:
@@ -163,6 +164,7 @@ def test_in_si_units_is_the_same_in_other_units() -> None:
     np.testing.assert_allclose(found.force, same.force * unit, rtol=1e-9)
 
 
+@pytest.mark.campaign
 def test_jax_arrays_give_jax_arrays_also_when_compiled() -> None:
     def position(alpha: Any) -> Any:
         return amplitude(alpha, 0.06, gamma=1e-3, delta=0.015, delay=1.0, encoder=1.0).position
@@ -247,6 +249,7 @@ def test_a_scene_refuses_what_is_no_resolution() -> None:
         Scene.from_table(SCENE | {"device": device})
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("goal", ["settling", "radius"])
 def test_the_fastest_calm_wall_is_not_beaten_by_a_grid(goal: Any) -> None:
     loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
@@ -266,6 +269,7 @@ def test_the_fastest_calm_wall_is_not_beaten_by_a_grid(goal: Any) -> None:
         assert free.radius < calm.radius <= radii[is_calm].min()
 
 
+@pytest.mark.campaign
 def test_tuning_keeps_to_a_limit_or_says_that_none_does() -> None:
     loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
     assert loop.tune(encoder=1e-5, chatter=1.0) == loop.tune(encoder=1e-5)

@@ -227,6 +227,7 @@ def test_the_picture_shows_the_exact_edge_and_tells_the_walls_apart_without_colo
     assert len(styles) == len(set(styles)) == 2
 
 
+@pytest.mark.campaign
 def test_what_is_too_small_to_be_seen_beside_the_region_is_enlarged() -> None:
     scene = Scene.from_file(Path(__file__).parents[1] / "data" / "scenes" / "collision.toml")
     whole, enlarged = scene_figure(scene).axes
@@ -243,6 +244,7 @@ def test_what_is_too_small_to_be_seen_beside_the_region_is_enlarged() -> None:
         assert (shares > 0.5).all() == is_seen
 
 
+@pytest.mark.campaign
 def test_a_picture_comes_with_the_answer(tmp_path: Path) -> None:
     file = tmp_path / "scene.svg"
     limits = answered("limits", *FREE, "--hand-mass", "0:1", "--plot", file)
@@ -260,6 +262,7 @@ def test_an_unusual_scale_is_a_warning_of_one_line() -> None:
     assert "controller.sample_time is 1 s" in result.stderr
 
 
+@pytest.mark.campaign
 def test_design_says_when_no_sample_time_makes_up_for_a_delay() -> None:
     answer = answered("design", *PHANTOM, "--delay", "0.02", "--stiffness", 6e4)
     assert answer["sample_time"]["largest_sample_time"] is None
@@ -324,6 +327,7 @@ def test_printed_limits_are_rounded_inwards(delay: str) -> None:
         assert 0.999 * most < number(least) / 1e3 <= most * (1 + 1e-10)
 
 
+@pytest.mark.campaign
 def test_what_is_zero_by_the_geometry_is_printed_as_zero() -> None:
     for arguments in (
         ["limits", *PHANTOM, "--at-damping", "0"],

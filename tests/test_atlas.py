@@ -152,6 +152,7 @@ def test_a_node_answers_what_is_true_there(
         assert lower - error <= answer.spectral_radius[index] <= upper + error
 
 
+@pytest.mark.campaign
 def test_the_resonant_case_is_honest_too(tmp_path: Path, rng: np.random.Generator) -> None:
     atlas = build_atlas(TRIANGLE, tmp_path / "triangle.h5")
     points = random_points(atlas, 0, 200, rng)
@@ -246,6 +247,7 @@ SMALL_WITHOUT_PRODUCTS = "".join(
 )
 
 
+@pytest.mark.campaign
 def test_progress_is_told_from_none_to_all(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     build_atlas(SMALL, tmp_path / "a.h5", lambda done, total: told.append((done, total)))

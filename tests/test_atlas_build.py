@@ -377,6 +377,7 @@ def test_in_a_read_only_folder_the_build_is_refused_before_the_work(disk: Path) 
     assert entries(disk) == ["a.h5"]
 
 
+@pytest.mark.campaign
 def test_readers_meet_the_old_atlas_or_the_new_one_while_it_is_published(
     whole: bytes, tmp_path: Path
 ) -> None:

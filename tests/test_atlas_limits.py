@@ -198,6 +198,7 @@ def points_between(atlas: Atlas, count: int, rng: np.random.Generator) -> list[n
     return [alpha, beta, rng.uniform(0.0, 0.001, count), rng.uniform(0.0, 0.015, count), delay]
 
 
+@pytest.mark.campaign
 def test_verdicts_between_delays_are_those_of_the_recursion(
     moving: Atlas, rng: np.random.Generator
 ) -> None:

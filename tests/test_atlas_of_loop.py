@@ -148,6 +148,7 @@ def test_gains_that_are_no_gains_are_not_clamped() -> None:
         )
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("file", [PLAIN, WINDOW])
 def test_limits_are_within_those_of_the_loop_and_near(file: Path) -> None:
     rng, near = np.random.default_rng(6), []
@@ -272,6 +273,7 @@ def test_a_specification_is_of_the_ranges_of_its_scene(tmp_path: Path, text: str
         assert AtlasSpec(**loop.filters).filters == spec.filters
 
 
+@pytest.mark.campaign
 def test_a_specification_of_a_scene_is_planned(tmp_path: Path) -> None:
     spec = atlas_spec(Scene.from_file(scene_file(tmp_path, TURNING)))
     axes = {"alpha": FittedAxis(12), "beta": FittedAxis(12), "gamma": spec.gamma[-1:]}
@@ -358,6 +360,7 @@ def test_scenes_of_which_an_atlas_says_nothing_are_refused(
     assert_one_sentence(answer.stderr)
 
 
+@pytest.mark.campaign
 def test_scenes_without_an_atlas_are_refused(tmp_path: Path) -> None:
     general = SCENE.replace("[hand]", "[device.actuator]\nbandwidth = 100.0\n[hand]")
     answer = run_process("atlas", "spec", "--scene", scene_file(tmp_path, general))

@@ -33,6 +33,7 @@ def atlas(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
     return build_atlas(SLICES, tmp_path_factory.mktemp("slices") / "slices.h5")
 
 
+@pytest.mark.campaign
 def test_outlines_and_corners_are_those_of_the_region(atlas: Atlas) -> None:
     for gamma, delta, delay in ((0.0, 0.0, 0.0), (0.001, 0.005, 0.0), (0.0, 0.015, 1.5)):
         region = stable_region(gamma=gamma, delta=delta, delay=delay)

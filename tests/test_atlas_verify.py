@@ -127,6 +127,7 @@ def cut_off(opened: h5py.File) -> None:
         opened[name][...] = values
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("edit", "wrong"),
     [

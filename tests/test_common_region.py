@@ -27,6 +27,7 @@ LOOPS = [
 ]
 
 
+@pytest.mark.campaign
 def test_every_wall_of_the_polygon_is_stable_in_every_loop(rng: np.random.Generator) -> None:
     common = common_region(LOOPS)
     assert common.status == RobustStatus.PROVED

@@ -147,14 +147,14 @@ def slopes_of(place: tuple[float, ...]) -> np.ndarray:
     return np.array([slope_along(free, tuple(way), delay) for way in np.eye(len(free)).tolist()])
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("theta", "gamma", "delta", "delay"),
     [
-        pytest.param(2.5, 0.25, 1.0, 0.5, marks=pytest.mark.campaign),
+        (2.5, 0.25, 1.0, 0.5),
         (3.1, 9.9, 0.1, 3.3),
-        # Slopes at a whole delay are those of test_region, too.
-        pytest.param(0.7, 0.0, 0.0, 1.0, marks=pytest.mark.campaign),
-        pytest.param(1e-4, 1e-3, 0.015, 2.0, marks=pytest.mark.campaign),
+        (0.7, 0.0, 0.0, 1.0),
+        (1e-4, 1e-3, 0.015, 2.0),
     ],
 )
 def test_the_derivatives_are_those_of_the_truth(

@@ -38,6 +38,7 @@ def test_a_device_of_one_mass_has_the_margins_of_the_five_numbers(
     np.testing.assert_allclose(found.extra_delay, expected.extra_delay, rtol=1e-9)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("delay", [0.0, 1.5])
 def test_an_extra_delay_ends_where_the_equations_of_motion_do(delay: float) -> None:
     """A mode, a grip and a motor; judged by certified roots for delays up to it and beyond."""
@@ -64,6 +65,7 @@ def test_no_extra_delay_is_claimed_of_a_device_that_is_too_fast() -> None:
     assert np.isnan(found.extra_delay)
 
 
+@pytest.mark.campaign
 def test_margins_of_random_devices_end_where_certified_roots_cross() -> None:
     tally, _ = filtered_ranges.device_margins(np.random.default_rng(4), 3)
     assert tally.judged > 30
@@ -78,6 +80,7 @@ def test_no_claim_about_random_loops_with_filters_is_wrong(kind: str) -> None:
     assert tally.wrong == 0
 
 
+@pytest.mark.campaign
 def test_a_polygon_is_proved_for_each_device_of_a_list() -> None:
     plain = Device.mass_spring_damper(0.25, damping=0.5)
     arm = plain.held_by(

@@ -123,6 +123,7 @@ def largest_stable(device: Device, damping: float = 4.0) -> float:
     return low
 
 
+@pytest.mark.campaign
 def test_a_stiff_grip_is_a_glued_hand_and_a_fast_actuator_is_none() -> None:
     device = Device.mass_spring_damper(0.25, damping=0.1)
     glued, free = largest_stable(device.held_by(ARM)), largest_stable(device)
@@ -303,6 +304,7 @@ def test_what_is_no_device_is_refused() -> None:
         Device.modes([(1.0, 2.0, 3.0)])  # type: ignore[list-item]
 
 
+@pytest.mark.campaign
 def test_few_walls_are_undecided_next_to_the_boundary() -> None:
     device = Device.modes([MODE], mass=0.25, damping=0.1).held_by(
         ARM.with_grip(stiffness=2000.0, damping=4.0)

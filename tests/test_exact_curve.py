@@ -49,6 +49,7 @@ def assert_right_next_to_the_boundary(loop, region, rng):
     assert np.array_equal(region.contains(*points.T), truths)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("number", SLOW)
 def test_regions_of_slow_filters_are_right(number):
     loop, region, rng = drawn(number)
@@ -56,6 +57,7 @@ def test_regions_of_slow_filters_are_right(number):
     assert_right_next_to_the_boundary(loop, region, rng)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("number", [617, 3049, 3072])
 def test_outlines_of_devices_that_stray_from_the_curve(number):
     """The first had a wrong point 6e-11 of the region's size from the boundary, the last one 5e-9.

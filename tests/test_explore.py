@@ -230,6 +230,7 @@ def assert_regions_are_right(setups: list[Any], answers: list[Any]) -> int:
     return unresolved
 
 
+@pytest.mark.campaign
 @needs_node
 def test_regions_have_the_components_and_extremes_of_the_exact_ones(
     rng: np.random.Generator,
@@ -248,6 +249,7 @@ def test_an_estimator_by_its_coefficients_has_its_own_region() -> None:
     assert answer["farthest"][0][0] == pytest.approx([limits.stiffness, limits.at_damping])
 
 
+@pytest.mark.campaign
 @needs_node
 def test_margins_and_settling_times_of_walls(rng: np.random.Generator) -> None:
     found = setups_with_walls(rng, 2, 20)

@@ -82,6 +82,7 @@ class TestFastRadius:
     ) -> None:
         assert_honest_and_precise(rng, delay)
 
+    @pytest.mark.campaign
     def test_is_honest_over_the_whole_box(self, rng: np.random.Generator) -> None:
         count = 60
         scenes = np.array(
@@ -225,6 +226,7 @@ class TestPowerIteration:
 
 
 class TestCubic:
+    @pytest.mark.campaign
     def test_the_largest_root_is_found_to_eight_digits(self, rng: np.random.Generator) -> None:
         """Built from its roots: a real one, and a pair or two real ones."""
         real, re, im = rng.uniform(-2.0, 2.0, (3, 500))
@@ -259,6 +261,7 @@ class TestDominantRoot:
             all_inside = getattr(dominance, form)
             assert bool(all_inside(polynomial, jnp.asarray(error))) is proved
 
+    @pytest.mark.campaign
     def test_loops_divide_and_prove_as_unrolled_code_does(self, rng: np.random.Generator) -> None:
         powers = [jnp.full(200, 0.9**power) for power in range(1, 12)]
         coefficients = [jnp.asarray(rng.uniform(-0.3, 0.3, 200)) for _ in range(11)]

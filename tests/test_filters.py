@@ -333,6 +333,7 @@ def test_jax_arrays_and_transformations_answer_as_numpy_does() -> None:
     np.testing.assert_array_equal(jax.jit(jax.vmap(code))(jnp.asarray(alpha)), plain)
 
 
+@pytest.mark.campaign
 def test_grids_that_go_through_xla_answer_as_few_points_do() -> None:
     alpha, beta = np.linspace(-0.002, 0.01, 120)[:, None], np.linspace(-0.02, 0.1, 100)
     velocity = Velocity.difference(samples=20)
@@ -505,6 +506,7 @@ def test_a_window_of_one_sample_has_the_region_of_the_paper() -> None:
     assert not plain.islands
 
 
+@pytest.mark.campaign
 def test_regions_of_filters_whose_poles_float64_does_not_tell_apart() -> None:
     velocity = Velocity.butterworth(0.02, order=8)
     region = jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
@@ -520,6 +522,7 @@ def test_regions_of_filters_whose_poles_float64_does_not_tell_apart() -> None:
     assert np.array_equal(inside[is_decided], codes[is_decided] == STABLE)
 
 
+@pytest.mark.campaign
 def test_a_hand_far_above_a_cut_off_has_a_region() -> None:
     # At its resonance the curve is a steep line, for 2e-8 of an angle.
     place = (0.5316505894594178, 8.394132253328545e-05, 2.0)
@@ -537,6 +540,7 @@ def test_a_hand_far_above_a_cut_off_has_a_region() -> None:
     assert np.sum(codes == STABLE) > 50
 
 
+@pytest.mark.campaign
 def test_a_region_that_is_not_resolved_claims_nothing() -> None:
     velocity = Velocity.butterworth(0.005, order=20)
     region = jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)

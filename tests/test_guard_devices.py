@@ -174,6 +174,7 @@ def test_a_wide_delay_is_halved_before_what_is_narrow() -> None:
     assert shares[:, 0].argmax() == 1
 
 
+@pytest.mark.campaign
 def test_boxes_hold_the_values_of_their_loops() -> None:
     """Of devices at random, delays over whole samples among them, against balls and mpmath."""
     found = [assert_boxes_hold(seed, 5) for seed in range(6)]

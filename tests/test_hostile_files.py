@@ -157,6 +157,7 @@ def said_by_octave(paths: Sequence[Path], points: np.ndarray, folder: Path) -> l
     return [(word == "answered", rest) for word, _, rest in lines]
 
 
+@pytest.mark.campaign
 def test_what_is_not_hostile_is_answered_alike(
     base: Base, said_by_c: Callable[[Path], Said], tmp_path: Path
 ) -> None:
@@ -215,6 +216,7 @@ def tally(base: Base, said_by_c: Callable[[Path], Said], path: Path, count: int)
     return counts
 
 
+@pytest.mark.campaign
 def test_mutants_with_right_checksums_are_refused_or_answered_alike(
     base: Base, said_by_c: Callable[[Path], Said], tmp_path: Path
 ) -> None:

@@ -162,6 +162,7 @@ def test_polynomials_in_t_are_those_of_each_loop(name: str, rng: np.random.Gener
                 assert float(abs(one - other)) < 1e-12 * float(abs(other))
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", quickly("grip", "delay"))
 def test_verdicts_hold_for_every_loop_between(name: str, rng: np.random.Generator) -> None:
     loops = between(name)
@@ -258,6 +259,7 @@ def test_a_cut_off_of_a_position_filter_may_differ() -> None:
 # ------------------------------------------------------------------------------------------ hands
 
 
+@pytest.mark.campaign
 def test_a_hand_of_a_device_is_replaced_by_those_of_an_interval(rng: np.random.Generator) -> None:
     loop, hands = (
         loop_of(),

@@ -206,6 +206,7 @@ def test_margins_have_the_same_derivatives_backwards() -> None:
     np.testing.assert_allclose(forwards, backwards, rtol=1e-12)
 
 
+@pytest.mark.campaign
 def test_the_derivative_of_no_margin_is_no_number() -> None:
     held = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, hand_stiffness=500.0)
     for loop, wall in ((held, 1.0), (FREE, 0.9)):
@@ -271,6 +272,7 @@ def test_a_wall_is_proved_for_every_hand_of_a_range() -> None:
     assert radius > 1.0
 
 
+@pytest.mark.campaign
 def test_the_stiffest_wall_for_all_hands_is_proved_and_lies_beyond_the_passive_limit() -> None:
     # Sec. VIII: the device collides with anything from nothing to Nyquist frequency.
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -285,6 +287,7 @@ def test_the_stiffest_wall_for_all_hands_is_proved_and_lies_beyond_the_passive_l
         assert true_radius(held, found.stiffness, found.damping, 0.0) < 1.0
 
 
+@pytest.mark.campaign
 def test_the_limit_for_all_hands_is_not_below_a_wall_proved_for_all_of_them() -> None:
     loop = HapticLoop(
         device_mass=1.0, device_damping=0.5432825400259356, sample_time=1.0, delay=0.5
@@ -407,6 +410,7 @@ def test_margins_with_filters_end_where_a_certified_root_crosses(name: str) -> N
         assert true_code(axis, step * (1.0 + 2e-9)) == Verdict.UNSTABLE
 
 
+@pytest.mark.campaign
 def test_margins_with_filters_are_differentiable_and_refuse_traced_filters() -> None:
     wall, (velocity, position), _ = FILTERED["low passes, a fraction"]
     size = 1e-5

@@ -212,6 +212,7 @@ class TestPlantCoefficients:
         exact = [g * truth.plant(g, 0.015).sum for g in gamma.tolist()]
         assert ulps(computed, exact) <= 1.0
 
+    @pytest.mark.campaign
     def test_far_outside_the_box_they_stay_right(self) -> None:
         slices = [(1e3, 0.0), (1e4, 1.0), (0.0, 1e3), (1e3, 1e3), (250000.0 / 25, 100.0)]
         gamma, delta = np.array(slices).T

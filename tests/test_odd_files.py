@@ -163,6 +163,7 @@ def test_what_takes_long_is_shown_on_a_terminal(tmp_path: Path) -> None:
     assert (done.returncode, "largest alpha" in done.stdout) == (0, True)
 
 
+@pytest.mark.campaign
 def test_a_file_of_a_stranger_is_read_in_a_process_with_limits(path: Path) -> None:
     query = ["atlas", "query", path, *POINT]
     assert run_process(*query, "--untrusted").stdout == run_process(*query).stdout

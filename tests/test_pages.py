@@ -29,6 +29,7 @@ def pages_with(language: str) -> Iterator[object]:
             yield pytest.param(page, id=page.relative_to(DOCS).as_posix())
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("page", list(pages_with("python")))
 def test_the_lines_of_python_run_one_after_the_other(page: Path) -> None:
     code = "\n".join(blocks(page, "python"))
@@ -38,6 +39,7 @@ def test_the_lines_of_python_run_one_after_the_other(page: Path) -> None:
         assert promised in completed.stdout, completed.stdout
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("page", list(pages_with("sh")))
 def test_the_commands_run(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)

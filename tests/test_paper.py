@@ -46,6 +46,7 @@ def test_figure_6_has_one_and_two_samples_of_delay():
     assert tops == pytest.approx([0.144469345, 0.062430490], rel=1e-5)
 
 
+@pytest.mark.campaign
 def test_figure_7_marks_2_and_5_percent():
     drawn = panels(7)
     assert len(drawn) == 4

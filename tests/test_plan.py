@@ -66,6 +66,7 @@ def test_a_plan_names_the_degree_of_loops_with_estimators(window: int, delay: fl
     assert f"delay: {delay:g} (degree {states});" in str(plan_atlas(spec))
 
 
+@pytest.mark.campaign
 def test_a_tile_is_the_same_alone_and_in_an_atlas_of_any_tiles(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -192,6 +193,7 @@ def test_a_bad_tolerance_is_refused_in_one_sentence(toml: str, says: str) -> Non
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("products", [SMALL.products, ("outline", "summary")], ids=" ".join)
 def test_a_build_takes_about_the_time_and_the_size_that_were_estimated(
     products: tuple[str, ...], tmp_path

@@ -83,6 +83,7 @@ def test_threads_and_devices_change_no_bit(here: Answers, other_machine: Executo
         np.testing.assert_array_equal(there[name], values, name, strict=True)
 
 
+@pytest.mark.campaign
 def test_a_single_loop_and_a_few_get_the_same_bits_and_many_agree_with_them(here: Answers) -> None:
     points, some = loops(), np.arange(240).reshape(4, 3, 20)
     few = jaxstab.spectral_radius(**by_name(*points[:, some], DELAY))

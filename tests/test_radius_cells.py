@@ -218,6 +218,7 @@ def test_roots_that_meet_are_bounded_as_closely_as_they_move() -> None:
             assert high[0] - low[0] <= 2.02 * reach
 
 
+@pytest.mark.campaign
 def test_radii_between_delays_are_within_their_bounds(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:

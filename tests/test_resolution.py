@@ -163,6 +163,7 @@ def planned() -> ResolutionPlan:
     return plan_resolution(SLICE, accuracy=0.002)
 
 
+@pytest.mark.campaign
 def test_a_small_range_keeps_its_promises(planned: ResolutionPlan, tmp_path: Path) -> None:
     atlas = build_atlas(planned.spec, tmp_path / "atlas.h5")
     chosen = planned.chosen

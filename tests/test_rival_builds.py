@@ -98,6 +98,7 @@ def rivals(folder: Path, *words: str) -> list[int]:
     return [*map(int, done.stdout.split())]
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("rounds", [20, pytest.param(MANY, marks=LONG)])
 def test_four_builders_at_once_publish_one_whole_file(rounds: int, tmp_path: Path) -> None:
     done, successes, refusals, others = rivals(tmp_path, "together", str(rounds))
@@ -107,6 +108,7 @@ def test_four_builders_at_once_publish_one_whole_file(rounds: int, tmp_path: Pat
     note("four builders at once", rounds=done, built=successes, refused=refusals, torn=others)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("rounds", [10, pytest.param(MANY // 2, marks=LONG)])
 def test_where_all_have_the_lock_nothing_is_torn(rounds: int, tmp_path: Path) -> None:
     """As on a file system that lies: one builder takes the tiles of another away."""
@@ -117,6 +119,7 @@ def test_where_all_have_the_lock_nothing_is_torn(rounds: int, tmp_path: Path) ->
     note("four builders without locks", rounds=done, built=successes, refused=others, torn=0)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("step", [7, pytest.param(1, marks=LONG)])
 def test_a_builder_that_stands_still_anywhere_tears_nothing(step: int, tmp_path: Path) -> None:
     stops, successes, refusals, others = rivals(tmp_path, "stopped", str(step))

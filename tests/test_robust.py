@@ -35,6 +35,7 @@ def random_hands(region, rng, count):
     return rng.uniform(*region.gamma, count), rng.uniform(*region.delta, count)
 
 
+@pytest.mark.campaign
 def test_walls_of_a_proved_outline_are_stable_for_every_hand(robust, rng):
     assert robust.status == RobustStatus.PROVED
     walls = robust.outline[rng.integers(0, len(robust.outline), 60)]
@@ -86,6 +87,7 @@ def test_of_one_hand_it_is_the_stable_region():
     assert robust.max_alpha[0] == pytest.approx(float(stable.max_alpha[0]), rel=0.02)
 
 
+@pytest.mark.campaign
 def test_a_verdict_on_a_wall_is_for_all_hands():
     region = robust_region(**by_name(*RANGES["haptic hands"]))
     alpha = np.array([0.05, 0.2, -1e-3, 0.0])
@@ -156,6 +158,7 @@ def test_the_worst_hand_of_a_loop_with_a_window() -> None:
     assert abs(float(one.radius(*gains).mid()) - worst.radius) < 1e-12
 
 
+@pytest.mark.campaign
 def test_the_robust_limit_of_a_loop_with_a_window_is_bounded_from_both_sides() -> None:
     loop = jaxstab.HapticLoop(
         device_mass=0.25,

@@ -215,6 +215,7 @@ def judge(seed: int, count: int) -> int:
     return judged
 
 
+@pytest.mark.campaign
 def test_walls_next_to_the_limits_of_modes_motors_and_grips_come_to_rest_or_grow() -> None:
     assert judge(seed=16, count=2) > 2
 
@@ -320,6 +321,7 @@ def test_a_mode_whose_frequency_is_given_in_other_units_is_unusual() -> None:
 # ----------------------------------------------------------------------------------------- answers
 
 
+@pytest.mark.campaign
 def test_answers_say_first_what_moves_beside_the_mass(file: Path) -> None:
     words = "modes at 80 Hz; an actuator of 200 Hz; a grip of 2000 N/m, 4 N s/m"
     for command in ("limits", "check"):
@@ -367,6 +369,7 @@ def test_hands_of_one_range_are_proved(file: Path) -> None:
     assert check_walls(Scene.from_file(higher)).walls["soft"].verdict == Verdict.UNSTABLE
 
 
+@pytest.mark.campaign
 def test_hands_of_several_ranges_are_tried_and_nothing_is_proved_of_those_between(
     file: Path,
 ) -> None:
@@ -393,6 +396,7 @@ def test_walls_of_the_common_outline_are_stable_for_each_corner(file: Path) -> N
         assert np.all(codes == Verdict.STABLE)
 
 
+@pytest.mark.campaign
 def test_an_encoder_is_bounded_and_the_best_walls_are_found_for_modes_too(file: Path) -> None:
     file.write_text(TEXT.replace("damping = 0.1\n", "damping = 0.1\nencoder.resolution = 1e-5\n"))
     scene = Scene.from_file(file)
@@ -419,6 +423,7 @@ def test_a_number_of_a_mode_may_be_swept(file: Path) -> None:
     assert "3 is no entry of a list of 1 to sweep" in refused.stderr
 
 
+@pytest.mark.campaign
 def test_a_scene_of_a_general_device_has_a_picture(file: Path, tmp_path: Path) -> None:
     picture = tmp_path / "scene.svg"
     result = run("check", file, "--plot", picture)

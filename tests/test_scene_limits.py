@@ -85,6 +85,7 @@ def test_simple_rules_of_the_one_sample_difference_are_left_out_for_others() -> 
     assert "linear_rule_stiffness" not in limits["at_given_damping"]
 
 
+@pytest.mark.campaign
 def test_islands_are_named_as_not_reachable_and_drawn() -> None:
     free = ["--mass", "1", "--damping", "0", "--sample-time", "1", "--window-samples", "10"]
     island = answered("limits", *free)["island 1"]
@@ -159,6 +160,7 @@ def test_the_safe_wall_for_all_hands_is_proved_anew() -> None:
     assert hands.largest_stiffness < 0.8 * hands.none_is_stiffer_than
 
 
+@pytest.mark.campaign
 def test_a_design_with_safety_is_one_for_a_stiffer_wall() -> None:
     safe = answered("design", *OMEGA, "--stiffness", "1000", "--safety", "0.5")
     plain = answered("design", *OMEGA, "--stiffness", "2000")
@@ -206,6 +208,7 @@ def test_a_device_that_turns_has_the_numbers_of_one_that_moves_along_a_line() ->
     assert check_walls(turning).walls == check_walls(line).walls
 
 
+@pytest.mark.campaign
 def test_a_device_that_turns_is_answered_and_drawn_in_units_of_rotation() -> None:
     scene = Scene.from_table(TURNING)
     checked = check_walls(scene)

@@ -74,6 +74,7 @@ class TestSpectralRadius:
         assert (radius.status == RadiusStatus.PROVED).all()
         assert np.quantile(radius.error, 0.95) < 1e-12
 
+    @pytest.mark.campaign
     def test_is_honest_at_random_scenes(self, rng: np.random.Generator) -> None:
         scenes = random_scenes(rng, 300)
         radius = jaxstab.spectral_radius(**by_name(*scenes))
@@ -116,6 +117,7 @@ class TestSpectralRadius:
                 exact = float((above - below) / (2 * mpf(10) ** -20))
             assert float(derivative) == pytest.approx(exact, rel=1e-10)
 
+    @pytest.mark.campaign
     def test_gradient_is_finite_where_the_companion_matrix_is_defective(self) -> None:
         """alpha = beta = 0 with delay: the roots at zero are multiple, the dominant pair is not."""
         function = lambda alpha: (  # noqa: E731
@@ -123,6 +125,7 @@ class TestSpectralRadius:
         )
         assert jnp.isfinite(jax.grad(function)(0.0))
 
+    @pytest.mark.campaign
     def test_jit_and_vmap_agree_with_a_direct_call(self) -> None:
         direct = jaxstab.spectral_radius(**by_name(*SCENE, 1))
         function = lambda alpha: jaxstab.spectral_radius(**by_name(alpha, *SCENE[1:], 1))  # noqa: E731
@@ -169,6 +172,7 @@ class TestSweep:
         points, part = next(jaxstab.sweep(jaxstab.is_stable, **by_name(*axes), chunk=100))
         assert (points, part.shape) == (slice(0, 100), (100,))
 
+    @pytest.mark.campaign
     def test_compiles_once_per_degree(self) -> None:
         shapes = set()
 

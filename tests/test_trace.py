@@ -120,6 +120,7 @@ def test_the_number_of_unstable_roots_changes_only_across_the_trace(traced, rng)
     assert changes > 0
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("window", "gamma", "delta", "delay"),
     [

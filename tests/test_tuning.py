@@ -162,6 +162,7 @@ class TestMinimizeRadius:
             assert float(reached) == pytest.approx(value, rel=1e-3)
             assert jaxstab.stable_region(**by_name(*plant), radius=value * 0.999).is_empty
 
+    @pytest.mark.campaign
     def test_of_jax_arrays_is_that_of_numpy_also_when_compiled(self) -> None:
         gammas = np.array([1e-3, 1.0, 10.601024803602744])
         plain = jaxstab.minimize_radius(gamma=gammas, delta=0.0, delay=0.5)
@@ -269,6 +270,7 @@ def best() -> list[jaxstab.OptimalGains]:
 
 
 class TestMinimizeSettling:
+    @pytest.mark.campaign
     def test_grows_by_about_5_samples_per_sample_of_delay(
         self, best: list[jaxstab.OptimalGains]
     ) -> None:

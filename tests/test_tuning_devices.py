@@ -77,9 +77,8 @@ def test_the_best_damping_of_a_stiffness_is_that_of_a_scan(case: str) -> None:
     assert best.radius == pytest.approx(values.min(), abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    "excitation", ["force", pytest.param("impact", marks=pytest.mark.campaign)]
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("excitation", ["force", "impact"])
 @pytest.mark.parametrize("case", CASES)
 def test_no_wall_of_the_region_settles_much_faster(case: str, excitation: Any) -> None:
     """A wall may settle a little faster that rings on for very long; those are not taken."""
@@ -93,6 +92,7 @@ def test_no_wall_of_the_region_settles_much_faster(case: str, excitation: Any) -
     assert np.nanmin(others[decays]) >= best.settling_time
 
 
+@pytest.mark.campaign
 def test_a_ringing_mode_is_not_taken_for_settled() -> None:
     """On the boundary this device stays within 2 % and rings for ever."""
     loop = loop_of("mode and motor")

@@ -168,6 +168,7 @@ def settled_mass(alpha: np.ndarray, beta: np.ndarray, window: int, length: int) 
 
 
 class TestMinimizeSettling:
+    @pytest.mark.campaign
     def test_is_reached_and_not_beaten_by_brute_force(self) -> None:
         window, plant = 6, (0.0, 0.0, 1.0)
         filters = {"velocity": Velocity.difference(samples=window)}

@@ -77,6 +77,7 @@ def test_no_wall_of_a_grid_is_faster_at_worst() -> None:
     assert common.settling_time <= np.nanmin(worst)
 
 
+@pytest.mark.campaign
 def test_of_one_loop_it_is_as_fast_as_the_fastest_wall() -> None:
     for loop in (OMEGA, replace(OMEGA, velocity=Velocity.difference(samples=5), delay=1e-3)):
         common = tune_for_all([loop])
@@ -140,6 +141,7 @@ def members(scene: Scene, count: int, rng: np.random.Generator) -> list[HapticLo
     ]
 
 
+@pytest.mark.campaign
 def test_a_scene_with_ranges_has_a_wall_for_them_and_says_what_was_tried() -> None:
     scene = Scene.from_table(TABLE)
     tuned = tune_walls(scene)
