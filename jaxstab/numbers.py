@@ -56,6 +56,18 @@ def checked(
         return np.array(value)
     if is_traced(value):
         return value
+    floats = real_numbers(name, value).astype(np.float64)
+    too_low = floats <= low if is_open else floats < low
+    wrong = too_low | (floats > high) | ~np.isfinite(floats)
+    if np.any(wrong):
+        culprit = float(floats[wrong].flat[0])
+        allowed = _allowed(low, high, is_open, unit)
+        raise ValueError(f"{name} is {culprit}; allowed are finite values{allowed}.")
+    return value if is_jax(value) else floats
+
+
+def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:
+    """Return real numbers as NumPy has them, or raise TypeError; NaN is one of them."""
     if isinstance(value, np.ma.MaskedArray):
         raise TypeError(f"{name} is a masked array; give what is not masked as plain numbers.")
     try:
@@ -64,14 +76,7 @@ def checked(
         raise TypeError(f"{name} is {shortened(value)}; give real numbers.") from error
     if numbers.dtype.kind not in "iuf":
         raise TypeError(f"{name} is {shortened(value)}; give real numbers.")
-    floats = numbers.astype(np.float64)
-    too_low = floats <= low if is_open else floats < low
-    wrong = too_low | (floats > high) | ~np.isfinite(floats)
-    if np.any(wrong):
-        culprit = float(floats[wrong].flat[0])
-        allowed = _allowed(low, high, is_open, unit)
-        raise ValueError(f"{name} is {culprit}; allowed are finite values{allowed}.")
-    return value if is_jax(value) else floats
+    return numbers
 
 
 def checked_number(

@@ -27,7 +27,7 @@ from jaxstab.atlas.read.answer import (
 )
 from jaxstab.atlas.read.cells import decided_share
 from jaxstab.atlas.read.held import HeldAtlas, of_filters
-from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha
+from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha, OutsideError
 from jaxstab.atlas.read.points import (
     answer_at_delay,
     answer_by_limits,
@@ -36,7 +36,7 @@ from jaxstab.atlas.read.points import (
 )
 from jaxstab.atlas.read.radii import RadiusTable
 from jaxstab.conventions import AXES, UNDECIDED
-from jaxstab.numbers import checked_number, checked_word
+from jaxstab.numbers import checked_number, checked_word, real_numbers
 
 Floats = NDArray[np.float64]
 Range = tuple[float, float]
@@ -322,9 +322,12 @@ class Atlas(HeldAtlas):
         if len(numbers) == len(given) and all(abs(v) < _MOST for v in numbers):
             point = tuple(map(float, numbers))
             return np.asarray(table.verdict(*point), np.int8) if table.holds(*point) else None
-        points = np.broadcast_arrays(*all_checked(given))
-        codes = table.verdicts_inside(*(point.reshape(-1) for point in points))
-        return None if codes is None else codes.reshape(points[0].shape)
+        points = [real_numbers(*pair) for pair in zip(AXES, given, strict=True)]
+        np.broadcast(*points)  # refuses shapes that do not fit together
+        try:
+            return table.verdicts(points)
+        except OutsideError:
+            return None
 
     @property
     def _has_verdicts(self) -> bool:
@@ -357,16 +360,16 @@ class Atlas(HeldAtlas):
         asked = dict(zip(names, points, strict=True))
         for name in ("gamma", "delta", "delay"):
             check_inside(name, asked[name], self.arrays[name][0], self.arrays[name][-1])
-        between = ~table.covers(asked["delay"])
+        between = ~table.delays.covers(asked["delay"])
         if np.any(between):
             delays = ", ".join(f"{node:g}" for node in self.delays.tolist())
             raise ValueError(
                 f"delay is {float(asked['delay'][between].flat[0])!r}; this atlas has limits at "
                 f"{delays} alone."
             )
-        cell = table.delay_cell(asked["delay"])
+        cell = table.delays.of(asked["delay"])
         for name in {"alpha", "beta"} & set(given):
-            check_inside(name, asked[name], *table.ends(name, cell))
+            check_inside(name, asked[name], *table.delays.walls(name, cell))
         return table, list(points)
 
     def _asked_over(

@@ -120,15 +120,15 @@ def _inside(table: LimitTable, points: Sequence[Floats], *, refuse: bool) -> NDA
             check_inside(name, values, low, high)
         inside &= ((values >= low) & (values <= high)).reshape(-1)
     delay = plant[2].reshape(-1)
-    inside &= table.covers(delay)
+    inside &= table.delays.covers(delay)
     if refuse and not inside.all():
         raise ValueError(
             f"delay is {float(delay[~inside][0])!r}; this atlas has no limits there, between its "
             "delays."
         )
-    cell = np.maximum(table.delay_cell(delay), 0)
+    cell = np.maximum(table.delays.of(delay), 0)
     for name, values in zip(("alpha", "beta"), wall, strict=True):
-        least, _ = table.ends(name, cell)
+        least, _ = table.delays.walls(name, cell)
         if refuse:
             check_inside(name, values.reshape(-1), least, np.inf, delay)
         inside &= values.reshape(-1) >= least
@@ -144,9 +144,9 @@ def clamped(
     beta. Within one the limits are linear, so that the ends of a cell, and where the line between
     them meets the alpha, say what it grants.
     """
-    cell = table.delay_cell(delay)
-    lowest, most = table.ends("alpha", cell)
-    wanted, highest = np.minimum(alpha, most), table.ends("beta", cell)[1]
+    cell = table.delays.of(delay)
+    lowest, most = table.delays.walls("alpha", cell)
+    wanted, highest = np.minimum(alpha, most), table.delays.walls("beta", cell)[1]
     high = np.where(beta > highest, highest * (1.0 - _ASIDE), beta)
     row = table.beta_cell(cell, high)
     best = np.stack([np.full(alpha.size, _NONE), np.zeros(alpha.size)])

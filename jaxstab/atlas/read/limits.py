@@ -6,22 +6,35 @@ delay they are planes.
 """
 
 from bisect import bisect_right
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format.schema import LIMIT_TERMS
+from jaxstab.atlas.read.delays import DelayCells
+from jaxstab.atlas.read.parts import in_parts
+from jaxstab.atlas.read.sides import (
+    codes_by_limits,
+    codes_by_one,
+    deciding_alphas,
+    ignoring,
+    surface,
+    surfaces,
+)
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.intp]
 Range = tuple[float, float]
 
-_MOST_GUESSES = 2**12
 _FEW = 16  # nodes
-_CHUNK = 2**13  # points: their columns stay in the cache
-_ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
+
+
+class OutsideError(ValueError):
+    """A point is outside of the table."""
 
 
 class AlphaLimits(NamedTuple):
@@ -81,49 +94,17 @@ class LimitTable:
     ) -> None:
         self._cells, gammas, deltas, delays, count = terms.shape
         self._columns = np.ascontiguousarray(terms).reshape(-1, count)
-        self._early, self._late, self._least, self._most, self._beta, highest = (
-            np.ascontiguousarray(end) for end in ends.T
-        )
-        self._highest_beta = highest
-        self._next = np.append(self._early[1:], np.inf)
-        self._first = self._early[0]
-        self._per_delay, self._guesses = _guesses_of(self._early)
+        self.delays = DelayCells(ends)
+        self._beta, highest = self.delays.ends["beta"]
         self._per_beta = self._cells / (highest - self._beta)
         self._steps = gammas * deltas * delays, deltas * delays, delays
-        self._nodes = gamma, delta
         self._inner = gamma[1:-1], delta[1:-1]
         self._inner_lists = gamma[1:-1].tolist(), delta[1:-1].tolist()
-        self._early_list = self._early.tolist()
+        self._nodes = gamma, delta
         self._rows = np.column_stack([ends, self._per_beta]).tolist()
-
-    def covers(self, delay: Floats) -> NDArray[np.bool_]:
-        """Say which delays there are limits for."""
-        cell = self.delay_cell(delay)
-        return np.asarray((cell >= 0) & (delay <= self._late.take(cell)))
-
-    def delay_cell(self, delay: Floats) -> Integers:
-        """Return the numbers of the last cells that begin at delays or before; -1 for none."""
-        place = (delay - self._first) * self._per_delay
-        cell = self._guesses.take(np.clip(place, 0.0, self._guesses.size - 1.0).astype(np.intp))
-        cell += delay >= self._next.take(cell)
-        cell -= delay < self._early.take(cell)
-        found = (delay < self._next.take(cell)) & (delay >= self._early.take(cell))
-        if found.all():  # as where no cell is very short
-            return np.asarray(cell)
-        return np.asarray(np.searchsorted(self._early, delay, "right") - 1)
-
-    def ends(self, name: str, cell: Integers) -> tuple[Floats, Floats]:
-        """Return the lowest and the highest alpha, or beta, of cells of delays."""
-        if name == "alpha":
-            return np.asarray(self._least[cell]), np.asarray(self._most[cell])
-        return np.asarray(self._beta[cell]), np.asarray(self._highest_beta[cell])
-
-    @property
-    def plants(self) -> tuple[Range, Range, Range]:
+        hands = ((float(nodes[0]), float(nodes[-1])) for nodes in self._nodes)
+        self.plants: tuple[Range, ...] = *hands, self.delays.span
         """The lowest and the highest gamma, delta and delay."""
-        gamma, delta = self._nodes
-        delays = float(self._early[0]), float(self._late[-1])
-        return (float(gamma[0]), float(gamma[-1])), (float(delta[0]), float(delta[-1])), delays
 
     def beta_cell(self, number: Integers, beta: Floats) -> Integers:
         """Return the cells along beta that hold values, in cells of delays."""
@@ -136,65 +117,83 @@ class LimitTable:
 
     def holds(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> bool:
         """Whether a point is inside of the table."""
-        cell = bisect_right(self._early_list, delay) - 1
+        cell = self.delays.of_one(delay)
         if cell < 0:
             return False
         _, late, least, most, lowest, highest, _ = self._rows[cell]
-        gammas, deltas = self._nodes
+        (least_gamma, most_gamma), (least_delta, most_delta), _ = self.plants
         return bool(
             delay <= late
             and least <= alpha <= most
             and lowest <= beta <= highest
-            and gammas[0] <= gamma <= gammas[-1]
-            and deltas[0] <= delta <= deltas[-1]
+            and least_gamma <= gamma <= most_gamma
+            and least_delta <= delta <= most_delta
         )
 
-    def verdicts_inside(
-        self, alpha: Floats, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
-    ) -> NDArray[np.int8] | None:
-        """Return the codes of points, arrays of one length; None if one is outside of the table."""
-        codes = np.empty(alpha.size, np.int8)
-        for start in range(0, alpha.size, _CHUNK):
-            part = slice(start, start + _CHUNK)
-            some = alpha[part], beta[part], gamma[part], delta[part], delay[part]
-            cell = self.delay_cell(some[4])
-            if not self._holds(cell, *some):
-                return None
-            codes[part] = _codes(some[0], self._limits(cell, *some[1:]))
-        return codes
+    def verdicts(self, points: Sequence[Floats]) -> NDArray[np.int8]:
+        """Return the codes of points of any broadcast shape.
 
-    def _holds(
-        self,
-        cell: Integers,
-        alpha: Floats,
-        beta: Floats,
-        gamma: Floats,
-        delta: Floats,
-        delay: Floats,
-    ) -> bool:
-        """Whether all of some points, in these cells of delays, are inside."""
-        hands = zip((gamma, delta), self._nodes, strict=True)
-        if not all(n[0] <= v.min() and v.max() <= n[-1] for v, n in hands) or cell.min() < 0:
-            return False
-        inside = delay <= self._late.take(cell)
-        inside &= (alpha >= self._least.take(cell)) & (alpha <= self._most.take(cell))
-        inside &= (beta >= self._beta.take(cell)) & (beta <= self._highest_beta.take(cell))
-        return bool(inside.all())
+        Raises:
+            OutsideError: a point is outside of the table, or NaN.
+        """
+        is_large = np.broadcast(*points).size >= len(self._columns)
+        deciding = self._deciding if is_large else None  # for few it takes longer than they do
+        return in_parts(partial(self._verdicts, deciding), points, np.int8)[0]
 
-    def verdicts(
-        self, alpha: Floats, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
+    def _verdicts(
+        self, deciding: Floats | None, alpha: Floats, beta: Floats, *plant: Floats
+    ) -> tuple[NDArray[np.int8]]:
+        """Return the codes of points; a plant that all of them share is looked up once."""
+        ends = [(values.min(), values.max()) for values in plant]
+        for (least, most), (low, high) in zip(ends, self.plants, strict=True):
+            if not low <= least <= most <= high:
+                raise OutsideError
+        gamma, delta, delay = (
+            values[:1] if least == most else values
+            for values, (least, most) in zip(plant, ends, strict=True)
+        )
+        cell = self.delays.of(delay)
+        if not self.delays.hold(cell, delay, alpha=alpha, beta=beta):
+            raise OutsideError
+        point = beta, gamma, delta, delay
+        rows = self._rows_of(cell, *point[:-1])
+        if deciding is None:
+            return (codes_by_limits(alpha, *self._limits(rows, *point)),)
+        return (self._codes(deciding.take(rows, axis=0), rows, alpha, *point),)
+
+    def _codes(
+        self, deciding: Floats, rows: Integers, alpha: Floats, *point: Floats
     ) -> NDArray[np.int8]:
-        """Return the codes of points inside of the table, arrays of one length."""
-        codes = np.empty(alpha.size, np.int8)
-        for start in range(0, alpha.size, _CHUNK):
-            part = slice(start, start + _CHUNK)
-            limits = self.limits(beta[part], gamma[part], delta[part], delay[part])
-            codes[part] = _codes(alpha[part], limits)
+        """Return the codes of points, by one limit where that is enough; see ``_deciding``."""
+        by_upper, by_lower = alpha > deciding[:, 0], alpha < deciding[:, 1]
+        each = self._columns.reshape(-1, LIMIT_TERMS).take(2 * rows + by_upper, axis=0)
+        codes = codes_by_one(alpha, by_upper, each.T, *point)
+        both = np.flatnonzero(~(by_upper | by_lower))
+        if both.size:
+            some = [np.broadcast_to(v, alpha.shape)[both] for v in (rows, alpha, *point)]
+            codes[both] = codes_by_limits(some[1], *self._limits(some[0], *some[2:]))
         return codes
+
+    @cached_property
+    def _deciding(self) -> Floats:
+        """Above which alpha the upper limit decides, and below which one the lower, in columns."""
+        return deciding_alphas(self._columns, *self._boxes)
+
+    @cached_property
+    def _boxes(self) -> tuple[list[Floats], list[Floats]]:
+        """Middles, and half widths, of the cells of beta, gamma, delta and delay, as a grid."""
+        number = np.arange(self._cells).reshape(-1, 1, 1, 1) + 0.5
+        middles, halves = [number / self._per_beta + self._beta], [0.5 / self._per_beta]
+        for shape, nodes in zip(((-1, 1, 1), (-1, 1)), self._nodes, strict=True):
+            low, high = (nodes[:-1], nodes[1:]) if nodes.size > 1 else (nodes, nodes)
+            middles.append(0.5 * (high + low).reshape(shape))
+            halves.append(0.5 * (high - low).reshape(shape))
+        early, late = self.delays.ends["delay"]
+        return [*middles, 0.5 * (late + early)], [*halves, 0.5 * (late - early)]
 
     def verdict(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> int:
         """Return the code of one point, without the cost of arrays."""
-        number = bisect_right(self._early_list, delay) - 1
+        number = self.delays.of_one(delay)
         lowest, _, per_beta = self._rows[number][4:]
         cell = min(int((beta - lowest) * per_beta), self._cells - 1)
         row = cell * self._steps[0] + bisect_right(self._inner_lists[0], gamma) * self._steps[1]
@@ -202,21 +201,26 @@ class LimitTable:
         column = self._columns[row].tolist()
         low, high = column[:LIMIT_TERMS], column[LIMIT_TERMS:]
         error, upper_error = low[-1], high[-1]
-        lower, upper = (_surface(terms, beta, gamma, delta, delay) for terms in (low, high))
+        lower, upper = (surface(terms, beta, gamma, delta, delay) for terms in (low, high))
         if alpha < lower - error or alpha > upper + upper_error:
             return int(UNSTABLE)
         return int(STABLE if lower + error < alpha < upper - upper_error else UNDECIDED)
 
     def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
         """Return the limits at points inside of the table; both infinite where none is stable."""
-        return self._limits(self.delay_cell(delay), beta, gamma, delta, delay)
+        return AlphaLimits(*in_parts(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
 
-    def _limits(
-        self, number: Integers, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
-    ) -> AlphaLimits:
-        """Return the limits at points in these cells of delays."""
+    def _limits_of(self, *point: Floats) -> Sequence[Floats]:
+        return self._limits(self._rows_of(self.delays.of(point[-1]), *point[:-1]), *point)
+
+    def _limits(self, rows: Integers, *point: Floats) -> Sequence[Floats]:
+        """Return the limits of columns at points."""
+        return surfaces(self._columns.take(rows, axis=0).T, *point)
+
+    def _rows_of(self, number: Integers, beta: Floats, gamma: Floats, delta: Floats) -> Integers:
+        """Return the numbers of columns, in cells of delays."""
         rows = self.beta_cell(number, beta) * self._steps[0] + self._hands(gamma, delta) + number
-        return limits_at(self._columns.take(rows, axis=0).T, beta, gamma, delta, delay)
+        return np.asarray(rows)
 
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
         """Return the numbers of the cells of hands within a cell along beta."""
@@ -226,11 +230,11 @@ class LimitTable:
         rows: Integers = along_gamma * self._steps[1] + along_delta * self._steps[2]
         return rows
 
-    @_ignoring
+    @ignoring
     def max_alpha(self, gamma: Floats, delta: Floats, delay: Floats) -> MaxAlpha:
         """Return the largest stable alpha for hands inside of the table, arrays of one length."""
         columns = self._columns.reshape(self._cells, self._steps[0], -1)
-        numbers = self.delay_cell(delay)
+        numbers = self.delays.of(delay)
         found = np.full((3, gamma.size), np.nan)
         for point, row in enumerate(self._hands(gamma, delta) + numbers):
             number = numbers[point]
@@ -246,28 +250,23 @@ class LimitTable:
                 found[:, point] = top.flat[best], sides.flat[best], bound
         return MaxAlpha(*found)
 
-    @_ignoring
+    @ignoring
     def decided_share(self, delay: float) -> float:
         """Return the share of the volume at a delay that is decided, by the middles of columns."""
-        number = int(self.delay_cell(np.array([delay]))[0])
-        beta = (np.arange(self._cells) + 0.5) / self._per_beta[number] + self._beta[number]
+        number = self.delays.of_one(delay)
         spans = [  # shares, for products of tiny spans are 0
             np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1)
             for nodes in self._nodes
         ]
-        middles = [
-            0.5 * (nodes[1:] + nodes[:-1]) if nodes.size > 1 else nodes for nodes in self._nodes
-        ]
-        along_beta, gamma, delta = (
-            point.ravel() for point in np.meshgrid(beta, *middles, indexing="ij")
-        )
+        beta, gamma, delta, _ = np.broadcast_arrays(*self._boxes[0])
+        point = (middle[..., number].ravel() for middle in (beta, gamma, delta))
         columns = self._columns[number :: self._steps[2]].T
-        at = limits_at(columns, along_beta, gamma, delta, np.full(gamma.size, delay))
+        at = limits_at(columns, *point, np.array(delay))
         weights = np.multiply.outer(np.ones(self._cells), np.multiply.outer(*spans)).ravel()
-        undecided = undecided_share(at, float(self._least[number]), float(self._most[number]))
+        undecided = undecided_share(at, *self._rows[number][2:4])
         return float(1.0 - np.average(undecided, weights=weights))
 
-    @_ignoring
+    @ignoring
     def common_limits(
         self, beta: float, gamma: Range, delta: Range, delay: float
     ) -> tuple[float, float]:
@@ -280,7 +279,7 @@ class LimitTable:
         self, alpha: float, beta: float, gamma: Range, delta: Range, delay: float
     ) -> int:
         """Return STABLE for all hands of a box, UNSTABLE for one, or UNDECIDED."""
-        codes = _codes(np.array(alpha), self._limits_over(beta, gamma, delta, delay))
+        codes = codes_by_limits(np.array(alpha), *self._limits_over(beta, gamma, delta, delay))
         if np.any(codes == UNSTABLE):
             return int(UNSTABLE)
         return int(STABLE if np.all(codes == STABLE) else UNDECIDED)
@@ -295,7 +294,7 @@ class LimitTable:
         # A corner belongs to a cell by the middle of its part of the box.
         middles = np.meshgrid(*(ends.mean(axis=0) for ends in corners), indexing="ij")
         gammas, deltas = (middle.ravel() for middle in middles)
-        number = bisect_right(self._early_list, delay) - 1
+        number = self.delays.of_one(delay)
         lowest, _, per_beta = self._rows[number][4:]
         cell = min(int((beta - lowest) * per_beta), self._cells - 1)
         columns = self._columns[cell * self._steps[0] + self._hands(gammas, deltas) + number]
@@ -308,13 +307,6 @@ class LimitTable:
         return limits_at(np.tile(columns.T, 4), at_beta, at_gamma, at_delta, at_delay)
 
 
-def _surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
-    """Return a limit by its terms; numbers or arrays."""
-    c, per_beta, per_gamma, per_delta, per_delay, bend, by_beta, by_gamma, by_delta, _ = terms
-    rate = per_delay + bend * delay + by_beta * beta + by_gamma * gamma + by_delta * delta
-    return c + per_beta * beta + per_gamma * gamma + per_delta * delta + rate * delay
-
-
 def _rank(inner: Floats, values: Floats) -> Integers:
     """Return how many of some ascending nodes are not above each of some values."""
     if inner.size > _FEW:
@@ -325,19 +317,8 @@ def _rank(inner: Floats, values: Floats) -> Integers:
     return count.astype(np.intp)
 
 
-def _guesses_of(early: Floats) -> tuple[float, Integers]:
-    """Return how many even steps there are to a delay, and for each the cell in which it begins."""
-    width = float(early[-1] - early[0])
-    if not width:
-        return 0.0, np.zeros(1, np.intp)
-    count = int(min(np.ceil(width / np.diff(early).min()), _MOST_GUESSES))
-    steps = early[0] + width * np.arange(count + 1) / count
-    cells = np.searchsorted(early, steps, "right") - 1
-    return count / width, np.maximum(cells, 0)
-
-
-@_ignoring
-def undecided_share(limits: AlphaLimits, low: float, high: float) -> Floats:
+@ignoring
+def undecided_share(limits: AlphaLimits, low: Floats | float, high: Floats | float) -> Floats:
     """Return which share of the alphas from the lowest to the highest the limits leave open."""
     lower, lower_error, upper, upper_error = limits
     ends = [lower - lower_error, lower + lower_error, upper - upper_error, upper + upper_error]
@@ -346,23 +327,7 @@ def undecided_share(limits: AlphaLimits, low: float, high: float) -> Floats:
     return np.asarray((may_be_stable - stable) / (high - low))
 
 
-@_ignoring
-def limits_at(
-    columns: NDArray[np.float32], beta: Floats, gamma: Floats, delta: Floats, delay: Floats
-) -> AlphaLimits:
+@ignoring
+def limits_at(columns: NDArray[np.float32], *point: Floats) -> AlphaLimits:
     """Return the limits of columns, (20, point), at points."""
-    limits = []
-    for terms in (columns[:LIMIT_TERMS], columns[LIMIT_TERMS:]):
-        limits += [_surface(terms, beta, gamma, delta, delay), terms[-1]]
-    return AlphaLimits(*limits)
-
-
-@_ignoring
-def _codes(alpha: Floats, limits: AlphaLimits) -> NDArray[np.int8]:
-    lower, lower_error, upper, upper_error = limits
-    is_unstable = (alpha < lower - lower_error) | (alpha > upper + upper_error)
-    is_stable = (alpha > lower + lower_error) & (alpha < upper - upper_error)
-    codes: NDArray[np.int8] = np.full(np.shape(is_stable), UNDECIDED, np.int8)
-    codes[is_unstable] = UNSTABLE
-    codes[is_stable] = STABLE
-    return codes
+    return AlphaLimits(*surfaces(columns, *point))

@@ -57,10 +57,10 @@ def find_outside(
     for name in ("gamma", "delta", "delay"):
         check(name, arrays[name][0], arrays[name][-1], everywhere)
     if table is not None:
-        covered = np.flatnonzero(table.covers(where["delay"]))
-        cell = table.delay_cell(where["delay"][covered])
+        covered = np.flatnonzero(table.delays.covers(where["delay"]))
+        cell = table.delays.of(where["delay"][covered])
         for name in ("alpha", "beta"):
-            check(name, *table.ends(name, cell), covered)
+            check(name, *table.delays.walls(name, cell), covered)
         return
     for number, delay in enumerate(arrays["delay"].tolist()):
         here = np.flatnonzero(where["delay"] == delay)
@@ -71,8 +71,8 @@ def find_outside(
 
 def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: AtlasAnswer) -> None:
     """Fill in the verdicts of points inside of an atlas, where there are limits of alpha."""
-    here = np.flatnonzero(inside & table.covers(where["delay"]))
-    codes = table.verdicts(*(where[name][here] for name in AXES))
+    here = np.flatnonzero(inside & table.delays.covers(where["delay"]))
+    codes = table.verdicts([where[name][here] for name in AXES])
     answer.verdict[here] = codes
     proved = (codes == STABLE) | (codes == UNSTABLE)
     answer.status[here] = np.where(proved, QueryStatus.CELL, QueryStatus.UNDECIDED_CELL)

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format import schema
+from jaxstab.atlas.read.parts import in_parts
 from jaxstab.atlas.read.surfaces import radius_bounds
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.intp]
 
-_CHUNK = 2**13  # points: what is computed of them stays in the cache
 _VARIABLES = 5
 _FIRST, _SECOND = np.triu_indices(_VARIABLES)
 
@@ -44,13 +44,10 @@ class RadiusTable:
         Args:
             points: alpha, beta, gamma, delta and delay of each, inside of gamma and delta.
         """
-        low, high = np.zeros(points[0].size), np.full(points[0].size, np.inf)
-        for start in range(0, low.size, _CHUNK):
-            some = slice(start, start + _CHUNK)
-            low[some], high[some] = self._bounds([values[some] for values in points])
+        low, high = in_parts(self._bounds, points, float, float)
         return low, high
 
-    def _bounds(self, points: list[Floats]) -> tuple[Floats, Floats]:
+    def _bounds(self, *points: Floats) -> tuple[Floats, Floats]:
         number = np.searchsorted(self._ends[:, 0], points[-1], side="right") - 1
         ends = self._ends[number].T
         inside = points[-1] <= ends[1]
