@@ -5,6 +5,9 @@ of its delays, at any delay between them, and next to the limits of alpha, to th
 cells and to whole delays. ``error`` is the share of points without a right verdict: undecided, or
 wrong by ``verdict(resolve="exact")``. Spectral radii are asked at a part of the points; there it is
 the share without a radius, or with one that is outside of its bound by ``spectral_radius``.
+``undecided_of_cells`` is the share that all cells of limits leave open, in their middles, and
+``undecided_at_best_beta``, say, what as many cells would at least leave if their widths along beta
+were the best ones.
 """
 
 import tempfile
@@ -17,7 +20,8 @@ import numpy as np
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
-from jaxstab.conventions import UNDECIDED
+from jaxstab.atlas.read.limits import undecided_share
+from jaxstab.conventions import AXES, UNDECIDED
 from jaxstab.model import by_name
 
 MEASURE = "share of random points without a right verdict: undecided or wrong"
@@ -46,7 +50,7 @@ def rows(small: bool) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "default.h5"
         atlas = jaxstab.build_atlas(spec, path)
-        shared = {"file_bytes": path.stat().st_size} | _opening(path, atlas)
+        shared = {"file_bytes": path.stat().st_size} | _opening(path, atlas) | _divisions(atlas)
     rng = np.random.default_rng(20081012)
     points, calls = (2000, 1) if small else (_CALL, _CALLS)
     for delay in atlas.delays.tolist():
@@ -75,6 +79,38 @@ def _opening(path: Path, atlas: jaxstab.Atlas) -> dict[str, float]:
         budget=1.0,
     )
     return {name: timing.median for name, timing in timings.items()}
+
+
+def _divisions(atlas: jaxstab.Atlas) -> dict[str, float]:
+    """Return what the cells of limits leave open, and what the best division along each axis would.
+
+    What a limit leaves open is taken to fall with the square of the width w of cells, as fast as
+    a curve nears a line: k(x) w(x)^2. Of all divisions into n cells, those with 1/w of integral n,
+    the one with the same k w^3 everywhere leaves least: the cube of the integral of the cubic root
+    of k, over n^2.
+    """
+    early, late, least, most, low, high = atlas.arrays["limit_range"].T
+    gamma, delta = (atlas.arrays[name] for name in ("gamma", "delta"))
+    cells = atlas.arrays["alpha_limits"].shape[0]
+    place = (np.arange(cells).reshape(-1, 1, 1, 1) + 0.5) / cells
+    limits = atlas.alpha_limits(
+        low + place * (high - low),
+        gamma=(0.5 * (gamma[1:] + gamma[:-1])).reshape(-1, 1, 1),
+        delta=(0.5 * (delta[1:] + delta[:-1])).reshape(-1, 1),
+        delay=0.5 * (early + late),
+    )
+    left = np.where(np.isnan(limits.lower), 0.0, undecided_share(limits, least, most))
+    ends = np.linspace(0.0, 1.0, cells + 1), gamma, delta, np.append(early, late[-1])
+    widths = dict(zip(AXES[1:], (np.diff(end) / np.ptp(end) for end in ends), strict=True))
+    found = {}
+    for axis, (name, width) in enumerate(widths.items()):
+        along = np.moveaxis(left, axis, 0)
+        for weights in reversed([w for other, w in widths.items() if other != name]):
+            along = along @ weights
+        found["undecided_of_cells"] = float(along @ width)
+        best = (np.cbrt(along / width**2) @ width) ** 3 / width.size**2
+        found[f"undecided_at_best_{name}"] = float(best)
+    return found
 
 
 def _rows(atlas: jaxstab.Atlas, section: str, lists: list[Points], small: bool) -> Iterator[Row]:

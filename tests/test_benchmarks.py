@@ -142,6 +142,10 @@ def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, An
     assert {row["error"] for row in rows("scaling", method="streamed verdict")} == {0}
     assert {row["wrong"] for row in rows("verdicts")} == {0}
     assert {row["wrong"] for row in rows("answers")} == {0}
+    for row in rows("answers"):
+        best = [value for name, value in row.items() if name.startswith("undecided_at_best_")]
+        assert len(best) == 4
+        assert 0.0 < max(best) <= row["undecided_of_cells"] * (1 + 1e-9) < 0.05
     assert {row["wrong"] for row in rows("regions", method="stable_region")} == {0}
     for row in rows("tuning"):
         assert row["beaten"] == row["region_below"] == row["not_reached"] == row["missed"] == 0
