@@ -37,7 +37,7 @@ def limits(
 
     def ends(values: Array) -> Array:
         xp = namespace(c, outline, values)
-        coordinates, exist = _crossings(c, outline, values, axis)
+        coordinates, exist = _crossings(c, outline, values, axis, _met(outline, values, axis))
         most = xp.max(xp.where(exist, coordinates, -xp.inf), axis=-1)
         if outermost:
             least = xp.min(xp.where(exist, coordinates, xp.inf), axis=-1)
@@ -55,7 +55,7 @@ def crossings(
 ) -> Float64[np.ndarray, "row crossing"]:
     """Return the ends of all intervals on lines as in ``limits``, ascending, then NaN."""
     with np.errstate(all="ignore"):  # as where it is compiled
-        coordinates, exist = _crossings(c, outline, values, axis)
+        coordinates, exist = _crossings(c, outline, values, axis, _met(outline, values, axis))
     return np.sort(np.where(exist, coordinates, np.nan), axis=-1)
 
 
@@ -64,9 +64,15 @@ def contains(c: SliceCoefficients, outline: Outline, alpha: Array, beta: Array) 
     """Return whether an odd number of crossings of the row lies beyond alpha."""
 
     def is_inside(alpha: Array, beta: Array) -> Array:
-        coordinates, exist = _crossings(c, outline, beta, 1)
-        beyond = exist & (coordinates > alpha[:, None])
-        return namespace(beyond).sum(beyond, axis=-1) % 2 == 1
+        xp = namespace(c, outline, alpha, beta)
+        met, beyond = _met(outline, beta, 1), outline.vertices[:, 0] > alpha[:, None]
+        here, there = beyond[:, :-1], beyond[:, 1:]
+        count = xp.sum(met & here & there, axis=-1)
+        unsure = met & (here != there)  # alpha is between the ends of the edge
+        if xp is not np or unsure.any():
+            coordinates, exist = _crossings(c, outline, beta, 1, unsure)
+            count = count + xp.sum(exist & (coordinates > alpha[:, None]), axis=-1)
+        return count % 2 == 1
 
     return _in_batches(is_inside, outline, alpha, beta).reshape(alpha.shape)
 
@@ -139,14 +145,11 @@ def _in_batches(function: Callable[..., Array], outline: Outline, *columns: Arra
 
 
 def _crossings(
-    c: SliceCoefficients, outline: Outline, values: Array, axis: int
+    c: SliceCoefficients, outline: Outline, values: Array, axis: int, met: Array
 ) -> tuple[Array, Array]:
-    """Return the other coordinate (row, crossing) where rows meet the boundary, and which exist."""
+    """Return the other coordinate (row, crossing) where rows meet edges, and which exist."""
     xp = namespace(c, outline, values)
     known = constant(outline)
-    along = known.vertices[:, axis]
-    above = along > values[:, None]
-    met = (above[:, :-1] != above[:, 1:]) & (known.branches >= 0)
     count = xp.sum(met, axis=-1)
     edges = first_indices(met, int(np.max(count, initial=1)) if xp is np else _CROSSINGS)
     exist = edges < len(known.branches)
@@ -167,6 +170,12 @@ def _crossings(
     on_curve = curve_and_lift(c, theta, low)[1 - axis]
     coordinates = xp.where(known.branches[edges] == Branch.CURVE, on_curve, on_line)
     return xp.where((count <= edges.shape[-1])[:, None], coordinates, xp.nan), exist
+
+
+def _met(outline: Outline, values: Array, axis: int) -> Array:
+    """Return which edges (row, edge) rows meet."""
+    above = constant(outline).vertices[:, axis] > values[:, None]
+    return (above[:, :-1] != above[:, 1:]) & (outline.branches >= 0)
 
 
 def _last_steps(c: SliceCoefficients, theta: Array, values: Array, axis: int) -> Array:
