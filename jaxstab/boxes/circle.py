@@ -9,7 +9,8 @@ g is continuous in all six variables, in the delay too. Re g and Im g / sin(thet
 smoothly to theta = 0 and pi, where the pair meets a real root.
 """
 
-from math import ceil, log2, pi
+from functools import partial
+from math import pi
 from typing import NamedTuple
 
 import numpy as np
@@ -52,13 +53,18 @@ def motion(gamma: Array, delta: Array, time: Array) -> Motion:
         return Motion(2 * p - gamma * p**2 + v**2, 2 * v - delta * v**2 - 2 * gamma * p * v)
 
     start = Motion(position, moment / xp.where(short == 0.0, 1.0, short))
-    return repeat(doublings, doubled, start)
+    if xp is not np:
+        return repeat(_DOUBLINGS, doubled, start)
+    moved = start
+    for count in range(int(np.max(doublings, initial=0.0))):
+        moved = Motion(*map(partial(np.where, count < doublings), doubled(moved), moved))
+    return moved
 
 
-def _doublings(gamma: Array, delta: Array) -> int:
-    """Return how often to double the time in which no plant moves by more than about 1/4."""
+def _doublings(gamma: Array, delta: Array) -> Array:
+    """Return how often to double the time in which a plant moves by no more than about 1/4."""
     rates = 4.0 * (np.sqrt(np.abs(gamma)) + np.abs(delta))
-    return ceil(log2(np.max(np.fmin(rates, 2.0**_DOUBLINGS), initial=1.0)))
+    return np.ceil(np.log2(np.fmax(np.fmin(rates, 2.0**_DOUBLINGS), 1.0)))  # whatever is NaN
 
 
 class QuickPlant(NamedTuple):

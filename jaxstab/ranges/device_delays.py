@@ -88,8 +88,8 @@ def _critical_angles(
     pieces = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, number]
     halves = np.zeros_like(angle), pieces[1], np.full_like(angle, 0.5 / _ANGLES)
     boxes = Boxes(np.stack([wall, pieces[0], angle], axis=-1), np.stack(halves, axis=-1))
-    most = _MOST_ANGLES * len(numbers) * len(device.pieces)
-    return joined_angles(pave_by(boxes, smallest, prove, most).boxes)
+    most = _MOST_ANGLES * len(device.pieces)
+    return joined_angles(pave_by(boxes, smallest, prove, most, is_numbered=True).boxes)
 
 
 def _longest(device: DelayedDevice, angles: Parts, walls: int) -> np.ndarray:

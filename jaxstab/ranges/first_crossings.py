@@ -6,7 +6,7 @@ brings a root onto the circle.
 """
 
 from functools import partial
-from math import inf, nan, pi
+from math import ceil, inf, nan, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +30,7 @@ GAIN_WAYS = ((_ALPHA, -1.0), (_ALPHA, 1.0), (_BETA, -1.0), (_BETA, 1.0))
 WAYS = (*GAIN_WAYS, (_DELAY, 1.0))
 """The axes along which a wall is changed, and the signs."""
 
-_AT_ONCE = 64  # walls
+_ANGLES_AT_ONCE = 8192  # of walls: their boxes, four for each at first, stay in the cache
 _ANGLES, _ANGLES_PER_TURN = 16, 4  # boxes of theta at first, for half a turn of the root
 _FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
 _DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
@@ -61,8 +61,12 @@ def first_crossings(
     for a wall that is not proved stable.
     """
     table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
-    for first in range(0, len(walls), _AT_ONCE):
-        some, rows = walls[first : first + _AT_ONCE], table[first : first + _AT_ONCE]
+    counts = _angle_counts(walls)
+    parts = np.linspace(0, counts.sum(), ceil(counts.sum() / _ANGLES_AT_ONCE) + 1)
+    ends = np.searchsorted(np.cumsum(counts), parts[1:-1])
+    for some, rows in zip(np.split(walls, ends), np.split(table, ends), strict=True):
+        if not len(some):
+            continue
         rows[:, 0] = _verdicts(some.T[:2], some, filters)
         stable = rows[:, 0] == Verdict.STABLE
         if stable.any():
@@ -90,7 +94,7 @@ def _along_gains(walls: Walls, filters: Filters | None) -> list[_Crossings]:
     for way, (axis, sign) in enumerate(GAIN_WAYS):
         change[axis, way] = sign * reach[way]
     lines = Lines(np.tile(walls.T, len(GAIN_WAYS)), change.reshape(len(AXES), -1))
-    roots = first_roots(lines, _all_angles(walls, reach.shape), filters)
+    roots = first_roots(lines, _all_angles(walls, len(GAIN_WAYS)), filters)
     low, angle = (part.reshape(reach.shape) for part in (roots.low, roots.theta / pi))
     step = np.minimum(low, 1.0) * reach * _SAFE
     signs = [sign for _, sign in GAIN_WAYS]
@@ -114,15 +118,18 @@ def _reach(walls: Walls, filters: Filters | None) -> Float64[np.ndarray, "way wa
     return np.minimum(reach, 2.0 ** (_DOUBLINGS - 1) * first)
 
 
-def _all_angles(walls: Walls, shape: tuple[int, ...]) -> Parts:
+def _all_angles(walls: Walls, ways: int) -> Parts:
     """Return boxes of all angles of lines, the real roots in the middle of the first and last."""
-    turns = 1.0 + np.floor(np.max(walls[:, _DELAY]))
-    count = int(_ANGLES + _ANGLES_PER_TURN * turns)
-    theta = pi * (np.arange(count + 2) - 0.5) / count
-    lines = int(np.prod(shape))
-    line = np.repeat(np.arange(lines), count + 1)
-    low = np.stack([np.zeros(line.size), np.tile(theta[:-1], lines)])
-    return Parts(line, low, low + np.array([[1.0], [theta[1] - theta[0]]]))
+    count = np.tile(_angle_counts(walls), ways)
+    line = np.repeat(np.arange(count.size), count + 1)
+    number = np.arange(line.size) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
+    ends = pi * (number + np.array([[-0.5], [0.5]])) / count[line]
+    low, high = np.stack(np.broadcast_arrays([[0.0], [1.0]], ends), axis=1)
+    return Parts(line, low, high)
+
+
+def _angle_counts(walls: Walls) -> Int64[np.ndarray, " wall"]:
+    return _ANGLES + _ANGLES_PER_TURN * (1 + np.floor(walls[:, _DELAY]).astype(np.int64))
 
 
 def _along_delay(walls: Walls, filters: Filters | None) -> _Crossings:
@@ -165,7 +172,7 @@ def _critical_angles(
     boxes = _angles_and_fractions(numbers)
     span = extent(boxes)
     boxes = _finer_angles(boxes.select(~prove(span.center, span.radius).free))
-    left, _ = pave(boxes, smallest, extent, _MOST_ANGLES * len(numbers), prove)
+    left, _ = pave(boxes, smallest, extent, _MOST_ANGLES, prove, is_numbered=True)
     return joined_angles(left)
 
 
@@ -177,7 +184,8 @@ def joined_angles(left: Boxes) -> Parts:
     order = np.lexsort((low, wall))
     wall, low, high = wall[order], low[order], high[order]
     # Those that touch are one
-    high = np.maximum.accumulate(high + 4.0 * wall) - 4.0 * wall
+    ends, number = np.unique(high, return_inverse=True)
+    high = ends[np.maximum.accumulate(number + ends.size * wall) - ends.size * wall]
     is_apart = (np.diff(wall) > 0) | (low[1:] > high[:-1] + _TOUCHING)
     is_start = np.append(True, is_apart)[: wall.size]
     is_end = np.append(is_apart, True)[: wall.size]
