@@ -138,7 +138,7 @@ def _questions() -> list[Question]:
         Question("jaxstab check, a range of hands and four walls", 4.0, _command(
             "check", *_SCENE, *_HANDS, *_FOUR_WALLS,
         )),
-        Question("jaxstab check, a hundred such scenes", 9.0, _command(
+        Question("jaxstab check, a hundred such scenes", 6.0, _command(
             "check", *_SCENE, *_HANDS, *_FOUR_WALLS, "--sweep", "device.mass=0.2:0.3:100",
         )),
         Question("jaxstab tune", 4.0, _command("tune", *_SCENE)),

@@ -8,7 +8,8 @@ XLA compiles for each shape; so what others give is padded here, to few shapes.
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from functools import cache, partial, wraps
 from math import prod
 from pathlib import Path
@@ -21,6 +22,7 @@ from jaxstab.arrays import Array, constant, is_jax, is_traced, leaves, namespace
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
+Item = TypeVar("Item")
 
 TILE = 4096  # points whose working set stays in the cache of a CPU
 _WIDE: dict[str, Any] = {
@@ -178,6 +180,27 @@ def lists(
         while length // 8 >= max(part.size, longest if shortest is None else shortest):
             length //= 8
         yield part, np.resize(part, length)
+
+
+def alike(kinds: Iterable[Hashable]) -> list[list[int]]:
+    """Return the numbers of items that are of one kind and may be asked about together."""
+    numbers: dict[Hashable, list[int]] = defaultdict(list)
+    for number, kind in enumerate(kinds):
+        numbers[kind].append(number)
+    return list(numbers.values())
+
+
+def by_kind(
+    items: Sequence[Item],
+    kinds: Iterable[Hashable],
+    answer: Callable[[list[Item]], Iterable[Result]],
+) -> list[Result]:
+    """Return the answers to items in their order; items of one kind are asked about together."""
+    found: dict[int, Result] = {}
+    for numbers in alike(kinds):
+        answers = answer([items[number] for number in numbers])
+        found.update(zip(numbers, answers, strict=True))
+    return [found[number] for number in range(len(items))]
 
 
 def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:

@@ -9,7 +9,8 @@ import pytest
 from commands import run
 
 from jaxstab.pictures.comparison import comparison_figure
-from jaxstab.scene.many import sweep_of, variants_of
+from jaxstab.scene import check_walls
+from jaxstab.scene.many import answer_all, sweep_of, variants_of
 
 SCENES = Path(__file__).parents[1] / "data" / "scenes"
 OMEGA = ["--device", "omega", "--sample-time", "0.001", "--window-samples", "2"]
@@ -66,6 +67,35 @@ def test_check_ends_with_zero_only_if_all_walls_of_all_scenes_are_stable() -> No
     assert late.exit_code == 1
     rows = list(csv.DictReader(late.stdout.splitlines()))
     assert [row["a.verdict"] for row in rows] == ["stable", "unstable"]
+
+
+def test_checks_of_many_scenes_are_bit_for_bit_those_of_each_alone() -> None:
+    table = {
+        "device": {"damping": 0.1, "encoder": {"resolution": 1e-5}},
+        "hand": {"mass": [0.0, 1.0], "stiffness": [0.0, 400.0]},
+        "controller": {"sample_time": 1e-3},
+        "walls": {
+            "nearly none": {"stiffness": 1e-3, "damping": 10.0},
+            "hard": {"stiffness": 4000.0, "damping": 25.0},
+        },
+    }
+    hard = {"hard": table["walls"]["hard"]}
+    window = {"velocity": {"window_samples": 3}, "sample_time": 1e-3}
+    tables = {
+        "soft": table,
+        "stiff": {**table, "hand": {"stiffness": 1e6, "damping": 100.0}},
+        "filtered": {**table, "controller": window, "walls": hard},
+        "no wall": {**table, "walls": {}},
+    }
+    sweep = {"device.mass": [0.2, -1.0], "controller.delay": [0.0, 0.0025]}
+    rows = list(answer_all(variants_of(tables, sweep), check_walls))
+    assert sum(row.answer is not None for row in rows) == 6
+    for row in rows:
+        if row.answer:
+            assert row.variant.scene
+            assert repr(row.answer) == repr(check_walls(row.variant.scene))
+        else:
+            assert row.refusal.startswith(("device.mass is -1.0", "walls is empty"))
 
 
 def test_a_scene_that_is_refused_is_a_row_with_its_sentence_and_exit_code_two() -> None:

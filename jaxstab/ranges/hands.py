@@ -6,7 +6,7 @@ stiffness, damping and theta until each of them is proved free of roots on the u
 stability is enough (lemma B6 of docs/proofs.md).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from jaxstab.batches import by_kind
 from jaxstab.boxes.bisection import Boxes, Extent, pave
 from jaxstab.boxes.circle import quick_plant
 from jaxstab.boxes.exclusion import Loops, exclude
@@ -29,16 +30,17 @@ from jaxstab.point.radius.inside import are_inside
 
 Loop = TypeVar("Loop", bound=LoopParameters)
 Range = tuple[float, float]
-Hands = Float64[np.ndarray, "hands 3"]
-Column = Float64[np.ndarray, " hands"]
-Integers = Int64[np.ndarray, " number"]
-Values = Float64[np.ndarray, " number"]
-Walls = Float64[np.ndarray, "wall 2"]
+Hands = Float64[np.ndarray, "hand 3"]
+Column = Float64[np.ndarray, " hand"]
+Integers = Int64[np.ndarray, " row"]
+Values = Float64[np.ndarray, " row"]
 
 _SAMPLES = 9  # hands along each range
 _ASIDE = 1e-7  # of a radius
 _CERTAIN = 1.0 + 1e-6  # a radius that is proved to be above 1
-_MOST_BOXES = 60_000  # of a wall, at once
+_AT_ONCE = 32  # walls
+_FEW_BOXES, _MOST_BOXES = 4096, 120_000  # of a wall, among others and alone
+_ROUNDING = 2.0**-50  # of 1/m, k and b in the middle of a box
 _LONG = 64  # samples of delay, beyond which all radii are computed
 _MOST = 1024  # hands judged at once
 _SMALLEST = 2.0**-20  # of the ranges: boxes are not halved beyond
@@ -58,12 +60,37 @@ class HandRange:
     damping: Range = (0.0, 0.0)
 
 
-class Plants(NamedTuple):
-    """Device and hand: their mass, and the dimensionless stiffness and damping."""
+class HeldWall(NamedTuple):
+    """A loop, the hands that may hold its device, and a wall (K, B) that it renders."""
 
-    mass: Column
+    loop: Any  # a LoopParameters of one mass
+    hands: HandRange
+    stiffness: float
+    damping: float
+
+
+class Plants(NamedTuple):
+    """Device and hands: whether they are outermost, the units of K and B, gamma and delta."""
+
+    hand: Hands
+    is_outermost: Bool[np.ndarray, " hand"]
+    alpha: Column  # of a wall of 1 N/m
+    beta: Column  # of a wall of 1 N s/m
     gamma: Column
     delta: Column
+
+
+class Rows(NamedTuple):
+    """Walls with hands: the numbers of wall and plant, and the gains."""
+
+    wall: Integers
+    plant: Integers
+    stiffness: Values
+    damping: Values
+
+    def some(self, which: Bool[np.ndarray, " row"]) -> "Rows":
+        """Return some of them."""
+        return Rows(*(column[which] for column in self))
 
 
 class WorstHand(NamedTuple):
@@ -87,86 +114,134 @@ class WorstHand(NamedTuple):
 def worst_hand(loop: Loop, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
     """Return whether a wall is stable for every hand of a range: ``HapticLoop.worst_hand``."""
     wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
-    (worst,) = worst_hands(loop, hands, [wall])
+    (worst,) = worst_hands([HeldWall(loop, hands, *wall)])
     return worst
 
 
-def worst_hands(
-    loop: Loop, hands: HandRange, walls: Sequence[tuple[float, float]]
-) -> list[WorstHand]:
-    """Return for each wall (K, B) whether it is stable for every hand of a range."""
-    checked_range(hands)
-    gains = np.array(walls, np.float64).reshape(-1, 2)
-    answers = _worst_of(loop, spread_hands(hands, _SAMPLES), gains)
+def worst_hands(walls: Sequence[HeldWall]) -> list[WorstHand]:
+    """Return for each wall whether it is stable for every hand of its range, and the worst hand."""
+    for hands in dict.fromkeys(wall.hands for wall in walls):
+        checked_range(hands)
+    loops = [wall.loop for wall in walls]
+    kinds = [(loop.delay_samples, *loop.filters.values()) for loop in loops]
+    return by_kind(walls, kinds, _worst_of_a_kind)
+
+
+def _worst_of_a_kind(walls: Sequence[HeldWall]) -> Iterator[WorstHand]:
+    """Yield the same for loops with one delay in samples and the same filters."""
+    for first in range(0, len(walls), _AT_ONCE):
+        yield from _worst_at_once(walls[first : first + _AT_ONCE])
+
+
+def _worst_at_once(walls: Sequence[HeldWall]) -> list[WorstHand]:
+    among = {wall.hands: spread_hands(wall.hands, _SAMPLES) for wall in walls}
+    answers = _worst_of(walls, [among[wall.hands] for wall in walls])
     hopeful = [number for number, one in enumerate(answers) if one.verdict == Verdict.STABLE]
-    for number, left in _unproved(loop, hands, gains[hopeful]).items():
+    for number, left in _unproved([walls[number] for number in hopeful]).items():
         wall = hopeful[number]
         count = min(len(left), _MOST)
         some = left[np.arange(count) * len(left) // count]  # of too many, some
-        (among,) = _worst_of(loop, some, gains[wall : wall + 1])
-        is_known = among.verdict == Verdict.UNSTABLE
-        answers[wall] = among if is_known else among._replace(verdict=UNDECIDED)
+        (found,) = _worst_of([walls[wall]], [some])
+        is_known = found.verdict == Verdict.UNSTABLE
+        answers[wall] = found if is_known else found._replace(verdict=UNDECIDED)
     return answers
 
 
-def _worst_of(loop: Loop, hands: Hands, walls: Walls) -> list[WorstHand]:
-    """Return for each wall the verdict on the worst of some hands."""
-    plants = _plants(loop, hands)
-    may_be_worst = _may_be_worst(loop, hands, plants, walls)
-    wall, hand = np.nonzero(may_be_worst)
-    radii = np.full(may_be_worst.shape, -1.0)
-    points = _points(loop, plants, walls, (wall, hand))
-    radii[wall, hand] = spectral_radius(**by_name(*points), **loop.filters).value
-    codes = np.full(radii.shape, Verdict.NOT_COMPUTED)
-    codes[wall, hand] = verdict(**by_name(*points), **loop.filters)
+def _worst_of(walls: Sequence[HeldWall], among: Sequence[Hands]) -> list[WorstHand]:
+    """Return for each wall the verdict on the worst of some hands, which are given for each."""
+    loop = walls[0].loop
+    plants, rows = _plants(walls, among)
+    rows = rows.some(_may_be_worst(loop, plants, rows))
+    points = _points(loop, plants, rows)
+    radii = np.asarray(spectral_radius(**points, **loop.filters).value)
+    codes = np.asarray(verdict(**points, **loop.filters))
+    ends = np.searchsorted(rows.wall, np.arange(len(walls) + 1))
     answers = []
-    for number in range(len(walls)):
-        unstable = codes[number] == Verdict.UNSTABLE
-        worst = int(np.argmax(np.where(unstable | ~unstable.any(), radii[number], -1.0)))
-        code, radius = Verdict(int(codes[number, worst])), float(radii[number, worst])
-        answers.append(WorstHand(code, held(loop, hands[worst]), radius))
+    for number, wall in enumerate(walls):
+        own = slice(ends[number], ends[number + 1])
+        unstable = codes[own] == Verdict.UNSTABLE
+        worst = own.start + int(np.argmax(np.where(unstable | ~unstable.any(), radii[own], -1.0)))
+        hand = plants.hand[rows.plant[worst]]
+        code, radius = Verdict(int(codes[worst])), float(radii[worst])
+        answers.append(WorstHand(code, held(wall.loop, hand), radius))
     return answers
 
 
-def _may_be_worst(
-    loop: LoopParameters, hands: Hands, plants: Plants, walls: Walls
-) -> Bool[np.ndarray, "wall hand"]:
+def _plants(walls: Sequence[HeldWall], among: Sequence[Hands]) -> tuple[Plants, Rows]:
+    """Return device and hands, once where walls have them in common, and rows of all walls."""
+    numbers: dict[Any, int] = {}
+    parts: list[Plants] = []
+    start, own = [0], []
+    for wall, hands in zip(walls, among, strict=True):
+        known = numbers.setdefault((wall.loop, id(hands)), len(parts))
+        if known == len(parts):
+            parts.append(_plants_of(wall.loop, hands))
+            start.append(start[-1] + len(hands))
+        own.append(np.arange(start[known], start[known + 1]))
+    counts = [len(plants) for plants in own]
+    gains = np.array([(wall.stiffness, wall.damping) for wall in walls])
+    wall_numbers = np.repeat(np.arange(len(walls)), counts)
+    rows = Rows(wall_numbers, np.concatenate(own), *gains[wall_numbers].T)
+    return Plants(*map(np.concatenate, zip(*parts, strict=True))), rows
+
+
+def _plants_of(loop: LoopParameters, hands: Hands) -> Plants:
+    mass, spring, damper = hands.T
+    mass = loop.device_mass + mass
+    return Plants(
+        hands,
+        _are_outermost(hands),
+        loop.sample_time**2 / mass,
+        loop.sample_time / mass,
+        spring * loop.sample_time**2 / mass,
+        (loop.device_damping + damper) * loop.sample_time / mass,
+    )
+
+
+def _are_outermost(hands: Hands) -> Bool[np.ndarray, " hand"]:
+    """Return which hands are farthest towards a corner of their range."""
+    low, span = hands.min(axis=0), np.ptp(hands, axis=0)
+    places = (hands - low) / np.where(span > 0.0, span, 1.0)
+    towards = np.array(list(product((-1.0, 1.0), repeat=hands.shape[1])))
+    outermost = np.full(len(hands), len(hands) <= len(towards))
+    outermost[np.argmax(places @ towards.T, axis=0)] = True
+    return outermost
+
+
+def _may_be_worst(loop: LoopParameters, plants: Plants, rows: Rows) -> Bool[np.ndarray, " row"]:
     """Say which hands may have the largest radius, or may be proved unstable, of each wall.
 
     The outermost ones have some radius. A recursion in float64 leaves out the hands whose poles are
     all in a smaller circle.
     """
-    count = len(plants.gamma)
-    if count <= 2 ** hands.shape[1] or loop.delay_samples > _LONG:
-        return np.ones((len(walls), count), bool)
-    grid = np.meshgrid(np.arange(len(walls)), _outermost(hands), indexing="ij")
-    wall, hand = (numbers.ravel() for numbers in grid)
-    points = _points(loop, plants, walls, (wall, hand))
-    some = np.asarray(spectral_radius(**by_name(*points), **loop.filters).value)
-    radius = some.reshape(len(walls), -1).max(axis=1)
+    chosen = plants.is_outermost[rows.plant] | (loop.delay_samples > _LONG)
+    if chosen.all():
+        return chosen
+    outer, inner = rows.some(chosen), rows.some(~chosen)
+    some = np.asarray(spectral_radius(**_points(loop, plants, outer), **loop.filters).value)
+    radius = np.zeros(rows.wall[-1] + 1)
+    np.maximum.at(radius, outer.wall, some)
     # Next to the circle all may be the only one that is proved unstable.
     radius = np.where(radius > _CERTAIN, radius, np.minimum(radius, 1.0)) * (1.0 - _ASIDE)
-    alpha = walls[:, :1] * (loop.sample_time**2 / plants.mass)
-    beta = walls[:, 1:] * (loop.sample_time / plants.mass)
-    base, stiffness, damping = _rough_polynomials(loop, plants)
-    coefficients = base[:, None] + alpha * stiffness[:, None] + beta * damping[:, None]
-    is_inside = are_inside(coefficients, radius[:, None])
-    is_inside[wall, hand] = False
-    return ~is_inside
+    points = _points(loop, plants, inner)
+    base, stiffness, damping = _rough_polynomials(loop, plants)[..., inner.plant]
+    coefficients = base + points["alpha"] * stiffness + points["beta"] * damping
+    chosen[~chosen] = ~are_inside(coefficients, radius[inner.wall])
+    return chosen
 
 
 def _rough_polynomials(
     loop: LoopParameters, plants: Plants
-) -> Float64[np.ndarray, "3 coefficient hand"]:
+) -> Float64[np.ndarray, "3 coefficient plant"]:
     """Return what p(z) is without a wall, and what stiffness and damping add, in plain float64."""
     whole, fraction = divmod(loop.delay_samples, 1.0)
     filters = known_filters(**loop.filters)
     if filters is not None:
         linear = filtered_loop(plants.gamma, plants.delta, int(whole), fraction, filters)
         rounded = [[one.rounded() for one in part] for part in linear[:3]]
-        return np.array([[np.broadcast_to(c, len(plants.mass)) for c in part] for part in rounded])
+        return np.array([[np.broadcast_to(c, len(plants.gamma)) for c in p] for p in rounded])
     plant = quick_plant(plants.gamma, plants.delta, np.float64(loop.delay_samples))
-    parts = np.zeros((3, int(whole) + 5, len(plants.mass)))
+    parts = np.zeros((3, int(whole) + 5, len(plants.gamma)))
     parts[0, 0], parts[0, 1], parts[0, 2] = 1.0, plant.d1, plant.d0
     for number, numerator in enumerate((plant.n2, plant.n1, plant.n0)):
         first = int(whole) + 1 + number
@@ -176,53 +251,92 @@ def _rough_polynomials(
     return parts
 
 
-def _outermost(hands: Hands) -> Integers:
-    """Return the numbers of the hands that are farthest towards each corner of their range."""
-    low, span = hands.min(axis=0), np.ptp(hands, axis=0)
-    places = (hands - low) / np.where(span > 0.0, span, 1.0)
-    towards = np.array(list(product((-1.0, 1.0), repeat=hands.shape[1])))
-    return np.unique(np.argmax(places @ towards.T, axis=0))
+def _points(loop: LoopParameters, plants: Plants, rows: Rows) -> dict[str, Any]:
+    """Return alpha, beta, gamma, delta and the delay of walls with hands, by name."""
+    alpha = rows.stiffness * plants.alpha[rows.plant]
+    beta = rows.damping * plants.beta[rows.plant]
+    gamma, delta = plants.gamma[rows.plant], plants.delta[rows.plant]
+    return by_name(alpha, beta, gamma, delta, float(loop.delay_samples))
 
 
-def _unproved(loop: LoopParameters, hands: HandRange, walls: Walls) -> dict[int, Hands]:
-    """Return hands at which a root on the circle could not be excluded, by the wall.
+def _unproved(walls: Sequence[HeldWall]) -> dict[int, Hands]:
+    """Return hands at which a root on the circle could not be excluded, by the number of the wall.
 
-    The axes of the boxes: the wall, which is not halved, 1/m, k, b of the hand, theta.
+    Nearly all walls need few boxes; those that need more are looked at one by one.
     """
-    lightness = tuple(1.0 / (loop.device_mass + mass) for mass in reversed(hands.mass))
-    ranges = np.array([(0.0, 0.0), lightness, hands.stiffness, hands.damping, (0.0, pi)])
-    period, own = loop.sample_time, loop.device_damping
+    if not walls:
+        return {}
+    hard = _left(walls, _FEW_BOXES)
+    alone = ((number, _left([walls[number]], _MOST_BOXES)) for number in hard)
+    return {number: left[0] for number, left in alone if left}
 
-    def extent(boxes: Boxes) -> Extent:
-        wall, light, spring, damper, theta = boxes.center.T
-        _, by_light, by_spring, by_damper, turn = boxes.half.T
-        stiffness, damping = walls[wall.astype(np.int64)].T
+
+def _left(walls: Sequence[HeldWall], most: int) -> dict[int, Hands]:
+    """Return the same with so many boxes of each wall at once.
+
+    The axes of the boxes: the wall, which is not halved, then parts of the intervals of 1/m, of k
+    and b of the hand, and of theta from 0 to pi.
+    """
+    intervals = _Intervals.of(walls)
+    boxes = Boxes(np.full((len(walls), 5), 0.5), np.full((len(walls), 5), 0.5))
+    boxes.center[:, 0], boxes.half[:, 0] = np.arange(len(walls)), 0.0
+    boxes.half[:, 1:4] *= intervals.span.T > 0.0
+    prove = partial(exclude, filters=known_filters(**walls[0].loop.filters))
+    left = pave(boxes, _SMALLEST, intervals.extent, most, prove, is_numbered=True).boxes
+    number, (light, spring, damper), _ = intervals.within(left)
+    hands = {}
+    for wall in np.unique(number).tolist():
+        own, (loop, its_hands, *_) = number == wall, walls[wall]
+        mass = np.clip(1.0 / light[own] - loop.device_mass, *its_hands.mass)
+        hands[wall] = np.column_stack([mass, spring[own], damper[own]])
+    return hands
+
+
+class _Intervals(NamedTuple):
+    """The intervals of 1/m and of k and b of the hand, for each wall, and what else is known."""
+
+    low: Float64[np.ndarray, "3 wall"]
+    span: Float64[np.ndarray, "3 wall"]
+    gains: Float64[np.ndarray, "2 wall"]
+    loop: Float64[np.ndarray, "3 wall"]  # sampling period, own damping, delay in samples
+
+    @classmethod
+    def of(cls, walls: Sequence[HeldWall]) -> "_Intervals":
+        """Return those of some walls."""
+        low, high = np.array([_ends(wall.loop, wall.hands) for wall in walls]).T
+        gains = np.array([(wall.stiffness, wall.damping) for wall in walls]).T
+        loops = (wall.loop for wall in walls)
+        numbers = [(one.sample_time, one.device_damping, one.delay_samples) for one in loops]
+        return cls(low, high - low, gains, np.array(numbers).T)
+
+    def within(self, boxes: Boxes) -> tuple[Integers, np.ndarray, np.ndarray]:
+        """Return the walls of boxes, and 1/m, k and b of the hand: middles and half-widths."""
+        wall = boxes.center[:, 0].astype(np.int64)
+        low, span = self.low[:, wall], self.span[:, wall]
+        middle = low + span * boxes.center.T[1:4]
+        return wall, middle, span * boxes.half.T[1:4] + _ROUNDING * middle
+
+    def extent(self, boxes: Boxes) -> Extent:
+        """Return the loops of boxes."""
+        wall, (light, spring, damper), (by_light, by_spring, by_damper) = self.within(boxes)
+        (stiffness, damping), (period, own, delay) = self.gains[:, wall], self.loop[:, wall]
         per_mass = np.stack(
             [stiffness * period**2, damping * period, spring * period**2, (own + damper) * period]
         )
         alpha, beta, gamma, delta = per_mass * light
-        delay = np.full_like(light, loop.delay_samples)
-        center = Loops(alpha, beta, gamma, delta, delay, theta)
-        # Exact centers; radii cover the product of two intervals.
+        center = Loops(alpha, beta, gamma, delta, delay, pi * boxes.center[:, 4])
+        # Radii cover the product of two intervals.
         by_axis = np.zeros((5, 6, light.size))
         by_axis[1, :4] = np.abs(per_mass) * by_light
         by_axis[2, 2] = (light + by_light) * period**2 * by_spring
         by_axis[3, 3] = (light + by_light) * period * by_damper
-        by_axis[4, 5] = turn
+        by_axis[4, 5] = pi * boxes.half[:, 4]
         return Extent.of(center, by_axis)
 
-    boxes = Boxes(
-        np.tile(ranges.mean(axis=1), (len(walls), 1)),
-        np.tile(0.5 * np.ptp(ranges, axis=1), (len(walls), 1)),
-    )
-    boxes.center[:, 0] = np.arange(len(walls))
-    prove = partial(exclude, filters=known_filters(**loop.filters))
-    smallest = _SMALLEST * np.ptp(ranges, axis=1)
-    most = _MOST_BOXES * max(len(walls), 1)
-    wall, light, *others = pave(boxes, smallest, extent, most, prove).boxes.center[:, :4].T
-    mass = np.clip(1.0 / light - loop.device_mass, *hands.mass)
-    left = np.column_stack([mass, *others])
-    return {int(number): left[wall == number] for number in np.unique(wall)}
+
+def _ends(loop: LoopParameters, hands: HandRange) -> tuple[Range, Range, Range]:
+    heaviest, lightest = (1.0 / (loop.device_mass + mass) for mass in reversed(hands.mass))
+    return (heaviest, lightest), hands.stiffness, hands.damping
 
 
 def spread_hands(hands: HandRange, count: int) -> Hands:
@@ -232,25 +346,6 @@ def spread_hands(hands: HandRange, count: int) -> Hands:
     axes[1] = axes[1] ** 2
     axes[1][[0, -1]] = hands.stiffness
     return np.array(list(product(*axes)))
-
-
-def _plants(loop: LoopParameters, hands: Hands) -> Plants:
-    mass, spring, damper = hands.T
-    mass = loop.device_mass + mass
-    gamma = spring * loop.sample_time**2 / mass
-    delta = (loop.device_damping + damper) * loop.sample_time / mass
-    return Plants(mass, gamma, delta)
-
-
-def _points(
-    loop: LoopParameters, plants: Plants, walls: Walls, numbers: tuple[Integers, Integers]
-) -> tuple[Values, Values, Values, Values, float]:
-    """Return alpha, beta, gamma, delta, delay of walls with hands, each given by their numbers."""
-    wall, hand = numbers
-    mass = plants.mass[hand]
-    alpha = walls[wall, 0] * (loop.sample_time**2 / mass)
-    beta = walls[wall, 1] * (loop.sample_time / mass)
-    return alpha, beta, plants.gamma[hand], plants.delta[hand], float(loop.delay_samples)
 
 
 def held(loop: Loop, hand: Float64[np.ndarray, " 3"]) -> Loop:

@@ -4,6 +4,7 @@ from .answers import Basis as Basis
 from .basis import basis_of as basis_of
 from .check import Check as Check
 from .check import WallCheck as WallCheck
+from .check import check_scenes as check_scenes
 from .check import check_walls as check_walls
 from .design import Design as Design
 from .design import DesignStatus as DesignStatus

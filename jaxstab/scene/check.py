@@ -9,14 +9,22 @@ from typing import Annotated, Any
 import numpy as np
 from jaxtyping import Float64
 
+from jaxstab.batches import by_kind
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.model import by_name
+from jaxstab.loop.together import (
+    Rendered,
+    amplitudes,
+    boundary_distances,
+    oscillations,
+    settling_times,
+    spectral_radii,
+    verdicts,
+    wall_margins,
+)
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
-from jaxstab.motion.settling import settling_at_levels
 from jaxstab.numbers import without_noise
-from jaxstab.ranges import HandRange, margins
 from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.scene.answers import (
     Answer,
@@ -32,7 +40,7 @@ from jaxstab.scene.answers import (
     Time,
 )
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.hands import HeldBy, worst_held
+from jaxstab.scene.hands import HeldBy, WorstHeld, worst_held
 from jaxstab.scene.loops import corner_loops, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene
 
@@ -40,9 +48,7 @@ _HORIZON = 2**17  # samples within which settling is looked for
 _LEVELS = 0.02, 0.05
 
 
-Ends = Float64[np.ndarray, "wall hand 2"]
-Spare = Float64[np.ndarray, "3 wall hand"]
-_Known = tuple[Verdict, HapticLoop, HeldBy | None, str | None]
+Values = Float64[np.ndarray, " hand"]
 LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
@@ -157,122 +163,98 @@ class Check(Answer):
         return all(wall.verdict == Verdict.STABLE for wall in self.walls.values())
 
 
+@dataclass(frozen=True)
+class _Wall:
+    """A wall of a scene, the loops with the hands at the corners of its range, and the worst."""
+
+    scene: Scene
+    gains: Gains
+    loops: list[HapticLoop]
+    known: WorstHeld
+
+    @property
+    def at_worst(self) -> Rendered:
+        """The wall in the loop with the worst hand."""
+        return Rendered(self.known.loop, self.gains)
+
+    def wants(self, measure: str) -> bool:
+        """Return whether a measure is wanted, and can be taken."""
+        wanted = measure in self.scene.wanted.measures
+        return wanted and (measure != "chatter" or self.scene.device.encoder is not None)
+
+
 def check_walls(scene: Scene) -> Check:
     """Return for each wall its verdict and the measures that are wanted, at the worst hand.
 
     Raises:
         ValueError: there is no wall, or a quantity is out of range.
     """
-    scene.require_walls()
-    hands, walls = hands_of(scene), walls_of(scene)
-    loops = list(dict.fromkeys([loop_of(scene), *(corner_loops(scene) if hands else [])]))
-    gains = list(walls.values())
-    wanted = "margins" in scene.wanted.measures
-    margins = _margins(loops, gains) if wanted else [None] * len(gains)
-    known = _known(scene, hands, loops[0], gains)
-    measured = _measured(scene, loops, gains, [loop for _, loop, *_ in known])
-    answers = [_wall_check(*parts) for parts in zip(gains, known, margins, measured, strict=True)]
-    return Check(basis_of(scene), dict(zip(walls, answers, strict=True)))
+    (check,) = check_scenes([scene])
+    return check
 
 
-def _known(
-    scene: Scene, hands: HandRange | None, loop: HapticLoop, walls: list[Gains]
-) -> Sequence[_Known]:
-    """Return the fields of ``WorstHeld``; for the loop itself where no hand varies."""
-    if hands:
-        return worst_held(scene, hands, walls)
-    return [(Verdict(int(code)), loop, None, None) for code in loop.verdict(*np.array(walls).T)]
+def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
+    """Return ``check_walls`` of each scene; the walls of all are asked about together.
 
-
-def _wall_check(
-    gains: Gains, known: _Known, margins: Margins | None, measured: dict[str, Any]
-) -> WallCheck:
-    code, _, hand, tried = known
-    if code == Verdict.UNSTABLE and margins is not None:
-        margins = NoMargins(**vars(margins))
-    return WallCheck(*gains, code, tried, hand, margins, **measured)
-
-
-def _measured(
-    scene: Scene, loops: list[HapticLoop], walls: list[Gains], worst: list[HapticLoop]
-) -> list[dict[str, Any]]:
-    """Return the measures of each wall that are wanted; walls of one worst loop are asked at once.
-
-    The loops are those of the corners of the hands' range.
+    Raises:
+        ValueError: as ``check_walls`` of one of them.
     """
-    wanted, encoder = scene.wanted.measures, scene.device.encoder
-    answers: list[dict[str, Any]] = [{} for _ in walls]
-    for loop in dict.fromkeys(worst):
-        numbers = [number for number, other in enumerate(worst) if other == loop]
-        some = [walls[number] for number in numbers]
-        for name, measure in _MEASURES.items():
-            if name in wanted:
-                for number, answer in zip(numbers, measure(loop, some), strict=True):
-                    answers[number][name] = answer
-    if "settling" in wanted:
-        for own, settling in zip(answers, _settlings(worst, walls), strict=True):
-            own["settling"] = settling
-    if encoder is not None and "chatter" in wanted:
-        for own, gains, loop in zip(answers, walls, worst, strict=True):
-            held = list(dict.fromkeys([*loops, loop]))
-            own["chatter"] = _chatter(held, gains, encoder.resolution)
-    return answers
+    walls = _walls_of(scenes)
+    measured: list[dict[str, Any]] = [{} for _ in walls]
+    for name, measure in _MEASURES.items():
+        numbers = [number for number, wall in enumerate(walls) if wall.wants(name)]
+        if numbers:
+            answers = measure([walls[number] for number in numbers])
+            for number, answer in zip(numbers, answers, strict=True):
+                measured[number][name] = answer
+    checked = (_wall_check(*both) for both in zip(walls, measured, strict=True))
+    return [Check(basis_of(one), {name: next(checked) for name in one.walls}) for one in scenes]
 
 
-def _margins(loops: list[HapticLoop], walls: list[Gains]) -> list[Margins]:
-    """Return the least margins of each wall over some loops of one sample time and delay."""
-    stiffness, damping, spare = _margins_of(loops, walls)
-    period = loops[0].sample_time
-    words = f"the least of {len(loops)} hands" if len(loops) > 1 else None
-    answers = []
-    for number in range(len(walls)):
+def _walls_of(scenes: Sequence[Scene]) -> list[_Wall]:
+    asked: list[tuple[Scene, Gains, list[HapticLoop]]] = []
+    for scene in scenes:
+        scene.require_walls()
+        corners = corner_loops(scene) if hands_of(scene) else []
+        loops = list(dict.fromkeys([loop_of(scene), *corners]))
+        asked += [(scene, gains, loops) for gains in walls_of(scene).values()]
+    has_hands = [hands_of(scene) is not None for scene, *_ in asked]
+    known = by_kind(asked, has_hands, _known)
+    return [_Wall(*wall, held) for wall, held in zip(asked, known, strict=True)]
+
+
+def _known(walls: Sequence[tuple[Scene, Gains, list[HapticLoop]]]) -> list[WorstHeld]:
+    """Return what is known of each wall at the worst hand, or in the loop itself if none varies."""
+    if hands_of(walls[0][0]):
+        return worst_held([(scene, gains) for scene, gains, _ in walls])
+    codes = verdicts([Rendered(loops[0], gains) for _, gains, loops in walls])
+    return [
+        WorstHeld(Verdict(int(code)), loops[0], None, None)
+        for code, (*_, loops) in zip(codes, walls, strict=True)
+    ]
+
+
+def _wall_check(wall: _Wall, measures: dict[str, Any]) -> WallCheck:
+    verdict, _, hand, tried = wall.known
+    return WallCheck(*wall.gains, verdict, tried, hand, **measures)
+
+
+def _margins(walls: Sequence[_Wall]) -> list[Margins]:
+    """Return the least margins of each wall over its loops."""
+    found = wall_margins([Rendered(loop, wall.gains) for wall in walls for loop in wall.loops])
+    spare = np.array([found.stiffness_gain, found.damping_gain, found.extra_delay])
+    answers, first = [], 0
+    for wall in walls:
+        own = slice(first, first + len(wall.loops))
         # NaN, of a hand with which the wall is not stable, goes through.
-        stiffer, damper, extra_delay = (float(least) for least in spare[:, number].min(axis=1))
-        answers.append(
-            Margins(
-                stiffer,
-                damper,
-                _common(stiffness[number]),
-                _common(damping[number]),
-                extra_delay,
-                MOST_DELAY * period if isinf(extra_delay) else None,
-                words,
-            )
-        )
+        stiffer, damper, extra_delay = spare[:, own].min(axis=1).tolist()
+        searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
+        words = f"the least of {len(wall.loops)} hands" if len(wall.loops) > 1 else None
+        limits = _common(found.stiffness[own]), _common(found.damping[own])
+        kind = NoMargins if wall.known.verdict == Verdict.UNSTABLE else Margins
+        answers.append(kind(stiffer, damper, *limits, extra_delay, searched, words))
+        first = own.stop
     return answers
-
-
-def _margins_of(loops: list[HapticLoop], walls: list[Gains]) -> tuple[Ends, Ends, Spare]:
-    """Return the limits of K and of B, and factors of K, of B, and extra delays, in SI units."""
-    stiffness, damping = np.array(walls).T
-    if loops[0].body is None:
-        single = [loop.margins(stiffness, damping) for loop in loops]
-        spare = [(one.stiffness_gain, one.damping_gain, one.extra_delay) for one in single]
-        return (
-            np.stack([one.stiffness for one in single], axis=1),
-            np.stack([one.damping for one in single], axis=1),
-            np.stack(spare, axis=2),
-        )
-    alpha, beta = (
-        np.stack([unit(gains) for unit in units], axis=1)
-        for gains, units in (
-            (stiffness, [loop.alpha for loop in loops]),
-            (damping, [loop.beta for loop in loops]),
-        )
-    )
-    found = margins(
-        alpha,
-        beta,
-        **by_name(*np.array([[*loop.slice.values()] for loop in loops]).T),
-        **loops[0].filters,
-    )
-    mass, period = np.array([[loop.mass] for loop in loops]), loops[0].sample_time
-    delay = period * np.asarray(found.extra_delay)
-    return (
-        np.asarray(found.stiffness) * mass / period**2,
-        np.asarray(found.damping) * mass / period,
-        np.stack([found.stiffness_gain, found.damping_gain, delay]),
-    )
 
 
 def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
@@ -281,40 +263,22 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
     return float(without_noise(low, high - low)), float(without_noise(high, high - low))
 
 
-def _distances(loop: HapticLoop, walls: list[Gains]) -> list[Distance]:
-    return [Distance(float(away)) for away in loop.boundary_distance(*np.array(walls).T)]
+def _distances(walls: Sequence[_Wall]) -> list[Distance]:
+    found = boundary_distances([wall.at_worst for wall in walls])
+    return [Distance(away) for away in found.tolist()]
 
 
-def _radii(loop: HapticLoop, walls: list[Gains]) -> list[Radius]:
-    found = loop.spectral_radius(*np.array(walls).T)
-    return [Radius(float(one), float(bound)) for one, bound in zip(*found[:2], strict=True)]
+def _radii(walls: Sequence[_Wall]) -> list[Radius]:
+    value, error, _ = spectral_radii([wall.at_worst for wall in walls])
+    return [Radius(*both) for both in zip(value.tolist(), error.tolist(), strict=True)]
 
 
-def _settlings(loops: list[HapticLoop], walls: list[Gains]) -> list[Settling]:
-    """Return the settling of each wall in a loop of its own; all loops have one sample time."""
-    pairs = list(zip(loops, walls, strict=True))
-    if loops[0].body is None:
-        both = [
-            [loop.settling_time(*gains, level=level, horizon=_HORIZON) for loop, gains in pairs]
-            for level in _LEVELS
-        ]
-    else:
-        points = [
-            (loop.alpha(wall[0]), loop.beta(wall[1]), *loop.slice.values()) for loop, wall in pairs
-        ]
-        alpha, beta, gamma, delta, delay = np.array(points).T
-        filters = loops[0].filters
-        found = settling_at_levels(
-            alpha, beta, gamma, delta, delay, _LEVELS, horizon=_HORIZON, **filters
-        )
-        period = loops[0].sample_time
-        both = [
-            [MotionSettling(count * period, code) for count, code in zip(*one, strict=True)]
-            for one in found
-        ]
+def _settlings(walls: Sequence[_Wall]) -> list[Settling]:
+    found = settling_times([wall.at_worst for wall in walls], _LEVELS, _HORIZON)
+    two, five = ([MotionSettling(*own) for own in zip(*one, strict=True)] for one in found)
     return [
-        Settling(settled(two), settled(five), SettlingStatus(int(two.status)))
-        for two, five in zip(*both, strict=True)
+        Settling(settled(one), settled(other), SettlingStatus(int(one.status)))
+        for one, other in zip(two, five, strict=True)
     ]
 
 
@@ -326,23 +290,40 @@ def settled(found: MotionSettling) -> float:
     return inf if status == SettlingStatus.UNSTABLE else nan
 
 
-def _oscillations(loop: HapticLoop, walls: list[Gains]) -> list[Oscillation]:
-    mode = loop.oscillation(*np.array(walls).T)
-    return [Oscillation(float(one), float(rate)) for one, rate in zip(*mode, strict=True)]
+def _oscillations(walls: Sequence[_Wall]) -> list[Oscillation]:
+    ratio, frequency = oscillations([wall.at_worst for wall in walls])
+    return [Oscillation(*both) for both in zip(ratio.tolist(), frequency.tolist(), strict=True)]
 
 
-_MEASURES: dict[str, Callable[[HapticLoop, list[Gains]], Sequence[Answer]]] = {
+def _chatters(walls: Sequence[_Wall]) -> list[Chatter]:
+    """Return the largest amplitudes of each wall over its loops and the one with the worst hand."""
+    held = [list(dict.fromkeys([*wall.loops, wall.known.loop])) for wall in walls]
+    encoders = [wall.scene.device.encoder for wall in walls]
+    steps = [one.resolution for one in encoders if one is not None]  # all, as they are wanted
+    counts = [len(loops) for loops in held]
+    rendered = [
+        Rendered(loop, wall.gains)
+        for wall, loops in zip(walls, held, strict=True)
+        for loop in loops
+    ]
+    found = amplitudes(rendered, np.repeat(steps, counts))
+    ends = np.cumsum(counts)[:-1]
+    columns = (np.split(one, ends) for one in (found.position, found.force, found.force_per_count))
+    return [_chatter(*own) for own in zip(*columns, strict=True)]
+
+
+def _chatter(position: Values, force: Values, force_per_count: Values) -> Chatter:
+    hands = f", the largest of {len(position)} hands" if len(position) > 1 else ""
+    most = float(position.max())
+    words = None if isinf(most) else f"proved{hands}"
+    return Chatter(most, float(force.max()), float(force_per_count[0]), words)
+
+
+_MEASURES: dict[str, Callable[[Sequence[_Wall]], Sequence[Answer]]] = {
+    "margins": _margins,
     "distance": _distances,
     "radius": _radii,
+    "settling": _settlings,
     "oscillation": _oscillations,
+    "chatter": _chatters,
 }
-
-
-def _chatter(loops: list[HapticLoop], gains: Gains, resolution: float) -> Chatter:
-    """Return the largest amplitudes over some loops."""
-    found = [loop.amplitude(*gains, encoder=resolution) for loop in loops]
-    position = max(float(one.position) for one in found)
-    force = max(float(one.force) for one in found)
-    hands = f", the largest of {len(loops)} hands" if len(loops) > 1 else ""
-    words = None if isinf(position) else f"proved{hands}"
-    return Chatter(position, force, float(found[0].force_per_count), words)

@@ -13,12 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.batches import by_kind
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.loop.common_walls import common_walls
 from jaxstab.model.device.parts import MassSpringDamper
-from jaxstab.ranges import HandRange, WorstHand
-from jaxstab.ranges.hands import worst_hands
+from jaxstab.ranges import WorstHand
+from jaxstab.ranges.hands import HeldWall, worst_hands
 from jaxstab.scene.answers import (
     Answer,
     Damping,
@@ -35,6 +36,7 @@ from jaxstab.scene.loops import (
     is_one_mass,
     loop_of,
     proves_hands,
+    range_of_hands,
     reachable,
     wall_region,
 )
@@ -46,6 +48,7 @@ _ROWS = 400  # of B, in which walls are stable for all hands
 _PULL = 0.01  # of the limit: the wall that is tried lies so far below, then twice as far
 _ATTEMPTS = 4
 
+WallOfScene = tuple[Scene, Gains]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int8]
 
@@ -73,29 +76,38 @@ class AllHands(Answer):
 class WorstHeld(NamedTuple):
     """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
 
-    ``tried`` says how many hands were tried where nothing is proved of those between.
+    ``hand`` is None where no hand varies; ``tried`` says how many hands were tried where nothing is
+    proved of those between.
     """
 
     verdict: Verdict
     loop: HapticLoop
-    hand: HeldBy
+    hand: HeldBy | None
     tried: str | None
 
 
-def worst_held(scene: Scene, hands: HandRange, walls: Sequence[Gains]) -> list[WorstHeld]:
-    """Return what is known of each wall for all hands of a range, and the worst hand."""
+def worst_held(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
+    """Return what is known of walls for all hands of their scenes' ranges, and the worst hands."""
+    kinds = [None if is_one_mass(scene) else id(scene) for scene, _ in walls]
+    return by_kind(walls, kinds, _worst_of_a_kind)
+
+
+def _worst_of_a_kind(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
+    """Return the same for scenes of one mass, or for one scene."""
+    scene, _ = walls[0]
     if is_one_mass(scene):
-        found = worst_hands(loop_of(scene), hands, walls)
-        return [_held_at_worst(one) for one in found]
-    if proves_hands(scene):
-        loop = loop_of(scene)
-        return [
-            _tried_hands(scene, [wall])[0]
-            if found.verdict == Verdict.UNDECIDED
-            else _held_at_worst(found)
-            for wall, found in ((wall, loop.worst_hand(hands, *wall)) for wall in walls)
-        ]
-    return _tried_hands(scene, walls)
+        held = [HeldWall(loop_of(one), range_of_hands(one), *gains) for one, gains in walls]
+        return [_held_at_worst(worst) for worst in worst_hands(held)]
+    gains = [gains for _, gains in walls]
+    if not proves_hands(scene):
+        return _tried_hands(scene, gains)
+    loop, hands = loop_of(scene), range_of_hands(scene)
+    return [
+        _tried_hands(scene, [wall])[0]
+        if found.verdict == Verdict.UNDECIDED
+        else _held_at_worst(found)
+        for wall, found in ((wall, loop.worst_hand(hands, *wall)) for wall in gains)
+    ]
 
 
 def _tried_hands(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
@@ -131,11 +143,11 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     if hands is None:
         return None
     if not proves_hands(scene):
-        return _tried_limit(scene, hands, safety)
+        return _tried_limit(scene, safety)
     loop = loop_of(scene)
     found = loop.robust_limit(hands)
     if not is_one_mass(scene) and not found.is_proved:
-        return _tried_limit(scene, hands, safety)
+        return _tried_limit(scene, safety)
     is_proved, stiffness = found.is_proved, safety * found.stiffness
     if safety < 1.0:
         is_proved = loop.worst_hand(hands, stiffness, found.damping).verdict == Verdict.STABLE
@@ -165,7 +177,7 @@ def common_outline(loops: list[HapticLoop]) -> Floats:
     return common_walls(regions, _ROWS)
 
 
-def _tried_limit(scene: Scene, hands: HandRange, safety: float) -> AllHands:
+def _tried_limit(scene: Scene, safety: float) -> AllHands:
     """Return nearly the stiffest wall of the hands at the corners, tried for hands between."""
     among: list[OneHand | HeldBy] = [*hands_among(scene, 2)]
     loops, pull = corner_loops(scene), _PULL
@@ -176,11 +188,11 @@ def _tried_limit(scene: Scene, hands: HandRange, safety: float) -> AllHands:
         most, damping = outline[np.argmax(outline[:, 0])]
         setter = int(np.argmin([_reach(one, most, damping) for one in loops]))
         stiffness = safety * float(most - pull * abs(most))
-        (worst,) = worst_held(scene, hands, [Gains(stiffness, float(damping))])
+        (worst,) = worst_held([(scene, Gains(stiffness, float(damping)))])
         if worst.tried:
             break
         loops.append(worst.loop)
-        among.append(worst.hand)
+        among.append(held_by(worst.loop))
         pull *= 2.0
     return AllHands(
         largest_stiffness=stiffness if worst.tried else nan,

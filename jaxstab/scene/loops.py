@@ -49,7 +49,7 @@ def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
         ValueError: a quantity is out of range.
     """
     if hand is None:
-        hand = OneHand(*(low for low, _ in vars(_range_of(scene.hand or Hand())).values()))
+        hand = OneHand(*(low for low, _ in vars(range_of_hands(scene)).values()))
     _check_scale(scene)
     controller = scene.controller
     mechanics = _one_mass(scene, hand) if is_one_mass(scene) else {"device": _device(scene, hand)}
@@ -89,10 +89,7 @@ def reachable(region: WallRegion) -> WallRegion:
 
 def hands_of(scene: Scene) -> HandRange | None:
     """Return the range of hands, or None where there is one hand at most."""
-    hand = scene.hand
-    if hand is None or not hand.varies:
-        return None
-    return _range_of(hand)
+    return range_of_hands(scene) if scene.hand and scene.hand.varies else None
 
 
 def walls_of(scene: Scene) -> dict[str, Gains]:
@@ -102,7 +99,7 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
 
 def hands_among(scene: Scene, count: int) -> list[OneHand]:
     """Return so many hands along each quantity of the scene's range; two are the corners."""
-    hands = spread_hands(_range_of(scene.hand or Hand()), count)
+    hands = spread_hands(range_of_hands(scene), count)
     return [OneHand(*hand) for hand in hands.tolist()]
 
 
@@ -115,7 +112,9 @@ def corner_loops(scene: Scene) -> list[HapticLoop]:
     return [loop_of(scene, hand) for hand in hands_among(scene, 2)]
 
 
-def _range_of(hand: Hand) -> HandRange:
+def range_of_hands(scene: Scene) -> HandRange:
+    """Return the range of hands; of a scene without a hand, that of no hand."""
+    hand = scene.hand or Hand()
     return HandRange(mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping)
 
 

@@ -6,9 +6,12 @@ from itertools import product
 from typing import Any
 
 from jaxstab.scene.answers import Answer
+from jaxstab.scene.check import check_scenes, check_walls
 from jaxstab.scene.scene import Scene
 
 MOST_SCENES = 100_000
+_AT_ONCE = 16  # scenes whose walls are checked together, so that a bar of progress moves
+_LONG = 64.0  # samples of delay: walls take memory by its square, and are checked scene by scene
 
 Sweep = Mapping[str, list[float | str]]
 """Values by the dotted key of a scene, such as ``device.mass``."""
@@ -92,23 +95,38 @@ def variants_of(tables: Mapping[str, Mapping[str, Any]], sweep: Sweep) -> list[V
 
 
 def answer_all(variants: list[Variant], function: Callable[[Scene], Answer]) -> Iterator[Row]:
-    """Yield what each scene answers, one after the other; a refusal is the row of its scene."""
-    for variant in variants:
-        if variant.scene is None:
-            yield Row(variant, None, variant.refusal)
-            continue
-        try:
-            answer = function(variant.scene)
-        except (ValueError, TypeError, RuntimeError) as error:
-            yield Row(variant, None, str(error))
-            continue
-        leaves = list(answer.leaves())
-        yield Row(
-            variant,
-            answer,
-            values={path: value for path, value, _ in leaves},
-            words={path: words for path, _, words in leaves},
-        )
+    """Yield what each scene answers, in their order; a refusal is the row of its scene."""
+    delays = [variant.scene.controller.samples for variant in variants if variant.scene]
+    is_quick = function is check_walls and max(delays, default=0.0) <= _LONG
+    at_once = _AT_ONCE if is_quick else 1
+    for first in range(0, len(variants), at_once):
+        some = variants[first : first + at_once]
+        scenes = [variant.scene for variant in some if variant.scene]
+        answers = iter(_answers(scenes, function))
+        for variant in some:
+            yield _row(variant, next(answers) if variant.scene else variant.refusal)
+
+
+def _answers(scenes: list[Scene], function: Callable[[Scene], Answer]) -> list[Answer | str]:
+    """Return what scenes answer, or why they were refused; checks are asked for together."""
+    try:
+        return [*check_scenes(scenes)] if function is check_walls else [*map(function, scenes)]
+    except (ValueError, TypeError, RuntimeError) as error:
+        if len(scenes) == 1:
+            return [str(error)]
+        return [answer for scene in scenes for answer in _answers([scene], function)]
+
+
+def _row(variant: Variant, answer: Answer | str) -> Row:
+    if isinstance(answer, str):
+        return Row(variant, None, answer)
+    leaves = list(answer.leaves())
+    return Row(
+        variant,
+        answer,
+        values={path: value for path, value, _ in leaves},
+        words={path: words for path, _, words in leaves},
+    )
 
 
 def _variant(source: str, table: Mapping[str, Any], values: dict[str, float | str]) -> Variant:

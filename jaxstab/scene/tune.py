@@ -135,12 +135,12 @@ def _best(
         _tuned(RoundedWall, loop, rounded, encoder),
         best.stiffness / reachable(wall_region(loop)).stiffest.stiffness,
         best.status,
-        _over_hands(scene, hands, rounded) if hands else None,
+        _over_hands(scene, rounded) if hands else None,
     )
 
 
-def _over_hands(scene: Scene, hands: HandRange, gains: Gains) -> Verdict | str:
-    (worst,) = worst_held(scene, hands, [gains])
+def _over_hands(scene: Scene, gains: Gains) -> Verdict | str:
+    (worst,) = worst_held([(scene, gains)])
     return worst.tried or worst.verdict
 
 
