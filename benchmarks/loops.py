@@ -5,10 +5,11 @@ devices with modes, grips and motors, at delays of 0 to 30 samples. Half of the 
 1e-6 of the boundary. A radius is ``wrong`` where the circle that its bound makes larger does not
 hold all roots, or the one that it makes smaller does. Points of regions lie next to outlines,
 corners and islands, next to boundaries that eigenvalues find whether the region has them or not,
-and anywhere; an UNRESOLVED region claims only what it contains. The judge is the criterion of Schur
-and Cohn in balls; ``unjudged`` is what their bits do not tell. Processes, one for each core, share
-the loops; seconds are those of CPU in the process that answered. The record is written as answers
-come: a campaign that is ended leaves one of what it did.
+next to where the curve sets out from theta = 0 and pi, and anywhere; an UNRESOLVED region claims
+only what it contains. The judge is the criterion of Schur and Cohn in balls; ``unjudged`` is what
+their bits do not tell. Processes, one for each core, share the loops; seconds are those of CPU in
+the process that answered. The record is written as answers come: a campaign that is ended leaves
+one of what it did.
 """
 
 import os
@@ -39,6 +40,7 @@ Loop = MassLoop | DeviceLoop
 _LONGEST = 30
 _WALLS = 100  # of a loop
 _RADII = 10
+_POINTS_NEAR_ENDS = 16  # of the circle, of which those next to the region are asked
 _POINTS = {"outline": 14, "corners": 8, "islands": 10, "boundary": 14, "anywhere": 4}
 
 
@@ -217,7 +219,18 @@ def probes(answer: StableRegion, balls: BallLoop, rng: np.random.Generator) -> n
         ]
     )  # fmt: skip
     away = rng.choice(DISTANCES, (len(near), 1)) * rng.normal(size=near.shape)
-    return np.concatenate([anywhere, near + size * away])
+    low, high = outline.min(axis=0) - 1e-3 * size, outline.max(axis=0) + 1e-3 * size
+    ends = np.array([balls.wall_with_roots_at(theta) for theta in _angles_near_ends(rng)])
+    ends = ends[np.all((ends > low) & (ends < high), axis=1)]
+    aside = rng.choice(DISTANCES, (len(ends), 1)) * rng.normal(size=ends.shape)
+    return np.concatenate([anywhere, near + size * away, ends + size * aside])
+
+
+def _angles_near_ends(rng: np.random.Generator) -> list[float]:
+    """Angles near 0 and pi, where the curve stands still and may turn as soon as it sets out."""
+    angles = 10.0 ** rng.uniform(-4.0, -1.0, _POINTS_NEAR_ENDS)
+    half = _POINTS_NEAR_ENDS // 2
+    return [*angles[:half].tolist(), *(np.pi - angles[half:]).tolist()]
 
 
 _JUDGES: tuple[Callable[..., Tally], ...] = walls, radii, region

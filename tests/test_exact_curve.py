@@ -31,17 +31,6 @@ def drawn(number, kind=MassLoop):
     return loop, loop.region(), rng
 
 
-def true_gains(balls, theta):
-    """The wall with roots at e^(+-i theta), by Cramer's rule in balls."""
-    with flint.ctx.workprec(1000):
-        z = flint.acb(0, theta).exp()
-        base, stiffness, damping = (flint.acb_poly(part)(z) for part in balls[:3])
-        below = (stiffness.conjugate() * damping).imag
-        alpha = (damping.conjugate() * base).imag / below
-        beta = -(stiffness.conjugate() * base).imag / below
-        return float(alpha.mid()), float(beta.mid())
-
-
 def assert_right_next_to_the_boundary(loop, region, rng):
     points = probes(region, loop.balls, rng)
     truths = [loop.balls.is_stable(*point) for point in points.tolist()]
@@ -55,6 +44,16 @@ def test_regions_of_slow_filters_are_right(number):
     loop, region, rng = drawn(number)
     assert region.status == RegionStatus.COMPLETE
     assert_right_next_to_the_boundary(loop, region, rng)
+
+
+def test_a_curve_that_turns_as_soon_as_it_sets_out_is_followed():
+    """beta is least at theta = 0.0051, below 3e-8 of its range: no vertex was there."""
+    loop, region, _ = drawn(762)
+    walls = np.array([loop.balls.wall_with_roots_at(theta) for theta in (0.0045, 0.0051, 0.0055)])
+    aside = 1e-9 * np.ptp(region.points[:, 1])
+    for alpha, beta in walls.tolist():
+        for wall in ((alpha, beta - aside), (alpha, beta + aside)):
+            assert region.contains(*wall) == loop.balls.is_stable(*wall)
 
 
 @pytest.mark.campaign
@@ -117,7 +116,7 @@ def test_the_curve_of_slow_filters_has_all_digits(number):
     angles = outline.angles[:, 0][outline.branches == 0][::20]
     assert len(angles) > 10
     gains = np.array(curve_and_lift(region.coefficients, angles)[:2])
-    truth = np.array([true_gains(loop.balls, float(angle)) for angle in angles]).T
+    truth = np.array([loop.balls.wall_with_roots_at(float(angle)) for angle in angles]).T
     size = np.ptp(region.points, axis=0)[:, None]
     assert np.max(abs(gains - truth) / size) < 1e-12
 
@@ -127,7 +126,7 @@ def test_slopes_of_the_curve_are_those_of_its_points():
     coefficients = region.coefficients
     theta = 0.007
     step = 1e-6
-    moved = [np.array(true_gains(loop.balls, theta + sign * step)) for sign in (1, -1)]
+    moved = [np.array(loop.balls.wall_with_roots_at(theta + sign * step)) for sign in (1, -1)]
     complex_step = 1e-200
     values = np.array(curve_and_lift(coefficients, np.array([theta + 1j * complex_step]))[:2])
     slopes = values[:, 0].imag / complex_step

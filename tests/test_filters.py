@@ -18,7 +18,6 @@ import scipy.signal
 import benchmarks.loops
 import jaxstab
 from benchmarks.truth import filtered as truth
-from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, hostile_walls
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
 from jaxstab.model import by_name
@@ -568,18 +567,6 @@ def test_a_region_that_proofs_contradict_claims_nothing() -> None:
     assert region.contains(1.5e-5, 5.6e-6) or region.status == jaxstab.RegionStatus.UNRESOLVED
 
 
-def wall_with_roots_at(balls: BallLoop, theta: float) -> list[float]:
-    """The wall that puts a pair of roots at exp(+-i theta), by Cramer's rule in balls."""
-    with flint.ctx.workprec(balls.bits):
-        z = (flint.acb(0, 1) * theta).exp()
-        base, stiffness, damping = (part(z) for part in balls[:3])
-        walls = [
-            (damping.conjugate() * base).imag / (stiffness.conjugate() * damping).imag,
-            (stiffness.conjugate() * base).imag / (damping.conjugate() * stiffness).imag,
-        ]
-        return [float(gain.mid()) for gain in walls]
-
-
 @pytest.mark.parametrize("number", [7, 13, 30, 45, 72, 111])
 def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(number: int) -> None:
     # W is up to 1e16 at z = -1, or V is: divided by z + 1 they took 8 to 16 digits.
@@ -587,7 +574,7 @@ def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(numbe
     angles = np.linspace(1.6, 3.1, 12)
     coefficients = mass_coefficients(*loop.plant, loop.filters[:2])
     walls = np.stack(curve_and_lift(coefficients, angles)[:2], axis=1)
-    truths = np.array([wall_with_roots_at(loop.balls, theta) for theta in angles.tolist()])
+    truths = np.array([loop.balls.wall_with_roots_at(theta) for theta in angles.tolist()])
     size = np.max(np.abs(truths), axis=1, keepdims=True)
     assert np.max(np.abs(walls - truths) / size) < 1e-12
 

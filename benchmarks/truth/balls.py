@@ -131,6 +131,16 @@ class BallLoop(NamedTuple):
                 self.base, self.stiffness * units[0], self.damping * units[1], self.bits
             )
 
+    def wall_with_roots_at(self, theta: float) -> tuple[float, float]:
+        """The wall that puts a pair of roots at e^(+-i theta), by Cramer's rule."""
+        with flint.ctx.workprec(max(self.bits, 1000)):
+            z = flint.acb(0, theta).exp()
+            base, stiffness, damping = (flint.acb_poly(part)(z) for part in self[:3])
+            below = (stiffness.conjugate() * damping).imag
+            alpha = (damping.conjugate() * base).imag / below
+            beta = -(stiffness.conjugate() * base).imag / below
+            return float(alpha.mid()), float(beta.mid())
+
     def is_stable(self, alpha: float, beta: float, radius: float = 1.0) -> bool | None:
         """Whether all roots lie inside the circle of a radius; None where the balls do not tell."""
         p = self.polynomial(alpha, beta)

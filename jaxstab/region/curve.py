@@ -283,7 +283,8 @@ def poles(c: SliceCoefficients) -> tuple[Array, Array]:
     zero's distance from the circle, | log(|z| / r) |.
     """
     if c.filtered is not None:
-        return c.filtered.poles[0], c.filtered.poles[1]
+        angles, distances = c.filtered.poles
+        return np.concatenate([angles, -angles]), np.tile(distances, 2)
     xp = namespace(c)
     first, last = 0.5 * (c.sigma + c.nu), 0.5 * (c.sigma - c.nu)
     middle = c.num_plus - c.sigma

@@ -22,6 +22,7 @@ from jaxstab.region.roots import bracketed_root, with_slope
 _FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns
 _TURNS = 8  # vertical and horizontal tangents, for each eight slots of pieces
 _BESIDE = 1e-8
+_FIRST = np.geomspace(1e-6, 1e-2, 5)  # of a piece: where a curve that stands still sets out
 _ROUNDING = 1e-10  # a coordinate that moves less than that is constant: a straight edge
 _TESTED = slice(1, None, 4)
 _ROUNDED = 1e-7  # a root so close to the circle may be on it, next to a corner
@@ -208,15 +209,14 @@ def _survey(c: SliceCoefficients, pieces: Pieces, count: int) -> tuple[Array, Ar
     xp = namespace(c, pieces)
     beside = _BESIDE * (pieces.end - pieces.begin)[:, None]
     begin, end = pieces.begin[:, None] + beside, pieces.end[:, None] - beside
-    even = begin + (end - begin) * np.linspace(0.0, 1.0, count - 2 * (count // 4))
+    even = np.linspace(0.0, 1.0, count - 2 * (count // 4))
+    nodes = [begin + (end - begin) * np.concatenate([_FIRST, even, 1.0 - _FIRST])]
     # Half of them close in on the angles at which the curve flies off.
     shares = (np.arange(count // 4) + 0.5) / (count // 4)
-    angles, apart = poles(constant(c))
-    angles = xp.where(begin < 0.0, -angles, angles)  # (piece, pole): a piece has one sign
-    first, last = (xp.arcsinh((limit - angles) / apart)[..., None] for limit in (begin, end))
-    close = angles[..., None] + apart[:, None] * xp.sinh(first + (last - first) * shares)
-    close = xp.clip(close.reshape(len(begin), -1), begin, end)
-    ordered = xp.sort(xp.concatenate([even, close], axis=1), axis=1)
+    for pole, apart in zip(*poles(constant(c)), strict=True):
+        first, last = (xp.arcsinh((limit - pole) / apart) for limit in (begin, end))
+        nodes.append(xp.clip(pole + apart * xp.sinh(first + (last - first) * shares), begin, end))
+    ordered = xp.sort(xp.concatenate(nodes, axis=1), axis=1)
     return ordered, _tangent(c, ordered)
 
 
