@@ -8,7 +8,7 @@ delay they are planes.
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,8 +130,8 @@ class LimitTable:
             and least_delta <= delta <= most_delta
         )
 
-    def verdicts(self, points: Sequence[Floats]) -> NDArray[np.int8]:
-        """Return the codes of points of any broadcast shape.
+    def verdicts(self, points: Sequence[NDArray[Any]]) -> NDArray[np.int8]:
+        """Return the codes of points, real numbers of any kind and any broadcast shape.
 
         Raises:
             OutsideError: a point is outside of the table, or NaN.
