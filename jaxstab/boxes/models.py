@@ -5,7 +5,7 @@ A linear model stands for every function f with
     |f(x) - centre - sum_k slope_k dx_k| <= rest        for all |dx_k| <= half_k,
 
 and arithmetic with models gives models of the results (Taylor models of first order; Makino, Berz
-1996). Rounding is counted with the rest. In batches, real or complex, of NumPy or of JAX.
+1996). Rounding is counted with the rest. In batches, real or complex. NumPy only.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-Floats = Any  # real or complex arrays of NumPy or of JAX
+Floats = Any  # real or complex arrays
 Number = Any  # the same, or one number
 
 _ROUNDING = 32 * np.finfo(np.float64).eps  # of the largest term: no operation below has 32
@@ -100,7 +100,7 @@ class LinearModel:
             if like.has_products:
                 products = _products(self.slope, other.slope)
                 product, slope, rest = like._with_products(products, product, slope, rest)
-        rest = _namespace(rest).where(rest >= 0.0, rest, np.inf)
+        rest = np.where(rest >= 0.0, rest, np.inf)
         return like._with(product, slope, rest)
 
     __radd__ = __add__
@@ -108,10 +108,9 @@ class LinearModel:
 
     def reciprocal(self) -> "LinearModel":
         """Return 1/f; unbounded where f may vanish."""
-        where = _namespace(self.rest).where
         clear = abs(self.centre) - self.swing
         is_known = clear > 0.0
-        clear, centre = where(is_known, clear, 1.0), where(is_known, self.centre, 1.0)
+        clear, centre = np.where(is_known, clear, 1.0), np.where(is_known, self.centre, 1.0)
         square, size = centre**2, abs(centre) ** 2
         inverse, slope = 1.0 / centre, -self.slope / square
         if self.has_products:
@@ -121,8 +120,8 @@ class LinearModel:
             rest = rest + self.swing**3 / (size * abs(centre) * clear)
         else:
             rest = self.swing**2 / (size * clear)
-        inverse = self._with(inverse, slope, rest + self.rest / size)
-        return self._of(inverse.centre, inverse.slope, where(is_known, inverse.rest, np.inf))
+        known = self._with(inverse, slope, rest + self.rest / size)
+        return self._of(known.centre, known.slope, np.where(is_known, known.rest, np.inf))
 
     def is_off(self, low: Number, high: Number) -> Floats:
         """Return where a real function is proved to be outside an interval."""
@@ -168,10 +167,6 @@ def _products(one: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
     """Return coefficients of the square of t in a product, and twice those of t and the others."""
     t = len(one) // 2 - 1
     return one[t] * other[t], one[t] * other[:t], one[:t] * other[t]
-
-
-def _namespace(array: Floats) -> Any:
-    return array.__array_namespace__()
 
 
 @dataclass(frozen=True)

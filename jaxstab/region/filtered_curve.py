@@ -261,10 +261,10 @@ def _plants_around(plant: SampledPlant) -> list[tuple[Around, Around]]:
     """Return D and N on both halves of the circle."""
     n, d = plant.numerator, plant.denominator
     if plant.shifted is not None:
-        n_shifted, d_shifted, nturned, dturned = plant.shifted
+        n_shifted, d_shifted, n_turned, d_turned = plant.shifted
         return [
             (Around(d, d_shifted), Around(n, n_shifted)),
-            (Around(turned(d), dturned), Around(turned(n), nturned)),
+            (Around(turned(d), d_turned), Around(turned(n), n_turned)),
         ]
     # The values at the ends are known to more digits than sums of coefficients.
     numerator = around(n, 1)
