@@ -155,11 +155,13 @@ static inline int jaxstab_verdict(const jaxstab_atlas *atlas, double alpha, doub
     if (!jaxstab_find_(atlas, beta, gamma, delta, delay, &walls, &at) ||
         !jaxstab_holds_(walls->lowest_alpha, walls->highest_alpha, alpha))
         return JAXSTAB_OUTSIDE;
-    if (alpha < at.lower - at.lower_error || alpha > at.upper + at.upper_error)
-        return JAXSTAB_UNSTABLE;
-    if (alpha > at.lower + at.lower_error && alpha < at.upper - at.upper_error)
-        return JAXSTAB_STABLE;
-    return JAXSTAB_UNDECIDED;
+    /* Without branches: a wrong guess would wait for the limits, which come from memory. */
+    const int is_unstable =
+        (alpha < at.lower - at.lower_error) | (alpha > at.upper + at.upper_error);
+    const int is_stable =
+        (alpha > at.lower + at.lower_error) & (alpha < at.upper - at.upper_error);
+    return JAXSTAB_UNDECIDED - is_unstable * (JAXSTAB_UNDECIDED - JAXSTAB_UNSTABLE) -
+           is_stable * (JAXSTAB_UNDECIDED - JAXSTAB_STABLE);
 }
 
 /* Fill in the limits of the stable alpha and return 1; or return 0, where the atlas says nothing,
