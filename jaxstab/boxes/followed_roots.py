@@ -202,10 +202,12 @@ def _newton(
     inverse = _inverse([part.middle for part in parts[1]], start)
     left = slope = parts[0]  # of f_0
     for step in range(1, _STEPS + 1):
-        moves = np.einsum("ijc,jtc->itc", inverse, np.stack([part.terms for part in left]))
         factor = [
-            Quadratic(part.terms + move, np.zeros_like(part.rest))
-            for part, move in zip(factor, moves, strict=True)
+            Quadratic(
+                part.terms + sum(share * rest.terms for share, rest in zip(row, left, strict=True)),
+                np.zeros_like(part.rest),
+            )
+            for part, row in zip(factor, inverse, strict=True)
         ]
         beside = [-part.plus(-value) for part, value in zip(factor, start, strict=True)]
         left, slope = _modulo(parts, factor, beside, with_slope=step == _STEPS)
@@ -321,11 +323,13 @@ def least_size(coefficients: list[Quadratic], roots: Roots, circle: Array) -> Ar
     terms = np.stack([part.terms for part in coefficients])
     lines = terms[:, 1 : 1 + VARIABLES] * scale[:, None]
     waves = (_TURNS**powers).T  # (arc, coefficient)
-    flat = lines.reshape(degree + 1, -1)
-    swing = np.sqrt((waves.real @ flat) ** 2 + (waves.imag @ flat) ** 2)
-    along = _HALF_ARC * np.tensordot(powers[:, 0].astype(float), np.abs(lines), 1).sum(axis=0)
+    cosines, sines = np.ascontiguousarray(waves.real), np.ascontiguousarray(waves.imag)
+    swing = np.zeros_like(least)
+    for line in np.moveaxis(lines, 1, 0):  # one by one: products too small for threads of BLAS
+        swing += np.sqrt((cosines @ line) ** 2 + (sines @ line) ** 2)
+    along = _HALF_ARC * (powers * np.abs(lines).sum(axis=1)).sum(axis=0)
     curves = np.abs(terms[:, 1 + VARIABLES :]).sum(axis=1)
     rest = np.stack([part.rest for part in coefficients])
     apart = np.abs(known - terms[:, 0]) + 1e-13 * (np.abs(known) + np.abs(terms).sum(axis=1))
     others = ((curves + rest + apart) * scale).sum(axis=0)
-    return (least - swing.reshape(_ARCS, VARIABLES, -1).sum(axis=1) - along - others).min(axis=0)
+    return (least - swing - along - others).min(axis=0)

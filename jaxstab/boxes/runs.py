@@ -4,6 +4,8 @@ A surface is a plane over beta, gamma and delta at each delay: its height has a 
 of the delay, and its slopes change linearly with it.
 """
 
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +24,8 @@ _STEEPEST = 1e3  # of slopes along beta that are tried
 _EPS = 16 * np.finfo(np.float64).eps
 
 
-class Columns(NamedTuple):
+@dataclass(frozen=True)
+class Columns:
     """Boxes of beta and the variables of the plant, all with the same delays.
 
     The variables are x = beta, gamma, delta and, where the delays have a width, t, the square of t
@@ -34,7 +37,7 @@ class Columns(NamedTuple):
     delay: float
     half_delay: float
 
-    @property
+    @cached_property
     def corners(self) -> Float64[np.ndarray, "corner column variable"]:
         """The corners of the columns, as deviations from their centres.
 
@@ -46,7 +49,7 @@ class Columns(NamedTuple):
 
     def some(self, which: np.ndarray) -> "Columns":
         """Return some of the columns."""
-        return self._replace(centre=self.centre[which], half=self.half[which])
+        return replace(self, centre=self.centre[which], half=self.half[which])
 
 
 def with_products(

@@ -58,7 +58,8 @@ class Strips(NamedTuple):
         self, deviations: Float64[np.ndarray, "point column variable"]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the low and high ends at points of each column, (point, column, strip)."""
-        planes = self.centre + np.einsum("kcv,cbv->kcb", deviations, self.slope)
+        rises = self.slope @ np.moveaxis(deviations, 0, -1)
+        planes = self.centre + np.moveaxis(rises, -1, 0)
         return planes - self.error, planes + self.error
 
 
