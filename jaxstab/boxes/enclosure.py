@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float64, Int64
 from jaxstab.boxes.filter_cells import filter_cells
 from jaxstab.boxes.filter_parts import filter_ends, filter_models
 from jaxstab.boxes.models import LinearModel, Moving
-from jaxstab.boxes.plant import HandBoxes, PlantModels, plant_models
+from jaxstab.boxes.plant import CurveParts, HandBoxes, plant_models
 from jaxstab.boxes.wall import largest_within, responses
 from jaxstab.model.filters import Filters
 
@@ -96,7 +96,7 @@ def curve_patches(
         filters: velocity estimator and position filter, in units of one sample.
         half_delay: largest distance of the delay from this one, between whole samples.
     """
-    plant = plant_models(hands, delay, half_delay)
+    parts = CurveParts.of(plant_models(hands, delay, half_delay))
     turns = int(np.floor(delay)) + 1
     count = max(_FIRST_PATCHES, _PER_TURN * (turns + _order_of(filters)))
     angles = pi * (np.arange(count + 1) / count) ** 1.5
@@ -104,7 +104,7 @@ def curve_patches(
     intervals = _Intervals(
         np.repeat(boxes, count), np.tile(angles[:-1], boxes.size), np.tile(angles[1:], boxes.size)
     )
-    curve_of = partial(_curve, plant, turns, filters)
+    curve_of = partial(_curve, parts, turns, filters)
     rests = np.full((2, intervals.box.size), np.inf)  # of what the intervals are halves of
     found = []
     for halving in range(_MOST_HALVINGS + 1):
@@ -246,29 +246,27 @@ class _Curve(NamedTuple):
 
 
 def _curve(
-    plant: PlantModels, turns: int, filters: Filters | None, intervals: _Intervals
+    of_boxes: CurveParts, turns: int, filters: Filters | None, intervals: _Intervals
 ) -> _Curve:
     """Evaluate the closed form, as in ``jaxstab.region.curve`` for radius 1."""
     first, last = intervals.first, intervals.last
     theta, half_theta = 0.5 * (first + last), 0.5 * (last - first) * (1.0 + _ROUNDING)
-    plant = plant.some(intervals.box).beside(half_theta[None])
+    plant = of_boxes.over_patches(intervals.box, half_theta)
     waves = _waves(theta, turns, plant.gamma.half)
-    kappa, eps = plant.d0 + 1.0, 1.0 - plant.d0
-    sigma, nu = plant.n2 + plant.n0, plant.n2 - plant.n0
+    eps, nu = plant.eps, plant.nu
     h, rest = waves.h, 2.0 - waves.h
-    d, q = h * -kappa + plant.gamma * plant.sum, h * -sigma + plant.sum
+    d, q = h * -plant.kappa + plant.gamma_sum, h * -plant.sigma + plant.sum
     sine_square = h * rest
-    real, slope = d * q + sine_square * (eps * nu), q * eps - d * nu
-    square = q * q + sine_square * (nu * nu)
+    real, slope = d * q + sine_square * plant.eps_nu, q * eps - d * nu
+    square = q * q + sine_square * plant.nu_square
     square_beta = -(waves.sine_ratio * real + waves.cos_turns * slope)
     sizes = _least(d.value), np.sin(theta) * _least(eps), np.sqrt(square.value.high)
     forces = _forces(filters, theta, half_theta, sizes)
 
     moving = q, rest, real, slope, waves.sine_ratio, waves.lag_ratio
-    by_q, by_rest = kappa - plant.gamma * sigma, nu * (plant.gamma * nu - eps)
 
     def rise(q: Model, rest: Model, real: Model, slope: Model, sine: Model, lag: Model) -> Model:
-        return q * by_q + rest * (sine * slope + by_rest) + lag * real
+        return q * plant.by_q + rest * (sine * slope + plant.by_rest) + lag * real
 
     if filters is not None:
         plain = _Plain(h, plant.gamma, square, square_beta, rise(*moving) - square_beta)

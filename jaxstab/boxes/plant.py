@@ -77,26 +77,55 @@ class PlantModels(NamedTuple):
     sum: LinearModel
     difference: LinearModel
 
-    def some(self, box: Int64[np.ndarray, " some"]) -> "PlantModels":
-        """Return the models of chosen boxes."""
-        return PlantModels(*(model.some(box) for model in self))
 
-    def beside(self, half: Float64[np.ndarray, "other box"]) -> "PlantModels":
-        """Return the same models with other variables before theirs."""
-        still = np.zeros_like(half)
-        has_products = self.gamma.has_products
+class CurveParts(NamedTuple):
+    """What the curve takes of the plant alone, as linear models over boxes of hands."""
 
-        def joined(front: np.ndarray, products: np.ndarray, own: np.ndarray) -> np.ndarray:
-            if not has_products:
-                return np.concatenate([front, own])
-            return np.concatenate([front, own[:4], products, own[4:]])
+    gamma: LinearModel
+    sum: LinearModel
+    kappa: LinearModel  # 1 + d0
+    eps: LinearModel  # 1 - d0
+    sigma: LinearModel  # n2 + n0
+    nu: LinearModel  # n2 - n0
+    gamma_sum: LinearModel
+    eps_nu: LinearModel
+    nu_square: LinearModel
+    by_q: LinearModel  # kappa - gamma sigma
+    by_rest: LinearModel  # nu (gamma nu - eps)
 
-        halves = self.gamma.half
-        halves = joined(half, half * halves[2] if has_products else half, halves)
-        return PlantModels(
+    @staticmethod
+    def of(plant: PlantModels) -> "CurveParts":
+        """Return them over the boxes of a plant."""
+        gamma, total = plant.gamma, plant.sum
+        kappa, eps = plant.d0 + 1.0, 1.0 - plant.d0
+        sigma, nu = plant.n2 + plant.n0, plant.n2 - plant.n0
+        products = gamma * total, eps * nu, nu * nu
+        by_q, by_rest = kappa - gamma * sigma, nu * (gamma * nu - eps)
+        return CurveParts(gamma, total, kappa, eps, sigma, nu, *products, by_q, by_rest)
+
+    def over_patches(
+        self, box: Int64[np.ndarray, " patch"], half_theta: Float64[np.ndarray, " patch"]
+    ) -> "CurveParts":
+        """Return the models over patches, each of one of the boxes, with theta before the rest."""
+        has_products, still = self.gamma.has_products, np.zeros((1, box.size))
+
+        def joined(theta: np.ndarray, product: np.ndarray, own: np.ndarray) -> np.ndarray:
+            parts = [theta, own[:4], product, own[4:]] if has_products else [theta, own]
+            return np.concatenate(parts)
+
+        half = self.gamma.half[:, box]
+        by_delay = half_theta * half[2] if has_products else half_theta
+        half = joined(half_theta[None], by_delay[None], half)
+        return CurveParts(
             *(
-                LinearModel(m.centre, joined(still, still, m.slope), m.rest, halves, has_products)
-                for m in self
+                LinearModel(
+                    part.centre[box],
+                    joined(still, still, part.slope[:, box]),
+                    part.rest[box],
+                    half,
+                    has_products,
+                )
+                for part in self
             )
         )
 
