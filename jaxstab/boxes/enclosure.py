@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from jaxstab.boxes.filter_cells import filter_cells
 from jaxstab.boxes.filter_parts import filter_ends, filter_models
+from jaxstab.boxes.intervals import Box, Intervals, Patch
 from jaxstab.boxes.models import LinearModel, Moving
 from jaxstab.boxes.plant import CurveParts, HandBoxes, plant_models
 from jaxstab.boxes.wall import largest_within, responses
@@ -28,14 +29,13 @@ _ROUNDING = 16 * np.finfo(np.float64).eps  # more than cosines have
 _FIRST_PATCHES = 64
 _PER_TURN = 8  # of z^(delay + 1)
 _MOST_HALVINGS = 10
+_AT_ONCE = 4  # of them: where most of a patch is outside, its parts are better looked at before
 _BLOCK = 2**13  # intervals whose models are in memory at once
 _TOLERATED = 8.0  # widths of what is not known of a patch, if halving it helps
 _CLEAR = 0.25  # of what the gains are divided by: how far from 0 it is
 _HELPS = 0.5  # times what was not known of the whole
 
 Model = TypeVar("Model", LinearModel, Moving)
-Patch = Float64[np.ndarray, " patch"]
-Box = Int64[np.ndarray, " patch"]
 
 
 class Domain(NamedTuple):
@@ -101,34 +101,34 @@ def curve_patches(
     count = max(_FIRST_PATCHES, _PER_TURN * (turns + _order_of(filters)))
     angles = pi * (np.arange(count + 1) / count) ** 1.5
     boxes = np.arange(hands.gamma.size)
-    intervals = _Intervals(
+    intervals = Intervals(
         np.repeat(boxes, count), np.tile(angles[:-1], boxes.size), np.tile(angles[1:], boxes.size)
     )
     curve_of = partial(_curve, parts, turns, filters)
-    rests = np.full((2, intervals.box.size), np.inf)  # of what the intervals are halves of
-    found = []
-    for halving in range(_MOST_HALVINGS + 1):
-        is_long = np.zeros(intervals.box.size, bool)
+    left = np.full(intervals.box.size, _MOST_HALVINGS)
+    rests = np.full((2, intervals.box.size), np.inf)  # of what the intervals are parts of
+    found: list[Patches] = []
+    while intervals.box.size or not found:
+        halvings = np.zeros_like(left)
         for start in range(0, max(intervals.box.size, 1), _BLOCK):
             block = slice(start, start + _BLOCK)
             some = intervals.some(block)
             curve = curve_of(some)
+            most = np.minimum(left[block], _AT_ONCE)
+            wanted = np.minimum(curve.halvings(width, rests[:, block]), most)
             is_inside = ~curve.is_outside(domain)
-            is_short = curve.is_short(width, rests[:, block]) | (halving == _MOST_HALVINGS)
-            found.append(curve.patches(some).some(is_inside & is_short))
-            is_long[block] = is_inside & ~is_short
+            found.append(curve.patches(some).some(is_inside & (wanted == 0)))
+            halvings[block] = np.where(is_inside, wanted, 0)
             rests[:, block] = curve.rests
-        if not is_long.any():
-            break
-        intervals = intervals.some(is_long).halves()
-        rests = np.tile(rests[:, is_long], 2)
+        whole, intervals = intervals.parts(halvings)
+        rests, left = rests[:, whole], (left - halvings)[whole]
     return _with_unknown_joined(Patches.joined(found), angles, curve_of)
 
 
 def _with_unknown_joined(
     patches: Patches,
     angles: Float64[np.ndarray, " angle"],
-    curve_of: Callable[["_Intervals"], "_Curve"],
+    curve_of: Callable[["Intervals"], "_Curve"],
 ) -> Patches:
     """Join neighbours between two angles of which nothing is known: they say no more apart."""
     box, first, last = patches[:3]
@@ -140,7 +140,7 @@ def _with_unknown_joined(
         return patches
     follows_one, has_one_behind = np.append(False, follows), np.append(follows, False)
     begins, ends = has_one_behind & ~follows_one, follows_one & ~has_one_behind
-    wide = _Intervals(box[begins], first[begins], last[ends])
+    wide = Intervals(box[begins], first[begins], last[ends])
     alone = patches.some(~(follows_one | has_one_behind))
     return Patches.joined([alone, curve_of(wide).patches(wide)])
 
@@ -164,25 +164,6 @@ def _order_of(filters: Filters | None) -> int:
     return max(filters[0].filter.transfer().order, filters[1].transfer().order)
 
 
-class _Intervals(NamedTuple):
-    """Intervals of theta, each for a box of hands."""
-
-    box: Box
-    first: Patch
-    last: Patch
-
-    def some(self, which: Bool[np.ndarray, " patch"] | Box | slice) -> "_Intervals":
-        return _Intervals(self.box[which], self.first[which], self.last[which])
-
-    def halves(self) -> "_Intervals":
-        middle = 0.5 * (self.first + self.last)
-        return _Intervals(
-            np.tile(self.box, 2),
-            np.concatenate([self.first, middle]),
-            np.concatenate([middle, self.last]),
-        )
-
-
 class _Curve(NamedTuple):
     """alpha and beta of patches, and both times ``square``, which may vanish.
 
@@ -203,28 +184,32 @@ class _Curve(NamedTuple):
         """The bounds of what the models leave unknown of alpha and beta."""
         return np.stack([self.alpha.rest, self.beta.value.rest])
 
-    def patches(self, intervals: _Intervals) -> Patches:
+    def patches(self, intervals: Intervals) -> Patches:
         """Return what is kept of the curve over these intervals."""
         rate = self.beta.rate
         may_turn = ~((rate.low > 0.0) | (rate.high < 0.0))
         return Patches(*intervals, self.alpha, self.beta.value, may_turn)
 
-    def is_short(
+    def halvings(
         self, width: tuple[float, float], before: Float64[np.ndarray, "2 patch"]
-    ) -> Bool[np.ndarray, " patch"]:
-        """Return which patches theta moves no farther than a width, or than what is unknown.
+    ) -> Float64[np.ndarray, " patch"]:
+        """Return how often to halve patches until theta moves them no farther than it should.
 
-        A large unknown counts only if it is more than half of that ``before`` the last halving.
+        That is a width, or what is unknown; a large unknown is halved, too, unless it is more than
+        half of that ``before`` the last halvings.
         """
-        short, square = np.ones(self.lift.rest.shape, bool), self.square
+        most, square = np.zeros(self.lift.rest.shape), self.square
         for gain, wanted, former in zip((self.alpha, self.beta.value), width, before, strict=True):
             moves = 2.0 * np.abs(gain.slope[0]) * gain.half[0]
-            short &= (moves <= np.maximum(wanted, gain.rest)) & np.isfinite(gain.rest)
             is_vain = gain.rest > _HELPS * former
             # Next to a pole halving helps later.
             is_vain &= square.swing < _CLEAR * np.abs(square.centre)
-            short &= (gain.rest <= _TOLERATED * wanted) | is_vain
-        return short
+            is_short = (moves <= np.maximum(wanted, gain.rest)) & np.isfinite(gain.rest)
+            is_short &= (gain.rest <= _TOLERATED * wanted) | is_vain
+            with np.errstate(all="ignore"):
+                halvings = np.ceil(np.log2(moves / np.maximum(wanted, gain.rest)))
+            most = np.maximum(most, np.where(is_short, 0.0, np.fmax(halvings, 1.0)))
+        return most
 
     def is_outside(self, domain: Domain) -> Bool[np.ndarray, " patch"]:
         """Return which patches lie wholly outside, or beyond the line of a root at 1."""
@@ -246,7 +231,7 @@ class _Curve(NamedTuple):
 
 
 def _curve(
-    of_boxes: CurveParts, turns: int, filters: Filters | None, intervals: _Intervals
+    of_boxes: CurveParts, turns: int, filters: Filters | None, intervals: Intervals
 ) -> _Curve:
     """Evaluate the closed form, as in ``jaxstab.region.curve`` for radius 1."""
     first, last = intervals.first, intervals.last
