@@ -11,6 +11,7 @@ from benchmarks.truth import filtered
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity, boundary_curve, verdict
 from jaxstab.boxes.columns import StableColumns, column_gaps, stable_columns
 from jaxstab.boxes.enclosure import Domain, curve_patches
+from jaxstab.boxes.intervals import Intervals
 from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.plant import HandBoxes, plant_models
 from jaxstab.model.filters import known_filters
@@ -172,6 +173,22 @@ def test_patches_hold_the_curve_of_every_hand(rng: np.random.Generator) -> None:
     for gain, model in zip(curve, (patches.alpha, patches.beta), strict=True):
         linear = model.centre[k] + np.sum(model.slope[:, k] * half * place, axis=0)
         assert np.all(np.abs(np.asarray(gain) - linear) <= model.rest[k])
+
+
+def test_parts_of_intervals_leave_nothing_out() -> None:
+    """Each interval is cut into 2^halvings parts with common edges; for 0 there are none."""
+    edges = np.sort(np.random.default_rng(3).uniform(0.0, np.pi, 41))
+    whole = Intervals(np.arange(40) // 8, edges[:-1], edges[1:])
+    halvings = np.arange(40) % 5
+    owner, parts = whole.parts(halvings)
+    assert np.array_equal(parts.box, whole.box[owner])
+    for number, halved in enumerate(halvings):
+        first, last = parts.first[owner == number], parts.last[owner == number]
+        assert first.size == (2**halved if halved else 0)
+        if halved:
+            assert (first[0], last[-1]) == (whole.first[number], whole.last[number])
+            assert np.array_equal(first[1:], last[:-1])
+            assert np.all(first < last)
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.3])
