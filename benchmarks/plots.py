@@ -286,7 +286,10 @@ def _latency(rows: list[Row]) -> Figure:
     questions = list(dict.fromkeys(row["section"] for row in rows))[::-1]
     figure, axes = _panels(1, 2, "One question to a fresh process, imports included")
     figure.set_figheight(1.6 + 0.3 * len(questions))
-    columns = (("seconds", "target_seconds", "CPU time in s"), ("peak_mib", "target_mib", "MiB"))
+    columns = (
+        ("seconds", "target_seconds", "CPU time in s"),
+        ("peak_mib", "target_mib", "memory in MiB"),
+    )
     for panel, (column, target, label) in zip(axes[0], columns, strict=True):
         wanted = {row["section"]: row[target] for row in rows}
         panel.barh(questions, [wanted[name] for name in questions], color="0.9", label="wanted")
@@ -295,7 +298,8 @@ def _latency(rows: list[Row]) -> Figure:
             some = [row for row in rows if row["method"] == method]
             values, names = [row[column] for row in some], [row["section"] for row in some]
             panel.plot(values, names, marker, color=colour, label=method)
-        panel.set(xscale="log", xlabel=label)
+        panel.set(xlabel=label)
+    axes[0, 0].set_xscale("log")
     axes[0, 1].set_yticklabels([])
     return _with_legend(figure, axes)
 
