@@ -27,7 +27,7 @@ from jaxstab.ranges.first_crossings import WAYS, first_crossings
 from jaxstab.region import RegionStatus, stable_region
 
 _WALLS, _SMALL_WALLS = 400, 6
-_RANGES, _SMALL_RANGES = 40, 2
+_RANGES, _SMALL_RANGES = 400, 2
 _PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged
 _FARTHER = (1e-6, 1e-4, 1e-2, 0.13)
 _ROUNDING = 1e-12
@@ -94,6 +94,14 @@ def is_limit_wrong(
         np.stack(np.meshgrid(*vars(hands).values()), axis=-1).reshape(-1, 3), axis=0
     )
     few = [*sample[:_FEW], *(_held(loop, corner) for corner in corners)]
+    tops = [one.limits() for one in few]
+    walls = [((1.0 - _CLEAR) * top.stiffness, top.at_damping) for top in tops]
+    if any(
+        loop.worst_hand(hands, *wall).verdict == Verdict.STABLE
+        for wall in walls
+        if wall[0] > answer.limit
+    ):
+        return True
     radii = np.max([_radii(one, stiffness, damping) for one in few], axis=0)
     likely = np.argsort(radii, axis=None)[:_LIKELY]
     for row, column in zip(*np.unravel_index(likely, radii.shape), strict=True):

@@ -1,6 +1,7 @@
 """Limits, margins and ranges of hands, against closed forms and roots in 50 digits."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -304,6 +305,42 @@ def test_the_limit_for_all_hands_is_not_below_a_wall_proved_for_all_of_them() ->
     assert wall[0] <= found.limit <= 0.7
     assert 0.6 < found.stiffness < found.limit
     assert loop.worst_hand(hands, found.stiffness, found.damping).verdict == Verdict.STABLE
+
+
+@pytest.mark.parametrize(
+    ("loop", "spring", "wall"),
+    [
+        (
+            HapticLoop(
+                device_mass=0.030364035290746688,
+                device_damping=3.0514857921904532,
+                sample_time=0.00017712578997005138,
+                delay=0.00017712578997005138,
+            ),
+            0.0,
+            (148641.76670992252, 71.7777221714964),
+        ),
+        (
+            HapticLoop(
+                device_mass=1.8561733167747139,
+                device_damping=0.26895573616378077,
+                sample_time=0.002489147942872546,
+            ),
+            15.69017551691799,
+            (205584.00813838898, 617.5286882969465),
+        ),
+    ],
+    ids=["one hand", "a range of springs"],
+)
+def test_the_limit_is_not_below_a_wall_near_the_top_of_all_stable_sets(
+    loop: HapticLoop, spring: float, wall: tuple[float, float]
+) -> None:
+    """Where a strip of roots reaches beyond the stable sets, nothing is known above it."""
+    for stiffness in (0.0, spring):
+        held = replace(loop, hand_stiffness=stiffness)
+        assert true_radius(held, *wall, loop.delay_samples) < 1.0
+    found = loop.robust_limit(HandRange(stiffness=(0.0, spring)))
+    assert wall[0] <= found.limit <= 1.001 * wall[0]
 
 
 def test_a_short_way_is_bracketed_as_tightly_as_rounding_allows() -> None:

@@ -89,6 +89,13 @@ class _Columns(NamedTuple):
     high: np.ndarray
 
 
+class _Span(NamedTuple):
+    """The span of walls that all stable regions share; ``setter`` has the least stiff one."""
+
+    domain: Domain
+    setter: int
+
+
 class _Gaps(NamedTuple):
     """Gaps of the stiffness in columns of the damping, of all hands side by side."""
 
@@ -101,11 +108,11 @@ class _Gaps(NamedTuple):
 def _common_limit(loops: list[Loop], pull: float) -> RobustLimit:
     """Return the stiffest wall that some loops allow, pulled down by a share of its stiffness."""
     nothing = RobustLimit(nan, nan, False, nan, loops[0])
-    domain = _common_domain(loops)
-    if domain is None:
+    span = _common_span(loops)
+    if span is None:
         return nothing
-    edges = np.linspace(*domain.beta, _COLUMNS + 1)
-    columns = _judged(loops, edges, domain)
+    edges = np.linspace(*span.domain.beta, _COLUMNS + 1)
+    columns = _judged(loops, edges, span)
     for _ in range(_ROUNDS):
         best = int(np.argmax(columns.high))
         found = columns.high[best]
@@ -117,7 +124,7 @@ def _common_limit(loops: list[Loop], pull: float) -> RobustLimit:
         first = np.zeros_like(hopeful)
         first[order[-_AT_ONCE:]] = True
         first &= hopeful
-        parts = _judged(loops, _divided(columns.begin[first], columns.end[first]), domain)
+        parts = _judged(loops, _divided(columns.begin[first], columns.end[first]), span)
         inside = np.any(
             (parts.begin[:, None] >= columns.begin[first])
             & (parts.end[:, None] <= columns.end[first]),
@@ -141,10 +148,10 @@ def _common_limit(loops: list[Loop], pull: float) -> RobustLimit:
     return RobustLimit(pulled, damping, False, limit, setter)
 
 
-def _common_domain(loops: list[Loop]) -> Domain | None:
+def _common_span(loops: list[Loop]) -> _Span | None:
     """Return the span of stiffness and damping that all stable regions share, in SI units."""
-    low, high = np.full(2, -np.inf), np.full(2, np.inf)
-    for loop in loops:
+    low, high, setter = np.full(2, -np.inf), np.full(2, np.inf), 0
+    for number, loop in enumerate(loops):
         region = stable_region(
             gamma=loop.gamma, delta=loop.delta, delay=loop.delay_samples, **loop.filters
         )
@@ -155,16 +162,18 @@ def _common_domain(loops: list[Loop]) -> Domain | None:
         region = reachable(region, known_filters(**loop.filters))
         points = np.nan_to_num(region.points) * [loop.stiffness(1.0), loop.damping(1.0)]
         beyond = _BEYOND * np.ptp(points, axis=0)
-        low = np.maximum(low, points.min(axis=0) - beyond)
-        high = np.minimum(high, points.max(axis=0) + beyond)
+        low, ends = np.maximum(low, points.min(axis=0) - beyond), points.max(axis=0) + beyond
+        setter = number if ends[0] < high[0] else setter
+        high = np.minimum(high, ends)
     if not np.all((low < high) & np.isfinite(high - low)):
         return None
-    return Domain((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
+    domain = Domain((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
+    return _Span(domain, setter)
 
 
-def _judged(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain) -> _Columns:
-    gaps = _gaps(loops, edges, domain)
-    return _Columns(edges[:-1], edges[1:], *_not_unstable(gaps), *_stable(gaps, len(loops)))
+def _judged(loops: list[Loop], edges: Float64[np.ndarray, " edge"], span: _Span) -> _Columns:
+    gaps = _gaps(loops, edges, span.domain)
+    return _Columns(edges[:-1], edges[1:], *_not_unstable(gaps, span), *_stable(gaps, len(loops)))
 
 
 def _gaps(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain) -> _Gaps:
@@ -186,20 +195,21 @@ def _gaps(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain
     return _Gaps(low, high, verdict, np.repeat(np.arange(len(loops)), counts))
 
 
-def _not_unstable(gaps: _Gaps) -> tuple[np.ndarray, np.ndarray]:
+def _not_unstable(gaps: _Gaps, span: _Span) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest stiffness of each column that is in no unstable gap, and whose gap begins.
 
-    The union of open gaps ends below at the lower end of a gap that is in no other.
+    The union of open gaps ends below at the lower end of a gap that is in no other. Where none
+    reaches the end of the span nothing is known there.
     """
     unstable = gaps.verdict == Verdict.UNSTABLE
     low, high = np.where(unstable, [gaps.low, gaps.high], np.nan)
-    top = np.max(np.where(gaps.low < gaps.high, gaps.high, -np.inf), axis=1, keepdims=True)
-    ends = np.concatenate([low, top], axis=1)[:, :, None]
+    top = span.domain.alpha[1]
+    ends = np.concatenate([low, np.full_like(low[:, :1], top)], axis=1)[:, :, None]
     covered = np.any((low[:, None] < ends) & (ends < high[:, None]), axis=2)
     covered[:, -1] |= np.any(high >= top, axis=1)
     open_ends = np.where(covered | np.isnan(ends[..., 0]), -np.inf, ends[..., 0])
     first = np.argmax(open_ends, axis=1)
-    return np.max(open_ends, axis=1), np.append(gaps.hand, 0)[first]
+    return np.max(open_ends, axis=1), np.append(gaps.hand, span.setter)[first]
 
 
 def _stable(gaps: _Gaps, hands: int) -> tuple[np.ndarray, np.ndarray]:
