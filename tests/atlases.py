@@ -59,6 +59,22 @@ def moving_atlas() -> Atlas:
         return build_atlas(spec, Path(folder) / "moving.h5")
 
 
+def write_cut(path: Path) -> Path:
+    """Limits of alpha where the stable set goes on beyond all alphas of the atlas."""
+    spec = AtlasSpec(
+        alpha=[-0.0005, 0.05, 0.1],
+        beta=FittedAxis(8),
+        gamma=[0.0, 0.001],
+        delta=[0.0, 0.015],
+        delay=[0.5, 1.0, 1.5],
+        products=["verdict", "alpha_limits"],
+        limit_cells=12,
+        delay_cells=4,
+    )
+    build_atlas(spec, path)
+    return path
+
+
 @functools.cache
 def small_contents() -> file.Contents:
     with tempfile.TemporaryDirectory() as folder:

@@ -1,10 +1,22 @@
 """Limits of alpha in an atlas: quick verdicts, and the inverse questions."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from atlases import moving_atlas, small_atlas, small_contents
+from atlases import moving_atlas, small_atlas, small_contents, write_cut
 
-from jaxstab import AXES, STABLE, UNDECIDED, UNSTABLE, Atlas, QueryStatus, stable_region, verdict
+from jaxstab import (
+    AXES,
+    STABLE,
+    UNDECIDED,
+    UNSTABLE,
+    Atlas,
+    QueryStatus,
+    open_atlas,
+    stable_region,
+    verdict,
+)
 from jaxstab.atlas.format.schema import PRODUCTS
 from jaxstab.atlas.read import file
 from jaxstab.atlas.read.answer import checked_range
@@ -94,6 +106,33 @@ def test_a_row_without_a_stable_alpha_has_no_limits(atlas: Atlas) -> None:
     found = atlas.alpha_limits(beta, gamma=0.0, delta=0.0, delay=0.0)
     assert np.isnan(found.lower)
     assert np.isnan(found.upper)
+
+
+def test_nothing_is_said_of_alphas_beyond_the_atlas(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Surfaces of limits go on beyond the largest alpha of an atlas, where they prove nothing."""
+    atlas = open_atlas(write_cut(tmp_path / "cut.h5"))
+    ends = atlas.arrays["limit_range"]
+    least, most = ends[0, 2:4].tolist()
+    gamma, delta, delay = (rng.uniform(0.0, top, 300) for top in (0.001, 0.015, 1.0))
+    hands = {"gamma": gamma, "delta": delta, "delay": 0.5 + delay}
+    beta = rng.uniform(ends[:, 4].max(), ends[:, 5].min(), 300)
+    limits = atlas.alpha_limits(beta, **hands)
+    proved = limits.upper - limits.upper_error
+    assert np.isinf(proved).any()
+    assert np.any(proved < most)
+    assert np.all((proved < most) | ~np.isfinite(proved))
+    stable_up_to = np.minimum(proved, most) - 1e-9
+    holds = np.maximum(limits.lower + limits.lower_error, least) < stable_up_to
+    codes = verdict(stable_up_to, beta, **hands, resolve="exact")
+    assert np.all(codes[holds] == STABLE)
+    largest = atlas.max_alpha(**hands)
+    early = hands["delay"] < 1.2
+    assert np.all((largest.alpha[early] == most) & np.isinf(largest.bound[early]))
+    assert np.all(verdict(largest.alpha * (1.0 - 1e-9), largest.beta, **hands) == STABLE)
+    _, high = atlas.common_alpha_limits(0.4, gamma=(0.0, 0.001), delta=(0.0, 0.015), delay=0.7)
+    assert high == most
 
 
 def test_the_worst_of_many_hands_decides(atlas: Atlas, rng: np.random.Generator) -> None:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from atlases import write_cut
 from hostile import assembled, retold, sub
 from programs_in_c import READER, compiled
 
@@ -40,13 +41,18 @@ class Answers(NamedTuple):
     limits: np.ndarray  # (point, 4)
 
 
-@pytest.fixture(scope="module", params=["version 3", "window", "version 2, upgraded"])
+GOLDEN_FILES = ["version 3", "window", "version 2, upgraded"]
+
+
+@pytest.fixture(scope="module", params=[*GOLDEN_FILES, "cut"])
 def golden(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The golden files that all readers answer from."""
+    """The golden files that all readers answer from, and one that ends within the stable set."""
     known = {"version 3": GOLDEN, "window": WINDOW}
     if request.param in known:
         return known[request.param]
-    path = tmp_path_factory.mktemp("upgraded") / "atlas.h5"
+    path = tmp_path_factory.mktemp("made") / "atlas.h5"
+    if request.param == "cut":
+        return write_cut(path)
     jaxstab.upgrade_atlas(OLD, path)
     return path
 
@@ -109,6 +115,7 @@ def expected(atlas: Atlas, points: np.ndarray) -> Answers:
     return answers
 
 
+@pytest.mark.parametrize("golden", GOLDEN_FILES, indirect=True)
 def test_the_points_are_of_all_kinds(expected: Answers) -> None:
     lower, _, upper, _ = expected.limits[expected.codes != OUTSIDE].T
     assert np.isnan(lower).sum() > 50  # no alpha is stable
@@ -176,6 +183,7 @@ def test_what_is_clamped_is_as_stiff_as_any_wall_that_the_atlas_grants(
         assert np.all(granted[larger] < wanted * (1.0 + 1e-9))
 
 
+@pytest.mark.parametrize("golden", GOLDEN_FILES, indirect=True)
 def test_the_golden_atlas_is_read_today(
     golden: Path, atlas: Atlas, rng: np.random.Generator
 ) -> None:

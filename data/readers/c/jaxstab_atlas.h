@@ -42,8 +42,8 @@ enum {
     JAXSTAB_UNDECIDED = 3  /* too close to the boundary for the atlas */
 };
 
-/* Every alpha from lower + lower_error to upper - upper_error is stable, and every one below
- * lower - lower_error or above upper + upper_error in the atlas is unstable. Where none is stable
+/* Of the alphas of the atlas every one from lower + lower_error to upper - upper_error is stable, and
+ * every one below lower - lower_error or above upper + upper_error unstable. Where none is stable
  * both limits are NaN with an error of 0; an infinite limit is beyond the atlas, and with an
  * infinite error nothing is known. */
 typedef struct {
@@ -174,6 +174,15 @@ static inline int jaxstab_alpha_limits(const jaxstab_atlas *atlas, double beta, 
         limits->lower = limits->upper = NAN;
         limits->lower_error = limits->upper_error = INFINITY;
         return 0;
+    }
+    /* The surfaces hold for the alphas of the atlas alone: beyond them they say nothing. */
+    if (limits->lower + limits->lower_error <= walls->lowest_alpha) {
+        limits->lower = -INFINITY;
+        limits->lower_error = 0.0;
+    }
+    if (limits->upper - limits->upper_error >= walls->highest_alpha) {
+        limits->upper = INFINITY;
+        limits->upper_error = 0.0;
     }
     if (limits->lower == INFINITY)
         limits->lower = limits->upper = NAN;

@@ -83,11 +83,10 @@ end
 
 function [alpha, top] = proved(atlas, wanted, beta, plant, ends)
 % The largest alphas up to wanted ones that are proved stable, -1 for none, and the limits.
-  [~, lower, lower_error, upper, upper_error] = jaxstab_query(atlas, wanted, beta, plant{:});
-  top = upper - upper_error;
+  [~, ~, ~, ~, ~, from, top] = jaxstab_query(atlas, wanted, beta, plant{:});
   alpha = top - abs(top) * eps;
   is_wanted = wanted < top;
   alpha(is_wanted) = wanted(is_wanted);
-  holds = alpha >= max(ends(3), 0) & alpha < top & alpha > lower + lower_error;
+  holds = alpha >= max(ends(3), 0) & alpha < top & alpha > from;
   alpha(~holds) = -1;
 end

@@ -1,4 +1,4 @@
-function [code, lower, lower_error, upper, upper_error] = ...
+function [code, lower, lower_error, upper, upper_error, from, to] = ...
     jaxstab_query(atlas, alpha, beta, gamma, delta, delay)
 % Stability verdicts from a jaxstab atlas, in Octave 6 or MATLAB R2016b and newer.
 %
@@ -13,10 +13,14 @@ function [code, lower, lower_error, upper, upper_error] = ...
 %
 %   [code, lower, lower_error, upper, upper_error] = jaxstab_query(...)
 %       gives the limits of the stable alpha too, which do not depend on the alpha asked about.
-%       Every alpha from lower + lower_error to upper - upper_error is stable, and every one below
-%       lower - lower_error or above upper + upper_error in the atlas is unstable. Where none is
-%       stable both are NaN with an error of 0; an infinite limit is beyond the atlas, and with an
-%       infinite error nothing is known.
+%       Of the alphas of the atlas every one from lower + lower_error to upper - upper_error is
+%       stable, and every one below lower - lower_error or above upper + upper_error unstable. Where
+%       none is stable both are NaN with an error of 0; an infinite limit is beyond the atlas, and
+%       with an infinite error nothing is known.
+%
+%   [~, ~, ~, ~, ~, from, to] = jaxstab_query(...)
+%       gives two surfaces instead, also where they are beyond the alphas of the atlas: of these
+%       alphas every one between from and to is stable.
 %
 % With K, B stiffness and damping of the virtual wall, m, b, k mass, damping and stiffness of device
 % and hand, T sampling period and t_d delay:
@@ -41,6 +45,8 @@ function [code, lower, lower_error, upper, upper_error] = ...
   lower_error = Inf(size(none));
   upper = lower;
   upper_error = lower_error;
+  from = lower;
+  to = lower;
   cells = zeros(size(delay));
   for k = 1:size(atlas.range, 1)
     cells = cells + (delay >= atlas.range(k, 1));
@@ -62,6 +68,14 @@ function [code, lower, lower_error, upper, upper_error] = ...
     found(~is_inside(a, ends(3:4))) = -1;
     code(here) = found;
 
+    from(here) = low + low_error;
+    to(here) = high - high_error;
+    is_below = low + low_error <= ends(3); % beyond the alphas of the atlas they say nothing
+    is_above = high - high_error >= ends(4);
+    low(is_below) = -Inf;
+    low_error(is_below) = 0;
+    high(is_above) = Inf;
+    high_error(is_above) = 0;
     high(low == Inf) = NaN;
     low(low == Inf) = NaN;
     lower(here) = low;

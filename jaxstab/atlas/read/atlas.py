@@ -213,7 +213,7 @@ class Atlas(HeldAtlas):
         """
         table, points = self._asked(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
-        found = table.limits(*(point.reshape(-1) for point in (beta, gamma, delta, delay)))
+        found = table.known_limits(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
         is_empty = found.lower == np.inf
         limits = (np.where(is_empty, np.nan, limit) for limit in (found.lower, found.upper))
         errors = (error.astype(float) for error in (found.lower_error, found.upper_error))

@@ -40,10 +40,10 @@ class OutsideError(ValueError):
 class AlphaLimits(NamedTuple):
     """The smallest and largest stable alpha of points, each with a proved error bound.
 
-    Every alpha from ``lower + lower_error`` to ``upper - upper_error`` is stable, and every one
-    below ``lower - lower_error`` or above ``upper + upper_error`` in the atlas is unstable. Where
-    none is stable both are NaN with an error of 0; an infinite limit is beyond the atlas, and with
-    an infinite error nothing is known.
+    Of the alphas of the atlas every one from ``lower + lower_error`` to ``upper - upper_error`` is
+    stable, and every one below ``lower - lower_error`` or above ``upper + upper_error`` unstable.
+    Where none is stable both are NaN with an error of 0; an infinite limit is beyond the atlas,
+    and with an infinite error nothing is known.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -62,7 +62,8 @@ class MaxAlpha(NamedTuple):
     """The largest stable alpha of hands, by proofs; NaN where none is proved stable.
 
     A hand is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha of the atlas
-    above ``bound``, whatever beta.
+    above ``bound``, whatever beta. Where the stable set goes on beyond the atlas, ``alpha`` is the
+    largest one of the atlas, and ``bound`` infinite.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -206,8 +207,18 @@ class LimitTable:
             return int(UNSTABLE)
         return int(STABLE if lower + error < alpha < upper - upper_error else UNDECIDED)
 
+    def known_limits(
+        self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
+    ) -> AlphaLimits:
+        """Return the limits at points inside of the table, as far as they are within its alphas."""
+        ends = self.delays.walls("alpha", self.delays.of(delay))
+        return within(self.limits(beta, gamma, delta, delay), *ends)
+
     def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
-        """Return the limits at points inside of the table; both infinite where none is stable."""
+        """Return the surfaces at points inside of the table, which hold for its alphas alone.
+
+        Both are infinite where none is stable.
+        """
         return AlphaLimits(*in_parts(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
 
     def _limits_of(self, *point: Floats) -> Sequence[Floats]:
@@ -241,9 +252,11 @@ class LimitTable:
             edges = np.arange(self._cells + 1) / self._per_beta[number] + self._beta[number]
             sides = np.stack([edges[:-1], edges[1:]])  # planes are highest at their sides
             one = slice(point, point + 1)
-            at = limits_at(columns[:, row].T, sides, gamma[one], delta[one], delay[one])
-            top = at.upper - at.upper_error
-            holds = (at.lower + at.lower_error < top) & np.isfinite(top)
+            least, most = (end[number] for end in self.delays.ends["alpha"])
+            found_at = limits_at(columns[:, row].T, sides, gamma[one], delta[one], delay[one])
+            at = within(found_at, least, most)
+            top = np.minimum(at.upper - at.upper_error, most)
+            holds = at.lower + at.lower_error < top
             if holds.any():
                 best = np.argmax(np.where(holds, top, -np.inf))
                 bound = np.max(at.upper + at.upper_error, where=at.lower < np.inf, initial=-np.inf)
@@ -272,8 +285,9 @@ class LimitTable:
     ) -> tuple[float, float]:
         """Return between which alphas all hands of a box are proved stable; empty if it is so."""
         at = self._limits_over(beta, gamma, delta, delay)
+        least, most = self._rows[self.delays.of_one(delay)][2:4]
         lowest, highest = np.max(at.lower + at.lower_error), np.min(at.upper - at.upper_error)
-        return float(lowest), float(highest)
+        return float(np.maximum(lowest, least)), float(np.minimum(highest, most))
 
     def worst_verdict(
         self, alpha: float, beta: float, gamma: Range, delta: Range, delay: float
@@ -331,3 +345,16 @@ def undecided_share(limits: AlphaLimits, low: Floats | float, high: Floats | flo
 def limits_at(columns: NDArray[np.float32], *point: Floats) -> AlphaLimits:
     """Return the limits of columns, (20, point), at points."""
     return AlphaLimits(*surfaces(columns, *point))
+
+
+@ignoring
+def within(at: AlphaLimits, least: Floats | float, most: Floats | float) -> AlphaLimits:
+    """Return limits between two alphas: one that is not there is infinite, for it says nothing."""
+    is_below = at.lower + at.lower_error <= least
+    is_above = at.upper - at.upper_error >= most
+    return AlphaLimits(
+        np.where(is_below, -np.inf, at.lower),
+        np.where(is_below, 0.0, at.lower_error),
+        np.where(is_above, np.inf, at.upper),
+        np.where(is_above, 0.0, at.upper_error),
+    )
