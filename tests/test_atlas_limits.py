@@ -12,7 +12,11 @@ from jaxstab import (
     UNDECIDED,
     UNSTABLE,
     Atlas,
+    AtlasSpec,
+    FittedAxis,
     QueryStatus,
+    Velocity,
+    build_atlas,
     open_atlas,
     stable_region,
     verdict,
@@ -133,6 +137,68 @@ def test_nothing_is_said_of_alphas_beyond_the_atlas(
     assert np.all(verdict(largest.alpha * (1.0 - 1e-9), largest.beta, **hands) == STABLE)
     _, high = atlas.common_alpha_limits(0.4, gamma=(0.0, 0.001), delta=(0.0, 0.015), delay=0.7)
     assert high == most
+
+
+def random_atlas(rng: np.random.Generator, path: Path) -> Atlas:
+    """Hands and delays of all sizes; alphas and betas may end anywhere within the stable set."""
+    velocities = [None, Velocity.difference(samples=int(rng.integers(2, 10)))]
+    velocity = velocities[rng.integers(2)]
+    gamma, delta = 10.0 ** rng.uniform(-6.0, 1.0), 10.0 ** rng.uniform(-4.0, 0.3)
+    first = float(rng.choice([0.0, 0.3, 1.0, 2.5]))
+    region = stable_region(gamma=0.5 * gamma, delta=0.5 * delta, delay=first, velocity=velocity)
+    tops = np.nanmax(np.abs(region.points), axis=0, initial=1e-6)
+    ends = tops * 10.0 ** rng.uniform(-0.7, 0.2, 2)
+    alpha, beta = (np.linspace(-0.01 * end, end, 8) for end in ends)
+    spec = AtlasSpec(
+        alpha=alpha,
+        beta=beta if rng.random() < 0.7 else FittedAxis(8),
+        gamma=[gamma] if rng.random() < 0.3 else [0.0, gamma],
+        delta=[delta] if rng.random() < 0.3 else [0.2 * delta, delta],
+        delay=[first, first + float(rng.choice([0.2, 0.7, 1.0]))],
+        products=["alpha_limits"],
+        limit_cells=int(rng.integers(8, 40)),
+        delay_cells=int(rng.integers(2, 8)),
+        velocity=velocity,
+    )
+    return build_atlas(spec, path)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", range(20))
+def test_what_random_atlases_say_of_limits_is_true(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    atlas = random_atlas(rng, tmp_path / "random.h5")
+    velocity = atlas.filters[0] if atlas.filters else None
+    ends = atlas.arrays["limit_range"]
+    delay = float(rng.uniform(ends[0, 0], ends[-1, 1]))
+    least, most, low, high = ends[np.searchsorted(ends[:, 0], delay, "right") - 1, 2:]
+    nodes = (atlas.arrays[name] for name in ("gamma", "delta"))
+    gammas, deltas = (sorted(rng.uniform(along[0], along[-1], 2).tolist()) for along in nodes)
+    gamma, delta = (np.append(rng.uniform(*ends, 200), ends) for ends in (gammas, deltas))
+    hands = {"gamma": gamma, "delta": delta, "delay": delay}
+    box = {"gamma": tuple(gammas), "delta": tuple(deltas), "delay": delay}
+    for beta in rng.uniform(low, high, 20).tolist():
+        at = atlas.alpha_limits(beta, **hands)  # NaN where nothing is stable
+        start = np.maximum(at.lower + at.lower_error, least)
+        stop = np.minimum(at.upper - at.upper_error, most)
+        exists = start < stop
+        start, width = np.where(exists, start, 0.0), np.where(exists, stop - start, 0.0)
+        for share in (1e-6, 0.5, 1.0 - 1e-6):
+            codes = verdict(start + share * width, beta, **hands, velocity=velocity)
+            assert not np.any((codes == UNSTABLE) & exists)
+        lowest, highest = atlas.common_alpha_limits(beta, **box)
+        alpha = lowest + (1.0 - 1e-6) * (highest - lowest) if lowest < highest else 0.0
+        codes = verdict(alpha, beta, **hands, velocity=velocity)
+        assert lowest >= highest or not np.any(codes == UNSTABLE)
+    largest = atlas.max_alpha(**hands)
+    known = np.isfinite(largest.alpha)
+    alpha, beta = (np.where(known, part, 0.0) for part in largest[:2])
+    codes = verdict(alpha - 1e-6 * np.abs(alpha), beta, **hands, velocity=velocity)
+    assert not np.any((codes == UNSTABLE) & known)
+    walls = rng.uniform(least, most, 500), rng.uniform(low, high, 500)
+    one = {"gamma": gamma[0], "delta": delta[0], "delay": delay, "velocity": velocity}
+    stable = walls[0][verdict(*walls, **one) == STABLE]
+    assert not known[0] or np.all(stable <= largest.bound[0])
 
 
 def test_the_worst_of_many_hands_decides(atlas: Atlas, rng: np.random.Generator) -> None:
