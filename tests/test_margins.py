@@ -14,6 +14,7 @@ from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict
 from jaxstab.model import by_name
+from jaxstab.ranges.hands import checked_range
 
 FREE = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0)  # K = alpha, B = beta
 PHANTOM = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1.5e-3)
@@ -341,6 +342,11 @@ def test_the_limit_is_not_below_a_wall_near_the_top_of_all_stable_sets(
         assert true_radius(held, *wall, loop.delay_samples) < 1.0
     found = loop.robust_limit(HandRange(stiffness=(0.0, spring)))
     assert wall[0] <= found.limit <= 1.001 * wall[0]
+
+
+def test_what_is_no_range_of_hands_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"hands is 1.0; give a jaxstab.HandRange"):
+        checked_range(1.0)
 
 
 def test_a_short_way_is_bracketed_as_tightly_as_rounding_allows() -> None:

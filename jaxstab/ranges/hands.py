@@ -354,8 +354,10 @@ def held(loop: Loop, hand: Float64[np.ndarray, " 3"]) -> Loop:
     return replace(loop, hand_mass=mass, hand_stiffness=stiffness, hand_damping=damping)
 
 
-def checked_range(hands: HandRange) -> None:
-    """Refuse a range whose ends are out of order or negative."""
+def checked_range(hands: object) -> None:
+    """Refuse what is no range of hands, and one whose ends are out of order or negative."""
+    if not isinstance(hands, HandRange):
+        raise TypeError(f"hands is {hands!r}; give a jaxstab.HandRange, as HandRange(mass=(0, 1)).")
     for name, (low, high) in vars(hands).items():
         if not 0.0 <= low <= high < np.inf:
             raise ValueError(
