@@ -1,7 +1,7 @@
 """What JAX's transformations make of each public function: the table of docs/transforms.md."""
 
 from collections.abc import Callable
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from operator import attrgetter
 from typing import Any
 
@@ -16,9 +16,23 @@ WORD = {True: "yes", False: "no"}
 REFUSALS = (TypeError, ValueError, NotImplementedError, jax.errors.JAXTypeError)
 
 
-def row(name: str) -> tuple[str, str, str, str]:
+FILTERED = "with an estimator"
+
+
+def rows() -> dict[str, tuple[str, str, str, str]]:
+    """A row for each public function, and one for each method that an estimator changes."""
+    plain = {name: row(name) for name in COMPUTING_CALLS}
+    estimator = jaxstab.Velocity.difference(window=0.003)
+    filtered = OBJECTS | {"loop": lambda: replace(OBJECTS["loop"](), velocity=estimator)}
+    of_loops = [name for name, given in COMPUTING_CALLS.items() if given[0] == "loop"]
+    others = {name: row(name, filtered) for name in of_loops}
+    changed = {f"{name}` {FILTERED}": one for name, one in others.items() if one != plain[name]}
+    return plain | changed
+
+
+def row(name: str, objects: dict[str, Callable[[], Any]] = OBJECTS) -> tuple[str, str, str, str]:
     """What is traced, and whether jit, vmap and grad go through; nothing is compiled."""
-    what, function, value = _of_one_argument(name)
+    what, function, value = _of_one_argument(name, objects)
     return (
         what,
         WORD[_goes(lambda: jax.make_jaxpr(jax.jit(function))(value))],
@@ -27,10 +41,12 @@ def row(name: str) -> tuple[str, str, str, str]:
     )
 
 
-def _of_one_argument(name: str) -> tuple[str, Callable[[Any], Any], Any]:
+def _of_one_argument(
+    name: str, objects: dict[str, Callable[[], Any]]
+) -> tuple[str, Callable[[Any], Any], Any]:
     """The argument that is traced: the first number or, where there is none, the loop itself."""
     given = [
-        OBJECTS[value]() if isinstance(value, str) else value for value in COMPUTING_CALLS[name]
+        objects[value]() if isinstance(value, str) else value for value in COMPUTING_CALLS[name]
     ]
     options = given.pop() if isinstance(given[-1], dict) else {}
     function = attrgetter(name)(jaxstab)

@@ -4,9 +4,8 @@
 //
 // CHAI3D 3.3 has a largest stiffness and damping of each device (cHapticDeviceInfo), the same for
 // all hands, postures and rates, and does not clamp to them. Here the maker's limits come first,
-// then those that are proved.
-#include <chrono>
-
+// then those that are proved. The proof is for gains, mass and delay that are constant while the
+// wall is touched, so the guard is called once, when contact begins.
 #include "chai3d.h"
 #include "omega_guard.h"
 
@@ -25,32 +24,30 @@ public:
     // One turn of the haptic loop. `mass` is the device's at this posture, in kg.
     int render(double stiffness, double damping, double mass)
     {
-        const auto begin = std::chrono::steady_clock::now();
         cVector3d position, velocity;
         device_->getPosition(position);
         device_->getLinearVelocity(velocity);
 
-        stiffness = stiffness < most_stiffness_ ? stiffness : most_stiffness_;
-        damping = damping < most_damping_ ? damping : most_damping_;
-        // REFUSED: the mass or the delay is out of the ranges that were proved; both gains are 0.
-        const int code = omega_guard_clamp(&stiffness, &damping, mass, delay_);
-
         const bool inside = position.z() < 0.0;
-        const double force = inside ? -stiffness * position.z() - damping * velocity.z() : 0.0;
+        if (inside && !touching_) {
+            stiffness_ = stiffness < most_stiffness_ ? stiffness : most_stiffness_;
+            damping_ = damping < most_damping_ ? damping : most_damping_;
+            // REFUSED: the mass or the delay is out of the proved ranges; both gains are 0.
+            code_ = omega_guard_clamp(&stiffness_, &damping_, mass, delay_);
+        }
+        touching_ = inside;
+        const double force = inside ? -stiffness_ * position.z() - damping_ * velocity.z() : 0.0;
         device_->setForce(cVector3d(0.0, 0.0, force));
-
-        // The delay from reading to writing, and what the transport adds (here one period).
-        const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
-        const double delay = taken.count() + transport_;
-        delay_ += 0.01 * (delay - delay_);
-        return code;
+        return code_;
     }
 
 private:
     cGenericHapticDevicePtr device_;
     double most_stiffness_, most_damping_;
-    double transport_ = 0.001;  // s
-    double delay_ = 0.001;      // s, smoothed
+    double delay_ = 0.001;  // s, from reading to writing with the transport: measured, constant
+    double stiffness_ = 0.0, damping_ = 0.0;  // of this contact
+    bool touching_ = false;
+    int code_ = OMEGA_GUARD_UNCHANGED;
 };
 
 int renderOnce(cGenericHapticDevicePtr device)

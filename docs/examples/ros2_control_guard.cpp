@@ -1,5 +1,7 @@
 // A ros2_control controller for one joint: a spring and a damper whose gains come from parameters
-// or from a topic, and pass a guard before they reach the motor. The header is made beforehand:
+// or from a topic, and pass a guard before they reach the motor. The proof is for gains, mass and
+// delay that are constant while the spring acts, so the guard is called once, at activation; new
+// gains take effect at the next activation. The header is made beforehand:
 //
 //     jaxstab guard wheel.toml -o omega_guard.h
 //
@@ -23,26 +25,34 @@ public:
                 {"joint/position", "joint/velocity"}};
     }
 
+    controller_interface::CallbackReturn on_activate(const rclcpp_lifecycle::State& state) override
+    {
+        (void)state;
+        stiffness_ = wanted_stiffness_;
+        damping_ = wanted_damping_;
+        const bool is_refused
+            = omega_guard_clamp(&stiffness_, &damping_, mass_, delay_) == OMEGA_GUARD_REFUSED;
+        return is_refused ? controller_interface::CallbackReturn::FAILURE
+                          : controller_interface::CallbackReturn::SUCCESS;
+    }
+
+    // Real-time safe: no allocation, no lock, no exception.
     controller_interface::return_type update(
         const rclcpp::Time& time, const rclcpp::Duration& period) override
     {
         (void)time;
+        (void)period;
         const double position = state_interfaces_[0].get_value();
         const double velocity = state_interfaces_[1].get_value();
-        // Real-time safe: no allocation, no lock, no exception, less than a microsecond.
-        double stiffness = stiffness_, damping = damping_;
-        const double delay = delay_samples_ * period.seconds();
-        refused_ = omega_guard_clamp(&stiffness, &damping, mass_, delay) == OMEGA_GUARD_REFUSED;
-        command_interfaces_[0].set_value(-stiffness * (position - rest_) - damping * velocity);
-        return refused_ ? controller_interface::return_type::ERROR
-                        : controller_interface::return_type::OK;
+        command_interfaces_[0].set_value(-stiffness_ * (position - rest_) - damping_ * velocity);
+        return controller_interface::return_type::OK;
     }
 
 private:
-    double stiffness_ = 500.0, damping_ = 5.0, rest_ = 0.0;
-    double mass_ = 0.25;          // what the joint moves, from the posture
-    double delay_samples_ = 1.0;  // measured
-    bool refused_ = false;
+    double wanted_stiffness_ = 500.0, wanted_damping_ = 5.0, rest_ = 0.0;
+    double mass_ = 0.25;    // kg: what the joint moves
+    double delay_ = 0.001;  // s: measured, constant
+    double stiffness_ = 0.0, damping_ = 0.0;  // granted, from activation on
 };
 
 }  // namespace guarded

@@ -55,7 +55,8 @@ class LoopsBetween:
     and a delay are made of may differ; the sampling period, windows, orders, state spaces and
     transfer functions in z may not. ``jaxstab.common_region`` takes it in place of a list.
 
-    What is proved holds for every loop between the two, both included, the numbers being exact. A
+    What is proved holds for every loop between the two, both included, the numbers being exact and
+    constant while the wall is touched: a delay that moves within the interval is not covered. A
     filter whose cut-off differs has the exact coefficients that belong to each cut-off, and a part
     of the device that the position does not show for one of the values counts as part of the loop.
 

@@ -264,6 +264,8 @@ class HapticLoop(LoopWithWalls):
     def worst_hand(self, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
         """Return whether a wall is stable for every hand of a range, and the worst of them.
 
+        Each hand, like the rest of the loop, is constant while the wall is touched.
+
         Args:
             hands: the range of hands, which replace the hand of the loop.
             stiffness: K in N/m.

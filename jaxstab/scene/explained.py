@@ -29,7 +29,7 @@ _COUNTED = (
 _OUTSIDE = (
     "steps of the encoder, but for their chatter in check; steps of the amplifier",
     "Coulomb friction, saturation",
-    "a mass that varies with the posture, several axes at once",
+    "a mass, hand, delay or gain that changes while the wall is touched; several axes at once",
     "bouncing off the wall, estimators that adapt, clocks that jitter",
 )
 _UNITS = ("kg", "N/m", "N s/m")

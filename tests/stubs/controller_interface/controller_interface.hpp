@@ -9,8 +9,12 @@ public:
     double seconds() const { return 0.001; }
 };
 }  // namespace rclcpp
+namespace rclcpp_lifecycle {
+class State {};
+}  // namespace rclcpp_lifecycle
 namespace controller_interface {
 enum class return_type { OK, ERROR };
+enum class CallbackReturn { SUCCESS, FAILURE };
 enum class interface_configuration_type { INDIVIDUAL };
 struct InterfaceConfiguration {
     interface_configuration_type type;
@@ -26,6 +30,7 @@ public:
     virtual ~ControllerInterface() {}
     virtual InterfaceConfiguration command_interface_configuration() const = 0;
     virtual InterfaceConfiguration state_interface_configuration() const = 0;
+    virtual CallbackReturn on_activate(const rclcpp_lifecycle::State&) = 0;
     virtual return_type update(const rclcpp::Time&, const rclcpp::Duration&) = 0;
 
 protected:
