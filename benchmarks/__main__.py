@@ -41,9 +41,10 @@ def main() -> int:
     parser.add_argument(
         "name",
         nargs="?",
-        choices=[*BENCHMARKS, "plot", "table"],
+        choices=[*BENCHMARKS, "papers", "plot", "table"],
         help="what to measure, or plot: draw all records and put their table into the pages, "
-        "or table: print that table; without a name all benchmarks",
+        "or table: print that table, or papers: compare published numbers; without a name all "
+        "benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
     parser.add_argument("--billion", action="store_true", help="scaling goes on to 1e9 points")
@@ -53,6 +54,10 @@ def main() -> int:
     )
     choice = parser.parse_args()
     folder = choice.out / "small" if choice.small else choice.out
+    if choice.name == "papers":
+        papers = import_module("benchmarks.papers")
+        print(papers.markdown(papers.CLAIMS))
+        return 0
     if choice.name == "table":
         print(table.markdown(record.read_all(folder)))
         return 0

@@ -11,7 +11,6 @@ import jaxstab
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-OF_CONDA = {"lazy-loader": "lazy_loader", "matplotlib": "matplotlib-base"}
 
 
 def loaded(path: str) -> Any:
@@ -23,18 +22,6 @@ def test_the_citation_is_of_this_version() -> None:
     assert citation["version"] == jaxstab.__version__
     assert citation["license"] == PROJECT["license"]
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
-
-
-def test_the_conda_recipe_has_the_dependencies_of_the_wheel() -> None:
-    recipe = loaded(".ci/conda/recipe.yaml")
-    assert recipe["context"]["version"] == jaxstab.__version__
-    needed = {f"python {PROJECT['requires-python']}"}
-    for requirement in PROJECT["dependencies"]:
-        name, version = requirement.split(">=")
-        needed.add(f"{OF_CONDA.get(name, name)} >={version}")
-    assert set(recipe["requirements"]["run"]) == needed
-    (entry,) = recipe["build"]["python"]["entry_points"]
-    assert entry == f"jaxstab = {PROJECT['scripts']['jaxstab']}"
 
 
 def test_every_dependency_has_a_lowest_version() -> None:

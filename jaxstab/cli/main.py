@@ -12,7 +12,6 @@ import jaxstab
 from jaxstab.cli.atlas import build, info, spec, upgrade, verify
 from jaxstab.cli.explore import explore
 from jaxstab.cli.guard import guard
-from jaxstab.cli.papers import papers
 from jaxstab.cli.plan import plan
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
@@ -69,7 +68,7 @@ def main() -> None:
     """Stability of haptic rendering loops."""
 
 
-for _command in (limits, check, tune, design, scene, explore, guard, region, figure, papers):
+for _command in (limits, check, tune, design, scene, explore, guard, region, figure):
     main.add_command(_command)
 
 
