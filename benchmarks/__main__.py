@@ -41,12 +41,14 @@ def main() -> int:
     parser.add_argument(
         "name",
         nargs="?",
-        choices=[*BENCHMARKS, "papers", "plot", "table"],
+        choices=[*BENCHMARKS, "golden", "lemmas", "papers", "plot", "table"],
         help="what to measure, or plot: draw all records and put their table into the pages, "
-        "or table: print that table, or papers: compare published numbers; without a name all "
-        "benchmarks",
+        "or table: print that table, or golden: compare answers with those recorded, bit by bit, "
+        "or lemmas: check the lemmas that proofs rest on, or papers: compare published numbers; "
+        "without a name all benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
+    parser.add_argument("--record", action="store_true", help="golden: record, do not compare")
     parser.add_argument("--billion", action="store_true", help="scaling goes on to 1e9 points")
     parser.add_argument("--points", type=int, help="how many loops stress judges, or loops")
     parser.add_argument(
@@ -58,6 +60,10 @@ def main() -> int:
         papers = import_module("benchmarks.papers")
         print(papers.markdown(papers.CLAIMS))
         return 0
+    if choice.name == "golden":
+        golden = import_module("benchmarks.golden")
+        path = choice.out / golden.PATH.name
+        return golden.take(path) if choice.record else golden.compare(choice.small, path)
     if choice.name == "table":
         print(table.markdown(record.read_all(folder)))
         return 0

@@ -13,11 +13,11 @@ from typing import Any
 
 import jax
 import pytest
-from calls import COMPUTING_CALLS, outcome
 
 import jaxstab
+from benchmarks.calls import COMPUTING_CALLS, outcome
 
-TESTS = Path(__file__).parent
+ROOT = Path(__file__).resolve().parents[1]
 
 # No JAX array can be given to them: they take names, numbers, a HapticLoop and a HandRange.
 WITHOUT_ARRAYS = {
@@ -36,14 +36,14 @@ class NoJax:
             raise ImportError("JAX was asked for")
 
 sys.meta_path.insert(0, NoJax())
-from calls import outcome
+from benchmarks.calls import outcome
 print(json.dumps({name: outcome(name) for name in sys.argv[1:]}))
 """
 
 IN_SINGLE_PRECISION = """
 import json, sys
 import jax.numpy as jnp
-from calls import outcome
+from benchmarks.calls import outcome
 
 print(json.dumps({name: outcome(name, jnp.asarray) for name in sys.argv[1:]}))
 """
@@ -53,7 +53,7 @@ def printed_by(script: str, *words: str, **environment: str) -> Any:
     """What a script prints as JSON in a fresh process."""
     completed = subprocess.run(
         [sys.executable, "-c", script, *words],
-        cwd=TESTS,
+        cwd=ROOT,
         env=os.environ | environment,
         capture_output=True,
         text=True,

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from calls import COMPUTING_CALLS
 
 import jaxstab
+from benchmarks.calls import COMPUTING_CALLS
 
 ROOT = Path(__file__).resolve().parents[1]
 LONGEST_FILE = 400  # lines

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calls import COMPUTING_CALLS
 from mpmath import mp, mpc, mpf
 
 import jaxstab
 from benchmarks import truth
+from benchmarks.calls import COMPUTING_CALLS
 from benchmarks.truth import problems
 from benchmarks.truth.problems import PROBLEMS, Problem
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, SettlingStatus
