@@ -64,6 +64,8 @@ def main() -> int:
         golden = import_module("benchmarks.golden")
         path = choice.out / golden.PATH.name
         return golden.take(path) if choice.record else golden.compare(choice.small, path)
+    if choice.name == "lemmas":
+        return import_module("benchmarks.lemmas").main(choice.small)
     if choice.name == "table":
         print(table.markdown(record.read_all(folder)))
         return 0
