@@ -30,8 +30,9 @@ _HALVES_UNDERFLOW = 1e-270  # below, products of halves are flushed to zero: rou
 class DoubleDouble:
     """The number ``hi + lo`` with ``|lo| <= ulp(hi) / 2``.
 
-    Relative error of one ``+``, ``-`` or ``*`` below 2^-102, of ``/`` below 2^-100 (Joldes, Muller,
-    Popescu 2017). The fields are arrays of one shape; overflow beyond about 1e300 gives NaN.
+    Relative error of one ``+`` or ``-`` below 2^-104 (Joldes, Muller, Popescu 2017), of ``*`` and
+    ``/`` below 2^-100 (lemma V7 of docs/proofs.md). The fields are arrays of one shape; overflow
+    beyond about 1e300 gives NaN.
     """
 
     hi: Array
@@ -200,7 +201,7 @@ def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def two_product(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return ``a b`` rounded and the error of it; their sum is right to 2^-105 relative.
+    """Return ``a b`` rounded and the error of it; their sum is right to 2^-101 relative.
 
     It is summed from products of half significands, which are exact. XLA contracts a product and a
     sum to one fused operation as it likes: with exact products that changes nothing. A product

@@ -1,0 +1,76 @@
+"""Lemmas V7 and B3: their bounds against balls, and the derivation of their constants."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from benchmarks import lemmas, rounding
+from benchmarks.rounding import UNIT, Zone
+from jaxstab.model import DoubleDouble
+from jaxstab.model.plant import may_cancel, pairs_error
+
+# The worst factors of a long search: their product is wrong by 2^-101.6.
+WORST = (4503614388135502.0, 0.4999936223031387), (4503934500569479.0, 0.499998506378226)
+
+
+def exact(number: DoubleDouble) -> Fraction:
+    return Fraction(float(number.hi)) + Fraction(float(number.lo))
+
+
+@pytest.mark.parametrize("make", [float, np.float64], ids=["floats", "arrays"])
+def test_a_product_of_pairs_is_right_to_33_units_and_no_better_than_18(make: type) -> None:
+    one, other = (DoubleDouble(*map(make, pair)) for pair in WORST)
+    true = exact(one) * exact(other)
+    error = abs(exact(one * other) - true) / true
+    assert 2.0**-102 < error < rounding.PRODUCT < 2.0**-100.9
+
+
+def test_no_bound_is_smaller_than_the_error_that_it_bounds(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert lemmas.main(small=True) == 0
+    assert "100 loops of each lemma, 0 bounds smaller than the error" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e-12])
+def test_a_bound_that_is_too_small_is_noticed(
+    factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        lemmas.verdict_loop, "pairs_error", lambda *hand: pairs_error(*hand) * factor
+    )
+    rng = np.random.default_rng(1)
+    findings = [f for n in range(80) for f in lemmas.polynomial(rng, n % 2 == 1)]
+    small = [f for f in findings if f.slack < 1.0]
+    assert small
+    assert {f.lemma for f in small} >= {"V7 D"}
+
+
+@pytest.mark.parametrize("zone", rounding.ZONES.values(), ids=rounding.ZONES.keys())
+def test_what_is_derived_is_what_the_verdicts_use(zone: Zone) -> None:
+    for gamma in (np.nextafter(zone.gamma[0], 1e5), zone.gamma[1]):
+        for delta in (np.nextafter(zone.delta[0], 1e5), zone.delta[1]):
+            assert float(pairs_error(gamma, delta)) >= zone.bound
+            assert bool(may_cancel(gamma, delta)) == zone.root
+
+
+@pytest.mark.parametrize("name", ["soft", "soft, N may cancel"])
+def test_the_bounds_of_soft_hands_are_derived_for_whole_delays(name: str) -> None:
+    derived = rounding.derive(rounding.ZONES[name], with_fraction=False)
+    assert derived.open == 0
+    assert 0.01 * rounding.ZONES[name].bound < derived.of_d < rounding.ZONES[name].bound
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_values_and_errors_of_plants_lie_within_the_bounds_of_their_boxes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    gamma, delta, fraction = lemmas.hand(rng, seed % 2 == 1)
+    around = [(x * (1.0 - 1e-9), x * (1.0 + 1e-9)) for x in (0.5 * delta, gamma, fraction)]
+    bounds = rounding.fractional(*around) if fraction else rounding.whole(*around[:2])
+    findings = {f.lemma: f for f in lemmas.plant_findings(gamma, delta, fraction)}
+    assert findings["V7 D"].error <= bounds.of_d
+    assert findings["V7 N"].error <= bounds.of_n
+    assert findings["V7 N(-1)"].error <= bounds.of_n
+    assert bounds.of_n < 1e-12
+    assert UNIT == 2.0**-53
