@@ -13,7 +13,7 @@ from jaxtyping import Complex128, Float64
 
 from jaxstab.boxes.circle import quick_plant
 from jaxstab.boxes.filter_cells import responses_at
-from jaxstab.guard.held_device import Arms, HeldDevice
+from jaxstab.boxes.held_device import Arms, HeldDevice
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
 from jaxstab.ranges import HandRange

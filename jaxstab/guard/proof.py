@@ -13,12 +13,13 @@ from math import pi
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from jaxstab.boxes.device_boxes import DeviceBoxes
+from jaxstab.boxes.held_device import Arms, with_parts
+from jaxstab.boxes.parted import BEYOND, Boxes
 from jaxstab.conventions import Verdict
-from jaxstab.guard.device_boxes import DeviceBoxes
 from jaxstab.guard.grid import Grid, interpolated, step_of
-from jaxstab.guard.held_device import Arms, with_parts
+from jaxstab.guard.grid_boxes import grid_boxes
 from jaxstab.guard.mass_boxes import MassBoxes
-from jaxstab.guard.parted import BEYOND, Boxes
 from jaxstab.model import Device, LoopParameters
 from jaxstab.point import verdict
 from jaxstab.point.verdict.linear import linear_verdict
@@ -122,7 +123,7 @@ class _Proof:
         self._boxes: MassBoxes | DeviceBoxes = (
             MassBoxes(loop, grid)
             if loop.device is None
-            else DeviceBoxes(loop.device, loop, hands, grid)
+            else grid_boxes(loop, hands, grid)
         )
         self._most, self._count = _MOST[type(self._boxes)], 0
 

@@ -8,6 +8,7 @@ R the sum of aliases, vanishes on the circle where the characteristic polynomial
 docs/proofs.md). F is real at theta = 0, where a free device has its root without a wall.
 """
 
+from collections.abc import Callable
 from math import pi
 from typing import NamedTuple
 
@@ -15,16 +16,19 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxstab.boxes.filter_cells import filter_cells
+from jaxstab.boxes.held_device import Arms, HeldDevice
 from jaxstab.boxes.models import LinearModel, Moving
+from jaxstab.boxes.parted import AXES, BEYOND, Boxes, Seen, parted
 from jaxstab.boxes.wall import largest_within, responses
-from jaxstab.guard.grid import Grid, Models, Pyramid, step_of
-from jaxstab.guard.held_device import Arms, HeldDevice
-from jaxstab.guard.parted import AXES, BEYOND, Boxes, Seen, parted
-from jaxstab.model import Device, LoopParameters
+from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
-from jaxstab.ranges import HandRange
 
-_MASS, _DELAY, _DAMPING, _ARM, _THETA = 0, 1, 2, 3, 6
+Range = tuple[float, float]
+
+MASS, DELAY, DAMPING = 0, 1, 2
+"""The axes whose meaning is that of an extent; then follow the arm's three, and theta."""
+
+_ARM, _THETA = 3, 6
 _AT_ONCE = 2048
 _FAST = 1.0  # up to this angle all aliases are small
 _HINT = 0.1  # of the size of a function of which nothing else is known
@@ -33,6 +37,22 @@ _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
 _ROUNDED_UP = 1.0 + 1e-9
 _ROUNDING = 1e-14  # of a number
 _EPS = 4.0 * np.finfo(np.float64).eps
+
+
+class Extent(NamedTuple):
+    """What boxes hold, as models over them, beside the arm and the angle.
+
+    Attributes:
+        mass: of the device in kg.
+        delay: in samples.
+        stiffness: the largest one of the wall in N/m.
+        damping: of the wall in N s/m.
+    """
+
+    mass: LinearModel
+    delay: LinearModel
+    stiffness: LinearModel
+    damping: LinearModel
 
 
 class _Place(NamedTuple):
@@ -52,21 +72,38 @@ class _Place(NamedTuple):
 class DeviceBoxes:
     """Loops of a held device over boxes.
 
+    Args:
+        loop: the loop; of its device the mass and the arm are not used, nor is its delay.
+        mass: the smallest and the largest mass of the device in kg.
+        arm: the largest stiffness in N/m and the smallest damping in N s/m of the arm.
+        extent: returns what boxes hold, for their middles and half-widths.
+        from_none: whether boxes hold all stiffnesses from none up to the largest one; otherwise
+            they hold that one alone.
+
     Raises:
         NotImplementedError: the device is of another kind, or has modes far above half of the
             sampling rate, or has a hand that nothing damps.
     """
 
-    def __init__(self, device: Device, loop: LoopParameters, hands: HandRange, grid: Grid) -> None:
+    def __init__(
+        self,
+        loop: LoopParameters,
+        mass: Range,
+        arm: Range,
+        extent: Callable[[Boxes, Boxes], Extent],
+        *,
+        from_none: bool,
+    ) -> None:
         self._period = float(loop.sample_time)
-        self._device = HeldDevice.of(device, self._period)
-        self._grid, self._pyramid = grid, Pyramid(grid)
+        self._device = HeldDevice.of(loop.device, self._period)
+        self._extent, self._from_none = extent, from_none
         filters = known_filters(**loop.filters)
         self._cells = None if filters is None else filter_cells(filters)
-        mass = float(grid.mass[0]), float(grid.mass[-1])
-        arm = hands.stiffness[1] * self._period**2, hands.damping[0] * self._period
+        resting = self._filters(_known(np.zeros(1)))[0].value
+        self._passes_rest = bool(resting.centre.real[0] > resting.rest[0])  # P(1) > 0
+        units = self._period**2, self._period
         self._slow, self._fast = (
-            _Aliases.of(self._device, mass, arm, fewest, last)
+            _Aliases.of(self._device, mass, (arm[0] * units[0], arm[1] * units[1]), fewest, last)
             for fewest, last in ((0, _FAST), (_FEWEST, _LAST))
         )
 
@@ -82,7 +119,7 @@ class DeviceBoxes:
                 parts = self.over(center[:, some], half[:, some], aliases)
                 free[some], shares[:, some] = parted(*map(Seen.of, parts))
         near = np.flatnonzero((center[_THETA] <= half[_THETA]) & ~is_fast)
-        if near.size:
+        if near.size and self._passes_rest:
             is_slow, shares[:, near] = self._are_slow(center[:, near], half[:, near])
             free[near] |= is_slow
         return free, shares
@@ -90,19 +127,20 @@ class DeviceBoxes:
     def over(
         self, center: Boxes, half: Boxes, aliases: "_Aliases"
     ) -> tuple[LinearModel, LinearModel]:
-        """Return F over boxes, without stiffness and at the limit."""
-        place, (alpha, beta) = self._place(center, half), self._wall(center, half)
+        """Return F over boxes, at the least stiffness and at the largest one."""
+        place, alpha, beta = self._parts(center, half)
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
         others = self._others(place, aliases)
         force = _sinc(place.theta).value * above + _sine(place.theta) * below * others
         force = _turned(place.theta * (place.delay + 0.5)) * force
         position, velocity = self._filters(place.theta)
         none = below + beta * velocity.value * force
-        return none, none + alpha * position.value * force
+        most = none + alpha * position.value * force
+        return (none if self._from_none else most), most
 
     def _are_slow(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
-        """Say in which boxes the imaginary part of F grows with theta, from 0 on."""
-        place, (alpha, beta) = self._place(center, half), self._wall(center, half)
+        """Say in which boxes the imaginary part of F grows with theta, from 0 on, where F > 0."""
+        place, alpha, beta = self._parts(center, half)
         theta, lag = place.theta, place.delay + 0.5
         s = Moving(theta * 1j, _known(1j * np.ones_like(center[0])))
         above, below = self._device.parts(s, place.mass, place.arm)
@@ -111,37 +149,31 @@ class DeviceBoxes:
         position, velocity = self._filters(theta)
         others = below.value.size * self._others(place, self._slow).size
         damper = velocity * beta
+        most = damper + position * alpha
         clear, shares = [], []
-        for wall in (damper, damper + position * alpha):
+        for wall in (damper, most) if self._from_none else (most,):
             rate = (below + wall * force).rate
             moves = np.abs(rate.slope.imag)
             lowest = rate.centre.imag - moves.sum(axis=0) - rate.rest
             clear.append(lowest - wall.value.size * others * _ROUNDED_UP)
             moves[_THETA] += rate.rest
             shares.append(moves)
-        return np.minimum(*clear) > 0.0, np.where(clear[0] < clear[1], *shares)
+        is_pushed = self._from_none | (alpha.low > 0.0)
+        is_first = clear[0] < clear[-1]
+        nearest = np.minimum(clear[0], clear[-1])
+        return is_pushed & (nearest > 0.0), np.where(is_first, shares[0], shares[-1])
 
-    def _place(self, center: Boxes, half: Boxes) -> _Place:
-        mass, delay = (
-            _along(axis, nodes[0] + center[axis] * step, half[axis] * step * _ROUNDED_UP)
-            for axis, nodes in ((_MASS, self._grid.mass), (_DELAY, self._grid.delay))
-            for step in [step_of(nodes)]
-        )
+    def _parts(self, center: Boxes, half: Boxes) -> tuple[_Place, LinearModel, LinearModel]:
+        """Return what the plant depends on, and the largest alpha and beta, in units of 1 kg."""
+        extent = self._extent(center, half)
         units = 1.0, self._period**2, self._period
         arm = [
-            _along(_ARM + k, center[_ARM + k] * unit, half[_ARM + k] * unit)
+            along(_ARM + k, center[_ARM + k] * unit, half[_ARM + k] * unit)
             for k, unit in enumerate(units)
         ]
-        return _Place(mass, delay, Arms(*arm), _along(_THETA, center[_THETA], half[_THETA]))
-
-    def _wall(self, center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
-        """Return the largest alpha and beta, in units of one sample."""
-        low, high = (center - half)[:3], (center + half)[:3]
-        limit = _model(self._pyramid.limits(low, high))
-        top = _model(self._pyramid.tops(low[:2], high[:2]))
-        count = self._grid.cells[2]
-        share = _along(_DAMPING, center[_DAMPING] / count, half[_DAMPING] / count)
-        return limit * self._period**2, share * top * self._period
+        theta = along(_THETA, center[_THETA], half[_THETA])
+        place = _Place(extent.mass, extent.delay, Arms(*arm), theta)
+        return place, extent.stiffness * self._period**2, extent.damping * self._period
 
     def _filters(self, theta: LinearModel) -> tuple[Moving, Moving]:
         """Return P and V in units of one sample, with their derivatives by theta."""
@@ -229,7 +261,7 @@ class _Aliases(NamedTuple):
 # ------------------------------------------------------------------------------------------ models
 
 
-def _along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:
+def along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:
     """Return a variable that runs along an axis."""
     slope = np.zeros((AXES, centre.size))
     slope[axis] = half
@@ -237,14 +269,9 @@ def _along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:
 
 
 def _known(centre: np.ndarray) -> LinearModel:
+    """Return numbers as functions."""
     slope = np.zeros((AXES, centre.size))
     return LinearModel(centre, slope, np.zeros(centre.size), np.ones((AXES, 1)))
-
-
-def _model(bounds: Models) -> LinearModel:
-    slope = np.zeros((AXES, bounds.centre.size))
-    slope[: len(bounds.moves)] = bounds.moves
-    return LinearModel(bounds.centre, slope, bounds.rest, np.ones((AXES, 1)))
 
 
 def _disc(model: LinearModel) -> LinearModel:
