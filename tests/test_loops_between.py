@@ -279,15 +279,7 @@ def test_a_hand_of_a_device_is_replaced_by_those_of_an_interval(rng: np.random.G
     assert loop.worst_hand(hands, 1.01 * found.limit, found.damping).verdict == Verdict.UNSTABLE
 
 
-def test_a_mass_from_nothing_behind_a_grip_is_not_proved() -> None:
-    hands = HandRange(mass=(0.0, 1.0), stiffness=(300.0, 300.0), damping=(5.0, 5.0))
-    assert loop_of().worst_hand(hands, 500.0, 5.0).verdict == Verdict.UNDECIDED
-    assert pieces_of(LoopsBetween(loop_of(), loop_of()).family) is not None
-
-
-def test_hands_of_more_than_one_quantity_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"hands.mass and hands.stiffness vary; with a device"):
-        loop_of().robust_limit(HandRange(mass=(0.0, 1.0), stiffness=(0.0, 100.0)))
+def test_a_device_of_several_hands_is_refused() -> None:
     hand = Hand.mass_spring_damper(1.0)
     device = Device.mass_spring_damper(0.2).held_by(hand).held_by(hand)
     with pytest.raises(ValueError, match="held by 2 hands"):

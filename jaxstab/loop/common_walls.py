@@ -1,16 +1,19 @@
 """Walls that several stable regions share, by rows of the damping."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial, reduce
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.loop.region import WallRegion
+from jaxstab.loop.region import Gains, WallRegion
 from jaxstab.ranges.robust_region import polygon_of_rows
 
 _ROWS = 33
+_ZOOMS = 5
 
+Key = TypeVar("Key")
 Points = Float64[np.ndarray, "vertex 2"]
 Rows = Float64[np.ndarray, " row"]
 Intervals = Float64[np.ndarray, "row _ 2"]
@@ -30,6 +33,33 @@ def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
     if not low < high:
         return np.zeros((0, 2))
     return polygon_of_rows(partial(common_limits, regions), low, high, count)
+
+
+def stiffest_wall(regions: Sequence[WallRegion]) -> Gains | None:
+    """Return the largest stiffness that regions share, none of them empty, and its damping."""
+    low, high = common_rows(regions)
+    best: Gains | None = None
+    for _ in range(_ZOOMS):
+        if not low < high:
+            break
+        rows = np.linspace(low, high, _ROWS + 2)[1:-1]
+        left, right = common_limits(regions, rows)
+        right = np.where(left < right, right, -np.inf)
+        number = int(np.argmax(right))
+        if right[number] == -np.inf:
+            break
+        if best is None or right[number] >= best.stiffness:
+            best = Gains(float(right[number]), float(rows[number]))
+        step = rows[1] - rows[0]
+        low, high = rows[number] - step, rows[number] + step
+    return best
+
+
+def setter_of(regions: Mapping[Key, WallRegion], damping: float) -> Key:
+    """Return which of some regions allows least at a damping."""
+    row = np.array([damping])
+    tops = {key: region.stiffness_limits(row)[0, 1] for key, region in regions.items()}
+    return min(tops, key=lambda key: tops[key])
 
 
 def common_rows(regions: Sequence[WallRegion]) -> tuple[float, float]:

@@ -44,9 +44,8 @@ class HapticLoop(LoopWithWalls):
 
     The fields ``device_mass`` to ``hand_stiffness`` describe device and hand as one mass;
     ``device`` alone takes any linear system, with its hands. With a ``device``, ``worst_hand`` and
-    ``robust_limit`` put other hands in place of its own, of which one quantity may vary; ask
-    ``jaxstab.LoopsBetween`` about other intervals and ``jaxstab.common_region`` about lists of
-    loops. A device that does not give way to a constant force, G(0) = 0, has only verdicts, radii,
+    ``robust_limit`` put other hands in place of its own; ask ``jaxstab.LoopsBetween`` about other
+    intervals, ``jaxstab.common_region`` about lists of loops. A device that does not give way to a constant force, G(0) = 0, has only verdicts, radii,
     poles and margins.
 
     Source: eqs. (1) and (12), Table I.
@@ -261,7 +260,14 @@ class HapticLoop(LoopWithWalls):
         disturbed = checked_chatter(encoder, chatter)
         return optimal_wall(self, goal, stiffness, level, excitation, disturbed)
 
-    def worst_hand(self, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
+    def worst_hand(
+        self,
+        hands: HandRange,
+        stiffness: float,
+        damping: float,
+        *,
+        mass: tuple[float, float] | None = None,
+    ) -> WorstHand:
         """Return whether a wall is stable for every hand of a range, and the worst of them.
 
         Each hand, like the rest of the loop, is constant while the wall is touched.
@@ -270,17 +276,21 @@ class HapticLoop(LoopWithWalls):
             hands: the range of hands, which replace the hand of the loop.
             stiffness: K in N/m.
             damping: B in N s/m.
+            mass: the lowest and the highest mass of the device in kg, over its postures; None for
+                the one it has.
 
         Returns:
-            WorstHand; UNDECIDED where all sampled hands are stable, but not every other hand could
-            be proved stable. With a ``device``, a mass from 0 on behind a grip is never proved.
+            WorstHand; UNDECIDED where all sampled hands are stable, but not every other one could
+            be proved so. A ``device`` is proved if it is a mass, with or without vibration modes
+            and actuators, and a grip has a spring, and grip or hand a damper; any other one if a
+            single number varies.
 
         Raises:
             TypeError: a gain is not one real number.
             ValueError: a gain is infinite or NaN, or a range is out of order. The loop has a
-                ``device``, and more than one quantity of the hand varies, or it has several hands.
+                ``device`` with several hands, or without a mass that could vary.
 
-        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6 and B17 of docs/proofs.md.
+        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6, B20 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -290,24 +300,27 @@ class HapticLoop(LoopWithWalls):
         """
         self._refuse_tracers("worst_hand")
         if self.device is not None:
-            from jaxstab.loop.other_hands import loops_with_hands
+            from jaxstab.loop.other_hands import LoopsWithHands
 
-            worst = loops_with_hands(self, self.device, hands).worst_loop(stiffness, damping)
-            return WorstHand(worst.verdict, worst.loop, worst.radius)
-        return ranges.worst_hand(self, hands, stiffness, damping)
+            wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
+            return LoopsWithHands(self, self.device, hands, mass).worst(*wall)
+        return ranges.worst_hand(self, hands, stiffness, damping, mass)
 
-    def robust_limit(self, hands: HandRange) -> RobustLimit:
+    def robust_limit(
+        self, hands: HandRange, *, mass: tuple[float, float] | None = None
+    ) -> RobustLimit:
         """Return the largest stiffness, and its damping, that every hand of a range allows.
 
         The corners of the range, and the hands at which a proof failed, set the limit. With a
-        ``device`` the ``limit`` is computed and not proved: see ``LoopsBetween.robust_limit``.
+        ``device`` it is that of their exact regions: computed, and no proof.
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
+            mass: the lowest and the highest mass of the device in kg; None for the one it has.
 
         Raises:
-            ValueError: a range is out of order. The loop has a ``device``, and more than one
-                quantity of the hand varies, or it has several hands.
+            ValueError: a range is out of order. The loop has a ``device`` with several hands, or
+                without a mass that could vary.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
 
@@ -318,10 +331,10 @@ class HapticLoop(LoopWithWalls):
         """
         self._refuse_tracers("robust_limit")
         if self.device is not None:
-            from jaxstab.loop.other_hands import loops_with_hands
+            from jaxstab.loop.other_hands import LoopsWithHands
 
-            return loops_with_hands(self, self.device, hands).robust_limit()
-        return ranges.robust_limit(self, hands)
+            return LoopsWithHands(self, self.device, hands, mass).robust_limit()
+        return ranges.robust_limit(self, hands, mass)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the stable walls, the stiffest of them, islands and, if it applies, the linear rule.

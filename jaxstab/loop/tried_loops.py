@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.loop.common_walls import common_limits, common_rows, common_walls
-from jaxstab.loop.region import TOLERANCE, Gains, WallRegion, wall_region
+from jaxstab.loop.common_walls import common_walls, setter_of, stiffest_wall
+from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.ranges import RobustLimit
 from jaxstab.ranges.families import failures, first_roots
 from jaxstab.ranges.robust_region import RobustStatus, pulled_in
@@ -20,17 +20,14 @@ if TYPE_CHECKING:
     from jaxstab.loop.between import LoopsBetween
     from jaxstab.loop.loop import HapticLoop
 
-_ROWS = 33
 WIDER = (1.0, 2.0, 4.0)  # times the tolerance, by which a polygon is pulled in
 _FIRST = (0.0, 0.25, 0.5, 0.75, 1.0)
 _CLOSEST = 2.0**-10  # of the way: there is no loop tried between two that are so close
 _ATTEMPTS = 24
 _AT_ONCE = 3  # loops that are added
-_ZOOMS = 5
 _PULLS = (0.01, 0.02, 0.04, 0.08)  # of the limit: the wall that is proved lies so far below
 
 Points = Float64[np.ndarray, "vertex 2"]
-Rows = Float64[np.ndarray, " row"]
 Shares = Float64[np.ndarray, " share"]
 
 
@@ -68,32 +65,6 @@ class TriedLoops:
             self._add(0.5 * (low + high))
         return bool(pairs)
 
-    def stiffest(self) -> Gains | None:
-        """Return the largest stiffness that the regions share, and its damping."""
-        regions = [*self.regions.values()]
-        low, high = common_rows(regions)
-        best: Gains | None = None
-        for _ in range(_ZOOMS):
-            if not low < high:
-                break
-            rows = np.linspace(low, high, _ROWS + 2)[1:-1]
-            left, right = common_limits(regions, rows)
-            right = np.where(left < right, right, -np.inf)
-            number = int(np.argmax(right))
-            if right[number] == -np.inf:
-                break
-            if best is None or right[number] >= best.stiffness:
-                best = Gains(float(right[number]), float(rows[number]))
-            step = rows[1] - rows[0]
-            low, high = rows[number] - step, rows[number] + step
-        return best
-
-    def setter(self, wall: Gains) -> "HapticLoop":
-        """Return the loop that allows least at the damping of a wall."""
-        rows = np.array([wall.damping])
-        tops = {share: one.stiffness_limits(rows)[0, 1] for share, one in self.regions.items()}
-        return self.between.loop(min(tops, key=lambda share: tops[share]))
-
     def _add(self, share: float) -> None:
         self.shares = sorted([*self.shares, share])
         region = wall_region(self.between.loop(share), TOLERANCE)
@@ -108,11 +79,12 @@ def robust_limit(between: "LoopsBetween") -> RobustLimit:
     for _ in range(_ATTEMPTS):
         if not tried.regions or tried.is_empty:
             break
-        top = tried.stiffest()
+        top = stiffest_wall([*tried.regions.values()])
         if top is None:
             break
         stiffness = top.stiffness - pulls[0] * abs(top.stiffness)
-        found = RobustLimit(stiffness, top.damping, False, top.stiffness, tried.setter(top))
+        setter = between.loop(setter_of(tried.regions, top.damping))
+        found = RobustLimit(stiffness, top.damping, False, top.stiffness, setter)
         wall = np.array([[stiffness, top.damping]])
         roots = first_roots(between.family, wall)
         if roots is None:

@@ -30,7 +30,7 @@ from jaxstab.point.radius.inside import are_inside
 
 Loop = TypeVar("Loop", bound=LoopParameters)
 Range = tuple[float, float]
-Hands = Float64[np.ndarray, "hand 3"]
+Hands = Float64[np.ndarray, "hand 4"]  # mass, stiffness and damping; the device's mass
 Column = Float64[np.ndarray, " hand"]
 Integers = Int64[np.ndarray, " row"]
 Values = Float64[np.ndarray, " row"]
@@ -61,12 +61,21 @@ class HandRange:
 
 
 class HeldWall(NamedTuple):
-    """A loop, the hands that may hold its device, and a wall (K, B) that it renders."""
+    """A loop, the hands that may hold its device, and a wall (K, B) that it renders.
+
+    ``mass`` holds the masses that the device may have; None for that of the loop.
+    """
 
     loop: Any  # a LoopParameters of one mass
     hands: HandRange
     stiffness: float
     damping: float
+    mass: Range | None = None
+
+    @property
+    def masses(self) -> Range:
+        """The lowest and the highest mass of the device."""
+        return masses_of(self.loop, self.mass)
 
 
 class Plants(NamedTuple):
@@ -111,17 +120,19 @@ class WorstHand(NamedTuple):
     radius: float
 
 
-def worst_hand(loop: Loop, hands: HandRange, stiffness: float, damping: float) -> WorstHand:
+def worst_hand(
+    loop: Loop, hands: HandRange, stiffness: float, damping: float, mass: Range | None = None
+) -> WorstHand:
     """Return whether a wall is stable for every hand of a range: ``HapticLoop.worst_hand``."""
     wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
-    (worst,) = worst_hands([HeldWall(loop, hands, *wall)])
+    (worst,) = worst_hands([HeldWall(loop, hands, *wall, mass)])
     return worst
 
 
 def worst_hands(walls: Sequence[HeldWall]) -> list[WorstHand]:
     """Return for each wall whether it is stable for every hand of its range, and the worst hand."""
-    for hands in dict.fromkeys(wall.hands for wall in walls):
-        checked_range(hands)
+    for hands, mass in dict.fromkeys((wall.hands, wall.mass) for wall in walls):
+        checked_range(hands, mass)
     loops = [wall.loop for wall in walls]
     kinds = [(loop.delay_samples, *loop.filters.values()) for loop in loops]
     return by_kind(walls, kinds, _worst_of_a_kind)
@@ -134,8 +145,9 @@ def _worst_of_a_kind(walls: Sequence[HeldWall]) -> Iterator[WorstHand]:
 
 
 def _worst_at_once(walls: Sequence[HeldWall]) -> list[WorstHand]:
-    among = {wall.hands: spread_hands(wall.hands, _SAMPLES) for wall in walls}
-    answers = _worst_of(walls, [among[wall.hands] for wall in walls])
+    kinds = [(wall.hands, wall.masses) for wall in walls]
+    among = {kind: spread_bodies(*kind, _SAMPLES) for kind in kinds}
+    answers = _worst_of(walls, [among[kind] for kind in kinds])
     hopeful = [number for number, one in enumerate(answers) if one.verdict == Verdict.STABLE]
     for number, left in _unproved([walls[number] for number in hopeful]).items():
         wall = hopeful[number]
@@ -186,8 +198,8 @@ def _plants(walls: Sequence[HeldWall], among: Sequence[Hands]) -> tuple[Plants, 
 
 
 def _plants_of(loop: LoopParameters, hands: Hands) -> Plants:
-    mass, spring, damper = hands.T
-    mass = loop.device_mass + mass
+    mass, spring, damper, own = hands.T
+    mass = own + mass
     return Plants(
         hands,
         _are_outermost(hands),
@@ -286,9 +298,11 @@ def _left(walls: Sequence[HeldWall], most: int) -> dict[int, Hands]:
     number, (light, spring, damper), _ = intervals.within(left)
     hands = {}
     for wall in np.unique(number).tolist():
-        own, (loop, its_hands, *_) = number == wall, walls[wall]
-        mass = np.clip(1.0 / light[own] - loop.device_mass, *its_hands.mass)
-        hands[wall] = np.column_stack([mass, spring[own], damper[own]])
+        own, (lightest, heaviest) = number == wall, _moved(walls[wall])
+        share = np.clip((1.0 / light[own] - lightest) / max(heaviest - lightest, 1e-300), 0.0, 1.0)
+        ends = walls[wall].hands.mass, walls[wall].masses
+        masses = [np.interp(share, (0.0, 1.0), pair) for pair in ends]
+        hands[wall] = np.column_stack([masses[0], spring[own], damper[own], masses[1]])
     return hands
 
 
@@ -303,7 +317,7 @@ class _Intervals(NamedTuple):
     @classmethod
     def of(cls, walls: Sequence[HeldWall]) -> "_Intervals":
         """Return those of some walls."""
-        low, high = np.array([_ends(wall.loop, wall.hands) for wall in walls]).T
+        low, high = np.array([_ends(wall) for wall in walls]).T
         gains = np.array([(wall.stiffness, wall.damping) for wall in walls]).T
         loops = (wall.loop for wall in walls)
         numbers = [(one.sample_time, one.device_damping, one.delay_samples) for one in loops]
@@ -334,12 +348,18 @@ class _Intervals(NamedTuple):
         return Extent.of(center, by_axis)
 
 
-def _ends(loop: LoopParameters, hands: HandRange) -> tuple[Range, Range, Range]:
-    heaviest, lightest = (1.0 / (loop.device_mass + mass) for mass in reversed(hands.mass))
-    return (heaviest, lightest), hands.stiffness, hands.damping
+def _ends(wall: HeldWall) -> tuple[Range, Range, Range]:
+    heaviest, lightest = (1.0 / moved for moved in reversed(_moved(wall)))
+    return (heaviest, lightest), wall.hands.stiffness, wall.hands.damping
 
 
-def spread_hands(hands: HandRange, count: int) -> Hands:
+def _moved(wall: HeldWall) -> Range:
+    """Return the lowest and the highest mass of device and hand."""
+    low, high = (sum(both) for both in zip(wall.masses, wall.hands.mass, strict=True))
+    return low, high
+
+
+def spread_hands(hands: HandRange, count: int) -> Float64[np.ndarray, "hand 3"]:
     """Return hands spread over the range, with stiffnesses spaced evenly in frequency."""
     ends = (hands.mass, tuple(sqrt(end) for end in hands.stiffness), hands.damping)
     axes = [np.linspace(low, high, count if low < high else 1) for low, high in ends]
@@ -348,14 +368,32 @@ def spread_hands(hands: HandRange, count: int) -> Hands:
     return np.array(list(product(*axes)))
 
 
-def held(loop: Loop, hand: Float64[np.ndarray, " 3"]) -> Loop:
-    """Return the loop with a hand of (mass, stiffness, damping)."""
-    mass, stiffness, damping = (float(value) for value in hand)
-    return replace(loop, hand_mass=mass, hand_stiffness=stiffness, hand_damping=damping)
+def spread_bodies(hands: HandRange, mass: Range, count: int) -> Hands:
+    """Return hands spread over the range, and masses of the device that grow with theirs."""
+    varies = hands.mass[0] < hands.mass[1] or mass[0] < mass[1]
+    both = [np.linspace(*ends, count if varies else 1) for ends in (hands.mass, mass)]
+    others = spread_hands(replace(hands, mass=(0.0, 0.0)), count)[:, 1:].tolist()
+    rows = product(zip(*both, strict=True), others)
+    return np.array([(moved, *other, own) for (moved, own), other in rows])
 
 
-def checked_range(hands: object) -> None:
-    """Refuse what is no range of hands, and one whose ends are out of order or negative."""
+def held(loop: Loop, hand: Float64[np.ndarray, " 4"]) -> Loop:
+    """Return the loop with a hand of (mass, stiffness, damping), and a mass of the device."""
+    names = ("hand_mass", "hand_stiffness", "hand_damping", "device_mass")
+    return replace(loop, **dict(zip(names, hand.tolist(), strict=True)))
+
+
+def masses_of(loop: LoopParameters, mass: Range | None) -> Range:
+    """Return the masses that a device of one mass may have: those given, or its own."""
+    return mass or (float(loop.device_mass), float(loop.device_mass))
+
+
+def checked_range(hands: object, mass: Range | None = None) -> None:
+    """Refuse what is no range of hands, and ends of a range that are out of order or negative."""
+    if mass is not None and not 0.0 < mass[0] <= mass[1] < np.inf:
+        raise ValueError(
+            f"mass is {mass}; give the lowest mass of the device, > 0, and the highest one."
+        )
     if not isinstance(hands, HandRange):
         raise TypeError(f"hands is {hands!r}; give a jaxstab.HandRange, as HandRange(mass=(0, 1)).")
     for name, (low, high) in vars(hands).items():

@@ -19,7 +19,16 @@ from jaxstab.boxes.enclosure import Domain
 from jaxstab.boxes.plant import HandBoxes
 from jaxstab.conventions import Verdict
 from jaxstab.model.filters import known_filters
-from jaxstab.ranges.hands import HandRange, Loop, checked_range, held, spread_hands, worst_hand
+from jaxstab.ranges.hands import (
+    HandRange,
+    Loop,
+    Range,
+    checked_range,
+    held,
+    masses_of,
+    spread_bodies,
+    worst_hand,
+)
 from jaxstab.ranges.robust_region import reachable
 from jaxstab.region import RegionStatus, stable_region
 
@@ -62,15 +71,15 @@ class RobustLimit(NamedTuple):
     loop: Any  # of the class of the given one
 
 
-def robust_limit(loop: Loop, hands: HandRange) -> RobustLimit:
+def robust_limit(loop: Loop, hands: HandRange, mass: Range | None = None) -> RobustLimit:
     """Return the largest stiffness that every hand of a range allows: ``HapticLoop``."""
-    checked_range(hands)
-    loops = [held(loop, hand) for hand in spread_hands(hands, 2)]
+    checked_range(hands, mass)
+    loops = [held(loop, hand) for hand in spread_bodies(hands, masses_of(loop, mass), 2)]
     for attempt in range(_ATTEMPTS):
         found = _common_limit(loops, _PULL * 2.0**attempt)
         if np.isnan(found.stiffness):
             break
-        worst = worst_hand(loop, hands, found.stiffness, found.damping)
+        worst = worst_hand(loop, hands, found.stiffness, found.damping, mass)
         if worst.verdict == Verdict.STABLE:
             return found._replace(is_proved=True)
         if attempt < _ATTEMPTS - 1:
