@@ -139,14 +139,15 @@ def quantity(unit: str, *, is_positive: bool = False) -> Check:
     return check
 
 
-def interval(unit: str) -> Check:
-    """Return the check of a finite number in a unit, or of two in order."""
-    allowed = f"a finite number >= 0 in {unit}, or [lowest, highest]"
+def interval(unit: str, *, is_positive: bool = False) -> Check:
+    """Return the check of a finite number in a unit, not negative, or of two in order."""
+    allowed = f"a finite number {'> 0' if is_positive else '>= 0'} in {unit}, or [lowest, highest]"
 
     def check(value: Any) -> tuple[float, float]:
         ends = value if isinstance(value, list | tuple) else (value, value)
         numbers = [_finite(end) for end in ends]
-        if len(numbers) != 2 or not all(0.0 <= number < inf for number in numbers):
+        are_known = all(0.0 <= number < inf for number in numbers)
+        if len(numbers) != 2 or not are_known or (is_positive and 0.0 in numbers):
             raise ValueError(f"give {allowed}")
         low, high = numbers
         if low > high:

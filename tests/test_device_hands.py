@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
-from jaxstab import Device, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
+from jaxstab import Device, Hand, HandRange, HapticLoop, Velocity, Verdict
 from tests.campaign import many
 
 PERIOD = 1e-3
@@ -89,9 +89,7 @@ class Case(NamedTuple):
         if abs(radius - 1.0) > NEAR:
             return radius < 1.0
         velocity, position = filtered.difference(self.window), filtered.average(1)
-        exact = devices.DeviceLoop(
-            self.system(body), PERIOD, self.drawn.delay, velocity, position
-        )
+        exact = devices.DeviceLoop(self.system(body), PERIOD, self.drawn.delay, velocity, position)
         return exact.code(*wall) == Verdict.STABLE
 
 

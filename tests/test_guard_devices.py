@@ -120,7 +120,7 @@ def assert_boxes_hold(seed: int, boxes: int) -> tuple[float, int]:
     rng, worst = np.random.default_rng(seed), 0.0
     loop, hands, grid = drawn_loop(rng)
     try:
-        proof = grid_boxes(loop, hands, grid)
+        proof = grid_boxes(loop.device, loop, hands, grid)
     except NotImplementedError:
         return 0.0, 0
     low = np.array([0.0, 0.0, 0.0, *(end for end, _ in vars(hands).values()), 0.0])[:, None]
@@ -170,7 +170,7 @@ def test_a_wide_delay_is_halved_before_what_is_narrow() -> None:
     grid = Grid(np.array([0.05, 2.0]), np.array([0.2, 10.0]), top, limit)
     center = np.array([0.003, 0.5, 8.0, 0.5, 500.0, 8.0, 0.368])[:, None]
     half = np.array([1e-9, 0.5, 8.0, 3e-8, 4e-3, 1e-5, 1e-8])[:, None]
-    free, shares = grid_boxes(LOOP, HANDS, grid).judged(center, half)
+    free, shares = grid_boxes(LOOP.device, LOOP, HANDS, grid).judged(center, half)
     assert not free.any()
     assert shares[:, 0].argmax() == 1
 

@@ -27,7 +27,6 @@ from jaxstab import (
 )
 from jaxstab.boxes.family_lines import FamilyBoxes, family_cells, models
 from jaxstab.boxes.in_pieces import PieceBoxes
-from jaxstab.model.device.family import pieces_of
 
 PERIOD = 2.0**-10
 DRAWN = devices.Drawn(

@@ -103,7 +103,10 @@ def test_a_scene_that_is_refused_is_a_row_with_its_sentence_and_exit_code_two() 
     assert result.exit_code == 2
     good, bad = csv.DictReader(result.stdout.splitlines())
     assert good["refusal"] == ""
-    assert bad["refusal"] == "device.mass is -1.0; give a finite number > 0 in kg."
+    assert (
+        bad["refusal"]
+        == "device.mass is -1.0; give a finite number > 0 in kg, or [lowest, highest]."
+    )
     assert result.stderr.startswith("jaxstab: 1 of 2 scenes were refused; the first, device.mass")
 
 

@@ -66,7 +66,7 @@ def test_every_value_that_is_commented_out_in_the_example_is_good_too() -> None:
 def test_a_preset_gives_what_the_table_does_not() -> None:
     table = with_value("device", {"preset": "phantom", "mass": 0.2})
     device = Scene.from_table(table).device
-    assert (device.mass, device.damping) == (0.2, 1.5)
+    assert (device.mass, device.damping) == ((0.2, 0.2), 1.5)
 
 
 def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
@@ -74,7 +74,7 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
     with pytest.raises(ValueError, match=r"^device.mass is missing; no source has that of"):
         Scene.from_table(with_value("device", {"preset": "sigma.7"}))
     table = with_value("device", {"preset": "sigma.7", "mass": 0.4, "damping": 0.5})
-    assert Scene.from_table(table).device.effective_mass == 0.4
+    assert Scene.from_table(table).device.effective_mass == (0.4, 0.4)
 
 
 @pytest.mark.parametrize(
@@ -89,11 +89,27 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
             {"stiffness": 1.0, "damping": 1.0, "stifness": 2.0},
             "walls.a.stifness is unknown; did you mean 'stiffness'?",
         ),
-        ("device.mass", -1.0, "device.mass is -1.0; give a finite number > 0 in kg."),
-        ("device.mass", 0, "device.mass is 0; give a finite number > 0 in kg."),
+        (
+            "device.mass",
+            -1.0,
+            "device.mass is -1.0; give a finite number > 0 in kg, or [lowest, highest].",
+        ),
+        (
+            "device.mass",
+            0,
+            "device.mass is 0; give a finite number > 0 in kg, or [lowest, highest].",
+        ),
         ("device.damping", math.nan, "device.damping is nan; give a finite number >= 0 in N s/m."),
-        ("device.mass", "heavy", "device.mass is 'heavy'; give a finite number > 0 in kg."),
-        ("device.mass", True, "device.mass is True; give a finite number > 0 in kg."),
+        (
+            "device.mass",
+            "heavy",
+            "device.mass is 'heavy'; give a finite number > 0 in kg, or [lowest, highest].",
+        ),
+        (
+            "device.mass",
+            True,
+            "device.mass is True; give a finite number > 0 in kg, or [lowest, highest].",
+        ),
         ("device.preset", "phantm", "device.preset is 'phantm'; did you mean 'phantom'?"),
         ("device", 3, "device is 3; give a table."),
         (
@@ -243,7 +259,7 @@ def test_a_file_that_is_no_toml_is_refused_by_name(tmp_path: Path) -> None:
 def test_a_file_may_begin_with_a_mark_of_utf_8_but_not_be_in_another_code(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text(EXAMPLE, encoding="utf-8-sig")
-    assert Scene.from_file(file).device.mass == 0.1
+    assert Scene.from_file(file).device.mass == (0.1, 0.1)
     file.write_text("# Prüfstand", encoding="latin-1")
     with pytest.raises(ValueError, match=r"scene.toml: line 1 is no UTF-8"):
         Scene.from_file(file)

@@ -128,7 +128,7 @@ def members(scene: Scene, count: int, rng: np.random.Generator) -> list[HapticLo
     share, aside = scene.wanted.mass_tolerance or 0.0, scene.wanted.delay_tolerance or 0.0
     return [
         HapticLoop(
-            device_mass=device.effective_mass * rng.uniform(1.0 - share, 1.0 + share),
+            device_mass=device.effective_mass[0] * rng.uniform(1.0 - share, 1.0 + share),
             device_damping=device.damping,
             hand_mass=rng.uniform(*hand.mass),
             hand_stiffness=rng.uniform(*hand.stiffness),

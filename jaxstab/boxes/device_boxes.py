@@ -20,7 +20,7 @@ from jaxstab.boxes.held_device import Arms, HeldDevice
 from jaxstab.boxes.models import LinearModel, Moving
 from jaxstab.boxes.parted import AXES, BEYOND, Boxes, Seen, parted
 from jaxstab.boxes.wall import largest_within, responses
-from jaxstab.model import LoopParameters
+from jaxstab.model import Device, LoopParameters
 from jaxstab.model.filters import known_filters
 
 Range = tuple[float, float]
@@ -73,7 +73,8 @@ class DeviceBoxes:
     """Loops of a held device over boxes.
 
     Args:
-        loop: the loop; of its device the mass and the arm are not used, nor is its delay.
+        device: the device; its mass and its arm are not used.
+        loop: its loop; the delay is not used.
         mass: the smallest and the largest mass of the device in kg.
         arm: the largest stiffness in N/m and the smallest damping in N s/m of the arm.
         extent: returns what boxes hold, for their middles and half-widths.
@@ -87,6 +88,7 @@ class DeviceBoxes:
 
     def __init__(
         self,
+        device: Device,
         loop: LoopParameters,
         mass: Range,
         arm: Range,
@@ -95,7 +97,7 @@ class DeviceBoxes:
         from_none: bool,
     ) -> None:
         self._period = float(loop.sample_time)
-        self._device = HeldDevice.of(loop.device, self._period)
+        self._device = HeldDevice.of(device, self._period)
         self._extent, self._from_none = extent, from_none
         filters = known_filters(**loop.filters)
         self._cells = None if filters is None else filter_cells(filters)

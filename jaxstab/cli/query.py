@@ -245,7 +245,7 @@ def _asked_of_scene(
     rows = []
     for asked in ask_atlas(scene, jaxstab.open_atlas(file), walls, outside, exact=exact):
         member = asked.member
-        numbers = [*asked.gains, member.mass, *member.hand, member.delay]
+        numbers = [*asked.gains, member.mass, *member.hand[:3], member.delay]
         answer = (getattr(asked.answer, name).item() for name in _ANSWER)
         where: dict[str, float | str] = {"wall": asked.name}
         rows.append(where | dict(zip(names, numbers, strict=True)) | _words(*answer))

@@ -18,8 +18,14 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     decorations = (
         click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
         click.option("--device", help="A device by name; jaxstab scene presets lists them."),
-        click.option("--mass", type=float, help="Mass of the device in kg."),
-        click.option("--inertia", type=float, help="Inertia in kg m^2, for a device that turns."),
+        click.option(
+            "--mass", callback=number_or_range, help="Of the device in kg; LOW:HIGH for a range."
+        ),
+        click.option(
+            "--inertia",
+            callback=number_or_range,
+            help="In kg m^2, for a device that turns; LOW:HIGH for a range.",
+        ),
         click.option("--damping", type=float, help="Damping of the device in N s/m (N m s/rad)."),
         click.option("--hand-mass", callback=number_or_range, help="In kg; LOW:HIGH for a range."),
         click.option(

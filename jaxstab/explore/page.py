@@ -96,7 +96,7 @@ def _state(scene: Scene) -> dict[str, Any]:
     loop, device = loop_of(scene), scene.device
     stiffness, damping = _cursor(scene)
     return {
-        "mass": device.effective_mass,
+        "mass": device.effective_mass[0],
         "damping": device.damping,
         **_hand(scene, 0),
         "period": scene.controller.sample_time,
@@ -177,7 +177,7 @@ def _notes(scene: Scene, title: str) -> list[str]:
     """Return what has to be known of the numbers that the page begins with."""
     notes = [f"It begins with {title}."] if title else []
     if hands_of(scene) is not None:
-        notes.append("The scene has a range of hands: the page begins with their lowest values.")
+        notes.append("The scene has ranges: the page begins with the lowest hand and mass.")
     if scene.controller.velocity is None:
         notes.append("The scene names no estimator: the difference over one sample is assumed.")
     return notes

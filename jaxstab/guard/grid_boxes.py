@@ -6,13 +6,13 @@ from jaxstab.boxes.device_boxes import DAMPING, DELAY, MASS, DeviceBoxes, Extent
 from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.parted import AXES, Boxes
 from jaxstab.guard.grid import Grid, Models, Pyramid, step_of
-from jaxstab.model import LoopParameters
+from jaxstab.model import Device, LoopParameters
 from jaxstab.ranges import HandRange
 
 _ROUNDED_UP = 1.0 + 1e-9
 
 
-def grid_boxes(loop: LoopParameters, hands: HandRange, grid: Grid) -> DeviceBoxes:
+def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Grid) -> DeviceBoxes:
     """Return the loops of boxes in cells of a grid, whose walls are those up to its limits.
 
     Raises:
@@ -34,7 +34,7 @@ def grid_boxes(loop: LoopParameters, hands: HandRange, grid: Grid) -> DeviceBoxe
 
     mass = float(grid.mass[0]), float(grid.mass[-1])
     arm = hands.stiffness[1], hands.damping[0]
-    return DeviceBoxes(loop, mass, arm, extent, from_none=True)
+    return DeviceBoxes(device, loop, mass, arm, extent, from_none=True)
 
 
 def _model(bounds: Models) -> LinearModel:

@@ -7,9 +7,9 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.boxes.exclusion import Loops, expansion
 from jaxstab.boxes.filter_cells import filter_cells
+from jaxstab.boxes.parted import BEYOND, Boxes, Reals, Seen, parted
 from jaxstab.boxes.wall import responses
 from jaxstab.guard.grid import Grid, Models, Pyramid, step_of
-from jaxstab.boxes.parted import BEYOND, Boxes, Reals, Seen, parted
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import Filters, known_filters
 

@@ -123,7 +123,7 @@ class _Proof:
         self._boxes: MassBoxes | DeviceBoxes = (
             MassBoxes(loop, grid)
             if loop.device is None
-            else grid_boxes(loop, hands, grid)
+            else grid_boxes(loop.device, loop, hands, grid)
         )
         self._most, self._count = _MOST[type(self._boxes)], 0
 

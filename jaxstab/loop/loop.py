@@ -19,6 +19,7 @@ from jaxstab.loop.walls import LoopWithWalls
 from jaxstab.motion.settling import Excitation
 from jaxstab.numbers import checked_number
 from jaxstab.ranges import HandRange, RobustLimit, WorstHand
+from jaxstab.ranges.hands import Range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,8 +46,8 @@ class HapticLoop(LoopWithWalls):
     The fields ``device_mass`` to ``hand_stiffness`` describe device and hand as one mass;
     ``device`` alone takes any linear system, with its hands. With a ``device``, ``worst_hand`` and
     ``robust_limit`` put other hands in place of its own; ask ``jaxstab.LoopsBetween`` about other
-    intervals, ``jaxstab.common_region`` about lists of loops. A device that does not give way to a constant force, G(0) = 0, has only verdicts, radii,
-    poles and margins.
+    intervals, ``jaxstab.common_region`` about lists of loops. A device that does not give way to a
+    constant force, G(0) = 0, has only verdicts, radii, poles and margins.
 
     Source: eqs. (1) and (12), Table I.
 
@@ -266,7 +267,7 @@ class HapticLoop(LoopWithWalls):
         stiffness: float,
         damping: float,
         *,
-        mass: tuple[float, float] | None = None,
+        mass: Range | None = None,
     ) -> WorstHand:
         """Return whether a wall is stable for every hand of a range, and the worst of them.
 
@@ -276,19 +277,17 @@ class HapticLoop(LoopWithWalls):
             hands: the range of hands, which replace the hand of the loop.
             stiffness: K in N/m.
             damping: B in N s/m.
-            mass: the lowest and the highest mass of the device in kg, over its postures; None for
-                the one it has.
+            mass: the device's lowest and highest mass in kg over its postures; None for its own.
 
         Returns:
-            WorstHand; UNDECIDED where all sampled hands are stable, but not every other one could
-            be proved so. A ``device`` is proved if it is a mass, with or without vibration modes
-            and actuators, and a grip has a spring, and grip or hand a damper; any other one if a
-            single number varies.
+            WorstHand; UNDECIDED where sampled hands are stable, but others could not be proved. A
+            ``device`` is proved if it is a mass with or without modes and actuators, a grip has a
+            spring, and grip or hand a damper; any other one if a single number varies.
 
         Raises:
             TypeError: a gain is not one real number.
-            ValueError: a gain is infinite or NaN, or a range is out of order. The loop has a
-                ``device`` with several hands, or without a mass that could vary.
+            ValueError: a gain is infinite or NaN, or a range is out of order; a ``device`` has
+                several hands, or no mass that could vary.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6, B20 of docs/proofs.md.
 
@@ -306,9 +305,7 @@ class HapticLoop(LoopWithWalls):
             return LoopsWithHands(self, self.device, hands, mass).worst(*wall)
         return ranges.worst_hand(self, hands, stiffness, damping, mass)
 
-    def robust_limit(
-        self, hands: HandRange, *, mass: tuple[float, float] | None = None
-    ) -> RobustLimit:
+    def robust_limit(self, hands: HandRange, *, mass: Range | None = None) -> RobustLimit:
         """Return the largest stiffness, and its damping, that every hand of a range allows.
 
         The corners of the range, and the hands at which a proof failed, set the limit. With a
@@ -316,7 +313,7 @@ class HapticLoop(LoopWithWalls):
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
-            mass: the lowest and the highest mass of the device in kg; None for the one it has.
+            mass: the device's lowest and highest mass in kg over its postures; None for its own.
 
         Raises:
             ValueError: a range is out of order. The loop has a ``device`` with several hands, or

@@ -153,9 +153,10 @@ class LoopsWithHands:
 
     def _unproved(self, wall: tuple[float, float]) -> Hands | None:
         """Return hands that are not proved; None where boxes know nothing of such a device."""
-        loop = self._held(self._spread(1)[0])
+        device = self._held(self._spread(1)[0]).device
+        assert device is not None
         try:
-            return unproved_hands(loop, self.hands, self._masses, wall)
+            return unproved_hands(device, self.loop, self.hands, self._masses, wall)
         except NotImplementedError:
             return None
 

@@ -16,7 +16,7 @@ from jaxstab.pictures.walls import draw_responses, draw_walls, name_walls
 from jaxstab.scene.answers import Quantity
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import Check
-from jaxstab.scene.hands import common_outline
+from jaxstab.scene.hands import at_lowest, common_outline
 from jaxstab.scene.loops import corner_loops, hands_of, is_plain, loop_of, reachable, wall_region
 from jaxstab.scene.mechanics import Encoder
 from jaxstab.scene.scene import Scene
@@ -104,9 +104,11 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     remarks = [f"velocity: {basis.velocity}"]
     if basis.mechanics:
         remarks.append(basis.mechanics)
+    if basis.postures:
+        remarks.append(basis.postures)
     if hands_of(scene):
         remarks.append(
-            "region, settling and fastest wall: hand at its lowest values"
+            f"region, settling and fastest wall: hand {at_lowest(scene, '')}"
             + ("; responses: worst hand of each wall" if checked else "")
         )
     figure.suptitle("\n".join(remarks), fontsize=9)

@@ -8,12 +8,11 @@ one proof of stability is enough (lemmas B6 and B20 of docs/proofs.md).
 from math import pi
 
 import numpy as np
-from jaxtyping import Float64
 
 from jaxstab.boxes import bisection
 from jaxstab.boxes.device_boxes import DELAY, MASS, DeviceBoxes, Extent, along
 from jaxstab.boxes.parted import AXES, BEYOND, Boxes
-from jaxstab.model import LoopParameters
+from jaxstab.model import Device, LoopParameters
 from jaxstab.ranges.hands import HandRange, Hands, Range
 
 _SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
@@ -22,6 +21,7 @@ _ROUNDED_UP = 1.0 + 1e-9
 
 
 def unproved_hands(
+    device: Device,
     loop: LoopParameters,
     hands: HandRange,
     mass: Range,
@@ -31,7 +31,8 @@ def unproved_hands(
     """Return hands at which a root on the circle could not be excluded; none is a proof.
 
     Args:
-        loop: the loop; its device's mass and its hand are not used.
+        device: the device; its mass and its arm are not used.
+        loop: its loop.
         hands: the range of hands.
         mass: the lowest and the highest mass of the device.
         wall: K in N/m and B in N s/m.
@@ -50,7 +51,7 @@ def unproved_hands(
         return Extent(along(MASS, own, by_own), *numbers)
 
     arm = hands.stiffness[1], hands.damping[0]
-    loops = DeviceBoxes(loop, mass, arm, extent, from_none=False)
+    loops = DeviceBoxes(device, loop, mass, arm, extent, from_none=False)
 
     def prove(boxes: bisection.Boxes) -> bisection.Proof:
         free, shares = loops.judged(boxes.center.T, boxes.half.T)

@@ -61,16 +61,13 @@ class HandRange:
 
 
 class HeldWall(NamedTuple):
-    """A loop, the hands that may hold its device, and a wall (K, B) that it renders.
-
-    ``mass`` holds the masses that the device may have; None for that of the loop.
-    """
+    """A loop, the hands that may hold its device, and a wall (K, B) that it renders."""
 
     loop: Any  # a LoopParameters of one mass
     hands: HandRange
     stiffness: float
     damping: float
-    mass: Range | None = None
+    mass: Range | None = None  # that the device may have; None for that of the loop
 
     @property
     def masses(self) -> Range:

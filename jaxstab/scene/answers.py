@@ -160,13 +160,18 @@ class Answer:
 
 @dataclass(frozen=True)
 class Basis(Answer):
-    """What a scene's answers hold for: estimator, filter, what moves beside one mass, rotation."""
+    """What a scene's answers hold for.
+
+    The estimator, the filter, what moves beside one mass, the masses of a device of several, and
+    whether it turns.
+    """
 
     is_part = True
 
     velocity: str
     position: str | None
     mechanics: str | None
+    postures: str | None
     motion: str | None
 
     @property
@@ -189,7 +194,8 @@ def in_words(value: str | IntEnum) -> str:
 
 
 def _named(name: str, units: Units) -> str:
-    return units.moved if name == Units.LINE.moved else name
+    moved = Units.LINE.moved
+    return name.removesuffix(moved) + units.moved if name.endswith(moved) else name
 
 
 def _for_json(value: Any) -> Any:

@@ -1,6 +1,6 @@
 """The basis of a scene's answers, stated in front of them."""
 
-from jaxstab.scene.answers import Basis, Quantity
+from jaxstab.scene.answers import Basis, IntervalQuantity, Quantity
 from jaxstab.scene.mechanics import Grip
 from jaxstab.scene.scene import Scene
 from jaxstab.scene.units import Units
@@ -15,6 +15,7 @@ def basis_of(scene: Scene) -> Basis:
         velocity=_ASSUMED if controller.velocity is None else str(controller.velocity),
         position=None if controller.position is None else str(controller.position_filter),
         mechanics=_beside_one_mass(scene),
+        postures=_postures(scene),
         motion=None if scene.units is Units.LINE else "rotation",
     )
 
@@ -23,6 +24,14 @@ def grip_in_words(grip: Grip, units: Units) -> str:
     """Return stiffness and damping of a grip."""
     spring = Quantity("N/m").words(grip.stiffness, units)
     return f"{spring}, {Quantity('N s/m').words(grip.damping, units)}"
+
+
+def _postures(scene: Scene) -> str | None:
+    """Return the range of the device's mass in words; None for a single mass."""
+    if not scene.device.varies:
+        return None
+    words = IntervalQuantity("kg").words(scene.device.effective_mass, scene.units)
+    return f"a device of {words}, constant while a wall is touched"
 
 
 def _beside_one_mass(scene: Scene) -> str | None:

@@ -19,8 +19,8 @@ from jaxstab.scene.answers import (
     Stiffness,
 )
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.hands import LOWEST_HAND
-from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
+from jaxstab.scene.hands import at_lowest
+from jaxstab.scene.loops import loop_of, reachable, wall_region
 from jaxstab.scene.scene import Scene
 
 _AGREEMENT = 1e-8  # relative, of a designed sample time or delay
@@ -110,7 +110,7 @@ def design_loop(scene: Scene) -> Design:
         now_allowed_stiffness=safety * _stiffest(loop).stiffness,
         sample_time=LargestSampleTime(*largest_period),
         delay=LargestDelay(*_largest(delayed, asked, period, 0.0, _MOST_SAMPLES * period)),
-        hand=LOWEST_HAND if hands_of(scene) else None,
+        hand=at_lowest(scene),
     )
 
 

@@ -50,7 +50,7 @@ def _blocks(scene: Scene) -> dict[str, str]:
     basis, units, time = basis_of(scene), scene.units, Quantity("s")
     held = zip((hand.effective_mass, hand.stiffness, hand.damping), _UNITS, strict=True)
     turning = "" if units is Units.LINE else ", which turns"
-    own = Quantity("kg").words(device.effective_mass, units)
+    own = _range(device.effective_mass, "kg", units)
     blocks = {"device": f"{own}, {Quantity('N s/m').words(device.damping, units)}{turning}"}
     for number, mode in enumerate(device.modes, 1):
         blocks[f"mode {number}"] = _mode(mode, units)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from jaxstab.guard import Guard, build_guard, guard_header
 from jaxstab.ranges import HandRange
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.loops import is_one_mass, loop_of
+from jaxstab.scene.loops import is_one_mass, loop_of, masses_of
 from jaxstab.scene.mechanics import Hand
 from jaxstab.scene.scene import Scene
 
@@ -29,8 +29,8 @@ def scene_guard(
 
     Args:
         scene: the scene; its hands are those of the guard.
-        masses: of the device in kg; None for 0.8 to 1.25 times the scene's, 0.96 to 1.04 of a
-            device with modes, an actuator or a grip.
+        masses: of the device in kg; None for those of the scene, and if that is a single one for
+            0.8 to 1.25 times it, 0.96 to 1.04 of a device with modes, an actuator or a grip.
         delays: in s; None for one sample less to one sample more than the scene's, a tenth of one
             for such a device.
         progress: is told which share of the proof is done.
@@ -42,11 +42,11 @@ def scene_guard(
     loop = loop_of(scene)
     hand, is_plain = scene.hand or Hand(), is_one_mass(scene)
     shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
-    mass, delay, period = scene.device.effective_mass, loop.delay, loop.sample_time
+    mass, delay, period = scene.device.effective_mass[0], loop.delay, loop.sample_time
     return build_guard(
         loop,
         HandRange(mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping),
-        mass=masses or (shares[0] * mass, shares[1] * mass),
+        mass=masses or masses_of(scene) or (shares[0] * mass, shares[1] * mass),
         delay=delays or (max(delay - beside * period, 0.0), delay + beside * period),
         progress=progress,
         **({} if is_plain else {"cells": _DEVICE_CELLS}) | cells,

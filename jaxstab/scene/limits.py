@@ -20,12 +20,12 @@ from jaxstab.scene.answers import (
     StiffnessLimits,
 )
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.hands import AllHands, Floats, limit_for_all
-from jaxstab.scene.loops import hands_of, is_plain, loop_of, reachable, wall_region, walls_of
+from jaxstab.scene.hands import AllHands, Floats, at_lowest, limit_for_all
+from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 _NOT_REACHABLE = "not reachable by turning gains up"
-_LOWEST_HAND = "at its lowest values; below stands what all hands allow"
+_SEE_BELOW = "; below stands what all hands allow"
 _FAR = "small gains are not stable: no wall is reachable by turning gains up"
 _WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
 
@@ -132,7 +132,7 @@ def scene_limits(scene: Scene) -> Limits:
     return Limits(
         basis=basis_of(scene),
         safety=wanted.safety,
-        hand=_LOWEST_HAND if hands_of(scene) else None,
+        hand=at_lowest(scene, _SEE_BELOW),
         best=StiffestWall(*rows.scaled_stiffness(limits.stiffness, limits.at_damping)),
         most_damped=MostDampedWall(*rows.scaled_damping(limits.damping, limits.at_stiffness)),
         reached=None if limits.is_reachable or region.is_empty else _FAR,

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from jaxstab.loop import Gains, HapticLoop, WallRegion
 from jaxstab.model import Device, Mode
 from jaxstab.model import Hand as Arm
@@ -16,11 +18,15 @@ from jaxstab.scene.scene import Scene
 
 
 class OneHand(NamedTuple):
-    """A hand of the range: mass, stiffness and damping, in the units of the scene."""
+    """A hand of the range: mass, stiffness and damping, in the units of the scene.
+
+    ``device_mass`` is that of the device; None for its lowest one.
+    """
 
     mass: float
     stiffness: float
     damping: float
+    device_mass: float | None = None
 
 
 def wall_region(loop: HapticLoop) -> WallRegion:
@@ -43,7 +49,7 @@ def wall_region(loop: HapticLoop) -> WallRegion:
 
 
 def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
-    """Return the loop of a scene with a hand; without, the one at the lowest ends of its range.
+    """Return the loop of a scene with a hand; without, the one at the lowest ends of the ranges.
 
     Raises:
         ValueError: a quantity is out of range.
@@ -68,12 +74,6 @@ def is_one_mass(scene: Scene) -> bool:
     return not device.modes and device.actuator is None and hand.grip is None
 
 
-def proves_hands(scene: Scene) -> bool:
-    """Return whether what holds for all hands can be proved: of one mass, or of one quantity."""
-    hands = hands_of(scene) or HandRange()
-    return is_one_mass(scene) or sum(low < high for low, high in vars(hands).values()) <= 1
-
-
 def is_plain(loop: HapticLoop) -> bool:
     """Return whether the loop is that of the simple rules: one mass, and nothing is filtered.
 
@@ -88,8 +88,14 @@ def reachable(region: WallRegion) -> WallRegion:
 
 
 def hands_of(scene: Scene) -> HandRange | None:
-    """Return the range of hands, or None where there is one hand at most."""
-    return range_of_hands(scene) if scene.hand and scene.hand.varies else None
+    """Return the range of hands; None where neither the hand nor the device's mass varies."""
+    varies = scene.device.varies or (scene.hand is not None and scene.hand.varies)
+    return range_of_hands(scene) if varies else None
+
+
+def masses_of(scene: Scene) -> tuple[float, float] | None:
+    """Return the range of the device's mass; None where there is one mass."""
+    return scene.device.effective_mass if scene.device.varies else None
 
 
 def walls_of(scene: Scene) -> dict[str, Gains]:
@@ -98,13 +104,17 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
 
 
 def hands_among(scene: Scene, count: int) -> list[OneHand]:
-    """Return so many hands along each quantity of the scene's range; two are the corners."""
-    hands = spread_hands(range_of_hands(scene), count)
-    return [OneHand(*hand) for hand in hands.tolist()]
+    """Return so many hands along each quantity of the scene's ranges; two are the corners.
+
+    The mass of the device is one of the quantities.
+    """
+    hands, masses = spread_hands(range_of_hands(scene), count).tolist(), masses_of(scene)
+    among = [None] if masses is None else np.linspace(*masses, count).tolist()
+    return [OneHand(*hand)._replace(device_mass=mass) for hand in hands for mass in among]
 
 
 def corner_loops(scene: Scene) -> list[HapticLoop]:
-    """Return the loop of a scene with each hand at the corners of its range.
+    """Return the loop of a scene with each hand and mass at the corners of the ranges.
 
     Raises:
         ValueError: a quantity is out of range.
@@ -120,7 +130,7 @@ def range_of_hands(scene: Scene) -> HandRange:
 
 def _one_mass(scene: Scene, hand: OneHand) -> dict[str, float]:
     return {
-        "device_mass": scene.device.effective_mass,
+        "device_mass": hand.device_mass or scene.device.effective_mass[0],
         "device_damping": scene.device.damping,
         "hand_mass": hand.mass,
         "hand_damping": hand.damping,
@@ -139,7 +149,7 @@ def _device(scene: Scene, hand: OneHand) -> Device:
         )
         for mode in table.modes
     ]
-    mass, damping = table.effective_mass, table.damping
+    mass, damping = hand.device_mass or table.effective_mass[0], table.damping
     device = Device.mass_spring_damper(mass, damping=damping)
     if modes:
         device = Device.modes(modes, mass=mass, damping=damping)
@@ -157,7 +167,7 @@ def _device(scene: Scene, hand: OneHand) -> Device:
 def _check_scale(scene: Scene) -> None:
     """Refuse hands and dampers that the model cannot compute, in the words of a scene."""
     hand, period = scene.hand or Hand(), scene.controller.sample_time
-    per_speed = period / (scene.device.effective_mass + hand.effective_mass[0])
+    per_speed = period / (scene.device.effective_mass[0] + hand.effective_mass[0])
     damping, moved = scene.device.damping + hand.damping[1], scene.units.moved
     for words, value, most in (
         (f"hand.stiffness T^2/{moved}", hand.stiffness[1] * period * per_speed, GAMMA_LIMIT),

@@ -55,12 +55,13 @@ class Device(Table):
     """The haptic device: effective mass in kg and physical damping in N s/m, or a preset.
 
     A device that turns has a moment of inertia in kg m^2 in place of the mass, and its damping is
-    in N m s/rad. Vibration modes and an actuator are of any device.
+    in N m s/rad. Either may be a range, from the lowest to the highest one of all postures.
+    Vibration modes and an actuator are of any device.
     """
 
     preset: str | None = key(lambda name: one_of(device_presets())(name), None)
-    mass: float | None = key(quantity("kg", is_positive=True), None)
-    inertia: float | None = key(quantity("kg m^2", is_positive=True), None)
+    mass: tuple[float, float] | None = key(interval("kg", is_positive=True), None)
+    inertia: tuple[float, float] | None = key(interval("kg m^2", is_positive=True), None)
     damping: float = key(quantity("N s/m"))
     encoder: Encoder | None = key(nested(Encoder), None)
     modes: tuple[VibrationMode, ...] = key(each(nested(VibrationMode)), ())
@@ -70,8 +71,8 @@ class Device(Table):
         super().__post_init__()
         if self.mass is not None and self.inertia is not None:
             raise ValueError(
-                f"mass is {self.mass:g} beside inertia; give mass for a device that moves along a "
-                "line, or inertia for one that turns."
+                f"mass is {self.mass[0]:g} beside inertia; give mass for a device that moves along "
+                "a line, or inertia for one that turns."
             )
         if self.mass is None and self.inertia is None:
             raise ValueError(_NO_MASS)
@@ -106,9 +107,14 @@ class Device(Table):
         return Units.LINE if self.inertia is None else Units.ROTATION
 
     @property
-    def effective_mass(self) -> float:
-        """The mass in kg, or the moment of inertia in kg m^2."""
-        return self.mass or self.inertia or 0.0
+    def effective_mass(self) -> tuple[float, float]:
+        """The lowest and the highest mass in kg, or moment of inertia in kg m^2."""
+        return self.mass or self.inertia or (0.0, 0.0)
+
+    @property
+    def varies(self) -> bool:
+        """Whether the mass is a range."""
+        return self.effective_mass[0] < self.effective_mass[1]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ from jaxstab.loop import HapticLoop
 from jaxstab.scene.loops import OneHand, loop_of
 from jaxstab.scene.mechanics import Hand
 from jaxstab.scene.scene import Scene
-from jaxstab.scene.units import Units
 
 
 class Member(NamedTuple):
@@ -22,10 +21,10 @@ class Member(NamedTuple):
 def ranges_of(scene: Scene) -> list[tuple[float, float]]:
     """Return the ends of mass, hand (3) and delay."""
     wanted, hand, delay = scene.wanted, scene.hand or Hand(), scene.controller.time_delay
-    mass, share = scene.device.effective_mass, wanted.mass_tolerance or 0.0
+    masses, share = scene.device.effective_mass, wanted.mass_tolerance or 0.0
     aside = wanted.delay_tolerance or 0.0
     return [
-        (mass * (1.0 - share), mass * (1.0 + share)),
+        (masses[0] * (1.0 - share), masses[1] * (1.0 + share)),
         hand.effective_mass,
         hand.stiffness,
         hand.damping,
@@ -46,8 +45,6 @@ def corners_of(scene: Scene) -> list[Member]:
 
 def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
     """Return the loop of a member of the ranges."""
-    device, controller = scene.device, scene.controller
-    is_line = scene.units is Units.LINE
-    moved = replace(device, mass=member.mass) if is_line else replace(device, inertia=member.mass)
-    delayed = replace(controller, delay=member.delay, delay_samples=None)
-    return loop_of(replace(scene, device=moved, controller=delayed), member.hand)
+    delayed = replace(scene.controller, delay=member.delay, delay_samples=None)
+    hand = member.hand._replace(device_mass=member.mass)
+    return loop_of(replace(scene, controller=delayed), hand)

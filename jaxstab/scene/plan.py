@@ -2,8 +2,7 @@
 
 from typing import NamedTuple
 
-from jaxstab.scene.loops import proves_hands
-from jaxstab.scene.mechanics import Hand
+from jaxstab.scene.loops import hands_of
 from jaxstab.scene.scene import ANSWERS, MEASURES, Scene
 
 
@@ -17,7 +16,7 @@ class Step(NamedTuple):
 
 def plan_scene(scene: Scene) -> list[Step]:
     """Return what is computed for a scene and what is skipped."""
-    wanted, hand = scene.wanted, scene.hand or Hand()
+    wanted = scene.wanted
     asked = {name: name in wanted.answers for name in ANSWERS}
     reason = {True: "wanted.answers has it", False: "wanted.answers does not have it"}
     steps = [Step(name, asked[name], reason[asked[name]]) for name in ("limits", "tune", "design")]
@@ -33,14 +32,12 @@ def plan_scene(scene: Scene) -> list[Step]:
         if name == "chatter" and scene.device.encoder is None:
             is_wanted, why = False, "device.encoder is not given"
         steps.append(Step(name, asked["check"] and is_wanted, why))
-    is_over = hand.varies or bool(wanted.mass_tolerance) or bool(wanted.delay_tolerance)
-    why = "neither a hand nor a tolerance of mass or delay is a range"
-    why = "a hand or a tolerance is a range" if is_over else why
+    varies = hands_of(scene) is not None
+    is_over = varies or bool(wanted.mass_tolerance) or bool(wanted.delay_tolerance)
+    why = "neither hand nor mass nor a tolerance of mass or delay is a range"
+    why = "a hand, the mass or a tolerance is a range" if is_over else why
     steps.append(Step("tune over ranges", is_over and asked["tune"], why))
-    why = "the hand is a range" if hand.varies else "there is one hand at most"
-    steps.append(Step("worst case over the hands", hand.varies, why))
-    is_proved = proves_hands(scene)
-    if hand.varies and not is_proved:
-        why = "no one mass, and more than one range: hands are tried, none between is proved"
-    steps.append(Step("proof for all hands", hand.varies and is_proved, why))
+    why = "the hand or the mass is a range" if varies else "there is one hand at most, and one mass"
+    steps.append(Step("worst case over the hands", varies, why))
+    steps.append(Step("proof for all hands", varies, why))
     return steps

@@ -176,7 +176,10 @@ class Scene:
         kilogram, stiffness, damping = units.kilogram, units.stiffness, units.damping
         mass, usual = ("mass", _USUAL) if units is Units.LINE else ("inertia", _USUAL_TURNING)
         found = [
-            _outside(f"device.{mass}", device.effective_mass, *usual.device_mass, kilogram),
+            *(
+                _outside(f"device.{mass}", value, *usual.device_mass, kilogram)
+                for value in dict.fromkeys(device.effective_mass)
+            ),
             _outside("device.damping", device.damping, *usual.device_damping, damping),
             *_unusual_mechanics(device, hand, usual),
             _outside(f"hand.{mass}", hand.effective_mass[1], *usual.hand_mass, kilogram),

@@ -10,7 +10,7 @@ from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import Answer, Basis, Bound, Damping, Number, Stiffness, rounded_gain
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.check import Amplitude, SettlingTime, settled
-from jaxstab.scene.hands import LOWEST_HAND, worst_held
+from jaxstab.scene.hands import at_lowest, worst_held
 from jaxstab.scene.loops import hands_of, loop_of, reachable, wall_region
 from jaxstab.scene.over_ranges import WallOverRanges, tune_over_ranges
 from jaxstab.scene.scene import Scene
@@ -111,7 +111,7 @@ def tune_walls(scene: Scene) -> Tuned:
             f"wall {name}": best("settling", wall.stiffness) for name, wall in scene.walls.items()
         },
         at_given_stiffness=None if given is None else best("settling", given),
-        hand=LOWEST_HAND if hands else None,
+        hand=at_lowest(scene),
         over_ranges=tune_over_ranges(scene, gains),
     )
 
