@@ -289,7 +289,7 @@ class HapticLoop(LoopWithWalls):
             ValueError: a gain is infinite or NaN, or a range is out of order; a ``device`` has
                 several hands, or no mass that could vary.
 
-        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6, B20 of docs/proofs.md.
+        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6, B21 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)

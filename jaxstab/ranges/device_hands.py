@@ -2,7 +2,7 @@
 
 Boxes of the device's mass, the hand and the angle are halved until none has a root on the unit
 circle (``boxes.device_boxes``). Then all of these loops have the same number of unstable roots, and
-one proof of stability is enough (lemmas B6 and B20 of docs/proofs.md).
+one proof of stability is enough (lemma B21 of docs/proofs.md).
 """
 
 from math import pi

@@ -5,7 +5,8 @@ EXAMPLE = """\
 
 [device]
 # preset = "phantom"      # instead of the two below; `jaxstab scene presets` lists them
-mass = 0.1                # kg, effective mass at the handle; inertia in kg m^2 for one that turns
+mass = 0.1                # kg at the handle, or [lowest, highest] over the postures; inertia in
+                          # kg m^2 for one that turns
 damping = 1.5             # N s/m, physical damping of the device
 # encoder.resolution = 1e-5   # m at the handle: check bounds what its rounding does
 # actuator.bandwidth = 200.0  # Hz, at which motor and amplifier lose 3 dB
