@@ -3,9 +3,13 @@
 The truth: equations of motion in mpmath (``benchmarks.truth.devices``) and certified roots.
 """
 
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import control
+import flint
 import numpy as np
 import pytest
 import scipy.signal
@@ -18,7 +22,8 @@ from benchmarks.truth import filtered
 from benchmarks.truth.random_loops import device_of
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Device, Filter, Hand, Mode, Velocity
 from jaxstab.model import DoubleDouble, by_name
-from jaxstab.model.device import SampledDevice, sampled_device
+from jaxstab.model.device import SampledDevice, sampled_device, sampling
+from jaxstab.model.device import device as device_module
 from jaxstab.point.poles import linear_poles
 from jaxstab.point.radius.door import linear_spectral_radius
 from jaxstab.point.verdict.linear import linear_verdict
@@ -325,3 +330,31 @@ def test_few_walls_are_undecided_next_to_the_boundary() -> None:
     )
     true = truth.DeviceLoop(mechanism.system(), 1e-3, 1.5, *TRUE_FILTERS)
     assert codes.tolist() == [true.code(wall / sampled.stiffness_unit, 2.0) for wall in walls]
+
+
+@pytest.fixture
+def hasty_threads() -> Iterator[None]:
+    """Threads that take turns every ten microseconds."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    yield
+    sys.setswitchinterval(before)
+
+
+@pytest.mark.usefixtures("hasty_threads")
+def test_threads_that_ask_devices_agree_and_restore_the_precision() -> None:
+    """Issue 31, 8: after 8 threads ``flint.ctx.prec`` stayed at 1024, or poles were not found."""
+
+    def poles_and_plant(frequency: float) -> tuple[list[complex], Any]:
+        modes = [Mode(frequency=f, damping_ratio=0.01, modal_mass=0.3) for f in (frequency, 90.0)]
+        device = Device.modes(modes, mass=0.2)
+        return device.poles().tolist(), sampled_device(device, 1e-3, 1.5).plant
+
+    frequencies = np.linspace(30.0, 60.0, 64).tolist()
+    with flint.ctx.workprec(77), ThreadPoolExecutor(8) as pool:
+        asked = list(pool.map(poles_and_plant, frequencies))
+        pool.shutdown()
+        assert flint.ctx.prec == 77
+    device_module._pole_balls.cache_clear()
+    sampling._sampled.cache_clear()
+    assert asked == list(map(poles_and_plant, frequencies))

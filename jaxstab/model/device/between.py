@@ -15,7 +15,7 @@ from jaxtyping import Float64, Int64
 
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.mechanics import are_known, equations
-from jaxstab.model.device.rational import exact
+from jaxstab.model.device.rational import exact, working_precision
 from jaxstab.model.device.sampling import in_fastest_time, in_samples
 
 if TYPE_CHECKING:
@@ -60,11 +60,9 @@ class Between(NamedTuple):
 @lru_cache(maxsize=32)
 def between_samples(device: Device, sample_time: float, fraction: float) -> Between:
     """Return how a device moves within a sample, for a fraction of the delay."""
-    import flint
-
     bits = _FIRST_BITS
     while True:
-        with flint.ctx.workprec(bits):
+        with working_precision(bits):
             above, below = in_samples(device.handle_compliance(), sample_time)
             matrix = equations(device, above, below, sample_time)
             rates = [

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.model.device.rational import Rational, exact
+from jaxstab.model.device.rational import Rational, exact, working_precision
 from jaxstab.model.device.sampling import (
     SampledDevice,
     force_of,
@@ -70,7 +70,7 @@ def pieces_of_delay(device: SampledDevice) -> tuple[Piece, ...] | None:
 
     bits = _FIRST_BITS
     while True:
-        with flint.ctx.workprec(bits):
+        with working_precision(bits):
             family = _Family.of(device.device.compliance(), device.sample_time)
             if family.is_known or bits >= _MOST_BITS:
                 return _pieces(family, 1 / flint.arb(device.stiffness_unit))

@@ -22,7 +22,13 @@ from jaxstab.model.device.parts import (
     checked_state_space,
     checked_transfer_function,
 )
-from jaxstab.model.device.rational import Rational, balls_of, polynomial, turn
+from jaxstab.model.device.rational import (
+    Rational,
+    balls_of,
+    polynomial,
+    turn,
+    working_precision,
+)
 from jaxstab.numbers import checked_number
 
 _BITS, _POLE_DIGITS = 1024, 200  # of what is computed, and behind the point of a pole
@@ -239,9 +245,7 @@ class Device:
             >>> jaxstab.Device.mass_spring_damper(0.25, stiffness=40.0).static_stiffness()
             40.0
         """
-        import flint
-
-        with flint.ctx.workprec(_BITS):
+        with working_precision(_BITS):
             above, below = (balls_of(part)[0] for part in self.handle_compliance())
             return inf if above == 0 else float((below / above).mid())
 
@@ -324,7 +328,7 @@ def _pole_balls(device: Device) -> list[tuple[Any, int]]:
     import flint
 
     _, factors = device.compliance().denominator.factor_squarefree()
-    with flint.ctx.workprec(_BITS):
+    with working_precision(_BITS):
         return [
             (root, count)
             for factor, count in factors

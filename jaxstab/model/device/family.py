@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from jaxstab.model.device.delays import Piece, rounded_piece, size_on_circle
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.hand import Hand
-from jaxstab.model.device.rational import Span, exact
+from jaxstab.model.device.rational import Span, exact, working_precision
 from jaxstab.model.device.sampling import (
     SampledDevice,
     force_of,
@@ -196,12 +196,12 @@ def _piece(family: LoopFamily, middle: float, half: float, whole: int) -> LoopPi
     """Return a piece; None where no polynomials are good enough."""
     import flint
 
-    with flint.ctx.workprec(_BITS[0]):
+    with working_precision(_BITS[0]):
         missed = _missed(family, middle, half, whole)
     if missed is None:
         return None
     for bits in _BITS:
-        with flint.ctx.workprec(bits):
+        with working_precision(bits):
             points, inverse = _interpolation(bits)
             values = []
             for point in points:
@@ -265,7 +265,7 @@ def _interpolation(bits: int) -> "tuple[list[arb], arb_mat]":
     """Return Chebyshev's points, rounded, and what makes coefficients of the values there."""
     import flint
 
-    with flint.ctx.workprec(bits):
+    with working_precision(bits):
         points = [flint.arb(cos(pi * (2 * k + 1) / (2 * _NODES))) for k in range(_NODES)]
         return points, flint.arb_mat([[x**j for j in range(_NODES)] for x in points]).inv()
 

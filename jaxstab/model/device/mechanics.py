@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.rational import balls_of, exact, turn
+from jaxstab.model.device.rational import balls_of, exact, turn, working_precision
 from jaxstab.model.device.sampling import in_samples
 
 if TYPE_CHECKING:
@@ -61,14 +61,14 @@ def mechanics(
 
     bits = _FIRST_BITS
     while True:
-        with flint.ctx.workprec(bits):
+        with working_precision(bits):
             above, below = in_samples(device.handle_compliance(), sample_time)
             matrix = equations(device, above, below, sample_time)
             rows = [_held(matrix, fraction, offset) for offset in offsets]
             if all(map(are_known, rows)) or bits >= _MOST_BITS:
                 break
         bits *= 2
-    with flint.ctx.workprec(bits):
+    with working_precision(bits):
         if not above[0] != 0:
             raise ValueError(
                 "the device does not give way to a constant force: its transfer function in s is 0 "

@@ -6,13 +6,31 @@ what cancels is found exactly. Numbers that stand for all of an interval are pol
 variable. Only where such numbers are asked for python-flint is imported.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from threading import RLock
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
+
+_PRECISION = RLock()
+
+
+@contextmanager
+def working_precision(bits: int) -> Iterator[None]:
+    """Compute with balls of so many bits, one thread at a time, and restore the precision before.
+
+    The precision of python-flint is one number of the whole process. Balls hold the true value at
+    any precision: threads of a program that set it meanwhile can cost an answer its digits, or end
+    it in an error, but cannot make it wrong.
+    """
+    import flint
+
+    with _PRECISION, flint.ctx.workprec(bits):
+        yield
 
 
 @dataclass(frozen=True)

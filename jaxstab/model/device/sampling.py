@@ -16,7 +16,7 @@ from math import inf, isfinite, ldexp, nextafter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.rational import Rational, balls_of, exact
+from jaxstab.model.device.rational import Rational, balls_of, exact, working_precision
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_loop
@@ -112,7 +112,7 @@ def _sampled(device: Device, sample_time: float, delay: float) -> SampledDevice:
     whole, fraction = divmod(delay, 1.0)
     bits = _FIRST_BITS
     while True:
-        with flint.ctx.workprec(bits):
+        with working_precision(bits):
             balls = _balls(device.compliance(), sample_time, fraction)
             if balls.are_known or bits >= _MOST_BITS:
                 unit = _binary_digits(sum(map(abs, balls.straight[0].coeffs()), flint.arb(0)))
