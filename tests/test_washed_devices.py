@@ -1,11 +1,11 @@
-"""A device that does not give way to a constant force, G(0) = 0: what it is asked, and what not."""
+"""What has no region: G(0) = 0, P(1) = 0, filters whose poles float64 takes for 1."""
 
 from typing import Any
 
 import numpy as np
 import pytest
 
-from jaxstab import Device, HapticLoop, Verdict, common_region
+from jaxstab import Device, Filter, HandRange, HapticLoop, Mode, Velocity, Verdict, common_region
 
 WASHED = HapticLoop(
     device=Device.transfer_function([1.0, 0.0], [1.0, 20.0, 500.0]), sample_time=1e-3, delay=1e-3
@@ -49,3 +49,42 @@ def test_its_walls_have_verdicts_radii_and_margins() -> None:
     radius = float(WASHED.spectral_radius(60.0, 0.0).value)
     assert radius < 1.0
     assert np.isfinite(float(mode.frequency))
+
+
+PLAIN = {"device_mass": 0.25, "device_damping": 0.1, "hand_stiffness": 10.0}
+SHAKING = {"device": Device.modes([Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)])}
+
+
+@pytest.mark.parametrize("body", [PLAIN, SHAKING])
+@pytest.mark.parametrize(
+    ("filters", "reason"),
+    [
+        ({"position": Filter.transfer_function([1.0, -1.0], [1.0, 0.0])}, "P\\(1\\) = 0"),
+        ({"position": Filter.butterworth(1e-9, order=40)}, "position filter is so slow"),
+        ({"velocity": Velocity.low_pass(1e-9, order=40)}, "velocity estimator is so slow"),
+    ],
+)
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda loop: loop.region(),
+        lambda loop: loop.limits(),
+        lambda loop: loop.tune(),
+        lambda loop: loop.robust_limit(HandRange(mass=(0.0, 1.0))),
+    ],
+)
+def test_filters_without_a_region_are_refused_in_a_sentence(
+    ask: Any, filters: dict[str, Any], reason: str, body: dict[str, Any]
+) -> None:
+    """Issue 31, 5: ZeroDivisionError."""
+    with pytest.raises(ValueError, match=reason) as caught:
+        ask(HapticLoop(**body, **filters, sample_time=1e-3, delay=1e-3))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_factor_that_float64_loses_is_refused() -> None:
+    """Issue 31, 5: ``region`` with ``Velocity.exponential(1e-200)`` divided by 0."""
+    for make in (Velocity.exponential, Filter.exponential):
+        with pytest.raises(ValueError, match="factor is 1e-200"):
+            make(1e-200)
+    assert Velocity.exponential(2.0**-53)

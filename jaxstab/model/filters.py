@@ -21,6 +21,7 @@ from jaxstab.model.sections import (
 from jaxstab.model.transfer import UNIT, Transfer
 from jaxstab.numbers import checked_count, checked_number, require_x64
 
+_LEAST_FACTOR = 2.0**-53  # of exponential smoothing
 _NO_REST = 4.0 * 2.0**-53  # of the numerator's size, per coefficient: V(1) as good as zero
 
 
@@ -111,13 +112,13 @@ class Filter:
         """Return exponential smoothing: y_k = y_(k-1) + factor (x_k - y_(k-1)).
 
         Args:
-            factor: in (0, 1]; 1 filters nothing.
+            factor: in [2^-53, 1], so that 1 - factor is below 1 in float64; 1 filters nothing.
 
         Raises:
             TypeError: the factor is no number.
             ValueError: it is out of range.
         """
-        return cls((Exponential(_positive("factor", factor, 1.0)),))
+        return cls((Exponential(_positive("factor", factor, _LEAST_FACTOR, 1.0)),))
 
     @classmethod
     def transfer_function(
@@ -351,10 +352,10 @@ def as_keywords(filters: Filters | None) -> dict[str, Any]:
 # --------------------------------------------------------------------------------------- checks
 
 
-def _positive(name: str, value: Numbers, high: float = inf) -> Numbers:
+def _positive(name: str, value: Numbers, low: float = 0.0, high: float = inf) -> Numbers:
     if is_jax(value):
         return value
-    return checked_number(name, value, 0.0, high, is_open=True)
+    return checked_number(name, value, low, high, is_open=low == 0.0)
 
 
 def _checked_order(order: int) -> int:

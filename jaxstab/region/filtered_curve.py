@@ -173,6 +173,22 @@ def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) 
 
 @lru_cache(_REMEMBERED)
 def _of_filters(velocity: Transfer, position: Transfer) -> _OfFilters:
+    """Return what two filters make of the curve.
+
+    Raises:
+        ValueError: P(1) = 0, or a filter is so slow that pairs of float64 take its pole for 1.
+    """
+    for name, transfer in (("velocity estimator", velocity), ("position filter", position)):
+        if around(transfer.denominator, 1).value.hi == 0.0 or size_of(transfer.numerator) == 0.0:
+            raise ValueError(
+                f"the {name} is so slow that its gain or 1 - pole is lost in float64: it has no "
+                "region and no limits; give a higher cut-off, a larger factor or a lower order."
+            )
+    if around(position.numerator, 1).value.hi == 0.0:
+        raise ValueError(
+            "the position filter has P(1) = 0: the wall does not push back at rest. It has no "
+            "region and no limits; give a filter of gain 1 at z = 1, or ask for verdicts and radii."
+        )
     lag = velocity.lag + 1 - position.lag
     above = power(max(-lag, 0)), _DIFFERENCE, velocity.numerator, position.denominator
     below = power(max(lag, 0)), velocity.denominator, position.numerator
