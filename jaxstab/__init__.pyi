@@ -3,8 +3,6 @@ from .atlas import Atlas as Atlas
 from .atlas import AtlasAnswer as AtlasAnswer
 from .atlas import AtlasOutline as AtlasOutline
 from .atlas import AtlasSpec as AtlasSpec
-from .atlas import ClampedGains as ClampedGains
-from .atlas import ClampedWalls as ClampedWalls
 from .atlas import FittedAxis as FittedAxis
 from .atlas import LargestStiffness as LargestStiffness
 from .atlas import LoopAtlas as LoopAtlas
@@ -18,7 +16,6 @@ from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
 from .atlas import plan_atlas as plan_atlas
 from .atlas import plan_resolution as plan_resolution
-from .atlas import upgrade_atlas as upgrade_atlas
 from .atlas import write_atlas as write_atlas
 from .batches import use_compilation_cache as use_compilation_cache
 from .conventions import AXES as AXES

@@ -25,7 +25,7 @@ from hostile import retold, sub
 from hostile_images import IMAGES, with_another_image
 
 import jaxstab
-from jaxstab import open_atlas, plan_atlas, upgrade_atlas
+from jaxstab import open_atlas, plan_atlas
 from jaxstab.atlas.compute.products import compute_tile
 from jaxstab.atlas.format import footer, schema
 from jaxstab.atlas.read import file
@@ -109,24 +109,6 @@ def test_a_file_of_another_version_of_the_schema_is_refused_with_the_remedy(
     assert f"schema version {version}, and this jaxstab reads version 3; use" in refusal(path)
     path.write_bytes(footer.sealed(small_image()))
     assert "has no table of schema version 3" in refusal(path)
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: small_file(), "has schema version 3; only version 2 needs to be upgraded"),
-        (lambda: b"no atlas", "is damaged, or no jaxstab atlas"),
-        (lambda: footer.sealed(b"no HDF5"), "is damaged, or no jaxstab atlas"),
-    ],
-)
-def test_only_files_of_version_2_are_upgraded(
-    make: Callable[[], bytes], words: str, tmp_path: Path
-) -> None:
-    path, output = tmp_path / "old.h5", tmp_path / "new.h5"
-    path.write_bytes(make())
-    with pytest.raises(ValueError, match=words):
-        upgrade_atlas(path, output)
-    assert not output.exists()
 
 
 # ------------------------------------------------------------------------------------------- damage

@@ -103,51 +103,6 @@ def test_verdicts_and_radii_are_those_of_the_loop(file: Path) -> None:
     assert decided > 500
 
 
-@pytest.mark.parametrize("file", [PLAIN, WINDOW])
-def test_walls_are_clamped_to_stable_ones(file: Path) -> None:
-    rng, lowered = np.random.default_rng(8), []
-    for _ in range(10):
-        view = some_view(file, rng)
-        loop = view.loop
-        wanted = loop.stiffness(10.0 ** rng.uniform(-3.0, 1.0, 200))
-        given = loop.damping(10.0 ** rng.uniform(-2.0, 1.0, 200))
-        left = view.clamp(wanted, given)
-        is_left = left.verdict == Verdict.STABLE
-        assert np.all(left.stiffness <= wanted)
-        assert np.all(left.damping <= given)
-        assert np.all(left.stiffness[~is_left] == 0.0)
-        walls = left.stiffness[is_left], left.damping[is_left]
-        assert np.all(view.verdict(*walls) == Verdict.STABLE)
-        assert np.all(loop.verdict(*walls) == Verdict.STABLE)
-        stays = view.verdict(wanted, given, "undecided") == Verdict.STABLE
-        assert np.array_equal(left.stiffness[stays], wanted[stays])
-        assert np.array_equal(left.damping[stays], given[stays])
-        own = view.atlas.clamp(loop.alpha(wanted), loop.beta(given), **view._slice)
-        assert np.mean(is_left == (own.verdict == Verdict.STABLE)) > 0.99
-        both = is_left & (own.verdict == Verdict.STABLE)
-        assert left.stiffness[both] == pytest.approx(loop.stiffness(own.alpha[both]), rel=1e-6)
-        lowered.append(np.mean(is_left & ~stays))
-    assert np.mean(lowered) > 0.2
-
-
-def test_gains_that_are_no_gains_are_not_clamped() -> None:
-    atlas = jaxstab.open_atlas(PLAIN)
-    view = some_view(PLAIN, np.random.default_rng(1))
-    for wall in ((-1.0, 1.0), (1.0, -1.0), (np.nan, 1.0), (1.0, np.inf)):
-        with pytest.raises(ValueError, match=r"stiffness|damping"):
-            view.clamp(*wall)
-        with pytest.raises(ValueError, match=r"alpha|beta"):
-            atlas.clamp(*wall, gamma=0.0005, delta=0.01, delay=1.0)
-    for plant in ((1.0, 0.01, 1.0), (0.0005, 1.0, 1.0), (0.0005, 0.01, 9.0)):
-        with pytest.raises(ValueError, match="this atlas"):
-            atlas.clamp(0.1, 0.1, **by_name(*plant))
-        assert atlas.clamp(0.1, 0.1, **by_name(*plant), outside="undecided") == (
-            0.0,
-            0.0,
-            Verdict.UNDECIDED,
-        )
-
-
 @pytest.mark.campaign
 @pytest.mark.parametrize("file", [PLAIN, WINDOW])
 def test_limits_are_within_those_of_the_loop_and_near(file: Path) -> None:

@@ -14,7 +14,6 @@ from atlases import write_cut
 from hostile import assembled, retold, sub
 from programs_in_c import READER, compiled
 
-import jaxstab
 from benchmarks import truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Atlas, AtlasSpec, QueryStatus, open_atlas
@@ -28,7 +27,6 @@ from jaxstab.model import by_name
 DATA = Path(__file__).resolve().parents[1] / "data"
 GOLDEN = DATA / "golden" / "atlas-v3.h5"
 WINDOW = DATA / "golden" / "atlas-v3-window.h5"
-OLD = DATA / "golden" / "atlas-v2.h5"
 OUTSIDE = -1
 CASES = 500  # points of each kind at each delay
 NO_NUMBER = (np.nan, np.inf, -np.inf, 1e300, -1e300)
@@ -41,7 +39,7 @@ class Answers(NamedTuple):
     limits: np.ndarray  # (point, 4)
 
 
-GOLDEN_FILES = ["version 3", "window", "version 2, upgraded"]
+GOLDEN_FILES = ["version 3", "window"]
 
 
 @pytest.fixture(scope="module", params=[*GOLDEN_FILES, "cut"])
@@ -50,11 +48,7 @@ def golden(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     known = {"version 3": GOLDEN, "window": WINDOW}
     if request.param in known:
         return known[request.param]
-    path = tmp_path_factory.mktemp("made") / "atlas.h5"
-    if request.param == "cut":
-        return write_cut(path)
-    jaxstab.upgrade_atlas(OLD, path)
-    return path
+    return write_cut(tmp_path_factory.mktemp("made") / "atlas.h5")
 
 
 @pytest.fixture(scope="module")
@@ -124,71 +118,11 @@ def test_the_points_are_of_all_kinds(expected: Answers) -> None:
         assert np.mean(expected.codes == code) > 0.04
 
 
-@pytest.fixture(scope="module")
-def clamped(atlas: Atlas, points: np.ndarray) -> np.ndarray:
-    """What Python leaves of walls (point, 3): the code, alpha and beta."""
-    left = np.column_stack([np.full(len(points), OUTSIDE), np.zeros((len(points), 2))])
-    here = _may_be_clamped(atlas, points)
-    found = atlas.clamp(**by_name(*points[here].T))
-    left[here] = np.column_stack([found.verdict, found.alpha, found.beta])
-    return left
-
-
-def _may_be_clamped(atlas: Atlas, points: np.ndarray) -> np.ndarray:
-    alpha, beta, gamma, delta, delay = points.T
-    ends, nodes = atlas.arrays["limit_range"], atlas.arrays
-    row = ends[np.maximum(np.searchsorted(ends[:, 0], delay, "right") - 1, 0)].T
-    may = (delay >= row[0]) & (delay <= row[1])
-    may &= (gamma >= nodes["gamma"][0]) & (gamma <= nodes["gamma"][-1])
-    may &= (delta >= nodes["delta"][0]) & (delta <= nodes["delta"][-1])
-    may &= (alpha >= np.maximum(row[2], 0.0)) & (beta >= np.maximum(row[4], 0.0))
-    return may & (alpha < np.inf) & (beta < np.inf)
-
-
-def test_what_is_clamped_is_stable_and_walls_that_are_stay(
-    atlas: Atlas, points: np.ndarray, expected: Answers, clamped: np.ndarray
-) -> None:
-    codes, alpha, beta = clamped.T
-    is_left, is_small = codes == STABLE, (points[:, 0] >= 0.0) & (points[:, 1] >= 0.0)
-    assert all(np.any(codes == code) for code in (OUTSIDE, STABLE, UNDECIDED))
-    assert np.all(clamped[~is_left, 1:] == 0.0)
-    assert np.all(clamped[is_left, 1:] <= points[is_left, :2])
-    stays = (expected.codes == STABLE) & is_small
-    np.testing.assert_array_equal(clamped[stays, 1:], points[stays, :2])
-    plants = dict(zip(("gamma", "delta", "delay"), points[is_left, 2:].T, strict=True))
-    velocity, position = atlas.filters or (None, None)
-    wall = alpha[is_left], beta[is_left]
-    assert np.all(atlas.verdict(*wall, **plants) == STABLE)
-    exact = jaxstab.verdict(*wall, **plants, velocity=velocity, position=position)
-    assert np.all(exact == STABLE)
-
-
-def test_what_is_clamped_is_as_stiff_as_any_wall_that_the_atlas_grants(
-    atlas: Atlas, points: np.ndarray, clamped: np.ndarray
-) -> None:
-    """Walls of other dampings by their limits, up to the alphas wanted."""
-    codes, alpha, beta = clamped.T
-    for number in np.flatnonzero(codes == STABLE)[::60]:
-        wanted, given, *plant = points[number].tolist()
-        ends = atlas.arrays["limit_range"]
-        row = ends[np.searchsorted(ends[:, 0], plant[2], "right") - 1]
-        others = np.linspace(max(row[4], 0.0), min(given, row[5]), 501)
-        at = atlas.alpha_limits(others, **by_name(*plant))
-        top = np.minimum(at.upper - at.upper_error, min(wanted, row[3]))
-        granted = np.where(at.lower + at.lower_error < top, top, -1.0)
-        assert alpha[number] >= granted.max() * (1.0 - 1e-9)
-        if alpha[number] < wanted:
-            continue
-        larger = others > beta[number] + 1e-6 * row[5]
-        assert np.all(granted[larger] < wanted * (1.0 + 1e-9))
-
-
 @pytest.mark.parametrize("golden", GOLDEN_FILES, indirect=True)
 def test_the_golden_atlas_is_read_today(
     golden: Path, atlas: Atlas, rng: np.random.Generator
 ) -> None:
-    written = golden if golden in (GOLDEN, WINDOW) else OLD
-    assert AtlasSpec.from_toml(atlas.spec) == AtlasSpec.from_file(written.with_suffix(".toml"))
+    assert AtlasSpec.from_toml(atlas.spec) == AtlasSpec.from_file(golden.with_suffix(".toml"))
     with opened(golden) as file:
         datasets = checked_datasets(file, table_of(golden))
         values = [digest_of(name, data) for name, data in datasets.items()]
@@ -239,13 +173,6 @@ def test_c_answers_as_python_does(
     limits = run(program, golden, "--limits", points=points[:, 1:])
     said = np.array(limits.stdout.split(), float).reshape(-1, 4)
     np.testing.assert_array_equal(said, expected.limits)
-
-
-def test_c_clamps_as_python_does(
-    golden: Path, program: Path, points: np.ndarray, clamped: np.ndarray
-) -> None:
-    said = run(program, golden, "--clamp", points=points).stdout
-    np.testing.assert_array_equal(np.array(said.split(), float).reshape(-1, 3), clamped)
 
 
 def test_c_tells_its_speed_and_what_is_wrong(program: Path, tmp_path: Path) -> None:
@@ -323,28 +250,12 @@ def test_octave_answers_as_python_does(
     np.testing.assert_array_equal(answers[:, 1:], expected.limits)
 
 
-def test_octave_clamps_as_python_does(
-    golden: Path, tmp_path: Path, points: np.ndarray, clamped: np.ndarray
-) -> None:
-    points.astype("<f8").tofile(tmp_path / "points")
-    octave(f"""
-        atlas = jaxstab_query('{golden}');
-        p = fread(fopen('{tmp_path}/points'), [5, Inf], 'double', 'ieee-le');
-        [alpha, beta, code] = ...
-            jaxstab_clamp(atlas, p(1, :), p(2, :), p(3, :), p(4, :), p(5, :));
-        fwrite(fopen('{tmp_path}/answers', 'w'), [code; alpha; beta], 'double', 'ieee-le');
-        """)
-    answers = np.fromfile(tmp_path / "answers", "<f8").reshape(-1, 3)
-    np.testing.assert_array_equal(answers, clamped)
-
-
 def test_octave_keeps_the_shape_of_points_and_says_what_is_wrong(tmp_path: Path) -> None:
     files = dict(refused_files(tmp_path))
     listed = ", ".join(f"'{path}'" for path in files)
     said = octave(f"""
         atlas = jaxstab_query('{GOLDEN}');
         disp(size(jaxstab_query(atlas, zeros(2, 3), 0.3, 0.0, 0.0, 1)));
-        disp(size(jaxstab_clamp(atlas, zeros(2, 3), 0.3, 0.0, 0.0, 1)));
         for file = {{{listed}}}
           try
             jaxstab_query(file{{1}});
@@ -353,8 +264,8 @@ def test_octave_keeps_the_shape_of_points_and_says_what_is_wrong(tmp_path: Path)
           end
         end
         """).splitlines()
-    assert [line.split() for line in said[:2]] == [["2", "3"]] * 2
-    for line, (path, words) in zip(said[2:], files.items(), strict=True):
+    assert said[0].split() == ["2", "3"]
+    for line, (path, words) in zip(said[1:], files.items(), strict=True):
         assert words in line
         assert str(path) in line
 

@@ -7,10 +7,8 @@ from .read.answer import AtlasAnswer as AtlasAnswer
 from .read.answer import QueryStatus as QueryStatus
 from .read.atlas import Atlas as Atlas
 from .read.atlas import open_atlas as open_atlas
-from .read.clamp import ClampedGains as ClampedGains
 from .read.limits import AlphaLimits as AlphaLimits
 from .read.limits import MaxAlpha as MaxAlpha
-from .read.of_loop import ClampedWalls as ClampedWalls
 from .read.of_loop import LargestStiffness as LargestStiffness
 from .read.of_loop import LoopAtlas as LoopAtlas
 from .read.outline import AtlasOutline as AtlasOutline
@@ -18,7 +16,6 @@ from .write.build import build_atlas as build_atlas
 from .write.build import write_atlas as write_atlas
 from .write.resolution import Resolution as Resolution
 from .write.resolution import ResolutionPlan as ResolutionPlan
-from .write.version2 import upgrade_atlas as upgrade_atlas
 from .write.wish import plan_resolution as plan_resolution
 
 __all__: list[str]

@@ -67,20 +67,6 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
         )
 
 
-@click.command()
-@click.argument("old", type=Path)
-@click.option("-o", "--output", type=Path, required=True)
-def upgrade(old: Path, output: Path) -> None:
-    """Write an atlas of schema version 2 anew, for the readers of today.
-
-    HDF5 parses the old file: only for files that you trust.
-    """
-    from jaxstab.atlas.write.version2 import upgrade_atlas
-
-    upgrade_atlas(old, output)
-    click.echo(_described(jaxstab.open_atlas(output), output))
-
-
 @contextmanager
 def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
     """Yield a function that draws a bar with rate and time left on stderr."""

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import click
 
 import jaxstab
-from jaxstab.cli.atlas import build, info, spec, upgrade, verify
+from jaxstab.cli.atlas import build, info, spec, verify
 from jaxstab.cli.explore import explore
 from jaxstab.cli.guard import guard
 from jaxstab.cli.plan import plan
@@ -77,5 +77,5 @@ def atlas() -> None:
     """Plan, build, inspect, verify, ask and plot atlases: stability over a grid, in one file."""
 
 
-for _command in (spec, build, upgrade, plan, info, verify, query, plot):
+for _command in (spec, build, plan, info, verify, query, plot):
     atlas.add_command(_command)

@@ -18,8 +18,7 @@
  * alpha in one block of memory. It takes less than three times the file's size until then. After that the atlas is constant: a query allocates nothing, locks
  * nothing and calls nothing, its time is bounded, and many threads may make queries at once.
  *
- * The answers are those of Python's Atlas.verdict, Atlas.alpha_limits and Atlas.clamp, bit for bit where doubles
- * are IEEE 754 and products are not fused with sums (gcc and clang: -std=c99 or -ffp-contract=off).
+ * The answers are those of Python's Atlas.verdict and Atlas.alpha_limits, bit for bit where doubles are IEEE 754 and products are not fused with sums (gcc and clang: -std=c99 or -ffp-contract=off).
  * data/README.md describes the file.
  */
 #ifndef JAXSTAB_ATLAS_H
@@ -187,87 +186,6 @@ static inline int jaxstab_alpha_limits(const jaxstab_atlas *atlas, double beta, 
     if (limits->lower == INFINITY)
         limits->lower = limits->upper = NAN;
     return 1;
-}
-
-/* The largest alpha up to a wanted one that is proved stable, -1 for none, and the limit. */
-static inline double jaxstab_proved_(const jaxstab_atlas *atlas, double wanted, double beta,
-                                     double gamma, double delta, double delay, double *top)
-{
-    const jaxstab_walls_ *walls;
-    jaxstab_limits at;
-    *top = NAN;
-    if (!jaxstab_find_(atlas, beta, gamma, delta, delay, &walls, &at))
-        return -1.0;
-    *top = at.upper - at.upper_error;
-    const double alpha = wanted < *top ? wanted : *top - fabs(*top) * 2.220446049250313e-16;
-    return alpha >= walls->lowest_alpha && alpha >= 0.0 && alpha < *top &&
-                   alpha > at.lower + at.lower_error
-               ? alpha
-               : -1.0;
-}
-
-/* Lower gains to those of a wall that is proved stable, and return its code: JAXSTAB_STABLE; or
- * with gains of 0 JAXSTAB_UNDECIDED, where no wall of smaller gains is proved stable, and
- * JAXSTAB_OUTSIDE, where the atlas says nothing, or a gain is negative, infinite or NaN.
- *
- * Walls that are proved stable stay as they are, and no gain is raised. Where alpha is too large for
- * beta, beta is lowered until alpha is granted; if no smaller beta grants it, the wall becomes the
- * stiffest one that is found at an edge of a cell of the atlas. At most three limits are looked up
- * for each cell along beta. */
-static inline int jaxstab_clamp(const jaxstab_atlas *atlas, double *alpha, double *beta,
-                                double gamma, double delta, double delay)
-{
-    const double aside = 5.684341886080802e-14, wanted_alpha = *alpha, wanted_beta = *beta;
-    const size_t rank = jaxstab_delay_rank_(atlas, delay);
-    *alpha = *beta = 0.0;
-    if (rank == 0 || !(delay <= atlas->walls[rank - 1].highest_delay) ||
-        !jaxstab_holds_(atlas->gamma[0], atlas->gamma[atlas->gammas - 1], gamma) ||
-        !jaxstab_holds_(atlas->delta[0], atlas->delta[atlas->deltas - 1], delta))
-        return JAXSTAB_OUTSIDE;
-    const jaxstab_walls_ *walls = &atlas->walls[rank - 1];
-    if (!(wanted_alpha >= 0.0 && wanted_alpha >= walls->lowest_alpha && wanted_alpha < INFINITY) ||
-        !(wanted_beta >= 0.0 && wanted_beta >= walls->lowest_beta && wanted_beta < INFINITY))
-        return JAXSTAB_OUTSIDE;
-
-    const double wanted =
-        wanted_alpha < walls->highest_alpha ? wanted_alpha : walls->highest_alpha;
-    double high = wanted_beta > walls->highest_beta ? walls->highest_beta * (1.0 - aside)
-                                                    : wanted_beta;
-    const double place = (high - walls->lowest_beta) * walls->cells_per_beta;
-    size_t row = place < (double)atlas->beta_cells ? (size_t)place : atlas->beta_cells - 1;
-    double best = -1.0, best_beta = 0.0, above, below;
-    for (;; row--) {
-        const double edge = walls->lowest_beta + (double)row / walls->cells_per_beta;
-        const double start = (edge > 0.0 ? edge : 0.0) * (1.0 + aside);
-        const double low = start < high ? start : high;
-        const double at_high = jaxstab_proved_(atlas, wanted, high, gamma, delta, delay, &above);
-        const double at_low = jaxstab_proved_(atlas, wanted, low, gamma, delta, delay, &below);
-        if (at_high > best) {
-            best = at_high;
-            best_beta = high;
-        }
-        if (at_low > best) {
-            best = at_low;
-            best_beta = low;
-        }
-        if (at_low == wanted && at_high != wanted) { /* where the limit has come down to alpha */
-            const double share =
-                (below - (wanted + 9.313225746154785e-10 * wanted)) / (below - above);
-            double middle = low + share * (high - low), top;
-            middle = middle < high ? middle : high;
-            if (middle > low &&
-                jaxstab_proved_(atlas, wanted, middle, gamma, delta, delay, &top) == wanted)
-                best_beta = middle;
-        }
-        if (best == wanted || row == 0 || !(edge > 0.0))
-            break;
-        high = edge * (1.0 - aside);
-    }
-    if (best < 0.0)
-        return JAXSTAB_UNDECIDED;
-    *alpha = best;
-    *beta = best_beta;
-    return JAXSTAB_STABLE;
 }
 
 /* ---- what a file may hold ---- */

@@ -5,8 +5,6 @@
  *     jaxstab_query ATLAS            lines of alpha beta gamma delta delay in, a code for each out
  *     jaxstab_query ATLAS --limits   lines of beta gamma delta delay in; for each out the lower
  *                                    limit of the stable alpha, its error, the upper and its error
- *     jaxstab_query ATLAS --clamp    lines of points in; for each out the code, alpha and beta that
- *                                    are left of it: proved stable, or 0 0
  *     jaxstab_query ATLAS --bench    time of a verdict at random points of the atlas
  *
  * Codes: 1 stable, 2 unstable, 3 undecided, -1 outside of the atlas.
@@ -27,7 +25,7 @@ static int read_numbers(double *numbers, int count)
     return 1;
 }
 
-static int answer(const jaxstab_atlas *atlas, int want_limits, int want_clamp)
+static int answer(const jaxstab_atlas *atlas, int want_limits)
 {
     double p[5];
     int state;
@@ -36,9 +34,6 @@ static int answer(const jaxstab_atlas *atlas, int want_limits, int want_clamp)
             jaxstab_limits at;
             jaxstab_alpha_limits(atlas, p[0], p[1], p[2], p[3], &at);
             printf("%.17g %.17g %.17g %.17g\n", at.lower, at.lower_error, at.upper, at.upper_error);
-        } else if (want_clamp) {
-            const int code = jaxstab_clamp(atlas, &p[0], &p[1], p[2], p[3], p[4]);
-            printf("%d %.17g %.17g\n", code, p[0], p[1]);
         } else {
             printf("%d\n", jaxstab_verdict(atlas, p[0], p[1], p[2], p[3], p[4]));
         }
@@ -98,9 +93,9 @@ int main(int count, char **arguments)
 {
     const char *mode = count == 3 ? arguments[2] : "", *problem;
     const int want_limits = strcmp(mode, "--limits") == 0;
-    const int want_bench = strcmp(mode, "--bench") == 0, want_clamp = strcmp(mode, "--clamp") == 0;
-    if (count < 2 || count > 3 || (count == 3 && !want_limits && !want_bench && !want_clamp)) {
-        fprintf(stderr, "usage: %s ATLAS [--limits | --clamp | --bench]\n", arguments[0]);
+    const int want_bench = strcmp(mode, "--bench") == 0;
+    if (count < 2 || count > 3 || (count == 3 && !want_limits && !want_bench)) {
+        fprintf(stderr, "usage: %s ATLAS [--limits | --bench]\n", arguments[0]);
         return 2;
     }
     jaxstab_atlas *atlas = jaxstab_open(arguments[1], &problem);
@@ -108,7 +103,7 @@ int main(int count, char **arguments)
         fprintf(stderr, "%s %s\n", arguments[1], problem);
         return 1;
     }
-    const int code = want_bench ? bench(atlas) : answer(atlas, want_limits, want_clamp);
+    const int code = want_bench ? bench(atlas) : answer(atlas, want_limits);
     jaxstab_close(atlas);
     return code;
 }

@@ -1,4 +1,4 @@
-function [code, lower, lower_error, upper, upper_error, from, to] = ...
+function [code, lower, lower_error, upper, upper_error] = ...
     jaxstab_query(atlas, alpha, beta, gamma, delta, delay)
 % Stability verdicts from a jaxstab atlas, in Octave 6 or MATLAB R2016b and newer.
 %
@@ -17,10 +17,6 @@ function [code, lower, lower_error, upper, upper_error, from, to] = ...
 %       stable, and every one below lower - lower_error or above upper + upper_error unstable. Where
 %       none is stable both are NaN with an error of 0; an infinite limit is beyond the atlas, and
 %       with an infinite error nothing is known.
-%
-%   [~, ~, ~, ~, ~, from, to] = jaxstab_query(...)
-%       gives two surfaces instead, also where they are beyond the alphas of the atlas: of these
-%       alphas every one between from and to is stable.
 %
 % With K, B stiffness and damping of the virtual wall, m, b, k mass, damping and stiffness of device
 % and hand, T sampling period and t_d delay:
@@ -45,8 +41,6 @@ function [code, lower, lower_error, upper, upper_error, from, to] = ...
   lower_error = Inf(size(none));
   upper = lower;
   upper_error = lower_error;
-  from = lower;
-  to = lower;
   cells = zeros(size(delay));
   for k = 1:size(atlas.range, 1)
     cells = cells + (delay >= atlas.range(k, 1));
@@ -68,8 +62,6 @@ function [code, lower, lower_error, upper, upper_error, from, to] = ...
     found(~is_inside(a, ends(3:4))) = -1;
     code(here) = found;
 
-    from(here) = low + low_error;
-    to(here) = high - high_error;
     is_below = low + low_error <= ends(3); % beyond the alphas of the atlas they say nothing
     is_above = high - high_error >= ends(4);
     low(is_below) = -Inf;

@@ -151,7 +151,7 @@ def _check_version(text: bytes) -> None:
     if found is None:
         raise RefusalError(
             f"has no table of schema version {schema.SCHEMA_VERSION}: it is no atlas, or of an "
-            "older jaxstab; build it again or, if you trust it, try jaxstab atlas upgrade."
+            "older jaxstab; build it again."
         )
     if int(found[1]) != schema.SCHEMA_VERSION:
         raise RefusalError(

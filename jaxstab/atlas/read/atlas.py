@@ -8,7 +8,7 @@ from functools import cached_property
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from jaxstab.atlas.read.answer import (
 from jaxstab.atlas.read.cells import decided_share
 from jaxstab.atlas.read.held import HeldAtlas, of_filters
 from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha, OutsideError
+from jaxstab.atlas.read.of_loop import Outside
 from jaxstab.atlas.read.points import (
     answer_at_delay,
     answer_by_limits,
@@ -42,7 +43,6 @@ Floats = NDArray[np.float64]
 Range = tuple[float, float]
 
 _MOST = 1e300  # of numbers that are answered without a check: floats hold them
-Outside = Literal["error", "undecided"]
 
 
 class Atlas(HeldAtlas):

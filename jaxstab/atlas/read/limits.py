@@ -112,10 +112,6 @@ class LimitTable:
         cell = ((beta - self._beta.take(number)) * self._per_beta.take(number)).astype(np.intp)
         return np.asarray(np.minimum(cell, self._cells - 1))
 
-    def beta_edge(self, number: Integers, cell: Integers) -> Floats:
-        """Return where cells along beta begin, in cells of delays."""
-        return np.asarray(self._beta.take(number) + cell / self._per_beta.take(number))
-
     def holds(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> bool:
         """Whether a point is inside of the table."""
         cell = self.delays.of_one(delay)

@@ -2,19 +2,20 @@
 
 from importlib import import_module
 from math import ulp
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.read.answer import AtlasAnswer, Floats, Numbers, all_checked
-from jaxstab.atlas.read.clamp import ClampsGains, Outside, refuse_negative
-from jaxstab.conventions import STABLE, UNDECIDED
+from jaxstab.atlas.read.shown import ShownAtlas
 from jaxstab.numbers import checked_word
 
 if TYPE_CHECKING:
     from jaxstab.atlas.read.atlas import Atlas
+
+Outside = Literal["error", "undecided"]
 
 # There and back between K and alpha are six roundings of half an ulp each, at most.
 _ROUNDINGS = 4.0 * float(np.finfo(np.float64).eps)
@@ -42,30 +43,6 @@ class LargestStiffness(NamedTuple):
     bound: float
 
 
-class ClampedWalls(NamedTuple):
-    """Walls (K, B) that are proved stable, by an atlas, of gains no larger than those wanted.
-
-    Attributes:
-        stiffness: K in N/m.
-        damping: B in N s/m.
-        verdict: int8 codes of ``jaxstab.Verdict``: STABLE, or UNDECIDED where no wall of smaller
-            gains is proved stable; both gains are 0 there.
-
-    Example:
-        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> loop = jaxstab.HapticLoop(
-        ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
-        ... )
-        >>> left = atlas.for_loop(loop).clamp(20000.0, 50.0)
-        >>> print(f"{left.stiffness:.0f} N/m, {left.damping:.1f} N s/m")
-        14882 N/m, 43.4 N s/m
-    """
-
-    stiffness: Floats
-    damping: Floats
-    verdict: NDArray[np.int8]
-
-
 class LoopAtlas:
     """What an atlas says about the walls of one loop, in SI units; ``Atlas.for_loop`` makes it.
 
@@ -87,9 +64,6 @@ class LoopAtlas:
         [1, 2]
         >>> walls.stiffness_limits(30.0).round(-1).tolist()
         [0.0, 13600.0]
-        >>> clamped = walls.clamp([5000.0, 18000.0], 30.0)
-        >>> clamped.stiffness.round(-1).tolist(), clamped.damping.round(1).tolist()
-        ([5000.0, 13600.0], [30.0, 29.8])
     """
 
     def __init__(self, atlas: "Atlas", loop: Any) -> None:
@@ -217,45 +191,6 @@ class LoopAtlas:
             float(upper[best]), float(near[best]), bound + _ROUNDINGS * abs(bound)
         )
 
-    def clamp(
-        self, stiffness: Numbers, damping: Numbers, outside: Outside = "error"
-    ) -> ClampedWalls:
-        """Lower gains to those of a wall that is proved stable, as ``Atlas.clamp`` does.
-
-        Args:
-            stiffness: K >= 0 in N/m, also above those of the atlas; broadcasts with the damping.
-            damping: B >= 0 in N s/m, also above those of the atlas.
-            outside: "error" to refuse gains below those of the atlas, "undecided" to leave none.
-
-        Raises:
-            TypeError: a gain is not made of real numbers.
-            ValueError: a gain is NaN, infinite or negative or, unless ``outside`` is "undecided",
-                below those of the atlas; or this holds no limits of alpha.
-
-        Source: ``jaxstab.boxes.columns``; Table I.
-        """
-        given = all_checked((stiffness, damping), ("stiffness", "damping"))
-        wall = np.broadcast_arrays(*given)
-        refuse_negative(stiffness=wall[0], damping=wall[1])
-        alpha, beta = np.asarray(self.loop.alpha(wall[0])), np.asarray(self.loop.beta(wall[1]))
-        found = self.atlas.clamp(alpha, beta, **self._slice, outside=outside)
-        is_whole = np.equal(found.alpha, alpha), np.equal(found.beta, beta)
-        damped = np.where(is_whole[1], wall[1], self.loop.damping(found.beta))
-        # The limit at the rounded damping, of which there is another alpha in SI units
-        near = np.asarray(np.clip(self.loop.beta(damped), *self._betas))
-        most = np.nan_to_num(self._limits(near)[..., 1], nan=0.0)
-        lowered = np.minimum(self.loop.stiffness(found.alpha), most)
-        stiff = np.where(is_whole[0], wall[0], lowered * (1.0 - _ROUNDINGS))
-        codes = self.atlas.verdict(
-            self.loop.alpha(stiff), self.loop.beta(damped), **self._slice, outside="undecided"
-        )
-        stays = (found.verdict == STABLE) & (codes == STABLE)
-        return ClampedWalls(
-            np.where(stays, stiff, 0.0),
-            np.where(stays, damped, 0.0),
-            np.where(stays, STABLE, UNDECIDED).astype(np.int8),
-        )
-
     @np.errstate(invalid="ignore")  # infinite limits may have infinite errors
     def _limits(self, beta: Floats) -> Floats:
         """Return the stiffnesses between which all is proved stable, at values of beta."""
@@ -296,7 +231,7 @@ class LoopAtlas:
             )
 
 
-class AskedByLoops(ClampsGains):
+class AskedByLoops(ShownAtlas):
     """An atlas that is asked about loops in SI units."""
 
     def for_loop(self, loop: Any) -> LoopAtlas:

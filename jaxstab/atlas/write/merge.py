@@ -1,7 +1,7 @@
 """The tiles of a build become one file: chunks are copied as they are, one tile at a time."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
 from math import prod
 from operator import add
@@ -41,42 +41,13 @@ def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
         ValueError: a tile was damaged since it was looked at.
     """
 
-    def fill(file: h5py.File, stream: PatientStream) -> Filled:
-        datasets = _create_variables(file, plan, shards)
-        digests = _copy_tiles(datasets, plan, shards, stream)
-        return datasets, list(_chunked(datasets, digests))
-
-    publish(path, created_by, words_of(plan.spec.filters), fill, shards.folder)
-
-
-Filled = tuple[dict[str, h5py.Dataset], list[Chunked]]
-"""The variables of an image by name, and the digests of their chunks."""
-
-
-def publish(
-    path: Path,
-    created_by: str,
-    filters: str,
-    fill: Callable[[h5py.File, PatientStream], Filled],
-    folder: Path | None = None,
-) -> None:
-    """Write an atlas file: the image that a function fills, its table and its footer.
-
-    Args:
-        path: of the file; a former one is replaced.
-        created_by: who made it.
-        filters: velocity estimator and position filter, in words.
-        fill: writes the variables.
-        folder: where the new file is until it is whole, on the same file system.
-
-    Raises:
-        OSError: the folder is read-only or full; a former file is still there.
-    """
-    with replacing(path, folder) as descriptor:
+    filters = words_of(plan.spec.filters)
+    with replacing(path, shards.folder) as descriptor:
         stream = PatientStream(descriptor)
         with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
             write_head(file, created_by, filters)
-            datasets, variables = fill(file, stream)
+            datasets = _create_variables(file, plan, shards)
+            variables = list(_chunked(datasets, _copy_tiles(datasets, plan, shards, stream)))
             write_content_digest(file, content_digest(variables))
             file.flush()
             places = {name: places_of(dataset) for name, dataset in datasets.items()}
