@@ -12,8 +12,114 @@ import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder in which files are named; one that is open is meant whatever becomes of its path.
+
+    Attributes:
+        path: of the folder.
+        descriptor: of the open folder; None to go by its path.
+    """
+
+    path: Path
+    descriptor: int | None = None
+
+    def at(self, name: str) -> Path | str:
+        """Return the name of a file for a call of the system with ``dir_fd=descriptor``."""
+        return self.path / name if self.descriptor is None else name
+
+    def open(self, name: str, flags: int, mode: int = 0o666) -> int:
+        """Open a file, no link, and return its descriptor."""
+        flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+        return os.open(self.at(name), flags, mode, dir_fd=self.descriptor)
+
+    def names(self) -> list[str]:
+        """Return the names of all entries."""
+        return os.listdir(self.path if self.descriptor is None else self.descriptor)
+
+    def read(self, name: str) -> bytes:
+        """Return the bytes of a file; what is none is refused, not waited for.
+
+        Raises:
+            OSError: it is missing, a link, no file, or unreadable.
+        """
+        descriptor = self.open(name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        with open(descriptor, "rb", buffering=0) as stream:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise OSError(errno.EINVAL, "it is no file")
+            return stream.readall()
+
+    def remove(self, name: str) -> None:
+        """Remove a file."""
+        os.unlink(self.at(name), dir_fd=self.descriptor)
+
+    def has(self, name: str, descriptor: int) -> bool:
+        """Whether a name is that of an open file."""
+        try:
+            named = os.stat(self.at(name), dir_fd=self.descriptor, follow_symlinks=False)
+        except FileNotFoundError:
+            return False
+        return os.path.samestat(os.fstat(descriptor), named)
+
+    def put(self, name: str, data: bytes) -> None:
+        """Put a whole file in its place, durably and by one rename, or change nothing.
+
+        Raises:
+            OSError: the folder is gone, read-only or full.
+        """
+        with _replacing(self, name, self.at(name), None) as descriptor:
+            write_all(descriptor, data)
+        self.sync()
+
+    def sync(self) -> None:
+        """Make the names in the folder durable."""
+        if self.descriptor is not None:
+            os.fsync(self.descriptor)
+        elif os.name == "posix":  # elsewhere a folder cannot be opened: the rename is journaled
+            descriptor = os.open(self.path, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+
+
+@contextmanager
+def own_folder(path: Path) -> Iterator[Folder]:
+    """Open a folder that is this user's alone, and make it where there is none.
+
+    Raises:
+        OSError: it cannot be made, or it is a link, another user's, or open to others.
+    """
+    with suppress(FileExistsError):
+        os.mkdir(path, 0o700)
+        Folder(path.parent).sync()
+    if os.name != "posix":
+        yield Folder(path)
+        return
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENOTDIR):
+            raise PermissionError(errno.EPERM, _not_own(path, "is no folder")) from error
+        raise
+    try:
+        status = os.fstat(descriptor)
+        if status.st_uid != os.geteuid():
+            raise PermissionError(errno.EPERM, _not_own(path, "belongs to another user"))
+        if status.st_mode & 0o077:
+            raise PermissionError(errno.EPERM, _not_own(path, "is open to other users"))
+        yield Folder(path, descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _not_own(path: Path, what: str) -> str:
+    return f"{path.name}, where its tiles go, {what}; remove it, or build elsewhere"
 
 
 def publish(data: bytes, path: Path) -> None:
@@ -27,7 +133,7 @@ def publish(data: bytes, path: Path) -> None:
 
 
 @contextmanager
-def replacing(path: Path, folder: Path | None = None) -> Iterator[int]:
+def replacing(path: Path, folder: Folder | None = None) -> Iterator[int]:
     """Yield the descriptor of a new file, which takes its place if no error comes up.
 
     Args:
@@ -40,24 +146,37 @@ def replacing(path: Path, folder: Path | None = None) -> Iterator[int]:
     """
     with named_errors("write", path):
         target, mode = target_of(path)
-        temporary = (folder or target.parent) / f".{target.name}.{secrets.token_hex(8)}.part"
-        descriptor = create(temporary)
+        beside = Folder(target.parent)
+        with _replacing(folder or beside, target.name, target, mode) as descriptor:
+            yield descriptor
+        beside.sync()
+
+
+@contextmanager
+def _replacing(folder: Folder, name: str, target: Path | str, mode: int | None) -> Iterator[int]:
+    """Yield the descriptor of a new file in a folder, which is renamed if no error comes up."""
+    temporary = f".{name}.{secrets.token_hex(8)}.part"
+    descriptor = folder.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL)
+    try:
         try:
-            try:
-                if mode is not None and hasattr(os, "fchmod"):
-                    os.fchmod(descriptor, mode)
-                yield descriptor
-                os.fsync(descriptor)
-                if not is_named(descriptor, temporary):
-                    raise OSError(errno.ESTALE, "another process took its temporary file away")
-            finally:
-                os.close(descriptor)
-            os.replace(temporary, target)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink()
-            raise
-        sync_folder(target.parent)
+            if mode is not None and hasattr(os, "fchmod"):
+                os.fchmod(descriptor, mode)
+            yield descriptor
+            os.fsync(descriptor)
+            if not folder.has(temporary, descriptor):
+                raise OSError(errno.ESTALE, "another process took its temporary file away")
+        finally:
+            os.close(descriptor)
+        os.replace(
+            folder.at(temporary),
+            target,
+            src_dir_fd=folder.descriptor,
+            dst_dir_fd=folder.descriptor,
+        )
+    except BaseException:
+        with suppress(OSError):
+            folder.remove(temporary)
+        raise
 
 
 def target_of(path: Path) -> tuple[Path, int | None]:
@@ -88,34 +207,11 @@ def named_errors(deed: str, path: Path) -> Iterator[None]:
         raise type(error)(error.errno, f"cannot {deed} {path}: {reason}.") from error
 
 
-def is_named(descriptor: int, path: Path) -> bool:
-    """Whether an open file is the one that has this name now."""
-    try:
-        return os.path.samestat(os.fstat(descriptor), os.stat(path))
-    except FileNotFoundError:
-        return False
-
-
-def create(path: Path) -> int:
-    """Create a file that is not there yet, and return its descriptor."""
-    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
-
-
 def write_all(descriptor: int, data: bytes) -> None:
     """Write all of the data, however little the system takes at once."""
     rest = memoryview(data)
     while rest:
         rest = rest[os.write(descriptor, rest) :]
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable."""
-    if os.name == "posix":  # elsewhere a folder cannot be opened, and the rename is journaled
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 class PatientStream(io.RawIOBase):

@@ -47,7 +47,7 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
     if workers:
         where = processes(workers)
     elif scheduler:
-        where = dask_cluster(scheduler)
+        where = dask_cluster(scheduler, lambda words: click.echo(f"jaxstab: {words}", err=True))
     try:
         with where as executor, _progress(output) as show:
             write_atlas(chosen, output, show, executor)

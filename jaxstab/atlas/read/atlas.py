@@ -81,8 +81,11 @@ class Atlas(HeldAtlas):
             return self._table.decided_share(float(self.delays[delay_number]))
         if schema.CELL_VERDICT not in self.arrays:
             return 0.0
-        codes = self.arrays[schema.CELL_VERDICT][..., delay_number]
-        return decided_share(codes, [*nodes.values()])
+        if isinstance(self.arrays, file.PackedArrays):
+            blocks = self.arrays.blocks(schema.CELL_VERDICT, delay_number)
+            return decided_share(blocks, [*nodes.values()])
+        codes = self.arrays[schema.CELL_VERDICT][..., delay_number : delay_number + 1]
+        return decided_share([((0, 0, 0, 0, 0), codes)], [*nodes.values()])
 
     def query(
         self,

@@ -1,8 +1,7 @@
 """Where points are in a grid: the cells that they are in, and the nodes that they are. No JAX."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,21 +35,21 @@ class Place:
         return cls(tuple(cells), tuple(node), at_node)
 
 
-def picked(values: NDArray[Any], numbers: Sequence[Integers], members: Mask) -> NDArray[Any]:
-    """Return the values of some of the points, given as numbers along the axes."""
-    some: NDArray[Any] = values[tuple(along[members] for along in numbers)]
-    return some
+def decided_share(
+    blocks: Iterable[tuple[tuple[int, ...], NDArray[np.int8]]], axes: Sequence[Floats]
+) -> float:
+    """Return the share of the volume of a grid in which the verdicts of cells are decided.
 
-
-def decided_share(codes: NDArray[np.int8], axes: Sequence[Floats]) -> float:
-    """Return the share of the volume of a grid in which the verdicts of cells are decided."""
-    first, *others = (
-        np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1) for nodes in axes
-    )
+    Args:
+        blocks: where blocks of cells begin along alpha, beta, gamma, delta and delay, and their
+            codes.
+        axes: the nodes along the first four.
+    """
+    widths = [np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1) for nodes in axes]
     total = 0.0
-    for width, row in zip(first, codes, strict=True):  # the whole would fill the memory
-        share = ((row == STABLE) | (row == UNSTABLE)).astype(np.float64)
-        for widths in others:
-            share = np.tensordot(widths, share, 1)
-        total += width * float(share)
-    return float(total)
+    for start, codes in blocks:
+        share = ((codes == STABLE) | (codes == UNSTABLE)).astype(np.float64)[..., 0]
+        for first, along in zip(start, widths, strict=False):
+            share = np.tensordot(along[first : first + share.shape[0]], share, 1)
+        total += float(share)
+    return total

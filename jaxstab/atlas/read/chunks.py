@@ -2,6 +2,7 @@
 
 import zlib
 from collections.abc import Mapping
+from itertools import islice
 from math import prod
 from typing import Any
 
@@ -28,17 +29,34 @@ def unpacked(data: bytes, stored: Stored) -> Array:
         TooLargeError: the array is larger than is read into memory.
     """
     _check_size(stored)
-    values, view = np.empty(stored.shape, stored.dtype), memoryview(data)
-    chunks = zip(stored.starts(), stored.places, stored.digests, strict=True)
-    for start, (offset, size), digest in chunks:
-        chunk = _chunk(view[offset : offset + size - schema.CHECKSUM_SIZE], stored)
+    values = np.empty(stored.shape, stored.dtype)
+    for number, start in enumerate(stored.starts()):
         place = tuple(slice(i, i + n) for i, n in zip(start, stored.chunk, strict=True))
-        inside = chunk[tuple(slice(n) for n in values[place].shape)]
-        check(values_digest(inside) == digest)
-        values[place] = inside
+        values[place] = _inside(data, stored, number, start)
     check_values(stored.variable, values)
     values.flags.writeable = False
     return values
+
+
+def unpacked_chunk(data: bytes, stored: Stored, number: int) -> tuple[tuple[int, ...], Array]:
+    """Return where a chunk begins, and its values inside of the array.
+
+    Raises:
+        RefusalError: as ``unpacked``.
+    """
+    start = next(islice(stored.starts(), number, None))
+    values = _inside(data, stored, number, start)
+    check_values(stored.variable, values)
+    return start, values
+
+
+def _inside(data: bytes, stored: Stored, number: int, start: tuple[int, ...]) -> Array:
+    """Return the values of a chunk inside of the array, which are what their digest says."""
+    offset, size = stored.places[number]
+    chunk = _chunk(memoryview(data)[offset : offset + size - schema.CHECKSUM_SIZE], stored)
+    inside = chunk[tuple(slice(n - i) for i, n in zip(start, stored.shape, strict=True))]
+    check(values_digest(inside) == stored.digests[number])
+    return inside
 
 
 def _check_size(stored: Stored) -> None:
@@ -68,7 +86,9 @@ def _chunk(stored_bytes: memoryview, stored: Stored) -> Array:
     try:
         shuffled = engine.decompress(stored_bytes, count * dtype.itemsize)
         is_whole = (engine.eof or not engine.decompress(engine.unconsumed_tail, 1)) and engine.eof
-    except zlib.error:
+    except zlib.error as error:
+        if str(error).startswith("Error -4 "):
+            raise MemoryError from error
         is_whole, shuffled = False, b""
     check(is_whole and not engine.unused_data and len(shuffled) == count * dtype.itemsize)
     planes = np.frombuffer(shuffled, np.uint8).reshape(dtype.itemsize, count)
@@ -126,6 +146,18 @@ def _check_range(ends: Array, delay: Array) -> None:
     check(np.all(np.isfinite(ends)) and early[0] == delay[0] and late[-1] == delay[-1])
     check(np.all(early <= late) and np.all(late[:-1] <= early[1:]) and np.all(np.diff(early) > 0.0))
     check(spans.min() >= schema.LEAST_SPAN and spans.max() < np.inf)
+
+
+def check_text(lines: Array) -> None:
+    """Refuse lines of a specification that are no text.
+
+    Raises:
+        RefusalError: as it says.
+    """
+    try:
+        b"\n".join(lines.tolist()).decode("utf-8")
+    except UnicodeDecodeError:
+        check(condition=False)
 
 
 def check_counts(arrays: Mapping[str, Array], table: Table) -> None:

@@ -8,23 +8,28 @@ memory, and the arrays are unpacked from them: what becomes of the file later ch
 """
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 
+import numpy as np
+
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.footer import FOOTER, image_size
 from jaxstab.atlas.format.table import RefusalError, Table, check, read_table
+from jaxstab.atlas.read.cells import Integers
 from jaxstab.atlas.read.chunks import (
     Array,
     TooLargeError,
     check_axes,
     check_counts,
     check_functions,
+    check_text,
     too_large,
     unpacked,
+    unpacked_chunk,
 )
 from jaxstab.durable import named_errors, target_of
 
@@ -40,6 +45,9 @@ class Contents:
 
 class PackedArrays(Mapping[str, Array]):
     """The arrays of a file; those over nodes and cells are unpacked when they are first asked for.
+
+    Verdict codes compress a thousandfold, so those that would fill the memory are unpacked chunk by
+    chunk for each question (``codes_at``, ``blocks``).
 
     Args:
         path: of the file, for what is said of it.
@@ -66,6 +74,33 @@ class PackedArrays(Mapping[str, Array]):
                 self._unpacked.setdefault(name, values)
         return self._unpacked[name]
 
+    def codes_at(self, name: str, place: Sequence[Integers]) -> Array:
+        """Return the verdict codes at points, given as index arrays along all axes."""
+        stored = self._table.variables[name]
+        if stored.size <= schema.LARGEST_UNASKED:
+            codes: Array = self[name][tuple(place)]
+            return codes
+        along = [index // step for index, step in zip(place, stored.chunk, strict=True)]
+        counts = [-(-n // step) for n, step in zip(stored.shape, stored.chunk, strict=True)]
+        chunk = np.ravel_multi_index(tuple(along), counts)
+        codes = np.empty(chunk.shape, stored.dtype)
+        for number in np.unique(chunk).tolist():
+            here = np.flatnonzero(chunk == number)
+            start, values = self._block(name, number)
+            inside = (index[here] - first for index, first in zip(place, start, strict=True))
+            codes[here] = values[tuple(inside)]
+        return codes
+
+    def blocks(self, name: str, delay: int) -> Iterator[tuple[tuple[int, ...], Array]]:
+        """Yield where the chunks of verdict codes at one delay begin, and their codes."""
+        for number, start in enumerate(self._table.variables[name].starts()):
+            if start[-1] == delay:
+                yield self._block(name, number)
+
+    def _block(self, name: str, number: int) -> tuple[tuple[int, ...], Array]:
+        with _told_of(self._path):
+            return unpacked_chunk(self._data, self._table.variables[name], number)
+
     def __contains__(self, name: object) -> bool:
         return name in self._table.variables
 
@@ -84,9 +119,17 @@ def read(path: Path) -> Contents:
         ValueError: it is foreign, truncated, damaged or of another version of the schema.
         TooLargeError: it is larger than is read whole.
     """
-    data = _bytes_of(path)
+    return contents_of(path, _bytes_of(path))
+
+
+def contents_of(path: Path, data: bytes) -> Contents:
+    """Return what the bytes of a file hold, after the checks of ``read``.
+
+    Raises:
+        ValueError: as ``read``.
+    """
     with _told_of(path):
-        table = _table_in(io.BytesIO(data))
+        table = table_in(io.BytesIO(data))
     arrays = PackedArrays(path, data, table)
     plain = {
         name: arrays[name]
@@ -96,6 +139,7 @@ def read(path: Path) -> Contents:
     with _told_of(path):
         check_axes(plain)
         check_counts(plain, table)
+        check_text(plain[schema.SPEC])
     return Contents(arrays, table.created_by, table.filters)
 
 
@@ -111,7 +155,7 @@ def table_of(path: Path) -> Table:
         _opened(path) as stream,
         _told_of(path),
     ):
-        return _table_in(stream)
+        return table_in(stream)
 
 
 def node_count(path: Path) -> int:
@@ -139,7 +183,12 @@ def _opened(path: Path) -> io.FileIO:
     return path.open("rb", buffering=0)
 
 
-def _table_in(stream: io.FileIO | io.BytesIO) -> Table:
+def table_in(stream: io.FileIO | io.BytesIO) -> Table:
+    """Return the table of a whole file, all bytes of which are checked.
+
+    Raises:
+        RefusalError: as ``table_of`` refuses with a ValueError.
+    """
     size = image_size(stream)
     check(size is not None)
     stream.seek(size or 0)

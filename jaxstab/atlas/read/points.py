@@ -1,6 +1,6 @@
 """What the arrays of an atlas say about points: at nodes, in cells, and outside. NumPy alone."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.read.answer import AtlasAnswer, Floats, QueryStatus, check_inside
-from jaxstab.atlas.read.cells import Integers, Mask, Place, picked
+from jaxstab.atlas.read.cells import Integers, Mask, Place
+from jaxstab.atlas.read.file import PackedArrays
 from jaxstab.atlas.read.limits import LimitTable
 from jaxstab.atlas.read.radii import RadiusTable
 from jaxstab.conventions import AXES, STABLE, UNDECIDED, UNSTABLE
@@ -102,13 +103,23 @@ def answer_at_delay(
     if schema.ALPHA_LIMITS not in arrays:
         status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
         if schema.CELL_VERDICT in arrays:
-            codes = arrays[schema.CELL_VERDICT][..., number][place.cell]
+            codes = _codes_at(arrays, schema.CELL_VERDICT, place.cell, number)
             status[(codes == STABLE) | (codes == UNSTABLE)] = QueryStatus.CELL
     left = place.at_node & (codes == UNDECIDED)
     if schema.VERDICT in arrays and left.any():
-        codes[left] = picked(arrays[schema.VERDICT][..., number], place.node, left)
+        nodes_left = [along[left] for along in place.node]
+        codes[left] = _codes_at(arrays, schema.VERDICT, nodes_left, number)
     status[place.at_node] = QueryStatus.NODE
     answer.verdict[here], answer.status[here] = codes, status
+
+
+def _codes_at(arrays: Arrays, name: str, place: Sequence[Integers], delay: int) -> NDArray[np.int8]:
+    """Return the verdict codes at points of one delay."""
+    index = (*place, np.full(place[0].shape, delay))
+    codes: NDArray[np.int8] = (
+        arrays.codes_at(name, index) if isinstance(arrays, PackedArrays) else arrays[name][index]
+    )
+    return codes
 
 
 def answer_radii(table: RadiusTable, where: Points, inside: Mask, answer: AtlasAnswer) -> None:

@@ -73,10 +73,10 @@ def write_atlas(
     """
     path = Path(path)
     created_by = f"jaxstab {jaxstab.__version__}"
-    with shards_of(path, build_key(spec, created_by)) as shards:
+    with shards_of(path, build_key(spec)) as shards:
         plan = plan_atlas(spec)
         tiles = plan.tiles
-        missing = [tile for tile in tiles if not shards.has(tile)]
+        missing = [tile for tile in tiles if not shards.has(plan, tile)]
         done = len(tiles) - len(missing)
         tell = progress or (lambda done, total: None)
         tell(done, len(tiles))

@@ -7,23 +7,27 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
+from typing import Any
 
 import h5py
+import numpy as np
 
+from jaxstab.atlas.format.schema import Variable
 from jaxstab.atlas.format.table import DAMAGED, RefusalError, Stored, Table, check
 from jaxstab.atlas.write.variables import places_of
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 _LONGEST_ATTRIBUTE = 2**16  # bytes
-_TROUBLES = (
+TROUBLES = (
+    RefusalError,
     ValueError,
     LookupError,
     TypeError,
     ArithmeticError,
     RuntimeError,
     OSError,
-    MemoryError,
 )
+"""What HDF5, h5py and who uses them raise at a file that is not as it should be."""
 
 
 @contextmanager
@@ -32,11 +36,14 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
     Raises:
         ValueError: HDF5, or who uses it, cannot go on.
+        MemoryError: it has not the memory to go on.
     """
     try:
         with path.open("rb", buffering=0) as stream, h5py.File(stream, "r") as file:
             yield file
-    except (RefusalError, *_TROUBLES) as error:
+    except TROUBLES as error:
+        if "alloc" in str(error):  # HDF5 raises the same class for both
+            raise MemoryError(f"{path} does not fit into memory.") from error
         raise ValueError(f"{path} {DAMAGED}") from error
 
 
@@ -63,17 +70,32 @@ def text_of(file: h5py.File, name: str) -> str:
 
 
 def _checked_dataset(file: h5py.File, stored: Stored) -> h5py.Dataset:
-    name = stored.variable.name
-    check(isinstance(file.get(name, getlink=True), h5py.HardLink))
-    dataset = file[name]
+    dataset = checked_layout(file, stored.variable, stored.dtype, stored.shape, stored.chunk)
+    check(places_of(dataset) == list(stored.places))
+    return dataset
+
+
+def checked_layout(
+    file: h5py.File,
+    variable: Variable,
+    dtype: np.dtype[Any],
+    shape: tuple[int, ...],
+    chunk: tuple[int, ...],
+) -> h5py.Dataset:
+    """Return the dataset of a variable, which is stored as variables are, with this layout.
+
+    Raises:
+        RefusalError: it is not.
+    """
+    check(isinstance(file.get(variable.name, getlink=True), h5py.HardLink))
+    dataset = file[variable.name]
     check(isinstance(dataset, h5py.Dataset))
     layout = dataset.id.get_create_plist()
     check(layout.get_layout() == h5py.h5d.CHUNKED and layout.get_external_count() == 0)
     filters = [layout.get_filter(number)[0] for number in range(layout.get_nfilters())]
     check(len(filters) == len(set(filters)))
-    known = _FILTERS if stored.variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
+    known = _FILTERS if variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
     check(set(filters) == known)
-    check(dataset.shape == stored.shape and dataset.chunks == stored.chunk)
-    check(dataset.dtype == stored.dtype and "enum" not in (dataset.dtype.metadata or {}))
-    check(places_of(dataset) == list(stored.places))
+    check(dataset.shape == shape and dataset.chunks == chunk)
+    check(dataset.dtype == dtype and "enum" not in (dataset.dtype.metadata or {}))
     return dataset

@@ -1,5 +1,6 @@
 """The tiles of a build become one file: chunks are copied as they are, one tile at a time."""
 
+import io
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
@@ -18,7 +19,9 @@ from jaxstab.atlas.format.digest import Chunked, content_digest, digest_of
 from jaxstab.atlas.format.filters import words_of
 from jaxstab.atlas.format.footer import footer_of
 from jaxstab.atlas.format.schema import VARIABLES
-from jaxstab.atlas.format.table import table_text
+from jaxstab.atlas.format.table import RefusalError, table_text
+from jaxstab.atlas.read.chunks import TooLargeError
+from jaxstab.atlas.read.file import contents_of, table_in
 from jaxstab.atlas.write.tiles import VALUES_DIGEST, Shards
 from jaxstab.atlas.write.variables import (
     FORMAT_VERSIONS,
@@ -38,9 +41,9 @@ def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
 
     Raises:
         OSError: the folder is read-only or full; a former file is still there.
-        ValueError: a tile was damaged since it was looked at.
+        ValueError: a tile was damaged since it was looked at, or the tiles make no atlas that
+            could be opened; a former file is still there.
     """
-
     filters = words_of(plan.spec.filters)
     with replacing(path, shards.folder) as descriptor:
         stream = PatientStream(descriptor)
@@ -57,8 +60,25 @@ def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
         table = table_text(created_by, filters, variables, places)
         write_all(descriptor, table)
         with open(descriptor, "rb", buffering=0, closefd=False) as written:
-            footer = footer_of(written, stream.size + len(table), stream.size)
-        write_all(descriptor, footer)
+            write_all(descriptor, footer_of(written, stream.size + len(table), stream.size))
+            _check_whole(path, written)
+
+
+def _check_whole(path: Path, written: io.FileIO) -> None:
+    """Refuse what could not be opened, before it takes the place of a former file."""
+    try:
+        if written.seek(0, io.SEEK_END) <= schema.LARGEST_UNASKED:
+            written.seek(0)
+            dict(contents_of(path, written.readall()).arrays)
+        else:
+            table_in(written)
+    except TooLargeError:
+        pass
+    except (RefusalError, ValueError) as error:
+        raise ValueError(
+            f"the tiles of {path} make no sound atlas; remove .{path.name}.*.tiles beside it and "
+            "build again."
+        ) from error
 
 
 def _create_variables(file: h5py.File, plan: Plan, shards: Shards) -> dict[str, h5py.Dataset]:
@@ -109,7 +129,7 @@ def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str,
     ]
     lengths = {VARIABLES[name].dimensions[-1]: 0 for name in flat}
     for tile in plan.tiles if flat else ():
-        with shards.opened(tile) as image:
+        with shards.opened(plan, tile) as image:
             sizes = {
                 VARIABLES[name].dimensions[-1]: image[name].shape[-1]
                 for name in flat
@@ -129,7 +149,7 @@ def _copy_tiles(
     digests: _Digests = {}
     filled = dict.fromkeys(datasets, 0)
     for tile in plan.tiles:
-        with shards.opened(tile) as image:
+        with shards.opened(plan, tile) as image:
             for name, part in image.items():
                 if plan.is_gridded(name):
                     first = _place(plan, name, tile)

@@ -1,15 +1,19 @@
 """Tiles on disk: an image for each, in a folder beside the atlas until the atlas is published.
 
-What is in the folder is what is done: a build that was interrupted goes on from there.
+What is in the folder is what is done: a build that was interrupted goes on from there. The folder
+is its owner's alone, and a tile counts if it is of this build and code, and as the schema says.
 """
 
 import errno
 import hashlib
 import os
+import platform
+import re
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,25 +22,50 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+import jaxstab
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.compute.products import Arrays
 from jaxstab.atlas.format.digest import values_digest
 from jaxstab.atlas.format.footer import image_of, sealed
-from jaxstab.atlas.format.schema import SCHEMA_VERSION, VARIABLES
+from jaxstab.atlas.format.schema import (
+    LIMIT_RANGE,
+    PRODUCTS,
+    RADIUS_RANGE,
+    SCHEMA_VERSION,
+    VARIABLES,
+)
 from jaxstab.atlas.format.spec import AtlasSpec
+from jaxstab.atlas.format.table import check
+from jaxstab.atlas.read.chunks import check_values
+from jaxstab.atlas.write.image import TROUBLES, checked_layout
 from jaxstab.atlas.write.variables import FORMAT_VERSIONS, filters_of
-from jaxstab.durable import is_named, named_errors, publish, sync_folder, target_of
+from jaxstab.durable import Folder, named_errors, own_folder, target_of
 
 VALUES_DIGEST = "values_sha256"
 _TILE = "tile"
+_MAKER = "computed_by"
 _LOCK = "lock"
+_LEFT_OVER = re.compile(r"\..+\.[0-9a-f]{16}\.part")
+_OURS = re.compile(rf"\d+-\d+-\d+\.tile|{_LEFT_OVER.pattern}")
 _BUSY = "another process is building it"
 _ATTEMPTS = 100
 
 
-def build_key(spec: AtlasSpec, created_by: str) -> str:
-    """Return the hash of a specification; tiles of other builds do not match it."""
-    words = "\n".join([spec.to_toml(), str(SCHEMA_VERSION), created_by])
+@cache
+def computed_by() -> str:
+    """Return what computes tiles here: jaxstab and a hash of its code, NumPy and Python."""
+    root = Path(jaxstab.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    code = digest.hexdigest()[:16]
+    versions = f"NumPy {np.__version__}, Python {platform.python_version()}"
+    return f"jaxstab {jaxstab.__version__} (code {code}), {versions}"
+
+
+def build_key(spec: AtlasSpec) -> str:
+    """Return the hash of a specification and of what computes it; other tiles do not match it."""
+    words = "\n".join([spec.to_toml(), str(SCHEMA_VERSION), computed_by()])
     return hashlib.sha256(words.encode()).hexdigest()
 
 
@@ -48,6 +77,7 @@ def encode_tile(plan: Plan, tile: Tile, key: str, arrays: Arrays) -> bytes:
     """
     with h5py.File.in_memory(libver=FORMAT_VERSIONS) as file:
         file.attrs[_TILE] = np.bytes_(_title(key, tile))
+        file.attrs[_MAKER] = np.bytes_(computed_by())
         for name, values in arrays.items():
             _check(plan, tile, name, values)
             if values.size:
@@ -55,6 +85,69 @@ def encode_tile(plan: Plan, tile: Tile, key: str, arrays: Arrays) -> bytes:
                 _write(file, name, values, chunk)
         file.flush()
         return sealed(bytes(file.id.get_file_image()))
+
+
+@contextmanager
+def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py.File]:
+    """Open the image of a tile in memory, after a look at all of it.
+
+    Raises:
+        ValueError: it is damaged, of another build, or not as the schema says.
+        RuntimeError: another jaxstab, NumPy or Python computed it.
+    """
+    whole = image_of(image)
+    if whole is None:
+        raise ValueError(f"tile {_name(tile)} is damaged; build the same atlas again.")
+    with h5py.File.in_memory(whole) as file:
+        try:
+            maker = bytes(file.attrs.get(_MAKER, b"an older jaxstab")).decode("utf-8")
+            if maker == computed_by():
+                check(bytes(file.attrs[_TILE]).decode("utf-8") == _title(key, tile))
+                _check_datasets(file, plan, tile)
+        except TROUBLES as error:
+            raise ValueError(
+                f"tile {_name(tile)} is none of this build; build the same atlas again."
+            ) from error
+        if maker != computed_by():
+            raise RuntimeError(
+                f"a worker computes with {maker}, and this build with {computed_by()}; install the "
+                "same for all workers."
+            )
+        yield file
+
+
+def _check_datasets(file: h5py.File, plan: Plan, tile: Tile) -> None:
+    """Refuse other variables than those of a tile, and others than its values in their chunks."""
+    held = [name for product in plan.spec.products for name in PRODUCTS[product]]
+    held = [n for n in held if not VARIABLES[n].is_axis and n not in (LIMIT_RANGE, RADIUS_RANGE)]
+    gridded = {n for n in held if plan.is_gridded(n) and 0 not in plan.shape(n, tile)}
+    flat = {name for name in held if not plan.is_gridded(name)}
+    check(gridded <= set(file) <= gridded | flat)
+    for name in file:
+        variable, dtype = VARIABLES[name], np.dtype(VARIABLES[name].dtype).newbyteorder("<")
+        if name in gridded:
+            chunk, shape = plan.chunk(name), plan.shape(name, tile)
+            whole = _whole_chunks(shape, chunk)
+        else:
+            whole = chunk = shape = file[name].shape
+        dataset = checked_layout(file, variable, dtype, whole, chunk)
+        values = dataset[()][tuple(map(slice, shape))]
+        check_values(variable, values)
+        said = bytes(dataset.attrs[VALUES_DIGEST]).decode("ascii").split(" ")
+        check(said == [values_digest(part) for part in _parts(values, chunk)])
+
+
+def _whole_chunks(shape: Sequence[int], chunk: Sequence[int]) -> tuple[int, ...]:
+    return tuple(-(-n // step) * step for n, step in zip(shape, chunk, strict=True))
+
+
+def _parts(values: NDArray[Any], chunk: Sequence[int]) -> Iterator[NDArray[Any]]:
+    starts = product(*(range(0, n, step) for n, step in zip(values.shape, chunk, strict=True)))
+    return (values[tuple(map(slice, start, np.add(start, chunk)))] for start in starts)
+
+
+def _name(tile: Tile) -> str:
+    return f"{tile.delay}-{tile.gamma}-{tile.delta.start}"
 
 
 def _title(key: str, tile: Tile) -> str:
@@ -72,14 +165,11 @@ def _check(plan: Plan, tile: Tile, name: str, values: NDArray[Any]) -> None:
 
 
 def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int]) -> None:
-    sides = list(zip(values.shape, chunk, strict=True))
-    whole = np.zeros([-(-n // step) * step for n, step in sides], values.dtype.newbyteorder("<"))
+    whole = np.zeros(_whole_chunks(values.shape, chunk), values.dtype.newbyteorder("<"))
     whole[tuple(map(slice, values.shape))] = values
     filters = filters_of(VARIABLES[name])
     dataset = file.create_dataset(name, data=whole, chunks=tuple(chunk), **filters)
-    starts = product(*(range(0, n, step) for n, step in sides))
-    parts = (values[tuple(map(slice, start, np.add(start, chunk)))] for start in starts)
-    dataset.attrs[VALUES_DIGEST] = np.bytes_(" ".join(map(values_digest, parts)))
+    dataset.attrs[VALUES_DIGEST] = np.bytes_(" ".join(map(values_digest, _parts(values, chunk))))
 
 
 @dataclass(frozen=True)
@@ -91,12 +181,8 @@ class Shards:
         key: of the build.
     """
 
-    folder: Path
+    folder: Folder
     key: str
-
-    def path(self, tile: Tile) -> Path:
-        """Return where the image of a tile is, or will be."""
-        return self.folder / f"{tile.delay}-{tile.gamma}-{tile.delta.start}.tile"
 
     def put(self, tile: Tile, image: bytes) -> None:
         """Keep the image of a tile, durably.
@@ -104,49 +190,48 @@ class Shards:
         Raises:
             OSError: the folder is full or gone.
         """
-        publish(image, self.path(tile))
+        with named_errors("write", self.folder.path):
+            self.folder.put(f"{_name(tile)}.tile", image)
 
-    def has(self, tile: Tile) -> bool:
+    def has(self, plan: Plan, tile: Tile) -> bool:
         """Whether the image of a tile is here, whole and of this build."""
         try:
-            with self.opened(tile):
+            with self.opened(plan, tile):
                 return True
-        except (OSError, KeyError, ValueError):
+        except (OSError, ValueError, RuntimeError):
             return False
 
     def has_any(self) -> bool:
         """Whether the image of any tile is here."""
-        return any(self.folder.glob("*.tile"))
+        return any(name.endswith(".tile") for name in self.folder.names())
 
     @contextmanager
-    def opened(self, tile: Tile) -> Iterator[h5py.File]:
+    def opened(self, plan: Plan, tile: Tile) -> Iterator[h5py.File]:
         """Open the image of a tile in memory.
 
         Raises:
             OSError: it is not here.
-            ValueError: it is damaged, or of another build.
+            ValueError, RuntimeError: as ``opened_tile``.
         """
-        path = self.path(tile)
-        image = image_of(path.read_bytes())
-        if image is None:
-            raise ValueError(f"{path} is damaged; run the same build again.")
-        with h5py.File.in_memory(image) as file:
-            if file.attrs[_TILE] != np.bytes_(_title(self.key, tile)):
-                raise ValueError(f"{path} is of another build; remove it and build again.")
+        image = self.folder.read(f"{_name(tile)}.tile")
+        with opened_tile(plan, tile, self.key, image) as file:
             yield file
 
+    def clear(self, pattern: re.Pattern[str] = _OURS) -> None:
+        """Remove what builds put into the folder, and nothing else."""
+        for name in self.folder.names():
+            if pattern.fullmatch(name):
+                self.folder.remove(name)
+
     def remove(self) -> None:
-        """Remove the folder with all that is in it, the lock last: until then it keeps others out.
+        """Remove the tiles and the folder, the lock last: until then it keeps others out.
 
         Another process may have made a new lock by then, and goes on in the folder.
         """
-        lock = self.folder / _LOCK
         with suppress(OSError):
-            for entry in self.folder.iterdir():
-                if entry != lock:
-                    entry.unlink()
-            lock.unlink()
-            self.folder.rmdir()
+            self.clear()
+            self.folder.remove(_LOCK)
+            os.rmdir(self.folder.path)
 
 
 @contextmanager
@@ -156,31 +241,35 @@ def shards_of(path: Path, key: str) -> Iterator[Shards]:
     It stays for the next build of the same atlas unless it is empty, or removed.
 
     Raises:
-        OSError: it cannot be made or locked, there is no file at the path but something else, or
-            another process builds this atlas.
+        OSError: it cannot be made or locked, it is a link, another user's or open to others, there
+            is no file at the path but something else, or another process builds this atlas.
     """
-    with named_errors("write", path):
-        target, _ = target_of(path)
-        shards = Shards(target.with_name(f".{target.name}.{key[:16]}.tiles"), key)
-        lock = _locked(shards)
-    try:  # the system opens the lock when this process ends in whatever way
-        for left_over in shards.folder.glob(".*.part"):
-            left_over.unlink()
-        yield shards
-    finally:
-        if not shards.has_any():
-            shards.remove()
-        os.close(lock)
+    with ExitStack() as stack:
+        with named_errors("write", path):
+            target, _ = target_of(path)
+            place = target.with_name(f".{target.name}.{key[:16]}.tiles")
+            shards = _locked(place, key, stack)
+        try:  # the system opens the lock when this process ends in whatever way
+            shards.clear(_LEFT_OVER)
+            yield shards
+        finally:
+            if not shards.has_any():
+                shards.remove()
 
 
-def _locked(shards: Shards) -> int:
-    """Return the descriptor of the locked file by which the folder of a build is one's own."""
+def _locked(place: Path, key: str, stack: ExitStack) -> Shards:
+    """Return the folder of a build, open and locked until the stack is left."""
     for _ in range(_ATTEMPTS):
-        with suppress(FileExistsError):
-            os.mkdir(shards.folder)
-            sync_folder(shards.folder.parent)
-        with suppress(_GoneError):
-            return _lock_in(shards)
+        with ExitStack() as attempt, suppress(_GoneError):
+            try:
+                shards = Shards(attempt.enter_context(own_folder(place)), key)
+            except FileNotFoundError as error:
+                if place.parent.is_dir():
+                    raise _GoneError from error
+                raise
+            attempt.callback(os.close, _lock_in(shards))
+            stack.push(attempt.pop_all())
+            return shards
     raise BlockingIOError(errno.EAGAIN, _BUSY)
 
 
@@ -189,14 +278,13 @@ class _GoneError(Exception):
 
 
 def _lock_in(shards: Shards) -> int:
-    name = shards.folder / _LOCK
     try:
-        lock = os.open(name, os.O_RDWR | os.O_CREAT, 0o666)
+        lock = shards.folder.open(_LOCK, os.O_RDWR | os.O_CREAT, 0o600)
     except FileNotFoundError as error:
         raise _GoneError from error
     try:
         _lock(lock)
-        if not is_named(lock, name):
+        if not shards.folder.has(_LOCK, lock):
             raise _GoneError
     except BaseException as error:
         os.close(lock)

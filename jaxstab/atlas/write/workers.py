@@ -4,14 +4,14 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import islice
 
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.compute.products import compute_tile
-from jaxstab.atlas.write.tiles import encode_tile
+from jaxstab.atlas.write.tiles import computed_by, encode_tile, opened_tile
 
 _NODES_IN_FLIGHT = 2**26
 _SECONDS_TO_CONNECT = 10
@@ -23,7 +23,8 @@ def tile_images(
     """Yield tiles and their images as they are done, and keep few of them waiting.
 
     Raises:
-        RuntimeError: what a worker computed is not what the schema says, or workers died.
+        RuntimeError: a worker has another jaxstab, NumPy or Python.
+        ValueError: what a worker computed is not what the schema says.
     """
     if executor is None:
         for tile in tiles:
@@ -40,10 +41,23 @@ def tile_images(
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                yield running.pop(future), future.result()
+                tile, image = running.pop(future), _result(future)
+                with opened_tile(plan, tile, key, image):
+                    yield tile, image
     finally:
         for future in running:
             future.cancel()
+
+
+def _result(future: Future[bytes]) -> bytes:
+    """Return the image of a tile, or say why a worker of another jaxstab has none."""
+    try:
+        return bytes(future.result())
+    except (ImportError, AttributeError, TypeError) as error:
+        raise RuntimeError(
+            f"a worker cannot compute tiles of this build ({error}); install {computed_by()} for "
+            "all workers."
+        ) from error
 
 
 def tile_image(plan: Plan, tile: Tile, key: str) -> bytes:
@@ -80,11 +94,14 @@ def _follow_parent() -> None:
 
 
 @contextmanager
-def dask_cluster(address: str) -> Iterator[Executor]:
+def dask_cluster(
+    address: str, tell: Callable[[str], object] = lambda words: None
+) -> Iterator[Executor]:
     """Open the workers of a dask scheduler; a tile whose worker dies is computed by another.
 
     Args:
         address: of the scheduler, such as tcp://10.0.0.1:8786.
+        tell: called with a sentence where the scheduler has no workers yet.
 
     Raises:
         RuntimeError: dask is not installed.
@@ -103,4 +120,6 @@ def dask_cluster(address: str) -> Iterator[Executor]:
             f"no dask scheduler answers at {address}; start one, or correct the address."
         ) from error
     with client:
+        if not client.scheduler_info()["workers"]:
+            tell(f"the dask scheduler at {address} has no workers; the build waits for one.")
         yield client.get_executor(pure=False, retries=3)
