@@ -139,6 +139,12 @@ VALUES: dict[str, Edit] = {
     "limits at an alpha of NaN": put(schema.LIMIT_RANGE, np.nan, (0, 2)),
     "limits at too wide a beta": put(schema.LIMIT_RANGE, [-1.5e308, 1.5e308], (0, [4, 5])),
     "limits at a thin beta": put(schema.LIMIT_RANGE, [0.0, 1e-302], (0, [4, 5])),
+    "limits at a beta that rounding swallows": put(
+        schema.LIMIT_RANGE, [1.0, 1.0 + 2.0**-45], (0, [4, 5])
+    ),
+    "limits at an alpha that rounding swallows": put(
+        schema.LIMIT_RANGE, [-1.0, -1.0 + 2.0**-25], (0, [2, 3])
+    ),
     "limits at one alpha": put(schema.LIMIT_RANGE, 0.1, (0, [2, 3])),
     "five ends": become(schema.LIMIT_RANGE, lambda v: v[:, :5]),
     "gamma twice": become("gamma", lambda v: np.full_like(v, v[0])),
@@ -173,6 +179,13 @@ ELSEWHERE: dict[str, Edit] = {
     "too thin a beta": become(
         "beta", lambda v: np.arange(len(v))[:, None] * np.full((1, v.shape[1]), 5e-324)
     ),
+    "a beta that rounding swallows": become(
+        "beta", lambda v: 1.0 + 2.0**-50 * np.arange(len(v))[:, None] * np.ones((1, v.shape[1]))
+    ),
+    "radii at a beta that rounding swallows": put(
+        schema.RADIUS_RANGE, [1.0, 1.0 + 2.0**-45], (0, [4, 5])
+    ),
+    "lines of no text": become(schema.SPEC, lambda v: np.array([b"\xff", *v[1:]], v.dtype)),
     "one alpha": become("alpha", lambda v: v[:1]),
     "node numbers": put("alpha_node", 7),
     "cell numbers": become("limit_cell", lambda v: v[::-1]),

@@ -124,6 +124,25 @@ def test_limits_are_within_those_of_the_loop_and_near(file: Path) -> None:
     assert file != PLAIN or np.median(near) > 0.9
 
 
+def test_3_no_bound_where_the_stable_set_crosses_an_end_of_beta(tmp_path: Path) -> None:
+    """Its counter-example: the bound was 6847.9 N/m, and (10000, 30) is stable."""
+    spec = AtlasSpec(
+        alpha=np.linspace(0.0, 0.3, 16), beta=np.linspace(0.0, 0.1, 16), gamma=[0.0], delta=[0.015],
+        delay=[1.0], products=["alpha_limits"],
+    )  # fmt: skip
+    atlas = jaxstab.build_atlas(spec, tmp_path / "a.h5")
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1e-3)
+    assert loop.verdict(10000.0, 30.0) == Verdict.STABLE
+    largest = atlas.for_loop(loop).largest_stiffness()
+    assert 6000.0 < largest.stiffness < 6848.0
+    assert largest.bound == np.inf
+    assert atlas.max_alpha(gamma=0.0, delta=0.015, delay=1.0).bound == np.inf
+    wide = replace(spec, beta=np.linspace(-0.05, 1.0, 16))
+    whole = jaxstab.build_atlas(wide, tmp_path / "b.h5").for_loop(loop).largest_stiffness()
+    assert whole.stiffness <= loop.limits().stiffness * (1.0 + 1e-9)
+    assert loop.limits().stiffness <= whole.bound < np.inf
+
+
 def test_the_largest_stiffness_is_proved_and_so_is_its_bound() -> None:
     rng = np.random.default_rng(7)
     for _ in range(20):

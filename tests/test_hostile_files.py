@@ -18,8 +18,9 @@ from hostile import Arrays, assembled, hostile_files, mutants
 from hostile_images import IMAGES, with_another_image
 from programs_in_c import compiled
 
-from jaxstab import Atlas, open_atlas
+from jaxstab import Atlas, AtlasSpec, FittedAxis, build_atlas, open_atlas
 from jaxstab.atlas.format import schema
+from jaxstab.atlas.format.schema import PRODUCTS
 from jaxstab.model import by_name
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -188,6 +189,56 @@ def test_no_reader_takes_a_hostile_file_for_an_atlas(
             assert not said[0] or (not by_all and said == right), name
     assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY
     tracemalloc.stop()
+
+
+def test_28_many_codes_in_a_small_file_do_not_fill_the_memory(base: Base, tmp_path: Path) -> None:
+    """252 MB of codes from 0.3 MB: they were unpacked at the first question."""
+    counts, arrays = (2048, 2049, 1, 1, 60), dict(base.arrays)
+    chosen = {name for product in ("alpha_limits", "spectral_radius") for name in PRODUCTS[product]}
+    arrays = {name: values for name, values in arrays.items() if name not in chosen}
+    for name, count in zip(schema.NODE[:2], counts, strict=False):
+        cells = name.replace("node", "cell")
+        arrays[name], arrays[cells] = (np.arange(n, dtype=np.int32) for n in (count, count - 1))
+        nodes = np.linspace(0.0, 1.0, count)[:, None] * np.ones((1, 60))
+        arrays[name.removesuffix("_node")] = nodes
+    for name in ("gamma", "delta"):
+        arrays |= {name: np.zeros(1), f"{name}_cell": np.zeros(1, np.int32)}
+    arrays["delay"] = np.arange(60.0)
+    cells = 2047, 2048, 1, 1, 60
+    arrays[schema.VERDICT] = np.broadcast_to(np.int8(0), counts)
+    arrays[schema.CELL_VERDICT] = np.broadcast_to(np.int8(0), cells)
+    chunks = {schema.VERDICT: (*counts[:4], 1), schema.CELL_VERDICT: (*cells[:4], 1)}
+    path = tmp_path / "codes.h5"
+    path.write_bytes(assembled(arrays, chunks))
+    assert path.stat().st_size < 10**6
+    tracemalloc.start()
+    atlas = open_atlas(path)
+    answer = atlas.query([0.5, 0.0], [0.25, 0.0], gamma=0.0, delta=0.0, delay=[7.0, 59.0])
+    assert atlas.decided_fraction(3) == 0.0
+    assert tracemalloc.get_traced_memory()[1] < 100 * 2**20
+    tracemalloc.stop()
+    assert answer.verdict.tolist() == [0, 0]
+
+
+def test_28_codes_are_the_same_chunk_by_chunk(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    spec = AtlasSpec(
+        alpha=FittedAxis(24), beta=FittedAxis(20), gamma=[0.0, 0.0005, 0.001], delta=[0.0, 0.005, 0.015],
+        delay=[0.0, 1.5], products=["verdict"],
+    )  # fmt: skip
+    atlas = build_atlas(spec, tmp_path / "a.h5")
+    rng = np.random.default_rng(28)
+    nodes = [*atlas.nodes(1).values()]
+    points = np.array([rng.uniform(axis[0], axis[-1], 3000) for axis in nodes])
+    points[:, :1000] = [rng.choice(axis, 1000) for axis in nodes]
+    codes = atlas.query(**by_name(*points, 1.5)).verdict
+    shares = [atlas.decided_fraction(number) for number in (0, 1)]
+    assert set(codes) == {1, 2, 3}
+    monkeypatch.setattr(schema, "LARGEST_UNASKED", 0)
+    chunked = open_atlas(tmp_path / "a.h5")
+    np.testing.assert_array_equal(chunked.query(**by_name(*points, 1.5)).verdict, codes)
+    assert [chunked.decided_fraction(number) for number in (0, 1)] == pytest.approx(shares)
 
 
 def test_no_reader_is_misled_by_a_hostile_image(

@@ -4,6 +4,7 @@ import hashlib
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -177,7 +178,7 @@ def test_a_file_of_a_stranger_is_read_in_a_process_with_limits(path: Path) -> No
         "m.main = lambda **_: print(*[resource.getrlimit(getattr(resource, 'RLIMIT_' + n))[1]"
         " for n in names]); untrusted.main()"
     )
-    said = subprocess.run([sys.executable, "-c", limits], capture_output=True, text=True)
+    said = subprocess.run([sys.executable, "-c", limits, str(os.getpid())], capture_output=True, text=True)
     assert said.stdout.split() == [str(4 * 2**30), "300", "0"]
 
 
@@ -207,4 +208,91 @@ def test_a_file_without_the_expected_digest_is_not_parsed(command: str, path: Pa
     answer = run("atlas", command, path, *options, "--expect-sha256", digest)
     assert (answer.exit_code, answer.stdout) == (1, "")
     assert_one_sentence(answer.stderr)
-    assert "not the expected one" in answer.stderr
+    assert f"and {digest} is expected" in answer.stderr
+    answer = run("atlas", command, path, *options, "--expect-sha256", digest[:-1])
+    assert (answer.exit_code, answer.stdout) == (2, "")
+    assert "give the 64 hexadecimal digits" in answer.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone ends a child with its parent")
+def test_28_the_process_that_reads_a_strangers_file_ends_with_its_parent(tmp_path: Path) -> None:
+    """The child says who it is and sleeps; its parent is killed."""
+    (tmp_path / "sleeper.py").write_text(
+        "import os, sys, time\n"
+        "from jaxstab.cli import main, untrusted\n"
+        "main.main = lambda **_: (print(os.getpid(), flush=True), time.sleep(600))\n"
+        "untrusted.main()\n"
+    )
+    parent = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import os, subprocess, sys;"
+            f" subprocess.run([sys.executable, {str(tmp_path / 'sleeper.py')!r}, str(os.getpid())])",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    assert Path(f"/proc/{child}").exists()
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 30
+    while is_running(child) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not is_running(child)
+
+
+def is_running(process: int) -> bool:
+    try:
+        status = Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+    return status.rpartition(")")[2].split()[0] != "Z"
+
+
+MEMORY = """
+import resource, sys
+from jaxstab.atlas.write.verify import verify_atlas
+
+def checks():
+    return [check.passed for check in verify_atlas(sys.argv[1], 16)]
+
+assert all(checks())
+found = {"right": 0, "wrong": 0, "memory": 0}
+_, most = resource.getrlimit(resource.RLIMIT_AS)
+for step in range(60):
+    taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + step * 50_000, most))
+    try:
+        found["right" if all(checks()) else "wrong"] += 1
+    except MemoryError:
+        found["memory"] += 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+print(*found.values())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit is that of Linux")
+def test_28_a_good_file_is_not_called_damaged_where_memory_runs_short() -> None:
+    golden = Path(__file__).resolve().parents[1] / "data" / "golden" / "atlas-v3.h5"
+    done = subprocess.run(
+        [sys.executable, "-c", MEMORY, str(golden)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    right, wrong, memory = map(int, done.stdout.split())
+    assert wrong == 0
+    assert right > 0
+    assert memory > 0
+
+
+def test_31_a_pipe_is_not_waited_for(path: Path, tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.h5"
+    os.mkfifo(pipe)
+    for command in ("info", "verify"):
+        for options in ([], ["--expect-sha256", "0" * 64]):
+            answer = run("atlas", command, pipe, *options)
+            assert answer.exit_code == 1
+            assert "it is a device, a pipe or a socket" in answer.stderr

@@ -1,5 +1,6 @@
 """The readers in data/readers, and xarray, answer as Python does: on the atlas in data/golden."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -213,6 +214,8 @@ def refused_files(folder: Path) -> Iterator[tuple[Path, str]]:
         path = folder / f"{name}.h5"
         path.write_bytes(data)
         yield path, words
+    os.mkfifo(folder / "pipe.h5")  # item 31 of an audit: it was waited for
+    yield folder / "pipe.h5", "cannot be read"
 
 
 def edited(*removed: str) -> bytes:

@@ -3,7 +3,11 @@
 ``python -m jaxstab.cli.untrusted ARGUMENTS`` runs a command with limits on memory and time.
 """
 
+import ctypes
 import hashlib
+import os
+import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,11 +17,12 @@ from typing import Any
 
 import click
 
-from jaxstab.durable import named_errors
+from jaxstab.durable import named_errors, target_of
 
 _OPTION = "--untrusted"
 _MEMORY = 4 * 2**30  # bytes of addresses
 _SECONDS = 300
+_PR_SET_PDEATHSIG = 1
 
 
 def careful(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -39,16 +44,26 @@ def careful(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _check_digest(file: Path, expected: str) -> None:
-    with named_errors("read", file), file.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    if digest != expected.strip().lower():
-        raise ValueError(f"{file} has the SHA-256 {digest}, not the expected one; do not use it.")
+    wanted = expected.strip().lower()
+    if not re.fullmatch("[0-9a-f]{64}", wanted):
+        raise click.UsageError(
+            f"--expect-sha256 is {expected!r}; give the 64 hexadecimal digits of a SHA-256."
+        )
+    with named_errors("read", file):
+        target_of(file)  # a pipe would be waited for
+        with file.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    if digest != wanted:
+        raise ValueError(
+            f"{file} has the SHA-256 {digest}, and {wanted} is expected; do not use this file."
+        )
 
 
 def _in_a_child(file: Path) -> int:
     """Run this command in another process, and return its exit code."""
     arguments = [argument for argument in sys.argv[1:] if argument != _OPTION]
-    words = [sys.executable, "-P", "-m", __name__, *arguments]  # -P: nothing from this folder
+    # -P: nothing from this folder
+    words = [sys.executable, "-P", "-m", __name__, str(os.getpid()), *arguments]
     try:
         code = subprocess.run(words, timeout=2 * _SECONDS).returncode
     except subprocess.TimeoutExpired as error:
@@ -59,17 +74,29 @@ def _in_a_child(file: Path) -> int:
 
 
 def main() -> None:
-    """Run a command with limits on memory and time."""
+    """Run a command with limits on memory and time, which ends with its parent.
+
+    The first argument is the process of the parent.
+    """
     from jaxstab.cli.main import main as run
 
     if sys.platform == "win32":
         raise click.UsageError(f"{_OPTION} needs the limits of POSIX systems.")
     import resource
 
+    _end_with(int(sys.argv.pop(1)))
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS, _SECONDS))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     run(prog_name="jaxstab")
+
+
+def _end_with(parent: int) -> None:
+    """Have the system end this process when its parent ends; elsewhere than on Linux, limits do."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
+        if os.getppid() != parent:  # it has ended already
+            sys.exit(1)
 
 
 if __name__ == "__main__":

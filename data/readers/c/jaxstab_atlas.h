@@ -207,11 +207,12 @@ enum {
     JAXSTAB_ARRAYS_ /* so many */
 };
 
-/* Whether cells between two ends have a width. */
+/* Whether cells between two ends have a width that rounding does not swallow: 2^-24 of an end. */
 static inline int jaxstab_spans_(const double *ends)
 {
-    const double span = ends[1] - ends[0];
-    return isfinite(ends[0]) && isfinite(ends[1]) && isfinite(span) && span >= 1e-300;
+    const double span = ends[1] - ends[0], share = 5.9604644775390625e-08;
+    return isfinite(ends[0]) && isfinite(ends[1]) && isfinite(span) && span >= 1e-300 &&
+           span >= share * fabs(ends[0]) && span >= share * fabs(ends[1]);
 }
 
 /* Whether cells of delays follow each other, in rows of the ends of delay, alpha and beta. */

@@ -12,6 +12,11 @@
 #include <stdlib.h>
 #include <string.h>
 
+#if defined(__unix__) || defined(__APPLE__)
+#include <sys/stat.h>
+#define JAXSTAB_HAS_STAT_
+#endif
+
 static inline uint32_t jaxstab_rotated_(uint32_t word, int right)
 {
     return word >> right | word << (32 - right);
@@ -101,10 +106,21 @@ static inline int jaxstab_is_whole_(const unsigned char *bytes, size_t length, s
     return size <= *table && memcmp(bytes + *table + 16, digest, sizeof digest) == 0;
 }
 
+/* Whether there is a file, and no pipe or device, which would be waited for. */
+static inline int jaxstab_is_file_(const char *path)
+{
+#ifdef JAXSTAB_HAS_STAT_
+    struct stat status;
+    return stat(path, &status) == 0 && S_ISREG(status.st_mode);
+#else
+    return path != NULL;
+#endif
+}
+
 /* Return all bytes of a file, to be freed; NULL where it cannot be read. */
 static inline unsigned char *jaxstab_bytes_of_(const char *path, size_t *length)
 {
-    FILE *file = fopen(path, "rb");
+    FILE *file = jaxstab_is_file_(path) ? fopen(path, "rb") : NULL;
     unsigned char *bytes = NULL;
     long end = -1;
     if (file && fseek(file, 0, SEEK_END) == 0)

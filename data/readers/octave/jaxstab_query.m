@@ -151,18 +151,22 @@ function yes = may_be(atlas)
   if yes
     ends = atlas.range;
     spans = ends(:, [4, 6]) - ends(:, [3, 5]);
+    largest = max(abs(ends(:, [4, 6])), abs(ends(:, [3, 5])));
     slopes = atlas.limits([2:9, 12:19], :);
     errors = atlas.limits([10, 20], :);
     yes = all(isfinite(ends(:))) && ends(1, 1) >= 0 && ends(end, 2) <= 100 && ...
           all(ends(:, 1) <= ends(:, 2)) && all(ends(1:end - 1, 2) <= ends(2:end, 1)) && ...
-          all(diff(ends(:, 1)) > 0) && all(isfinite(spans(:))) && all(spans(:) >= 1e-300) && ...
+          all(diff(ends(:, 1)) > 0) && all(isfinite(spans(:))) && all(spans(:) >= max(1e-300, 2^-24 * largest(:))) && ...
           all(isfinite(slopes(:))) && all(errors(:) >= 0) && ~any(isnan(atlas.limits(:)));
   end
 end
 
 function [image, head, shapes, places] = table_of(file)
 % The bytes of the HDF5 image, and the three blocks of the table after it.
-  stream = fopen(file, 'r');
+  stream = -1;
+  if is_file(file)
+    stream = fopen(file, 'r');
+  end
   if stream < 0
     error('jaxstab:file', '%s cannot be read.', file);
   end
@@ -252,6 +256,16 @@ function digest = sha256(text)
   else
     engine = java.security.MessageDigest.getInstance('SHA-256');
     digest = reshape(typecast(engine.digest(uint8(text)), 'uint8'), 1, []);
+  end
+end
+
+function yes = is_file(file)
+% Whether there is a file, and no pipe or device, which would be waited for.
+  if is_octave()
+    [status, failed] = stat(file);
+    yes = ~failed && S_ISREG(status.mode);
+  else
+    yes = exist(file, 'file') == 2;
   end
 end
 

@@ -27,6 +27,7 @@ LARGEST_ATLAS: Final = 2**38  # nodes
 LARGEST_SLICE: Final = 2**22  # nodes along alpha and beta
 LARGEST_DELAY: Final = 100.0
 LEAST_SPAN: Final = 1e-300  # of alpha and beta: cells to it do not overflow
+LEAST_SHARE: Final = 2.0**-24  # of the larger of its ends: rounding swallows no cell of a span
 
 VERDICT: Final = "verdict"
 CELL_VERDICT: Final = "cell_verdict"

@@ -17,6 +17,7 @@ from jaxstab.atlas.format.schema import (
     LARGEST_ATLAS,
     LARGEST_DELAY,
     LARGEST_SLICE,
+    LEAST_SHARE,
     LEAST_SPAN,
     PRODUCTS,
     SPECTRAL_RADIUS,
@@ -303,8 +304,11 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
             raise ValueError(
                 f"axis {name} has {right} after {left}; give ascending values, each once."
             )
-    if name in limits and nodes[-1] - nodes[0] < LEAST_SPAN:
-        raise ValueError(f"axis {name} ends {nodes[-1] - nodes[0]} after it begins; give it width.")
+    least = max(LEAST_SPAN, LEAST_SHARE * max(abs(nodes[0]), abs(nodes[-1])))
+    if name in limits and nodes[-1] - nodes[0] < least:
+        raise ValueError(
+            f"axis {name} is {nodes[-1] - nodes[0]} long; make it {least:g} long at least."
+        )
     return nodes
 
 

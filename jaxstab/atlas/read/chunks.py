@@ -133,19 +133,23 @@ def check_axes(arrays: Mapping[str, Array]) -> None:
         if name in arrays:
             _check_range(arrays[name], arrays["delay"])
     for name in ("alpha", "beta"):
-        with np.errstate(over="ignore"):
-            spans = arrays[name][-1] - arrays[name][0]
-        check(spans.min() >= schema.LEAST_SPAN and spans.max() < np.inf)
+        _check_spans(arrays[name][0], arrays[name][-1])
 
 
 def _check_range(ends: Array, delay: Array) -> None:
     """Refuse cells of delays that do not follow each other to the last, and ends without width."""
-    with np.errstate(all="ignore"):
-        spans = ends[:, 3::2] - ends[:, 2::2]
     early, late = ends[:, 0], ends[:, 1]
     check(np.all(np.isfinite(ends)) and early[0] == delay[0] and late[-1] == delay[-1])
     check(np.all(early <= late) and np.all(late[:-1] <= early[1:]) and np.all(np.diff(early) > 0.0))
-    check(spans.min() >= schema.LEAST_SPAN and spans.max() < np.inf)
+    _check_spans(ends[:, 2::2], ends[:, 3::2])
+
+
+def _check_spans(low: Array, high: Array) -> None:
+    """Refuse spans that overflow, and those so narrow that rounding swallows their cells."""
+    with np.errstate(all="ignore"):
+        spans, largest = high - low, np.maximum(np.abs(low), np.abs(high))
+    check(np.all(spans >= np.maximum(schema.LEAST_SPAN, schema.LEAST_SHARE * largest)))
+    check(spans.max() < np.inf)
 
 
 def check_text(lines: Array) -> None:

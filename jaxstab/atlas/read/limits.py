@@ -61,9 +61,9 @@ class AlphaLimits(NamedTuple):
 class MaxAlpha(NamedTuple):
     """The largest stable alpha of hands, by proofs; NaN where none is proved stable.
 
-    A hand is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha of the atlas
-    above ``bound``, whatever beta. Where the stable set goes on beyond the atlas, ``alpha`` is the
-    largest one of the atlas, and ``bound`` infinite.
+    A hand is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha above
+    ``bound`` and no beta of the atlas. Where the stable set may go on beyond the atlas, across its
+    largest alpha or an end of beta, ``bound`` is infinite.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -256,6 +256,9 @@ class LimitTable:
             if holds.any():
                 best = np.argmax(np.where(holds, top, -np.inf))
                 bound = np.max(at.upper + at.upper_error, where=at.lower < np.inf, initial=-np.inf)
+                may_hold = ~(at.lower - at.lower_error >= at.upper + at.upper_error)
+                if may_hold[0, 0] or may_hold[1, -1]:  # the stable set crosses an end of beta
+                    bound = np.inf
                 found[:, point] = top.flat[best], sides.flat[best], bound
         return MaxAlpha(*found)
 

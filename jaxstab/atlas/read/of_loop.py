@@ -26,7 +26,8 @@ class LargestStiffness(NamedTuple):
     """The largest stable stiffness of a loop, by the proofs of an atlas; NaN where there is none.
 
     The loop is stable at ``damping`` and every stiffness just below ``stiffness``, and at no
-    stiffness of the atlas above ``bound``, whatever the damping.
+    stiffness above ``bound`` and no damping of the atlas. Where the stable set may go on beyond the
+    atlas, across its largest stiffness or an end of the damping, ``bound`` is infinite.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")

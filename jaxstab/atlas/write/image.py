@@ -18,6 +18,7 @@ from jaxstab.atlas.write.variables import places_of
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 _LONGEST_ATTRIBUTE = 2**16  # bytes
+_ROOM = 2**28  # bytes
 TROUBLES = (
     RefusalError,
     ValueError,
@@ -42,9 +43,17 @@ def opened(path: Path) -> Iterator[h5py.File]:
         with path.open("rb", buffering=0) as stream, h5py.File(stream, "r") as file:
             yield file
     except TROUBLES as error:
-        if "alloc" in str(error):  # HDF5 raises the same class for both
-            raise MemoryError(f"{path} does not fit into memory.") from error
+        if "alloc" in str(error) or not _has_room():  # HDF5 raises the same error for both
+            raise MemoryError(f"there is not enough memory to verify {path}.") from error
         raise ValueError(f"{path} {DAMAGED}") from error
+
+
+def _has_room() -> bool:
+    """Whether there is memory for what HDF5 takes to read some chunks."""
+    try:
+        return bool(bytearray(_ROOM))
+    except MemoryError:
+        return False
 
 
 def checked_datasets(file: h5py.File, table: Table) -> dict[str, h5py.Dataset]:
