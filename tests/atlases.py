@@ -75,6 +75,22 @@ def write_cut(path: Path) -> Path:
     return path
 
 
+def write_whole(path: Path) -> Path:
+    """Limits of alpha on axes that hold all stable walls at most delays."""
+    spec = AtlasSpec(
+        alpha=FittedAxis(10),
+        beta=FittedAxis(8),
+        gamma=[0.0, 0.001],
+        delta=[0.0, 0.015],
+        delay=[0.0, 0.5, 2.0],
+        products=["verdict", "alpha_limits"],
+        limit_cells=12,
+        delay_cells=16,
+    )
+    build_atlas(spec, path)
+    return path
+
+
 @functools.cache
 def small_contents() -> file.Contents:
     with tempfile.TemporaryDirectory() as folder:

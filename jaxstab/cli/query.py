@@ -18,7 +18,7 @@ from jaxstab.conventions import AXES, Verdict
 from jaxstab.tables import parsed, text_of
 
 if TYPE_CHECKING:
-    from jaxstab.atlas import AtlasAnswer
+    from jaxstab.atlas import Atlas, AtlasAnswer
 
 _ANSWER = ("verdict", "spectral_radius", "radius_error", "status")
 
@@ -87,21 +87,23 @@ def query(
     if scene_file is not None:
         others = given | {"csv": table, "velocity": velocity, "position": position}
         _refuse_beside_scene(others)
-        rows = _asked_of_scene(file, scene_file, wall, outside or "undecided", exact=exact)
-        _write(rows, list(rows[0]), form)
+        opened = jaxstab.open_atlas(file)
+        rows = _asked_of_scene(opened, scene_file, wall, outside or "undecided", exact=exact)
+        _write(_held(opened, rows), form)
         return
     for name, value in wall.items():
         if value is not None:
             raise ValueError(f"{name} is {value:g} without a scene; give --scene FILE.")
     points = _read_points(table, given) if table else _one_point(given)
-    answer = jaxstab.open_atlas(file).query(
+    opened = jaxstab.open_atlas(file)
+    answer = opened.query(
         **points,
         outside=outside or "error",
         exact=exact,
         velocity=None if velocity is None else velocity_of(parsed(velocity, "--velocity: ")),
         position=None if position is None else position_of(parsed(position, "--position: ")),
     )
-    _write(_answered(points, answer), [*AXES, *_ANSWER], form)
+    _write(_held(opened, _answered(points, answer)), form)
 
 
 @click.command()
@@ -221,8 +223,20 @@ def _refuse_beside_scene(others: dict[str, Any]) -> None:
             )
 
 
+def _held(
+    opened: "Atlas", rows: Iterable[dict[str, float | str]]
+) -> Iterator[dict[str, float | str]]:
+    """Yield rows without the columns of products that a file does not have."""
+    products = set(opened.products)
+    left_out = set() if products & {"verdict", "alpha_limits"} else {"verdict"}
+    if "spectral_radius" not in products:
+        left_out |= {"spectral_radius", "radius_error"}
+    for row in rows:
+        yield {name: value for name, value in row.items() if name not in left_out}
+
+
 def _asked_of_scene(
-    file: Path, scene_file: Path, wall: dict[str, float | None], outside: Any, *, exact: bool
+    opened: "Atlas", scene_file: Path, wall: dict[str, float | None], outside: Any, *, exact: bool
 ) -> list[dict[str, float | str]]:
     """Return a row for each wall at each corner of the ranges of a scene."""
     from jaxstab.loop import Gains
@@ -243,7 +257,7 @@ def _asked_of_scene(
     hand = f"hand_{moved}", "hand_stiffness", "hand_damping"
     names = "stiffness", "damping", moved, *hand, "delay"
     rows = []
-    for asked in ask_atlas(scene, jaxstab.open_atlas(file), walls, outside, exact=exact):
+    for asked in ask_atlas(scene, opened, walls, outside, exact=exact):
         member = asked.member
         numbers = [*asked.gains, member.mass, *member.hand[:3], member.delay]
         answer = (getattr(asked.answer, name).item() for name in _ANSWER)
@@ -252,11 +266,11 @@ def _asked_of_scene(
     return rows
 
 
-def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str) -> None:
+def _write(rows: Iterable[dict[str, float | str]], form: str) -> None:
     if form == "csv":
         every = list(rows)  # what is refused is refused before the header is printed
         writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow(header)
+        writer.writerow(every[0])
         writer.writerows(row.values() for row in every)
     else:
         click.echo(json.dumps([_finite(row) for row in rows], indent=1))

@@ -1,14 +1,18 @@
 """An atlas for the device, the hands and the delays of a scene: its specification, its answers."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import ceil, floor
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from jaxstab.atlas import Atlas, AtlasAnswer, AtlasSpec
+from jaxstab.atlas import Atlas, AtlasAnswer, AtlasSpec, FittedAxis
+from jaxstab.atlas.compute.layout import reach_of
 from jaxstab.loop import Gains
 from jaxstab.scene.basis import basis_of
+from jaxstab.scene.loops import walls_of
 from jaxstab.scene.members import Member, corners_of, loop_of_member, ranges_of
 from jaxstab.scene.scene import Scene
 
@@ -16,13 +20,15 @@ Outside = Literal["error", "undecided"]
 
 _NODES = {"gamma": 5, "delta": 9}  # along a range
 _DELAY_CELLS = 32  # to a sample, along a range of delays
+_MOST_LIMIT_CELLS = 2048  # where walls are far beyond what is stable
+_ASIDE = 1e-9  # of walls: so far beyond them axes end
 
 
 def atlas_spec(scene: Scene) -> AtlasSpec:
     """Return the specification of an atlas for all loops of a scene's ranges.
 
     Gamma and delta are least and most at the corners of the ranges of mass and hand, for they are
-    monotone in each. Alpha and beta are laid around what is stable.
+    monotone in each. Alpha and beta are laid around what is stable, and around the scene's walls.
 
     Raises:
         TypeError: the device is not one mass with its hand.
@@ -37,13 +43,48 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
     delays = sorted({float(loop.delay_samples) for loop in loops})
     first, last = delays[0], delays[-1]
     whole = map(float, range(floor(first) + 1, ceil(last)))
-    return AtlasSpec(
+    spec = AtlasSpec(
         gamma=_nodes("gamma", [loop.gamma for loop in loops]),
         delta=_nodes("delta", [loop.delta for loop in loops]),
         delay=sorted({first, last, *whole}),
         delay_cells=_DELAY_CELLS if first < last else 0,
         products=("verdict", "alpha_limits"),
         **loops[0].filters,
+    )
+    return _around(spec, loops, list(walls_of(scene).values()))
+
+
+def _around(spec: AtlasSpec, loops: list[HapticLoop], walls: list[Gains]) -> AtlasSpec:
+    """Return a specification whose axes reach beyond walls, with cells along beta as fine as before."""
+    if not walls:
+        return spec
+    stiffness, damping = (np.array(gains) for gains in zip(*walls, strict=True))
+    alpha = np.array([loop.alpha(stiffness) for loop in loops])
+    beta = np.array([loop.beta(damping) for loop in loops])
+    reach = reach_of(spec).ends
+    highest, lowest_beta, highest_beta = (
+        float(end) for end in (reach[:, 0].min(), reach[:, 1].max(), reach[:, 2].min())
+    )
+    axes = (
+        _beyond("alpha", spec, alpha, (-float(np.min(spec.gamma)), highest)),
+        _beyond("beta", spec, beta, (lowest_beta, highest_beta)),
+    )
+    width = np.ptp([*beta.flat, lowest_beta, highest_beta]) / (highest_beta - lowest_beta)
+    cells = min(ceil(spec.limit_cells * width), max(_MOST_LIMIT_CELLS, spec.limit_cells))
+    return replace(spec, alpha=axes[0], beta=axes[1], limit_cells=cells)
+
+
+def _beyond(
+    name: str, spec: AtlasSpec, gains: NDArray[np.float64], ends: tuple[float, float]
+) -> FittedAxis:
+    """Return an axis that reaches beyond gains, where these are beyond what is stable."""
+    axis: FittedAxis = getattr(spec, name)
+    low, high = float(gains.min()), float(gains.max())
+    aside = _ASIDE * max(abs(low), abs(high))
+    return replace(
+        axis,
+        least=low - aside if low < ends[0] else None,
+        most=high + aside if high > ends[1] else None,
     )
 
 

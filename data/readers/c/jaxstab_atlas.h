@@ -35,7 +35,9 @@
 #include "jaxstab_table.h"
 
 enum {
-    JAXSTAB_OUTSIDE = -1,  /* NaN, outside of the atlas, or between its delays: not known */
+    /* NaN, between the delays of the atlas, or outside of it: not known; beyond axes that hold all
+     * stable walls the code is JAXSTAB_UNSTABLE */
+    JAXSTAB_OUTSIDE = -1,
     JAXSTAB_STABLE = 1,    /* proved */
     JAXSTAB_UNSTABLE = 2,  /* proved */
     JAXSTAB_UNDECIDED = 3  /* too close to the boundary for the atlas */
@@ -52,6 +54,7 @@ typedef struct {
 typedef struct {
     double lowest_delay, highest_delay, lowest_alpha, highest_alpha, lowest_beta, highest_beta;
     double cells_per_beta;
+    double whole; /* 1: beyond these alphas every wall is unstable; 2: beyond these betas, too */
 } jaxstab_walls_; /* in one cell of delays */
 
 typedef struct {
@@ -119,30 +122,47 @@ static inline size_t jaxstab_delay_rank_(const jaxstab_atlas *atlas, double dela
     return walls[cell].lowest_delay <= delay ? cell + 1 : 0;
 }
 
+/* The walls of the cell of delays for a plant; NULL where the atlas says nothing of it. */
+static inline const jaxstab_walls_ *jaxstab_walls_of_(const jaxstab_atlas *atlas, double gamma,
+                                                      double delta, double delay)
+{
+    const size_t rank = jaxstab_delay_rank_(atlas, delay);
+    if (rank == 0 || !(delay <= atlas->walls[rank - 1].highest_delay) ||
+        !jaxstab_holds_(atlas->gamma[0], atlas->gamma[atlas->gammas - 1], gamma) ||
+        !jaxstab_holds_(atlas->delta[0], atlas->delta[atlas->deltas - 1], delta))
+        return NULL;
+    return &atlas->walls[rank - 1];
+}
+
 /* Find the walls of a cell of delays and the limits at a point; 0 where the atlas says nothing. */
 static inline int jaxstab_find_(const jaxstab_atlas *atlas, double beta, double gamma, double delta,
                                 double delay, const jaxstab_walls_ **walls, jaxstab_limits *limits)
 {
-    const size_t rank = jaxstab_delay_rank_(atlas, delay);
-    if (rank == 0 || !(delay <= atlas->walls[rank - 1].highest_delay))
-        return 0;
-    *walls = &atlas->walls[rank - 1];
-    if (!jaxstab_holds_((*walls)->lowest_beta, (*walls)->highest_beta, beta) ||
-        !jaxstab_holds_(atlas->gamma[0], atlas->gamma[atlas->gammas - 1], gamma) ||
-        !jaxstab_holds_(atlas->delta[0], atlas->delta[atlas->deltas - 1], delta))
+    *walls = jaxstab_walls_of_(atlas, gamma, delta, delay);
+    if (!*walls || !jaxstab_holds_((*walls)->lowest_beta, (*walls)->highest_beta, beta))
         return 0;
 
+    const size_t delay_cell = (size_t)(*walls - atlas->walls);
     const double place = (beta - (*walls)->lowest_beta) * (*walls)->cells_per_beta;
     size_t cell = place < (double)atlas->beta_cells ? (size_t)place : atlas->beta_cells - 1;
     cell = cell * atlas->gamma_cells + jaxstab_cell_(atlas->gamma, atlas->gammas, gamma);
     cell = cell * atlas->delta_cells + jaxstab_cell_(atlas->delta, atlas->deltas, delta);
 
-    const float *column = atlas->limits + JAXSTAB_ROW_ * (cell * atlas->delay_cells + rank - 1);
+    const float *column = atlas->limits + JAXSTAB_ROW_ * (cell * atlas->delay_cells + delay_cell);
     limits->lower = jaxstab_limit_(column, beta, gamma, delta, delay);
     limits->lower_error = column[9];
     limits->upper = jaxstab_limit_(column + JAXSTAB_TERMS_, beta, gamma, delta, delay);
     limits->upper_error = column[19];
     return 1;
+}
+
+/* The code of a wall outside of the walls of a plant, which may be NULL. */
+static inline int jaxstab_beyond_(const jaxstab_walls_ *walls, double alpha, double beta)
+{
+    if (!walls || !isfinite(alpha) || !isfinite(beta))
+        return JAXSTAB_OUTSIDE;
+    const int is_inside = jaxstab_holds_(walls->lowest_beta, walls->highest_beta, beta);
+    return walls->whole >= (is_inside ? 1.0 : 2.0) ? JAXSTAB_UNSTABLE : JAXSTAB_OUTSIDE;
 }
 
 /* Return one of the four codes above. */
@@ -153,7 +173,7 @@ static inline int jaxstab_verdict(const jaxstab_atlas *atlas, double alpha, doub
     jaxstab_limits at;
     if (!jaxstab_find_(atlas, beta, gamma, delta, delay, &walls, &at) ||
         !jaxstab_holds_(walls->lowest_alpha, walls->highest_alpha, alpha))
-        return JAXSTAB_OUTSIDE;
+        return jaxstab_beyond_(walls, alpha, beta);
     /* Without branches: a wrong guess would wait for the limits, which come from memory. */
     const int is_unstable =
         (alpha < at.lower - at.lower_error) | (alpha > at.upper + at.upper_error);
@@ -203,6 +223,7 @@ enum {
     JAXSTAB_GAMMA_,
     JAXSTAB_DELTA_,
     JAXSTAB_RANGE_,
+    JAXSTAB_WHOLE_,
     JAXSTAB_LIMITS_,
     JAXSTAB_ARRAYS_ /* so many */
 };
@@ -240,16 +261,26 @@ static inline int jaxstab_are_limits_(const float *terms, size_t count)
     return are;
 }
 
+/* Whether codes of axes that hold all stable walls may be. */
+static inline int jaxstab_are_codes_(const int32_t *codes, size_t count)
+{
+    int are = 1;
+    for (size_t i = 0; are && i < count; i++)
+        are = codes[i] >= 0 && codes[i] <= 2;
+    return are;
+}
+
 /* Whether shapes and axes fit together, and all numbers may be. */
 static inline int jaxstab_fits_(void *const values[], const size_t shape[][5])
 {
     const size_t *limits = shape[JAXSTAB_LIMITS_], delays = shape[JAXSTAB_RANGE_][0];
     int fits = limits[1] == (shape[JAXSTAB_GAMMA_][0] > 1 ? shape[JAXSTAB_GAMMA_][0] - 1 : 1) &&
                limits[2] == (shape[JAXSTAB_DELTA_][0] > 1 ? shape[JAXSTAB_DELTA_][0] - 1 : 1) &&
-               limits[3] == delays && limits[4] == JAXSTAB_ROW_ && shape[JAXSTAB_RANGE_][1] == 6;
+               shape[JAXSTAB_WHOLE_][0] == delays && limits[3] == delays && limits[4] == JAXSTAB_ROW_ && shape[JAXSTAB_RANGE_][1] == 6;
     for (int i = JAXSTAB_GAMMA_; i <= JAXSTAB_DELTA_; i++)
         fits = fits && jaxstab_ascends_((const double *)values[i], shape[i][0]);
-    return fits && jaxstab_follow_((const double *)values[JAXSTAB_RANGE_], delays) &&
+    return fits && jaxstab_are_codes_((const int32_t *)values[JAXSTAB_WHOLE_], delays) &&
+           jaxstab_follow_((const double *)values[JAXSTAB_RANGE_], delays) &&
            jaxstab_are_limits_((const float *)values[JAXSTAB_LIMITS_],
                                limits[0] * limits[1] * limits[2] * limits[3] * limits[4]);
 }
@@ -304,6 +335,7 @@ static inline jaxstab_atlas *jaxstab_assembled_(void *const values[], const size
         memcpy(&walls[k], (const double *)values[JAXSTAB_RANGE_] + 6 * k, 6 * sizeof(double));
         walls[k].cells_per_beta =
             (double)atlas->beta_cells / (walls[k].highest_beta - walls[k].lowest_beta);
+        walls[k].whole = ((const int32_t *)values[JAXSTAB_WHOLE_])[k];
     }
     return atlas;
 }
@@ -312,8 +344,10 @@ static inline jaxstab_atlas *jaxstab_assembled_(void *const values[], const size
 static inline jaxstab_atlas *jaxstab_loaded_(const unsigned char *bytes, size_t image, char *text,
                                              size_t length, const char **problem)
 {
-    static const char *const names[] = {"gamma", "delta", "limit_range", "alpha_limits"};
-    static const int ranks[] = {1, 1, 2, 5};
+    static const char *const names[] = {"gamma", "delta", "limit_range", "limit_whole",
+                                        "alpha_limits"};
+    static const char *const types[] = {" <f8", " <f8", " <f8", " <i4", " <f4"};
+    static const int ranks[] = {1, 1, 2, 1, 5};
     jaxstab_file_ file = {bytes, image, {NULL}};
     void *values[JAXSTAB_ARRAYS_] = {NULL};
     size_t shape[JAXSTAB_ARRAYS_][5] = {{0}};
@@ -321,8 +355,7 @@ static inline jaxstab_atlas *jaxstab_loaded_(const unsigned char *bytes, size_t 
     *problem = jaxstab_parse_(text, length, file.blocks);
     int is_read = !*problem;
     for (int i = 0; is_read && i < JAXSTAB_ARRAYS_; i++) {
-        const size_t width = i == JAXSTAB_LIMITS_ ? sizeof(float) : sizeof(double);
-        values[i] = jaxstab_read_(&file, image, names[i], ranks[i], width, shape[i]);
+        values[i] = jaxstab_read_(&file, image, names[i], types[i], ranks[i], shape[i]);
         is_read = values[i] != NULL;
     }
     if (is_read && jaxstab_fits_(values, (const size_t (*)[5])shape)) {

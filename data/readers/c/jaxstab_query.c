@@ -7,7 +7,7 @@
  *                                    limit of the stable alpha, its error, the upper and its error
  *     jaxstab_query ATLAS --bench    time of a verdict at random points of the atlas
  *
- * Codes: 1 stable, 2 unstable, 3 undecided, -1 outside of the atlas.
+ * Codes: 1 stable, 2 unstable, 3 undecided, -1 outside of the atlas, where it says nothing.
  */
 #define _POSIX_C_SOURCE 199309L
 #include "jaxstab_atlas.h"

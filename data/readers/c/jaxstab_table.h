@@ -71,14 +71,15 @@ static inline const char *jaxstab_line_(const char *block, const char *name)
     return NULL;
 }
 
-/* Find an array of float64 or float32, by the width of a number, in the table; 0 where it is
- * missing, or promises more than there is. */
-static inline int jaxstab_stored_of_(const jaxstab_file_ *file, const char *name, int rank,
-                                     size_t width, jaxstab_stored_ *stored)
+/* Find an array of a type, " <f8", " <f4" or " <i4", in the table; 0 where it is missing, or
+ * promises more than there is. */
+static inline int jaxstab_stored_of_(const jaxstab_file_ *file, const char *name, const char *type,
+                                     int rank, jaxstab_stored_ *stored)
 {
+    const uint64_t width = (uint64_t)(type[3] - '0');
     const char *line = jaxstab_line_(file->blocks[1], name);
     stored->places = jaxstab_line_(file->blocks[2], name);
-    if (!line || !stored->places || !jaxstab_take_(&line, width == 8 ? " <f8" : " <f4") ||
+    if (!line || !stored->places || !jaxstab_take_(&line, type) ||
         !jaxstab_take_shape_(&line, rank, stored->shape) ||
         !jaxstab_take_shape_(&line, rank, stored->chunk))
         return 0;
@@ -157,13 +158,13 @@ static inline int jaxstab_fill_(jaxstab_file_ *file, size_t length, jaxstab_stor
 }
 
 /* Return the numbers of an array, to be freed, and its shape; or NULL. */
-static inline void *jaxstab_read_(jaxstab_file_ *file, size_t length, const char *name, int rank,
-                                  size_t width, size_t *shape)
+static inline void *jaxstab_read_(jaxstab_file_ *file, size_t length, const char *name,
+                                  const char *type, int rank, size_t *shape)
 {
     jaxstab_stored_ stored;
-    if (!jaxstab_stored_of_(file, name, rank, width, &stored))
+    if (!jaxstab_stored_of_(file, name, type, rank, &stored))
         return NULL;
-    unsigned char *values = (unsigned char *)malloc((size_t)stored.count * width);
+    unsigned char *values = (unsigned char *)malloc((size_t)(stored.count * stored.width));
     unsigned char *ordered = (unsigned char *)malloc((size_t)stored.size);
     if (!values || !ordered || !jaxstab_fill_(file, length, &stored, values, ordered)) {
         free(values);

@@ -9,7 +9,8 @@ function [code, lower, lower_error, upper, upper_error] = ...
 %   code = jaxstab_query(atlas, alpha, beta, gamma, delta, delay)
 %       answers for points, arrays of one shape or scalars:
 %         1 stable, 2 unstable (both proved), 3 undecided: too close to the boundary for the atlas,
-%        -1 NaN, outside of the atlas, or between its delays: it says nothing.
+%        -1 NaN, outside of the atlas, or between its delays: it says nothing. Beyond axes that hold
+%           all stable walls the code is 2.
 %
 %   [code, lower, lower_error, upper, upper_error] = jaxstab_query(...)
 %       gives the limits of the stable alpha too, which do not depend on the alpha asked about.
@@ -59,8 +60,15 @@ function [code, lower, lower_error, upper, upper_error] = ...
     found = 3 * ones(size(a));
     found(a < low - low_error | a > high + high_error) = 2;
     found(a > low + low_error & a < high - high_error) = 1;
-    found(~is_inside(a, ends(3:4))) = -1;
+    is_beyond = ~is_inside(a, ends(3:4));
+    found(is_beyond) = -1;
+    found(is_beyond & isfinite(a) & atlas.whole(k) >= 1) = 2;
     code(here) = found;
+    if atlas.whole(k) == 2
+      code(cells == k & delay <= ends(2) & ~is_inside(point{1}, ends(5:6)) & ...
+           is_inside(point{2}, atlas.gamma) & is_inside(point{3}, atlas.delta) & ...
+           isfinite(point{1}) & isfinite(alpha)) = 2;
+    end
 
     is_below = low + low_error <= ends(3); % beyond the alphas of the atlas they say nothing
     is_above = high - high_error >= ends(4);
@@ -118,10 +126,10 @@ function atlas = opened(file)
   if isempty(filters)
     refuse_damaged(file);
   end
-  names = {'gamma', 'delta', 'limit_range', 'alpha_limits'};
-  kinds = {'double', 'double', 'double', 'single'};
-  ranks = [1, 1, 2, 5];
-  for i = 1:4
+  names = {'gamma', 'delta', 'limit_range', 'limit_whole', 'alpha_limits'};
+  kinds = {'double', 'double', 'double', 'int32', 'single'};
+  ranks = [1, 1, 2, 1, 5];
+  for i = 1:5
     [values, is_read] = array_of(image, shapes, places, names{i}, kinds{i}, ranks(i));
     if ~is_read
       refuse_damaged(file);
@@ -132,6 +140,7 @@ function atlas = opened(file)
   % The dimensions of arrays are reversed here.
   limits = raw.alpha_limits;
   atlas = struct('gamma', raw.gamma', 'delta', raw.delta', 'range', raw.limit_range', ...
+                 'whole', double(raw.limit_whole'), ...
                  'filters', filters{1});
   atlas.cells = [size(limits, 5), size(limits, 4), size(limits, 3)];
   atlas.limits = reshape(limits, size(limits, 1), size(limits, 2), []);
@@ -143,7 +152,8 @@ end
 function yes = may_be(atlas)
 % Whether shapes and axes fit together, and all numbers may be.
   hands = max([numel(atlas.gamma), numel(atlas.delta)] - 1, 1);
-  yes = size(atlas.limits, 1) == 20 && size(atlas.range, 2) == 6 && ...
+  yes = isequal(size(atlas.whole), [1, size(atlas.range, 1)]) && ...
+        all(atlas.whole >= 0 & atlas.whole <= 2) && size(atlas.limits, 1) == 20 && size(atlas.range, 2) == 6 && ...
         size(atlas.limits, 2) == size(atlas.range, 1) && isequal(atlas.cells(2:3), hands);
   for axis = {atlas.gamma, atlas.delta}
     yes = yes && all(isfinite(axis{1})) && all(diff(axis{1}) > 0) && axis{1}(1) >= 0;
@@ -199,13 +209,17 @@ function [image, head, shapes, places] = table_of(file)
 end
 
 function [values, is_read] = array_of(image, shapes, places, name, kind, rank)
-% An array of numbers of a kind, double or single, from its chunks; not read where they are not what their digests say.
+% An array of numbers of a kind, double, single or int32, from its chunks; not read where they are not what their digests say.
   values = [];
   is_read = false;
   width = 4 * (1 + strcmp(kind, 'double'));
+  letter = 'f';
+  if strcmp(kind, 'int32')
+    letter = 'i';
+  end
   number = '[1-9]\d{0,11}';
   shape = [number, repmat(['x', number], 1, rank - 1)];
-  line = regexp(shapes, ['(?:^|\n)', name, ' <f', int2str(width), ' (', shape, ') (', shape, ') ([0-9a-f ]+)\n'], ...
+  line = regexp(shapes, ['(?:^|\n)', name, ' <', letter, int2str(width), ' (', shape, ') (', shape, ') ([0-9a-f ]+)\n'], ...
                 'tokens', 'once');
   where = regexp(places, ['(?:^|\n)', name, '((?: \d{1,12}\+\d{1,12})+)\n'], 'tokens', 'once');
   if isempty(line) || isempty(where)

@@ -53,7 +53,7 @@ def with_counts(spec: AtlasSpec, counts: Counts) -> AtlasSpec:
         if name in OF_LIMITS:
             changed[name] = counts[name]
         elif isinstance(getattr(spec, name), FittedAxis):
-            changed[name] = FittedAxis(counts[name])
+            changed[name] = replace(getattr(spec, name), count=counts[name])
         else:
             nodes = np.array(getattr(spec, name))
             changed[name] = _resampled(nodes, counts[name] + (name in HANDS)).tolist()

@@ -286,16 +286,25 @@ def _wall_axes(
         highest_alpha, *both = reach.along(np.array(delay)).tolist()
         beta_ends = both[0], both[1]
     alpha = (
-        _fitted_alpha(spec.alpha.count, gamma, highest_alpha)
+        _reaching(spec.alpha, _fitted_alpha(spec.alpha.count, gamma, highest_alpha))
         if isinstance(spec.alpha, FittedAxis)
         else np.array(spec.alpha)
     )
     beta = (
-        _fitted_beta(spec.beta.count, *beta_ends)
+        _reaching(spec.beta, _fitted_beta(spec.beta.count, *beta_ends))
         if isinstance(spec.beta, FittedAxis)
         else np.array(spec.beta)
     )
     return alpha, beta
+
+
+def _reaching(
+    axis: FittedAxis, nodes: Float64[np.ndarray, " count"]
+) -> Float64[np.ndarray, " count"]:
+    """Return fitted nodes of which the first and the last are as far out as the axis asks for."""
+    low = nodes[0] if axis.least is None else min(nodes[0], axis.least)
+    high = nodes[-1] if axis.most is None else max(nodes[-1], axis.most)
+    return np.array([low, *nodes[1:-1], high])
 
 
 def _stable_box(

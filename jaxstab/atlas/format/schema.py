@@ -33,6 +33,9 @@ VERDICT: Final = "verdict"
 CELL_VERDICT: Final = "cell_verdict"
 ALPHA_LIMITS: Final = "alpha_limits"
 LIMIT_RANGE: Final = "limit_range"
+LIMIT_WHOLE: Final = "limit_whole"
+WHOLE_ALPHA: Final = 1
+WHOLE_BOTH: Final = 2
 SPECTRAL_RADIUS: Final = "spectral_radius"
 RADIUS_RANGE: Final = "radius_range"
 RADIUS_KIND: Final = "radius_kind"
@@ -198,6 +201,18 @@ VARIABLES: Final = {
             "one row for each cell of delays, ascending; of two cells that share a delay the "
             "second answers for it",
         ),
+        Variable(
+            LIMIT_WHOLE,
+            "int32",
+            ("delay_cell",),
+            "axes that hold the whole stable set",
+            "for all gamma and delta of the atlas and all delays of the cell: 1, a wall beyond the "
+            "alphas of limit_range, at one of its betas, is unstable; 2, and so is a wall beyond its "
+            "betas; 0, nothing is known. Proved: columns between the axes and bounds of all stable "
+            "gains are empty",
+            0,
+            WHOLE_BOTH,
+        ),
         _numbers(
             "limit_term",
             "0 to 9: constant, slopes along beta, gamma, delta, delay, the square of the delay and "
@@ -309,6 +324,7 @@ PRODUCTS: Final = {
         "delay_cell",
         "limit_end",
         LIMIT_RANGE,
+        LIMIT_WHOLE,
         "limit_term",
         ALPHA_LIMITS,
     ),
@@ -336,6 +352,9 @@ PRODUCTS: Final = {
     "summary": SUMMARY,
 }
 """What can be chosen in a specification, and the variables that hold it."""
+
+KNOWN_BEFORE: Final = (LIMIT_RANGE, LIMIT_WHOLE, RADIUS_RANGE)
+"""Variables of products that no tile holds: they follow from the specification."""
 
 STRUNG: Final = {OUTLINE_SIZE: "outline_point", CORNER_COUNT: "corner"}
 """How many of the places along a dimension belong to each slice."""

@@ -36,6 +36,7 @@ _LIMIT_CELLS = 256, 128  # at delays alone, and between them
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
 _RANGE = ("start", "stop", "count", "spacing")
 _TOLERANT = ("start", "stop", "tolerance")
+_REACH = ("least", "most")
 _LINE_LENGTH = 90
 
 
@@ -45,20 +46,28 @@ class FittedAxis:
 
     Args:
         count: number of nodes, >= 8.
+        least: the first node is not above it; None for that of the stable region alone.
+        most: the last node is not below it; likewise.
 
     Raises:
-        TypeError: ``count`` is not a whole number.
-        ValueError: ``count`` is too small.
+        TypeError: ``count`` is not a whole number, or an end is not a number.
+        ValueError: ``count`` is too small, or an end is not finite.
 
     Example:
         >>> jaxstab.AtlasSpec(alpha=jaxstab.FittedAxis(64)).alpha
-        FittedAxis(count=64)
+        FittedAxis(count=64, least=None, most=None)
     """
 
     count: int
+    least: float | None = None
+    most: float | None = None
 
     def __post_init__(self) -> None:
         checked_count("fitted", self.count, FEWEST_FITTED, LARGEST_SLICE)
+        for name in _REACH:
+            if getattr(self, name) is not None:
+                number = checked_number(f"{name} of a fitted axis", getattr(self, name))
+                object.__setattr__(self, name, number)
 
 
 @dataclass(frozen=True)
@@ -178,7 +187,7 @@ class AtlasSpec:
 
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
         ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
-        ``fitted``, a count, and for gamma and delta ``start``, ``stop`` and ``tolerance``. The
+        ``fitted``, a count, and perhaps ``least`` and ``most``, and for gamma and delta ``start``, ``stop`` and ``tolerance``. The
         tables ``velocity`` and ``position`` are of ``jaxstab.atlas.format.filters``.
 
         Raises:
@@ -228,7 +237,10 @@ _FILTERS: Mapping[str, Callable[[Any], Velocity | Filter]] = {
     "velocity": velocity_of,
     "position": position_of,
 }
-_ENTRIES: Mapping[type, list[str]] = {FittedAxis: ["fitted"], ToleranceAxis: ["tolerance"]}
+_ENTRIES: Mapping[type, list[str]] = {
+    FittedAxis: [*_REACH, "fitted"],
+    ToleranceAxis: ["tolerance"],
+}
 
 
 def check_size(counts: Sequence[int]) -> None:
@@ -261,8 +273,8 @@ def _axis_of(name: str, entry: Any) -> Any:
         return entry
     allowed = ["values", *_RANGE, *_ENTRIES.get(_LAID_OUT.get(name, object), [])]
     check_keys(name, entry, allowed)
-    if set(entry) == {"fitted"}:
-        return FittedAxis(entry["fitted"])
+    if "fitted" in entry and set(entry) <= {"fitted", *_REACH}:
+        return FittedAxis(entry["fitted"], entry.get("least"), entry.get("most"))
     if set(entry) == {"values"}:
         return entry["values"]
     if set(entry) == set(_TOLERANT):
@@ -323,7 +335,9 @@ def _checked_products(products: Any) -> tuple[str, ...]:
 
 def _toml(value: Any) -> str:
     if isinstance(value, FittedAxis):
-        return f"{{ fitted = {value.count} }}"
+        ends = {name: getattr(value, name) for name in _REACH}
+        given = [f", {name} = {end!r}" for name, end in ends.items() if end is not None]
+        return f"{{ fitted = {value.count}{''.join(given)} }}"
     if isinstance(value, ToleranceAxis):
         return "{ " + ", ".join(f"{key} = {getattr(value, key)!r}" for key in _TOLERANT) + " }"
     if isinstance(value, Velocity | Filter):

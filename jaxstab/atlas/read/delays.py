@@ -5,6 +5,8 @@ from bisect import bisect_right
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.atlas.format.schema import WHOLE_ALPHA, WHOLE_BOTH
+
 Floats = NDArray[np.float64]
 Integers = NDArray[np.intp]
 Range = tuple[float, float]
@@ -17,9 +19,11 @@ class DelayCells:
 
     Args:
         ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells.
+        whole: (delay_cell,), which axes hold the whole stable set (``schema.LIMIT_WHOLE``).
     """
 
-    def __init__(self, ends: Floats) -> None:
+    def __init__(self, ends: Floats, whole: NDArray[np.int32]) -> None:
+        self._whole = whole
         lowest, highest = np.ascontiguousarray(ends.T[::2]), np.ascontiguousarray(ends.T[1::2])
         self.ends = dict(
             zip(("delay", "alpha", "beta"), zip(lowest, highest, strict=True), strict=True)
@@ -55,6 +59,18 @@ class DelayCells:
         """Return the lowest and the highest alpha, or beta, of cells."""
         least, most = self.ends[name]
         return np.asarray(least.take(cell)), np.asarray(most.take(cell))
+
+    def beyond(self, cell: Integers, alpha: Floats, beta: Floats) -> NDArray[np.bool_]:
+        """Say which walls are beyond axes of cells that hold the whole stable set: unstable."""
+        inside = []
+        for name, values in (("alpha", alpha), ("beta", beta)):
+            least, most = self.walls(name, cell)
+            inside.append((values >= least) & (values <= most))
+        whole = self._whole.take(cell)
+        is_beyond = ((whole >= WHOLE_ALPHA) & ~inside[0] & inside[1]) | (
+            (whole == WHOLE_BOTH) & ~inside[1]
+        )
+        return np.asarray(is_beyond)
 
     def hold(self, cell: Integers, delay: Floats, **walls: Floats) -> bool:
         """Whether these cells reach to delays that they begin before, and to alphas or betas."""

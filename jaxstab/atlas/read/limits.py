@@ -86,16 +86,23 @@ class LimitTable:
             of the lower and then of the upper limit.
         ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells; those
             along beta are even.
+        whole: (delay_cell,), which axes hold the whole stable set.
         gamma: nodes of gamma, one or ascending.
         delta: nodes of delta, one or ascending.
     """
 
     def __init__(
-        self, terms: NDArray[np.float32], ends: Floats, *, gamma: Floats, delta: Floats
+        self,
+        terms: NDArray[np.float32],
+        ends: Floats,
+        whole: NDArray[np.int32],
+        *,
+        gamma: Floats,
+        delta: Floats,
     ) -> None:
         self._cells, gammas, deltas, delays, count = terms.shape
         self._columns = np.ascontiguousarray(terms).reshape(-1, count)
-        self.delays = DelayCells(ends)
+        self.delays = DelayCells(ends, whole)
         self._beta, highest = self.delays.ends["beta"]
         self._per_beta = self._cells / (highest - self._beta)
         self._steps = gammas * deltas * delays, deltas * delays, delays

@@ -40,7 +40,8 @@ def find_outside(
 ) -> None:
     """Mark points outside of the atlas, or refuse the first.
 
-    Alpha and beta end where the limits of alpha do, or else where the nodes of a delay do.
+    Alpha and beta end where the limits of alpha do, or else where the nodes of a delay do; axes
+    that hold the whole stable set have no end.
 
     Raises:
         ValueError: a point is outside, and that is refused.
@@ -60,6 +61,8 @@ def find_outside(
     if table is not None:
         covered = np.flatnonzero(table.delays.covers(where["delay"]))
         cell = table.delays.of(where["delay"][covered])
+        known = ~table.delays.beyond(cell, where["alpha"][covered], where["beta"][covered])
+        covered, cell = covered[known], cell[known]
         for name in ("alpha", "beta"):
             check(name, *table.delays.walls(name, cell), covered)
         return
@@ -73,7 +76,10 @@ def find_outside(
 def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: AtlasAnswer) -> None:
     """Fill in the verdicts of points inside of an atlas, where there are limits of alpha."""
     here = np.flatnonzero(inside & table.delays.covers(where["delay"]))
-    codes = table.verdicts([where[name][here] for name in AXES])
+    walls = (where[name][here] for name in ("alpha", "beta"))
+    beyond = table.delays.beyond(table.delays.of(where["delay"][here]), *walls)
+    codes = np.full(here.size, UNSTABLE, np.int8)
+    codes[~beyond] = table.verdicts([where[name][here[~beyond]] for name in AXES])
     answer.verdict[here] = codes
     proved = (codes == STABLE) | (codes == UNSTABLE)
     answer.status[here] = np.where(proved, QueryStatus.CELL, QueryStatus.UNDECIDED_CELL)

@@ -66,6 +66,7 @@ class RadiusTable:
             cell = cell * count + along
         middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
         beside[-1] = (points[-1] - middle) / np.where(half > 0.0, half, 1.0)
+        beside[:, ~inside] = 0.0  # what is far outside would overflow
         low, high = self._of_cells(cell, beside)
         return np.where(inside, low, 0.0), np.where(inside, high, np.inf)
 

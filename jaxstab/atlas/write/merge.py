@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.atlas.compute.beyond import whole_axes
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.digest import Chunked, content_digest, digest_of
@@ -114,6 +115,7 @@ def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArra
         "delta": grid.delta,
         "delay": grid.delay,
         schema.LIMIT_RANGE: grid.limit_range,
+        schema.LIMIT_WHOLE: whole_axes(grid, plan.spec.filters),
         schema.RADIUS_RANGE: grid.radius_range,
         schema.SPEC: lines,
     }

@@ -14,7 +14,7 @@ from jaxtyping import Float64
 
 from jaxstab.atlas.compute.layout import Grid, Reach
 from jaxstab.atlas.compute.plan import Plan
-from jaxstab.atlas.format.schema import ALPHA_LIMITS, LIMIT_RANGE, LIMITS, SPEC
+from jaxstab.atlas.format.schema import ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE, LIMITS, SPEC
 from jaxstab.atlas.read.atlas import Atlas
 from jaxstab.atlas.read.file import Contents
 from jaxstab.atlas.write.parts import LimitPart, cell_parts, limit_parts, radius_errors
@@ -133,7 +133,9 @@ def _query_seconds(grid: Grid, parts: Sequence[LimitPart]) -> float:
     shape[0] = max(1, min(shape[0], _TABLE // prod(shape[1:])))
     terms = np.resize(np.concatenate([part.terms for part in parts]), shape)
     arrays = {"gamma": grid.gamma, "delta": grid.delta, "delay": grid.delay, SPEC: np.array([b""])}
-    atlas = Atlas(Contents(arrays | {ALPHA_LIMITS: terms, LIMIT_RANGE: grid.limit_range}, "", ""))
+    arrays |= {ALPHA_LIMITS: terms, LIMIT_RANGE: grid.limit_range}
+    arrays |= {LIMIT_WHOLE: np.zeros(len(grid.limit_range), np.int32)}
+    atlas = Atlas(Contents(arrays, "", ""))
     rng = np.random.default_rng(shape[0])
     row = grid.limit_range[rng.integers(len(grid.limit_range), size=_QUERIES)].T
     hands = (rng.uniform(nodes[0], nodes[-1], _QUERIES) for nodes in (grid.gamma, grid.delta))

@@ -28,9 +28,8 @@ from jaxstab.atlas.compute.products import Arrays
 from jaxstab.atlas.format.digest import values_digest
 from jaxstab.atlas.format.footer import image_of, sealed
 from jaxstab.atlas.format.schema import (
-    LIMIT_RANGE,
+    KNOWN_BEFORE,
     PRODUCTS,
-    RADIUS_RANGE,
     SCHEMA_VERSION,
     VARIABLES,
 )
@@ -119,7 +118,7 @@ def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py
 def _check_datasets(file: h5py.File, plan: Plan, tile: Tile) -> None:
     """Refuse other variables than those of a tile, and others than its values in their chunks."""
     held = [name for product in plan.spec.products for name in PRODUCTS[product]]
-    held = [n for n in held if not VARIABLES[n].is_axis and n not in (LIMIT_RANGE, RADIUS_RANGE)]
+    held = [n for n in held if not VARIABLES[n].is_axis and n not in KNOWN_BEFORE]
     gridded = {n for n in held if plan.is_gridded(n) and 0 not in plan.shape(n, tile)}
     flat = {name for name in held if not plan.is_gridded(name)}
     check(gridded <= set(file) <= gridded | flat)
