@@ -36,8 +36,9 @@ def others_inside(c: SliceCoefficients, theta: Array, length: int, within: float
         return all_inside(c.filtered, *exact_walls(c.filtered, theta), within)
     xp = namespace(c, theta)
     if xp is np and theta.size * length > _AT_ONCE and theta.size > 1:
-        parts = np.array_split(theta, -(-theta.size * length // _AT_ONCE))
-        return np.concatenate([others_inside(c, part, length, within) for part in parts])
+        parts = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
+        inside = [others_inside(c, part, length, within) for part in parts]
+        return np.concatenate(inside).reshape(theta.shape)
     if c.filtered is not None:
         return _others_inside(c, c.filtered, theta.ravel(), length, within).reshape(theta.shape)
     return _all_inside(stored(_shrunk(other_roots(c, theta, length), within)))

@@ -2,8 +2,8 @@
 
 An answer is a frozen dataclass. The annotation of a number has its Quantity: the unit, the digits
 that are printed and the side to which they are rounded. Limits are rounded inwards: what is printed
-as the largest stable stiffness is not above it. JSON has all digits. Answers of a scene that turns
-have the units of rotation, and inertia for mass.
+as the largest stable stiffness is not above it. JSON has all digits, in SI units, and the unit of
+each key. Answers of a scene that turns have the units of rotation, and inertia for mass.
 """
 
 from collections.abc import Iterator
@@ -20,6 +20,13 @@ from jaxstab.shown import rounded_text
 _LIMIT_DIGITS = 4
 _MOST_DIGITS = 17
 _COLUMN = 34  # where values begin
+_HEADINGS = {
+    "walls": "wall {}",
+    "islands": "island {}",
+    "windows": "with a window of {} samples",
+    "answers": "{}",
+}
+"""The headings of what is in a field that is a dictionary, by its name."""
 
 
 @dataclass(frozen=True)
@@ -84,14 +91,17 @@ LargestDamping = Annotated[float, Quantity("N s/m", _LIMIT_DIGITS, ROUND_FLOOR)]
 LargestTime = Annotated[float, Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR)]
 StiffnessLimits = Annotated[tuple[float, float], IntervalQuantity("N/m", _LIMIT_DIGITS)]
 DampingLimits = Annotated[tuple[float, float], IntervalQuantity("N s/m", _LIMIT_DIGITS)]
+MassRange = Annotated[tuple[float, float], IntervalQuantity("kg")]
+StiffnessRange = Annotated[tuple[float, float], IntervalQuantity("N/m")]
+DampingRange = Annotated[tuple[float, float], IntervalQuantity("N s/m")]
 
 
 class Answer:
     """What a dataclass of quantities, words and further answers has in common.
 
-    A field is left out where it is None; a field of a dictionary stands for what is in it. An
+    A field is left out where it is None; one that is a dictionary has answers by their names. An
     answer that ``is_part`` of another one has no heading of its own. An answer with a field
-    ``basis`` has its units, and so has what is in it.
+    ``inputs`` has its units, and so has what is in it.
     """
 
     is_part: ClassVar[bool] = False
@@ -99,56 +109,83 @@ class Answer:
     """The words for a number that is NaN."""
 
     def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
-        """Return names and values as JSON has them: without NaN and infinity, which are None."""
-        return dict(self._json_entries(self._units(units)))
+        """Return names and values as JSON has them: without NaN and infinity, which are None.
+
+        Beside the inputs, if there are any, are the units of all keys.
+        """
+        units = self._units(units)
+        table: dict[str, Any] = {}
+        for (*outer, name), value in self._entries():
+            place = table
+            for key in outer:
+                place = place.setdefault(key, {})
+            if not isinstance(value, Answer):
+                place[name if outer else _named(name, units)] = _for_json(value)
+            elif value.is_part:
+                place |= value.as_json(units)
+            else:
+                place[name] = value.as_json(units)
+            if name == "inputs":
+                table["units"] = self._units_of_keys(units)
+        return table
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return a line for each value, its name in front."""
-        lines, own = [], {field.name for field in fields(self)}  # type: ignore[arg-type]
+        lines = []
         units = self._units(units)
-        for name, value in self._entries():
-            words = _named(name, units).replace("_", " ") if name in own else name  # as it is
-            if isinstance(value, Answer):
-                heading = [] if value.is_part else [indent + words]
-                lines += heading + value.lines(indent if value.is_part else indent + "  ", units)
+        for (*outer, name), value in self._entries():
+            words = _HEADINGS[outer[0]].format(name) if outer else _spaced(_named(name, units))
+            if not isinstance(value, Answer):
+                lines.append(_line(indent, words, self._words(name, value, units)))
+            elif value.is_part or name == "inputs":
+                lines += value.lines(indent, units)
             else:
-                text = self._words(name, value, units)
-                lines.append(f"{indent}{words:{_COLUMN - len(indent)}}{text}")
+                lines += [indent + words, *value.lines(indent + "  ", units)]
         return lines
 
     def leaves(self, prefix: str = "", units: Units = Units.LINE) -> Iterator[tuple[str, Any, str]]:
-        """Yield the dotted path, the value as JSON has it, and the words of each value."""
+        """Yield the dotted path, the value as JSON has it, and the words of each value.
+
+        Of a pair come both numbers, as ``..._low`` and ``..._high``.
+        """
         units = self._units(units)
-        for name, value in self._entries():
-            path = prefix + _named(name, units)
+        for (*outer, name), value in self._entries():
+            path = prefix + ".".join([*outer, name if outer else _named(name, units)])
             if isinstance(value, Answer):
                 yield from value.leaves(prefix if value.is_part else f"{path}.", units)
-            else:
-                yield path, _for_json(value), self._words(name, value, units)
+                continue
+            words = self._words(name, value, units)
+            ends = ("_low", "_high") if isinstance(value, tuple) else ("",)
+            values = value if isinstance(value, tuple) else (value,)
+            for end, number in zip(ends, values, strict=True):
+                yield path + end, _for_json(number), words
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
 
     def _units(self, units: Units) -> Units:
-        basis = getattr(self, "basis", None)
-        return basis.units if isinstance(basis, Basis) else units
+        inputs = getattr(self, "inputs", None)
+        return inputs.units if isinstance(inputs, Basis) else units
 
-    def _entries(self) -> Any:
+    def _entries(self) -> Iterator[tuple[tuple[str, ...], Any]]:
+        """Yield each value after its key, or after the two of one in a dictionary."""
         for field in fields(self):  # type: ignore[arg-type]
             value = getattr(self, field.name)
             if isinstance(value, dict):
-                yield from value.items()
+                yield from (((field.name, name), one) for name, one in value.items())
             elif value is not None:
-                yield field.name, value
+                yield (field.name,), value
 
-    def _json_entries(self, units: Units) -> Any:
-        for name, value in self._entries():
-            if not isinstance(value, Answer):
-                yield _named(name, units), _for_json(value)
-            elif value.is_part:
-                yield from value._json_entries(units)
-            else:
-                yield name, value.as_json(units)
+    def _units_of_keys(self, units: Units) -> dict[str, str]:
+        """Return the unit of each key of a number, "1" where it has none."""
+        found: dict[str, str] = {}
+        kind: Any = type(self)  # mypy holds it for not hashable
+        for (*_, name), value in self._entries():
+            if isinstance(value, Answer):
+                found |= value._units_of_keys(units)
+            elif not isinstance(value, str | IntEnum):
+                found[_named(name, units)] = units.unit(_quantities(kind)[name].unit) or "1"
+        return found
 
     def _words(self, name: str, value: Any, units: Units) -> str:
         if isinstance(value, str | IntEnum):
@@ -160,16 +197,19 @@ class Answer:
 
 @dataclass(frozen=True)
 class Basis(Answer):
-    """What a scene's answers hold for.
-
-    The estimator, the filter, what moves beside one mass, the masses of a device of several, and
-    whether it turns.
-    """
-
-    is_part = True
+    """The inputs that a scene's answers hold for; those that are easily overlooked are printed."""
 
     velocity: str
     position: str | None
+    sample_time: Time
+    delay: Time
+    delay_samples: Number
+    delay_is: str | None
+    mass: Mass
+    damping: Damping
+    hand_mass: MassRange | None
+    hand_stiffness: StiffnessRange | None
+    hand_damping: DampingRange | None
     mechanics: str | None
     postures: str | None
     motion: str | None
@@ -179,13 +219,31 @@ class Basis(Answer):
         """The units of the answers."""
         return Units.LINE if self.motion is None else Units.ROTATION
 
+    @property
+    def delay_in_words(self) -> str:
+        """The delay with its unit and in samples, or that it is assumed."""
+        if self.delay_is is not None:
+            return f"{self.delay:g} ({self.delay_is})"
+        return f"{Quantity('s').words(self.delay)}; in samples {self.delay_samples:g}"
+
+    def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
+        """Return a line for the estimator, the filter, the delay, and what moves."""
+        words = {
+            "velocity": self.velocity,
+            "position": self.position,
+            "delay": self.delay_in_words,
+            "mechanics": self.mechanics,
+            "motion": self.motion,
+        }
+        return [_line(indent, name, said) for name, said in words.items() if said is not None]
+
 
 @dataclass(frozen=True)
 class Answers(Answer):
     """Several answers by their names."""
 
-    basis: Basis | None
-    by_name: dict[str, Any]
+    inputs: Basis | None
+    answers: dict[str, Any]
 
 
 def in_words(value: str | IntEnum) -> str:
@@ -194,8 +252,16 @@ def in_words(value: str | IntEnum) -> str:
 
 
 def _named(name: str, units: Units) -> str:
-    moved = Units.LINE.moved
-    return name.removesuffix(moved) + units.moved if name.endswith(moved) else name
+    """Return the key of a quantity: inertia in place of mass for what turns."""
+    return name.replace(Units.LINE.moved, units.moved)
+
+
+def _spaced(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _line(indent: str, name: str, words: str) -> str:
+    return f"{indent}{name:{_COLUMN - len(indent)}}{words}"
 
 
 def _for_json(value: Any) -> Any:

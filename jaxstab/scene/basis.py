@@ -6,14 +6,25 @@ from jaxstab.scene.scene import Scene
 from jaxstab.scene.units import Units
 
 _ASSUMED = "the difference over one sample (assumed: the scene names no estimator)"
+_NO_DELAY = "assumed: the scene names none"
 
 
 def basis_of(scene: Scene) -> Basis:
-    """Return what the answers hold for: estimator, filter, what moves, the kind of motion."""
-    controller = scene.controller
+    """Return what the answers hold for: estimator, filter, delay, device, hand, and what moves."""
+    controller, device, hand = scene.controller, scene.device, scene.hand
+    is_given = controller.delay is not None or controller.delay_samples is not None
     return Basis(
         velocity=_ASSUMED if controller.velocity is None else str(controller.velocity),
         position=None if controller.position is None else str(controller.position_filter),
+        sample_time=controller.sample_time,
+        delay=controller.time_delay,
+        delay_samples=controller.samples,
+        delay_is=None if is_given else _NO_DELAY,
+        mass=device.effective_mass,
+        damping=device.damping,
+        hand_mass=None if hand is None else hand.effective_mass,
+        hand_stiffness=None if hand is None else hand.stiffness,
+        hand_damping=None if hand is None else hand.damping,
         mechanics=_beside_one_mass(scene),
         postures=_postures(scene),
         motion=None if scene.units is Units.LINE else "rotation",

@@ -154,7 +154,7 @@ class WallCheck(Answer):
 class Check(Answer):
     """What is known of each wall, by its name."""
 
-    basis: Basis | None
+    inputs: Basis | None
     walls: dict[str, WallCheck]
 
     @property

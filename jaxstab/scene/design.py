@@ -59,7 +59,7 @@ class LargestDelay(Answer):
 class Design(Answer):
     """What a wanted stiffness asks of the controller."""
 
-    basis: Basis | None
+    inputs: Basis | None
     stiffness: Stiffness
     safety: Number | None
     now_allowed_stiffness: LargestStiffness
@@ -104,7 +104,7 @@ def design_loop(scene: Scene) -> Design:
             sampled, asked, [window / n for n in range(1, MOST_WINDOW + 1)]
         )
     return Design(
-        basis=basis_of(scene),
+        inputs=basis_of(scene),
         stiffness=wanted,
         safety=scene.wanted.safety,
         now_allowed_stiffness=safety * _stiffest(loop).stiffness,
@@ -135,7 +135,7 @@ def _largest(
     if high.spare >= 0.0:
         found, status = high.value, DesignStatus.LONGEST_TRIED
     else:
-        found, status = _last_with_spare(spare, low, high), DesignStatus.FOUND
+        found, status = _last_with_spare(spare, low, high, start), DesignStatus.FOUND
     return found, _stiffest(loop_at(found)).damping, status
 
 
@@ -184,23 +184,29 @@ def _bracket(
     return low, high
 
 
-def _last_with_spare(spare: Callable[[float], float], low: _Trial, high: _Trial) -> float:
+def _last_with_spare(
+    spare: Callable[[float], float], low: _Trial, high: _Trial, scale: float
+) -> float:
     """Return the largest value with something to spare, by false position.
 
-    The weight of an end that stays twice is halved (the Illinois rule).
+    The weight of an end that stays twice is halved (the Illinois rule); if it stays longer, the
+    interval is halved: the largest value may be 0, and the spare noise next to it.
     """
-    weight_low, weight_high, moved = low.spare, high.spare, ""
-    while high.value - low.value > _AGREEMENT * high.value:
+    weight_low, weight_high, moved, stays = low.spare, high.spare, "", 0
+    while high.value - low.value > _AGREEMENT * max(high.value, _NO_DELAY * scale):
         share = weight_low / (weight_low - weight_high) if isfinite(weight_high) else 0.5
         share = min(max(share, _AGREEMENT / 4), 1.0 - _AGREEMENT / 4)
+        share = 0.5 if stays > 2 else share
         middle = low.value + share * (high.value - low.value)
         trial = _Trial(middle, spare(middle))
         if trial.spare >= 0.0:
             low, weight_low = trial, trial.spare
+            stays = stays + 1 if moved == "low" else 0
             weight_high *= 0.5 if moved == "low" else 1.0
             moved = "low"
         else:
             high, weight_high = trial, trial.spare
+            stays = stays + 1 if moved == "high" else 0
             weight_low *= 0.5 if moved == "high" else 1.0
             moved = "high"
     return low.value

@@ -63,7 +63,7 @@ def _blocks(scene: Scene) -> dict[str, str]:
         "T": time.words(controller.sample_time),
         "velocity V(z)": basis.velocity,
         "filter P(z)": basis.position or "none",
-        "delay": f"{time.words(controller.time_delay)}; in samples {controller.samples:g}",
+        "delay": basis.delay_in_words,
     }
 
 

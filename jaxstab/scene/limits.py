@@ -97,7 +97,7 @@ class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
 class Limits(Answer):
     """What a scene allows, with the hand at its lowest values."""
 
-    basis: Basis | None
+    inputs: Basis | None
     safety: Number | None
     hand: str | None
     best: StiffestWall
@@ -130,7 +130,7 @@ def scene_limits(scene: Scene) -> Limits:
     rows = _Rows(loop, reachable(region), safety)
     has_rules = is_plain(loop)
     return Limits(
-        basis=basis_of(scene),
+        inputs=basis_of(scene),
         safety=wanted.safety,
         hand=at_lowest(scene, _SEE_BELOW),
         best=StiffestWall(*rows.scaled_stiffness(limits.stiffness, limits.at_damping)),
@@ -144,7 +144,7 @@ def scene_limits(scene: Scene) -> Limits:
         windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
         at_given_damping=None if damping is None else rows.at_damping(damping),
         at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
-        walls={f"wall {name}": rows.around(*wall) for name, wall in walls_of(scene).items()},
+        walls={name: rows.around(*wall) for name, wall in walls_of(scene).items()},
         all_hands=limit_for_all(scene, safety),
     )
 
@@ -217,7 +217,7 @@ def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
 def _islands(limits: WallLimits) -> dict[str, Island]:
     """Return the islands by their numbers, the largest first."""
     return {
-        f"island {number}": Island(*island[:4], _NOT_REACHABLE)
+        str(number): Island(*island[:4], _NOT_REACHABLE)
         for number, island in enumerate(limits.islands, 1)
     }
 
@@ -242,5 +242,5 @@ def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
     for samples in _WINDOWS:
         limits = replace(loop, velocity=Velocity.difference(samples)).limits()
         stiffest = OtherWindow(safety * limits.stiffness, limits.at_damping)
-        answers[f"with a window of {samples} samples"] = stiffest
+        answers[str(samples)] = stiffest
     return answers

@@ -68,7 +68,7 @@ class BestWall(Answer):
 class Tuned(Answer):
     """The wall of the smallest radius, of the fastest settling, and the best dampings."""
 
-    basis: Basis | None
+    inputs: Basis | None
     least_radius: BestWall
     least_settling: BestWall
     walls: dict[str, BestWall]
@@ -104,12 +104,10 @@ def tune_walls(scene: Scene) -> Tuned:
     given, fastest = scene.wanted.at_stiffness, best("settling")
     gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
     return Tuned(
-        basis=basis_of(scene),
+        inputs=basis_of(scene),
         least_radius=best("radius"),
         least_settling=fastest,
-        walls={
-            f"wall {name}": best("settling", wall.stiffness) for name, wall in scene.walls.items()
-        },
+        walls={name: best("settling", wall.stiffness) for name, wall in scene.walls.items()},
         at_given_stiffness=None if given is None else best("settling", given),
         hand=at_lowest(scene),
         over_ranges=tune_over_ranges(scene, gains),
