@@ -14,6 +14,8 @@ from pathlib import Path
 from reprlib import repr as shortened
 from typing import Any, TypeVar
 
+from jaxstab.conventions import AXES
+
 Made = TypeVar("Made", bound="Table")
 Check = Callable[[Any], Any]
 """It returns a value as it is kept, or raises a ValueError that says what is allowed."""
@@ -21,14 +23,38 @@ Check = Callable[[Any], Any]
 _LONG_KEY = re.compile(r"(?:\.[^.,=\n]{1,64}){100}")
 
 
-def read_table(path: str | PathLike[str]) -> dict[str, Any]:
+def read_table(path: str | PathLike[str], kind: str = "") -> dict[str, Any]:
     """Read a TOML file as it is.
+
+    Args:
+        path: of the file.
+        kind: of the table that is expected, if a file of another kind may be given for it: "scene"
+            or "specification".
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is not TOML.
+        ValueError: it is not TOML, or of another kind.
     """
-    return parsed(text_of(Path(path).read_bytes, path), f"{path}: ")
+    table = parsed(text_of(Path(path).read_bytes, path), f"{path}: ")
+    for other, (keys, words) in _KINDS.items():
+        if kind not in ("", other) and keys & {*table} and not _KINDS[kind][0] & {*table}:
+            raise ValueError(f"{path} is {words}")
+    return table
+
+
+_KINDS = {
+    "scene": (
+        {"device", "controller", "hand", "walls"},
+        "a scene; jaxstab limits, check, tune, design and guard take it, and jaxstab atlas spec "
+        "--scene prints the specification of its atlas.",
+    ),
+    "specification": (
+        {*AXES, "products"},
+        "the specification of an atlas; jaxstab atlas plan and jaxstab atlas build --spec take it.",
+    ),
+}
+"""The keys by which kinds of files are told apart, what they are and who takes them."""
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def text_of(read: Callable[[], bytes], source: str | PathLike[str]) -> str:
@@ -40,6 +66,11 @@ def text_of(read: Callable[[], bytes], source: str | PathLike[str]) -> str:
     """
     try:
         data = read()
+        if data.startswith(_HDF5):
+            raise ValueError(
+                f"{source} is an atlas (HDF5), not text; jaxstab atlas info, query, verify and "
+                "plot take it."
+            )
         return data.decode("utf-8-sig")
     except OSError as error:
         raise OSError(
@@ -99,11 +130,11 @@ class Table:
             raise ValueError(f"{place} is {shortened(table)}; give a table.")
         check_keys(place, table, [entry.name for entry in fields(cls)])
         try:
-            values = cls.filled_in(table)
+            values = _checked_values(cls, cls.filled_in(table))
             for entry in fields(cls):
                 if entry.name not in values and entry.default is MISSING:
                     raise ValueError(f"{entry.name} is missing; give it a value.")
-            return cls(**_checked_values(cls, values))
+            return cls(**values)
         except ValueError as error:
             raise ValueError(_path(place, str(error))) from None
 
@@ -121,8 +152,8 @@ def check_keys(place: str, keys: Iterable[str], known: list[str]) -> None:
     """
     for name in keys:
         if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}."
+            near = _similar(name, known)
+            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}."
             raise ValueError(f"{_path(place, name)} is unknown; {hint}")
 
 
@@ -163,11 +194,19 @@ def one_of(names: Iterable[str]) -> Check:
 
     def check(value: Any) -> str:
         if value not in known:
-            near = get_close_matches(str(value), known, n=1)
-            raise ValueError(f"did you mean {near[0]!r}?" if near else f"give {', '.join(known)}")
+            near = _similar(str(value), known)
+            raise ValueError(f"did you mean {near!r}?" if near else f"give {', '.join(known)}")
         return str(value)
 
     return check
+
+
+def _similar(name: str, known: list[str]) -> str | None:
+    """Return the known name that is most similar, whatever its case; one that it begins with."""
+    small = {one.lower(): one for one in known}
+    begins = [one for one in known if name.lower().startswith(one.lower())]
+    near = get_close_matches(name.lower(), small, n=1)
+    return max(begins, key=len) if begins else small[near[0]] if near else None
 
 
 def share(value: Any) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from jaxstab.cli.options import number_or_range, picture_file
+from jaxstab.cli.options import number_or_range, output_file, picture_file, write_beside
 from jaxstab.cli.scene_options import refused, scene_of, scene_options, warn
 
 
@@ -34,7 +34,12 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
 @click.command()
 @scene_options
 @click.option(
-    "-o", "--output", type=Path, required=True, help="Header file; its name begins all names in it."
+    "-o",
+    "--output",
+    type=Path,
+    required=True,
+    callback=output_file,
+    help="Header file; its name begins all names in it.",
 )
 @click.option(
     "--masses",
@@ -71,7 +76,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
             from jaxstab.pictures.guard import guard_figure
             from jaxstab.pictures.style import picture
 
-            publish(picture(guard_figure(made, scene.units), plot.suffix[1:]), plot)
+            write_beside(picture(guard_figure(made, scene.units), plot.suffix[1:]), plot)
     click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{guard_about(scene, made)}")
 
 

@@ -1,7 +1,14 @@
-"""The command line. JAX, matplotlib and rich are imported inside the commands that need them."""
+"""The command line. JAX, matplotlib and rich are imported inside the commands that need them.
 
+Exit codes: 0, answered, and all that was asked about is stable; 1, answered, and something is not
+proved stable; 2, not answered. Ctrl-C ends with 130.
+"""
+
+import io
 import os
 import sys
+import traceback
+import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NoReturn
@@ -16,39 +23,59 @@ from jaxstab.cli.plan import plan
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import check, design, limits, scene, tune
+from jaxstab.cli.scene_options import warn
 
 
 class OneSentence(click.Group):
-    """Commands whose every failure is one sentence on stderr and a non-zero exit code."""
+    """Commands whose every failure is one sentence on stderr and exit code 2."""
 
     def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run a command; see click.Command.main."""
         run: Callable[[], object] = partial(super().main, *args, standalone_mode=False, **extra)
         if not standalone_mode:
             return run()
+        _open_what_is_closed()
         try:
             stdout: Any = sys.stdout
             if stdout is None:
                 raise OSError("stdout is closed; redirect it to a file, or to /dev/null.")
-            code = run()
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "delay is ")  # scenes say so themselves
+                warnings.showwarning = _show
+                code = run()
             stdout.flush()
         except click.ClickException as error:
             words = error.format_message()
-            _fail(words if words.startswith("Usage:") else f"jaxstab: {words}", error.exit_code)
+            _fail(words if words.startswith("Usage:") else f"jaxstab: {words}")
         except click.Abort:
             _fail("jaxstab: interrupted; nothing was written.", 130)
         except BrokenPipeError:  # the reader of our output has enough
             sys.stderr.close()
-            sys.exit(1)
+            sys.exit(2)
         except OSError as error:
             named = f"{error.filename}: {error.strerror}." if error.filename else error.strerror
             _fail(f"jaxstab: {named or error}")
         except (ValueError, TypeError, RuntimeError, MemoryError) as error:
             _fail(f"jaxstab: {str(error) or 'there is not enough memory.'}")
+        except Exception:  # noqa: BLE001  a fault of ours, which says nothing of a wall
+            _fail(traceback.format_exc())
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _fail(words: str, code: int = 1) -> NoReturn:
+def _open_what_is_closed() -> None:
+    """Put the null device in place of streams that are closed: no file of ours takes a number."""
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(descriptor)
+    sys.stderr = sys.stderr or io.StringIO()
+
+
+def _show(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning of the library as one line."""
+    warn(str(message).rstrip("."))
+
+
+def _fail(words: str, code: int = 2) -> NoReturn:
     """End with a sentence on stderr, in which nothing commands the terminal."""
     click.echo(
         "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in words), err=True

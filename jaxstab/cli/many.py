@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from jaxstab.cli.options import write_beside
 from jaxstab.cli.scene_options import refused, tables_of, warn
 
 if TYPE_CHECKING:
-    from jaxstab.scene.answers import Answer
     from jaxstab.scene.many import Row, Variant
 
 _SHOWN = {
@@ -31,7 +31,7 @@ _SHOWN = {
 _SHOWN_OF_WALLS = {"verdict", "stiffness_gain", "settling_time_2_percent"}
 
 
-def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list["Answer"]:
+def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list[Any]:
     """Answer several scenes, print what they allow, and return the answers.
 
     Raises:
@@ -71,9 +71,7 @@ def _write(rows: list["Row"], csv_file: Path | None, as_json: bool) -> None:
         if str(csv_file) == "-":
             click.echo(text, nl=False)
             return
-        from jaxstab.durable import publish
-
-        publish(text.encode(), csv_file)
+        write_beside(text.encode(), csv_file)
     click.echo(_json(rows) if as_json else _table(rows))
 
 
@@ -84,10 +82,7 @@ def _csv(rows: list["Row"]) -> str:
     writer.writeheader()
     for row in rows:
         given = {"scene": row.variant.source, **row.variant.values}
-        values = {
-            name: json.dumps(v) if isinstance(v, list) else v for name, v in row.values.items()
-        }
-        writer.writerow({**given, **values, "refusal": row.refusal})
+        writer.writerow({**given, **row.values, "refusal": row.refusal})
     return stream.getvalue()
 
 
@@ -113,7 +108,7 @@ def _table(rows: list["Row"]) -> str:
     paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]
     first = "scene" if any(row.variant.source for row in rows) else ""
     heads = [first, *rows[0].variant.values]
-    lines = [[*heads, *(path.replace("_", " ").replace(".", ": ") for path in paths)]]
+    lines = [[*heads, *(_head(path) for path in paths)]]
     for row in rows:
         own = [row.variant.source, *(short(value) for value in row.variant.values.values())]
         lines.append([*own, *(row.words.get(path, "") for path in paths)])
@@ -129,7 +124,12 @@ def _table(rows: list["Row"]) -> str:
 
 
 def _is_of_wall(path: str) -> bool:
-    return path.rpartition(".")[2] in _SHOWN_OF_WALLS and path.count(".") == 1
+    outer, _, name = path.rpartition(".")
+    return name in _SHOWN_OF_WALLS and outer.startswith("walls.") and outer.count(".") == 1
+
+
+def _head(path: str) -> str:
+    return path.removeprefix("walls.").replace("_", " ").replace(".", ": ")
 
 
 def _heads(rows: list["Row"]) -> list[str]:
@@ -142,12 +142,11 @@ def _paths(rows: list["Row"]) -> list[str]:
 
 
 def _draw(rows: list["Row"], file: Path) -> None:
-    from jaxstab.durable import publish
     from jaxstab.pictures.comparison import comparison_figure
     from jaxstab.pictures.style import picture
 
     answered: list[Variant] = [row.variant for row in rows if row.answer]
-    publish(picture(comparison_figure(answered), file.suffix[1:]), file)
+    write_beside(picture(comparison_figure(answered), file.suffix[1:]), file)
 
 
 def _refuse_some(rows: list["Row"]) -> None:

@@ -1,5 +1,6 @@
 """What commands share: values of options, checked before anything is computed, and the cache."""
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -9,7 +10,7 @@ from typing import Any
 import click
 
 import jaxstab
-from jaxstab.durable import target_of
+from jaxstab.durable import publish, target_of
 
 
 def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
@@ -23,40 +24,49 @@ def number_or_range(_: click.Context, option: click.Parameter, text: str | None)
     return numbers if len(numbers) > 1 else numbers[0]
 
 
-def picture_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+def picture_file(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
     """Return the name of a picture, of which the end is its format."""
     if path is None:
         return None
     if path.suffix not in (".png", ".svg"):
         raise click.BadParameter(f"{path} ends in neither .png nor .svg.", param=option)
-    return _writable(option, path)
+    return output_file(context, option, path)
 
 
-def page_file(_: click.Context, option: click.Parameter, path: Path) -> Path:
+def page_file(context: click.Context, option: click.Parameter, path: Path) -> Path:
     """Return the name of a page for browsers."""
     if path.suffix not in (".html", ".htm"):
         raise click.BadParameter(f"{path} ends in neither .html nor .htm.", param=option)
-    return _writable(option, path)
+    output_file(context, option, path)
+    return path
 
 
-def spec_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+def spec_file(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
     """Return the name of a specification of an atlas."""
-    if path is None:
-        return None
-    if path.suffix != ".toml":
+    if path is not None and path.suffix != ".toml":
         raise click.BadParameter(f"{path} does not end in .toml.", param=option)
-    return _writable(option, path)
+    return output_file(context, option, path)
 
 
-def _writable(option: click.Parameter, path: Path) -> Path:
-    """Return the name of a file that may be written."""
+def output_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+    """Return the name of a file that may be written, in a folder that exists; "-" is stdout."""
+    if path is None or str(path) == "-":
+        return path
     try:
         folder = target_of(path)[0].parent
     except OSError as error:
         raise click.BadParameter(f"cannot write {path}: {error.strerror}.", param=option) from error
     if not folder.is_dir():
-        raise click.BadParameter(f"{path} is no file in a folder that exists.", param=option)
+        raise click.BadParameter(f"the folder {folder} does not exist.", param=option)
+    if not os.access(folder, os.W_OK):
+        raise click.BadParameter(f"the folder {folder} cannot be written.", param=option)
     return path
+
+
+def write_beside(data: bytes, path: Path) -> None:
+    """Write a file beside an answer on stdout, and name it on stderr."""
+    publish(data, path)
+    click.echo(f"jaxstab: wrote {path}", err=True)
 
 
 def keep_programs() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from jaxstab.cli.options import at_work, keep_programs, picture_file, spec_file
+from jaxstab.cli.options import at_work, keep_programs, picture_file, spec_file, write_beside
 
 _UNITS = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9}
 
@@ -84,8 +84,7 @@ def plan(
         publish(resolutions.spec.to_toml().encode(), output)
         click.echo(f"\nBuild it with\n  jaxstab atlas build --spec {output}")
     if plot:
-        from jaxstab.durable import publish
         from jaxstab.pictures.resolution import resolution_figure
         from jaxstab.pictures.style import picture
 
-        publish(picture(resolution_figure(resolutions), plot.suffix[1:]), plot)
+        write_beside(picture(resolution_figure(resolutions), plot.suffix[1:]), plot)

@@ -14,7 +14,7 @@ import click
 import jaxstab
 from jaxstab.cli.options import keep_programs, png_file
 from jaxstab.cli.untrusted import careful
-from jaxstab.conventions import AXES, Verdict
+from jaxstab.conventions import AXES, STABLE, Verdict
 from jaxstab.tables import parsed, text_of
 
 if TYPE_CHECKING:
@@ -70,13 +70,14 @@ def query(
     stiffness: float | None,
     damping: float | None,
     **point: float | None,
-) -> None:
+) -> int:
     """Ask an atlas about a point, about the points of a CSV file, or about a scene's walls.
 
     An option such as --gamma gives the value of a column that the CSV file does not have.
 
     The rows for a scene are of its walls with the hands, masses and delays at the corners of its
-    ranges; of those between nothing is said.
+    ranges; of those between nothing is said. The exit code is 0 if every verdict is stable, 1 if
+    not.
     """
     from jaxstab.atlas.format.filters import position_of, velocity_of
 
@@ -90,7 +91,7 @@ def query(
         opened = jaxstab.open_atlas(file)
         rows = _asked_of_scene(opened, scene_file, wall, outside or "undecided", exact=exact)
         _write(_held(opened, rows), form)
-        return
+        return 0 if all(row["verdict"] == "stable" for row in rows) else 1
     for name, value in wall.items():
         if value is not None:
             raise ValueError(f"{name} is {value:g} without a scene; give --scene FILE.")
@@ -104,6 +105,7 @@ def query(
         position=None if position is None else position_of(parsed(position, "--position: ")),
     )
     _write(_held(opened, _answered(points, answer)), form)
+    return 0 if (answer.verdict == STABLE).all() else 1
 
 
 @click.command()
@@ -130,6 +132,7 @@ def plot(
         delay or None,
     )
     publish(png, output)
+    click.echo(output)
 
 
 # ------------------------------------------------------------------------------------------- points
@@ -143,6 +146,8 @@ def _one_point(given: dict[str, float]) -> dict[str, list[float]]:
 def _read_points(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
     """Return the columns of a CSV file, and those that the options fill in."""
     source = "stdin" if str(table) == "-" else str(table)
+    if source == "stdin" and sys.stdin is None:
+        raise ValueError("stdin is closed; redirect a file to it, or give the name of one.")
     text = text_of(sys.stdin.buffer.read if source == "stdin" else table.read_bytes, source)
     return _parsed(_rows(text, source), source, given)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from jaxstab.cli.options import at_work, picture_file
+from jaxstab.cli.options import at_work, picture_file, write_beside
 
 _FIGURES = range(4, 11)
 _DIGITS = 10
@@ -15,14 +15,18 @@ _DIGITS = 10
 
 @click.command()
 @click.argument("number", type=click.Choice([*map(str, _FIGURES), "all"]))
-@click.option("-o", "--output", type=Path, default=Path(), help="Folder to write to.")
+@click.option("-o", "--output", type=Path, default=Path(), help="Folder to write to; it is made.")
 @click.option("--format", "form", type=click.Choice(["png", "svg"]), default="png")
 def figure(number: str, output: Path, form: str) -> None:
     """Draw a figure of Hulin, Preusche, Hirzinger (2008): NUMBER is 4 ... 10, or all."""
-    from jaxstab.durable import publish
+    from jaxstab.durable import named_errors, publish
     from jaxstab.pictures.paper import paper_figure
     from jaxstab.pictures.style import picture
 
+    if output.suffix in (".png", ".svg"):
+        raise click.UsageError(f"{output} is the name of a picture; give a folder to -o.")
+    with named_errors("write to", output):
+        output.mkdir(parents=True, exist_ok=True)
     for one in _FIGURES if number == "all" else [int(number)]:
         file = output / f"figure_{one}.{form}"
         publish(picture(paper_figure(one), form), file)
@@ -49,11 +53,11 @@ def region(
     with at_work(f"region of a loop with {delay:g} samples of delay"):
         facts = region_facts(gamma=gamma, delta=delta, delay=delay, radius=radius)
     if output:
-        from jaxstab.durable import publish
         from jaxstab.pictures.region import region_figure
         from jaxstab.pictures.style import picture
 
-        publish(picture(region_figure(gamma, delta, delay, radius), output.suffix[1:]), output)
+        drawn = picture(region_figure(gamma, delta, delay, radius), output.suffix[1:])
+        write_beside(drawn, output)
     if as_json:
         click.echo(json.dumps(facts, indent=1, allow_nan=False))
     else:

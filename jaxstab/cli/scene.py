@@ -1,6 +1,7 @@
 """The commands around a scene: what it allows, how its walls do, the best walls, the design."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jaxstab.cli.many import answer_many
-from jaxstab.cli.options import at_work, picture_file
+from jaxstab.cli.options import at_work, output_file, picture_file, write_beside
 from jaxstab.cli.scene_options import refused, scene_of, scene_options, warn
 
 if TYPE_CHECKING:
-    from jaxstab.scene import Answer, Check, Scene
+    from jaxstab.scene import Answer, Scene
 
 
 class _FileOrCommand(click.Group):
@@ -39,9 +40,12 @@ _safety_option = click.option(
 @_safety_option
 @click.option("--at-damping", type=float, help="Give the stiffness limits at this B in N s/m.")
 @click.option("--at-stiffness", type=float, help="Give the damping limits at this K in N/m.")
-def limits(as_json: bool, **given: Any) -> None:
-    """Give the largest stiffness and damping that a scene allows."""
-    _answer(given, "limits", as_json)
+def limits(as_json: bool, **given: Any) -> int:
+    """Give the largest stiffness and damping that a scene allows.
+
+    The exit code is 0 if walls are stable, for all hands of the scene by proof, 1 if not.
+    """
+    return _answer(given, "limits", as_json)
 
 
 @click.command()
@@ -52,9 +56,7 @@ def check(as_json: bool, **given: Any) -> int:
 
     The exit code is 0 if every wall is proved stable, 1 if not.
     """
-    answers = _answer(given, "check", as_json)
-    checked: list[Check] = answers if isinstance(answers, list) else [answers]
-    return 0 if all(one.all_stable for one in checked) else 1
+    return _answer(given, "check", as_json)
 
 
 @click.command()
@@ -63,9 +65,13 @@ def check(as_json: bool, **given: Any) -> int:
 @click.option("--at-stiffness", type=float, help="Give the best B at this K in N/m.")
 @click.option("--mass-tolerance", type=float, help="Of the device; 0.1 means 10 % up and down.")
 @click.option("--delay-tolerance", type=float, help="Of the delay up and down, in s.")
-def tune(as_json: bool, **given: Any) -> None:
-    """Find the walls that come to rest fastest, and the best damping for each wall."""
-    _answer(given, "tune", as_json)
+def tune(as_json: bool, **given: Any) -> int:
+    """Find the walls that come to rest fastest, and the best damping for each wall.
+
+    The exit code is 0 if every wall is found and proved stable, 1 if not; over ranges none is
+    proved.
+    """
+    return _answer(given, "tune", as_json)
 
 
 @click.command()
@@ -73,9 +79,12 @@ def tune(as_json: bool, **given: Any) -> None:
 @_plot_option
 @_safety_option
 @click.option("--stiffness", type=float, help="The stiffness to design for, in N/m.")
-def design(as_json: bool, **given: Any) -> None:
-    """Find the largest sample time, and the largest delay, for a wanted stiffness."""
-    _answer(given, "design", as_json)
+def design(as_json: bool, **given: Any) -> int:
+    """Find the largest sample time, and the largest delay, for a wanted stiffness.
+
+    The exit code is 0 if both are found, 1 if not.
+    """
+    return _answer(given, "design", as_json)
 
 
 @click.group(cls=_FileOrCommand)
@@ -88,19 +97,25 @@ def scene() -> None:
 
 
 @scene.command()
-@click.option("-o", "--output", type=Path, help="File to write; default: print it.")
+@click.option(
+    "-o",
+    "--output",
+    type=Path,
+    callback=output_file,
+    help="File to write, which must not exist; default: print it.",
+)
 def init(output: Path | None) -> None:
     """Write a commented example of a scene."""
+    from jaxstab.durable import publish
     from jaxstab.scene import EXAMPLE
 
-    if output is None:
+    if output is None or str(output) == "-":
         click.echo(EXAMPLE, nl=False)
         return
-    try:
-        with output.open("x", encoding="utf-8") as stream:
-            stream.write(EXAMPLE)
-    except OSError as error:
-        raise click.UsageError(f"cannot write {output}: {error.strerror}.") from error
+    if os.path.lexists(output):
+        raise click.UsageError(f"{output} exists; remove it, or give another name.")
+    publish(EXAMPLE.encode(), output)
+    click.echo(output)
 
 
 @scene.command()
@@ -126,8 +141,11 @@ def presets() -> None:
 )
 @_plot_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
-    """Answer what a scene FILE wants."""
+def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> int:
+    """Answer what a scene FILE wants.
+
+    The exit code is 1 if it would be that of the command for one of the answers.
+    """
     from jaxstab.scene import Answers, basis_of, explain_model, plan_scene
 
     scene = scene_of({"files": [file]})
@@ -136,36 +154,38 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> None:
         click.echo(f"{explain_model(scene)}\n")
         for step in plan_scene(scene):
             click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
-        return
+        return 0
     computed = {name: _computed(scene, name) for name in scene.wanted.answers}
-    by_name = {name: replace(one, basis=None) for name, one in computed.items()}
+    by_name = {name: replace(one, inputs=None) for name, one in computed.items()}
     answers = Answers(basis_of(scene), by_name)
     if plot:
         _draw(scene, computed.get("check"), plot)
     _print(scene, answers, as_json)
+    return 0 if all(one.all_stable for one in computed.values()) else 1
 
 
 # --------------------------------------------------------------------------- from options to scene
 
 
-def _answer(given: dict[str, Any], name: str, as_json: bool) -> Any:
+def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
+    """Answer one scene or many, and return the exit code."""
     if len(given["files"]) > 1 or given["sweep"] or given["csv_file"]:
-        return answer_many(given, FUNCTIONS[name], as_json)
+        answers = answer_many(given, FUNCTIONS[name], as_json)
+        return 0 if all(one.all_stable for one in answers) else 1
     scene, plot = scene_of(given), given.get("plot")
     answer = _computed(scene, name)
     if plot:
         _draw(scene, answer if name == "check" else None, plot)
     _print(scene, answer, as_json)
-    return answer
+    return 0 if answer.all_stable else 1
 
 
 def _draw(scene: "Scene", checked: Any, file: Path) -> None:
-    from jaxstab.durable import publish
     from jaxstab.pictures.scene import scene_figure
     from jaxstab.pictures.style import picture
 
     with refused():
-        publish(picture(scene_figure(scene, checked), file.suffix[1:]), file)
+        write_beside(picture(scene_figure(scene, checked), file.suffix[1:]), file)
 
 
 FUNCTIONS = {

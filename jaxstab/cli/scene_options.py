@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxstab.cli.options import number_or_range
+from jaxstab.cli.options import number_or_range, output_file
 
 if TYPE_CHECKING:
     from jaxstab.scene import Scene
@@ -65,6 +65,7 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--csv",
             "csv_file",
             type=Path,
+            callback=output_file,
             help="CSV file ('-': stdout) to write all values into, a row for each scene.",
         ),
         click.option("--json", "as_json", is_flag=True, help="Print JSON."),
@@ -74,13 +75,22 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
+_DESCRIBES = ("device", "mass", "inertia", "damping", "sample_time", "wall", "sweep")
+_NOTHING = (
+    "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an example), "
+    "or options, such as --device omega --sample-time 0.001 --delay 0.001."
+)
+
+
 def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the table of each file, or an empty one, with the options in place of its values."""
     from jaxstab.tables import read_table
 
     with refused():
         files = given.get("files") or ()
-        tables = {str(file): read_table(file) for file in files} or {"": {}}
+        if not files and all(value in (None, ()) for value in map(given.get, _DESCRIBES)):
+            raise click.UsageError(_NOTHING)
+        tables = {str(file): read_table(file, "scene") for file in files} or {"": {}}
         return {source: _merged(table, given) for source, table in tables.items()}
 
 
@@ -96,7 +106,8 @@ def scene_of(given: dict[str, Any]) -> "Scene":
 def warn(*unusual: str) -> None:
     """Say what is unusual about a scene."""
     if unusual:
-        click.echo(f"jaxstab: warning: {'; '.join(unusual)}.", err=True)
+        words = "; ".join(unusual)
+        click.echo(f"jaxstab: warning: {words}{'' if words.endswith('?') else '.'}", err=True)
 
 
 @contextmanager

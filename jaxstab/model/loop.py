@@ -1,5 +1,6 @@
 """A haptic loop in SI units as numbers: device, hand, sampling, delay, estimator and filter."""
 
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache, wraps
@@ -31,6 +32,8 @@ _REMEMBERED = 64  # loops
 Values = TypeVar("Values", bound=Numbers)
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
+
+MANY_SAMPLES = 1000  # of delay: more likely a slip of the unit
 
 
 class Body(NamedTuple):
@@ -74,6 +77,12 @@ class LoopParameters:
                 object.__setattr__(self, name, value if is_jax(value) else number)
         is_known = not is_any_traced(self.delay, self.sample_time)
         object.__setattr__(self, "_whole_delay", int(self.delay_samples) if is_known else None)
+        if (self._whole_delay or 0) >= MANY_SAMPLES:
+            warnings.warn(
+                f"delay is {float(self.delay):g} s, which is {self._whole_delay} sampling periods; "
+                "if it is meant in samples, multiply it by sample_time.",
+                stacklevel=4,
+            )
         given_filters(self.velocity, self.position)
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:

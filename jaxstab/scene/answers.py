@@ -205,7 +205,7 @@ class Basis(Answer):
     delay: Time
     delay_samples: Number
     delay_is: str | None
-    mass: Mass
+    mass: MassRange
     damping: Damping
     hand_mass: MassRange | None
     hand_stiffness: StiffnessRange | None
@@ -233,6 +233,7 @@ class Basis(Answer):
             "position": self.position,
             "delay": self.delay_in_words,
             "mechanics": self.mechanics,
+            "postures": self.postures,
             "motion": self.motion,
         }
         return [_line(indent, name, said) for name, said in words.items() if said is not None]

@@ -67,6 +67,11 @@ class Design(Answer):
     delay: LargestDelay
     hand: str | None
 
+    @property
+    def all_stable(self) -> bool:
+        """Whether a sample time and a delay allow the stiffness."""
+        return DesignStatus.NONE not in (self.sample_time.status, self.delay.status)
+
 
 def design_loop(scene: Scene) -> Design:
     """Return the largest sample time, and the largest delay, that allow the wanted stiffness.

@@ -1,5 +1,6 @@
 """The guard of a scene: for the masses of its device and the delays of its loop."""
 
+import warnings
 from collections.abc import Callable
 
 from jaxstab.guard import Guard, build_guard, guard_header
@@ -15,6 +16,7 @@ _MASSES = 0.8, 1.25  # of the scene's: what postures may make of it
 _DELAYS = 1.0  # samples beside the scene's
 _DEVICE_MASSES, _DEVICE_DELAYS = (0.96, 1.04), 0.1  # the same with modes, an actuator or a grip
 _DEVICE_CELLS = 1, 1, 16
+_FAR = 10.0  # masses beyond this multiple of the scene's are more likely a slip of the unit
 
 
 def scene_guard(
@@ -43,6 +45,13 @@ def scene_guard(
     hand, is_plain = scene.hand or Hand(), is_one_mass(scene)
     shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
     mass, delay, period = scene.device.effective_mass[0], loop.delay, loop.sample_time
+    if masses and not (masses[0] <= _FAR * mass and mass <= _FAR * masses[1]):
+        unit = scene.units.kilogram
+        warnings.warn(
+            f"masses are {masses[0]:g} to {masses[1]:g} {unit}, that of the scene is {mass:g} "
+            f"{unit}; give them in {unit}.",
+            stacklevel=2,
+        )
     return build_guard(
         loop,
         HandRange(mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping),

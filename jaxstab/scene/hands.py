@@ -5,7 +5,7 @@ Hands are tried: what one of them contradicts is proved. For all others a proof 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isnan
+from math import isfinite, isnan
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +36,7 @@ from jaxstab.scene.loops import (
 )
 from jaxstab.scene.scene import Scene
 
+_PROVED = "proved for every hand"
 _TRIED = "no hand that was tried is unstable, but not all others are proved"
 _ROWS = 400  # of B, in which walls are stable for all hands
 
@@ -62,6 +63,11 @@ class AllHands(Answer):
     certainty: str
     none_is_stiffer_than: StiffnessBound | None
     worst_hand: HeldBy
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether the wall is proved stable for every hand."""
+        return self.certainty.startswith(_PROVED) and isfinite(self.largest_stiffness)
 
 
 class WorstHeld(NamedTuple):
@@ -114,7 +120,7 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     if safety < 1.0 and not isnan(stiffness):
         worst = loop.worst_hand(hands, stiffness, found.damping, mass=mass)
         is_proved = worst.verdict == Verdict.STABLE
-    proved = "proved for every hand" + ("" if mass is None else f" and {scene.units.moved}")
+    proved = _PROVED + ("" if mass is None else f" and {scene.units.moved}")
     tried = "no wall was found" if isnan(stiffness) else "not proved"
     return AllHands(
         largest_stiffness=stiffness,

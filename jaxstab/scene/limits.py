@@ -1,7 +1,7 @@
 """The limits of a scene: the largest stiffness and damping, beside the simple rules."""
 
 from dataclasses import dataclass, replace
-from math import nan
+from math import isfinite, nan
 
 import numpy as np
 
@@ -111,6 +111,13 @@ class Limits(Answer):
     at_given_stiffness: DampingsAtStiffness | None
     walls: dict[str, AroundWall]
     all_hands: AllHands | None
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether there are stable walls, and one that is proved for all hands."""
+        return isfinite(self.best.largest_stiffness) and (
+            self.all_hands is None or self.all_hands.all_stable
+        )
 
 
 def scene_limits(scene: Scene) -> Limits:

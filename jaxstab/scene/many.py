@@ -79,7 +79,7 @@ def variants_of(tables: Mapping[str, Mapping[str, Any]], sweep: Sweep) -> list[V
     """Return the scenes of some tables, each with all combinations of the values that are swept.
 
     Raises:
-        ValueError: there are too many.
+        ValueError: there are too many, or all are refused for one reason.
     """
     count = len(tables)
     for values in sweep.values():
@@ -87,11 +87,15 @@ def variants_of(tables: Mapping[str, Mapping[str, Any]], sweep: Sweep) -> list[V
     if count > MOST_SCENES:
         raise ValueError(f"the sweep has {count} scenes; give {MOST_SCENES} at most.")
     combinations = [dict(zip(sweep, values, strict=True)) for values in product(*sweep.values())]
-    return [
+    variants = [
         _variant(source, table, values)
         for source, table in tables.items()
         for values in combinations
     ]
+    refusals = {variant.refusal for variant in variants}
+    if len(refusals) == 1 and all(refusals):
+        raise ValueError(*refusals)
+    return variants
 
 
 def answer_all(variants: list[Variant], function: Callable[[Scene], Answer]) -> Iterator[Row]:

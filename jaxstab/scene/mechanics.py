@@ -89,9 +89,9 @@ class Device(Table):
         """Let a preset give what the table does not."""
         preset = device_presets().get(str(table.get("preset")))
         if preset is None:
-            if "mass" not in table and "inertia" not in table:
+            if not {"preset", "mass", "inertia"} & {*table}:
                 raise ValueError(_NO_MASS)
-            return table
+            return table  # a preset that is not known is refused
         known = preset.values(("mass", "damping"))
         for name in ("mass", "damping"):
             if name not in known and name not in table:

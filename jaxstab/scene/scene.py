@@ -6,6 +6,7 @@ from os import PathLike
 from typing import Any, NamedTuple
 
 from jaxstab.model import Filter, Velocity
+from jaxstab.model.loop import MANY_SAMPLES
 from jaxstab.scene.estimators import PositionTable, VelocityTable
 from jaxstab.scene.mechanics import LENGTH, Device, Hand
 from jaxstab.scene.units import Units
@@ -25,7 +26,9 @@ from jaxstab.tables import (
 ANSWERS = ("limits", "check", "tune", "design")
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter")
 MOST_SAMPLES = 1024  # of delay: the degree of what is solved
-_MANY_SAMPLES = 1000  # of delay: more likely a slip of the unit
+_FEW_SAMPLES = 0.01  # of delay: more likely s
+_SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
+_LIGHT = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +148,7 @@ class Scene:
             OSError: the file cannot be read.
             ValueError: as for ``from_table``, with the name of the file.
         """
-        return cls.from_table(read_table(path), str(path))
+        return cls.from_table(read_table(path, "scene"), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str = "") -> "Scene":
@@ -188,14 +191,29 @@ class Scene:
             _outside("controller.sample_time", controller.sample_time, 1e-5, 0.05, "s"),
             _outside("the delay", controller.time_delay, 0.0, 2.0, "s"),
             _many_samples(controller),
+            _few_samples(controller),
             _other_period(controller),
         ]
         for name, wall in self.walls.items():
             found += [
                 _outside(f"walls.{name}.stiffness", wall.stiffness, *usual.stiffness, stiffness),
                 _outside(f"walls.{name}.damping", wall.damping, *usual.damping, damping),
+                self._slip_of_wall(f"walls.{name}", wall),
             ]
         return [words for words in found if words]
+
+    def _slip_of_wall(self, name: str, wall: Wall) -> str:
+        """Return a warning for gains that were swapped, or a stiffness in N/mm."""
+        units, is_line = self.units, self.units is Units.LINE
+        if wall.damping > wall.stiffness > 0.0:
+            return (
+                f"{name} has a damping of {wall.damping:g} {units.damping} beside a stiffness of "
+                f"{wall.stiffness:g} {units.stiffness}; are they swapped?"
+            )
+        is_heavy = is_line and self.device.effective_mass[0] > _LIGHT
+        if is_heavy and 0.0 < wall.stiffness < _SOFT:
+            return f"{name}.stiffness is {wall.stiffness:g} N/m; is it in N/mm?"
+        return ""
 
 
 class _Usual(NamedTuple):
@@ -269,9 +287,16 @@ def _unusual_mechanics(device: Device, hand: Hand, usual: _Usual) -> Iterator[st
 
 def _many_samples(controller: Controller) -> str:
     """Return a warning for a delay that was meant in samples and given in s."""
-    if controller.samples < _MANY_SAMPLES:
+    if controller.samples < MANY_SAMPLES:
         return ""
     return f"the delay is {controller.samples:g} samples; one in samples is given as delay_samples"
+
+
+def _few_samples(controller: Controller) -> str:
+    """Return a warning for a delay that was meant in s and given in samples."""
+    if not 0.0 < (controller.delay_samples or 0.0) < _FEW_SAMPLES:
+        return ""
+    return f"the delay is {controller.delay_samples:g} samples; one in s is given as delay"
 
 
 def _other_period(controller: Controller) -> str:

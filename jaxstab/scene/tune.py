@@ -58,6 +58,11 @@ class BestWall(Answer):
     status: TuningStatus
     for_all_hands: Verdict | str | None
 
+    @property
+    def is_stable(self) -> bool:
+        """Whether there is such a wall, proved stable for all hands."""
+        return self.exact is not None and self.for_all_hands in (None, Verdict.STABLE)
+
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return the lines of the rounded wall, and the rest."""
         printed = TunedWall(**vars(self.rounded)) if self.rounded else None
@@ -75,6 +80,13 @@ class Tuned(Answer):
     at_given_stiffness: BestWall | None
     hand: str | None
     over_ranges: WallOverRanges | None
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether each wall is found and proved stable; over ranges none is proved."""
+        found = [self.least_radius, self.least_settling, *self.walls.values()]
+        found += [self.at_given_stiffness] if self.at_given_stiffness else []
+        return self.over_ranges is None and all(wall.is_stable for wall in found)
 
 
 class _Encoder(NamedTuple):

@@ -175,7 +175,7 @@ class AtlasSpec:
             >>> spec.delay, spec.products
             ((1.0, 2.0, 3.0), ('verdict', 'alpha_limits'))
         """
-        table = read_table(path)
+        table = read_table(path, "specification")
         try:
             return cls._from_table(table)
         except (TypeError, ValueError) as error:
