@@ -127,7 +127,7 @@ def _hand(scene: Scene, end: int) -> dict[str, float]:
 
 def _hands(scene: Scene) -> dict[str, dict[str, float]] | None:
     """Return two hands of the range, or None where there is one hand at most."""
-    if hands_of(scene) is None:
+    if scene.hand is None or not scene.hand.varies:
         return None
     return {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)}
 
@@ -177,7 +177,7 @@ def _notes(scene: Scene, title: str) -> list[str]:
     """Return what has to be known of the numbers that the page begins with."""
     notes = [f"It begins with {title}."] if title else []
     if hands_of(scene) is not None:
-        notes.append("The scene has ranges: the page begins with the lowest hand and mass.")
+        notes.append("The scene has ranges: the page begins with their lowest values.")
     if scene.controller.velocity is None:
         notes.append("The scene names no estimator: the difference over one sample is assumed.")
     return notes

@@ -316,8 +316,7 @@ class HapticLoop(LoopWithWalls):
             mass: the device's lowest and highest mass in kg over its postures; None for its own.
 
         Raises:
-            ValueError: a range is out of order. The loop has a ``device`` with several hands, or
-                without a mass that could vary.
+            ValueError: a range is out of order; a ``device`` has several hands, or no such mass.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); eq. (9) for each hand.
 
