@@ -178,7 +178,9 @@ def test_a_file_of_a_stranger_is_read_in_a_process_with_limits(path: Path) -> No
         "m.main = lambda **_: print(*[resource.getrlimit(getattr(resource, 'RLIMIT_' + n))[1]"
         " for n in names]); untrusted.main()"
     )
-    said = subprocess.run([sys.executable, "-c", limits, str(os.getpid())], capture_output=True, text=True)
+    said = subprocess.run(
+        [sys.executable, "-c", limits, str(os.getpid())], capture_output=True, text=True
+    )
     assert said.stdout.split() == [str(4 * 2**30), "300", "0"]
 
 

@@ -188,7 +188,12 @@ def test_25_tiles_of_workers_of_another_jaxstab_are_refused(
     other = maker.replace("NumPy ", "NumPy 0.")
     path = tmp_path / "a.h5"
     for answer, words in (
-        (lambda: retiled(image, lambda file: file.attrs.__setitem__("computed_by", np.bytes_(other))), other),
+        (
+            lambda: retiled(
+                image, lambda file: file.attrs.__setitem__("computed_by", np.bytes_(other))
+            ),
+            other,
+        ),
         (lambda: retiled(image, lambda file: file.attrs.__delitem__("computed_by")), "an older"),
         (lambda: workers.no_such_thing, "cannot compute tiles of this build"),
         (lambda: None, "cannot compute tiles of this build"),

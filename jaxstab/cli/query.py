@@ -90,7 +90,7 @@ def query(
         _refuse_beside_scene(others)
         opened = jaxstab.open_atlas(file)
         rows = _asked_of_scene(opened, scene_file, wall, outside or "undecided", exact=exact)
-        _write(_held(opened, rows), form)
+        _write(rows, _columns(opened, list(rows[0])), form)
         return 0 if all(row["verdict"] == "stable" for row in rows) else 1
     for name, value in wall.items():
         if value is not None:
@@ -104,7 +104,7 @@ def query(
         velocity=None if velocity is None else velocity_of(parsed(velocity, "--velocity: ")),
         position=None if position is None else position_of(parsed(position, "--position: ")),
     )
-    _write(_held(opened, _answered(points, answer)), form)
+    _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form)
     return 0 if (answer.verdict == STABLE).all() else 1
 
 
@@ -228,16 +228,13 @@ def _refuse_beside_scene(others: dict[str, Any]) -> None:
             )
 
 
-def _held(
-    opened: "Atlas", rows: Iterable[dict[str, float | str]]
-) -> Iterator[dict[str, float | str]]:
-    """Yield rows without the columns of products that a file does not have."""
+def _columns(opened: "Atlas", names: list[str]) -> list[str]:
+    """Return the names of columns without those of products that a file does not have."""
     products = set(opened.products)
     left_out = set() if products & {"verdict", "alpha_limits"} else {"verdict"}
     if "spectral_radius" not in products:
         left_out |= {"spectral_radius", "radius_error"}
-    for row in rows:
-        yield {name: value for name, value in row.items() if name not in left_out}
+    return [name for name in names if name not in left_out]
 
 
 def _asked_of_scene(
@@ -271,14 +268,14 @@ def _asked_of_scene(
     return rows
 
 
-def _write(rows: Iterable[dict[str, float | str]], form: str) -> None:
+def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str) -> None:
+    every = [{name: row[name] for name in header} for row in rows]
     if form == "csv":
-        every = list(rows)  # what is refused is refused before the header is printed
         writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow(every[0])
+        writer.writerow(header)
         writer.writerows(row.values() for row in every)
     else:
-        click.echo(json.dumps([_finite(row) for row in rows], indent=1))
+        click.echo(json.dumps([_finite(row) for row in every], indent=1))
 
 
 def _finite(row: dict[str, float | str]) -> dict[str, float | str | None]:

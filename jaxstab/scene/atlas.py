@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas import Atlas, AtlasAnswer, AtlasSpec, FittedAxis
 from jaxstab.atlas.compute.layout import reach_of
-from jaxstab.loop import Gains
+from jaxstab.loop import Gains, HapticLoop
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.loops import walls_of
 from jaxstab.scene.members import Member, corners_of, loop_of_member, ranges_of
@@ -55,7 +55,7 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
 
 
 def _around(spec: AtlasSpec, loops: list[HapticLoop], walls: list[Gains]) -> AtlasSpec:
-    """Return a specification whose axes reach beyond walls, with cells along beta as fine as before."""
+    """Return a specification whose axes reach beyond walls, with cells as fine as before."""
     if not walls:
         return spec
     stiffness, damping = (np.array(gains) for gains in zip(*walls, strict=True))
@@ -66,7 +66,7 @@ def _around(spec: AtlasSpec, loops: list[HapticLoop], walls: list[Gains]) -> Atl
         float(end) for end in (reach[:, 0].min(), reach[:, 1].max(), reach[:, 2].min())
     )
     axes = (
-        _beyond("alpha", spec, alpha, (-float(np.min(spec.gamma)), highest)),
+        _beyond("alpha", spec, alpha, (-min(loop.gamma for loop in loops), highest)),
         _beyond("beta", spec, beta, (lowest_beta, highest_beta)),
     )
     width = np.ptp([*beta.flat, lowest_beta, highest_beta]) / (highest_beta - lowest_beta)

@@ -2,13 +2,13 @@
 
 Lemma B22 of docs/proofs.md bounds the gains of all stable walls, crudely; between an end of an axis
 and its bound, columns (``boxes.columns``) prove that nothing is stable. One box holds all hands of
-the atlas and one cell of its delays; where that proves too little, the atlas's own cells of hands
-do, and the delays are halved.
+the atlas and one cell of its delays. Where that proves too little, the delays are halved; at one
+delay alone, the atlas's own cells of hands are tried.
 """
 
 from itertools import product
 from math import exp, floor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
@@ -74,12 +74,12 @@ def _window(filters: Filters | None) -> int | None:
     if filters is None:
         return 1
     velocity, position = filters
-    samples, stages = velocity.stages() if velocity is not None else (1, [])
-    return None if stages or (position is not None and position.stages()) else int(samples)
+    samples, stages = velocity.stages()
+    return None if stages or position.stages() else samples
 
 
 def _bounds(grid: Grid, samples_late: int, window: int) -> Bounds:
-    """Return the bounds of lemma B22, for all hands and a delay from so many samples to one more."""
+    """Return the bounds of lemma B22, for all hands and a delay within one sample."""
     gamma, delta = float(grid.gamma[-1]), float(grid.delta[-1])
     per_gamma, per_delta, _ = NUMERATOR_SLOPES
     change = per_gamma * gamma + per_delta * delta
@@ -111,7 +111,8 @@ def _proved(
     middle = 0.5 * (early + late)
     half = float(np.nextafter(max(middle - early, late - middle), np.inf)) if late > early else 0.0
     domain = Domain(alpha, (float(edges[0]), float(edges[-1])))
-    for hands in (_boxes(grid, cells=False), _boxes(grid, cells=True)):
+    for cells in (False,) if half else (False, True):
+        hands = _boxes(grid, cells=cells)
         columns = stable_columns(edges, hands, middle, domain, filters, half)
         if np.all(_is_empty(columns, edges, hands, (middle, half), alpha[0])):
             return True
@@ -126,7 +127,8 @@ def _boxes(grid: Grid, *, cells: bool) -> HandBoxes:
     sides = [grid.sides(name) for name in ("gamma", "delta")]
     if not cells:
         sides = [np.array([[along[0, 0], along[-1, 1]]]) for along in sides]
-    gamma, delta = np.moveaxis(np.array(list(product(*sides))), 1, 0)
+    pairs = np.array([(one, other) for one in sides[0] for other in sides[1]])
+    gamma, delta = pairs[:, 0], pairs[:, 1]
     halves = (0.5 * (along[:, 1] - along[:, 0]) * _ABOVE for along in (gamma, delta))
     return HandBoxes(gamma.mean(axis=1), delta.mean(axis=1), *halves)
 
@@ -138,7 +140,7 @@ def _is_empty(
     """Say of which columns no alpha from the least one of their domain on is stable."""
     lower, upper = columns.lower, np.moveaxis(columns.upper, -1, 0)
     middle, half = delays
-    sides = [
+    sides: list[list[Any]] = [
         [edges[:-1], edges[1:]],
         [(hands.gamma + side * hands.half_gamma)[:, None] for side in (-1.0, 1.0)],
         [(hands.delta + side * hands.half_delta)[:, None] for side in (-1.0, 1.0)],
@@ -147,4 +149,5 @@ def _is_empty(
     tops = [surface(upper, *corner) for corner in product(*sides)]
     bend = np.abs(upper[5]) * half**2  # between the corners, of the square of the delay
     ends_below = np.max(tops, axis=0) + upper[-1] + bend <= least
-    return (np.isposinf(lower[..., 0]) & np.isfinite(lower[..., -1])) | ends_below
+    is_empty: np.ndarray = (np.isposinf(lower[..., 0]) & np.isfinite(lower[..., -1])) | ends_below
+    return is_empty

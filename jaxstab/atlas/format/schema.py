@@ -207,7 +207,7 @@ VARIABLES: Final = {
             ("delay_cell",),
             "axes that hold the whole stable set",
             "for all gamma and delta of the atlas and all delays of the cell: 1, a wall beyond the "
-            "alphas of limit_range, at one of its betas, is unstable; 2, and so is a wall beyond its "
+            "alphas of limit_range, at one of its betas, is unstable; 2, and so is one beyond its "
             "betas; 0, nothing is known. Proved: columns between the axes and bounds of all stable "
             "gains are empty",
             0,

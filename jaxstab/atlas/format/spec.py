@@ -187,8 +187,9 @@ class AtlasSpec:
 
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
         ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
-        ``fitted``, a count, and perhaps ``least`` and ``most``, and for gamma and delta ``start``, ``stop`` and ``tolerance``. The
-        tables ``velocity`` and ``position`` are of ``jaxstab.atlas.format.filters``.
+        ``fitted``, a count, and perhaps ``least`` and ``most``, and for gamma and delta ``start``,
+        ``stop`` and ``tolerance``. The tables ``velocity`` and ``position`` are of
+        ``jaxstab.atlas.format.filters``.
 
         Raises:
             ValueError: the text is no TOML, or has an unknown name or a bad value.

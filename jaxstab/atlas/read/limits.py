@@ -262,8 +262,9 @@ class LimitTable:
             holds = at.lower + at.lower_error < top
             if holds.any():
                 best = np.argmax(np.where(holds, top, -np.inf))
-                bound = np.max(at.upper + at.upper_error, where=at.lower < np.inf, initial=-np.inf)
-                may_hold = ~(at.lower - at.lower_error >= at.upper + at.upper_error)
+                ends = at.upper + at.upper_error
+                bound = float(np.max(ends, where=at.lower < np.inf, initial=-np.inf))
+                may_hold = ~(at.lower - at.lower_error >= ends)
                 if may_hold[0, 0] or may_hold[1, -1]:  # the stable set crosses an end of beta
                     bound = np.inf
                 found[:, point] = top.flat[best], sides.flat[best], bound
