@@ -29,7 +29,8 @@ static void ask(const jaxstab_atlas *atlas, const double *p)
     jaxstab_limits at;
     const int code = jaxstab_verdict(atlas, p[0], p[1], p[2], p[3], p[4]);
     const int is_inside = jaxstab_alpha_limits(atlas, p[1], p[2], p[3], p[4], &at);
-    if ((code != JAXSTAB_OUTSIDE && (code < 1 || code > 3)) || (code > 0 && !is_inside) ||
+    const int is_known = is_inside && code >= 1 && code <= 3;
+    if ((!is_known && code != JAXSTAB_OUTSIDE && code != JAXSTAB_UNSTABLE) ||
         !(at.lower_error >= 0.0) || !(at.upper_error >= 0.0))
         __builtin_trap();
 }

@@ -11,7 +11,6 @@ from commands import assert_one_sentence, run, run_code, run_process
 
 import jaxstab
 from jaxstab import AtlasSpec, FittedAxis, HapticLoop, LoopAtlas, Velocity, Verdict
-from jaxstab.model import by_name
 from jaxstab.scene import Scene
 from jaxstab.scene.atlas import atlas_spec, spec_text
 from jaxstab.scene.members import corners_of, loop_of_member

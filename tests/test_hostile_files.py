@@ -224,8 +224,8 @@ def test_28_codes_are_the_same_chunk_by_chunk(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     spec = AtlasSpec(
-        alpha=FittedAxis(24), beta=FittedAxis(20), gamma=[0.0, 0.0005, 0.001], delta=[0.0, 0.005, 0.015],
-        delay=[0.0, 1.5], products=["verdict"],
+        alpha=FittedAxis(24), beta=FittedAxis(20), gamma=[0.0, 0.0005, 0.001],
+        delta=[0.0, 0.005, 0.015], delay=[0.0, 1.5], products=["verdict"],
     )  # fmt: skip
     atlas = build_atlas(spec, tmp_path / "a.h5")
     rng = np.random.default_rng(28)

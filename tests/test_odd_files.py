@@ -229,8 +229,9 @@ def test_28_the_process_that_reads_a_strangers_file_ends_with_its_parent(tmp_pat
         [
             sys.executable,
             "-c",
-            "import os, subprocess, sys;"
-            f" subprocess.run([sys.executable, {str(tmp_path / 'sleeper.py')!r}, str(os.getpid())])",
+            "import os, subprocess, sys; "
+            "subprocess.run([sys.executable, sys.argv[1], str(os.getpid())])",
+            str(tmp_path / "sleeper.py"),
         ],
         stdout=subprocess.PIPE,
         text=True,
