@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxstab
-from jaxstab import STABLE, UNSTABLE, Device, Filter, Hand, Mode, Velocity
+from jaxstab import STABLE, UNSTABLE, Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters
@@ -102,3 +102,28 @@ def test_a_device_that_a_constant_force_does_not_move_has_no_region() -> None:
     sampled = sampled_device(Device.transfer_function([1.0, 0.0], [1.0, 2.0, 3.0]), 1e-3, 0.0)
     with pytest.raises(ValueError, match="constant force"):
         region_of(sampled, FILTERS["one sample"])
+
+
+def test_a_mode_that_walls_hardly_move_cuts_off_a_corner() -> None:
+    """Issue 31, 6: a COMPLETE region held this wall, of radius 1 + 9.9e-13."""
+    modes = [
+        (6.434856867099245, 0.0, 0.185851300358204),
+        (6.8454108056371155, 0.0, 0.00017206764337745456),
+        (35.425800263063394, 0.0, -0.35165856556613656),
+        (495.96120348419333, 1.3410551101434005e-16, -0.004604768915219972),
+    ]
+    hand = Hand.mass_spring_damper(mass=0.0013168208326164396, damping=0.0001345506538537253)
+    device = Device.modes(
+        [Mode(frequency=f, damping_ratio=zeta, modal_mass=m) for f, zeta, m in modes]
+    ).held_by(hand.with_grip(stiffness=0.027979514545729837))
+    period = 0.007057003603128702
+    loop = HapticLoop(
+        device=device,
+        sample_time=period,
+        delay=1e-9 * period,
+        velocity=Velocity.exponential(0.09665424011450707),
+    )
+    wall = 1.6343307107025126e-06, -1.1664718984884663e-07
+    assert loop.verdict(*wall) == Verdict.UNSTABLE
+    assert loop.region().status == RegionStatus.COMPLETE
+    assert not loop.region().contains(*wall)
