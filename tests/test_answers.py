@@ -180,8 +180,8 @@ def test_options_go_before_the_values_of_a_file(tmp_path: Path) -> None:
         (["limits", *PHANTOM, "--hand-stiffness", "1e12"], "hand.stiffness T^2/mass is 1e+07"),
         (["limits", *PHANTOM, "--sample-time", "1e300"], "damping T/mass of device and hand is"),
         (["limits", *PHANTOM, "--delay", "1", "--delay-samples", "1"], "give one"),
-        (["limits", *PHANTOM, "--delay-samples", "1e6"], "give at most 1024 samples"),
-        (["limits", *PHANTOM, "--delay", "1"], "the delay is 1000 samples, and limits are"),
+        (["limits", *PHANTOM, "--delay-samples", "1e6"], "give at most 500 samples"),
+        (["limits", *PHANTOM, "--delay", "1"], "delay is 1000 samples of 0.001 s"),
         (["check", *PHANTOM, *["--wall", "a", "1", "1"] * 2], "wall a is given twice"),
         (["limits", *PHANTOM, "--hand-damping", "1e9"], "damping T/mass"),  # without a warning
         (["scene", "init", "-o", "no/folder.toml"], "cannot write no/folder.toml"),

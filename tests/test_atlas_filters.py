@@ -74,7 +74,7 @@ def test_the_difference_over_one_sample_needs_no_word() -> None:
         ("[velocity]\nwindow_sample = 2", "window_sample is unknown; did you mean 'window_samples"),
         ("velocity = 3", "velocity is 3; give a table"),
         ("[velocity]", "velocity is {}; give a table"),
-        ("[velocity]\nwindow_samples = 50", "50; give a whole number from 1 to 41"),
+        ("[velocity]\nwindow_samples = 250", "250; give a whole number from 1 to 200"),
         ("[velocity]\ncutoff = 100.0", "cutoff is 100.0; give it as a share of the sampling rate"),
         ("[velocity]\norder = 2", "velocity.order is 2 without cutoff"),
         ("[velocity]\nnumerator = [1.0]", "velocity.numerator stands alone; give numerator and"),

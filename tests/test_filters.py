@@ -375,7 +375,10 @@ def test_arrays_of_delays_refuse_traced_filters_in_one_sentence() -> None:
         (lambda: Filter.transfer_function([0.0], [1.0, 0.5]), "not 0"),
         (lambda: Filter.transfer_function([1.0], [float("nan")]), "denominator is nan"),
         (lambda: Filter.transfer_function([1.0], [1.0] + [0.0] * 41), "degree 41"),
-        (lambda: (Filter.low_pass(0.1, order=40) * Filter.low_pass(0.1)).transfer(), "order 41"),
+        (
+            lambda: (Filter.low_pass(0.1, order=40) * Filter.low_pass(0.1)).transfer(),
+            "order 41; give 40 poles",
+        ),
         (lambda: Velocity.transfer_function([1.0, -0.9], [1.0, 0.0]), "0 at rest"),
         (lambda: Velocity.transfer_function([1.0], [1.0, 0.0]), "0 at rest"),
         (lambda: given_filters(20, None), "give a jaxstab.Velocity"),
@@ -679,3 +682,16 @@ def test_a_cut_off_may_be_an_array_of_jax() -> None:
         for velocity in (of_jax, plain)
     )
     np.testing.assert_array_equal(one.points, other.points)
+
+
+@pytest.mark.parametrize("count", [80, 200])
+def test_long_windows_are_answered(count: int) -> None:
+    """Issue 31, 13: windows of more than 41 samples were refused. Truth: balls, a closed form."""
+    place = 0.001, 0.0004, 1.0
+    window = Velocity.difference(samples=count)
+    region = jaxstab.stable_region(**by_name(*place), velocity=window)
+    balls = truth.FilteredLoop(*place, truth.difference(count), truth.average(1)).balls()
+    alpha, beta = map(float, region.main.max_alpha)
+    for factor, code in ((1.0 - 1e-6, STABLE), (1.0 + 1e-6, UNSTABLE)):
+        assert jaxstab.verdict(factor * alpha, beta, **by_name(*place), velocity=window) == code
+        assert balls.is_stable(factor * alpha, beta) == (code == STABLE)

@@ -2,6 +2,7 @@
 
 import sys
 from subprocess import run
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -201,7 +202,7 @@ def test_corners_on_a_line_have_its_alpha_and_no_negative_zeros() -> None:
 def test_regions_and_limits_do_not_import_jax() -> None:
     program = (
         "import sys, numpy as np, jaxstab\n"
-        "loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)\n"
+        "loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)\n"
         "region = jaxstab.stable_region(gamma=1e-3, delta=0.015, delay=1.5)\n"
         "region.area, region.contains(0.1, [0.2, 0.3]), region.distance(0.1, 0.2)\n"
         "region.alpha_limits(0.3), region.beta_limits(0.1), region.rows_are_intervals\n"
@@ -210,3 +211,40 @@ def test_regions_and_limits_do_not_import_jax() -> None:
         "assert 'jax' not in sys.modules\n"
     )
     run([sys.executable, "-c", program], check=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda delay: jaxstab.verdict(0.1, 0.1, gamma=0.0, delta=0.0, delay=delay),
+        lambda delay: jaxstab.margins(0.1, 0.1, gamma=0.0, delta=0.0, delay=delay),
+        lambda delay: jaxstab.spectral_radius(0.1, 0.1, gamma=0.0, delta=0.0, delay=delay),
+        lambda delay: stable_region(gamma=0.0, delta=0.0, delay=delay),
+        lambda delay: HapticLoop(
+            device_mass=0.1, device_damping=0.1, sample_time=1e-3, delay=1e-3 * delay
+        ),
+    ],
+)
+def test_delays_have_one_limit(ask: Any) -> None:
+    """Issue 31, 4: a bare OverflowError above 1,020 samples."""
+    assert ask(500.0) is not None
+    for delay in (500.5, 5000.0):
+        with pytest.raises(ValueError, match="500") as caught:
+            ask(delay)
+        assert "\n" not in str(caught.value)
+
+
+def test_the_longest_loop_has_verdicts() -> None:
+    """The longest delay, windows and filters: the degree stays below 1024."""
+    filters = Filter.low_pass(100.0, order=40)
+    loop = HapticLoop(
+        device=jaxstab.Device.modes(
+            [jaxstab.Mode(frequency=50.0 + k, damping_ratio=0.1, modal_mass=1.0) for k in range(20)]
+        ),
+        sample_time=1e-3,
+        delay=0.4995,
+        velocity=Velocity.difference(200) * filters,
+        position=Filter.average(200) * filters,
+    )
+    assert 700 < loop.linear.degree < 1024
+    assert loop.verdict(1e9, 1e6) == Verdict.UNSTABLE

@@ -138,7 +138,7 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
         (
             "controller.velocity.window_samples",
             2.5,
-            "controller.velocity.window_samples is 2.5; give a whole number from 1 to 41.",
+            "controller.velocity.window_samples is 2.5; give a whole number from 1 to 200.",
         ),
         (
             "controller.velocity.window",
@@ -149,7 +149,7 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
         (
             "controller.position.window",
             1e308,
-            "controller.position.window is 1e+308 s, inf sampling periods; give 41 of them at "
+            "controller.position.window is 1e+308 s, inf sampling periods; give 200 of them at "
             "most.",
         ),
         (
@@ -224,8 +224,8 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
         (
             "controller",
             {"sample_time": 1e-3, "delay": 60.0},
-            "controller.delay is 60000 samples of 0.001 s; give at most 1024 samples, "
-            "or a longer sample_time.",
+            "controller.delay is 60000 samples of 0.001 s; give at most 500 samples, "
+            "or a longer sample_time; one in samples is given as delay_samples.",
         ),
         ("controller", {}, "controller.sample_time is missing; give it a value."),
         ("wanted.answers", ["limit"], "wanted.answers.0 is 'limit'; did you mean 'limits'?"),
@@ -271,7 +271,7 @@ def test_a_file_may_begin_with_a_mark_of_utf_8_but_not_be_in_another_code(tmp_pa
         ("device.mass", 500.0, "device.mass is 500 kg"),
         ("controller.sample_time", 1.0, "controller.sample_time is 1 s"),
         ("walls.a", {"stiffness": 1e8, "damping": 1.0}, "walls.a.stiffness is 1e+08 N/m"),
-        ("controller.delay", 1.0, "the delay is 1000 samples; one in samples is given as"),
+        ("controller.delay", 0.4, "the delay is 400 samples; one in samples is given as"),
         ("controller.velocity", {"preset": "hapkit"}, "the preset 'hapkit' is meant for a sample"),
     ],
 )

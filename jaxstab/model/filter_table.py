@@ -12,10 +12,8 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 from jaxstab.model.filters import Filter, Velocity
-from jaxstab.model.sections import HIGHEST_ORDER
+from jaxstab.model.sections import HIGHEST_ORDER, LONGEST_WINDOW
 from jaxstab.tables import Table, coefficients, key, one_of, quantity, share, whole
-
-MOST_WINDOW = HIGHEST_ORDER + 1  # samples
 
 _LOW_PASSES: Mapping[str, Callable[..., Filter]] = {
     "low-pass": Filter.low_pass,
@@ -29,7 +27,7 @@ _FRACTION = ("numerator", "denominator")
 class FilterTable(Table):
     """A window, a low pass and exponential smoothing in a row, or coefficients alone."""
 
-    window_samples: int | None = key(whole(1, MOST_WINDOW), None)
+    window_samples: int | None = key(whole(1, LONGEST_WINDOW), None)
     cutoff: float | None = key(quantity("Hz", is_positive=True), None)
     order: int | None = key(whole(1, HIGHEST_ORDER), None)
     kind: str | None = key(one_of(_LOW_PASSES), None)

@@ -10,6 +10,7 @@ from typing import Any
 from jaxstab.arrays import Numbers, is_any_traced, is_jax, pytree, tree_map
 from jaxstab.model.sections import (
     HIGHEST_ORDER,
+    LONGEST_WINDOW,
     Average,
     Butterworth,
     Differentiator,
@@ -48,7 +49,7 @@ class Filter:
         """Return the mean of the last samples: (1 + 1/z + ... + z^(1-n)) / n.
 
         Args:
-            samples: n, from 1 to 41.
+            samples: n, from 1 to 200.
             window: n times the sampling period, in s, in place of ``samples``.
 
         Raises:
@@ -63,7 +64,7 @@ class Filter:
         if (samples is None) == (window is None):
             raise TypeError("give samples or window, and not both.")
         if samples is not None:
-            samples = checked_count("samples", samples, 1, HIGHEST_ORDER + 1)
+            samples = checked_count("samples", samples, 1, LONGEST_WINDOW)
         if window is not None:
             window = checked_number("window", window, 0.0, is_open=True, unit="s")
         return cls((Average(samples, window),))
@@ -161,14 +162,14 @@ class Filter:
         """Return the transfer function for a sampling period in s.
 
         Raises:
-            ValueError: a section does not go with that period, or the order is above 40.
+            ValueError: a section does not go with that period, or the order is too high.
             RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
         """
         whole = reduce(Transfer.times, self.stages(sample_time), UNIT)
-        if whole.order > HIGHEST_ORDER:
+        if len(whole.denominator) - 1 > HIGHEST_ORDER or whole.lag > LONGEST_WINDOW:
             raise ValueError(
-                f"the filter ({self}) is of order {whole.order}; give one of order "
-                f"{HIGHEST_ORDER} at most."
+                f"the filter ({self}) is of order {whole.order}; give {HIGHEST_ORDER} poles at "
+                f"most, and windows of {LONGEST_WINDOW} samples in all."
             )
         return whole
 
@@ -206,7 +207,7 @@ class Velocity:
         """Return the difference over a window: (x_k - x_(k-n)) / (n T).
 
         Args:
-            samples: n, from 1 to 41; 1 is the wall of the paper.
+            samples: n, from 1 to 200; 1 is the wall of the paper.
             window: n T in s, in place of ``samples``; 15 ms in CHAI3D.
 
         Raises:
@@ -347,9 +348,6 @@ def as_keywords(filters: Filters | None) -> dict[str, Any]:
     """Return filters as keywords of the five-number functions."""
     velocity, position = filters or (None, None)
     return {"velocity": velocity, "position": position}
-
-
-# --------------------------------------------------------------------------------------- checks
 
 
 def _positive(name: str, value: Numbers, low: float = 0.0, high: float = inf) -> Numbers:

@@ -1,6 +1,5 @@
 """A haptic loop in SI units as numbers: device, hand, sampling, delay, estimator and filter."""
 
-import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache, wraps
@@ -11,7 +10,7 @@ from jaxstab.arrays import Numbers, constant, is_any_traced, is_jax, is_traced, 
 from jaxstab.model.device import Device, SampledDevice, sampled_device
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
-from jaxstab.model.parameters import TracedDelay, by_name
+from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
 from jaxstab.model.sections import Average
 from jaxstab.numbers import checked_number
 
@@ -32,8 +31,6 @@ _REMEMBERED = 64  # loops
 Values = TypeVar("Values", bound=Numbers)
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
-
-MANY_SAMPLES = 1000  # of delay: more likely a slip of the unit
 
 
 class Body(NamedTuple):
@@ -77,11 +74,11 @@ class LoopParameters:
                 object.__setattr__(self, name, value if is_jax(value) else number)
         is_known = not is_any_traced(self.delay, self.sample_time)
         object.__setattr__(self, "_whole_delay", int(self.delay_samples) if is_known else None)
-        if (self._whole_delay or 0) >= MANY_SAMPLES:
-            warnings.warn(
-                f"delay is {float(self.delay):g} s, which is {self._whole_delay} sampling periods; "
-                "if it is meant in samples, multiply it by sample_time.",
-                stacklevel=4,
+        if is_known and self.delay_samples > LONGEST_DELAY:
+            raise ValueError(
+                f"the delay is {self.delay_samples:g} samples, {float(self.delay):g} s; give "
+                f"{LONGEST_DELAY:g} samples at most, in s; a delay in samples is multiplied by "
+                "sample_time."
             )
         given_filters(self.velocity, self.position)
         for chain in (self.velocity.filter if self.velocity else None, self.position):

@@ -13,6 +13,7 @@ from jaxstab.numbers import require_x64 as require_x64  # offered here, too
 GAMMA_LIMIT = 1e4
 DELTA_LIMIT = 1e3
 GAIN_LIMIT = 1e150
+LONGEST_DELAY = 500.0  # samples; with the longest filters p(z) is of a degree below 1024
 
 
 class TracedDelay(NamedTuple):
@@ -47,14 +48,14 @@ def checked_delay(delay: Numbers) -> Float64[np.ndarray, "*grid"]:
 
     Raises:
         TypeError: the delay is traced by jit, vmap or grad.
-        ValueError: a delay is negative, infinite or NaN.
+        ValueError: a delay is outside [0, 500] or NaN.
     """
     if is_any_traced(delay):
         raise TypeError(
             "delay must be a concrete number because it sets the degree of p(z); close over it or "
             "mark it static instead of tracing it."
         )
-    return np.asarray(checked("delay", delay, 0.0), np.float64)
+    return np.asarray(checked("delay", delay, 0.0, LONGEST_DELAY), np.float64)
 
 
 def whole_and_fraction(delay: Numbers | TracedDelay) -> tuple[Float64[np.ndarray, "*grid"], Array]:
@@ -62,7 +63,7 @@ def whole_and_fraction(delay: Numbers | TracedDelay) -> tuple[Float64[np.ndarray
 
     Raises:
         TypeError: the whole part is traced by jit, vmap or grad.
-        ValueError: a delay is negative, infinite or NaN.
+        ValueError: a delay is outside [0, 500] or NaN.
     """
     if isinstance(delay, TracedDelay):
         return np.asarray(delay.whole, np.float64), delay.fraction

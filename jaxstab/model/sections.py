@@ -21,7 +21,8 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.transfer import ONE, Polynomial, Transfer
 from jaxstab.numbers import checked_count
 
-HIGHEST_ORDER = 40
+HIGHEST_ORDER = 40  # poles of a filter, but for those at z = 0
+LONGEST_WINDOW = 200  # samples
 _WHOLE = 1e-9  # of a sample: windows closer to a whole number of samples are that number
 
 
@@ -242,9 +243,9 @@ def _whole_samples(window: float | None, sample_time: Numbers) -> int:
         raise TypeError("sample_time is traced beside a window in s; give the window in samples.")
     window = window or 0.0
     samples = window / float(sample_time)
-    if samples > HIGHEST_ORDER + 1.5:  # or infinite
+    if samples > LONGEST_WINDOW + 0.5:  # or infinite
         raise ValueError(
-            f"window is {window:g} s, {samples:g} sampling periods; give {HIGHEST_ORDER + 1} of "
+            f"window is {window:g} s, {samples:g} sampling periods; give {LONGEST_WINDOW} of "
             "them at most."
         )
     nearest = round(samples)
@@ -257,4 +258,4 @@ def _whole_samples(window: float | None, sample_time: Numbers) -> int:
             f"window is {window:g} s, {samples:g} sampling periods; give a whole number of them: "
             f"{choice}."
         )
-    return checked_count("the window in samples", nearest, 1, HIGHEST_ORDER + 1)
+    return checked_count("the window in samples", nearest, 1, LONGEST_WINDOW)

@@ -13,8 +13,7 @@ class Transfer(NamedTuple):
     """z^-lag numerator(z) / denominator(z), the denominator monic.
 
     ``sizes`` bound the sums of the moduli of the coefficients of numerator and denominator. The
-    coefficients' errors are below 2^-90 of them: at most 40 products of at most 41 terms each,
-    every one of which is right to 2^-98.
+    coefficients' errors are below 2^-89 of them (lemma V8).
     """
 
     numerator: Polynomial

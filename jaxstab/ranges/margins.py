@@ -14,6 +14,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_jax, namespace
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, known_filters
 from jaxstab.model.loop import refuses_loops
+from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked
 from jaxstab.ranges.first_crossings import MOST_DELAY as MOST_DELAY
 from jaxstab.ranges.first_crossings import WAYS, first_crossings
@@ -121,7 +122,7 @@ def margins(
         checked_gain("beta", beta),
         checked_gamma(gamma),
         checked_delta(delta),
-        checked("delay", delay, 0.0),
+        checked("delay", delay, 0.0, LONGEST_DELAY),
     )
     require_x64(*values)
     arrays = float_arrays(*values)

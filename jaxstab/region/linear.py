@@ -4,9 +4,8 @@ import numpy as np
 
 from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.model.transfer import Transfer
-from jaxstab.numbers import checked_number
 from jaxstab.region.curve import filtered_coefficients
-from jaxstab.region.region import LONGEST_DELAY, region_of
+from jaxstab.region.region import region_of
 from jaxstab.region.stable_set import StableRegion
 
 
@@ -24,9 +23,8 @@ def linear_region(
 
     Raises:
         ValueError: the plant does not give way to a constant force, N(1) = 0, by which the curve is
-            divided near z = 1, or the delay is longer than 500 samples.
+            divided near z = 1.
     """
-    checked_number("delay", float(plant.lag), 0.0, LONGEST_DELAY, unit="samples")
     if float(plant.at_one[0].value.hi) == 0.0:
         raise ValueError(
             "the device does not give way to a constant force: its transfer function in s is 0 at "

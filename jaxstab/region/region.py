@@ -5,7 +5,12 @@ from jaxstab.batches import compiled
 from jaxstab.model import require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.model.loop import refuses_loops
-from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, whole_and_fraction
+from jaxstab.model.parameters import (
+    DELTA_LIMIT,
+    GAMMA_LIMIT,
+    LONGEST_DELAY,
+    whole_and_fraction,
+)
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region.curve import (
     SliceCoefficients,
@@ -21,7 +26,6 @@ from jaxstab.region.search import coefficient_count
 from jaxstab.region.stable_set import StableRegion, region_within
 from jaxstab.region.status import RegionStatus
 
-LONGEST_DELAY = 500.0  # samples: the work grows as the third power
 _FINEST = 1e-10
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from jaxstab.conventions import Status
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.model.filter_table import MOST_WINDOW
+from jaxstab.model.sections import LONGEST_WINDOW
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -105,9 +105,8 @@ def design_loop(scene: Scene) -> Design:
     if window is None:
         largest_period = _largest(sampled, asked, period, shortest, longest)
     else:
-        largest_period = _largest_of(
-            sampled, asked, [window / n for n in range(1, MOST_WINDOW + 1)]
-        )
+        periods = [window / n for n in range(1, LONGEST_WINDOW + 1)]
+        largest_period = _largest_of(sampled, asked, [one for one in periods if one >= shortest])
     return Design(
         inputs=basis_of(scene),
         stiffness=wanted,

@@ -12,7 +12,6 @@ from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.ranges import HandRange
 from jaxstab.ranges.hands import spread_hands
 from jaxstab.region import RegionStatus
-from jaxstab.region.region import LONGEST_DELAY
 from jaxstab.scene.mechanics import Hand
 from jaxstab.scene.scene import Scene
 
@@ -35,11 +34,6 @@ def wall_region(loop: HapticLoop) -> WallRegion:
     Raises:
         ValueError: the dimensionless parameters are out of range, or the region is not resolved.
     """
-    if loop.delay_samples > LONGEST_DELAY:
-        raise ValueError(
-            f"the delay is {loop.delay_samples:g} samples, and limits are computed for at most "
-            f"{LONGEST_DELAY:g}; a delay that is meant in samples is given as delay_samples."
-        )
     region = loop.region()
     if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(

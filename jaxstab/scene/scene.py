@@ -6,7 +6,7 @@ from os import PathLike
 from typing import Any, NamedTuple
 
 from jaxstab.model import Filter, Velocity
-from jaxstab.model.loop import MANY_SAMPLES
+from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.estimators import PositionTable, VelocityTable
 from jaxstab.scene.mechanics import LENGTH, Device, Hand
 from jaxstab.scene.units import Units
@@ -25,10 +25,10 @@ from jaxstab.tables import (
 
 ANSWERS = ("limits", "check", "tune", "design")
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter")
-MOST_SAMPLES = 1024  # of delay: the degree of what is solved
 _FEW_SAMPLES = 0.01  # of delay: more likely s
 _SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
 _LIGHT = 0.01
+_MANY_SAMPLES = 200  # of delay: more likely a slip of the unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +45,11 @@ class Controller(Table):
         super().__post_init__()
         if self.delay is not None and self.delay_samples is not None:
             raise ValueError(f"delay is {self.delay:g} beside delay_samples; give one.")
-        if self.samples > MOST_SAMPLES:
+        if self.samples > LONGEST_DELAY:
             raise ValueError(
                 f"delay is {self.samples:g} samples of {self.sample_time:g} s; give at most "
-                f"{MOST_SAMPLES} samples, or a longer sample_time."
+                f"{LONGEST_DELAY:g} samples, or a longer sample_time; one in samples is given as "
+                "delay_samples."
             )
         for name, made in (("velocity", self.estimator), ("position", self.position_filter)):
             if made is not None:
@@ -287,7 +288,7 @@ def _unusual_mechanics(device: Device, hand: Hand, usual: _Usual) -> Iterator[st
 
 def _many_samples(controller: Controller) -> str:
     """Return a warning for a delay that was meant in samples and given in s."""
-    if controller.samples < MANY_SAMPLES:
+    if controller.samples < _MANY_SAMPLES:
         return ""
     return f"the delay is {controller.samples:g} samples; one in samples is given as delay_samples"
 

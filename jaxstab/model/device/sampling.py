@@ -20,6 +20,7 @@ from jaxstab.model.device.rational import Rational, balls_of, exact, working_pre
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_loop
+from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.model.transfer import Polynomial, Transfer
 from jaxstab.numbers import checked_number
 
@@ -79,7 +80,7 @@ def sampled_device(device: Device, sample_time: float, delay: float) -> SampledD
     Args:
         device: the device with its hands and actuators.
         sample_time: T in s, > 0.
-        delay: in samples, whole or fractional, >= 0.
+        delay: in samples, whole or fractional, in [0, 500].
 
     Raises:
         TypeError: a number is none.
@@ -89,7 +90,9 @@ def sampled_device(device: Device, sample_time: float, delay: float) -> SampledD
     Source: the modified z-transform; Van Loan (1978) for the exponential.
     """
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
-    return _sampled(device, period, checked_number("delay", delay, 0.0, unit="samples"))
+    return _sampled(
+        device, period, checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples")
+    )
 
 
 class _Balls(NamedTuple):
