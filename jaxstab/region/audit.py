@@ -50,13 +50,14 @@ def is_contradicted(
     """
     size = int(outline.size)
     if size == 0:
-        return bool(np.any(linear_verdict(*_walls_of_all_sizes(), loop) == STABLE))
+        alpha, beta = _walls_of_all_sizes()
+        return bool(np.any(linear_verdict(alpha, beta, loop) == STABLE))
     if deviation > _ROUGH:
         return True
     vertices = outline.vertices[:size]
     edges, extent = edges_of(vertices, outline.branches[: size - 1]), np.ptp(vertices, axis=0)
     walls = _beside(edges, extent)
-    codes = linear_verdict(*walls, loop)
+    codes = linear_verdict(walls[0], walls[1], loop)
     doubtful = codes == np.where(are_inside(edges, walls), UNSTABLE, STABLE)
     walls, codes = walls[:, doubtful], codes[doubtful]  # a polygon is not exact
     assert c.filtered is not None
@@ -64,10 +65,10 @@ def is_contradicted(
     if np.any((angles > 0.0) & (distances < _UNDAMPED)):
         near = _beside(_near_corners(c, outline), extent, is_near=True)
         walls = np.concatenate([walls, near], axis=1)
-        codes = np.concatenate([codes, linear_verdict(*near, loop)])
+        codes = np.concatenate([codes, linear_verdict(near[0], near[1], loop)])
     if not codes.size:
         return False
-    is_inside = measures.contains(c, outline, *walls)
+    is_inside = measures.contains(c, outline, walls[0], walls[1])
     return bool(np.any(codes == np.where(is_inside, UNSTABLE, STABLE)))
 
 
