@@ -220,7 +220,7 @@ def test_check_of_a_scene_tells_how_far_its_encoder_drives_it() -> None:
     chatter = [line for line in str(answer).splitlines() if "chatter" in line]
     ends = ["31.2 um", "0.06 N", "proved", "not proved", "not proved"]
     assert all(line.endswith(f"  {end}") for line, end in zip(chatter, ends, strict=True))
-    assert answer.as_json()["hard"]["chatter_at_most"] is None
+    assert answer.as_json()["walls"]["hard"]["chatter_at_most"] is None
 
 
 def test_a_picture_draws_lines_of_equal_amplitude() -> None:

@@ -171,6 +171,6 @@ def test_outlines_that_are_counted_wrong_are_refused(image: bytes, tmp_path: Pat
 
 def test_a_missing_file_is_one_sentence(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["atlas", "verify", str(tmp_path / "none.h5")])
-    assert (result.exit_code, result.stdout) == (1, "")
+    assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.startswith("jaxstab: cannot read ")
     assert result.stderr.count("\n") == 1

@@ -22,7 +22,7 @@ def test_a_sweep_has_a_row_for_each_value_and_the_numbers_of_single_scenes() -> 
     assert [row["device.mass"] for row in rows] == ["0.1", "0.2", "0.3"]
     single = json.loads(run("limits", *OMEGA, "--mass", "0.2", "--json").stdout)
     assert float(rows[1]["best.largest_stiffness"]) == single["best"]["largest_stiffness"]
-    assert rows[1]["velocity"] == single["velocity"]
+    assert rows[1]["inputs.velocity"] == single["inputs"]["velocity"]
     assert not any(row["refusal"] for row in rows)
 
 
@@ -55,8 +55,8 @@ def test_several_files_are_compared(tmp_path: Path) -> None:
     assert (
         float(first["best.largest_stiffness"]) == answers[0]["answer"]["best"]["largest_stiffness"]
     )
-    assert first["wall too_stiff.at_damping"] == "80.0"
-    assert second["wall too_stiff.at_damping"] == ""
+    assert first["walls.too_stiff.at_damping"] == "80.0"
+    assert second["walls.too_stiff.at_damping"] == ""
 
 
 def test_check_ends_with_zero_only_if_all_walls_of_all_scenes_are_stable() -> None:
@@ -66,7 +66,7 @@ def test_check_ends_with_zero_only_if_all_walls_of_all_scenes_are_stable() -> No
     late = run("check", *OMEGA, *wall, "--sweep", "controller.delay_samples=1,40")
     assert late.exit_code == 1
     rows = list(csv.DictReader(late.stdout.splitlines()))
-    assert [row["a.verdict"] for row in rows] == ["stable", "unstable"]
+    assert [row["walls.a.verdict"] for row in rows] == ["stable", "unstable"]
 
 
 def test_checks_of_many_scenes_are_bit_for_bit_those_of_each_alone() -> None:

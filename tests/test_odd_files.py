@@ -56,7 +56,7 @@ def test_axes_without_width_are_refused_and_hands_next_to_each_other_are_not(
         lines = (f"{key} = {v}" for key, v in (walls | {name: "[0.0, 5e-324]"}).items())
         (tmp_path / "thin.toml").write_text(hands + "\n".join(lines))
         answer = run("atlas", "build", "--spec", tmp_path / "thin.toml", "-o", tmp_path / "a.h5")
-        assert (answer.exit_code, answer.stdout) == (1, "")
+        assert (answer.exit_code, answer.stdout) == (2, "")
         assert f"axis {name} is 5e-324 long" in answer.stderr
     spec = AtlasSpec.from_toml(
         hands + "products = ['alpha_limits']\n" + "\n".join(f"{k} = {v}" for k, v in walls.items())
@@ -105,7 +105,7 @@ def test_stdout_that_is_full_or_closed_is_one_sentence(path: Path) -> None:
         done = subprocess.run(
             ["sh", "-c", f'"$@" {where}', "sh", *words, *command], capture_output=True, text=True
         )
-        assert done.returncode == 1
+        assert done.returncode == 2
         assert_one_sentence(done.stderr)
         assert reason in done.stderr
 
@@ -170,7 +170,7 @@ def test_a_file_of_a_stranger_is_read_in_a_process_with_limits(path: Path) -> No
     assert run_process(*query, "--untrusted").stdout == run_process(*query).stdout
     path.write_bytes(path.read_bytes()[:-1])
     refused = run_process(*query, "--untrusted")
-    assert (refused.returncode, refused.stdout) == (1, "")
+    assert (refused.returncode, refused.stdout) == (2, "")
     assert_one_sentence(refused.stderr)
     limits = (
         "import resource, jaxstab.cli.main as m; from jaxstab.cli import untrusted;"
@@ -195,7 +195,7 @@ def test_a_process_that_a_file_ends_is_one_sentence(
 
     monkeypatch.setattr(subprocess, "run", ended)
     answer = run("atlas", "info", path, "--untrusted")
-    assert (answer.exit_code, answer.stdout) == (1, "")
+    assert (answer.exit_code, answer.stdout) == (2, "")
     assert_one_sentence(answer.stderr)
     assert "do not use it" in answer.stderr
 
@@ -208,7 +208,7 @@ def test_a_file_without_the_expected_digest_is_not_parsed(command: str, path: Pa
     assert right.exit_code == 0, right.stderr
     path.write_bytes(b"anything")
     answer = run("atlas", command, path, *options, "--expect-sha256", digest)
-    assert (answer.exit_code, answer.stdout) == (1, "")
+    assert (answer.exit_code, answer.stdout) == (2, "")
     assert_one_sentence(answer.stderr)
     assert f"and {digest} is expected" in answer.stderr
     answer = run("atlas", command, path, *options, "--expect-sha256", digest[:-1])
@@ -296,5 +296,5 @@ def test_31_a_pipe_is_not_waited_for(path: Path, tmp_path: Path) -> None:
     for command in ("info", "verify"):
         for options in ([], ["--expect-sha256", "0" * 64]):
             answer = run("atlas", command, pipe, *options)
-            assert answer.exit_code == 1
+            assert answer.exit_code == 2
             assert "it is a device, a pipe or a socket" in answer.stderr

@@ -230,4 +230,4 @@ def test_the_plan_is_printed_by_a_command(tmp_path) -> None:
     assert "between two pieces of the boundary" in answer.stdout
     assert answer.stdout.splitlines()[-1].startswith("build: about ")
     spec.write_text("gamma = [1, 0]", encoding="utf-8")
-    assert CliRunner().invoke(main, ["atlas", "plan", str(spec)]).exit_code == 1
+    assert CliRunner().invoke(main, ["atlas", "plan", str(spec)]).exit_code == 2

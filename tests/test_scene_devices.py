@@ -327,7 +327,7 @@ def test_answers_say_first_what_moves_beside_the_mass(file: Path) -> None:
     for command in ("limits", "check"):
         second = run(command, file).stdout.splitlines()[1]
         assert re.match(rf"mechanics +{words}$", second)
-    assert json.loads(run("limits", file, "--json").stdout)["mechanics"] == words
+    assert json.loads(run("limits", file, "--json").stdout)["inputs"]["mechanics"] == words
 
 
 def test_the_model_is_explained_with_its_modes_motor_and_grip(file: Path) -> None:

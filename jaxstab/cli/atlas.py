@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 import jaxstab
-from jaxstab.cli.options import keep_programs
+from jaxstab.cli.options import keep_programs, output_file
 from jaxstab.cli.scene_options import refused, scene_of, warn
 from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import STABLE
@@ -25,7 +25,14 @@ _MOST_ASKED = 128  # nodes along alpha and beta
 
 @click.command()
 @click.option("--spec", type=Path, help="TOML file; default: the haptic range of the paper.")
-@click.option("-o", "--output", type=Path, default=Path("atlas.h5"), show_default=True)
+@click.option(
+    "-o",
+    "--output",
+    type=Path,
+    callback=output_file,
+    default=Path("atlas.h5"),
+    show_default=True,
+)
 @click.option("--workers", type=click.IntRange(1), help="Number of processes on this machine.")
 @click.option("--scheduler", help="Compute on the dask cluster whose scheduler has this address.")
 def build(spec: Path | None, output: Path, workers: int | None, scheduler: str | None) -> None:

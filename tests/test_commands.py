@@ -1,0 +1,374 @@
+"""What all commands have in common: exit codes, outputs, warnings, and what is refused."""
+
+import csv
+import json
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from atlases import SMALL_TOML, write_small
+from commands import POINT, START, assert_one_sentence, run, run_process
+
+from jaxstab import HapticLoop, durable
+from jaxstab.cli.main import main
+from jaxstab.scene import EXAMPLE, Scene, design_loop, scene_limits
+from jaxstab.scene.guard import scene_guard
+
+OMEGA = ["--device", "omega", "--sample-time", "0.001", "--delay", "0.001"]
+HANDS = ["--hand-mass", "0:0.2"]
+GOOD, BAD = ["--wall", "good", "1000", "10"], ["--wall", "bad", "90000", "10"]
+FAR = [*POINT[:1], "9", *POINT[2:]]
+SLOW = ["--mass", "0.1", "--damping", "0", "--sample-time", "0.001", "--delay", "0"]
+NEVER = [*SLOW, "--hand-stiffness", "986960.4401089358"]  # pi^2: a root stays at z = -1
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder, the current one, with an atlas, its specification, a scene and a damaged atlas."""
+    write_small(tmp_path)
+    (tmp_path / "spec.toml").write_text(SMALL_TOML, encoding="utf-8")
+    (tmp_path / "scene.toml").write_text(EXAMPLE, encoding="utf-8")
+    (tmp_path / "unstable.toml").write_text(
+        EXAMPLE.replace("stiffness = 1500.0", "stiffness = 150000.0"), encoding="utf-8"
+    )
+    (tmp_path / "damaged.h5").write_bytes((tmp_path / "small.h5").read_bytes()[:-1])
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+COMMANDS: list[tuple[str, list[str], int]] = [
+    ("limits", OMEGA, 0),
+    ("limits", [*OMEGA, *HANDS], 0),
+    ("limits", NEVER, 1),
+    ("limits", [*OMEGA, "--mass", "-1"], 2),
+    ("check", [*OMEGA, *GOOD], 0),
+    ("check", [*OMEGA, *GOOD, *BAD], 1),
+    ("check", [*OMEGA, *GOOD, "--sweep", "device.mass=0.1,0.001"], 1),
+    ("check", OMEGA, 2),
+    ("tune", [*OMEGA, *GOOD], 0),
+    ("tune", NEVER, 1),
+    ("tune", [*OMEGA, "--at-stiffness", "-1"], 2),
+    ("design", [*OMEGA, "--stiffness", "1000"], 0),
+    ("design", [*OMEGA, "--stiffness", "1e8"], 1),
+    ("design", OMEGA, 2),
+    ("scene answer", ["scene.toml"], 0),
+    ("scene answer", ["unstable.toml"], 1),
+    ("scene answer", ["none.toml"], 2),
+    ("scene init", [], 0),
+    ("scene init", ["-o", "scene.toml"], 2),
+    ("scene presets", [], 0),
+    ("scene presets", ["more"], 2),
+    ("explore", ["scene.toml"], 0),
+    ("explore", ["none.toml"], 2),
+    ("guard", ["--help"], 0),  # tests/test_guard.py builds some
+    ("guard", [*OMEGA, "-o", "none/g.h"], 2),
+    ("region", ["--gamma", "0", "--delta", "0"], 0),
+    ("region", ["--gamma", "-1", "--delta", "0"], 2),
+    ("figure", ["4"], 0),
+    ("figure", ["3"], 2),
+    ("papers", ["--help"], 0),  # it takes minutes
+    ("papers", ["more"], 2),
+    ("atlas spec", ["--scene", "scene.toml"], 0),
+    ("atlas spec", ["--scene", "spec.toml"], 2),
+    ("atlas build", ["--spec", "spec.toml"], 0),
+    ("atlas build", ["--spec", "scene.toml"], 2),
+    ("atlas plan", ["spec.toml"], 0),
+    ("atlas plan", ["--accuracy", "much"], 2),
+    ("atlas info", ["small.h5"], 0),
+    ("atlas info", ["damaged.h5"], 2),
+    ("atlas verify", ["small.h5", "--sample", "1"], 0),
+    ("atlas verify", ["none.h5"], 2),
+    ("atlas query", ["small.h5", *POINT], 0),
+    ("atlas query", ["small.h5", *FAR, "--outside", "undecided"], 1),
+    ("atlas query", ["small.h5", *FAR], 2),
+    ("atlas plot", ["small.h5", "-o", "a.png"], 0),
+    ("atlas plot", ["small.h5", "-o", "a.pdf"], 2),
+]
+
+
+def commands_of(group: click.Group, prefix: str = "") -> Iterator[str]:
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group):
+            yield from commands_of(command, f"{prefix}{name} ")
+        else:
+            yield prefix + name
+
+
+def test_the_table_of_exit_codes_has_every_command() -> None:
+    assert {name for name, *_ in COMMANDS} == set(commands_of(main))
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "code"),
+    COMMANDS,
+    ids=[f"{name}-{code}-{number}" for number, (name, _, code) in enumerate(COMMANDS)],
+)
+def test_31_18_exit_codes(name: str, arguments: list[str], code: int, folder: Path) -> None:
+    answer = run(*name.removesuffix(" answer").split(), *arguments)
+    assert answer.exit_code == code, answer.stderr
+    if code == 2:
+        assert answer.stdout == ""
+        assert_one_sentence(answer.stderr)
+
+
+def test_31_18_a_fault_of_ours_does_not_end_like_an_unstable_wall(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def broken(_: Scene) -> Any:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("jaxstab.scene.check_walls", broken)
+    answer = run("check", *OMEGA, *GOOD)
+    assert (answer.exit_code, "ZeroDivisionError" in answer.stderr) == (2, True)
+
+
+# --------------------------------------------------------------------------------------- warnings
+
+
+@pytest.mark.parametrize("command", ["limits", "check", "tune"])
+def test_31_15_a_delay_that_is_assumed_is_said_beside_the_estimator(command: str) -> None:
+    arguments = [command, *OMEGA[:4], *GOOD]
+    lines = run(*arguments).stdout.splitlines()
+    assert lines[0].startswith("velocity ")
+    assert lines[1].split(maxsplit=1) == ["delay", "0 (assumed: the scene names none)"]
+    inputs = json.loads(run(*arguments, "--json").stdout)["inputs"]
+    assert (inputs["delay"], inputs["delay_is"]) == (0.0, "assumed: the scene names none")
+    given = run(*arguments, "--delay", "0").stdout.splitlines()[1]
+    assert given.split(maxsplit=1) == ["delay", "0 ms; in samples 0"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--delay-samples", "3e-4"], "the delay is 0.0003 samples; one in s is given as delay"),
+        (["--wall", "a", "3", "0.1"], "walls.a.stiffness is 3 N/m; is it in N/mm?"),
+        (["--wall", "a", "2", "5000"], "damping of 5000 N s/m beside a stiffness of 2 N/m; are"),
+    ],
+)
+def test_31_15_slips_of_units_are_one_line_on_stderr(options: list[str], words: str) -> None:
+    answer = run("limits", *OMEGA[:4], *options)
+    assert answer.exit_code == 0
+    assert answer.stderr.startswith("jaxstab: warning: ")
+    assert answer.stderr.count("\n") == 1
+    assert words in answer.stderr
+    usual = run("limits", *OMEGA, *GOOD, "--wall", "damper", "0", "5")
+    assert usual.stderr == ""
+
+
+def test_31_15_masses_in_grams_are_remarked_on() -> None:
+    scene = Scene.from_table({"device": {"mass": 0.18, "damping": 0.1}, **CONTROLLER})
+    with pytest.warns(UserWarning, match="masses are 144 to 225 kg, that of the scene is 0.18 kg"):
+        with pytest.raises(ValueError, match="delay is"):  # before the proof
+            scene_guard(scene, (144.0, 225.0), (0.0, 0.0))
+
+
+CONTROLLER = {"controller": {"sample_time": 1e-3}}
+
+
+def test_31_15_a_delay_in_samples_is_remarked_on_by_the_loop() -> None:
+    fields = {"device_mass": 0.1, "device_damping": 1.0, "sample_time": 1e-3}
+    with pytest.warns(UserWarning, match="delay is 1 s, which is 1000 sampling periods"):
+        HapticLoop(**fields, delay=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        HapticLoop(**fields, delay=0.9)
+
+
+# ---------------------------------------------------------------------------------------- refused
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["limits", "--device", "omega.7", *OMEGA[2:]], "'omega.7'; did you mean 'omega'?"),
+        (["limits", "--device", "Omega", *OMEGA[2:]], "'Omega'; did you mean 'omega'?"),
+        (["limits", "--device", "foo", *OMEGA[2:]], "device.preset is 'foo'; give phantom, omega"),
+        (["limits"], "no scene is given; give the FILE of one"),
+        (["check"], "no scene is given; give the FILE of one"),
+        (["guard", "-o", "g.h"], "no scene is given; give the FILE of one"),
+        (["limits", "small.h5"], "small.h5 is an atlas (HDF5), not text; jaxstab atlas info"),
+        (["check", "spec.toml"], "the specification of an atlas; jaxstab atlas plan"),
+        (["atlas", "build", "--spec", "scene.toml"], "is a scene; jaxstab limits"),
+        (["atlas", "plan", "scene.toml"], "is a scene; jaxstab limits"),
+        (
+            ["limits", *OMEGA, "--sweep", "device.mas=0.1:0.5:20"],
+            "jaxstab: device.mas is unknown; did you mean 'mass'?\n",
+        ),
+    ],
+)
+def test_31_16_what_is_misspelt_or_of_another_kind_is_named(
+    arguments: list[str], words: str, folder: Path
+) -> None:
+    answer = run(*arguments)
+    assert (answer.exit_code, answer.stdout) == (2, "")
+    assert_one_sentence(answer.stderr)
+    assert words in answer.stderr
+
+
+# ---------------------------------------------------------------------------------------- outputs
+
+
+OUTPUTS = [
+    ["limits", *OMEGA, "--csv", "none/a.csv"],
+    ["limits", *OMEGA, "--plot", "none/a.png"],
+    ["check", *OMEGA, *GOOD, "--sweep", "device.mass=0.1,0.2", "--csv", "none/a.csv"],
+    ["tune", *OMEGA, "--csv", "none/a.csv"],
+    ["design", *OMEGA, "--stiffness", "1000", "--csv", "none/a.csv"],
+    ["scene", "scene.toml", "--plot", "none/a.png"],
+    ["scene", "init", "-o", "none/a.toml"],
+    ["explore", "scene.toml", "-o", "none/a.html"],
+    ["guard", *OMEGA, "-o", "none/a.h"],
+    ["guard", *OMEGA, "-o", "a.h", "--plot", "none/a.png"],
+    ["region", "--gamma", "0", "--delta", "0", "-o", "none/a.png"],
+    ["atlas", "build", "--spec", "spec.toml", "-o", "none/a.h5"],
+    ["atlas", "plan", "spec.toml", "--accuracy", "0.1", "-o", "none/a.toml"],
+    ["atlas", "plan", "spec.toml", "--accuracy", "0.1", "--plot", "none/a.png"],
+    ["atlas", "plot", "small.h5", "-o", "none/a.png"],
+]
+
+
+@pytest.mark.parametrize("arguments", OUTPUTS, ids=lambda words: "-".join(words[:2]))
+def test_31_17_a_folder_that_does_not_exist_is_refused_before_the_work(
+    arguments: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for work in ("scene_limits", "check_walls", "tune_walls", "design_loop"):
+        monkeypatch.delattr(f"jaxstab.scene.{work}", raising=False)
+    monkeypatch.setattr("jaxstab.guard.build_guard", None)
+    answer = run(*arguments)
+    assert (answer.exit_code, answer.stdout) == (2, "")
+    assert_one_sentence(answer.stderr)
+    assert f"the folder {folder / 'none'} does not exist" in answer.stderr
+
+
+def test_31_17_a_figure_makes_its_folder_and_files_are_named(folder: Path) -> None:
+    figure = run("figure", "4", "-o", "new/folder")
+    assert figure.stdout == "new/folder/figure_4.png\n"
+    assert (folder / "new/folder/figure_4.png").read_bytes().startswith(b"\x89PNG")
+    assert "give a folder" in run("figure", "4", "-o", "a.png").stderr
+    answer = run("limits", *OMEGA, "--plot", "a.png", "--json")
+    assert json.loads(answer.stdout)
+    assert answer.stderr == "jaxstab: wrote a.png\n"
+    region = run("region", "--gamma", "0", "--delta", "0", "-o", "b.png")
+    assert region.stderr == "jaxstab: wrote b.png\n"
+    assert run("limits", *OMEGA, "--csv", "a.csv").stderr == "jaxstab: wrote a.csv\n"
+    assert run("scene", "init", "-o", "new.toml").stdout == "new.toml\n"
+    assert run("atlas", "plot", "small.h5", "-o", "c.png").stdout == "c.png\n"
+
+
+def test_31_19_pairs_are_two_columns_of_csv() -> None:
+    arguments = ["check", *OMEGA, *HANDS, *GOOD]
+    (row,) = csv.DictReader(run(*arguments, "--csv", "-").stdout.splitlines())
+    table = json.loads(run(*arguments, "--json").stdout)
+    low, high = table["walls"]["good"]["stiffness_limits"]
+    assert float(row["walls.good.stiffness_limits_low"]) == low
+    assert float(row["walls.good.stiffness_limits_high"]) == high
+    assert float(row["inputs.hand_mass_high"]) == 0.2
+    assert not any("[" in cell for cell in row.values())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["limits", *OMEGA, *HANDS, *GOOD, "--at-damping", "5"],
+        ["limits", *OMEGA, "--window-samples", "20", "--delay", "0"],
+        ["check", *OMEGA, *HANDS, *GOOD],
+        ["tune", *OMEGA, *GOOD],
+        ["design", *OMEGA, "--stiffness", "1000"],
+        ["scene", "scene.toml"],
+    ],
+    ids=" ".join,
+)
+def test_31_19_json_has_inputs_units_and_one_style_of_keys(
+    arguments: list[str], folder: Path
+) -> None:
+    answer = json.loads(run(*arguments, "--json").stdout)
+    inputs, units = answer.pop("inputs"), answer.pop("units")
+    assert inputs.keys() >= {"velocity", "sample_time", "delay", "delay_samples", "mass", "damping"}
+    assert inputs["delay"] == inputs["delay_samples"] * inputs["sample_time"]
+    numbers = set()
+
+    def walk(table: dict[str, Any], names: bool = False) -> None:
+        for name, value in table.items():
+            assert names or (name.isidentifier() and name.islower()), name
+            if isinstance(value, dict):
+                walk(value, name in ("walls", "islands", "windows", "answers"))
+            elif not isinstance(value, str):
+                numbers.add(name)
+
+    walk(inputs)
+    walk(answer)
+    assert numbers == units.keys()
+    assert units["delay"] == units["sample_time"] == "s"
+    assert set(units.values()) <= {"1", "s", "m", "kg", "Hz", "N", "N/m", "N s/m"}
+
+
+def test_31_19_units_are_those_of_rotation() -> None:
+    wheel = ["--inertia", "0.02", "--damping", "0.02", "--sample-time", "0.001"]
+    walls = ["--hand-inertia", "0:0.05", "--wall", "mass", "1", "0.05"]
+    answer = json.loads(run("limits", *wheel, *walls, "--json").stdout)
+    assert answer["inputs"]["inertia"] == 0.02
+    assert answer["inputs"]["hand_inertia"] == [0.0, 0.05]
+    assert answer["units"]["largest_stiffness"] == "N m/rad"
+    assert "mass" in answer["walls"]  # a name, not a quantity
+
+
+# ---------------------------------------------------------------------------------------- streams
+
+
+def in_a_shell(redirection: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["sh", "-c", f'"$@" {redirection}', "sh", sys.executable, "-c", START, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_31_26_closed_streams(folder: Path) -> None:
+    check = ["check", *OMEGA, *GOOD]
+    closed = in_a_shell("2>&-", *check)
+    assert (closed.returncode, closed.stdout) == (0, run_process(*check).stdout)
+    assert in_a_shell("2>&-", "check", *OMEGA, *BAD).returncode == 1
+    assert in_a_shell("2>&-", "limits").returncode == 2
+    query = in_a_shell("<&-", "atlas", "query", "small.h5", "--csv", "-")
+    assert (query.returncode, query.stdout) == (2, "")
+    assert_one_sentence(query.stderr)
+    assert "stdin is closed" in query.stderr
+
+
+def test_31_26_a_design_whose_largest_delay_is_none_at_all() -> None:
+    device = {
+        "mass": 0.25,
+        "damping": 0.1,
+        "actuator": {"bandwidth": 200.0},
+        "modes": [{"frequency": 80.0, "damping_ratio": 0.02, "modal_mass": 1.5}],
+    }
+    controller = {"sample_time": 1e-3, "delay": 0.0, "velocity": {"cutoff": 100.0}}
+    table = {"device": device, "controller": controller}
+    largest = scene_limits(Scene.from_table(table)).best.largest_stiffness
+    for wanted in (largest, largest * (1.0 - 1e-12), largest * (1.0 - 1e-9)):
+        scene = Scene.from_table({**table, "wanted": {"stiffness": wanted}})
+        found = design_loop(scene)
+        assert 0.0 <= found.delay.largest_delay < 1e-9
+        assert found.sample_time.largest_sample_time == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_31_27_a_scene_is_written_whole_or_not_at_all(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int, data: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(durable, "write_all", full)
+        answer = run("scene", "init", "-o", "new.toml")
+    assert (answer.exit_code, "No space left" in answer.stderr) == (2, True)
+    assert not [entry for entry in folder.iterdir() if "new.toml" in entry.name]
+    assert run("scene", "init", "-o", "new.toml").exit_code == 0
+    assert (folder / "new.toml").read_text(encoding="utf-8") == EXAMPLE
+    assert run("scene", "init", "-o", "new.toml").exit_code == 2
