@@ -162,9 +162,9 @@ def test_31_15_slips_of_units_are_one_line_on_stderr(options: list[str], words: 
 
 def test_31_15_masses_in_grams_are_remarked_on() -> None:
     scene = Scene.from_table({"device": {"mass": 0.18, "damping": 0.1}, **CONTROLLER})
-    with pytest.warns(UserWarning, match="masses are 144 to 225 kg, that of the scene is 0.18 kg"):
-        with pytest.raises(ValueError, match="delay is"):  # before the proof
-            scene_guard(scene, (144.0, 225.0), (0.0, 0.0))
+    words = "masses are 144 to 225 kg, that of the scene is 0.18 kg"
+    with pytest.raises(ValueError, match="delay is"), pytest.warns(UserWarning, match=words):
+        scene_guard(scene, (144.0, 225.0), (0.0, 0.0))  # refused before the proof
 
 
 CONTROLLER = {"controller": {"sample_time": 1e-3}}
