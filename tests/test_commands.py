@@ -170,13 +170,13 @@ def test_31_15_masses_in_grams_are_remarked_on() -> None:
 CONTROLLER = {"controller": {"sample_time": 1e-3}}
 
 
-def test_31_15_a_delay_in_samples_is_remarked_on_by_the_loop() -> None:
+def test_31_15_a_delay_in_samples_is_refused_by_the_loop() -> None:
     fields = {"device_mass": 0.1, "device_damping": 1.0, "sample_time": 1e-3}
-    with pytest.warns(UserWarning, match="delay is 1 s, which is 1000 sampling periods"):
+    with pytest.raises(ValueError, match="a delay in samples is multiplied by sample_time"):
         HapticLoop(**fields, delay=1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        HapticLoop(**fields, delay=0.9)
+        HapticLoop(**fields, delay=0.4)
 
 
 # ---------------------------------------------------------------------------------------- refused
