@@ -11,7 +11,6 @@ from commands import run, run_code
 from transforms import rows
 
 import jaxstab
-from benchmarks.calls import COMPUTING_CALLS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
