@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 from atlases import SMALL_TOML, write_small
 from commands import POINT, START, assert_one_sentence, run, run_process
 
-from jaxstab import HapticLoop, durable
+from jaxstab import HapticLoop, Velocity, durable
 from jaxstab.cli.main import main
+from jaxstab.region.other_roots import others_inside
 from jaxstab.scene import EXAMPLE, Scene, design_loop, scene_limits
 from jaxstab.scene.guard import scene_guard
 
@@ -372,3 +374,24 @@ def test_31_27_a_scene_is_written_whole_or_not_at_all(
     assert run("scene", "init", "-o", "new.toml").exit_code == 0
     assert (folder / "new.toml").read_text(encoding="utf-8") == EXAMPLE
     assert run("scene", "init", "-o", "new.toml").exit_code == 2
+
+
+def test_31_26_angles_in_a_table_are_divided_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A design that tried long delays recurred without end: one row of angles was never halved."""
+    asked = []
+
+    def kept(*arguments: Any, **options: Any) -> Any:
+        asked.append((arguments, options))
+        return others_inside(*arguments, **options)
+
+    monkeypatch.setattr("jaxstab.region.scan.others_inside", kept)
+    window = Velocity.difference(5)
+    HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, velocity=window).region()
+    (c, _, length), options = asked[0]
+    theta = np.linspace(0.01, 3.0, 40)
+    whole = others_inside(c, theta, length, **options)
+    monkeypatch.setattr("jaxstab.region.other_roots._AT_ONCE", 4 * length)
+    table = others_inside(c, theta[None], length, **options)
+    assert table.shape == (1, *theta.shape)
+    assert 0 < whole.sum() < whole.size
+    assert (table[0] == whole).all()
