@@ -136,7 +136,7 @@ def test_the_command_writes_a_page_and_says_where(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (["-o", "walls.png"], "ends in neither .html nor .htm"),
-        (["-o", "nowhere/walls.html"], "is no file in a folder that exists"),
+        (["-o", "nowhere/walls.html"], "nowhere does not exist"),
         (["none.toml"], "No such file"),
         (["--mass", "1"], "No such option"),
     ],
