@@ -9,7 +9,9 @@ loop is written differently from a Python loop.
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import field, fields, is_dataclass
-from typing import Any, TypeAlias, TypeVar
+from enum import IntEnum
+from functools import cache
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -25,6 +27,34 @@ Numbers: TypeAlias = Any
 Tree = TypeVar("Tree")
 Kept = TypeVar("Kept")
 Class = TypeVar("Class", bound=type)
+
+
+class NamedCode(np.int8):
+    """The code of one verdict or status: an int8 of NumPy that prints its name."""
+
+    kind: ClassVar[type[IntEnum]]
+
+    def __repr__(self) -> str:
+        return repr(self.kind(int(self)))
+
+    def __str__(self) -> str:
+        return self.kind(int(self)).name
+
+    def __format__(self, spec: str) -> str:
+        return format(int(self), spec) if spec else str(self)
+
+
+@cache
+def _named_code(kind: type[IntEnum]) -> type[NamedCode]:
+    return type(kind.__name__, (NamedCode,), {"kind": kind})
+
+
+def named(codes: Array, kind: type[IntEnum]) -> Array:
+    """Return the code of one point as a number that prints its name; others as they are."""
+    if isinstance(codes, np.ndarray | np.int8) and codes.ndim == 0:
+        return _named_code(kind)(codes)
+    return codes
+
 
 _PLAIN = frozenset({float, int, np.ndarray, np.float64})
 _PLAIN_OR_NONE = _PLAIN | {type(None)}

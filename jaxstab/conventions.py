@@ -18,7 +18,7 @@ class Verdict(IntEnum):
     never written cannot be mistaken for a verdict.
 
     Example:
-        >>> jaxstab.Verdict(jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
+        >>> jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
         <Verdict.STABLE: 1>
     """
 

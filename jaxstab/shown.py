@@ -4,7 +4,7 @@ The printed text claims no more than what was computed: limits are rounded to a 
 rounding of a value is added to its printed error. Standard library only.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Context, Decimal
 from math import floor, isfinite, isnan, log10
 from typing import Any
@@ -51,6 +51,11 @@ def text_with_bound(value: float, error: float) -> str:
     shown = rounded if bound else rounded.normalize(_EXACT)
     digits = format(shown, "f" if exact.adjusted() in _WRITTEN_OUT or not exact else "e")
     return f"{digits} +/- {bound.normalize(Context(prec=2, rounding=ROUND_CEILING)):.2g}"
+
+
+def call_text(name: str, arguments: Mapping[str, Any]) -> str:
+    """Return the call that makes an object, with the arguments by their names."""
+    return f"{name}({', '.join(f'{key}={value!r}' for key, value in arguments.items())})"
 
 
 def table_text(rows: Sequence[Sequence[str]]) -> str:

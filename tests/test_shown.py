@@ -195,3 +195,142 @@ def test_without_axes_a_figure_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
         assert PLAIN.plot().figure.number in pyplot.get_fignums()
     finally:
         pyplot.close("all")
+
+
+def _devices() -> list[jaxstab.Device]:
+    """A device of each maker."""
+    device, hand = jaxstab.Device, jaxstab.Hand
+    mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+    arm = hand.mass_spring_damper(mass=1.0, stiffness=300.0)
+    return [
+        device.mass_spring_damper(0.25, damping=0.1),
+        device.mass_spring_damper(0.25).with_actuator(200.0).held_by(arm),
+        device.modes([mode], mass=0.25).held_by(arm.with_grip(stiffness=2000.0, damping=4.0)),
+        device.transfer_function([1.0], [1.0, 100.0]).held_by(hand.mass_spring_damper()),
+        device.state_space([[0, 1], [0, -0.4]], [[0], [4]], [[1, 0]]).held_by(
+            hand.transfer_function([1.0, 5.0, 300.0], [1.0])
+        ),
+    ]
+
+
+def _estimators() -> list[jaxstab.Velocity]:
+    """An estimator of each maker, and chains."""
+    velocity, low_pass = jaxstab.Velocity, jaxstab.Filter.low_pass(100.0)
+    differentiator = velocity.transfer_function([500.0, -500.0], [1.0, 0.0])
+    return [
+        velocity(),
+        velocity() * jaxstab.Filter.transfer_function([0.5, 0.5], [1.0, 0.0]),
+        velocity.difference(20),
+        velocity.difference(window=0.02) * low_pass * jaxstab.Filter.average(4),
+        velocity.low_pass(30.0, order=2),
+        velocity.butterworth(20.0, order=2) * jaxstab.Filter.exponential(0.9),
+        velocity.exponential(0.1),
+        differentiator,
+        differentiator.per_sample(1e-3) * low_pass.per_sample(1e-3),
+    ]
+
+
+@pytest.mark.parametrize(
+    "loop",
+    [
+        PLAIN,
+        WINDOW,
+        replace(PLAIN, hand_mass=1.0, hand_stiffness=300.0, position=jaxstab.Filter.average(3)),
+        *(jaxstab.HapticLoop(sample_time=1e-3, device=device) for device in _devices()),
+        *(replace(PLAIN, velocity=estimator) for estimator in _estimators()),
+    ],
+    ids=str,
+)
+def test_issue_31_22_a_loop_prints_the_call_that_makes_it(loop: jaxstab.HapticLoop) -> None:
+    names = {name: getattr(jaxstab, name) for name in ("HapticLoop", "Device", "Hand", "Mode")}
+    names |= {"Velocity": jaxstab.Velocity, "Filter": jaxstab.Filter}
+    assert eval(repr(loop), names) == loop
+    assert "None" not in repr(loop)
+    assert "sections" not in repr(loop)
+
+
+def test_issue_31_22_a_loop_that_jax_traces_prints_its_tracers() -> None:
+    printed = []
+    jax.jit(lambda loop: printed.append(repr(loop)))(PLAIN)
+    assert "device_mass=" in printed[0]
+
+
+def test_issue_31_22_completion_of_a_loop_shows_questions() -> None:
+    names = dir(WINDOW)
+    assert {"verdict", "limits", "plot", "device_mass", "alpha"} <= set(names)
+    assert not {"tree_flatten", "tree_unflatten", "in_floats", "sampled", "linear"} & set(names)
+
+
+@pytest.mark.parametrize(("wall", "code"), [((1000.0, 10.0), "STABLE"), ((1e6, 10.0), "UNSTABLE")])
+def test_issue_31_22_the_code_of_one_wall_prints_its_name(
+    wall: tuple[float, float], code: str
+) -> None:
+    for loop in (PLAIN, WINDOW, jaxstab.HapticLoop(sample_time=1e-3, device=_devices()[2])):
+        verdict = loop.verdict(*wall)
+        expected = jaxstab.Verdict[code]
+        assert repr(verdict) == repr(expected)
+        assert str(verdict) == f"{verdict}" == code
+        assert f"{verdict:d}" == str(int(verdict)) == str(int(expected))
+        assert verdict == expected
+        assert jaxstab.Verdict(verdict) is expected
+        assert {expected: True}[verdict]
+        assert verdict.dtype == np.int8
+        assert verdict.shape == ()
+        assert np.asarray(verdict).dtype == np.int8
+        assert repr(verdict + 0) == f"np.int8({int(expected)})"
+        assert jnp.asarray(verdict).dtype == jnp.int8
+    radius = PLAIN.spectral_radius(*wall)
+    assert repr(radius.status) == repr(jaxstab.RadiusStatus.PROVED)
+    many = PLAIN.verdict(np.array([wall[0]]), wall[1])
+    assert repr(many) == f"array([{int(expected)}], dtype=int8)"
+
+
+def test_issue_31_22_settling_times_print_in_ms_and_samples() -> None:
+    settled = WINDOW.settling_time(1000.0, 10.0)
+    assert repr(settled) == f"Settling: {1e3 * settled.value:g} ms (settled)"
+    samples = jaxstab.settling_samples(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
+    assert repr(samples) == f"Settling: {samples.value:g} samples (settled)"
+    never = WINDOW.settling_time(1e6, 10.0)
+    assert repr(never) == f"Settling: {jaxstab.SettlingStatus.UNSTABLE.words}"
+    assert repr(never.status) == repr(jaxstab.SettlingStatus.UNSTABLE)
+    many = WINDOW.settling_time([1000.0, 1500.0, 1e6], 10.0)
+    low, high = 1e3 * np.array(many.value[:2])
+    assert repr(many) == f"Settling of 3 loops: {low:g} to {high:g} ms (2 settled, 1 unstable)"
+
+
+def test_issue_31_22_amplitudes_print_with_units_rounded_up() -> None:
+    found = WINDOW.amplitude(1000.0, 10.0, encoder=1e-5)
+    shown = re.fullmatch(
+        r"Amplitude: position (\S+) um, velocity (\S+) mm/s, force (\S+) N, "
+        r"force per count (\S+) N \(proved\)",
+        repr(found),
+    )
+    assert shown
+    exact = [Fraction(float(found[k])) * (10**6, 1000, 1, 1)[k] for k in range(4)]
+    for text, value in zip(shown.groups(), exact, strict=True):
+        assert value * (1 - Fraction(1, 10**10)) <= Fraction(text) <= value * Fraction(1001, 1000)
+    lost = WINDOW.amplitude(1e6, 10.0, encoder=1e-5)
+    assert "not proved" in repr(lost)
+    assert " um" not in repr(lost)
+    device = jaxstab.HapticLoop(sample_time=1e-3, device=_devices()[2])
+    assert " um" in repr(device.amplitude(10.0, 1.0, encoder=1e-5))
+    plain = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
+    assert "um" not in repr(plain)
+
+
+def test_issue_31_22_a_response_prints_one_line() -> None:
+    response = WINDOW.simulate([1000.0, 500.0], 10.0, samples=50, force=1.0)
+    shown = repr(response)
+    assert shown.startswith("Response of 2 loops at 50 times: 0 to 49 ms, position 0 to ")
+    assert f"{1e3 * response.position.max():.4g} mm" in shown
+    assert "\n" not in shown
+
+
+def test_issue_31_22_limits_print_as_a_region_does() -> None:
+    limits, region = WINDOW.limits(), WINDOW.region()
+    assert repr(limits).splitlines()[1:] == repr(region).splitlines()[1:]
+    assert repr(limits).startswith("WallLimits: ")
+    none = jaxstab.HapticLoop(
+        device_mass=1.0, device_damping=0.0, hand_stiffness=np.pi**2, sample_time=1.0
+    ).limits()
+    assert "\n" not in repr(none)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_jax
+from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.filters import given_filters
 from jaxstab.numbers import without_noise
@@ -19,10 +19,11 @@ from jaxstab.region import (
     stable_region,
 )
 from jaxstab.region.linear import linear_region
-from jaxstab.region.shown import GainNames, ShownRegion
+from jaxstab.region.shown import GainNames, ShownRegion, limits_text
 
 TOLERANCE = 1e-6  # of the outline, where none is asked for
 _REMEMBERED = 64  # regions
+_NAMES = GainNames("K", "B", "N/m", "N s/m")
 
 
 class Gains(NamedTuple):
@@ -56,9 +57,11 @@ class WallLimits(NamedTuple):
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> limits = loop.limits()
-        >>> print(f"K up to {limits.stiffness:.1f} N/m, at B = {limits.at_damping:.2f} N s/m")
-        K up to 70643.1 N/m, at B = 82.55 N s/m
+        >>> loop.limits()
+        WallLimits: the boundary closes to loops
+          stiffest     K = 70643 N/m at B = 82.549 N s/m
+          most damped  B = 202 N s/m at K = 0 N/m
+          islands      none found
     """
 
     stiffness: float
@@ -68,6 +71,18 @@ class WallLimits(NamedTuple):
     status: RegionStatus
     is_reachable: bool
     islands: tuple["WallLimits", ...] = ()
+
+    def __repr__(self) -> str:
+        """Return status, limits and islands in four lines, as a region does."""
+        name = type(self).__name__
+        if not are_numbers(self):
+            return f"{name}{tuple(self)}"
+        words = f"{name}: {RegionStatus(int(self.status)).words}"
+        if np.isnan(self.stiffness):
+            return words
+        extremes = self[:2], (self.at_stiffness, self.damping)
+        islands = [island[:2] for island in self.islands]
+        return limits_text(words, _NAMES, extremes, islands, is_reachable=bool(self.is_reachable))
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,7 +114,7 @@ class WallRegion(ShownRegion):
     loop: LoopParameters
     region: StableRegion
 
-    names = GainNames("K", "B", "N/m", "N s/m")
+    names = _NAMES
 
     @property
     def status(self) -> RegionStatus:

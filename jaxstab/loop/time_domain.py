@@ -8,9 +8,15 @@ from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.motion import Amplitude, Response, Settling
+from jaxstab.motion.amplitudes import WallAmplitude
 from jaxstab.motion.device_amplitudes import device_amplitude
 from jaxstab.motion.response import simulate_device
-from jaxstab.motion.settling import HORIZON, Excitation, device_settling_samples
+from jaxstab.motion.settling import (
+    HORIZON,
+    Excitation,
+    SettlingTime,
+    device_settling_samples,
+)
 from jaxstab.numbers import checked
 
 
@@ -67,7 +73,7 @@ class LoopInTime(LoopParameters):
             samples = motion.settling_samples(
                 alpha, beta, **self.slice, level=level, **options, **self.filters
             )
-        return Settling(samples.value * self.sample_time, samples.status)
+        return SettlingTime(samples.value * self.sample_time, samples.status)
 
     def amplitude(
         self,
@@ -130,10 +136,12 @@ class LoopInTime(LoopParameters):
             noise=checked("noise", noise, 0.0),
             **self.filters,
         )
-        return found._replace(
-            velocity=found.velocity / self.sample_time,
-            force=found.force * unit,
-            force_per_count=found.force_per_count * unit,
+        return WallAmplitude(
+            found.position,
+            found.velocity / self.sample_time,
+            found.force * unit,
+            found.force_per_count * unit,
+            found.status,
         )
 
     def simulate(

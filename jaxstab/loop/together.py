@@ -17,7 +17,7 @@ from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import Gains
 from jaxstab.model import by_name
 from jaxstab.motion import Amplitude, Oscillation, Settling
-from jaxstab.motion.settling import settling_at_levels
+from jaxstab.motion.settling import SettlingTime, settling_at_levels
 from jaxstab.point import SpectralRadius
 from jaxstab.ranges import Margins, WallMargins
 
@@ -94,7 +94,7 @@ def settling_times(walls: Walls, levels: Sequence[float], horizon: int) -> list[
 
     def of_points(points: _Points) -> list[Settling]:
         found = settling_at_levels(**points.numbers, levels=levels, horizon=horizon)
-        return [Settling(count * points.period, status) for count, status in found]
+        return [SettlingTime(count * points.period, status) for count, status in found]
 
     def of_loop(loop: HapticLoop, *gains: Column) -> list[Settling]:
         return [loop.settling_time(*gains, level=level, horizon=horizon) for level in levels]

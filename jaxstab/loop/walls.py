@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Complex128, Int8
 
 from jaxstab import point, ranges
-from jaxstab.arrays import Array, Numbers, is_any_traced
+from jaxstab.arrays import Array, Numbers, is_any_traced, named
 from jaxstab.conventions import Verdict
 from jaxstab.loop.time_domain import LoopInTime
 from jaxstab.model import by_name
@@ -38,7 +38,8 @@ class LoopWithWalls(LoopInTime):
 
         Returns:
             int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED. The first two
-            are proofs for the loop's dimensionless numbers, which carry a few roundings.
+            are proofs for the loop's dimensionless numbers, which carry a few roundings. The int8
+            of one wall prints its name.
 
         Raises:
             ValueError: a gain is infinite or NaN, or resolve is unknown.
@@ -50,13 +51,13 @@ class LoopWithWalls(LoopInTime):
             >>> window = jaxstab.Velocity.difference(window=0.02)
             >>> device = {"device_mass": 0.25, "device_damping": 0.1}
             >>> loop = jaxstab.HapticLoop(**device, sample_time=1e-3, delay=1e-3, velocity=window)
-            >>> jaxstab.Verdict(loop.verdict(5000.0, 30.0))
+            >>> loop.verdict(5000.0, 30.0)
             <Verdict.UNSTABLE: 2>
         """
         wall = self._wall(stiffness, damping)
         if self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
-            return linear_verdict(*wall, self.linear)
+            return named(linear_verdict(*wall, self.linear), Verdict)
         return point.verdict(*wall, **self.slice, resolve=resolve, **self.filters)
 
     def is_stable(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:

@@ -21,13 +21,14 @@ from jaxstab.model.sections import (
 )
 from jaxstab.model.transfer import UNIT, Transfer
 from jaxstab.numbers import checked_count, checked_number, require_x64
+from jaxstab.shown import call_text
 
 _LEAST_FACTOR = 2.0**-53  # of exponential smoothing
 _NO_REST = 4.0 * 2.0**-53  # of the numerator's size, per coefficient: V(1) as good as zero
 
 
 @pytree
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Filter:
     """A linear filter of the sampled position: a chain of sections, in the order of the product.
 
@@ -146,6 +147,9 @@ class Filter:
             return NotImplemented
         return Filter(self.sections + other.sections)
 
+    def __repr__(self) -> str:
+        return " * ".join(_filter_calls(self.sections)) or "Filter()"
+
     def __str__(self) -> str:
         return ", ".join(map(str, self.sections)) or "no filter"
 
@@ -186,7 +190,7 @@ class Filter:
 
 
 @pytree
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Velocity:
     """How a controller estimates the velocity from sampled positions: (1 - 1/z)/T, then a filter.
 
@@ -301,6 +305,14 @@ class Velocity:
             return NotImplemented
         return Velocity(self.filter * other)
 
+    def __repr__(self) -> str:
+        sections = self.filter.sections
+        maker = _ESTIMATORS.get(type(sections[0])) if sections else None
+        if maker is None:  # the difference over one sample
+            return " * ".join(["Velocity()", *_filter_calls(sections)])
+        first = _call(f"Velocity.{maker}", sections[0])
+        return " * ".join([first, *_filter_calls(sections[1:])])
+
     def __str__(self) -> str:
         first, *others = self.filter.sections or (Average(1, None),)
         if isinstance(first, Average):
@@ -348,6 +360,26 @@ def as_keywords(filters: Filters | None) -> dict[str, Any]:
     """Return filters as keywords of the five-number functions."""
     velocity, position = filters or (None, None)
     return {"velocity": velocity, "position": position}
+
+
+# --------------------------------------------------------------------------------------- checks
+
+
+_MAKERS = {LowPass: "low_pass", Butterworth: "butterworth", Exponential: "exponential"}
+_FILTERS = {**_MAKERS, Average: "average", Rational: "transfer_function"}
+_ESTIMATORS = {**_MAKERS, Average: "difference", Differentiator: "transfer_function"}
+
+
+def _filter_calls(sections: Sequence[Section]) -> list[str]:
+    return [_call(f"Filter.{_FILTERS[type(section)]}", section) for section in sections]
+
+
+def _call(maker: str, section: Section) -> str:
+    """Return the call that makes a filter, or an estimator, of one section."""
+    given = {key: value for key, value in vars(section).items() if value is not None}
+    period = given.pop("period", 1.0)
+    call = call_text(maker, given)
+    return f"{call}.per_sample({period!r})" if is_jax(period) or period != 1.0 else call
 
 
 def _positive(name: str, value: Numbers, low: float = 0.0, high: float = inf) -> Numbers:

@@ -1,7 +1,7 @@
 """A haptic loop in SI units as numbers: device, hand, sampling, delay, estimator and filter."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache, wraps
 from math import ulp
 from typing import Any, ClassVar, NamedTuple, ParamSpec, TypedDict, TypeVar
@@ -13,6 +13,7 @@ from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
 from jaxstab.model.sections import Average
 from jaxstab.numbers import checked_number
+from jaxstab.shown import call_text
 
 _LEAST = {  # the least allowed value, and whether it is excluded
     "device_mass": (0.0, True),
@@ -24,6 +25,9 @@ _LEAST = {  # the least allowed value, and whether it is excluded
     "delay": (0.0, False),
 }
 
+_FOR_COMPUTING = frozenset(
+    {"body", "filters", "in_floats", "linear", "sampled", "tree_flatten", "tree_unflatten"}
+)
 _OF_DEVICE = ("device_mass", "device_damping")
 _OF_HAND = ("hand_mass", "hand_damping", "hand_stiffness")
 _REMEMBERED = 64  # loops
@@ -48,7 +52,7 @@ class Estimators(TypedDict):
     position: Filter | None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class LoopParameters:
     """The checked fields of ``jaxstab.HapticLoop``, and their dimensionless numbers (Table I)."""
 
@@ -84,6 +88,19 @@ class LoopParameters:
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:
                 chain.transfer(self.sample_time)  # refuses what does not go with the period
+
+    def __repr__(self) -> str:
+        """Return the call that makes the loop, without what is left to its default."""
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        defaults = {field.name: field.default for field in fields(self)}
+        return call_text(
+            type(self).__name__,
+            {name: v for name, v in given.items() if is_jax(v) or v != defaults[name]},
+        )
+
+    def __dir__(self) -> list[str]:
+        """Return the names of fields and questions, for completion."""
+        return [name for name in super().__dir__() if name not in _FOR_COMPUTING]
 
     def _refuse_mixed_fields(self) -> None:
         if self.device is None:

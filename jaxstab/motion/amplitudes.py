@@ -6,13 +6,14 @@ any such disturbance is at most the sum of the moduli of its impulse response, a
 comes as close to that bound as one likes (lemma M6).
 """
 
+from decimal import ROUND_CEILING
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace
+from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, named, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
@@ -20,6 +21,7 @@ from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.disturbed import Causes, Gains, drag, gains_of_disturbances, path, throw
 from jaxstab.motion.response import propagator
+from jaxstab.motion.shown import Column, answer_text
 from jaxstab.motion.state_space import DIFFERENCE, POSITION, bank_for
 from jaxstab.numbers import checked
 
@@ -52,10 +54,9 @@ class Amplitude(NamedTuple):
         status: an AmplitudeStatus.
 
     Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> found = loop.amplitude(1000.0, 20.0, encoder=1e-5)
-        >>> print(f"{1e6 * found.position:.1f} um, {1e3 * found.velocity:.1f} mm/s")
-        6.3 um, 2.1 mm/s
+        >>> found = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
+        >>> round(float(found.position), 2), found.status
+        (1.03, <AmplitudeStatus.PROVED: 1>)
     """
 
     position: Float64[Array, "*grid"]
@@ -63,6 +64,36 @@ class Amplitude(NamedTuple):
     force: Float64[Array, "*grid"]
     force_per_count: Float64[Array, "*grid"]
     status: Int8[Array, "*grid"]
+
+    def __repr__(self) -> str:
+        """Return the bounds of one loop, rounded up, or a summary of many."""
+        return answer_text("Amplitude", self[:4], _COLUMNS, self.status, AmplitudeStatus)
+
+
+class WallAmplitude(Amplitude):
+    """The same in m, m/s and N.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> loop.amplitude(1000.0, 20.0, encoder=1e-5)
+        Amplitude: position 6.271 um, velocity 2.106 mm/s, force 0.2402 N, force per count 0.21 N
+        (proved)
+    """
+
+    def __repr__(self) -> str:
+        """Return the bounds with their units."""
+        return answer_text("Amplitude", self[:4], _SI_COLUMNS, self.status, AmplitudeStatus)
+
+
+_COLUMNS = [
+    Column(name.replace("_", " "), rounding=ROUND_CEILING) for name in Amplitude._fields[:4]
+]
+_SI_COLUMNS = [
+    column._replace(unit=unit, factor=factor)
+    for column, unit, factor in zip(
+        _COLUMNS, ("um", "mm/s", "N", "N"), (10**6, 1000, 1, 1), strict=True
+    )
+]
 
 
 def amplitude(
@@ -158,7 +189,8 @@ def amplitude(
     direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
     per_count = errors * abs(gains[0] * direct[0] + gains[1] * direct[1])
     answers = x, v, force, per_count, status.astype(np.int8)
-    return Amplitude(*xp.broadcast_arrays(*answers))
+    complete = Amplitude(*xp.broadcast_arrays(*answers))
+    return complete._replace(status=named(complete.status, AmplitudeStatus))
 
 
 def _total(sizes: tuple[Array, ...], gains: tuple[Array, ...]) -> Array:

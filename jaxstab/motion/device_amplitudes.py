@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Numbers, float_arrays, is_traced, namespace
+from jaxstab.arrays import Numbers, float_arrays, is_traced, named, namespace
 from jaxstab.batches import on_host
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.device.between import Between, between_samples
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filters
-from jaxstab.motion.amplitudes import Amplitude, AmplitudeStatus
+from jaxstab.motion.amplitudes import AmplitudeStatus, WallAmplitude
 from jaxstab.motion.controller import Bank
 from jaxstab.motion.disturbed import Causes, with_inputs
 from jaxstab.motion.impulse import Systems, impulse_sums
@@ -64,7 +64,7 @@ def device_amplitude(
     force_step: Numbers = 0.0,
     friction: Numbers = 0.0,
     noise: Numbers = 0.0,
-) -> Amplitude:
+) -> WallAmplitude:
     """Bound what disturbances do to a general device, in SI units; see ``HapticLoop.amplitude``.
 
     Friction acts at the handle, behind the actuators; an amplifier's steps come before them.
@@ -110,7 +110,8 @@ def device_amplitude(
     rate = gains[1] / sample_time
     per_count = resolution * abs(gains[0] * direct[0] + rate * direct[1])
     answers = x, v / sample_time, force, per_count, status.astype(np.int8)
-    return Amplitude(*xp.broadcast_arrays(*answers))
+    found = WallAmplitude(*xp.broadcast_arrays(*answers))
+    return found._replace(status=named(found.status, AmplitudeStatus))
 
 
 def _bounds(

@@ -5,6 +5,7 @@ transition is exact there. This route shares the plant with p(z), but neither z 
 """
 
 from functools import lru_cache, reduce
+from math import prod
 from operator import add, mul
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.motion.controller import Controller
+from jaxstab.motion.shown import Column, answer_text
 from jaxstab.numbers import checked, checked_count
 
 
@@ -32,12 +34,29 @@ class Response(NamedTuple):
         >>> response = loop.simulate(1000.0, 20.0, samples=400, force=1.0)
         >>> round(float(response.position[-1]), 6)  # of 1 N on 1000 N/m
         0.001
+        >>> response
+        Response of 1 loop at 400 times: 0 to 399 ms, position 0 to 1.031 mm,
+        velocity -2.093 to 35.1 mm/s, force -1.003 to 0 N
     """
 
     time: Float64[Array, " time"]
     position: Float64[Array, "*grid time"]
     velocity: Float64[Array, "*grid time"]
     force: Float64[Array, "*grid time"]
+
+    def __repr__(self) -> str:
+        """Return the number of loops and times, and the range of each quantity."""
+        times, loops = np.size(self.time), prod(np.shape(self.position)[:-1])
+        name = f"Response of {loops} loop{'s' * (loops != 1)} at {times} times"
+        return answer_text(name, self, _COLUMNS)
+
+
+_COLUMNS = [
+    Column("", "ms", 1000),
+    Column("position", "mm", 1000),
+    Column("velocity", "mm/s", 1000),
+    Column("force", "N"),
+]
 
 
 def simulate(

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float64, Int, Int8
 
-from jaxstab.arrays import Array, Numbers, float_arrays, namespace
+from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
@@ -23,6 +23,7 @@ from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.motion.controller import Bank
 from jaxstab.motion.response import propagator
+from jaxstab.motion.shown import Column, answer_text
 from jaxstab.motion.state_space import Matrices, bank_for, groups
 from jaxstab.motion.transition import Loops, balanced, device_loops, loops_of
 from jaxstab.numbers import checked_count, checked_number, checked_word
@@ -59,14 +60,34 @@ class Settling(NamedTuple):
     It is finite for SETTLED, infinite for UNSTABLE, and NaN where neither could be proved.
 
     Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> settled = loop.settling_time(1000.0, 20.0)
-        >>> round(float(settled.value), 3), jaxstab.SettlingStatus(int(settled.status)).name
-        (0.069, 'SETTLED')
+        >>> jaxstab.settling_samples(0.1, 0.5, gamma=0.0, delta=0.015, delay=0.0)
+        Settling: 15 samples (settled)
     """
 
     value: Float64[Array, "*grid"]
     status: Int8[Array, "*grid"]
+
+    def __repr__(self) -> str:
+        """Return the samples and the status of one loop, or a summary of many."""
+        columns = [Column("", "samples")]
+        return answer_text("Settling", self[:1], columns, self.status, SettlingStatus)
+
+
+class SettlingTime(Settling):
+    """A settling time in s.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> loop.settling_time(1000.0, 20.0)
+        Settling: 69 ms (settled)
+        >>> loop.settling_time(1e6, 20.0)
+        Settling: the loop is unstable and never settles
+    """
+
+    def __repr__(self) -> str:
+        """Return the time and the status of one loop, or a summary of many."""
+        columns = [Column("", "ms", 1000)]
+        return answer_text("Settling", self[:1], columns, self.status, SettlingStatus)
 
 
 def settling_samples(
@@ -234,7 +255,8 @@ def _settled(first: Array, is_unstable: Array) -> Settling:
     xp = namespace(first, is_unstable)
     unsettled = xp.where(is_unstable, SettlingStatus.UNSTABLE, SettlingStatus.NOT_SETTLED)
     status = xp.where(xp.isfinite(first), SettlingStatus.SETTLED, unsettled)
-    return Settling(xp.where(is_unstable, np.inf, first), status.astype(np.int8))
+    codes = named(status.astype(np.int8), SettlingStatus)
+    return Settling(xp.where(is_unstable, np.inf, first), codes)
 
 
 def checked_level(level: Any, excitation: str) -> float:

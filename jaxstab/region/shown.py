@@ -64,21 +64,11 @@ class ShownRegion:
             return f"{name} of arrays that JAX maps over; status {region.status}"
         if not region.components:
             return f"{name}: {region.status.words}"
-        islands, largest = region.islands, region.main or region.components[0]
-        unreachable = "" if region.main else "; small gains are not stable"
-        described = [self.names.at_largest_stiffness(one.extremes[0]) for one in islands]
-        if len(islands) > _MOST_ISLANDS:
-            described[_MOST_ISLANDS:] = ["..."]
-        return "\n".join(
-            [
-                f"{name} ({self.names.stiffness}, {self.names.damping}): "
-                f"{region.status.words}{unreachable}",
-                f"  stiffest     {self.names.at_largest_stiffness(largest.extremes[0])}",
-                f"  most damped  {self.names.at_largest_damping(largest.extremes[1])}",
-                f"  islands      {len(islands) or 'none found'}"
-                + (f", the stiffest of each: {'; '.join(described)}" if islands else ""),
-            ]
-        )
+        largest = region.main or region.components[0]
+        islands = [island.extremes[0] for island in region.islands]
+        head = f"{name} ({self.names.stiffness}, {self.names.damping}): {region.status.words}"
+        is_main = region.main is not None
+        return limits_text(head, self.names, largest.extremes, islands, is_reachable=is_main)
 
     def _repr_html_(self) -> str:
         """Return the picture and the words for a notebook."""
@@ -106,6 +96,30 @@ class ShownRegion:
 
         region: Any = self
         return plot_region(region, ax)
+
+
+def limits_text(
+    head: str,
+    names: GainNames,
+    extremes: tuple[Any, Any],
+    islands: list[Any],
+    *,
+    is_reachable: bool,
+) -> str:
+    """Return four lines: a head, the two extreme points, and the stiffest point of each island."""
+    stiffest, most_damped = extremes
+    described = [names.at_largest_stiffness(point) for point in islands]
+    if len(islands) > _MOST_ISLANDS:
+        described[_MOST_ISLANDS:] = ["..."]
+    return "\n".join(
+        [
+            head + ("" if is_reachable else "; small gains are not stable"),
+            f"  stiffest     {names.at_largest_stiffness(stiffest)}",
+            f"  most damped  {names.at_largest_damping(most_damped)}",
+            f"  islands      {len(islands) or 'none found'}"
+            + (f", the stiffest of each: {'; '.join(described)}" if islands else ""),
+        ]
+    )
 
 
 def _text(value: float, unit: str, *, floors: bool = False) -> str:

@@ -34,7 +34,7 @@ from jaxstab.numbers import checked_number
 _BITS, _POLE_DIGITS = 1024, 200  # of what is computed, and behind the point of a pole
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Device:
     """A haptic device as a linear system in SI units: the force in N moves the position in m.
 
@@ -301,6 +301,11 @@ class Device:
     def _checked(self) -> "Device":
         self.compliance()
         return self
+
+    def __repr__(self) -> str:
+        actuators = [f".with_actuator({bandwidth!r})" for bandwidth in self.bandwidths]
+        hands = [f".held_by({hand!r})" for hand in self.hands]
+        return "".join([self.mechanism.call("Device"), *actuators, *hands])
 
     def __str__(self) -> str:
         actuators = [f"an actuator of {bandwidth:g} Hz" for bandwidth in self.bandwidths]

@@ -12,7 +12,7 @@ from jaxstab.model.device.rational import Rational
 from jaxstab.numbers import checked_number
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Hand:
     """A hand and arm by their dynamic stiffness Z(s), force over displacement, in N/m.
 
@@ -109,6 +109,12 @@ class Hand:
         if self.grip is None:
             return arm
         return self.grip.dynamic_stiffness().in_series(arm).reduced()[0]
+
+    def __repr__(self) -> str:
+        grip, arm = self.grip, self.dynamics.call("Hand")
+        if grip is None:
+            return arm
+        return f"{arm}.with_grip(stiffness={grip.stiffness!r}, damping={grip.damping!r})"
 
     def __str__(self) -> str:
         grip = "" if self.grip is None else f" behind a grip of {self.grip}"

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from jaxstab.model.device.rational import (
     turn,
 )
 from jaxstab.numbers import checked, checked_number
+from jaxstab.shown import call_text
 
 if TYPE_CHECKING:
     from flint import fmpq_mpoly
@@ -68,9 +69,22 @@ class Mode:
         return Rational(polynomial([1.0]), mass * (s * s + damping * w * s + w * w))
 
 
+class Part:
+    """A linear system that ``Device`` or ``Hand`` has a maker for."""
+
+    maker: ClassVar[str]
+
+    def call(self, kind: str) -> str:
+        """Return the call that makes a device or hand of it, without what is 0 or None."""
+        given = {key: value for key, value in vars(self).items() if value not in (0.0, None)}
+        return call_text(f"{kind}.{self.maker}", given)
+
+
 @dataclass(frozen=True)
-class MassSpringDamper:
+class MassSpringDamper(Part):
     """A mass on a spring and a damper."""
+
+    maker = "mass_spring_damper"
 
     mass: float
     damping: float
@@ -89,8 +103,10 @@ class MassSpringDamper:
 
 
 @dataclass(frozen=True)
-class Modes:
+class Modes(Part):
     """The sum of a rigid body, where there is one, and of vibration modes."""
+
+    maker = "modes"
 
     mass: float | None
     damping: float
@@ -114,8 +130,10 @@ class Modes:
 
 
 @dataclass(frozen=True)
-class TransferFunction:
+class TransferFunction(Part):
     """A quotient of polynomials in s, highest power first."""
+
+    maker = "transfer_function"
 
     numerator: tuple[float, ...]
     denominator: tuple[float, ...]
@@ -133,12 +151,18 @@ class TransferFunction:
 
 
 @dataclass(frozen=True)
-class StateSpace:
+class StateSpace(Part):
     """The position C x of x' = A x + B u, u the force."""
+
+    maker = "state_space"
 
     a: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
     c: tuple[float, ...]
+
+    def call(self, kind: str) -> str:
+        """Return the call that makes a device of it."""
+        return call_text(f"{kind}.{self.maker}", {"A": self.a, "B": self.b, "C": self.c})
 
     def __str__(self) -> str:
         return f"a state space of order {len(self.b)}"

@@ -15,6 +15,7 @@ from jaxstab.arrays import (
     are_numbers,
     constant,
     is_any_traced,
+    named,
     namespace,
     tree_map,
 )
@@ -160,8 +161,8 @@ def spectral_radius(
         value, error = filtered_radius(Points(*points), filters)
     else:
         value, error = _concrete_radius(points, is_fast=method == "fast")
-    xp = namespace(arguments)
-    return tree_map(xp.asarray, _believed(value, error, points[2], points[3]))
+    found, xp = _believed(value, error, points[2], points[3]), namespace(arguments)
+    return found if xp is np else tree_map(xp.asarray, found)
 
 
 def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
@@ -272,4 +273,5 @@ def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> Spectra
 def _with_status(value: Array, error: Array) -> SpectralRadius:
     xp = namespace(value, error)
     known, unknown = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
-    return SpectralRadius(value, error, xp.where(xp.isfinite(error), known, unknown))
+    status = named(xp.where(xp.isfinite(error), known, unknown), RadiusStatus)
+    return SpectralRadius(value, error, status)

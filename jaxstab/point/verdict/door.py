@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Int8
 
-from jaxstab.arrays import Array, Numbers, is_any_traced, namespace
+from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace
 from jaxstab.batches import compiled, lists, over_tiles
 from jaxstab.conventions import UNDECIDED, UNSTABLE, Verdict
 from jaxstab.model import (
@@ -75,8 +75,9 @@ def verdict(
 
     Returns:
         int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED; in JAX if an
-        argument is. Plants are computed once for each (gamma, delta, delay): give grids as arrays
-        that broadcast. NumPy grids of 32,768 points and more go through XLA.
+        argument is. The int8 of one point prints its name. Plants are computed once for
+        each (gamma, delta, delay): give grids as arrays that broadcast. NumPy grids of 32,768
+        points and more go through XLA.
 
     Raises:
         ValueError: an argument is outside its range, infinite or NaN, or resolve is unknown.
@@ -90,7 +91,7 @@ def verdict(
         array([1, 2], dtype=int8)
         >>> window = jaxstab.Velocity.difference(samples=20)
         >>> jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0, velocity=window)
-        array(2, dtype=int8)
+        <Verdict.UNSTABLE: 2>
     """
     if resolve not in (None, "exact"):
         raise ValueError(f'resolve is {resolve!r}; give "exact" or None.')
@@ -106,14 +107,14 @@ def verdict(
         arrays = [xp.asarray(value, xp.float64) for value in point]
         codes = _float_verdict(arrays, xp.asarray(fraction), Form.of(delay))
         shape = np.broadcast_shapes(whole.shape, *(array.shape for array in arrays))
-        return xp.array(xp.broadcast_to(codes, shape))
+        return named(xp.array(xp.broadcast_to(codes, shape)), Verdict)
     if is_any_traced(point, delay, filters):
         raise TypeError("verdict takes traced arguments with one delay and without resolve only.")
     points = Points(*(np.asarray(value, np.float64) for value in (*point, delay)))
     if filters:
-        return xp.asarray(filtered_verdict(points, filters))
+        return named(xp.asarray(filtered_verdict(points, filters)), Verdict)
     codes = _grouped_verdict(points)
-    return xp.asarray(codes if resolve is None else _resolved(codes, points))
+    return named(xp.asarray(codes if resolve is None else _resolved(codes, points)), Verdict)
 
 
 def is_stable(
