@@ -4,7 +4,7 @@ Every public name is importable from here and listed in ``__init__.pyi``. The im
 loads what it needs when it is first used, so a program that only queries an atlas never loads JAX.
 """
 
-from lazy_loader import attach_stub
+from jaxstab.lazy import attach_stub
 
 __version__ = "0.2.0"
 

@@ -6,12 +6,12 @@ The sentence has the name, the value and what is allowed. Tracers pass: their va
 import sys
 from collections.abc import Mapping
 from math import inf
-from reprlib import repr as shortened
 from typing import Any
 
 import numpy as np
 
 from jaxstab.arrays import Numbers, is_jax, is_traced
+from jaxstab.shown import shortened
 
 _NOISE = 1e-9
 
@@ -124,10 +124,10 @@ def checked_count(name: str, value: Any, least: int, most: int | float = inf) ->
         ValueError: it is outside the range.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name} is {value!r}; give a whole number.")
+        raise TypeError(f"{name} is {shortened(value)}; give a whole number.")
     if not least <= value <= most:
         given = f">= {least}" if most == inf else f"from {least} to {most:g}"
-        raise ValueError(f"{name} is {value}; give a whole number {given}.")
+        raise ValueError(f"{name} is {shortened(value)}; give a whole number {given}.")
     return int(value)
 
 

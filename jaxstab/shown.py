@@ -7,12 +7,26 @@ rounding of a value is added to its printed error. Standard library only.
 from collections.abc import Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Context, Decimal
 from math import floor, isfinite, isnan, log10
+from reprlib import repr as short_repr
 from typing import Any
 
 _TRUE_DIGITS = 11  # 2999.9999999999 is 3000 but for rounding
 _FLOAT_DIGITS = 17  # of a float64: more say nothing
 _WRITTEN_OUT = range(-4, 9)  # powers of ten of the first digit
 _EXACT = Context(prec=1100)  # every float64, and differences of them
+
+
+def printable(text: str, besides: str = "") -> str:
+    """Return a text in which nothing commands a terminal: such characters are written out."""
+    return "".join(c if c.isprintable() or c in besides else repr(c)[1:-1] for c in text)
+
+
+def shortened(value: Any) -> str:
+    """Return the beginning and the end of the repr of a value."""
+    try:
+        return short_repr(value)
+    except ValueError:  # Python writes out no whole number of more digits
+        return "a whole number of thousands of digits"
 
 
 def rounded_text(

@@ -4,6 +4,7 @@ Whatever is wrong is said in one sentence: the key, its value and what is allowe
 """
 
 import re
+import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
@@ -11,14 +12,20 @@ from difflib import get_close_matches
 from math import inf, isfinite
 from os import PathLike
 from pathlib import Path
-from reprlib import repr as shortened
 from typing import Any, TypeVar
 
 from jaxstab.conventions import AXES
+from jaxstab.shown import printable, shortened
 
 Made = TypeVar("Made", bound="Table")
 Check = Callable[[Any], Any]
 """It returns a value as it is kept, or raises a ValueError that says what is allowed."""
+
+MOST_BYTES = 4_000_000
+"""Of a TOML file: more would take minutes to read."""
+
+MOST_LETTERS = 64
+"""Of a name."""
 
 _LONG_KEY = re.compile(r"(?:\.[^.,=\n]{1,64}){100}")
 
@@ -33,9 +40,9 @@ def read_table(path: str | PathLike[str], kind: str = "") -> dict[str, Any]:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is not TOML, or of another kind.
+        ValueError: it is not TOML, too large, or of another kind.
     """
-    table = parsed(text_of(Path(path).read_bytes, path), f"{path}: ")
+    table = parsed(text_of(path, MOST_BYTES), f"{path}: ")
     for other, (keys, words) in _KINDS.items():
         if kind not in ("", other) and keys & {*table} and not _KINDS[kind][0] & {*table}:
             raise ValueError(f"{path} is {words}")
@@ -57,20 +64,30 @@ _KINDS = {
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def text_of(read: Callable[[], bytes], source: str | PathLike[str]) -> str:
-    """Return the text that is read from a source, without a mark of its byte order.
+def text_of(path: str | PathLike[str], most: int) -> str:
+    """Return the text of a file, "-" for stdin, without a mark of its byte order.
+
+    Args:
+        path: of the file.
+        most: bytes that are read; a device may have no end.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is not UTF-8.
+        ValueError: it is not UTF-8, or larger.
     """
+    source = "stdin" if str(path) == "-" else path
+    if source == "stdin" and sys.stdin is None:
+        raise ValueError("stdin is closed; give it what is to be read, or name a file.")
     try:
-        data = read()
+        with sys.stdin.buffer if source == "stdin" else Path(path).open("rb") as stream:
+            data = stream.read(most + 1)
         if data.startswith(_HDF5):
             raise ValueError(
                 f"{source} is an atlas (HDF5), not text; jaxstab atlas info, query, verify and "
                 "plot take it."
             )
+        if len(data) > most:
+            raise ValueError(f"{source} has more than {most / 1e6:g} MB; give a smaller file.")
         return data.decode("utf-8-sig")
     except OSError as error:
         raise OSError(
@@ -79,7 +96,7 @@ def text_of(read: Callable[[], bytes], source: str | PathLike[str]) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ValueError(
-            f"{source}: line {line} is no UTF-8; save the file as such text."
+            f"{source}: line {line} is not UTF-8 text; save the file as UTF-8."
         ) from error
 
 
@@ -95,8 +112,12 @@ def parsed(text: str, source: str = "") -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError(f"{source}it is nested too deep; give tables fewer levels.") from None
-    except ValueError as error:
+    except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{source}this is not TOML: {error}.") from error
+    except ValueError as error:  # of a whole number
+        raise ValueError(
+            f"{source}a number has thousands of digits; give one that a float64 can hold."
+        ) from error
 
 
 def key(check: Check, default: Any = MISSING) -> Any:
@@ -154,7 +175,23 @@ def check_keys(place: str, keys: Iterable[str], known: list[str]) -> None:
         if name not in known:
             near = _similar(name, known)
             hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}."
-            raise ValueError(f"{_path(place, name)} is unknown; {hint}")
+            unknown = shortened(name) if len(name) > MOST_LETTERS else printable(name)
+            raise ValueError(f"{_path(place, unknown)} is unknown; {hint}")
+
+
+def checked_label(kind: str, name: str) -> str:
+    """Return a name that tables, pictures and CSV files may hold.
+
+    Raises:
+        ValueError: it is too long, not printable, or begins with another character than a letter
+            or a digit, as the formulas of spreadsheets do.
+    """
+    if not (name[:1].isalnum() and name.isprintable() and len(name) <= MOST_LETTERS):
+        raise ValueError(
+            f"the name of a {kind} is {shortened(name)}; give at most {MOST_LETTERS} printable "
+            "characters, the first one a letter or a digit."
+        )
+    return name
 
 
 def quantity(unit: str, *, is_positive: bool = False) -> Check:

@@ -261,7 +261,7 @@ def test_a_file_may_begin_with_a_mark_of_utf_8_but_not_be_in_another_code(tmp_pa
     file.write_text(EXAMPLE, encoding="utf-8-sig")
     assert Scene.from_file(file).device.mass == (0.1, 0.1)
     file.write_text("# Prüfstand", encoding="latin-1")
-    with pytest.raises(ValueError, match=r"scene.toml: line 1 is no UTF-8"):
+    with pytest.raises(ValueError, match=r"scene.toml: line 1 is not UTF-8 text"):
         Scene.from_file(file)
 
 

@@ -1,5 +1,5 @@
 """Atlases, many points on disk: specification, build, query, verification."""
 
-from lazy_loader import attach_stub
+from jaxstab.lazy import attach_stub
 
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

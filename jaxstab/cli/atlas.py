@@ -131,7 +131,7 @@ def info(file: Path) -> None:
 @click.argument("file", type=Path)
 @click.option(
     "--sample",
-    type=click.IntRange(1),
+    type=click.IntRange(1, 1_000_000),
     default=1000,
     show_default=True,
     help="About how many points of each kind to compute again.",

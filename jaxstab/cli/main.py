@@ -24,6 +24,8 @@ from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import check, design, limits, scene, tune
 from jaxstab.cli.scene_options import warn
+from jaxstab.cli.scene_options import sentence_of
+from jaxstab.shown import printable
 
 
 class OneSentence(click.Group):
@@ -53,8 +55,7 @@ class OneSentence(click.Group):
             sys.stderr.close()
             sys.exit(2)
         except OSError as error:
-            named = f"{error.filename}: {error.strerror}." if error.filename else error.strerror
-            _fail(f"jaxstab: {named or error}")
+            _fail(f"jaxstab: {sentence_of(error)}")
         except (ValueError, TypeError, RuntimeError, MemoryError) as error:
             _fail(f"jaxstab: {str(error) or 'there is not enough memory.'}")
         except Exception:  # noqa: BLE001  a fault of ours, which says nothing of a wall
@@ -77,9 +78,7 @@ def _show(message: Warning | str, *_: Any, **__: Any) -> None:
 
 def _fail(words: str, code: int = 2) -> NoReturn:
     """End with a sentence on stderr, in which nothing commands the terminal."""
-    click.echo(
-        "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in words), err=True
-    )
+    click.echo(printable(words, "\n"), err=True)
     try:
         sys.stdout.flush()
     except AttributeError:  # it is closed

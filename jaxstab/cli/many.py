@@ -12,6 +12,7 @@ import click
 
 from jaxstab.cli.options import write_beside
 from jaxstab.cli.scene_options import refused, tables_of, warn
+from jaxstab.shown import printable
 
 if TYPE_CHECKING:
     from jaxstab.scene.many import Row, Variant
@@ -82,8 +83,14 @@ def _csv(rows: list["Row"]) -> str:
     writer.writeheader()
     for row in rows:
         given = {"scene": row.variant.source, **row.variant.values}
-        writer.writerow({**given, **row.values, "refusal": row.refusal})
+        cells = {**given, **row.values, "refusal": row.refusal}
+        writer.writerow({name: _no_formula(value) for name, value in cells.items()})
     return stream.getvalue()
+
+
+def _no_formula(value: Any) -> Any:
+    """Return a cell with a quote before what a spreadsheet would compute."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in tuple("=+-@\t\r") else value
 
 
 def _json(rows: list["Row"]) -> str:
@@ -111,9 +118,9 @@ def _table(rows: list["Row"]) -> str:
     lines = [[*heads, *(_head(path) for path in paths)]]
     for row in rows:
         own = [row.variant.source, *(short(value) for value in row.variant.values.values())]
-        lines.append([*own, *(row.words.get(path, "") for path in paths)])
+        lines.append(list(map(printable, [*own, *(row.words.get(path, "") for path in paths)])))
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    refusals = ["", *(row.refusal for row in rows)]
+    refusals = ["", *(printable(row.refusal) for row in rows)]
     return "\n".join(
         "  ".join(
             f"{cell:{width}}" for cell, width in zip(line, widths, strict=True) if width

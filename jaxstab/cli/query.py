@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import math
-import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ from jaxstab.tables import parsed, text_of
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, AtlasAnswer
 
+_MOST_BYTES = 100_000_000  # of a CSV file
 _ANSWER = ("verdict", "spectral_radius", "radius_error", "status")
 
 
@@ -271,9 +271,12 @@ def _asked_of_scene(
 def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str) -> None:
     every = [{name: row[name] for name in header} for row in rows]
     if form == "csv":
-        writer = csv.writer(sys.stdout, lineterminator="\n")
+        every = list(rows)  # what is refused is refused before the header is printed
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
         writer.writerow(header)
         writer.writerows(row.values() for row in every)
+        click.echo(text.getvalue(), nl=False)
     else:
         click.echo(json.dumps([_finite(row) for row in every], indent=1))
 

@@ -1,5 +1,6 @@
 """Options that describe scenes, and the tables of scenes that files and options make."""
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -116,8 +117,16 @@ def refused() -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
-        words = error.strerror if isinstance(error, OSError) else None
-        raise click.UsageError(words or str(error) or "there is not enough memory.") from error
+        words = sentence_of(error) if isinstance(error, OSError) else str(error)
+        raise click.UsageError(words or "there is not enough memory.") from error
+
+
+def sentence_of(error: OSError) -> str:
+    """Return the sentence of an error; the system has none for what it refuses of stdout."""
+    reason = error.strerror or str(error)
+    if error.errno is None or reason != os.strerror(error.errno):
+        return reason
+    return f"cannot {'use' if error.filename else 'write'} {error.filename or 'stdout'}: {reason}."
 
 
 _VELOCITY = {

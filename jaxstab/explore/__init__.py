@@ -1,5 +1,5 @@
 """A page that draws the stable walls of a scene in any browser, without a network."""
 
-from lazy_loader import attach_stub
+from jaxstab.lazy import attach_stub
 
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

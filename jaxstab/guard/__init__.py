@@ -1,5 +1,5 @@
 """Guards: walls that are proved stable beforehand, as a table in C for a running loop."""
 
-from lazy_loader import attach_stub
+from jaxstab.lazy import attach_stub
 
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

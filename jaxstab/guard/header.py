@@ -6,11 +6,12 @@ from importlib.resources import files
 import numpy as np
 
 from jaxstab.guard.guard import Guard
+from jaxstab.shown import printable, shortened
 
 LARGEST = 1_000_000
 """Bytes of a header at most."""
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 _WIDTH = 96
 _LINE = ("kg", "N/m", "N s/m")
 
@@ -18,8 +19,18 @@ _LINE = ("kg", "N/m", "N s/m")
 def checked_name(name: str) -> str:
     """Return a name that is valid in C, or raise ValueError."""
     if not _NAME.fullmatch(name):
-        raise ValueError(f"name is {name!r}; give letters, digits and underscores, a letter first.")
+        raise ValueError(
+            f"name is {shortened(name)}; give at most 40 letters, digits and underscores, a letter "
+            "first."
+        )
     return name
+
+
+def _checked_comment(name: str, text: str) -> str:
+    """Return a text that stays within a comment of C, or raise ValueError."""
+    if "*/" in text or printable(text, "\n") != text:
+        raise ValueError(f"{name} is {shortened(text)}; give printable lines without '*/'.")
+    return text
 
 
 def guard_header(
@@ -30,11 +41,12 @@ def guard_header(
     Args:
         guard: what is proved.
         name: the beginning of all names in the header.
-        about: lines that say for which loop the guard is made.
+        about: lines that say for which loop the guard is made, printable and without "*/".
         units: of mass, stiffness and damping.
 
     Raises:
-        ValueError: the name is not valid in C, or the header would be larger than 1 MB.
+        ValueError: the name is not valid in C, ``about`` or a unit would not stay in a comment, or
+            the header would be larger than 1 MB.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
@@ -45,13 +57,15 @@ def guard_header(
         True
     """
     checked_name(name)
+    for kind, text in (("about", about), *(("units", unit) for unit in units)):
+        _checked_comment(kind, text)
     grid, (stiffness_step, damping_step) = guard.grid, guard.units
     masses, delays, rows = grid.limit.shape
     values = {
         "NAME": name,
         "MACRO": name.upper(),
         "VERSION": _version(),
-        "ABOUT": "\n".join(f" * {line}".rstrip() for line in about.replace("*/", "").splitlines()),
+        "ABOUT": "\n".join(f" * {line}".rstrip() for line in about.splitlines()),
         "KG": units[0],
         "STIFFNESS_UNIT": units[1],
         "DAMPING_UNIT": units[2],

@@ -76,7 +76,7 @@ class WallAmplitude(Amplitude):
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> loop.amplitude(1000.0, 20.0, encoder=1e-5)
-        Amplitude: position 6.271 um, velocity 2.106 mm/s, force 0.2402 N, force per count 0.21 N
+        Amplitude: position 6.276 um, velocity 2.126 mm/s, force 0.2434 N, force per count 0.21 N
         (proved)
     """
 

@@ -35,8 +35,8 @@ class Response(NamedTuple):
         >>> round(float(response.position[-1]), 6)  # of 1 N on 1000 N/m
         0.001
         >>> response
-        Response of 1 loop at 400 times: 0 to 399 ms, position 0 to 1.031 mm,
-        velocity -2.093 to 35.1 mm/s, force -1.003 to 0 N
+        Response of 1 loop at 400 times: 0 to 399 ms, position 0 to 1 mm,
+        velocity 0 to 37.23 mm/s, force -1.097 to 0 N
     """
 
     time: Float64[Array, " time"]

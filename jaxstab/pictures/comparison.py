@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxstab.pictures.shown import closed_outline
-from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
+from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY, plain
 from jaxstab.scene.loops import loop_of, reachable, wall_region
 from jaxstab.scene.many import Variant, short
 from jaxstab.scene.scene import Scene
@@ -64,9 +64,8 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
 
 def _label(variant: Variant) -> str:
     """Return the file and the values, without their keys."""
-    return ", ".join(
-        [*([variant.source] if variant.source else []), *map(short, variant.values.values())]
-    )
+    values = map(short, variant.values.values())
+    return plain(", ".join([*([variant.source] if variant.source else []), *values]))
 
 
 def _swept_numbers(variants: Sequence[Variant]) -> tuple[str, list[float]] | None:

@@ -48,6 +48,11 @@ def hand_label(gamma: float, delta: float) -> str:
     return rf"$\gamma = {gamma:g}$, $\delta = {delta:g}$"
 
 
+def plain(text: str) -> str:
+    """Return a text that matplotlib shows as it is: a dollar sign begins no formula."""
+    return text.replace("$", r"\$")
+
+
 def picture(figure: Figure, form: str) -> bytes:
     """Return a figure as a file of the format "png" or "svg".
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import Bbox
 
 from jaxstab.conventions import Verdict
-from jaxstab.pictures.style import BLACK, BLUE, RED
+from jaxstab.pictures.style import BLACK, BLUE, RED, plain
 from jaxstab.scene.answers import in_words
 from jaxstab.scene.check import WallCheck
 from jaxstab.scene.loops import OneHand, loop_of
@@ -68,7 +68,7 @@ def name_walls(panel: Axes, checked: Walls) -> None:
         if not panel.bbox.contains(*panel.transData.transform(position)):
             continue
         text = panel.annotate(
-            name,
+            plain(name),
             position,
             xytext=(8, 0),
             textcoords="offset points",
@@ -104,7 +104,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
         relative = np.asarray(response.position) * (wall.stiffness + spring)
         gone = np.logical_or.accumulate(np.abs(relative) > _GONE)
         shown = np.where(gone, np.nan, relative)
-        panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict].line, label=name)
+        panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict].line, label=plain(name))
     panel.axhspan(1.0 - _LEVEL, 1.0 + _LEVEL, color=BLACK, alpha=0.12, lw=0)
     panel.set(xlim=(0.0, samples * period), ylim=(-0.3, 2.3))
     panel.set(xlabel="time (s)", ylabel="position / final position")

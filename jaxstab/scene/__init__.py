@@ -1,5 +1,5 @@
 """A scene in SI units, and its answers."""
 
-from lazy_loader import attach_stub
+from jaxstab.lazy import attach_stub
 
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

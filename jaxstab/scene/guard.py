@@ -2,12 +2,15 @@
 
 import warnings
 from collections.abc import Callable
+from math import prod
 
 from jaxstab.guard import Guard, build_guard, guard_header
+from jaxstab.guard.header import LARGEST
 from jaxstab.ranges import HandRange
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of
 from jaxstab.scene.mechanics import Hand
+from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.scene import Scene
 
 Range = tuple[float, float]
@@ -17,6 +20,7 @@ _DELAYS = 1.0  # samples beside the scene's
 _DEVICE_MASSES, _DEVICE_DELAYS = (0.96, 1.04), 0.1  # the same with modes, an actuator or a grip
 _DEVICE_CELLS = 1, 1, 16
 _FAR = 10.0  # masses beyond this multiple of the scene's are more likely a slip of the unit
+_LETTERS = 6  # of a number of the table, with its comma
 
 
 def scene_guard(
@@ -41,6 +45,7 @@ def scene_guard(
     Raises:
         ValueError, NotImplementedError, RuntimeError: as ``build_guard``.
     """
+    _check_size(scene, delays, **cells)
     loop = loop_of(scene)
     hand, is_plain = scene.hand or Hand(), is_one_mass(scene)
     shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
@@ -60,6 +65,27 @@ def scene_guard(
         progress=progress,
         **({} if is_plain else {"cells": _DEVICE_CELLS}) | cells,
     )
+
+
+def _check_size(
+    scene: Scene, delays: Range | None, cells: tuple[int, int, int] | None = None
+) -> None:
+    """Refuse before the proof what would take too long, or too much room.
+
+    Raises:
+        ValueError: a delay is too long, or there are too many cells.
+    """
+    longest = LONGEST_DELAY * scene.controller.sample_time
+    if delays and not max(delays) <= longest:
+        raise ValueError(
+            f"delays are {delays[0]:g} to {delays[1]:g} s; give at most {LONGEST_DELAY} samples, "
+            f"{longest:g} s."
+        )
+    most = LARGEST // _LETTERS
+    if cells and prod(count + 1 for count in cells) > most:
+        raise ValueError(
+            f"cells are {','.join(map(str, cells))}; give fewer: the table may have {most} numbers."
+        )
 
 
 def guard_about(scene: Scene, guard: Guard) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 from jaxstab.scene.answers import Answer
 from jaxstab.scene.check import check_scenes, check_walls
 from jaxstab.scene.scene import Scene
+from jaxstab.shown import shortened
 
 MOST_SCENES = 100_000
 _AT_ONCE = 16  # scenes whose walls are checked together, so that a bar of progress moves
@@ -69,8 +70,8 @@ def sweep_of(text: str) -> tuple[str, list[float | str]]:
         parts = []
     if not (name and equals and values) or len(parts) != 1:
         raise ValueError(
-            f"sweep is {text!r}; give KEY=LOW:HIGH:COUNT with a COUNT from 2 to {MOST_SCENES}, or "
-            "KEY=VALUE,VALUE,..."
+            f"sweep is {shortened(text)}; give KEY=LOW:HIGH:COUNT with a COUNT from 2 to "
+            f"{MOST_SCENES}, or KEY=VALUE,VALUE,..."
         )
     return name, [_value(part) for part in values.split(",")]
 

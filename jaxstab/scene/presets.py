@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from jaxstab.tables import Table, key, read_table
+from jaxstab.tables import Table, key, parsed
 
 ASSUMED = "assumed"
 
@@ -74,8 +76,8 @@ def software_presets() -> Mapping[str, Preset]:
 
 @cache
 def _presets(file: str) -> Mapping[str, Preset]:
-    path = _folder() / file
-    return {name: _preset(table, f"{path}: {name}") for name, table in read_table(path).items()}
+    tables = parsed((_folder() / file).read_text(encoding="utf-8"), f"{file}: ")
+    return {name: _preset(table, f"{file}: {name}") for name, table in tables.items()}
 
 
 def _preset(table: Mapping[str, Any], place: str) -> Preset:
@@ -87,8 +89,8 @@ def _preset(table: Mapping[str, Any], place: str) -> Preset:
     )
 
 
-def _folder() -> Path:
+def _folder() -> Traversable:
     """Return the folder of the presets: in the package where it is installed, or in a checkout."""
-    package = Path(__file__).parents[1]
-    installed = package / "presets"
-    return installed if installed.is_dir() else package.parent / "data" / "presets"
+    installed = files("jaxstab") / "presets"
+    in_checkout = Path(__file__).parents[2] / "data" / "presets"
+    return installed if installed.is_dir() else in_checkout

@@ -10,9 +10,11 @@ from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.estimators import PositionTable, VelocityTable
 from jaxstab.scene.mechanics import LENGTH, Device, Hand
 from jaxstab.scene.units import Units
+from jaxstab.shown import shortened
 from jaxstab.tables import (
     Table,
     check_keys,
+    checked_label,
     each,
     key,
     nested,
@@ -29,6 +31,8 @@ _FEW_SAMPLES = 0.01  # of delay: more likely s
 _SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
 _LIGHT = 0.01
 _MANY_SAMPLES = 200  # of delay: more likely a slip of the unit
+_MOST_SAMPLES_OF_HANDS = 128  # the same for each of hundreds of hands of a range
+MOST_WALLS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +54,8 @@ class Controller(Table):
                 f"delay is {self.samples:g} samples of {self.sample_time:g} s; give at most "
                 f"{LONGEST_DELAY:g} samples, or a longer sample_time; one in samples is given as "
                 "delay_samples."
+                f"{MOST_SAMPLES} samples (delay is in s, delay_samples in samples), or a longer "
+                "sample_time."
             )
         for name, made in (("velocity", self.estimator), ("position", self.position_filter)):
             if made is not None:
@@ -120,6 +126,11 @@ class Scene:
 
     def __post_init__(self) -> None:
         hand, turns = self.hand or Hand(), self.device.units is Units.ROTATION
+        if hand.varies and self.controller.samples > _MOST_SAMPLES_OF_HANDS:
+            raise ValueError(
+                f"controller.delay is {self.controller.samples:g} samples beside a range of hands; "
+                f"give at most {_MOST_SAMPLES_OF_HANDS} samples, or one hand."
+            )
         if self.wanted.chatter is not None and self.device.encoder is None:
             raise ValueError(
                 f"wanted.chatter is {self.wanted.chatter:g}, but no encoder is known; give "
@@ -250,12 +261,17 @@ def _parts(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _walls(table: Any) -> dict[str, Wall]:
-    walls = table if isinstance(table, Mapping) else {"": table}
-    for name, wall in walls.items():
+    if not isinstance(table, Mapping):
+        raise ValueError(f"walls is {shortened(table)}; give a table [walls.NAME] for each wall.")
+    if len(table) > MOST_WALLS:
+        raise ValueError(f"walls has {len(table)} entries; give {MOST_WALLS} at most.")
+    for name, wall in table.items():
+        checked_label("wall", name)
         if not isinstance(wall, Mapping):
-            key_name = f"walls.{name}".rstrip(".")
-            raise ValueError(f"{key_name} is {wall!r}; give a table [walls.NAME] for each wall.")
-    return {name: Wall.from_table(wall, f"walls.{name}") for name, wall in walls.items()}
+            raise ValueError(
+                f"walls.{name} is {shortened(wall)}; give a table [walls.NAME] for each wall."
+            )
+    return {name: Wall.from_table(wall, f"walls.{name}") for name, wall in table.items()}
 
 
 def _outside(name: str, value: float, low: float, high: float, unit: str) -> str:

@@ -119,6 +119,10 @@ def dask_cluster(
         raise OSError(
             f"no dask scheduler answers at {address}; start one, or correct the address."
         ) from error
+    except ValueError as error:  # of an address that dask cannot read
+        raise ValueError(
+            f"scheduler is {address!r}; give an address such as tcp://10.0.0.1:8786."
+        ) from error
     with client:
         if not client.scheduler_info()["workers"]:
             tell(f"the dask scheduler at {address} has no workers; the build waits for one.")

@@ -1,0 +1,332 @@
+"""Issue 31, items 29 to 31: what has no end, is too large or unprintable is refused in a sentence."""
+
+import csv
+import io
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from commands import START, assert_one_sentence, run, run_process
+
+import jaxstab
+from jaxstab.guard.header import checked_name
+from jaxstab.scene import Scene
+from jaxstab.tables import MOST_BYTES, MOST_LETTERS, checked_label
+
+ROOT = Path(__file__).parents[1]
+ATLAS = ROOT / "data" / "golden" / "atlas-v3.h5"
+LOOP = ["--mass", "0.25", "--damping", "0.1", "--sample-time", "0.001"]
+TABLE = {
+    "device": {"mass": 0.25, "damping": 0.1},
+    "controller": {"sample_time": 1e-3, "delay_samples": 1.0},
+}
+WALL = {"stiffness": 1000.0, "damping": 10.0}
+
+
+def scene_text(*walls: str) -> str:
+    lines = ["[device]", "mass = 0.25", "damping = 0.1", "[controller]", "sample_time = 0.001"]
+    for wall in walls:
+        lines += [f"[walls.{wall}]", "stiffness = 1000.0", "damping = 10.0"]
+    return "\n".join(lines)
+
+
+# ----------------------------------------------------------------------------- 29: without end
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["limits", "/dev/zero"],
+        ["atlas", "plan", "/dev/zero"],
+        ["atlas", "query", str(ATLAS), "--csv", "/dev/zero"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_issue_31_29_a_file_without_end_is_refused(command: list[str]) -> None:
+    done = run_process(*command)
+    assert done.returncode in (1, 2)
+    assert_one_sentence(done.stderr)
+    assert "/dev/zero has more than" in done.stderr
+
+
+def test_issue_31_29_a_toml_file_of_100_mb_is_refused_unread(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(scene_text())
+    with file.open("r+b") as stream:
+        stream.truncate(100_000_000)
+    done = run("limits", file)
+    assert done.exit_code == 2
+    assert done.stderr == f"jaxstab: {file} has more than 4 MB; give a smaller file.\n"
+    comments = "#\n" * ((MOST_BYTES - len(scene_text()) - 1) // 2)
+    file.write_text(f"{scene_text()}\n{comments}")
+    assert run("limits", file).exit_code == 0
+
+
+def test_issue_31_29_a_hundred_thousand_walls_are_refused() -> None:
+    walls = {f"w{number}": WALL for number in range(100_000)}
+    with pytest.raises(ValueError, match="walls has 100000 entries; give 1000 at most"):
+        Scene.from_table(TABLE | {"walls": walls})
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (["check", *LOOP, "--delay-samples", "1024", "--wall", "a", "10", "1"], "at most 500 sam"),
+        (
+            [
+                "check",
+                *LOOP,
+                "--delay-samples",
+                "129",
+                "--hand-mass",
+                "0:1",
+                "--wall",
+                "a",
+                "1",
+                "1",
+            ],
+            "129 samples beside a range of hands; give at most 128 samples, or one hand",
+        ),
+        (["guard", *LOOP, "-o", "g.h", "--delays", "0:1e9"], "give at most 500 samples, 0.5 s"),
+        (["guard", *LOOP, "-o", "g.h", "--cells", "1048576,1024,1024"], "give fewer"),
+        (["guard", *LOOP, "-o", "g.h", "--cells", "64,64,64"], "may have 166666 numbers"),
+        (["atlas", "verify", str(ATLAS), "--sample", "1000000000"], "not in the range"),
+    ],
+    ids=lambda value: " ".join(value[:1]) if isinstance(value, list) else "",
+)
+def test_issue_31_29_what_would_take_too_long_is_refused_at_the_door(
+    command: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = run(*command)
+    assert done.exit_code == 2
+    assert_one_sentence(done.stderr)
+    assert words in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+# ------------------------------------------------------------------------------------ 30: names
+
+NO_NAMES = [
+    "",
+    " a",
+    "a\nverdict                           stable",
+    "\x1b[31mred",
+    "a\u202eb",
+    "a\udcff",
+    "=1+2",
+    "+1",
+    "-1",
+    "@SUM(1)",
+    "_hidden",
+    "a" * (MOST_LETTERS + 1),
+]
+
+
+@pytest.mark.parametrize("name", NO_NAMES, ids=ascii)
+def test_issue_31_30_a_name_that_commands_a_terminal_or_a_spreadsheet_is_refused(
+    name: str,
+) -> None:
+    for done in (
+        run("check", *LOOP, "--wall", name, "1000", "10"),
+        run("limits", *LOOP, "--wall", name, "1000", "10", "--csv", "-"),
+    ):
+        assert done.exit_code == 2
+        assert_one_sentence(done.stderr)
+        assert "the name of a wall is" in done.stderr
+        assert done.stderr[:-1].isprintable()
+    with pytest.raises(ValueError, match="the name of a wall is"):
+        Scene.from_table(TABLE | {"walls": {name: WALL}})
+
+
+@pytest.mark.parametrize("name", ["größe", "壁", "soft wall (5 N)", "1 = a", "a" * MOST_LETTERS])
+def test_issue_31_30_other_names_are_allowed(name: str) -> None:
+    assert checked_label("wall", name) == name
+
+
+def test_issue_31_30_keys_of_a_file_reach_the_terminal_in_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text('"mass\\nverdict: stable\\u001b[31m" = 1\n' + scene_text())
+    done = run("limits", file)
+    assert done.exit_code == 2
+    assert_one_sentence(done.stderr)
+    assert done.stderr[:-1].isprintable()
+    two = run("limits", file, file)
+    assert two.exit_code == 2
+    assert "\x1b" not in two.stdout + two.stderr
+
+
+def test_issue_31_30_a_csv_file_holds_no_formula(tmp_path: Path) -> None:
+    file = tmp_path / "=1+2.toml"
+    file.write_text('"=1+2" = 1\n' + scene_text())
+    good = tmp_path / "good.toml"
+    good.write_text(scene_text("a"))
+    done = subprocess.run(
+        [sys.executable, "-c", START, "limits", file.name, good.name, "--csv", "-"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    rows = list(csv.reader(io.StringIO(done.stdout)))
+    assert len(rows) == 3
+    assert rows[1][0] == "'=1+2.toml"
+    assert rows[1][-1].startswith("'=1+2 is unknown")
+    assert rows[2][0] == "good.toml"
+    for cell in (cell for row in rows for cell in row):
+        assert not cell.startswith(("=", "+", "@")), cell
+
+
+def test_issue_31_30_a_dollar_sign_of_a_name_begins_no_formula(tmp_path: Path) -> None:
+    picture = tmp_path / "scene.svg"
+    done = run("check", *LOOP, "--wall", r"a $\frac{$", "1000", "10", "--plot", picture)
+    assert done.exit_code == 0, done.stderr
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.fixture(scope="module")
+def guard() -> jaxstab.Guard:
+    loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+    ranges = {"mass": (0.24, 0.26), "delay": (1e-3, 1.1e-3)}
+    return jaxstab.build_guard(loop, jaxstab.HandRange(), **ranges, cells=(1, 1, 4))
+
+
+@pytest.mark.parametrize(
+    "about", ["**// int injected;", "*/ int injected;", "*/", "a\x00b", "a\x1b[31m", "a\rb"]
+)
+def test_issue_31_30_what_a_guard_is_about_stays_in_its_comment(
+    about: str, guard: jaxstab.Guard
+) -> None:
+    if "*/" in about.replace("*/", "") or "*/" in about or not about.isprintable():
+        with pytest.raises(ValueError, match="about is "):
+            jaxstab.guard_header(guard, "g", about)
+    with pytest.raises(ValueError, match="units is "):
+        jaxstab.guard_header(guard, "g", "", ("kg", "N/m */ int injected; /*", "N s/m"))
+    header = jaxstab.guard_header(guard, "g", "two\nlines: /* and //")
+    assert " * two\n * lines: /* and //\n" in header
+
+
+@pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "a\n", "a" * 41])
+def test_issue_31_30_a_guard_has_a_short_name_of_c(name: str) -> None:
+    with pytest.raises(ValueError, match="name is .*; give at most 40 letters"):
+        checked_name(name)
+
+
+# ------------------------------------------------------------------------------------ 31: words
+
+
+def test_issue_31_31_the_package_runs_as_a_module() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "jaxstab", "--version"], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == f"jaxstab, version {jaxstab.__version__}\n", done.stderr
+
+
+def test_issue_31_31_a_zip_file_on_the_path_can_be_imported(tmp_path: Path) -> None:
+    """As it is in a wheel; its dependencies are installed."""
+    wheel = tmp_path / "jaxstab.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        for folder, place in ((ROOT / "jaxstab", ""), (ROOT / "data" / "presets", "jaxstab/")):
+            for file in folder.rglob("*"):
+                if file.is_file() and "__pycache__" not in file.parts:
+                    archive.write(file, place + str(file.relative_to(folder.parent)))
+    for words in (
+        ["-c", "import jaxstab; print(jaxstab.__file__, jaxstab.margins, *dir(jaxstab.ranges))"],
+        ["-m", "jaxstab", "limits", "--device", "omega-7", "--sample-time", "0.001"],
+        ["-m", "jaxstab", "scene", "presets"],
+    ):
+        done = subprocess.run(
+            [sys.executable, *words],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(wheel)},
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+    here = subprocess.run(
+        [sys.executable, "-c", "import jaxstab; print(jaxstab.__file__)"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(wheel)},
+        check=True,
+    )
+    assert here.stdout.startswith(str(wheel))
+
+
+def test_issue_31_31_numbers_of_5000_digits_are_refused_in_words(tmp_path: Path) -> None:
+    digits = "9" * 5000
+    file = tmp_path / "scene.toml"
+    file.write_text(scene_text().replace("0.25", digits))
+    for done in (
+        run("limits", file),
+        run("limits", *LOOP, "--sweep", f"device.mass=0.1:0.2:{digits}"),
+        run("limits", *LOOP, "--wall", "a", digits, "1"),
+        run("guard", *LOOP, "-o", tmp_path / "g.h", "--cells", f"1,1,{digits}"),
+    ):
+        assert done.exit_code == 2
+        assert_one_sentence(done.stderr)
+        assert "set_int_max_str_digits" not in done.stderr
+        assert len(done.stderr) < 400
+    many = 10**5000
+    with pytest.raises(TypeError, match="alpha is a whole number of thousands of digits"):
+        jaxstab.verdict(many, 0.2, gamma=0.0, delta=0.0, delay=0.0)
+    with pytest.raises(ValueError, match="samples is a whole number of thousands of digits"):
+        jaxstab.Velocity.difference(many)
+    with pytest.raises(ValueError, match="device.mass is a whole number of thousands of digits"):
+        Scene.from_table(TABLE | {"device": {"mass": many}})
+
+
+def test_issue_31_31_stdout_that_is_full_is_named() -> None:
+    for words in (["limits", *LOOP], ["limits", *LOOP, "--csv", "-"]):
+        done = subprocess.run(
+            ["sh", "-c", '"$@" > /dev/full', "sh", sys.executable, "-c", START, *words],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode in (1, 2)
+        assert done.stderr == "jaxstab: cannot write stdout: No space left on device.\n"
+
+
+def test_issue_31_31_names_reach_a_stdout_of_ascii(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(scene_text('"größe"'), encoding="utf-8")
+    spec = tmp_path / "spec.toml"
+    spec.write_text(run("atlas", "spec", "--scene", file).stdout, encoding="utf-8")
+    for words in (
+        ["check", str(file)],
+        ["limits", str(file), "--csv", "-"],
+        ["limits", str(file), "--json"],
+        ["atlas", "query", str(ROOT / "data/golden/atlas-v3.h5"), "--scene", str(file)],
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", START, *words],
+            capture_output=True,
+            env=os.environ | {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"},
+            check=False,
+        )
+        assert "codec" not in done.stderr.decode()
+        assert done.returncode == 0, done.stderr
+
+
+def test_issue_31_31_a_file_that_is_not_utf_8_is_named_with_its_line(tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_bytes(b"# a\n# \xff\n")
+    words = f"jaxstab: {file}: line 2 is not UTF-8 text; save the file as UTF-8.\n"
+    for done in (run("limits", file), run("atlas", "plan", file)):
+        assert done.exit_code in (1, 2)
+        assert done.stderr == words
+
+
+def test_issue_31_31_a_scheduler_that_is_no_address_is_named() -> None:
+    pytest.importorskip("distributed")
+    from jaxstab.atlas.write.workers import dask_cluster
+
+    with pytest.raises(ValueError, match=re.escape("scheduler is 'inproc://'; give an address")):
+        with dask_cluster("inproc://"):
+            pass
