@@ -182,7 +182,7 @@ def test_options_go_before_the_values_of_a_file(tmp_path: Path) -> None:
         (["limits", *PHANTOM, "--sample-time", "1e300"], "damping T/mass of device and hand is"),
         (["limits", *PHANTOM, "--delay", "1", "--delay-samples", "1"], "give one"),
         (["limits", *PHANTOM, "--delay-samples", "1e6"], "give at most 500 samples"),
-        (["limits", *PHANTOM, "--delay", "1"], "delay is 1000 samples of 0.001 s"),
+        (["limits", *PHANTOM, "--delay", "1"], "controller.delay is 1000 samples of 0.001 s"),
         (["check", *PHANTOM, *["--wall", "a", "1", "1"] * 2], "wall a is given twice"),
         (["limits", *PHANTOM, "--hand-damping", "1e9"], "damping T/mass"),  # without a warning
         (["scene", "init", "-o", "no/folder.toml"], "no does not exist"),

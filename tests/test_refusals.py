@@ -1,9 +1,8 @@
-"""Issue 31, items 29 to 31: what has no end, is too large or unprintable is refused in a sentence."""
+"""Issue 31, items 29 to 31: input without end, too large or unprintable is refused."""
 
 import csv
 import io
 import os
-import re
 import subprocess
 import sys
 import zipfile
@@ -20,6 +19,7 @@ from jaxstab.tables import MOST_BYTES, MOST_LETTERS, checked_label
 ROOT = Path(__file__).parents[1]
 ATLAS = ROOT / "data" / "golden" / "atlas-v3.h5"
 LOOP = ["--mass", "0.25", "--damping", "0.1", "--sample-time", "0.001"]
+A_WALL = ["--wall", "a", "10", "1"]
 TABLE = {
     "device": {"mass": 0.25, "damping": 0.1},
     "controller": {"sample_time": 1e-3, "delay_samples": 1.0},
@@ -75,20 +75,9 @@ def test_issue_31_29_a_hundred_thousand_walls_are_refused() -> None:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (["check", *LOOP, "--delay-samples", "1024", "--wall", "a", "10", "1"], "at most 500 sam"),
+        (["check", *LOOP, "--delay-samples", "1024", *A_WALL], "at most 500 sam"),
         (
-            [
-                "check",
-                *LOOP,
-                "--delay-samples",
-                "129",
-                "--hand-mass",
-                "0:1",
-                "--wall",
-                "a",
-                "1",
-                "1",
-            ],
+            ["check", *LOOP, "--delay-samples", "129", "--hand-mass", "0:1", *A_WALL],
             "129 samples beside a range of hands; give at most 128 samples, or one hand",
         ),
         (["guard", *LOOP, "-o", "g.h", "--delays", "0:1e9"], "give at most 500 samples, 0.5 s"),
@@ -201,9 +190,8 @@ def guard() -> jaxstab.Guard:
 def test_issue_31_30_what_a_guard_is_about_stays_in_its_comment(
     about: str, guard: jaxstab.Guard
 ) -> None:
-    if "*/" in about.replace("*/", "") or "*/" in about or not about.isprintable():
-        with pytest.raises(ValueError, match="about is "):
-            jaxstab.guard_header(guard, "g", about)
+    with pytest.raises(ValueError, match="about is "):
+        jaxstab.guard_header(guard, "g", about)
     with pytest.raises(ValueError, match="units is "):
         jaxstab.guard_header(guard, "g", "", ("kg", "N/m */ int injected; /*", "N s/m"))
     header = jaxstab.guard_header(guard, "g", "two\nlines: /* and //")
@@ -212,7 +200,7 @@ def test_issue_31_30_what_a_guard_is_about_stays_in_its_comment(
 
 @pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "a\n", "a" * 41])
 def test_issue_31_30_a_guard_has_a_short_name_of_c(name: str) -> None:
-    with pytest.raises(ValueError, match="name is .*; give at most 40 letters"):
+    with pytest.raises(ValueError, match=r"name is .*; give at most 40 letters"):
         checked_name(name)
 
 
@@ -236,7 +224,7 @@ def test_issue_31_31_a_zip_file_on_the_path_can_be_imported(tmp_path: Path) -> N
                     archive.write(file, place + str(file.relative_to(folder.parent)))
     for words in (
         ["-c", "import jaxstab; print(jaxstab.__file__, jaxstab.margins, *dir(jaxstab.ranges))"],
-        ["-m", "jaxstab", "limits", "--device", "omega-7", "--sample-time", "0.001"],
+        ["-m", "jaxstab", "limits", "--device", "omega", "--sample-time", "0.001"],
         ["-m", "jaxstab", "scene", "presets"],
     ):
         done = subprocess.run(
@@ -277,7 +265,7 @@ def test_issue_31_31_numbers_of_5000_digits_are_refused_in_words(tmp_path: Path)
         jaxstab.verdict(many, 0.2, gamma=0.0, delta=0.0, delay=0.0)
     with pytest.raises(ValueError, match="samples is a whole number of thousands of digits"):
         jaxstab.Velocity.difference(many)
-    with pytest.raises(ValueError, match="device.mass is a whole number of thousands of digits"):
+    with pytest.raises(ValueError, match=r"device\.mass is a whole number of thousands of digits"):
         Scene.from_table(TABLE | {"device": {"mass": many}})
 
 
@@ -327,6 +315,6 @@ def test_issue_31_31_a_scheduler_that_is_no_address_is_named() -> None:
     pytest.importorskip("distributed")
     from jaxstab.atlas.write.workers import dask_cluster
 
-    with pytest.raises(ValueError, match=re.escape("scheduler is 'inproc://'; give an address")):
-        with dask_cluster("inproc://"):
-            pass
+    words = "scheduler is 'inproc://'; give an address"
+    with pytest.raises(ValueError, match=words), dask_cluster("inproc://"):
+        pass

@@ -10,6 +10,7 @@ import click
 
 from jaxstab.cli.options import number_or_range, output_file, picture_file, write_beside
 from jaxstab.cli.scene_options import refused, scene_of, scene_options, warn
+from jaxstab.shown import shortened
 
 
 def _range(context: click.Context, option: click.Parameter, text: str | None) -> Any:
@@ -27,7 +28,7 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     except ValueError:
         counts = ()
     if len(counts) != 3:
-        raise click.BadParameter(f"{text!r} is not MASS,DELAY,DAMPING.", param=option)
+        raise click.BadParameter(f"{shortened(text)} is not MASS,DELAY,DAMPING.", param=option)
     return counts
 
 

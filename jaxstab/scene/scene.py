@@ -54,8 +54,6 @@ class Controller(Table):
                 f"delay is {self.samples:g} samples of {self.sample_time:g} s; give at most "
                 f"{LONGEST_DELAY:g} samples, or a longer sample_time; one in samples is given as "
                 "delay_samples."
-                f"{MOST_SAMPLES} samples (delay is in s, delay_samples in samples), or a longer "
-                "sample_time."
             )
         for name, made in (("velocity", self.estimator), ("position", self.position_filter)):
             if made is not None:
