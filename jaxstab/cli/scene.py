@@ -159,7 +159,7 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> int:
     by_name = {name: replace(one, inputs=None) for name, one in computed.items()}
     answers = Answers(basis_of(scene), by_name)
     if plot:
-        _draw(scene, computed.get("check"), plot)
+        _draw(scene, computed.get("check") or [*computed.values()][-1], plot)
     _print(scene, answers, as_json)
     return 0 if all(one.all_stable for one in computed.values()) else 1
 
@@ -175,17 +175,17 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
     scene, plot = scene_of(given), given.get("plot")
     answer = _computed(scene, name)
     if plot:
-        _draw(scene, answer if name == "check" else None, plot)
+        _draw(scene, answer, plot)
     _print(scene, answer, as_json)
     return 0 if answer.all_stable else 1
 
 
-def _draw(scene: "Scene", checked: Any, file: Path) -> None:
+def _draw(scene: "Scene", answer: Any, file: Path) -> None:
     from jaxstab.pictures.scene import scene_figure
     from jaxstab.pictures.style import picture
 
     with refused():
-        write_beside(picture(scene_figure(scene, checked), file.suffix[1:]), file)
+        write_beside(picture(scene_figure(scene, answer), file.suffix[1:]), file)
 
 
 FUNCTIONS = {

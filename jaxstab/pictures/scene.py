@@ -1,6 +1,9 @@
 """A picture of a scene: what is stable in the plane of K and B, its walls, and how they respond."""
 
-from decimal import ROUND_FLOOR
+from dataclasses import replace
+from decimal import ROUND_CEILING, ROUND_FLOOR
+from math import isfinite
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,15 +14,17 @@ from numpy.typing import NDArray
 from jaxstab.criteria import passive_region
 from jaxstab.loop import HapticLoop, WallRegion
 from jaxstab.pictures.shown import draw_islands, draw_linear_rule, draw_stable
-from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE
+from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY
 from jaxstab.pictures.walls import draw_responses, draw_walls, name_walls
-from jaxstab.scene.answers import Quantity
+from jaxstab.scene.answers import Answer, Quantity
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.check import Check
+from jaxstab.scene.check import Check, check_walls
+from jaxstab.scene.design import Design, delayed_loop, sampled_loop
 from jaxstab.scene.hands import at_lowest, common_outline
 from jaxstab.scene.loops import corner_loops, hands_of, is_plain, loop_of, reachable, wall_region
 from jaxstab.scene.mechanics import Encoder
 from jaxstab.scene.scene import Scene
+from jaxstab.scene.tune import Tuned
 from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
 
@@ -32,29 +37,34 @@ _CALM_COLUMNS = 40  # of the map of amplitudes, and rows
 _COUNTS = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
 _LONGEST = 50.0  # of the shortest settling time: the slowest line that is drawn
 _HORIZON = 4096  # samples
+_LETTERS = 14.0  # of a remark, per inch
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
+_BOUND = Quantity("N/m", 4, ROUND_CEILING)
+_LARGEST_TIME = Quantity("s", 4, ROUND_FLOOR)
 _STIFFNESS, _DAMPING, _TIME, _LENGTH = (Quantity(unit, 3) for unit in ("N/m", "N s/m", "s", "m"))
 
 Floats = NDArray[np.float64]
 
 
-def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
-    """Draw the stable region in the plane of K and B, in SI units, and the walls in it.
+def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
+    """Draw the stable region in the plane of K and B, in SI units, the scene's walls and an answer.
 
     What is too small to be seen beside it, of the walls that are passive or stable for all hands,
     is enlarged in a panel of its own.
 
     Args:
         scene: the scene.
-        checked: what ``check_walls`` answers. Then the walls are drawn, with their responses to a
-            step of force in a panel of its own.
+        answer: what is drawn of it: of ``check_walls`` the walls' responses to a step of force, in
+            a panel of its own; of ``scene_limits`` the bound for all hands; of ``tune_walls`` the
+            best walls; of ``design_loop`` the wanted stiffness and the regions that just allow it.
 
     Raises:
         ValueError: no wall is stable, there is nothing to draw.
 
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
     """
-    loop, walls = loop_of(scene), checked.walls if checked else {}
+    checked = answer if isinstance(answer, Check) else None
+    loop, walls = loop_of(scene), (checked or _judged(scene)).walls if scene.walls else {}
     everything = wall_region(loop)
     if everything.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
@@ -62,7 +72,7 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     islands = [island for island in everything.components if island is not region]
     if region is everything:
         islands = []
-    parts = [part for part in (_common(scene), _passive(scene, loop)) if len(part.outline)]
+    parts = [part for part in (_common(scene, answer), _passive(scene, loop)) if len(part.outline)]
     is_small = [(np.ptp(part.outline, axis=0) < _SEEN * np.array(region.extent)) for part in parts]
     small = [part.outline for part, axes in zip(parts, is_small, strict=True) if axes.any()]
 
@@ -72,12 +82,19 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
     figure.set_layout_engine("constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
-    _set_window(panels[0], np.concatenate([region.outline, gains, np.zeros((1, 2))]))
+    designed = _designed(scene, answer) if isinstance(answer, Design) else []
+    seen = [region.outline, gains, np.zeros((1, 2)), *(one.outline for one in designed)]
+    _set_window(panels[0], np.concatenate(seen))
     _draw_settling(panels[0], loop, region)
     encoder = scene.device.encoder
     if encoder is not None:
         _draw_chatter(panels[0], loop, region, encoder, scene.units)
-    _draw_best(panels[0], loop, region, scene.units)
+    tuned = answer if isinstance(answer, Tuned) else None
+    _draw_best(panels[0], loop, region, tuned, scene.units)
+    _draw_parts(panels[0], designed)
+    if isinstance(answer, Design):
+        label = f"wanted: {_STIFFNESS.words(answer.stiffness, scene.units)}"
+        panels[0].axvline(answer.stiffness, color=BLACK, lw=1.2, ls="dashdot", label=label)
     panels[0].set_title("stable walls, and how long they take to settle")
     planes = [panels[0]]
     if small:
@@ -95,7 +112,8 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
         panel.set_ylabel(f"damping B ({scene.units.damping})")
         draw_stable(panel, region)
         draw_islands(panel, islands)
-        _draw_parts(panel, loop, parts)
+        _draw_parts(panel, parts)
+        draw_linear_rule(panel, loop)
         draw_walls(panel, walls)
     if checked is not None:
         draw_responses(panels[-1], scene, walls)
@@ -111,17 +129,31 @@ def scene_figure(scene: Scene, checked: Check | None = None) -> Figure:
             f"region, settling and fastest wall: hand {at_lowest(scene, '')}"
             + ("; responses: worst hand of each wall" if checked else "")
         )
-    figure.suptitle("\n".join(remarks), fontsize=9)
-    handles, labels = panels[0].get_legend_handles_labels()
-    columns = min(1 + len(widths), 4)
-    figure.legend(
-        handles, labels, fontsize=8, frameon=False, ncols=columns, loc="outside lower center"
-    )
+    width = int(_LETTERS * sum(widths))
+    figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
+    _draw_legend(figure, panels[0], min(1 + len(widths), 4))
     if walls:
         figure.draw_without_rendering()  # positions are known only now
         for panel in planes:
             name_walls(panel, walls)
     return figure
+
+
+def _judged(scene: Scene) -> Check:
+    """Return the verdicts on the walls of a scene, without any measure."""
+    return check_walls(replace(scene, wanted=replace(scene.wanted, measures=())))
+
+
+def _draw_legend(figure: Figure, panel: Axes, most: int) -> None:
+    """Draw the legend of a panel below, in as many columns as the figure has room for."""
+    handles, labels = panel.get_legend_handles_labels()
+    for columns in range(most, 0, -1):
+        legend = figure.legend(
+            handles, labels, fontsize=8, frameon=False, ncols=columns, loc="outside lower center"
+        )
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
 
 
 class _Part(NamedTuple):
@@ -131,10 +163,13 @@ class _Part(NamedTuple):
     look: dict[str, Any]
 
 
-def _common(scene: Scene) -> _Part:
+def _common(scene: Scene, answer: Answer | None) -> _Part:
     """Return the walls that are stable for the hands at all corners of the range, if it is one."""
     outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
-    label = f"for all corners of the hands' range: {_up_to(outline, scene.units)}"
+    label, all_hands = "for all corners of the hands' range", getattr(answer, "all_hands", None)
+    if all_hands is not None and all_hands.none_is_stiffer_than is not None:
+        bound = _BOUND.words(all_hands.none_is_stiffer_than, scene.units)
+        label += f": none is stiffer than {bound}"
     look = {"facecolor": "none", "edgecolor": BLUE, "hatch": "///", "lw": 0.6, "label": label}
     return _Part(outline, look)
 
@@ -163,33 +198,69 @@ def _set_window(panel: Axes, points: Floats) -> None:
     panel.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def _draw_parts(panel: Axes, loop: HapticLoop, parts: list[_Part]) -> None:
-    """Draw parts of the stable walls, and the linear rule, which knows of no filter."""
+def _designed(scene: Scene, design: Design) -> list[_Part]:
+    """Return the walls that are stable with the designed sample time, and with the delay."""
+    time, delay = design.sample_time.largest_sample_time, design.delay.largest_delay
+    parts = []
+    for value, loop_with, words, colour, line in (
+        (time, sampled_loop, "sample time", GREEN, "--"),
+        (delay, delayed_loop, "delay", PURPLE, "-."),
+    ):
+        if isfinite(value):
+            region = reachable(wall_region(loop_with(scene, value)))
+            label = f"with a {words} of {_LARGEST_TIME.words(value)}"
+            look = {"facecolor": "none", "edgecolor": colour, "ls": line, "lw": 2, "label": label}
+            parts.append(_Part(region.outline, look))
+    return parts
+
+
+def _draw_parts(panel: Axes, parts: list[_Part]) -> None:
+    """Draw parts of the stable walls."""
     for part in parts:
         panel.fill(*part.outline.T, **part.look)
-    draw_linear_rule(panel, loop)
 
 
-def _draw_best(panel: Axes, loop: HapticLoop, region: WallRegion, units: Units) -> None:
+def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
+    """Draw what is tuned beside the fastest wall: all but that have marks of their own."""
+    given = [*tuned.walls.values(), *filter(None, [tuned.at_given_stiffness])]
+    at_worst = tuned.over_ranges
+    for label, walls, mark, colour in (
+        ("smallest radius", [tuned.least_radius.rounded], "D", GREEN),
+        ("best damping at a given stiffness", [one.rounded for one in given], "P", SKY),
+        ("fastest at worst over the ranges", [at_worst], "p", PURPLE),
+    ):
+        found = [(wall.stiffness, wall.damping) for wall in walls if wall]
+        gains = np.array([wall for wall in found if None not in wall], np.float64).reshape(-1, 2)
+        if len(gains) == 1:
+            label += f": {_gains_text(float(gains[0, 0]), float(gains[0, 1]), units)}"
+        if len(gains):
+            panel.plot(*gains.T, mark, color=colour, ms=8, mec=BLACK, ls="", label=label)
+
+
+def _gains_text(stiffness: float, damping: float, units: Units) -> str:
+    return f"{_STIFFNESS.words(stiffness, units)}, {_DAMPING.words(damping, units)}"
+
+
+def _draw_best(
+    panel: Axes, loop: HapticLoop, region: WallRegion, tuned: Tuned | None, units: Units
+) -> None:
     stiffest = f"stiffest: {_LARGEST.words(region.stiffest.stiffness, units)}"
     damping = _DAMPING.words(region.stiffest.damping, units)
     panel.plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"{stiffest}, {damping}")
-    fastest = loop.tune("settling")
-    if fastest.status == TuningStatus.NO_STABLE_GAINS:
-        return
-    gains = (
-        f"{_STIFFNESS.words(fastest.stiffness, units)}, {_DAMPING.words(fastest.damping, units)}"
-    )
-    time = _TIME.words(fastest.settling_time)
-    panel.plot(
-        fastest.stiffness,
-        fastest.damping,
-        "*",
-        color=ORANGE,
-        ms=12,
-        mec=BLACK,
-        label=f"fastest: {gains}, settles in {time}",
-    )
+    if tuned is None:
+        best = loop.tune("settling")
+        fastest = (best.stiffness, best.damping), best.settling_time
+        if best.status == TuningStatus.NO_STABLE_GAINS:
+            return
+    else:
+        _draw_tuned(panel, tuned, units)
+        rounded = tuned.least_settling.rounded
+        if rounded is None:
+            return
+        fastest = (rounded.stiffness, rounded.damping), rounded.settling_time_2_percent
+    gains, time = fastest
+    label = f"fastest: {_gains_text(*gains, units)}, settles in {_TIME.words(time)}"
+    panel.plot(*gains, "*", color=ORANGE, ms=12, mec=BLACK, label=label)
 
 
 def _draw_chatter(

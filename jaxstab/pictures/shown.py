@@ -25,6 +25,8 @@ from jaxstab.pictures.style import (
 from jaxstab.region import StableRegion
 
 _SIZE = 5.0, 3.6  # inches
+_MAP = 0.72, 0.12, 0.26, 0.36  # of the axes: where islands are drawn
+_ROOM = np.array([0.65, 0.35])  # of the main component, beside it for the map and the legend
 _STIFFNESS_LABEL, _DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
 
 Region = StableRegion | WallRegion
@@ -67,11 +69,27 @@ def plot_region(region: Region, ax: Axes | None = None) -> Axes:
     panel = new_axes() if ax is None else ax
     if region.main is not None:
         draw_stable(panel, region.main)
+        if region.islands:
+            _draw_map(panel, region.main, region.islands)
     draw_islands(panel, region.islands)
     is_in_si_units = isinstance(region, WallRegion)
     panel.set_xlabel(_STIFFNESS_LABEL if is_in_si_units else ALPHA_LABEL)
     panel.set_ylabel(_DAMPING_LABEL if is_in_si_units else BETA_LABEL)
     return panel
+
+
+def _draw_map(panel: Axes, main: Region, islands: Sequence[Region]) -> None:
+    """Let the main component fill the axes, and draw it with its islands in a small map."""
+    panel.autoscale(False)
+    inset = panel.inset_axes(_MAP)
+    draw_stable(inset, main)
+    draw_islands(inset, islands)
+    inset.set_title("with islands", fontsize=7, pad=2)
+    inset.tick_params(labelsize=6)
+    inset.locator_params(nbins=3)
+    low, high = (np.nanquantile(closed_outline(main), end, axis=0) for end in (0.0, 1.0))
+    (left, bottom), (right, top) = low - 0.04 * (high - low), high + _ROOM * (high - low)
+    panel.set(xlim=(left, right), ylim=(bottom, top))
 
 
 def plot_loop(loop: HapticLoop, ax: Axes | None = None) -> Axes:

@@ -80,6 +80,8 @@ class ShownRegion:
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the region: walls reached by turning gains up from 0 in blue, islands in purple.
 
+        The former fill the axes; the islands are in a small map beside them.
+
         Args:
             ax: the axes to draw in; None makes a figure with matplotlib.pyplot.
 

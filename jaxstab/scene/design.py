@@ -3,6 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, isfinite, nan
 from typing import NamedTuple
 
@@ -90,14 +91,7 @@ def design_loop(scene: Scene) -> Design:
     loop = loop_of(scene)
     in_samples, safety = scene.controller.delay_samples, scene.wanted.safety or 1.0
     asked = wanted / safety
-
-    def sampled(period: float) -> HapticLoop:
-        delay = loop.delay if in_samples is None else in_samples * period
-        return replace(loop, sample_time=period, delay=delay)
-
-    def delayed(delay: float) -> HapticLoop:
-        return replace(loop, delay=delay)
-
+    sampled, delayed = partial(sampled_loop, scene), partial(delayed_loop, scene)
     period, velocity = loop.sample_time, scene.controller.velocity
     window = velocity.window if velocity else None
     shortest = max(period / _FACTOR, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0)
@@ -116,6 +110,18 @@ def design_loop(scene: Scene) -> Design:
         delay=LargestDelay(*_largest(delayed, asked, period, 0.0, _MOST_SAMPLES * period)),
         hand=at_lowest(scene),
     )
+
+
+def sampled_loop(scene: Scene, period: float) -> HapticLoop:
+    """Return the loop of a scene with another sample time; a delay in samples goes with it."""
+    loop, in_samples = loop_of(scene), scene.controller.delay_samples
+    delay = loop.delay if in_samples is None else in_samples * period
+    return replace(loop, sample_time=period, delay=delay)
+
+
+def delayed_loop(scene: Scene, delay: float) -> HapticLoop:
+    """Return the loop of a scene with another delay in s."""
+    return replace(loop_of(scene), delay=delay)
 
 
 def _largest(

@@ -1,0 +1,142 @@
+"""Issue 31, item 21: pictures show what is asked, with labels that agree with the text."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import run
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import jaxstab
+from jaxstab.pictures.scene import scene_figure
+from jaxstab.scene import Scene, check_walls, design_loop, scene_limits, tune_walls
+
+WINDOW = jaxstab.Velocity.difference(window=0.02)
+TABLE: dict[str, Any] = {
+    "device": {"mass": 0.25, "damping": 0.1},
+    "controller": {"sample_time": 1e-3, "delay_samples": 1.0},
+    "walls": {
+        "soft": {"stiffness": 500.0, "damping": 5.0},
+        "stiff": {"stiffness": 4e4, "damping": 5.0},
+    },
+}
+HAND = {"mass": [0.0, 1.0], "stiffness": [0.0, 700.0], "damping": [0.0, 12.0]}
+MODES = [
+    {"frequency": 60.0 + 20.0 * number, "damping_ratio": 0.02, "modal_mass": 0.5 + number}
+    for number in range(4)
+]
+
+
+def labels_of(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def marks_of(panel: Axes) -> dict[str, np.ndarray[Any, Any]]:
+    """The points of each label that has a mark."""
+    lines = [line for line in panel.get_lines() if line.get_marker() != "None"]
+    return {str(line.get_label()): np.asarray(line.get_xydata()) for line in lines}
+
+
+@pytest.mark.parametrize("delay", [0.0, 1e-3])
+def test_issue_31_21_the_main_component_fills_the_axes(delay: float) -> None:
+    loop = jaxstab.HapticLoop(
+        device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=delay, velocity=WINDOW
+    )
+    region = loop.region()
+    main = region.main
+    assert main is not None
+    assert region.islands
+    for axes in (loop.plot(Figure().subplots()), region.plot(Figure().subplots())):
+        for (low, high), ends, extent in zip(
+            (axes.get_xlim(), axes.get_ylim()), main.outline.T, main.extent, strict=True
+        ):
+            assert low < ends.min()
+            assert ends.max() < high
+            assert extent > 0.5 * (high - low)
+        (inset,) = axes.child_axes
+        (left, right), (bottom, top) = inset.get_xlim(), inset.get_ylim()
+        for island in region.islands:
+            (least_k, least_b), (most_k, most_b) = island.outline.min(0), island.outline.max(0)
+            assert left < least_k < most_k < right
+            assert bottom < least_b < most_b < top
+    without = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+    assert not without.plot(Figure().subplots()).child_axes
+
+
+def test_issue_31_21_limits_draw_the_walls_and_round_the_bound_as_the_text_does() -> None:
+    scene = Scene.from_table(TABLE | {"hand": HAND})
+    limits = scene_limits(scene)
+    figure = scene_figure(scene, limits)
+    marks = marks_of(figure.axes[0])
+    assert marks["wall, stable"].tolist() == [[500.0, 5.0]]
+    assert marks["wall, unstable"].tolist() == [[4e4, 5.0]]
+    assert {text.get_text() for text in figure.axes[0].texts} >= {"soft", "stiff"}
+    (printed,) = (line for line in str(limits).splitlines() if "none is stiffer than" in line)
+    bound = printed.split("none is stiffer than")[1].strip()
+    assert f"for all corners of the hands' range: none is stiffer than {bound}" in labels_of(figure)
+    checked = check_walls(scene)
+    assert "for all corners of the hands' range" in labels_of(scene_figure(scene, checked))
+
+
+def test_issue_31_21_tune_draws_what_it_answers() -> None:
+    scene = Scene.from_table(TABLE | {"wanted": {"at_stiffness": 2000.0}})
+    tuned = tune_walls(scene)
+    marks = marks_of(scene_figure(scene, tuned).axes[0])
+    by_word = {label.split(":")[0]: points for label, points in marks.items()}
+    for words, best in (
+        ("fastest", tuned.least_settling.rounded),
+        ("smallest radius", tuned.least_radius.rounded),
+    ):
+        assert best is not None
+        assert by_word[words].tolist() == [[best.stiffness, best.damping]]
+    given = tuned.walls["wall soft"].rounded, tuned.at_given_stiffness.rounded
+    expected = [[one.stiffness, one.damping] for one in given]
+    assert by_word["best damping at a given stiffness"].tolist() == expected
+
+
+def test_issue_31_21_design_draws_what_it_answers() -> None:
+    scene = Scene.from_table(TABLE | {"wanted": {"stiffness": 20000.0}})
+    design = design_loop(scene)
+    panel = scene_figure(scene, design).axes[0]
+    (line,) = (line for line in panel.get_lines() if str(line.get_label()).startswith("wanted"))
+    assert set(line.get_xdata()) == {20000.0}
+    for words in ("with a sample time of", "with a delay of"):
+        (patch,) = (one for one in panel.patches if str(one.get_label()).startswith(words))
+        assert patch.get_path().vertices[:, 0].max() == pytest.approx(20000.0, rel=1e-4)
+        assert patch.get_window_extent().x1 < panel.bbox.x1
+    none = Scene.from_table(TABLE | {"wanted": {"stiffness": 1e9}, "walls": {}})
+    assert "with a delay" not in " ".join(labels_of(scene_figure(none, design_loop(none))))
+
+
+@pytest.mark.parametrize("count", [1, pytest.param(4, marks=pytest.mark.campaign)])
+def test_issue_31_21_nothing_of_a_device_with_modes_is_cut_off(count: int) -> None:
+    device = TABLE["device"] | {
+        "modes": MODES[:count],
+        "actuator": {"bandwidth": 300.0},
+        "encoder": {"resolution": 1e-5},
+    }
+    hand = {"mass": 0.2, "grip": {"stiffness": 2000.0, "damping": 4.0}}
+    velocity = {"window_samples": 20, "cutoff": 300.0, "order": 2, "kind": "butterworth"}
+    table = TABLE | {"device": device, "hand": hand, "walls": {}}
+    table["controller"] = TABLE["controller"] | {"velocity": velocity}
+    figure = scene_figure(Scene.from_table(table))
+    figure.draw_without_rendering()
+    assert figure.get_suptitle()
+    for part in (*figure.legends, *figure.texts, *(panel.title for panel in figure.axes)):
+        box = part.get_window_extent()
+        assert figure.bbox.x0 <= box.x0, part
+        assert box.x1 <= figure.bbox.x1, part
+        assert figure.bbox.y0 <= box.y0, part
+        assert box.y1 <= figure.bbox.y1, part
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("command", [["limits"], ["tune"], ["design", "--stiffness", "2000"]])
+def test_issue_31_21_commands_draw_their_answers(command: list[str], tmp_path: Path) -> None:
+    picture = tmp_path / "answer.svg"
+    loop = ["--mass", "0.25", "--damping", "0.1", "--sample-time", "0.001"]
+    done = run(*command, *loop, "--wall", "soft", "500", "5", "--plot", picture)
+    assert done.exit_code == 0, done.stderr
+    assert picture.stat().st_size > 10_000
