@@ -67,11 +67,11 @@ COUNTS = dict.fromkeys(COMPUTING_CALLS, _OF_WALLS) | {
     "spectral_radius": Counts(200, 200, 1),
     "verdict": Counts(200, 200, 1),
     # Regions, proofs and searches: as many as take a few seconds.
-    "HapticLoop.amplitude": Counts(200, 20),
+    "HapticLoop.amplitude": Counts(100, 2),
     "HapticLoop.boundary_distance": Counts(60, 20),
     "HapticLoop.damping_limits": Counts(60, 20),
     "HapticLoop.limits": Counts(100),
-    "HapticLoop.margins": Counts(200, 20),
+    "HapticLoop.margins": Counts(100, 2),
     "HapticLoop.region": Counts(100),
     "HapticLoop.robust_limit": Counts(8),
     "HapticLoop.settling_time": Counts(200, 100),
@@ -97,7 +97,22 @@ COUNTS = dict.fromkeys(COMPUTING_CALLS, _OF_WALLS) | {
 }
 """Functions that are not named here are asked 20,000 walls, angles or hands."""
 _QUICK = 40  # the part of the questions that a quick run asks
-SLOW = {"HapticLoop.tune", "robust_region"}  # seconds each: a quick run leaves them out
+SLOW = {  # a question takes a second or so: a quick run leaves them out
+    "HapticLoop.amplitude",
+    "HapticLoop.margins",
+    "HapticLoop.robust_limit",
+    "HapticLoop.tune",
+    "amplitude",
+    "common_region",
+    "margins",
+    "minimize_radius",
+    "minimize_radius_damping",
+    "minimize_settling",
+    "region_facts",
+    "robust_region",
+    "trace_boundary",
+    "tune_for_all",
+}
 
 
 @dataclass(frozen=True)
@@ -353,6 +368,7 @@ def atlases() -> dict[str, dict[str, str]]:
             if file is not None:
                 spec = jaxstab.AtlasSpec.from_file(ROOT / "data" / "specs" / file)
             arrays = jaxstab.build_atlas(spec, Path(folder) / f"{name}.h5").arrays
+            print(f"{name} atlas built", flush=True)
             digests[name] = {k: hash_of([canonical(v)]) for k, v in sorted(arrays.items())}
     return digests
 
