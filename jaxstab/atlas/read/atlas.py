@@ -238,9 +238,9 @@ class Atlas(HeldAtlas):
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.0)
+            >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.5)
             >>> bool(largest.alpha <= largest.bound), round(float(largest.beta), 2)
-            (True, 0.43)
+            (True, 0.35)
         """
         table, points = self._asked(delay, gamma=gamma, delta=delta)
         found = table.max_alpha(*(point.reshape(-1) for point in points))
@@ -312,6 +312,7 @@ class Atlas(HeldAtlas):
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> import numpy as np
             >>> walls = np.array([0.1, 9.0]), np.array([0.3, 0.3])
             >>> atlas.knows(*walls, gamma=0.0005, delta=0.01, delay=1.5).tolist()
             [True, True]

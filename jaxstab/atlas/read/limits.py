@@ -67,9 +67,9 @@ class MaxAlpha(NamedTuple):
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.0)
+        >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.5)
         >>> print(f"{largest.alpha:.4f} at {largest.beta:.4f}, none above {largest.bound:.4f}")
-        0.1486 at 0.4343, none above 0.1506
+        0.0942 at 0.3492, none above 0.0956
     """
 
     alpha: Floats

@@ -32,11 +32,11 @@ class LargestStiffness(NamedTuple):
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> loop = jaxstab.HapticLoop(
-        ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
+        ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1.5e-3
         ... )
         >>> largest = atlas.for_loop(loop).largest_stiffness()
         >>> print(f"{largest.stiffness:.0f} N/m, none above {largest.bound:.0f} N/m")
-        14882 N/m, none above 15082 N/m
+        9449 N/m, none above 9585 N/m
     """
 
     stiffness: float
