@@ -108,9 +108,11 @@ def expected(atlas: Atlas, points: np.ndarray) -> Answers:
         except ValueError:
             pass
         try:
-            answers.codes[place] = atlas.verdict(**by_name(alpha, *hand))
+            code = atlas.verdict(**by_name(alpha, *hand))
         except ValueError:
             continue
+        if code == UNSTABLE or not np.isinf(answers.limits[place, [1, 3]]).all():
+            answers.codes[place] = code  # elsewhere Python says that it does not know
     return answers
 
 
