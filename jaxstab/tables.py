@@ -77,7 +77,7 @@ def text_of(path: str | PathLike[str], most: int) -> str:
     """
     source = "stdin" if str(path) == "-" else path
     if source == "stdin" and sys.stdin is None:
-        raise ValueError("stdin is closed; give it what is to be read, or name a file.")
+        raise ValueError("stdin is closed; redirect a file to it, or give the name of one.")
     try:
         with sys.stdin.buffer if source == "stdin" else Path(path).open("rb") as stream:
             data = stream.read(most + 1)

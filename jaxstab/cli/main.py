@@ -23,8 +23,7 @@ from jaxstab.cli.plan import plan
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import check, design, limits, scene, tune
-from jaxstab.cli.scene_options import warn
-from jaxstab.cli.scene_options import sentence_of
+from jaxstab.cli.scene_options import sentence_of, warn
 from jaxstab.shown import printable
 
 

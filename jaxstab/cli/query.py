@@ -146,10 +146,7 @@ def _one_point(given: dict[str, float]) -> dict[str, list[float]]:
 def _read_points(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
     """Return the columns of a CSV file, and those that the options fill in."""
     source = "stdin" if str(table) == "-" else str(table)
-    if source == "stdin" and sys.stdin is None:
-        raise ValueError("stdin is closed; redirect a file to it, or give the name of one.")
-    text = text_of(sys.stdin.buffer.read if source == "stdin" else table.read_bytes, source)
-    return _parsed(_rows(text, source), source, given)
+    return _parsed(_rows(text_of(table, _MOST_BYTES), source), source, given)
 
 
 def _rows(text: str, source: str) -> Iterator[tuple[str, list[str]]]:
@@ -271,7 +268,6 @@ def _asked_of_scene(
 def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str) -> None:
     every = [{name: row[name] for name in header} for row in rows]
     if form == "csv":
-        every = list(rows)  # what is refused is refused before the header is printed
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(header)

@@ -6,11 +6,11 @@ from math import prod
 
 from jaxstab.guard import Guard, build_guard, guard_header
 from jaxstab.guard.header import LARGEST
+from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.ranges import HandRange
 from jaxstab.scene.basis import basis_of
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of
 from jaxstab.scene.mechanics import Hand
-from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.scene import Scene
 
 Range = tuple[float, float]
