@@ -12,7 +12,7 @@ from benchmarks import truth
 from benchmarks.truth.march import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
 from jaxstab import HapticLoop, SettlingStatus
 from jaxstab.model import by_name
-from jaxstab.motion.settling import positions
+from jaxstab.motion.stretches import positions
 from jaxstab.motion.transition import Loops
 
 LONG = 4000  # samples, enough for every loop below to come to rest

@@ -19,11 +19,11 @@ from jaxstab.model.device.between import Between, between_samples
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filters
 from jaxstab.motion.amplitudes import AmplitudeStatus, WallAmplitude
+from jaxstab.motion.contraction import Systems
 from jaxstab.motion.controller import Bank
 from jaxstab.motion.disturbed import Causes, with_inputs
-from jaxstab.motion.impulse import Systems, impulse_sums
+from jaxstab.motion.impulse import impulse_sums
 from jaxstab.motion.state_space import DIFFERENCE, POSITION, bank_for, groups
-from jaxstab.motion.transition import balance
 from jaxstab.numbers import checked
 
 _NUMBERS = 1 << 18  # of the matrices of all loops that are looked at together
@@ -206,11 +206,6 @@ def _systems(
         blows = _blows(between, count, size, states)
         step = np.concatenate([step, blows], axis=2)
         sizes = np.concatenate([sizes, np.abs(blows)], axis=2)
-    units = balance(step[:, :, :size])
-    for matrix in (step[:, :, :size], sizes[:, :, :size], outputs, output_sizes):
-        matrix *= units[:, None, :]
-    for matrix in (step, sizes):
-        matrix /= units[:, :, None]
     systems = Systems(
         transition=step[:, :, :size],
         inputs=step[:, :, size:],

@@ -10,17 +10,16 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Array, namespace
+from jaxstab.motion.contraction import Matrices, Systems
 from jaxstab.motion.controller import Bank
-from jaxstab.motion.impulse import Systems, impulse_sums
+from jaxstab.motion.impulse import impulse_sums
 from jaxstab.motion.state_space import (
     DIFFERENCE,
     FORCE,
     POSITION,
     VELOCITY,
-    Matrices,
     groups,
     steps_of,
-    units_of,
 )
 
 PerLoop = Float64[np.ndarray, " loop"]
@@ -123,7 +122,7 @@ def _systems(loops: _Loops, whole_delay: int, bank: Bank, causes: Causes) -> Sys
     The difference is that to the last position *as it was read*: so an error that was read with it
     is in the state, and need not be remembered beside it.
     """
-    alpha, beta, rows, middle, gamma, _ = loops
+    alpha, beta, rows, middle, *_ = loops
     row_sizes, middle_sizes = loops.sizes()
     step = with_inputs(-alpha, -beta, rows, bank.outputs, bank.steps, whole_delay)
     size = step.shape[1]
@@ -137,11 +136,6 @@ def _systems(loops: _Loops, whole_delay: int, bank: Bank, causes: Causes) -> Sys
     output_sizes = outputs.copy()
     outputs[:, 3, [POSITION, VELOCITY, FORCE]] = middle
     output_sizes[:, 3, [POSITION, VELOCITY, FORCE]] = middle_sizes
-    units = np.exp2(np.rint(np.log2(units_of(np.abs(alpha) + gamma, whole_delay, bank))))
-    for matrix in (step[:, :, :size], sizes[:, :, :size], outputs, output_sizes):
-        matrix *= units[:, None, :]
-    for matrix in (step, sizes):
-        matrix /= units[:, :, None]
     is_wanted = np.array([True] * size + [*causes[:2], *causes[2:] * 3])
     which = slice(4 if np.any(middle[:, 2]) else 3)
     return Systems(

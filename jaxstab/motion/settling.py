@@ -1,9 +1,9 @@
 """How long the sampled loop rings: settling in the time domain, with the tail proved.
 
-The deviation from rest follows s -> A s. Stretches of samples are looked at, twice as many each
-time, until a power of A proves that no later state leaves the tolerance (lemmas M1 and M2 of
-docs/proofs.md). One product of matrices doubles the states, one squares the power; no eigenvalue is
-needed, and multiple roots do no harm.
+The deviation from rest follows s -> A s, in coordinates in which no sample lengthens s (lemma M3 of
+docs/proofs.md). Stretches of samples are looked at, twice as many each time, until the state is so
+short that no later position leaves the tolerance (lemmas M1 and M2). One product of matrices
+doubles the states, one squares the power; no eigenvalue is needed, and multiple roots do no harm.
 """
 
 from collections.abc import Sequence
@@ -21,11 +21,22 @@ from jaxstab.model import checked_delay, checked_gain, require_x64
 from jaxstab.model.device import Device, sampled_device
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.motion.contraction import (
+    SAFETY,
+    Contraction,
+    PerLoop,
+    contraction,
+    decay,
+    error_of_square,
+    lost_in,
+    norm,
+)
 from jaxstab.motion.controller import Bank
 from jaxstab.motion.response import propagator
 from jaxstab.motion.shown import Column, answer_text
-from jaxstab.motion.state_space import Matrices, bank_for, groups
-from jaxstab.motion.transition import Loops, balanced, device_loops, loops_of
+from jaxstab.motion.state_space import bank_for, groups
+from jaxstab.motion.stretches import STRETCH, Motion
+from jaxstab.motion.transition import Loops, device_loops, loops_of
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdict.door import verdict
 from jaxstab.point.verdict.linear import linear_verdict
@@ -33,11 +44,7 @@ from jaxstab.point.verdict.linear import linear_verdict
 Excitation = Literal["force", "impact"]
 
 HORIZON = 1 << 18
-STRETCH = 32  # samples, a power of two
-_BLOCK = 64  # stretches of one product, a power of two
 _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
-_ROUNDING = 2.0**-53
-_SAFETY = 1.001  # the bounds themselves are rounded (lemma M2)
 
 
 class SettlingStatus(Status):
@@ -240,9 +247,8 @@ def device_settling_samples(
         wholes = np.full(stiff.size, int(delay))
         for _, some in groups(wholes, np.ravel(is_hopeful), memory, _NUMBERS // STRETCH):
             walls = np.ravel(stiff)[some], np.ravel(damp)[some] / sample_time
-            loops = balanced(device_loops(*walls, moves, int(delay), excitation, bank))
-            with np.errstate(all="ignore"):
-                first[some] = _first_samples(loops, level, horizon, excitation == "impact")
+            loops = device_loops(*walls, moves, int(delay), excitation, bank)
+            first[some] = _first_samples(loops, level, horizon, excitation == "impact")
         return first.reshape(stiff.shape)
 
     shape = xp.broadcast_shapes(*map(np.shape, gains))
@@ -272,62 +278,36 @@ def checked_level(level: Any, excitation: str) -> float:
     return level
 
 
-def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
-    """Return the sampled deviations of loops, at least as many as asked for."""
-    search = _Search.begun(loops)
-    found = [search.deviation()]
-    known = search.samples
-    while known < samples:
-        blocks = ceil((samples - known) / (STRETCH * _BLOCK))
-        search = search._replace(states=search.states[:, : blocks * _BLOCK]).doubled()
-        found.append(search.deviation())
-        known += found[-1].shape[1]
-    return np.concatenate(found, axis=1)
-
-
 class _Search(NamedTuple):
-    """What is known of loops after M stretches."""
+    """What is known of loops in coordinates in which no sample lengthens their states."""
 
     number: Int[np.ndarray, " loop"]
-    rows: Float64[np.ndarray, "loop sample state"]  # of the position, of A^i, i < W
-    growth: Float64[np.ndarray, " loop"]  # no less than |A^i|, i < W
-    power: Matrices  # A^(MW)
-    error: Float64[np.ndarray, " loop"]  # no less than the norm of its rounding errors
-    states: Float64[np.ndarray, "loop stretch state"]  # at the beginning of each stretch
-    largest: Float64[np.ndarray, " loop"]  # of all states so far
-    peak: Float64[np.ndarray, " loop"]  # of the positions, or what the tolerance refers to
-    first: Float64[np.ndarray, " loop"]  # the sample since when all were inside the tolerance
+    motion: Motion
+    gain: PerLoop  # no less than a position for a state of length 1
+    power_error: PerLoop  # of the motion's power
+    state_error: PerLoop  # of the last state
+    peak: PerLoop  # of the positions, or what the tolerance refers to
+    first: PerLoop  # the sample since when all were inside the tolerance
 
     @classmethod
-    def begun(cls, loops: Loops) -> "_Search":
-        """Return the state of the search before its first stretch."""
-        power, states = loops
-        count = len(power)
-        rows = np.zeros((count, 1, power.shape[1]))
-        rows[:, 0, 0] = 1.0
-        growth, error, zero = np.ones(count), 4.0 * _ROUNDING * _norm(power), np.zeros(count)
+    def begun(cls, number: Int[np.ndarray, " loop"], new: Contraction) -> "_Search":
+        """Return the search before a look at its first stretch."""
+        power, error, zero = new.transition, new.transition_error, np.zeros(len(number))
         for _ in range(int(log2(STRETCH))):
-            growth = growth * np.maximum(1.0, _norm(power) + error)
-            rows = np.concatenate([rows, rows @ power], axis=1)
-            power, error = _squared(power, error)
-        states = np.swapaxes(states, 1, 2)
-        return cls(np.arange(count), rows, growth, power, error, states, zero, zero, zero)
-
-    @property
-    def samples(self) -> int:
-        """How many samples of each loop are known."""
-        return self.states.shape[1] * STRETCH
-
-    def deviation(self) -> Float64[np.ndarray, "loop sample"]:
-        """Return the positions in the second half of the stretches; all, if there is but one."""
-        states = self.states[:, self.states.shape[1] // 2 :]
-        return _mapped(self.rows, states).reshape(len(self.power), -1)
+            power, error = power @ power, error_of_square(power, error)
+        motion = Motion.begun(new.outputs, new.transition, new.inputs)
+        gain = SAFETY * (norm(new.outputs) + new.outputs_error[:, 0])
+        return cls(number, motion, gain, error, new.inputs_error[:, 0], zero, zero)
 
     def doubled(self) -> "_Search":
         """Return what is known of twice as many stretches, but for the positions."""
-        states = np.concatenate([self.states, _mapped(self.power, self.states)], axis=1)
-        power, error = _squared(self.power, self.error)
-        return self._replace(power=power, error=error, states=states)
+        power, last = self.motion.power, norm(self.motion.states[:, -1:])
+        lost = (self.power_error + lost_in(power) * norm(power)) * (last + self.state_error)
+        return self._replace(
+            motion=self.motion.doubled(),
+            power_error=error_of_square(power, self.power_error),
+            state_error=SAFETY * (decay(power, self.power_error) * self.state_error + lost),
+        )
 
     def looked_at(self, level: float, is_impact: bool) -> "_Search":
         """Return the search after a look at the positions in the second half.
@@ -335,49 +315,21 @@ class _Search(NamedTuple):
         A position outside the tolerance may turn out to be inside after a larger one is found. That
         larger position is itself outside and comes later, so the last position outside stays right.
         """
-        size = np.abs(self.deviation())
-        new = self.states[:, self.states.shape[1] // 2 :]
+        size = np.abs(self.motion.latest())
         peak = np.maximum(self.peak, np.max(size, axis=1)) if is_impact else np.ones(len(size))
         outside = size[:, ::-1] > level * peak[:, None]
-        last = self.samples - np.argmax(outside, axis=1)
-        return self._replace(
-            largest=np.maximum(self.largest, np.max(np.abs(new), axis=(1, 2))),
-            peak=peak,
-            first=np.where(np.any(outside, axis=1), last, self.first),
-        )
+        last = self.motion.samples - np.argmax(outside, axis=1)
+        first = np.where(np.any(outside, axis=1), last, self.first)
+        return self._replace(peak=peak, first=first)
 
-    def bound(self) -> Float64[np.ndarray, " loop"]:
-        """Return a bound of all states after those looked at; infinite if none is proved."""
-        contraction = _SAFETY * (_norm(self.power) + self.error)
-        bound = _SAFETY * self.growth * contraction * self.largest
-        return np.where(contraction < 1.0, bound, np.inf)
+    def bound(self) -> PerLoop:
+        """Return a bound of all positions from the last stretch on (lemma M1)."""
+        return SAFETY * self.gain * (norm(self.motion.states[:, -1:]) + self.state_error)
 
     def chosen(self, which: Any) -> "_Search":
         """Return the search of some of the loops."""
-        return _Search(*(field[which] for field in self))
-
-
-def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop stretch row"]:
-    """Return the products of each loop's matrix and its states.
-
-    They are taken in blocks that BLAS does not share out to threads, which for matrices as small as
-    these wait for each other longer than they work.
-    """
-    loops, stretches, size = states.shape
-    blocks = states.reshape(loops, -1, min(stretches, _BLOCK), size)
-    return (blocks @ np.swapaxes(matrices, 1, 2)[:, None]).reshape(loops, stretches, -1)
-
-
-def _norm(matrices: Matrices) -> Float64[np.ndarray, " loop"]:
-    """Return the row-sum norm: the largest entry of A s for entries of s up to 1."""
-    return np.max(np.sum(np.abs(matrices), axis=2), axis=1)
-
-
-def _squared(power: Matrices, error: np.ndarray) -> tuple[Matrices, np.ndarray]:
-    """Return the square, and a bound of its error if that of the factor is one."""
-    norm = _norm(power)
-    rounding = (power.shape[-1] + 2) * _ROUNDING * (norm + error) ** 2
-    return power @ power, error * (2.0 * norm + error) + rounding
+        number, motion, *columns = self
+        return _Search(number[which], motion.chosen(which), *(one[which] for one in columns))
 
 
 def _settle(
@@ -393,10 +345,7 @@ def _settle(
     for whole, some in groups(whole_delay, is_hopeful, len(bank.steps), _NUMBERS // STRETCH):
         gains = alpha[some], beta[some]
         loops = loops_of(*gains, entries[:, some], whole, excitation, bank)
-        if len(bank.steps):  # filters go on ringing: next to a rotation it is not
-            loops = balanced(loops)
-        with np.errstate(all="ignore"):  # what grows overflows, and is never proved
-            first[some] = _first_samples(loops, level, horizon, excitation == "impact")
+        first[some] = _first_samples(loops, level, horizon, excitation == "impact")
     return first.reshape(lanes[0].shape)
 
 
@@ -404,16 +353,17 @@ def _first_samples(
     loops: Loops, level: float, horizon: int, is_impact: bool
 ) -> Float64[np.ndarray, " loop"]:
     first = np.full(len(loops.start), np.nan)
-    searches = [_Search.begun(loops)]
+    new = contraction(loops.systems())
+    stable = np.flatnonzero(new.doublings >= 0)
+    searches = [_Search.begun(stable, new.chosen(stable))] if stable.size else []
     while searches:
         search = searches.pop().looked_at(level, is_impact)
         proved = search.bound() <= level * search.peak
         first[search.number[proved]] = search.first[proved]
-        is_open = ~proved & np.isfinite(search.error)
-        if search.samples >= horizon or not np.any(is_open):
+        if search.motion.samples >= horizon or np.all(proved):
             continue
-        search = search.chosen(is_open)
-        parts = ceil(len(search.number) * search.samples / _NUMBERS)
+        search = search.chosen(~proved)
+        parts = ceil(len(search.number) * search.motion.samples / _NUMBERS)
         lanes = np.array_split(np.arange(len(search.number)), parts)
         searches += [search.chosen(part).doubled() for part in lanes if part.size]
     return first

@@ -13,13 +13,10 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import is_any_traced, leaves
 from jaxstab.model.filters import Filters
+from jaxstab.motion.contraction import Matrices
 from jaxstab.motion.controller import PLAIN, Bank, Controller, bank_of
 
-Matrices = Float64[np.ndarray, "_ _ _"]
-
 POSITION, DIFFERENCE, VELOCITY, FORCE = range(4)  # the first entries of the state, of one mass
-
-_LEAST_STIFFNESS = 1e-12  # keeps the scales of a loop without any stiffness finite
 
 
 def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
@@ -77,18 +74,6 @@ def steps_of(
     step[:, DIFFERENCE, POSITION] -= 1.0
     step[:, last + 1 :, known] = remembered
     return step
-
-
-def units_of(
-    stiffness: Float64[np.ndarray, " loop"], whole_delay: int, bank: Bank
-) -> Float64[np.ndarray, "loop state"]:
-    """Return units of the state in which an undamped oscillation is nearly a rotation."""
-    rate = np.sqrt(stiffness + _LEAST_STIFFNESS)[:, None]
-    last = FORCE + whole_delay
-    units = np.ones((len(rate), last + 1 + len(bank.steps)))
-    units[:, 1 : last + 1] = rate
-    units[:, last + 1 :] = np.where(bank.is_velocity, rate, 1.0)
-    return units
 
 
 def groups(

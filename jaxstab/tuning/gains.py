@@ -17,7 +17,8 @@ from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.settling import STRETCH, Excitation, checked_level, positions
+from jaxstab.motion.settling import Excitation, checked_level
+from jaxstab.motion.stretches import STRETCH, positions
 from jaxstab.numbers import checked_number
 from jaxstab.tuning.component import ALL_GAINS
 from jaxstab.tuning.grid import FINE, Grid, zoomed
