@@ -1,5 +1,6 @@
 """The commands around a scene, as a user meets them."""
 
+import itertools
 import json
 import re
 from dataclasses import dataclass
@@ -10,8 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from mpmath import mp
 
 from benchmarks import truth
+from benchmarks.truth.march import FINE, march_on_a_fine_grid
 from jaxstab import HapticLoop
 from jaxstab.cli.main import main
 from jaxstab.conventions import Verdict
@@ -397,3 +400,58 @@ def test_without_anything_to_do_the_help_is_shown() -> None:
     result = run("scene")
     assert result.exit_code == 2
     assert result.stderr.startswith("Usage:")
+
+
+@pytest.mark.parametrize(
+    ("wall", "slowest", "least_damped"),
+    [
+        ((530.0, 1.8), (0.16, 0.0, 0.2), (0.16, 280.0, 0.2)),
+        ((530.0, 26.0), (0.0, 0.0, 12.0), (0.16, 280.0, 0.2)),
+    ],
+)
+def test_item_7_check_prints_the_worst_of_all_hands_and_whose_it_is(
+    wall: tuple[float, float],
+    slowest: tuple[float, float, float],
+    least_damped: tuple[float, float, float],
+) -> None:
+    """Of the first wall, the hand of the largest radius settles earlier than another one."""
+    hands = {"mass": [0.0, 0.16], "stiffness": [0.0, 280.0], "damping": [0.2, 12.0]}
+    table = {
+        "device": {"mass": 0.46, "damping": 2.5},
+        "hand": hands,
+        "controller": {"sample_time": 0.001, "delay_samples": 1.0},
+        "walls": {"a": {"stiffness": wall[0], "damping": wall[1]}},
+    }
+    found = check_walls(Scene.from_table(table)).as_json()["a"]
+    times, modes = {}, {}
+    for hand in itertools.product(*hands.values()):
+        mass, stiffness, damping = hand
+        loop = HapticLoop(
+            device_mass=0.46,
+            device_damping=2.5,
+            hand_mass=mass,
+            hand_stiffness=stiffness,
+            hand_damping=damping,
+            sample_time=1e-3,
+            delay=1e-3,
+        )
+        states, _ = march_on_a_fine_grid(loop, *wall, 4000, wall[0] + stiffness, np.zeros(2))
+        outside = np.abs(states[::FINE, 0] - 1.0)
+        times[hand] = [1e-3 * (np.flatnonzero(outside > band)[-1] + 1) for band in (0.02, 0.05)]
+        total = 0.46 + mass
+        units = 1e-6 / total, 1e-3 / total, 1e-6 / total, 1e-3 / total
+        point = (wall[0], wall[1], stiffness, 2.5 + damping)
+        logarithm = mp.log(truth.roots(*(q * u for q, u in zip(point, units, strict=True)), 1.0)[0])
+        modes[hand] = float(-logarithm.real / abs(logarithm)), float(abs(logarithm.imag))
+    assert max(times, key=lambda hand: times[hand][0]) == slowest
+    assert min(modes, key=lambda hand: modes[hand][0]) == least_damped
+    assert tuple(found["slowest_hand"].values()) == slowest
+    assert tuple(found["least_damped_hand"].values()) == least_damped
+    for number, level in enumerate((2, 5)):
+        longest = max(time[number] for time in times.values())
+        assert found[f"settling_time_{level}_percent"] == pytest.approx(longest, rel=1e-12)
+    ratio, angle = modes[least_damped]
+    assert found["damping_ratio"] == pytest.approx(ratio, rel=1e-9)
+    assert found["frequency"] == pytest.approx(angle / (2e-3 * np.pi), rel=1e-9)
+    assert found["settling_is"] == "the longest of 8 hands"
+    assert found["oscillation_is"] == "the least damped of 8 hands"

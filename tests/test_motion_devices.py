@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+import scipy.linalg
 
 import jaxstab
 from benchmarks.truth import devices
@@ -129,6 +130,68 @@ def test_settling_of_a_device_is_that_of_its_equations(case: str, filters: str) 
         found = loop.settling_time(*WALL, excitation=excitation)
         assert int(found.status) == SettlingStatus.SETTLED
         assert float(found.value) == pytest.approx(samples * PERIOD, rel=1e-15)
+
+
+def struck(
+    above: list[float], below: list[float], wall: tuple[float, float], window: int, samples: int
+) -> np.ndarray:
+    """Positions of a device (T = 1 ms) that stood at 0, after a unit blow that moves it at once.
+
+    Below is monic, above has one degree less. The wall reads positions 0 before the blow.
+    """
+    order = len(below) - 1
+    rates = np.zeros((order + 1, order + 1))  # the observer's form, and the force that is held
+    rates[:order, 0] = [-one for one in below[1:]]
+    rates[range(order - 1), range(1, order)] = 1.0
+    rates[:order, order] = above
+    moves = scipy.linalg.expm(rates * PERIOD)[:order]
+    state, positions = np.array(above), [0.0] * window
+    for _ in range(samples):
+        positions.append(state[0])
+        speed = (positions[-1] - positions[-1 - window]) / (window * PERIOD)
+        state = moves @ [*state, -wall[0] * state[0] - wall[1] * speed]
+    return np.array(positions[window:])
+
+
+STRUCK = {
+    "damper": ([1.0], [1.0, 100.0], 1),
+    "damper, window": ([1.0], [1.0, 100.0], 5),
+    "damper and spring": ([0.5, 30.0], [1.0, 40.0, 900.0], 1),
+}
+
+
+def struck_loop(case: str) -> HapticLoop:
+    above, below, window = STRUCK[case]
+    device = Device.transfer_function(above, below)
+    velocity = Velocity.difference(samples=window)
+    return HapticLoop(device=device, sample_time=PERIOD, velocity=velocity)
+
+
+def time_of_struck(case: str, wall: tuple[float, float]) -> float:
+    above, below, window = STRUCK[case]
+    positions = struck(above, below, wall, window, LONG)
+    return PERIOD * settled_since(positions, 0.0, 0.05 * np.abs(positions).max())
+
+
+@pytest.mark.parametrize("case", STRUCK)
+def test_item_2_a_blow_that_moves_a_device_at_once_finds_its_estimator_at_rest(case: str) -> None:
+    """The damper was called settled after 0.063 s."""
+    found = struck_loop(case).settling_time(244.0, 0.87, excitation="impact", level=0.05)
+    assert int(found.status) == SettlingStatus.SETTLED
+    assert float(found.value) == pytest.approx(time_of_struck(case, (244.0, 0.87)), rel=1e-12)
+    if case == "damper":
+        assert float(found.value) == pytest.approx(0.260, rel=1e-12)
+
+
+@pytest.mark.campaign
+def test_item_2_walls_that_are_tuned_for_such_a_blow_settle_when_they_say() -> None:
+    loop = struck_loop("damper")
+    for best in (
+        loop.tune("settling", excitation="impact", level=0.05),
+        jaxstab.tune_for_all([loop], excitation="impact", level=0.05),
+    ):
+        wall = best.stiffness, best.damping
+        assert best.settling_time == pytest.approx(time_of_struck("damper", wall), rel=1e-12)
 
 
 def test_a_device_of_one_mass_is_the_loop_of_five_numbers() -> None:

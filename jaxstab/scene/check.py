@@ -4,11 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import inf, isinf, nan
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
 
+from jaxstab.arrays import tree_map
 from jaxstab.batches import by_kind
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
@@ -22,9 +23,11 @@ from jaxstab.loop.together import (
     verdicts,
     wall_margins,
 )
+from jaxstab.motion import Oscillation as Mode
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
+from jaxstab.ranges import WallMargins
 from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.scene.answers import (
     Answer,
@@ -40,7 +43,7 @@ from jaxstab.scene.answers import (
     Time,
 )
 from jaxstab.scene.basis import basis_of
-from jaxstab.scene.hands import HeldBy, WorstHeld, worst_held
+from jaxstab.scene.hands import HeldBy, WorstHeld, held_by, worst_held
 from jaxstab.scene.loops import corner_loops, hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene
 
@@ -48,6 +51,7 @@ _HORIZON = 2**17  # samples within which settling is looked for
 _LEVELS = 0.02, 0.05
 
 
+Asked = TypeVar("Asked")
 Values = Float64[np.ndarray, " hand"]
 LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
@@ -101,7 +105,10 @@ class Radius(Answer):
 
 @dataclass(frozen=True)
 class Settling(Answer):
-    """The settling times; NaN where they are not proved, infinite for an unstable wall."""
+    """The longest settling times of some hands, and the hand that takes longest to 2 percent.
+
+    They are NaN where one is not proved, infinite for an unstable wall.
+    """
 
     is_part = True
     absent = "not proved"
@@ -109,16 +116,20 @@ class Settling(Answer):
     settling_time_2_percent: SettlingTime
     settling_time_5_percent: SettlingTime
     settling_status: SettlingStatus
+    settling_is: str | None
+    slowest_hand: HeldBy | None
 
 
 @dataclass(frozen=True)
 class Oscillation(Answer):
-    """The slowest mode."""
+    """The slowest mode with the hand, of some, of which it is damped least."""
 
     is_part = True
 
     damping_ratio: Number
     frequency: Frequency
+    oscillation_is: str | None
+    least_damped_hand: HeldBy | None
 
 
 @dataclass(frozen=True)
@@ -135,7 +146,10 @@ class Chatter(Answer):
 
 @dataclass(frozen=True)
 class WallCheck(Answer):
-    """What is known of a wall, and the measures that are wanted, at the worst hand."""
+    """What is known of a wall, and the measures that are wanted.
+
+    The worst hand is that of the largest radius; radius and distance are given for it.
+    """
 
     stiffness: Stiffness
     damping: Damping
@@ -184,7 +198,7 @@ class _Wall:
 
 
 def check_walls(scene: Scene) -> Check:
-    """Return for each wall its verdict and the measures that are wanted, at the worst hand.
+    """Return for each wall its verdict and the measures that are wanted, at their worst.
 
     Raises:
         ValueError: there is no wall, or a quantity is out of range.
@@ -239,22 +253,52 @@ def _wall_check(wall: _Wall, measures: dict[str, Any]) -> WallCheck:
     return WallCheck(*wall.gains, verdict, tried, hand, **measures)
 
 
+def _over_hands(
+    walls: Sequence[_Wall], ask: Callable[..., Asked], *columns: Sequence[float]
+) -> list[tuple[_Wall, list[HapticLoop], Asked]]:
+    """Return each wall with its loops, the one with the worst hand too, and what they answer.
+
+    The columns have a number for each wall, which is asked with each of its loops.
+    """
+    held = [list(dict.fromkeys([*wall.loops, wall.known.loop])) for wall in walls]
+    counts = [len(loops) for loops in held]
+    rendered = [
+        Rendered(loop, wall.gains)
+        for wall, loops in zip(walls, held, strict=True)
+        for loop in loops
+    ]
+    found = ask(rendered, *(np.repeat(column, counts) for column in columns))
+    ends = np.cumsum(counts)
+    parts = [
+        tree_map(lambda one, own=slice(end - count, end): one[own], found)
+        for count, end in zip(counts, ends, strict=True)
+    ]
+    return list(zip(walls, held, parts, strict=True))
+
+
+def _among(words: str, loops: list[HapticLoop]) -> str | None:
+    """Return of how many hands an answer is the worst, or None of one hand."""
+    return f"{words} of {len(loops)} hands" if len(loops) > 1 else None
+
+
+def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
+    return None if wall.known.hand is None else held_by(loop)
+
+
 def _margins(walls: Sequence[_Wall]) -> list[Margins]:
-    """Return the least margins of each wall over its loops."""
-    found = wall_margins([Rendered(loop, wall.gains) for wall in walls for loop in wall.loops])
+    """Return the least margins of each wall over its hands."""
+    return [_least_margins(*own) for own in _over_hands(walls, wall_margins)]
+
+
+def _least_margins(wall: _Wall, loops: list[HapticLoop], found: WallMargins) -> Margins:
     spare = np.array([found.stiffness_gain, found.damping_gain, found.extra_delay])
-    answers, first = [], 0
-    for wall in walls:
-        own = slice(first, first + len(wall.loops))
-        # NaN, of a hand with which the wall is not stable, goes through.
-        stiffer, damper, extra_delay = spare[:, own].min(axis=1).tolist()
-        searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
-        words = f"the least of {len(wall.loops)} hands" if len(wall.loops) > 1 else None
-        limits = _common(found.stiffness[own]), _common(found.damping[own])
-        kind = NoMargins if wall.known.verdict == Verdict.UNSTABLE else Margins
-        answers.append(kind(stiffer, damper, *limits, extra_delay, searched, words))
-        first = own.stop
-    return answers
+    # NaN, of a hand with which the wall is not stable, goes through.
+    stiffer, damper, extra_delay = spare.min(axis=1).tolist()
+    searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
+    limits = _common(found.stiffness), _common(found.damping)
+    kind = NoMargins if wall.known.verdict == Verdict.UNSTABLE else Margins
+    words = _among("the least", loops)
+    return kind(stiffer, damper, *limits, extra_delay, searched, words)
 
 
 def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
@@ -274,12 +318,35 @@ def _radii(walls: Sequence[_Wall]) -> list[Radius]:
 
 
 def _settlings(walls: Sequence[_Wall]) -> list[Settling]:
-    found = settling_times([wall.at_worst for wall in walls], _LEVELS, _HORIZON)
-    two, five = ([MotionSettling(*own) for own in zip(*one, strict=True)] for one in found)
-    return [
-        Settling(settled(one), settled(other), SettlingStatus(int(one.status)))
-        for one, other in zip(two, five, strict=True)
+    """Return the longest settling times of each wall over its hands."""
+
+    def ask(rendered: Sequence[Rendered]) -> list[MotionSettling]:
+        return settling_times(rendered, _LEVELS, _HORIZON)
+
+    return [_longest(*own) for own in _over_hands(walls, ask)]
+
+
+def _longest(wall: _Wall, loops: list[HapticLoop], found: list[MotionSettling]) -> Settling:
+    numbers = [_slowest(one) for one in found]
+    worst = [
+        MotionSettling(*(column[number] for column in one))
+        for number, one in zip(numbers, found, strict=True)
     ]
+    return Settling(
+        *(settled(one) for one in worst),
+        SettlingStatus(int(worst[0].status)),
+        _among("the longest", loops),
+        _hand_of(wall, loops[numbers[0]]),
+    )
+
+
+def _slowest(found: MotionSettling) -> int:
+    """Return the number of the hand that takes longest: an unstable one, or one not proved."""
+    values, status = np.asarray(found.value), np.asarray(found.status)
+    rank = np.select(
+        [status == SettlingStatus.UNSTABLE, status == SettlingStatus.SETTLED], [2, 0], 1
+    )
+    return int(np.lexsort((values, rank))[-1])
 
 
 def settled(found: MotionSettling) -> float:
@@ -291,25 +358,28 @@ def settled(found: MotionSettling) -> float:
 
 
 def _oscillations(walls: Sequence[_Wall]) -> list[Oscillation]:
-    ratio, frequency = oscillations([wall.at_worst for wall in walls])
-    return [Oscillation(*both) for both in zip(ratio.tolist(), frequency.tolist(), strict=True)]
+    """Return the slowest mode of each wall with the hand of which it is damped least."""
+    return [_least_damped(*own) for own in _over_hands(walls, oscillations)]
+
+
+def _least_damped(wall: _Wall, loops: list[HapticLoop], found: Mode) -> Oscillation:
+    ratios = np.asarray(found.damping_ratio)
+    number = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
+    return Oscillation(
+        *(float(column[number]) for column in found),
+        _among("the least damped", loops),
+        _hand_of(wall, loops[number]),
+    )
 
 
 def _chatters(walls: Sequence[_Wall]) -> list[Chatter]:
-    """Return the largest amplitudes of each wall over its loops and the one with the worst hand."""
-    held = [list(dict.fromkeys([*wall.loops, wall.known.loop])) for wall in walls]
+    """Return the largest amplitudes of each wall over its hands."""
     encoders = [wall.scene.device.encoder for wall in walls]
     steps = [one.resolution for one in encoders if one is not None]  # all, as they are wanted
-    counts = [len(loops) for loops in held]
-    rendered = [
-        Rendered(loop, wall.gains)
-        for wall, loops in zip(walls, held, strict=True)
-        for loop in loops
+    return [
+        _chatter(found.position, found.force, found.force_per_count)
+        for _, _, found in _over_hands(walls, amplitudes, steps)
     ]
-    found = amplitudes(rendered, np.repeat(steps, counts))
-    ends = np.cumsum(counts)[:-1]
-    columns = (np.split(one, ends) for one in (found.position, found.force, found.force_per_count))
-    return [_chatter(*own) for own in zip(*columns, strict=True)]
 
 
 def _chatter(position: Values, force: Values, force_per_count: Values) -> Chatter:
