@@ -21,14 +21,16 @@ from benchmarks.truth.march import (
     march_of_plant,
 )
 from benchmarks.truth.random_loops import device_of
-from jaxstab import Filter, HandRange, HapticLoop, SettlingStatus, Velocity, Verdict
+from jaxstab import Filter, HandRange, HapticLoop, SettlingStatus, Velocity
+from jaxstab.conventions import Verdict
 
 pytestmark = pytest.mark.campaign
 
 COUNT = many(1000)
 MOST = 0.005  # the share of walls without an answer
-RANGES = many(100)  # of hands: each is proved for the whole range
-LONGEST = 20_000  # samples that are simulated
+LEVEL = 0.02
+EACH = 10  # loop is simulated
+LONGEST = 20_000  # samples of a simulation
 NEAR = 1e-9  # of the tolerance: positions that may be counted as inside or outside
 
 
@@ -115,3 +117,88 @@ def ordinary(seed: int) -> Ordinary | None:
     )
     wall = drawn_wall(rng, loop)
     return None if wall is None else Ordinary(drawn, loop, taps, more, wall)
+
+
+@pytest.fixture(scope="module")
+def loops() -> list[Ordinary]:
+    found = [ordinary(seed) for seed in range(COUNT)]
+    stable = [one for one in found if one is not None]
+    assert len(stable) > 0.9 * COUNT
+    return stable
+
+
+def settled_in_simulation(one: Ordinary, excitation: str, samples: int) -> tuple[int, float]:
+    """The count by scipy's exponential and lfilter, and how close a position is to the level."""
+    drawn = one.drawn
+    a, wall, c = (np.array(part.tolist(), float) for part in drawn.mechanism.system())
+    handle = drawn._replace(bandwidth=None).mechanism.system()
+    hand = np.zeros(len(a))
+    hand[: handle.b.rows] = np.array(handle.b.tolist(), float).ravel()
+    period = drawn.sample_time
+    plant = Plant(a * period, wall.ravel() * period, hand * period, c.ravel())
+    gains = one.wall[0], one.wall[1] / period
+    states, _ = march_of_plant(
+        plant,
+        drawn.delay,
+        gains,
+        one.velocity,
+        one.position,
+        samples,
+        push=1.0 if excitation == "force" else 0.0,
+        start=np.zeros(len(a)) if excitation == "force" else plant.hand,
+    )
+    positions = states @ plant.c
+    if excitation == "force":
+        held = np.linalg.solve(plant.a - gains[0] * np.outer(plant.wall, plant.c), -plant.hand)
+        positions = positions / (plant.c @ held) - 1.0
+    size = np.abs(positions)
+    size = size / (1.0 if excitation == "force" else size.max())
+    return int(np.flatnonzero(size > LEVEL)[-1]) + 1, float(np.abs(size / LEVEL - 1.0).min())
+
+
+def test_item_11_settling_is_proved_of_nearly_all_and_is_that_of_simulations(
+    loops: list[Ordinary],
+) -> None:
+    unknown, simulated = 0, 0
+    for number, one in enumerate(loops):
+        for excitation in ("force", "impact"):
+            found = one.loop.settling_time(*one.wall, excitation=excitation, level=LEVEL)
+            if int(found.status) != SettlingStatus.SETTLED:
+                unknown += 1
+                continue
+            count = round(float(found.value) / one.drawn.sample_time)
+            if number % EACH or 2 * count > LONGEST:
+                continue
+            expected, distance = settled_in_simulation(one, excitation, 2 * count + 100)
+            assert count == expected or distance < NEAR, (number, excitation)
+            simulated += 1
+    note("ordinary loops, settling", walls=2 * len(loops), unknown=unknown, simulated=simulated)
+    assert unknown <= MOST * 2 * len(loops)
+    assert simulated > len(loops) / EACH
+
+
+def test_margins_are_given_for_nearly_all(loops: list[Ordinary]) -> None:
+    unknown = 0
+    for one in loops:
+        found = one.loop.margins(*one.wall)
+        spare = found.stiffness_gain, found.damping_gain, found.extra_delay
+        unknown += bool(np.isnan(spare).any())
+    note("ordinary loops, margins", walls=len(loops), unknown=unknown)
+    assert unknown <= MOST * len(loops)
+
+
+def test_hands_of_a_range_are_decided_for_nearly_all(loops: list[Ordinary]) -> None:
+    """Hands down to half of the one that was drawn, wherever device and hand are one mass."""
+    unknown, asked = 0, 0
+    for one in loops:
+        arm = one.drawn.hand
+        if arm is None or one.loop.device is not None:
+            continue
+        ends = ((0.5 * value, value) for value in arm[:3])
+        hands = HandRange(**dict(zip(("mass", "damping", "stiffness"), ends, strict=True)))
+        found = one.loop.worst_hand(hands, *one.wall)
+        unknown += found.verdict == Verdict.UNDECIDED
+        asked += 1
+    note("ordinary loops, hands", ranges=asked, unknown=unknown)
+    assert asked > 0.2 * len(loops)
+    assert unknown <= MOST * asked

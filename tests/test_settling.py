@@ -9,8 +9,17 @@ from mpmath import mp
 
 import jaxstab
 from benchmarks import truth
-from benchmarks.truth.march import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
-from jaxstab import HapticLoop, SettlingStatus
+from benchmarks.truth.march import (
+    FINE,
+    HELD,
+    OSCILLATING,
+    PHANTOM,
+    butterworth_taps,
+    difference_taps,
+    march_on_a_fine_grid,
+    march_through_filters,
+)
+from jaxstab import HapticLoop, SettlingStatus, Velocity
 from jaxstab.model import by_name
 from jaxstab.motion.stretches import positions
 from jaxstab.motion.transition import Loops
@@ -210,6 +219,31 @@ class TestSettling:
     def test_refuses(self, options: dict[str, object], message: str) -> None:
         with pytest.raises((ValueError, TypeError), match=message):
             jaxstab.settling_samples(0.1, 0.3, gamma=0.0, delta=0.0, delay=0, **options)
+
+    def test_item_11_of_walls_behind_a_butterworth_filter_at_10_khz_is_proved(self) -> None:
+        """None of them was; one of them against scipy's sections, run sample by sample."""
+        loop = HapticLoop(
+            device_mass=2.0,
+            device_damping=0.5,
+            hand_mass=0.5,
+            hand_damping=2.0,
+            hand_stiffness=100.0,
+            sample_time=1e-4,
+            delay=2e-4,
+            velocity=Velocity.butterworth(20.0, order=2),
+        )
+        stiffness, damping = np.array([[30.0], [100.0], [300.0]]), np.array([2.0, 5.0, 20.0])
+        for excitation in ("force", "impact"):
+            found = loop.settling_time(stiffness, damping, excitation=excitation)
+            assert (found.status == SettlingStatus.SETTLED).all()
+        units = 1e-8 / 2.5, 1e-4 / 2.5
+        plant, wall = (100.0 * units[0], 2.5 * units[1], 2.0), (300.0 * units[0], 20.0 * units[1])
+        taps = [difference_taps(1), *butterworth_taps(20.0 * 1e-4, 2)]
+        push = wall[0] + plant[0]
+        states, _ = march_through_filters(plant, wall, taps, [], 40_000, push=push)
+        assert abs(states[-1, 0] - 1.0) < 1e-3
+        expected = settled_since(states[:, 0], 1.0, 0.02)
+        assert float(loop.settling_time(300.0, 20.0).value) == pytest.approx(1e-4 * expected)
 
 
 class TestDominantMode:

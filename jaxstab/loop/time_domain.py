@@ -55,7 +55,7 @@ class LoopInTime(LoopParameters):
             TypeError: a filter is traced, or the horizon is not a whole number.
             RuntimeError: JAX arrays are given without x64.
 
-        Source: the loop of eqs. (1)-(5), Table I; lemmas M1 and M2 of docs/proofs.md.
+        Source: the loop of eqs. (1)-(5), Table I; lemmas M1 to M3 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)

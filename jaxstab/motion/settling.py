@@ -120,7 +120,9 @@ def settling_samples(
       tolerance is level times the final displacement F/(K + k), with K P(1) for K if a position
       filter has a gain other than 1. This is the settling time of a step response.
     - "impact": the device hits the wall with some velocity at sample 0, and nothing else pushes it.
-      The tolerance is level times the largest sampled excursion, around 0.
+      The tolerance is level times the largest sampled excursion, around 0. A general device is at
+      rest until a blow at sample 0; if its compliance has one degree more in the denominator, the
+      blow moves it at once, and the estimator sees that jump.
 
     Args:
         alpha: wall stiffness K T^2/m, any shape; like the next four arguments it broadcasts.
@@ -146,7 +148,7 @@ def settling_samples(
         RuntimeError: JAX arrays are given without x64.
 
     Source: the loop of eqs. (1)-(5); 2 % settling is what later papers of the same authors use;
-    lemmas M1 and M2 of docs/proofs.md.
+    lemmas M1 to M3 of docs/proofs.md.
 
     Example:
         >>> int(jaxstab.settling_samples(0.1, 0.5, gamma=0.0, delta=0.015, delay=0.0).value)
