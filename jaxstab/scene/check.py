@@ -27,7 +27,7 @@ from jaxstab.motion import Oscillation as Mode
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
-from jaxstab.ranges import WallMargins
+from jaxstab.ranges import Margins as LoopMargins
 from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.scene.answers import (
     Answer,
@@ -290,7 +290,7 @@ def _margins(walls: Sequence[_Wall]) -> list[Margins]:
     return [_least_margins(*own) for own in _over_hands(walls, wall_margins)]
 
 
-def _least_margins(wall: _Wall, loops: list[HapticLoop], found: WallMargins) -> Margins:
+def _least_margins(wall: _Wall, loops: list[HapticLoop], found: LoopMargins) -> Margins:
     spare = np.array([found.stiffness_gain, found.damping_gain, found.extra_delay])
     # NaN, of a hand with which the wall is not stable, goes through.
     stiffer, damper, extra_delay = spare.min(axis=1).tolist()
@@ -328,16 +328,12 @@ def _settlings(walls: Sequence[_Wall]) -> list[Settling]:
 
 def _longest(wall: _Wall, loops: list[HapticLoop], found: list[MotionSettling]) -> Settling:
     numbers = [_slowest(one) for one in found]
-    worst = [
-        MotionSettling(*(column[number] for column in one))
+    two, five = (
+        MotionSettling(one.value[number], one.status[number])
         for number, one in zip(numbers, found, strict=True)
-    ]
-    return Settling(
-        *(settled(one) for one in worst),
-        SettlingStatus(int(worst[0].status)),
-        _among("the longest", loops),
-        _hand_of(wall, loops[numbers[0]]),
     )
+    status, hand = SettlingStatus(int(two.status)), _hand_of(wall, loops[numbers[0]])
+    return Settling(settled(two), settled(five), status, _among("the longest", loops), hand)
 
 
 def _slowest(found: MotionSettling) -> int:
@@ -365,11 +361,9 @@ def _oscillations(walls: Sequence[_Wall]) -> list[Oscillation]:
 def _least_damped(wall: _Wall, loops: list[HapticLoop], found: Mode) -> Oscillation:
     ratios = np.asarray(found.damping_ratio)
     number = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
-    return Oscillation(
-        *(float(column[number]) for column in found),
-        _among("the least damped", loops),
-        _hand_of(wall, loops[number]),
-    )
+    ratio, frequency = float(ratios[number]), float(found.frequency[number])
+    words, hand = _among("the least damped", loops), _hand_of(wall, loops[number])
+    return Oscillation(ratio, frequency, words, hand)
 
 
 def _chatters(walls: Sequence[_Wall]) -> list[Chatter]:
