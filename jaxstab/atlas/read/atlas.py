@@ -305,24 +305,6 @@ class Atlas(HeldAtlas):
         table = self._asked_over(None, beta, gamma, delta, delay)
         return table.common_limits(beta, gamma, delta, delay)
 
-    def knows(
-        self, alpha: Floats, beta: Floats, *, gamma: float, delta: float, delay: float
-    ) -> NDArray[np.bool_]:
-        """Say of which walls of one slice inside of the atlas this says something.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> import numpy as np
-            >>> walls = np.array([0.1, 9.0]), np.array([0.3, 0.3])
-            >>> atlas.knows(*walls, gamma=0.0005, delta=0.01, delay=1.5).tolist()
-            [True, True]
-        """
-        points = np.broadcast_arrays(alpha, beta, gamma, delta, delay)
-        where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
-        status = np.zeros(points[0].size, np.int8)
-        find_outside(self.arrays, self._table, where, status, refuse=False)
-        return np.asarray(status != QueryStatus.OUTSIDE).reshape(points[0].shape)
-
     def _check_filters(self, velocity: Any, position: Any) -> None:
         """Refuse a question about loops with others than those of the atlas."""
         if velocity is None and position is None:

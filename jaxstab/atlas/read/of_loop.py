@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format import schema
-from jaxstab.atlas.read.answer import AtlasAnswer, Floats, Numbers, all_checked
+from jaxstab.atlas.read.answer import AtlasAnswer, Floats, Numbers, QueryStatus, all_checked
+from jaxstab.atlas.read.points import find_outside
 from jaxstab.atlas.read.shown import ShownAtlas
+from jaxstab.conventions import AXES
 from jaxstab.numbers import checked_word
 
 if TYPE_CHECKING:
@@ -210,12 +212,21 @@ class LoopAtlas:
         checked_word("outside", outside, ("error", "undecided"))
         wall = all_checked((stiffness, damping), ("stiffness", "damping"))
         alpha, beta = np.asarray(self.loop.alpha(wall[0])), np.asarray(self.loop.beta(wall[1]))
-        if outside == "error" and not np.all(self.atlas.knows(alpha, beta, **self._slice)):
+        if outside == "error" and not self._knows_all(alpha, beta):
             self._check_inside("stiffness", wall[0], alpha, self._alphas, self.loop.stiffness)
             self._check_inside("damping", wall[1], beta, self._betas, self.loop.damping)
         if alpha.ndim == beta.ndim == 0:
             return float(alpha), float(beta)
         return alpha, beta
+
+    def _knows_all(self, alpha: Floats, beta: Floats) -> bool:
+        """Whether the atlas says something of all walls."""
+        walls = {"alpha": alpha, "beta": beta} | self._slice
+        points = np.broadcast_arrays(*(walls[name] for name in AXES))
+        where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
+        status = np.zeros(points[0].size, np.int8)
+        find_outside(self.atlas.arrays, self.atlas._table, where, status, refuse=False)
+        return not np.any(status == QueryStatus.OUTSIDE)
 
     @staticmethod
     def _check_inside(
