@@ -282,7 +282,7 @@ def _among(words: str, loops: list[HapticLoop]) -> str | None:
 
 
 def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
-    return None if wall.known.hand is None else held_by(loop)
+    return None if wall.known.hand is None else held_by(loop, wall.scene)
 
 
 def _margins(walls: Sequence[_Wall]) -> list[Margins]:
