@@ -27,7 +27,8 @@ from jaxstab.conventions import Verdict
 pytestmark = pytest.mark.campaign
 
 COUNT = many(1000)
-MOST = 0.005  # the share of walls without an answer
+MOST = 0.005  # the share of settling times that are not proved
+MOST_OTHERS = 0.02  # the share of margins, and of ranges of hands, without an answer
 LEVEL = 0.02
 EACH = 10  # loop is simulated
 LONGEST = 20_000  # samples of a simulation
@@ -184,7 +185,7 @@ def test_margins_are_given_for_nearly_all(loops: list[Ordinary]) -> None:
         spare = found.stiffness_gain, found.damping_gain, found.extra_delay
         unknown += bool(np.isnan(spare).any())
     note("ordinary loops, margins", walls=len(loops), unknown=unknown)
-    assert unknown <= MOST * len(loops)
+    assert unknown <= MOST_OTHERS * len(loops)
 
 
 def test_hands_of_a_range_are_decided_for_nearly_all(loops: list[Ordinary]) -> None:
@@ -201,4 +202,4 @@ def test_hands_of_a_range_are_decided_for_nearly_all(loops: list[Ordinary]) -> N
         asked += 1
     note("ordinary loops, hands", ranges=asked, unknown=unknown)
     assert asked > 0.2 * len(loops)
-    assert unknown <= MOST * asked
+    assert unknown <= MOST_OTHERS * asked
