@@ -285,7 +285,11 @@ def test_the_walls_of_a_scene_are_asked_at_each_corner(tmp_path: Path) -> None:
         assert row["verdict"] == truth.name.lower()
     assert {row["wall"] for row in rows} == {"soft", "stiff"}
     assert {row["verdict"] for row in rows} == {"stable", "unstable"}
-    far = run("atlas", "query", WINDOW, "--scene", path, "--stiffness", "1e9", "--damping", "1")
+    stiff = run("atlas", "query", WINDOW, "--scene", path, "--stiffness", "1e9", "--damping", "1")
+    assert stiff.stdout.count("unstable,nan,inf,cell") == len(corners)  # lemma B21
+    loops = [loop_of_member(scene, corner) for corner in corners]
+    assert {int(loop.verdict(1e9, 1.0)) for loop in loops} == {Verdict.UNSTABLE}
+    far = run("atlas", "query", WINDOW, "--scene", path, "--stiffness", "1", "--damping", "1e9")
     assert far.stdout.count("undecided,nan,inf,outside") == len(corners)
     wall = "--stiffness", "500", "--damping", "5", "--format", "json"
     (one, *_) = json.loads(run("atlas", "query", WINDOW, "--scene", path, *wall).stdout)
@@ -303,7 +307,7 @@ def test_the_walls_of_a_scene_are_asked_at_each_corner(tmp_path: Path) -> None:
         ["--scene", "S", "--velocity", "window_samples = 5"],
         ["--scene", "S", "--stiffness", "100"],
         ["--scene", "S", "--stiffness", "nan", "--damping", "1"],
-        ["--scene", "S", "--stiffness", "1e9", "--damping", "1", "--outside", "error"],
+        ["--scene", "S", "--stiffness", "1", "--damping", "1e9", "--outside", "error"],
         ["--scene", "missing.toml"],
         ["--stiffness", "100", "--damping", "1"],
     ],
