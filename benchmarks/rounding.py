@@ -282,8 +282,8 @@ class Zone(NamedTuple):
 
 
 ZONES = {
-    "soft": Zone((0.0, 36.0), (0.0, 10.0), False, 2.0**-90),
-    "soft, N may cancel": Zone((36.0, 40.0), (0.0, 10.0), True, 2.0**-90),
+    "soft": Zone((0.0, 36.0), (0.0, 10.0), False, 2.0**-89),
+    "soft, N may cancel": Zone((36.0, 40.0), (0.0, 10.0), True, 2.0**-89),
     "stiff": Zone((40.0, 1e4), (0.0, 10.0), True, 2.0**-66),
     "damped": Zone((0.0, 1e4), (10.0, 1e3), False, 2.0**-56),
 }

@@ -49,7 +49,7 @@ from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma
 # larger than what is left.
 _ACCURATE_GAMMA, _ACCURATE_DELTA = 40.0, 10.0
 _CANCELLING_GAMMA = 36.0  # up to _ACCURATE_DELTA
-_ERROR, _STIFF_ERROR, _DAMPED_ERROR = 2.0**-90, 2.0**-66, 2.0**-56
+_ERROR, _STIFF_ERROR, _DAMPED_ERROR = 2.0**-89, 2.0**-66, 2.0**-56
 
 _MANY = 1 << 16  # plants that are worth the two seconds that XLA takes to compile
 _REMEMBERED = 1 << 12  # plants that are kept, 0.5 MB of them
