@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from atlases import moving_atlas, small_atlas, small_contents, write_cut
 
+from benchmarks import truth
 from jaxstab import (
     AXES,
     STABLE,
@@ -241,7 +242,9 @@ def test_the_worst_of_many_hands_decides(atlas: Atlas, rng: np.random.Generator)
             "gamma is .0.001, 0.0.; give its lowest and its highest",
         ),
         (
-            lambda atlas: atlas.verdict(9.0, 0.1, gamma=0.0, delta=0.0, delay=0.0),
+            lambda atlas: atlas.worst_verdict(
+                9.0, 0.1, gamma=(0.0, 0.001), delta=(0.0, 0.01), delay=0.0
+            ),
             "alpha is 9.0, and this atlas",
         ),
         (lambda atlas: atlas.verdict(np.nan, 0.1, gamma=0.0, delta=0.0, delay=0.0), "alpha is nan"),
@@ -343,7 +346,9 @@ def test_a_delay_is_a_number_or_an_array(moving: Atlas, rng: np.random.Generator
         moving.worst_verdict(0.05, 0.3, gamma=(0.0, 0.001), delta=(0.001, 0.01), delay=1.37)
         == STABLE
     )
+    assert moving.verdict(0.5, 0.3, gamma=0.0, delta=0.0, delay=1.37) == UNSTABLE  # lemma B21
+    assert truth.spectral_radius(0.5, 0.3, 0.0, 0.0, 1.37)[0] > 1.0
     with pytest.raises(ValueError, match=r"^alpha is 0.5, and .* at delay 1.37; ask inside"):
-        moving.verdict(0.5, 0.3, gamma=0.0, delta=0.0, delay=1.37)
+        moving.worst_verdict(0.5, 0.3, gamma=(0.0, 0.0), delta=(0.0, 0.0), delay=1.37)
     with pytest.raises(ValueError, match=r"^delay is 1.6, and this atlas reaches from 0.0 to 1.5"):
         moving.alpha_limits(0.3, gamma=0.0, delta=0.0, delay=[0.3, 1.6])

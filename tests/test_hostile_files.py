@@ -193,7 +193,7 @@ def test_no_reader_takes_a_hostile_file_for_an_atlas(
 
 def test_28_many_codes_in_a_small_file_do_not_fill_the_memory(base: Base, tmp_path: Path) -> None:
     """252 MB of codes, unpacked from 4.2 MB at the first question."""
-    counts, arrays = (2048, 2049, 1, 1, 60), dict(base.arrays)
+    counts, arrays = (2048, 2048, 1, 1, 60), dict(base.arrays)
     chosen = {name for product in ("alpha_limits", "spectral_radius") for name in PRODUCTS[product]}
     arrays = {name: values for name, values in arrays.items() if name not in chosen}
     for name, count in zip(schema.NODE[:2], counts, strict=False):
@@ -204,7 +204,7 @@ def test_28_many_codes_in_a_small_file_do_not_fill_the_memory(base: Base, tmp_pa
     for name in ("gamma", "delta"):
         arrays |= {name: np.zeros(1), f"{name}_cell": np.zeros(1, np.int32)}
     arrays["delay"] = np.arange(60.0)
-    cells = 2047, 2048, 1, 1, 60
+    cells = 2047, 2047, 1, 1, 60
     arrays[schema.VERDICT] = np.broadcast_to(np.int8(0), counts)
     arrays[schema.CELL_VERDICT] = np.broadcast_to(np.int8(0), cells)
     chunks = {schema.VERDICT: (*counts[:4], 1), schema.CELL_VERDICT: (*cells[:4], 1)}
