@@ -117,7 +117,8 @@ def test_issue_31_21_nothing_of_a_device_with_modes_is_cut_off(count: int) -> No
         "actuator": {"bandwidth": 300.0},
         "encoder": {"resolution": 1e-5},
     }
-    hand = {"mass": 0.2, "grip": {"stiffness": 2000.0, "damping": 4.0}}
+    grip = {"stiffness": 2000.0, "damping": 4.0}
+    hand = {"mass": [0.0, 0.5], "damping": [0.0, 5.0], "grip": grip}
     velocity = {"window_samples": 20, "cutoff": 300.0, "order": 2, "kind": "butterworth"}
     table = TABLE | {"device": device, "hand": hand, "walls": {}}
     table["controller"] = TABLE["controller"] | {"velocity": velocity}
