@@ -110,7 +110,8 @@ def test_issue_31_21_design_draws_what_it_answers() -> None:
     assert "with a delay" not in " ".join(labels_of(scene_figure(none, design_loop(none))))
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(4, marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("count", [1, 4])
 def test_issue_31_21_nothing_of_a_device_with_modes_is_cut_off(count: int) -> None:
     device = TABLE["device"] | {
         "modes": MODES[:count],
