@@ -222,30 +222,6 @@ def test_examples_compile_against_stubs(example: str, guard: Guard, tmp_path: Pa
     subprocess.run([*words, "-c", source, "-o", tmp_path / "example.o"], check=True)
 
 
-def test_nothing_crosses_the_circle_next_to_one() -> None:
-    """Lemma B15: the angles that it frees, against the polynomial at 50 random loops each."""
-    rng = np.random.default_rng(4)
-    for _ in range(40):
-        gamma, delta, delay = 10 ** rng.uniform(-6, -1), 10 ** rng.uniform(-5, 0), rng.uniform(0, 4)
-        beta = 10 ** rng.uniform(-5, 0)
-        turns = np.floor(delay) + 2.0
-        angles = np.geomspace(1e-4, 1.0, 400)
-        cosine = 1.0 - 0.5 * (turns * angles) ** 2
-        force = max(0.0, 1.0 - gamma / 12.0 - delta / 2.0)
-        holds = -np.expm1(-delta) * (1.0 - angles**2 / 6.0) * cosine
-        holds += force * cosine**2 * beta * (1.0 - 0.5 * angles)
-        freed = (cosine > 0.0) & (holds > turns * angles**2)
-        z = np.exp(1j * angles)
-        base = np.polyval(
-            jaxstab.characteristic_polynomial(0.0, beta, gamma=gamma, delta=delta, delay=delay), z
-        )
-        full = np.polyval(
-            jaxstab.characteristic_polynomial(1.0, beta, gamma=gamma, delta=delta, delay=delay), z
-        )
-        twist = np.imag(base * np.conj(full - base))
-        assert np.all(twist[freed] > 0.0)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -10,7 +10,7 @@ docs/proofs.md). F is real at theta = 0, where a free device has its root withou
 
 from collections.abc import Callable
 from math import pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
@@ -18,7 +18,7 @@ from jaxtyping import Bool
 from jaxstab.boxes.filter_cells import filter_cells
 from jaxstab.boxes.held_device import Arms, HeldDevice
 from jaxstab.boxes.models import LinearModel, Moving
-from jaxstab.boxes.parted import AXES, BEYOND, Boxes, Seen, parted
+from jaxstab.boxes.parted import AXES, BEYOND, Boxes, parted, taken
 from jaxstab.boxes.wall import largest_within, responses
 from jaxstab.model import Device, LoopParameters
 from jaxstab.model.filters import known_filters
@@ -34,6 +34,7 @@ _FAST = 1.0  # up to this angle all aliases are small
 _HINT = 0.1  # of the size of a function of which nothing else is known
 _FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
 _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
+_FAR = 2.0  # times how far it moves: a value that is far from 0
 _ROUNDED_UP = 1.0 + 1e-9
 _ROUNDING = 1e-14  # of a number
 _EPS = 4.0 * np.finfo(np.float64).eps
@@ -51,6 +52,20 @@ class Extent(NamedTuple):
 
     mass: LinearModel
     delay: LinearModel
+    stiffness: LinearModel
+    damping: LinearModel
+
+
+class FirstRow(NamedTuple):
+    """Boxes whose walls, all of them, are multiples of others and begin with no wall.
+
+    Attributes:
+        begins: which boxes are of that kind.
+        stiffness: the largest one in N/m per unit of the multiple.
+        damping: in N s/m per unit.
+    """
+
+    begins: Bool[np.ndarray, " box"]
     stiffness: LinearModel
     damping: LinearModel
 
@@ -78,8 +93,8 @@ class DeviceBoxes:
         mass: the smallest and the largest mass of the device in kg.
         arm: the largest stiffness in N/m and the smallest damping in N s/m of the arm.
         extent: returns what boxes hold, for their middles and half-widths.
-        from_none: whether boxes hold all stiffnesses from none up to the largest one; otherwise
-            they hold that one alone.
+        first_row: returns which of them begin with no wall; then boxes hold all stiffnesses from
+            none up to that of the extent. Without it they hold that stiffness alone.
 
     Raises:
         NotImplementedError: the device is of another kind, or has modes far above half of the
@@ -93,12 +108,11 @@ class DeviceBoxes:
         mass: Range,
         arm: Range,
         extent: Callable[[Boxes, Boxes], Extent],
-        *,
-        from_none: bool,
+        first_row: Callable[[Boxes, Boxes], FirstRow] | None = None,
     ) -> None:
         self._period = float(loop.sample_time)
         self._device = HeldDevice.of(device, self._period)
-        self._extent, self._from_none = extent, from_none
+        self._extent, self._first_row = extent, first_row
         filters = known_filters(**loop.filters)
         self._cells = None if filters is None else filter_cells(filters)
         resting = self._filters(_known(np.zeros(1)))[0].value
@@ -119,11 +133,20 @@ class DeviceBoxes:
             for first in range(0, boxes.size, _AT_ONCE):
                 some = boxes[first : first + _AT_ONCE]
                 parts = self.over(center[:, some], half[:, some], aliases)
-                free[some], shares[:, some] = parted(*map(Seen.of, parts))
-        near = np.flatnonzero((center[_THETA] <= half[_THETA]) & ~is_fast)
-        if near.size and self._passes_rest:
-            is_slow, shares[:, near] = self._are_slow(center[:, near], half[:, near])
-            free[near] |= is_slow
+                free[some], shares[:, some] = parted(*parts)
+        is_near = (center[_THETA] <= half[_THETA]) & ~is_fast & self._passes_rest
+        begins = self._begin_without_wall(center, half) & ~is_fast
+        for among, method in (
+            (is_near, self._are_slow),
+            (is_near & begins, self._grow_slowly),
+            (begins & (center[_THETA] > half[_THETA]), self._grow),
+        ):
+            some = np.flatnonzero(among & ~free)
+            if some.size:
+                clear, taken_there = method(center[:, some], half[:, some])
+                free[some] = clear
+                hopeful = taken_there.any(axis=0)
+                shares[:, some[hopeful]] = taken_there[:, hopeful]
         return free, shares
 
     def over(
@@ -138,32 +161,66 @@ class DeviceBoxes:
         position, velocity = self._filters(place.theta)
         none = below + beta * velocity.value * force
         most = none + alpha * position.value * force
-        return (none if self._from_none else most), most
+        return (most if self._first_row is None else none), most
 
     def _are_slow(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
         """Say in which boxes the imaginary part of F grows with theta, from 0 on, where F > 0."""
         place, alpha, beta = self._parts(center, half)
-        theta, lag = place.theta, place.delay + 0.5
-        s = Moving(theta * 1j, _known(1j * np.ones_like(center[0])))
-        above, below = self._device.parts(s, place.mass, place.arm)
-        wave = _turned(theta * lag)
-        force = _sinc(theta) * above * Moving(wave, wave * lag * -1j)
-        position, velocity = self._filters(theta)
+        above, below = self._device.parts(_moving_s(place.theta), place.mass, place.arm)
+        damper, most = self._walls(place.theta, alpha, beta)
+        least = most if self._first_row is None else damper
+        force = self._force(place, above)
         others = below.value.size * self._others(place, self._slow).size
+        free, shares = _rising(
+            [((below + wall * force).rate, wall.value.size * others) for wall in (least, most)]
+        )
+        return free & ((self._first_row is not None) | (alpha.low > 0.0)), shares
+
+    def _begin_without_wall(self, center: Boxes, half: Boxes) -> Bool[np.ndarray, " box"]:
+        """Say which boxes are in a first row that begins without a wall, of a passive device."""
+        if self._first_row is None or not self._device.is_passive:
+            return np.zeros(center.shape[1], bool)
+        return self._first_row(center, half).begins
+
+    def _grow(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+        """Say in which boxes of a first row all walls take energy (lemma B20)."""
+        place, aliases = self._parts(center, half)[0], self._slow
+        above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
+        one = _known(np.ones_like(center[0]))
+        turned = _conjugate(one * above * self._device.lag(place.theta * 1j))
+        others = self._others(place, aliases)
+        force = _sinc(place.theta).value * above + _sine(place.theta) * below * others
+        force = _turned(place.theta * (place.delay + 0.5)) * force * turned
+        walls = self._walls(place.theta, *self._wall_of_first_row(center, half))
+        return _rising([(wall.value * force, 0.0) for wall in walls], below)
+
+    def _grow_slowly(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+        """Say the same next to theta = 0, by the derivative."""
+        place = self._parts(center, half)[0]
+        s = _moving_s(place.theta)
+        above, below = self._device.parts(s, place.mass, place.arm)
+        one = Moving(_known(np.ones_like(center[0])), _known(np.zeros_like(center[0])))
+        turned = one * above * self._device.lag(s)
+        turned = Moving(_conjugate(turned.value), _conjugate(turned.rate))
+        force = self._force(place, above) * turned
+        others = below.value.size * turned.value.size * self._others(place, self._slow).size
+        walls = self._walls(place.theta, *self._wall_of_first_row(center, half))
+        rates = [((wall * force).rate, wall.value.size * others) for wall in walls]
+        return _rising(rates, below.value)
+
+    def _force(self, place: _Place, above: Any) -> Moving:
+        """Return the held force behind the delay times N, without aliases."""
+        lag = place.delay + 0.5
+        wave = _turned(place.theta * lag)
+        return _sinc(place.theta) * above * Moving(wave, wave * lag * -1j)
+
+    def _walls(
+        self, theta: LinearModel, alpha: LinearModel, beta: LinearModel
+    ) -> tuple[Moving, Moving]:
+        """Return H without stiffness and at the limit."""
+        position, velocity = self._filters(theta)
         damper = velocity * beta
-        most = damper + position * alpha
-        clear, shares = [], []
-        for wall in (damper, most) if self._from_none else (most,):
-            rate = (below + wall * force).rate
-            moves = np.abs(rate.slope.imag)
-            lowest = rate.centre.imag - moves.sum(axis=0) - rate.rest
-            clear.append(lowest - wall.value.size * others * _ROUNDED_UP)
-            moves[_THETA] += rate.rest
-            shares.append(moves)
-        is_pushed = self._from_none | (alpha.low > 0.0)
-        is_first = clear[0] < clear[-1]
-        nearest = np.minimum(clear[0], clear[-1])
-        return is_pushed & (nearest > 0.0), np.where(is_first, shares[0], shares[-1])
+        return damper, damper + position * alpha
 
     def _parts(self, center: Boxes, half: Boxes) -> tuple[_Place, LinearModel, LinearModel]:
         """Return what the plant depends on, and the largest alpha and beta, in units of 1 kg."""
@@ -176,6 +233,12 @@ class DeviceBoxes:
         theta = along(_THETA, center[_THETA], half[_THETA])
         place = _Place(extent.mass, extent.delay, Arms(*arm), theta)
         return place, extent.stiffness * self._period**2, extent.damping * self._period
+
+    def _wall_of_first_row(self, center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
+        """Return alpha and beta per unit of the multiple, in boxes that begin without a wall."""
+        assert self._first_row is not None
+        row = self._first_row(center, half)
+        return row.stiffness * self._period**2, row.damping * self._period
 
     def _filters(self, theta: LinearModel) -> tuple[Moving, Moving]:
         """Return P and V in units of one sample, with their derivatives by theta."""
@@ -261,6 +324,35 @@ class _Aliases(NamedTuple):
 
 
 # ------------------------------------------------------------------------------------------ models
+
+
+def _rising(
+    rates: list[tuple[LinearModel, Any]], below: LinearModel | None = None
+) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+    """Say where all imaginary parts are more than what else there is; and what each axis takes.
+
+    No axis takes any of what halving cannot free, or need not, where ``below`` is far from 0.
+    """
+    clear, shares, most = [], [], []
+    for rate, others in rates:
+        moves = np.abs(rate.slope.imag)
+        clear.append(rate.centre.imag - moves.sum(axis=0) - rate.rest - others * _ROUNDED_UP)
+        most.append(rate.centre.imag + moves.sum(axis=0) + rate.rest)
+        shares.append(taken(rate, moves))
+    taken_there = np.where(clear[0] < clear[1], *shares)
+    if below is not None:
+        is_far = np.abs(below.centre) > _FAR * below.swing
+        taken_there = np.where((np.minimum(*most) > 0.0) & ~is_far, taken_there, 0.0)
+    return np.minimum(*clear) > 0.0, taken_there
+
+
+def _moving_s(theta: LinearModel) -> Moving:
+    """Return i theta, with its derivative."""
+    return Moving(theta * 1j, _known(1j * np.ones_like(theta.centre)))
+
+
+def _conjugate(model: LinearModel) -> LinearModel:
+    return LinearModel(model.centre.conj(), model.slope.conj(), model.rest, model.half)
 
 
 def along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:

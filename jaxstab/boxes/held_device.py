@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab.model import Device
+from jaxstab.model import Device, LoopParameters
 from jaxstab.model import Hand as Arm
 from jaxstab.model.device.parts import MassSpringDamper, Mode, Modes
 
@@ -83,9 +83,21 @@ class HeldDevice(NamedTuple):
             both = held * unit + between
             below = below * both + held * between * above
             above = both * above
-        for lag in self.lags:
-            below = below * (s * (1.0 / lag) + 1.0)
+        if self.lags:
+            below = below * self.lag(s)
         return above, below
+
+    def lag(self, s: Function) -> Function:
+        """Return the denominator of the actuators."""
+        product = 1.0
+        for lag in self.lags:
+            product = (s * (1.0 / lag) + 1.0) * product
+        return product
+
+    @property
+    def is_passive(self) -> bool:
+        """Whether device and arm, without actuators, give no energy."""
+        return all(moved > 0.0 for _, _, moved in self.modes)
 
     def _vibrations(self, s: Function) -> tuple[Function, Function]:
         """Return numerator and denominator of the sum of the modes' displacements over force."""
@@ -151,6 +163,13 @@ class HeldDevice(NamedTuple):
             (moved, 2.0 * damping_ratio * ratio, ratio**2)
             for (_, damping_ratio, moved), ratio in zip(self.modes, ratios, strict=True)
         ]
+
+
+def device_of(loop: LoopParameters) -> Device:
+    """Return the device of a loop, without a hand where it is one mass by its numbers."""
+    if loop.device is not None:
+        return loop.device
+    return Device.mass_spring_damper(loop.device_mass, damping=loop.device_damping)
 
 
 def with_parts(device: Device, mass: float, arm: Arms) -> Device:

@@ -66,12 +66,12 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     with refused():
         from jaxstab.durable import publish
         from jaxstab.guard.header import checked_name
-        from jaxstab.scene.guard import guard_about, header_of, scene_guard
+        from jaxstab.scene.guard import guard_about, guard_plan, header_of, scene_guard
 
         name = checked_name(output.stem)  # before the proof, which takes long
-        cells = {"cells": given["cells"]} if given["cells"] else {}
-        with _progress() as show:
-            made = scene_guard(scene, given["masses"], given["delays"], progress=show, **cells)
+        cells = given["cells"]
+        with _progress(guard_plan(scene, cells)) as show:
+            made = scene_guard(scene, given["masses"], given["delays"], progress=show, cells=cells)
         publish(header_of(scene, made, name).encode(), output)
         if plot:
             from jaxstab.pictures.guard import guard_figure
@@ -82,14 +82,18 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[float], None]]:
-    """Yield a function that draws a bar on a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda _: None
-        return
+def _progress(plan: str) -> Iterator[Callable[[float], None]]:
+    """Yield a function that prints the plan when the work begins, and draws a bar on a terminal."""
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    plans, console = [plan], Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task("proving", total=1.0)
-        yield lambda share: bar.update(task, completed=share)
+
+        def show(share: float) -> None:
+            if plans:
+                click.echo(plans.pop(), err=True)
+            bar.update(task, completed=share)
+
+        yield show

@@ -1,7 +1,12 @@
-"""Building a guard: limits a little below the exact ones, lowered until all of them are proved."""
+"""Building a guard: limits a little below the exact ones, lowered until they are proved.
+
+What is not proved within a number of boxes is not granted.
+"""
 
 from collections.abc import Callable
+from functools import partial
 from math import frexp
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int64
@@ -10,7 +15,7 @@ from jaxstab.boxes.filter_cells import responses_at
 from jaxstab.guard.grid import Grid, interpolated
 from jaxstab.guard.guard import Guard, Range
 from jaxstab.guard.limits import boundary_of
-from jaxstab.guard.proof import are_stable, unproved
+from jaxstab.guard.proof import Cells, are_stable, proved
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
 from jaxstab.numbers import checked_number
@@ -23,14 +28,32 @@ CELLS = 4, 8, 16
 _PULL = 0.03  # of each limit
 _PULL_ALL = 0.02  # of the largest limit of the same mass and delay
 _PULL_TOP = 0.015  # of the largest damping
-_LOWER = 0.05  # of a limit whose proof was given up
+_LOWER = 0.05  # of a limit whose proof was given up, in the first round
+_LOWER_ALL = 0.08  # of the largest limit of the same mass and delay, added to that limit
+_PULL_FIRST = 0.03  # of the largest limit: no less is granted without damping
 _ATTEMPTS = 12
 _FINER = 4  # parts of a cell, in which largest dampings are looked at
-_PLACES = 64  # in each cell, at which walls are tried before the proof
+_FEWEST, _ROUNDS = 2000, 8  # boxes of a cell in the first round, or a part of all boxes
+_MORE = 1.5  # times as many boxes, and as much to take from the limits, in the next round
+_SQUARE = (0, 0), (0, 1), (1, 0), (1, 1)
 _CODES = 0xFFFF
 _LEAST_GAIN = 1e-6  # of a position filter at z = 1
-_PARTS = 2, 2, 4  # of a cell, at whose ends a guard of a device is held against the boundary
+_PARTS = 2, 2, 4  # of a cell, at whose ends a guard is held against the boundary
+_LEAST_SHARE = 1e-3  # of the largest damping: at none what nothing damps is on the circle
 _ENOUGH = 0.99  # of the stiffness at which a hand becomes unstable
+
+
+class _Work(NamedTuple):
+    """How many boxes may be looked at, how many a cell takes, and how many seconds one takes."""
+
+    most: int
+    usual: int
+    seconds: float
+
+
+_OF_MASS = _Work(2_000_000, 500, 1e-5)
+_OF_DEVICE = _Work(1_000_000, 5000, 4e-5)
+_SECONDS = 2.0  # that boundaries take
 
 
 def build_guard(
@@ -43,6 +66,9 @@ def build_guard(
     progress: Callable[[float], None] | None = None,
 ) -> Guard:
     """Return the guard of a loop: walls that are proved stable for all hands, masses and delays.
+
+    Where nothing could be proved within 2 million boxes of loops, about 20 s of CPU time (1
+    million and 40 s with modes, actuators or a grip), the guard grants no wall.
 
     Args:
         loop: the loop, with its velocity estimator and position filter. The mass of its device,
@@ -59,9 +85,9 @@ def build_guard(
         ValueError: a range is empty or out of order, or the number of cells no power of two.
         NotImplementedError: the loop has a device of its own that is not a mass with vibration
             modes, actuators and one hand of mass, spring and damper, behind a grip or not.
-        RuntimeError: the limits could not be proved.
+        RuntimeError: no wall at all could be proved.
 
-    Source: lemmas B3, B6, B10, B15 and, for devices, B20 of docs/proofs.md.
+    Source: lemmas B10, B15 and B20 of docs/proofs.md.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
@@ -71,37 +97,143 @@ def build_guard(
         4846 N/m
     """
     _check(loop, hands, mass, delay, cells)
+    progress = progress or (lambda _: None)
+    progress(0.0)
     nodes = [
         np.linspace(*ends, count + 1)
         for ends, count in ((mass, cells[0]), (_in_samples(loop, delay), cells[1]))
     ]
-    boundary = boundary_of(loop, hands, *nodes)
-    top, damping_unit = _coded(_tops(loop, hands, nodes) * (1.0 - _PULL_TOP))
-    share = np.linspace(0.0, 1.0, cells[2] + 1)
-    exact = boundary.largest_stiffness(top[..., None] * share)
-    if not (np.all(top > 0.0) and np.all(np.isfinite(exact))):
+    grid, units = _first_grid(loop, hands, nodes, cells)
+    grid = _below_curves(loop, hands, grid, units[0])
+    grid, is_proved = _proved(loop, hands, grid, units[0], progress)
+    rows = _granted_rows(loop, hands, grid, is_proved)
+    if not np.any(rows[..., 0] < rows[..., 1]):
         raise RuntimeError(
-            "no wall is stable for every hand at some mass and delay of the ranges; narrow them."
+            "no wall is proved stable for every hand at any mass and delay of the ranges; narrow "
+            "them, or give the hand more damping."
         )
+    return Guard(loop, hands, mass, delay, grid, units, rows)
+
+
+class GuardPlan(NamedTuple):
+    """What the proof of a guard takes.
+
+    Attributes:
+        cells: of mass, delay and damping, each of which is proved for all hands and angles.
+        most_boxes: boxes of loops that may be looked at.
+        seconds: of CPU time that this takes on an ordinary computer, usually and at most.
+    """
+
+    cells: int
+    most_boxes: int
+    seconds: tuple[float, float]
+
+    def __str__(self) -> str:
+        return (
+            f"{self.cells} cells of mass, delay and damping, each for all hands and frequencies: "
+            f"usually {self.seconds[0]:.0f} s of CPU time, at most {self.seconds[1]:.0f} s "
+            f"({self.most_boxes:,} boxes of loops)"
+        )
+
+
+def plan_guard(loop: LoopParameters, cells: tuple[int, int, int] = CELLS) -> GuardPlan:
+    """Return what ``build_guard`` would compute, and about how long that takes."""
+    count, work = int(np.prod(cells)), _work_of(loop)
+    usual = _SECONDS + min(count * work.usual, work.most) * work.seconds
+    return GuardPlan(count, work.most, (usual, _SECONDS + work.most * work.seconds))
+
+
+def _work_of(loop: LoopParameters) -> _Work:
+    return _OF_MASS if loop.device is None else _OF_DEVICE
+
+
+def _first_grid(
+    loop: LoopParameters,
+    hands: HandRange,
+    nodes: list[np.ndarray],
+    cells: tuple[int, int, int],
+) -> tuple[Grid, tuple[float, float]]:
+    """Return limits a little below the boundaries at the nodes, and the units of the table."""
+    tops = _tops(loop, hands, nodes) * (1.0 - _PULL_TOP)
+    is_good = np.isfinite(tops) & (tops > 0.0)
+    if not is_good.any():
+        raise RuntimeError(
+            "no wall is stable for every hand at any mass and delay of the ranges; narrow them."
+        )
+    # Where no damping is stable any number will do: nothing will be proved there.
+    top, damping_unit = _coded(np.where(is_good, tops, tops[is_good].min()))
+    top = np.maximum(top, damping_unit)
+    share = np.maximum(np.linspace(0.0, 1.0, cells[2] + 1), _LEAST_SHARE)
+    exact = boundary_of(loop, hands, *nodes).largest_stiffness(top[..., None] * share)
+    exact = np.where(np.isfinite(exact) & is_good[..., None], exact, 0.0)
     largest = exact.max(axis=-1, keepdims=True)
     limit = np.maximum(exact * (1.0 - _PULL) - _PULL_ALL * largest, 0.0)
-    unit = _coded(limit)[1]
-    grid = Grid(nodes[0], nodes[1], top, np.floor(limit / unit) * unit)
-    lowered = _stable_at_places if loop.device is None else _below_curves
-    grid = lowered(loop, hands, grid, unit)
-    failed: Int64[np.ndarray, "3 cell"] | None = None
-    for _ in range(_ATTEMPTS):
-        failed = unproved(loop, hands, grid, failed, progress)
-        if not failed.shape[1]:
-            break
-        grid = _lowered(grid, failed, unit)
-    else:
-        raise RuntimeError(
-            "the limits could not be proved for all masses, delays and hands; narrow the ranges."
-        )
-    if not _is_stable_once(loop, hands, grid):
-        raise RuntimeError("no wall of the guard is proved stable; narrow the ranges.")
-    return Guard(loop, hands, mass, delay, grid, (unit, damping_unit))
+    # A first row that begins without a wall is proved by lemma B20, however little is damped.
+    limit[..., 0] = np.where(limit[..., 0] < _PULL_FIRST * largest[..., 0], 0.0, limit[..., 0])
+    limit, unit = _coded(limit)
+    return Grid(nodes[0], nodes[1], top, limit), (unit, damping_unit)
+
+
+def _proved(
+    loop: LoopParameters,
+    hands: HandRange,
+    grid: Grid,
+    unit: float,
+    progress: Callable[[float], None],
+) -> tuple[Grid, Cells]:
+    """Return a grid whose limits are lowered until they are proved, and which cells are.
+
+    Each round may take more boxes for a cell than the one before, of limits that are lower by more.
+    """
+    left, is_proved = _work_of(loop).most, np.zeros(grid.cells, bool)
+    each, share = float(max(_FEWEST, left // (_ROUNDS * is_proved.size))), _LOWER
+    hopeful = ~is_proved
+    while left > 0 and hopeful.any():
+        tell = partial(_tell, progress, int(is_proved.sum()), is_proved.size)
+        found, count = proved(loop, hands, grid, hopeful, (int(each), left), tell)
+        is_proved, left = is_proved | found, left - count
+        # Where no stiffness was left to take away nothing else would help.
+        hopeful = ~is_proved & (np.maximum.reduce(_corners(grid)) > 0.0)
+        grid = _lowered(grid, np.stack(np.nonzero(hopeful)), unit, share)
+        each, share = each * _MORE, min(share * _MORE, 1.0)
+    progress(1.0)
+    return grid, is_proved
+
+
+def _corners(grid: Grid) -> list[np.ndarray]:
+    """Return the limits at the eight corners of each cell."""
+    first, second, third = grid.cells
+    return [
+        grid.limit[a : a + first, b : b + second, c : c + third] for a, b, c in np.ndindex(2, 2, 2)
+    ]
+
+
+def _tell(progress: Callable[[float], None], before: int, cells: int, more: int) -> None:
+    progress((before + more) / cells)
+
+
+def _granted_rows(
+    loop: LoopParameters, hands: HandRange, grid: Grid, is_proved: Cells
+) -> Int64[np.ndarray, "mass delay 2"]:
+    """Return the first and the last node of the damping between which each cell is proved stable.
+
+    Of several such stretches it is the one that grants most. One verdict a cell of mass and delay
+    says that all of its walls are stable.
+    """
+    rows = np.zeros((*grid.cells[:2], 2), np.int64)
+    corners = [grid.limit[a : a + grid.cells[0], d : d + grid.cells[1]] for a, d in _SQUARE]
+    least = np.minimum.reduce(corners)
+    for place in np.ndindex(*grid.cells[:2]):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_proved[place], [False]])))
+        stretches = edges.reshape(-1, 2)
+        grants = [least[place][first : last + 1].sum() for first, last in stretches]
+        if not grants or not max(grants) > 0.0:
+            continue
+        first, last = stretches[int(np.argmax(grants))]
+        best = first + int(np.argmax(least[place][first : last + 1]))
+        if are_stable(loop, hands, grid, np.array([*place, best], float)[:, None])[0]:
+            rows[place] = first, last
+    return rows
 
 
 def _check(
@@ -156,35 +288,20 @@ def _coded(values: np.ndarray) -> tuple[np.ndarray, float]:
     return np.floor(values / unit) * unit, unit
 
 
-def _lowered(grid: Grid, cells: Int64[np.ndarray, "3 cell"], unit: float) -> Grid:
+def _lowered(
+    grid: Grid, cells: Int64[np.ndarray, "3 cell"], unit: float, share: float = _LOWER
+) -> Grid:
     """Return a grid whose limits at all corners of some cells are lower."""
     corners = np.zeros(grid.limit.shape, bool)
     for corner in np.ndindex(2, 2, 2):
         corners[tuple(cells + np.array(corner)[:, None])] = True
-    by = _LOWER * grid.limit + 0.2 * _PULL_ALL * grid.limit.max(axis=-1, keepdims=True)
+    by = share * (grid.limit + _LOWER_ALL * grid.limit.max(axis=-1, keepdims=True))
     lower = np.maximum(grid.limit - by, 0.0)
     return grid._replace(limit=np.where(corners, np.floor(lower / unit) * unit, grid.limit))
 
 
-def _stable_at_places(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
-    """Return a grid lowered where walls at random places are not stable."""
-    rng = np.random.default_rng(0)
-    cells = np.indices(grid.cells).reshape(3, -1)
-    for _ in range(_ATTEMPTS):
-        places = np.repeat(cells, _PLACES, axis=1)
-        stable = are_stable(loop, hands, grid, places + rng.random(places.shape))
-        if stable.all():
-            break
-        cells = np.unique(places[:, ~stable], axis=1)
-        grid = _lowered(grid, cells, unit)
-    return grid
-
-
 def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
-    """Return a grid lowered where it is not below the boundaries between its nodes.
-
-    A certified verdict on a device takes milliseconds, too long for many places.
-    """
+    """Return a grid lowered where it is not below the boundaries between its nodes."""
     counts = tuple(count * part for count, part in zip(grid.cells, _PARTS, strict=True))
     sizes = tuple(count + 1 for count in counts)
     places = np.indices(sizes).reshape(3, -1) / np.array(_PARTS)[:, None]
@@ -192,7 +309,8 @@ def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: floa
         np.linspace(nodes[0], nodes[-1], count + 1)
         for nodes, count in zip((grid.mass, grid.delay), counts[:2], strict=True)
     )
-    damping = interpolated(grid.top, places[:2]) * places[2] / grid.cells[2]
+    share = np.maximum(places[2] / grid.cells[2], _LEAST_SHARE)
+    damping = interpolated(grid.top, places[:2]) * share
     damping = damping.reshape(sizes)
     exact = np.concatenate(
         [
@@ -208,9 +326,3 @@ def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: floa
         last = np.array(grid.cells)[:, None] - 1
         grid = _lowered(grid, np.unique(np.clip(above.astype(int), 0, last), axis=1), unit)
     return grid
-
-
-def _is_stable_once(loop: LoopParameters, hands: HandRange, grid: Grid) -> bool:
-    """Return whether the stiffest wall of the grid is proved stable for one hand."""
-    best = np.unravel_index(np.argmax(grid.limit), grid.limit.shape)
-    return bool(are_stable(loop, hands, grid, np.array(best, float)[:, None])[0])

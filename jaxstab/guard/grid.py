@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
 Reals = Float64[np.ndarray, " box"]
 Ends = Float64[np.ndarray, "axis box"]  # in cells
@@ -35,52 +35,24 @@ class Grid(NamedTuple):
 
 
 class Models(NamedTuple):
-    """A function over boxes: its centre, its moves along the axes, and a bound of what they leave.
-
-    Boxes of several cells have no moves; there the bound covers all of the variation.
-    """
+    """Functions over boxes: centres, moves along the axes, and bounds of what these leave."""
 
     centre: Reals
     moves: Float64[np.ndarray, "axis box"]
     rest: Reals
 
 
-class Pyramid:
-    """Bounds of a grid over boxes whose ends, in cells, are multiples of powers of two."""
+def limits_over(grid: Grid, low: Ends, high: Ends) -> Models:
+    """Bound the limit from above, by models without a rest, over boxes within a cell."""
+    known = _model(grid.limit, low, high)
+    slack = _SLACK * float(np.max(grid.limit))
+    return Models(known.centre + known.rest + slack, known.moves, np.zeros_like(known.rest))
 
-    def __init__(self, grid: Grid) -> None:
-        self._grid = grid
-        self._slack = _SLACK * float(np.max(grid.limit))
-        self._most = _heaps(_of_cells(grid.limit, np.maximum), np.maximum)
-        self._high = _heaps(_of_cells(grid.top, np.maximum), np.maximum)
-        self._low = _heaps(_of_cells(grid.top, np.minimum), np.minimum)
 
-    def limits(
-        self, low: Float64[np.ndarray, "3 box"], high: Float64[np.ndarray, "3 box"]
-    ) -> Models:
-        """Bound the limit from above, by models without a rest, over boxes of three axes."""
-        large = self._most[self._heap_of(low, high)]
-        known = _model(self._grid.limit, low, high)
-        is_small = _are_small(low, high)
-        return Models(
-            np.where(is_small, known.centre + known.rest, large) + self._slack,
-            np.where(is_small, known.moves, 0.0),
-            np.zeros_like(large),
-        )
-
-    def tops(self, low: Ends, high: Ends) -> Models:
-        """Enclose the largest damping over boxes of mass and delay."""
-        heap = self._heap_of(low, high)
-        least, most = self._low[heap], self._high[heap]
-        known = _model(self._grid.top, low, high)
-        is_small = _are_small(low, high)
-        rest = np.where(is_small, known.rest, 0.5 * (most - least))
-        centre = np.where(is_small, known.centre, 0.5 * (most + least))
-        return Models(centre, np.where(is_small, known.moves, 0.0), rest + _SLACK * centre)
-
-    def _heap_of(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, ...]:
-        ends = zip(low, high, self._grid.cells, strict=False)
-        return tuple(_heap(first, last, count) for first, last, count in ends)
+def tops_over(grid: Grid, low: Ends, high: Ends) -> Models:
+    """Enclose the largest damping over boxes of mass and delay within a cell."""
+    known = _model(grid.top, low, high)
+    return known._replace(rest=known.rest + _SLACK * known.centre)
 
 
 def step_of(nodes: Float64[np.ndarray, " node"]) -> float:
@@ -93,11 +65,6 @@ def interpolated(nodes: np.ndarray, index: np.ndarray) -> np.ndarray:
     return _at_corners(nodes, (index, index))[0]
 
 
-def _are_small(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    small: np.ndarray = np.all(high - low <= 1.0, axis=0)
-    return small
-
-
 def _model(nodes: np.ndarray, low: np.ndarray, high: np.ndarray) -> Models:
     """Return the model of the interpolation over boxes within one cell."""
     corners = _at_corners(nodes, (low, high))
@@ -107,32 +74,6 @@ def _model(nodes: np.ndarray, low: np.ndarray, high: np.ndarray) -> Models:
     # Linear in each variable, it is farthest from its model at a corner.
     rest = np.max(np.abs(corners - centre - signs.T @ moves), axis=0)
     return Models(centre, moves, rest)
-
-
-def _of_cells(nodes: np.ndarray, extreme: np.ufunc) -> np.ndarray:
-    for axis in range(nodes.ndim):
-        nodes = np.moveaxis(nodes, axis, 0)
-        nodes = np.moveaxis(extreme(nodes[:-1], nodes[1:]), 0, axis)
-    return nodes
-
-
-def _heaps(cells: np.ndarray, extreme: np.ufunc) -> np.ndarray:
-    """Return extremes over blocks of 2^k cells along each axis, each axis as a binary heap."""
-    for axis in range(cells.ndim):
-        values = np.moveaxis(cells, axis, 0)
-        rows = [values]
-        while len(rows[0]) > 1:
-            rows.insert(0, extreme(rows[0][::2], rows[0][1::2]))
-        rows.insert(0, values[:1])  # heaps begin at 1
-        cells = np.moveaxis(np.concatenate(rows), 0, axis)
-    return cells
-
-
-def _heap(low: Reals, high: Reals, count: int) -> Int64[np.ndarray, " box"]:
-    """Return the place in a heap of the smallest block that holds each interval."""
-    width = np.maximum(high - low, 1.0)
-    place: np.ndarray = ((count + np.floor(low)) / width).astype(int)
-    return place
 
 
 def _at_corners(nodes: np.ndarray, ends: tuple[Ends, Ends]) -> np.ndarray:

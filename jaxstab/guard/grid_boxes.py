@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from jaxstab.boxes.device_boxes import DAMPING, DELAY, MASS, DeviceBoxes, Extent, along
+from jaxstab.boxes.device_boxes import DAMPING, DELAY, MASS, DeviceBoxes, Extent, FirstRow, along
 from jaxstab.boxes.models import LinearModel
 from jaxstab.boxes.parted import AXES, Boxes
-from jaxstab.guard.grid import Grid, Models, Pyramid, step_of
+from jaxstab.guard.grid import Grid, Models, limits_over, step_of, tops_over
 from jaxstab.model import Device, LoopParameters
 from jaxstab.ranges import HandRange
 
@@ -13,28 +13,43 @@ _ROUNDED_UP = 1.0 + 1e-9
 
 
 def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Grid) -> DeviceBoxes:
-    """Return the loops of boxes in cells of a grid, whose walls are those up to its limits.
+    """Return the loops of boxes, each in a cell of a grid, whose walls are those up to its limits.
 
     Raises:
         NotImplementedError: as ``DeviceBoxes``.
     """
-    pyramid = Pyramid(grid)
+    count = grid.cells[2]
+    corners = grid.limit[:, :, 0]
+    begins = np.maximum.reduce(
+        [corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]]
+    )
+
+    def limits(center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
+        low, high = (center - half)[:3], (center + half)[:3]
+        return _model(limits_over(grid, low, high)), _model(tops_over(grid, low[:2], high[:2]))
 
     def extent(center: Boxes, half: Boxes) -> Extent:
-        low, high = (center - half)[:3], (center + half)[:3]
         mass, delay = (
             along(axis, nodes[0] + center[axis] * step, half[axis] * step * _ROUNDED_UP)
             for axis, nodes in ((MASS, grid.mass), (DELAY, grid.delay))
             for step in [step_of(nodes)]
         )
-        count = grid.cells[2]
         share = along(DAMPING, center[DAMPING] / count, half[DAMPING] / count)
-        top = _model(pyramid.tops(low[:2], high[:2]))
-        return Extent(mass, delay, _model(pyramid.limits(low, high)), share * top)
+        limit, top = limits(center, half)
+        return Extent(mass, delay, limit, share * top)
+
+    def first_row(center: Boxes, half: Boxes) -> FirstRow:
+        column = tuple(np.floor(center[:2]).astype(int))
+        end, none = center.copy(), half.copy()
+        end[DAMPING], none[DAMPING] = 1.0, 0.0
+        limit, top = limits(end, none)
+        return FirstRow(
+            (center[DAMPING] < 1.0) & (begins[column] == 0.0), limit, top * (1.0 / count)
+        )
 
     mass = float(grid.mass[0]), float(grid.mass[-1])
     arm = hands.stiffness[1], hands.damping[0]
-    return DeviceBoxes(device, loop, mass, arm, extent, from_none=True)
+    return DeviceBoxes(device, loop, mass, arm, extent, first_row)
 
 
 def _model(bounds: Models) -> LinearModel:

@@ -1,9 +1,11 @@
 """A guard: the walls that it lets through, and their share of all stable walls."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from jaxstab.arrays import Numbers
 from jaxstab.guard.grid import Grid, interpolated
@@ -18,6 +20,24 @@ _DAMPINGS = 64
 _ROUNDED = 1.0 + 1e-12  # the largest damping, however it was summed
 
 
+class Costliest(NamedTuple):
+    """The corner of a guard's ranges at which the stiffest wall is the least stiff.
+
+    Attributes:
+        mass: of the device in kg.
+        delay: in s.
+        hand: mass in kg, stiffness in N/m and damping in N s/m of the hand that limits it there.
+        granted: the largest stiffness that the guard grants there, in N/m.
+        exact: the largest one that is stable for all hands there, good to about 1e-3.
+    """
+
+    mass: float
+    delay: float
+    hand: tuple[float, float, float]
+    granted: float
+    exact: float
+
+
 @dataclass(frozen=True)
 class Guard:
     """Walls that are proved stable for every hand, mass and delay of given ranges.
@@ -29,6 +49,8 @@ class Guard:
         delay: the shortest and the longest delay in s.
         grid: the proved limits between which the guard interpolates.
         units: steps of stiffness and damping: all numbers of the grid are whole multiples.
+        rows: for each cell of mass and delay, the first and the last node of the damping between
+            which walls are proved; no wall is granted elsewhere.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
@@ -44,6 +66,7 @@ class Guard:
     delay: Range
     grid: Grid = field(repr=False)
     units: tuple[float, float] = field(repr=False)
+    rows: Int64[np.ndarray, "mass delay 2"] = field(repr=False)
 
     def largest_stiffness(
         self, damping: Numbers, *, mass: Numbers, delay: Numbers
@@ -81,7 +104,10 @@ class Guard:
         inside = np.all([(value >= low) & (value <= high) for value, (low, high) in ends], axis=0)
         index = np.where(inside, index, 0.0)
         top = interpolated(self.grid.top, index)
-        inside &= (damping_ >= 0.0) & (damping_ <= top * _ROUNDED)
+        last = np.array(self.grid.cells[:2])[:, None] - 1
+        cell = tuple(np.minimum(index.astype(int), last))
+        lowest, highest = top * (self.rows[cell].T / self.grid.cells[2])
+        inside &= (damping_ >= lowest) & (damping_ <= highest * _ROUNDED) & (lowest < highest)
         row = np.where(inside, np.minimum(damping_ / top, 1.0) * self.grid.cells[2], 0.0)
         limits = np.where(inside, interpolated(self.grid.limit, np.vstack([index, row])), 0.0)
         return limits.reshape(values[0].shape)
@@ -141,3 +167,40 @@ class Guard:
         exact = np.where(np.isfinite(limits), limits, 0.0)
         own = self.largest_stiffness(damping, mass=mass[:, None, None], delay=delay[:, None])
         return float(np.sum(own) / np.sum(exact))
+
+    @property
+    def costliest(self) -> Costliest:
+        """The corner of mass, delay and hand that costs most of the stiffness.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+            >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
+            >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
+            >>> guard.costliest.mass, guard.costliest.delay
+            (0.24, 0.0011)
+        """
+        mass, delay = np.array(self.mass), np.array(self.delay)
+        boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
+        share = (np.arange(_DAMPINGS) + 0.5) / _DAMPINGS
+        damping = boundary.largest_damping()[..., None] * share
+        exact = self.exact_stiffness(damping, mass=mass, delay=delay)
+        row, column = np.unravel_index(np.argmin(exact.max(axis=-1)), (2, 2))
+        best = int(np.argmax(exact[row, column]))
+        place = {"mass": mass[[row]], "delay": delay[[column]]}
+        at = damping[row, column, best].reshape(1, 1, 1)
+        ranges = vars(self.hands)
+        corners = [dict(zip(ranges, ends, strict=True)) for ends in product(*ranges.values())]
+        alone = [
+            replace(self, hands=HandRange(**{name: (end, end) for name, end in corner.items()}))
+            .exact_stiffness(at, **place)
+            .item()
+            for corner in corners
+        ]
+        granted = self.largest_stiffness(damping[row, column], mass=mass[row], delay=delay[column])
+        return Costliest(
+            float(mass[row]),
+            float(delay[column]),
+            tuple(corners[int(np.argmin(alone))].values()),
+            float(granted.max()),
+            float(exact[row, column, best]),
+        )

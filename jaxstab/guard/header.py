@@ -82,11 +82,14 @@ def guard_header(
         "M": str(masses),
         "D": str(delays),
         "B": str(rows),
+        "M_CELLS": str(masses - 1),
+        "D_CELLS": str(delays - 1),
         "M_LAST": str(masses - 2),
         "D_LAST": str(delays - 2),
         "B_LAST": str(rows - 2),
         "ROWS": str(rows - 1),
         "TOP": _table(grid.top / damping_step),
+        "GRANTED": _table(guard.rows),
         "LIMIT": _table(grid.limit / stiffness_step),
     }
     template = files("jaxstab.guard").joinpath("guard.h.in").read_text(encoding="utf-8")

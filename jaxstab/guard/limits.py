@@ -49,7 +49,10 @@ class Boundary(NamedTuple):
         crosses = self.joined & ((first > 0.0) != (last > 0.0))
         share = first / np.where(crosses, first - last, 1.0)
         damping = self.damping[..., :-1] + share * np.diff(self.damping, axis=-1)
-        curve = np.min(np.where(crosses & (damping > 0.0), damping, np.inf), axis=-1)
+        # A hand on a spring that nothing damps is on the circle without a wall: there, both gains
+        # change their sign.
+        crosses &= (self.damping[..., :-1] > 0.0) & (self.damping[..., 1:] > 0.0)
+        curve = np.min(np.where(crosses, damping, np.inf), axis=-1)
         _, per_damping, total = self.line
         line = total / np.where(per_damping == 0.0, np.inf, per_damping)
         line = np.where(line > 0.0, line, np.inf)

@@ -51,7 +51,7 @@ def unproved_hands(
         return Extent(along(MASS, own, by_own), *numbers)
 
     arm = hands.stiffness[1], hands.damping[0]
-    loops = DeviceBoxes(device, loop, mass, arm, extent, from_none=False)
+    loops = DeviceBoxes(device, loop, mass, arm, extent)
 
     def prove(boxes: bisection.Boxes) -> bisection.Proof:
         free, shares = loops.judged(boxes.center.T, boxes.half.T)

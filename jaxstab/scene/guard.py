@@ -4,7 +4,10 @@ import warnings
 from collections.abc import Callable
 from math import prod
 
+import numpy as np
+
 from jaxstab.guard import Guard, build_guard, guard_header
+from jaxstab.guard.build import CELLS, plan_guard
 from jaxstab.guard.header import LARGEST
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.ranges import HandRange
@@ -29,7 +32,7 @@ def scene_guard(
     delays: Range | None = None,
     *,
     progress: Callable[[float], None] | None = None,
-    **cells: tuple[int, int, int],
+    cells: tuple[int, int, int] | None = None,
 ) -> Guard:
     """Return the guard of a scene: see ``jaxstab.build_guard``.
 
@@ -40,12 +43,13 @@ def scene_guard(
         delays: in s; None for one sample less to one sample more than the scene's, a tenth of one
             for such a device.
         progress: is told which share of the proof is done.
-        cells: ``cells=`` of ``build_guard``; such a device has a single one of mass and delay.
+        cells: as of ``build_guard``; None for its own, and a single one of mass and delay for such
+            a device.
 
     Raises:
         ValueError, NotImplementedError, RuntimeError: as ``build_guard``.
     """
-    _check_size(scene, delays, **cells)
+    _check_size(scene, delays, cells)
     loop = loop_of(scene)
     hand, is_plain = scene.hand or Hand(), is_one_mass(scene)
     shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
@@ -63,7 +67,7 @@ def scene_guard(
         mass=masses or masses_of(scene) or (shares[0] * mass, shares[1] * mass),
         delay=delays or (max(delay - beside * period, 0.0), delay + beside * period),
         progress=progress,
-        **({} if is_plain else {"cells": _DEVICE_CELLS}) | cells,
+        cells=cells or _cells_of(scene),
     )
 
 
@@ -88,6 +92,15 @@ def _check_size(
         )
 
 
+def guard_plan(scene: Scene, cells: tuple[int, int, int] | None = None) -> str:
+    """Return what ``scene_guard`` will compute, and about how long that takes, in words."""
+    return str(plan_guard(loop_of(scene), cells or _cells_of(scene)))
+
+
+def _cells_of(scene: Scene) -> tuple[int, int, int]:
+    return CELLS if is_one_mass(scene) else _DEVICE_CELLS
+
+
 def guard_about(scene: Scene, guard: Guard) -> str:
     """Return what a guard is of, in lines."""
     units, basis, hands = scene.units, basis_of(scene), guard.hands
@@ -105,9 +118,25 @@ def guard_about(scene: Scene, guard: Guard) -> str:
             _line("stiffness of the hand", hands.stiffness, units.stiffness),
             _line("damping of the hand", hands.damping, units.damping),
             "",
-            f"It grants {100.0 * guard.granted:.1f} % of the stable stiffness, in the mean.",
+            *_granted(scene, guard),
         ]
     )
+
+
+def _granted(scene: Scene, guard: Guard) -> list[str]:
+    """Return what share of the stable walls is granted, and where it is least, in lines."""
+    units, least = scene.units, guard.costliest
+    mass, stiffness, damping = (f"{number:g}" for number in least.hand)
+    proved = float(np.diff(guard.rows).mean()) / guard.grid.cells[2]
+    left = f"Nothing is proved, and granted, in {100.0 * (1.0 - proved):.1f} % of the table."
+    return [
+        f"It grants {100.0 * guard.granted:.1f} % of the stable stiffness, in the mean.",
+        *([left] if proved < 1.0 else []),
+        f"The least stiff corner: {least.mass:g} {units.kilogram}, a delay of {least.delay:g} s,",
+        f"limited by a hand of {mass} {units.kilogram}, {stiffness} {units.stiffness} and "
+        f"{damping} {units.damping}.",
+        f"It grants {least.granted:.4g} {units.stiffness} there, of {least.exact:.4g}.",
+    ]
 
 
 def header_of(scene: Scene, guard: Guard, name: str) -> str:
