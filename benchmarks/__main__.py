@@ -62,7 +62,7 @@ def main() -> int:
         return 0
     if choice.name == "golden":
         golden = import_module("benchmarks.golden")
-        path = choice.out / golden.PATH.name
+        path = choice.out / "golden" / golden.PATH.name
         return golden.take(path) if choice.record else golden.compare(choice.small, path)
     if choice.name == "lemmas":
         return import_module("benchmarks.lemmas").main(choice.small)

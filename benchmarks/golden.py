@@ -41,7 +41,7 @@ from benchmarks.calls import COMPUTING_CALLS, OBJECTS
 from jaxstab.arrays import leaves
 
 ROOT = Path(__file__).resolve().parents[1]
-PATH = record.RESULTS / "golden.json"
+PATH = record.RESULTS / "golden" / "golden.json"
 ATLASES = {"default": None, "window": "window.toml", "slices": "slices.toml"}
 
 Answer = list[np.ndarray | str]
@@ -453,6 +453,7 @@ def take(path: Path = PATH) -> int:
         "answers": hashes(questions()),
         "atlases": atlases(),
     }
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(path)
     return 0

@@ -422,7 +422,7 @@ def test_item_7_check_prints_the_worst_of_all_hands_and_whose_it_is(
         "controller": {"sample_time": 0.001, "delay_samples": 1.0},
         "walls": {"a": {"stiffness": wall[0], "damping": wall[1]}},
     }
-    found = check_walls(Scene.from_table(table)).as_json()["a"]
+    found = check_walls(Scene.from_table(table)).as_json()["walls"]["a"]
     times, modes = {}, {}
     for hand in itertools.product(*hands.values()):
         mass, stiffness, damping = hand

@@ -138,7 +138,7 @@ def test_20_query_agrees_with_check_on_the_walls_of_the_scene(
     spec = AtlasSpec.from_toml(printed.stdout)
     atlas = build_atlas(spec, file)
     asked = run("atlas", "query", file, "--scene", scene)
-    assert asked.exit_code == 0, asked.stderr
+    assert asked.exit_code == 1, asked.stderr  # two walls are unstable
     rows = list(csv.DictReader(asked.stdout.splitlines()))
     assert {row["wall"]: row["verdict"] for row in rows} == {
         "soft": "stable",

@@ -17,9 +17,9 @@ def atlas(request: pytest.FixtureRequest) -> Atlas:
 
 
 def table_of(atlas: Atlas) -> LimitTable:
-    names = ("alpha_limits", "limit_range", "gamma", "delta")
-    terms, ends, gamma, delta = (atlas.arrays[name] for name in names)
-    return LimitTable(terms, ends, gamma=gamma, delta=delta)
+    names = ("alpha_limits", "limit_range", "limit_whole", "gamma", "delta")
+    terms, ends, whole, gamma, delta = (atlas.arrays[name] for name in names)
+    return LimitTable(terms, ends, whole, gamma=gamma, delta=delta)
 
 
 def points_in_cells(atlas: Atlas, count: int, rng: np.random.Generator) -> list[np.ndarray]:
@@ -96,7 +96,9 @@ def test_a_delay_is_in_the_last_cell_that_begins_before(
     edges: list[float], rng: np.random.Generator
 ) -> None:
     walls = np.tile([0.0, 1.0, 0.0, 1.0], (len(edges) - 1, 1))
-    cells = DelayCells(np.column_stack([edges[:-1], edges[1:], walls]))
+    cells = DelayCells(
+        np.column_stack([edges[:-1], edges[1:], walls]), np.zeros(len(walls), np.int32)
+    )
     beside = [np.nextafter(edges, side) for side in (-np.inf, np.inf)]
     inside = rng.uniform(edges[0], edges[-1], 10_000)
     delays = np.concatenate([edges, *beside, inside, [-1.0, 0.0, 1e9]])
@@ -109,7 +111,9 @@ def test_a_delay_is_in_the_last_cell_that_begins_before(
 
 def test_between_cells_of_single_delays_there_is_nothing() -> None:
     ends = np.array([[d, d, 0.0, 1.0, 0.0, 1.0] for d in (0.0, 1.0, 3.0)])
-    covered = DelayCells(ends).covers(np.array([0.0, 0.5, 1.0, 2.999, 3.0, 3.1]))
+    covered = DelayCells(ends, np.zeros(3, np.int32)).covers(
+        np.array([0.0, 0.5, 1.0, 2.999, 3.0, 3.1])
+    )
     assert covered.tolist() == [True, False, True, False, True, False]
 
 

@@ -95,10 +95,10 @@ def test_points_come_from_csv_with_columns_in_any_order_and_options_for_the_rest
 
 
 def test_points_outside_are_refused_or_undecided(path: Path) -> None:
-    far = [*POINT, "--alpha", "9"]
+    far = [*POINT, "--gamma", "9"]
     answer = run("atlas", "query", path, *far)
     assert (answer.exit_code, answer.stdout) == (2, "")
-    assert "alpha is 9.0" in answer.stderr
+    assert "gamma is 9.0" in answer.stderr
     answer = run("atlas", "query", path, *far, "--outside", "undecided")
     assert "undecided,nan,inf,outside" in answer.stdout
 

@@ -24,7 +24,7 @@ from jaxstab.scene.guard import scene_guard
 OMEGA = ["--device", "omega", "--sample-time", "0.001", "--delay", "0.001"]
 HANDS = ["--hand-mass", "0:0.2"]
 GOOD, BAD = ["--wall", "good", "1000", "10"], ["--wall", "bad", "90000", "10"]
-FAR = [*POINT[:1], "9", *POINT[2:]]
+FAR = [*POINT, "--gamma", "9"]  # the last one counts
 SLOW = ["--mass", "0.1", "--damping", "0", "--sample-time", "0.001", "--delay", "0"]
 NEVER = [*SLOW, "--hand-stiffness", "986960.4401089358"]  # pi^2: a root stays at z = -1
 
@@ -73,8 +73,6 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("region", ["--gamma", "-1", "--delta", "0"], 2),
     ("figure", ["4"], 0),
     ("figure", ["3"], 2),
-    ("papers", ["--help"], 0),  # it takes minutes
-    ("papers", ["more"], 2),
     ("atlas spec", ["--scene", "scene.toml"], 0),
     ("atlas spec", ["--scene", "spec.toml"], 2),
     ("atlas build", ["--spec", "spec.toml"], 0),
@@ -313,7 +311,7 @@ def test_31_19_units_are_those_of_rotation() -> None:
     wheel = ["--inertia", "0.02", "--damping", "0.02", "--sample-time", "0.001"]
     walls = ["--hand-inertia", "0:0.05", "--wall", "mass", "1", "0.05"]
     answer = json.loads(run("limits", *wheel, *walls, "--json").stdout)
-    assert answer["inputs"]["inertia"] == 0.02
+    assert answer["inputs"]["inertia"] == [0.02, 0.02]
     assert answer["inputs"]["hand_inertia"] == [0.0, 0.05]
     assert answer["units"]["largest_stiffness"] == "N m/rad"
     assert "mass" in answer["walls"]  # a name, not a quantity

@@ -79,7 +79,7 @@ def test_a_page_begins_with_the_numbers_of_the_scene() -> None:
 
 
 def test_names_of_walls_do_not_end_the_script() -> None:
-    name = "</script><script>alert(1)</script>"
+    name = "a</script><script>alert(1)</script>"
     page = page_of({"walls": {name: {"stiffness": 100.0, "damping": 1.0}}})
     assert initial_of(page)["state"]["walls"][0]["name"] == name
     counted = _Tags()

@@ -37,7 +37,7 @@ def guard() -> Guard:
 @pytest.fixture(scope="module")
 def folder(guard: Guard, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("guard")
-    (folder / "test_guard.h").write_text(guard_header(guard, "test_guard", "of a test */ too"))
+    (folder / "test_guard.h").write_text(guard_header(guard, "test_guard", "of a test"))
     return folder
 
 

@@ -202,7 +202,7 @@ def test_corners_on_a_line_have_its_alpha_and_no_negative_zeros() -> None:
 def test_regions_and_limits_do_not_import_jax() -> None:
     program = (
         "import sys, numpy as np, jaxstab\n"
-        "loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)\n"
+        "loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)\n"
         "region = jaxstab.stable_region(gamma=1e-3, delta=0.015, delay=1.5)\n"
         "region.area, region.contains(0.1, [0.2, 0.3]), region.distance(0.1, 0.2)\n"
         "region.alpha_limits(0.3), region.beta_limits(0.1), region.rows_are_intervals\n"

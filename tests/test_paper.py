@@ -127,7 +127,6 @@ def test_the_region_command_prints_the_numbers():
         (["region", "--gamma", "nan", "--delta", "0"], "gamma is nan"),
         (["region", "--gamma", "0", "--delta", "0", "--radius", "0.1"], "no wall is stable"),
         (["figure", "11"], "11"),
-        (["figure", "5", "-o", "/nowhere"], "nowhere"),
     ],
 )
 def test_commands_refuse_in_one_sentence(arguments, sentence):

@@ -91,7 +91,7 @@ def test_issue_31_21_tune_draws_what_it_answers() -> None:
     ):
         assert best is not None
         assert by_word[words].tolist() == [[best.stiffness, best.damping]]
-    given = tuned.walls["wall soft"].rounded, tuned.at_given_stiffness.rounded
+    given = tuned.walls["soft"].rounded, tuned.at_given_stiffness.rounded
     expected = [[one.stiffness, one.damping] for one in given]
     assert by_word["best damping at a given stiffness"].tolist() == expected
 

@@ -108,14 +108,14 @@ def test_every_answer_says_for_which_masses_it_is() -> None:
     words = "a device of 0.15 to 0.25 kg, constant while a wall is touched"
     lowest = "at its lowest values, the device at its lowest mass"
     for answer in (scene_limits(scene), design_loop(scene)):
-        assert answer.basis is not None
-        assert answer.basis.postures == words
+        assert answer.inputs is not None
+        assert answer.inputs.postures == words
         assert answer.hand is not None
         assert answer.hand.startswith(lowest)
     assert [*dict.fromkeys(one.device_mass for one in hands_among(scene, 3))] == [0.15, 0.2, 0.25]
     plain = scene_limits(Scene.from_table(table(mass=0.15)))
-    assert plain.basis is not None
-    assert plain.basis.postures is None
+    assert plain.inputs is not None
+    assert plain.inputs.postures is None
     assert design_loop(Scene.from_table(table(mass=0.15))).delay == design_loop(scene).delay
 
 
@@ -152,7 +152,7 @@ def test_the_command_line_takes_a_range_of_masses(tmp_path: Path) -> None:
     options = "--damping", "1e-3", "--sample-time", "1e-3", "--json"
     found = json.loads(run("limits", "--inertia", "0.01:0.02", *options).stdout)
     assert found["all_hands"]["worst_hand"]["device_inertia"] == 0.01
-    assert "kg m^2" in found["postures"]
+    assert "kg m^2" in found["inputs"]["postures"]
     picture = tmp_path / "a.png"
     assert run("limits", "--mass", "0.2:0.3", *options[:-1], "--plot", picture).exit_code == 0
     assert picture.stat().st_size > 0

@@ -82,7 +82,7 @@ def _check_size(
     longest = LONGEST_DELAY * scene.controller.sample_time
     if delays and not max(delays) <= longest:
         raise ValueError(
-            f"delays are {delays[0]:g} to {delays[1]:g} s; give at most {LONGEST_DELAY} samples, "
+            f"delays are {delays[0]:g} to {delays[1]:g} s; give at most {LONGEST_DELAY:g} samples, "
             f"{longest:g} s."
         )
     most = LARGEST // _LETTERS
