@@ -30,7 +30,7 @@ _PULL_ALL = 0.02  # of the largest limit of the same mass and delay
 _PULL_TOP = 0.015  # of the largest damping
 _LOWER = 0.05  # of a limit whose proof was given up, in the first round
 _LOWER_ALL = 0.08  # of the largest limit of the same mass and delay, added to that limit
-_PULL_FIRST = 0.03  # of the largest limit: no less is granted without damping
+_LITTLE = 0.05  # of the largest limit: no less is granted without damping, or at the largest one
 _ATTEMPTS = 12
 _FINER = 4  # parts of a cell, in which largest dampings are looked at
 _FEWEST, _ROUNDS = 2000, 8  # boxes of a cell in the first round, or a part of all boxes
@@ -168,8 +168,11 @@ def _first_grid(
     exact = np.where(np.isfinite(exact) & is_good[..., None], exact, 0.0)
     largest = exact.max(axis=-1, keepdims=True)
     limit = np.maximum(exact * (1.0 - _PULL) - _PULL_ALL * largest, 0.0)
-    # A first row that begins without a wall is proved by lemma B20, however little is damped.
-    limit[..., 0] = np.where(limit[..., 0] < _PULL_FIRST * largest[..., 0], 0.0, limit[..., 0])
+    # A first row that begins without a wall is proved by lemma B20, however little is damped; next
+    # to the largest damping little stiffness takes many boxes.
+    for end in (0, -1):
+        is_little = limit[..., end] < _LITTLE * largest[..., 0]
+        limit[..., end] = np.where(is_little, 0.0, limit[..., end])
     limit, unit = _coded(limit)
     return Grid(nodes[0], nodes[1], top, limit), (unit, damping_unit)
 

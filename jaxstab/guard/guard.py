@@ -154,7 +154,7 @@ class Guard:
             >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
             >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
             >>> round(guard.granted, 2)
-            0.89
+            0.88
         """
         mass, delay = (
             low + (high - low) * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
