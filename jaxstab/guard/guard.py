@@ -42,6 +42,8 @@ class Costliest(NamedTuple):
 class Guard:
     """Walls that are proved stable for every hand, mass and delay of given ranges.
 
+    Mass, hand, delay and both gains are constant while the wall is touched.
+
     Attributes:
         loop: the loop; its own mass, hand and delay are replaced by those of the ranges.
         hands: the range of hands.
