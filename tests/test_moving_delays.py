@@ -59,6 +59,8 @@ def test_the_public_claims_over_ranges_say_so_too() -> None:
     claims = (
         HapticLoop.worst_hand.__doc__,
         jaxstab.LoopsBetween.__doc__,
+        jaxstab.Guard.__doc__,
+        jaxstab.build_guard.__doc__,
         header.replace(" * ", ""),
     )
     for text in claims:
