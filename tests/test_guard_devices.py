@@ -149,7 +149,7 @@ def assert_boxes_hold(seed: int, boxes: int) -> tuple[float, int]:
             arm, theta = Arms(*point[3:6].tolist()), float(point[6])
             own = with_hand(loop, mass, delay * PERIOD, arm)
             damping = point[2] / 4 * interpolated(grid.top, point[:2, None])[0]
-            alpha = proof._wall(at, by)[0]  # no less than the limit
+            alpha = proof._parts(at, by)[1]  # no less than the limit
             stiffness = float(alpha.centre[0] + alpha.slope[:, 0] @ x) / PERIOD**2
             assert stiffness >= interpolated(grid.limit, point[:3, None])[0] * (1.0 - 1e-12)
             scaled = Arms(arm.mass, arm.stiffness * PERIOD**2, arm.damping * PERIOD)
