@@ -183,7 +183,7 @@ def assert_first_rows_hold(seed: int, boxes: int) -> int:
     center, half = 0.5 * (starts + ends), 0.5 * (ends - starts)
     is_near = center[6] <= half[6]
     rises = np.zeros(boxes, bool)
-    begins = proof._begin_without_wall(center, half)
+    begins = proof._begin_without_wall(center)
     for which, method in (
         (begins & is_near, proof._grow_slowly),
         (begins & ~is_near, proof._grow),

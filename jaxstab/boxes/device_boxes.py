@@ -60,14 +60,13 @@ class FirstRow(NamedTuple):
     """Boxes whose walls, all of them, are multiples of others and begin with no wall.
 
     Attributes:
-        begins: which boxes are of that kind.
-        stiffness: the largest one in N/m per unit of the multiple.
-        damping: in N s/m per unit.
+        holds: returns which boxes are of that kind, for their middles.
+        walls: returns the largest stiffness in N/m, and the damping in N s/m, per unit of the
+            multiple, for the middles and half-widths of such boxes.
     """
 
-    begins: Bool[np.ndarray, " box"]
-    stiffness: LinearModel
-    damping: LinearModel
+    holds: Callable[[Boxes], Bool[np.ndarray, " box"]]
+    walls: Callable[[Boxes, Boxes], tuple[LinearModel, LinearModel]]
 
 
 class _Place(NamedTuple):
@@ -93,8 +92,8 @@ class DeviceBoxes:
         mass: the smallest and the largest mass of the device in kg.
         arm: the largest stiffness in N/m and the smallest damping in N s/m of the arm.
         extent: returns what boxes hold, for their middles and half-widths.
-        first_row: returns which of them begin with no wall; then boxes hold all stiffnesses from
-            none up to that of the extent. Without it they hold that stiffness alone.
+        first_row: which of them begin with no wall; then boxes hold all stiffnesses from none up
+            to that of the extent. Without it they hold that stiffness alone.
 
     Raises:
         NotImplementedError: the device is of another kind, or has modes far above half of the
@@ -108,7 +107,7 @@ class DeviceBoxes:
         mass: Range,
         arm: Range,
         extent: Callable[[Boxes, Boxes], Extent],
-        first_row: Callable[[Boxes, Boxes], FirstRow] | None = None,
+        first_row: FirstRow | None = None,
     ) -> None:
         self._period = float(loop.sample_time)
         self._device = HeldDevice.of(device, self._period)
@@ -135,7 +134,7 @@ class DeviceBoxes:
                 parts = self.over(center[:, some], half[:, some], aliases)
                 free[some], shares[:, some] = parted(*parts)
         is_near = (center[_THETA] <= half[_THETA]) & ~is_fast & self._passes_rest
-        begins = self._begin_without_wall(center, half) & ~is_fast
+        begins = self._begin_without_wall(center) & ~is_fast
         for among, method in (
             (is_near, self._are_slow),
             (is_near & begins, self._grow_slowly),
@@ -176,11 +175,11 @@ class DeviceBoxes:
         )
         return free & ((self._first_row is not None) | (alpha.low > 0.0)), shares
 
-    def _begin_without_wall(self, center: Boxes, half: Boxes) -> Bool[np.ndarray, " box"]:
+    def _begin_without_wall(self, center: Boxes) -> Bool[np.ndarray, " box"]:
         """Say which boxes are in a first row that begins without a wall, of a passive device."""
         if self._first_row is None or not self._device.is_passive:
             return np.zeros(center.shape[1], bool)
-        return self._first_row(center, half).begins
+        return self._first_row.holds(center)
 
     def _grow(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
         """Say in which boxes of a first row all walls take energy (lemma B20)."""
@@ -237,8 +236,8 @@ class DeviceBoxes:
     def _wall_of_first_row(self, center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
         """Return alpha and beta per unit of the multiple, in boxes that begin without a wall."""
         assert self._first_row is not None
-        row = self._first_row(center, half)
-        return row.stiffness * self._period**2, row.damping * self._period
+        stiffness, damping = self._first_row.walls(center, half)
+        return stiffness * self._period**2, damping * self._period
 
     def _filters(self, theta: LinearModel) -> tuple[Moving, Moving]:
         """Return P and V in units of one sample, with their derivatives by theta."""

@@ -1,6 +1,7 @@
 """Loops of a held device over boxes of a guard: in cells of its grid (lemma B20)."""
 
 import numpy as np
+from jaxtyping import Bool
 
 from jaxstab.boxes.device_boxes import DAMPING, DELAY, MASS, DeviceBoxes, Extent, FirstRow, along
 from jaxstab.boxes.models import LinearModel
@@ -38,18 +39,20 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
         limit, top = limits(center, half)
         return Extent(mass, delay, limit, share * top)
 
-    def first_row(center: Boxes, half: Boxes) -> FirstRow:
+    def is_first(center: Boxes) -> Bool[np.ndarray, " box"]:
         column = tuple(np.floor(center[:2]).astype(int))
+        is_at_0: Bool[np.ndarray, " box"] = (center[DAMPING] < 1.0) & (begins[column] == 0.0)
+        return is_at_0
+
+    def whole_walls(center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
         end, none = center.copy(), half.copy()
         end[DAMPING], none[DAMPING] = 1.0, 0.0
         limit, top = limits(end, none)
-        return FirstRow(
-            (center[DAMPING] < 1.0) & (begins[column] == 0.0), limit, top * (1.0 / count)
-        )
+        return limit, top * (1.0 / count)
 
     mass = float(grid.mass[0]), float(grid.mass[-1])
     arm = hands.stiffness[1], hands.damping[0]
-    return DeviceBoxes(device, loop, mass, arm, extent, first_row)
+    return DeviceBoxes(device, loop, mass, arm, extent, FirstRow(is_first, whole_walls))
 
 
 def _model(bounds: Models) -> LinearModel:
