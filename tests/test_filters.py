@@ -532,8 +532,8 @@ def test_a_hand_far_above_a_cut_off_has_a_region() -> None:
     region = jaxstab.stable_region(**by_name(*place), velocity=velocity)
     assert region.status == jaxstab.RegionStatus.COMPLETE
     rng = np.random.default_rng(3)
-    edges = rng.integers(len(region.points), size=300)
-    away = rng.normal(size=(300, 2)) * 10.0 ** rng.uniform(-6.0, 0.0, (300, 1))
+    edges = rng.integers(len(region.points), size=400)
+    away = rng.normal(size=(400, 2)) * 10.0 ** rng.uniform(-6.0, 0.0, (400, 1))
     walls = (region.points[edges] + np.ptp(region.points, axis=0) * away).T
     codes = jaxstab.verdict(*walls, **by_name(*place), velocity=velocity)
     inside = region.contains(*walls)
@@ -542,14 +542,19 @@ def test_a_hand_far_above_a_cut_off_has_a_region() -> None:
     assert np.sum(codes == STABLE) > 50
 
 
-@pytest.mark.campaign
-def test_a_region_that_is_not_resolved_claims_nothing() -> None:
+def test_a_filter_whose_gain_is_lost_in_float64_has_no_region() -> None:
     velocity = Velocity.butterworth(0.005, order=20)
-    region = jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
-    assert region.status == jaxstab.RegionStatus.UNRESOLVED
-    assert region.components == []
-    assert region.main is None
-    assert not region.contains(1e-6, 1e-4)
+    with pytest.raises(ValueError, match="so slow that its gain or 1 - pole is lost"):
+        jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
+
+
+def test_filters_have_at_most_80_stages() -> None:
+    gains = Filter.transfer_function([2.0], [1.0])
+    position = gains
+    for _ in range(80):
+        position = position * gains
+    with pytest.raises(ValueError, match="the filter has 81 stages; give 80 at most"):
+        jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0, position=position)
 
 
 def test_filters_have_regions_of_stability_alone() -> None:

@@ -11,6 +11,7 @@ from jaxstab.arrays import Numbers, is_any_traced, is_jax, pytree, tree_map
 from jaxstab.model.sections import (
     HIGHEST_ORDER,
     LONGEST_WINDOW,
+    MOST_STAGES,
     Average,
     Butterworth,
     Differentiator,
@@ -166,10 +167,14 @@ class Filter:
         """Return the transfer function for a sampling period in s.
 
         Raises:
-            ValueError: a section does not go with that period, or the order is too high.
+            ValueError: a section does not go with that period, or there are too many poles,
+                samples or stages.
             RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
         """
-        whole = reduce(Transfer.times, self.stages(sample_time), UNIT)
+        stages = self.stages(sample_time)
+        if len(stages) > MOST_STAGES:
+            raise ValueError(f"the filter has {len(stages)} stages; give {MOST_STAGES} at most.")
+        whole = reduce(Transfer.times, stages, UNIT)
         if len(whole.denominator) - 1 > HIGHEST_ORDER or whole.lag > LONGEST_WINDOW:
             raise ValueError(
                 f"the filter ({self}) is of order {whole.order}; give {HIGHEST_ORDER} poles at "

@@ -18,7 +18,7 @@ from jaxstab.model.filters import Filters
 from jaxstab.model.plant import may_cancel, pairs_error, plant_pairs
 from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
 
-_LOST = 2.0**-88  # of the sizes: the error of filters' coefficients and of products with them
+_LOST = 2.0**-90  # of the sizes: the error of filters' coefficients and of products with them
 _PRODUCT = 2.0**-100  # of a product of two pairs
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
 

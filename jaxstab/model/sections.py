@@ -23,6 +23,7 @@ from jaxstab.numbers import checked_count
 
 HIGHEST_ORDER = 40  # poles of a filter, but for those at z = 0
 LONGEST_WINDOW = 200  # samples
+MOST_STAGES = 80  # factors of a filter's transfer function: lemma V8 counts them
 _WHOLE = 1e-9  # of a sample: windows closer to a whole number of samples are that number
 
 

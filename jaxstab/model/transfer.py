@@ -13,7 +13,7 @@ class Transfer(NamedTuple):
     """z^-lag numerator(z) / denominator(z), the denominator monic.
 
     ``sizes`` bound the sums of the moduli of the coefficients of numerator and denominator. The
-    coefficients' errors are below 2^-89 of them (lemma V8).
+    coefficients' errors are below 2^-91 of them (lemma V8).
     """
 
     numerator: Polynomial
