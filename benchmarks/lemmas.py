@@ -21,8 +21,8 @@ from benchmarks.truth.balls import ExactPlant
 from jaxstab.boxes.circle import quick_plant
 from jaxstab.boxes.exclusion import Loops, expansion
 from jaxstab.model import DoubleDouble
-from jaxstab.point.verdict import loop as verdict_loop
-from jaxstab.point.verdict.recursion import FLOAT_UNIT, PAIR_UNIT
+from jaxstab.point import verdicts
+from jaxstab.point.schur_cohn import FLOAT_UNIT, PAIR_UNIT
 
 _BITS = 700
 _EPS = float(np.finfo(np.float64).eps)
@@ -97,7 +97,7 @@ def plant_findings(gamma: float, delta: float, fraction: float) -> Iterator[Find
     """Compare the plant's pairs with balls."""
     loop = gamma, delta, fraction
     is_fractional = fraction > 0.0
-    plant = verdict_loop.pair_plant(gamma, delta, fraction, is_fractional=is_fractional)
+    plant = verdicts.pair_plant(gamma, delta, fraction, is_fractional=is_fractional)
     error, size = float(plant.error), float(plant.size)
     with flint.ctx.workprec(_BITS):
         true = ExactPlant.of(gamma, delta, fraction, _BITS)
@@ -126,18 +126,18 @@ def polynomial(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
         difference = true.n2 - true.n1 + true.n0
         d_minus = 1 - true.d1 + true.d0
         for words, unit, make in (
-            ("float64", FLOAT_UNIT, verdict_loop.float_plant),
-            ("pairs", PAIR_UNIT, verdict_loop.pair_plant),
+            ("float64", FLOAT_UNIT, verdicts.float_plant),
+            ("pairs", PAIR_UNIT, verdicts.pair_plant),
         ):
             plant = make(gamma, delta, fraction, is_fractional=is_fractional)
             gains = (alpha, beta) if unit == FLOAT_UNIT else map(DoubleDouble.of, (alpha, beta))
             alpha_, beta_ = gains
-            chain = verdict_loop._closed_loop(alpha_, beta_, plant, unit)
+            chain = verdicts._closed_loop(alpha_, beta_, plant, unit)
             got, exact = [chain.gap, *chain.tail], [1 - true.d0, *tail]
             yield _finding(f"V7 tail, {words}", float(chain.error), got, exact, loop)
             heads = [chain.head[0], chain.head[1], chain.head[1]], [true.d1, true.d0, true.d0]
             yield _finding(f"V7 head, {words}", float(chain.head_error), *heads, loop)
-            ends = verdict_loop._ends(alpha_, beta_, gamma, plant, unit, degree)
+            ends = verdicts._ends(alpha_, beta_, gamma, plant, unit, degree)
             at_end = d_minus - (a + 2 * b) * difference * (-1) ** (degree - len(plant.stiff))
             # Its sign counts, so that it may be rounded to float64.
             off = _distance(ends.at_minus_one, at_end) - FLOAT_UNIT * abs(float(ends.at_minus_one))

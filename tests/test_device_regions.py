@@ -8,7 +8,7 @@ from jaxstab import STABLE, UNSTABLE, Device, Filter, Hand, HapticLoop, Mode, Ve
 from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters
-from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region.linear import linear_region
 from jaxstab.region.stable_set import StableRegion
 from jaxstab.region.status import RegionStatus

@@ -25,8 +25,8 @@ from jaxstab.model import DoubleDouble, by_name
 from jaxstab.model.device import SampledDevice, sampled_device, sampling
 from jaxstab.model.device import device as device_module
 from jaxstab.point.poles import linear_poles
-from jaxstab.point.radius.door import linear_spectral_radius
-from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.point.radius import linear_spectral_radius
+from jaxstab.point.verdicts import linear_verdict
 
 MODE = Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
 ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)

@@ -15,9 +15,13 @@ import jaxstab
 from benchmarks import truth
 from jaxstab.conventions import RadiusStatus
 from jaxstab.model import by_name
-from jaxstab.point.radius import cubic, dominance, door, fast_radius, power_iteration
-from jaxstab.point.radius.dominant_root import Loop
-from jaxstab.point.verdict.loop import float_plant
+from jaxstab.point import dominance as dominance
+from jaxstab.point import dominance as fast_radius
+from jaxstab.point import radius as door
+from jaxstab.point import traced_radius as cubic
+from jaxstab.point import traced_radius as power_iteration
+from jaxstab.point.dominance import Loop
+from jaxstab.point.verdicts import float_plant
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 LONG_DELAY = 33.5

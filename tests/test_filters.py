@@ -23,8 +23,7 @@ from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
 from jaxstab.model import by_name
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
-from jaxstab.point.verdict.dense import dense_codes, rounded_loop, without_zeros
-from jaxstab.point.verdict.recursion import FLOAT_UNIT
+from jaxstab.point.schur_cohn import FLOAT_UNIT, dense_codes, rounded_loop, without_zeros
 from jaxstab.region.curve import curve_and_lift, mass_coefficients
 
 # Each estimator beside T V(z), each filter beside P(z), by the truth.

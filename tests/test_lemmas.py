@@ -37,9 +37,7 @@ def test_no_bound_is_smaller_than_the_error_that_it_bounds(
 def test_a_bound_that_is_too_small_is_noticed(
     factor: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        lemmas.verdict_loop, "pairs_error", lambda *hand: pairs_error(*hand) * factor
-    )
+    monkeypatch.setattr(lemmas.verdicts, "pairs_error", lambda *hand: pairs_error(*hand) * factor)
     rng = np.random.default_rng(1)
     findings = [f for n in range(80) for f in lemmas.polynomial(rng, n % 2 == 1)]
     small = [f for f in findings if f.slack < 1.0]

@@ -13,7 +13,7 @@ from benchmarks import truth
 from benchmarks.truth.balls import ExactPlant, moduli, true_code
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, characteristic_polynomial, verdict
-from jaxstab.point.radius.bound import radius_error
+from jaxstab.point.radius import radius_error
 
 DELAYS = (0.0, 0.25, 1.0, 1.5, 2.0, 2.75, 5.0, 7.3, 8.0, 20.0, 33.0, 59.5, 60.0)
 POINTS = {True: 2000, False: 200}  # of short delays, of long ones

@@ -20,8 +20,8 @@ from benchmarks.truth.filtered import FilteredLoop, Rational
 from jaxstab.model import Device, Filter, Hand, Mode, Velocity, by_name
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point.radius.door import linear_spectral_radius
-from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.point.radius import linear_spectral_radius
+from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region.linear import linear_region
 
 _HIGHEST_ORDER = 24

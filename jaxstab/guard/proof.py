@@ -18,7 +18,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.guard.grid import Grid, interpolated, step_of
 from jaxstab.guard.grid_boxes import grid_boxes
 from jaxstab.model import LoopParameters
-from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.point.verdicts import linear_verdict
 from jaxstab.ranges import HandRange
 
 Cells = Bool[np.ndarray, "mass delay damping"]

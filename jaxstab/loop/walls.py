@@ -13,8 +13,8 @@ from jaxstab.motion.oscillation import mode_of
 from jaxstab.numbers import checked_word
 from jaxstab.point import SpectralRadius
 from jaxstab.point.poles import linear_poles
-from jaxstab.point.radius.door import linear_spectral_radius
-from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.point.radius import linear_spectral_radius
+from jaxstab.point.verdicts import linear_verdict
 from jaxstab.ranges import Margins, WallMargins
 
 

@@ -38,8 +38,7 @@ from jaxstab.motion.state_space import bank_for, groups
 from jaxstab.motion.stretches import STRETCH, Motion
 from jaxstab.motion.transition import Loops, device_loops, loops_of
 from jaxstab.numbers import checked_count, checked_number, checked_word
-from jaxstab.point.verdict.door import verdict
-from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.point.verdicts import linear_verdict, verdict
 
 Excitation = Literal["force", "impact"]
 

@@ -18,7 +18,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
-from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.point.verdicts import linear_verdict
 from jaxstab.ranges.device_delays import extra_delays
 from jaxstab.ranges.margins import Margins, WallMargins
 

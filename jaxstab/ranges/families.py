@@ -13,7 +13,7 @@ from jaxstab.boxes.first_root import FirstRoots, Models, Parts, search
 from jaxstab.boxes.in_pieces import PieceBoxes
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model.device.family import LoopFamily
-from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.point.verdicts import linear_verdict
 
 Walls = Float64[np.ndarray, "wall 2"]
 Outline = Float64[np.ndarray, "vertex 2"]

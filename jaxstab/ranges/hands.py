@@ -26,7 +26,7 @@ from jaxstab.model.filters import known_filters
 from jaxstab.model.linear_loop import filtered_loop
 from jaxstab.numbers import checked_number
 from jaxstab.point import spectral_radius, verdict
-from jaxstab.point.radius.inside import are_inside
+from jaxstab.point.radius import are_inside
 
 Loop = TypeVar("Loop", bound=LoopParameters)
 Range = tuple[float, float]

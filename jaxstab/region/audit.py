@@ -13,7 +13,7 @@ from jaxtyping import Float64, Int
 
 from jaxstab.conventions import STABLE, UNSTABLE
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point.verdict.linear import linear_verdict
+from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift

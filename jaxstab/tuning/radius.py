@@ -29,7 +29,7 @@ from jaxstab.model import (
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.numbers import checked_number
-from jaxstab.point.verdict.door import verdict
+from jaxstab.point.verdicts import verdict
 from jaxstab.tuning.component import Component, searched_component
 from jaxstab.tuning.multiple_root import Family, Pair, family_of, family_of_loop, newton_step
 from jaxstab.tuning.search import Walls, scan_angles, searched

@@ -1,21 +1,68 @@
-"""A first guess of the dominant root of polynomials: powers of the companion matrix.
+"""The largest root of real cubics to about eight digits, by additions and products alone.
 
-z^M mod p, by repeated squaring, is the state after M products with the companion matrix. Little
-more than the dominant roots remain in it, and four samples determine them: one real root or a pair.
-
-A polynomial is a list of columns, the coefficients of many points, lowest power first; None stands
-for a column of zeros. Only elementwise operations: a compiler keeps all of it in registers.
-
-Source: Henrici, Applied and Computational Complex Analysis I, 7.4, with the powers by squaring.
+Source: with z = y - a/3 the cubic is y^3 + P y + Q; one root has the sign of -Q, and
+Newton's method approaches it monotonically from above.
 """
 
-from functools import reduce
+from functools import partial, reduce
 from operator import add
 
+import jax
 import jax.numpy as jnp
+import optimistix
 from jax import Array, lax
+from jaxtyping import Complex128, Float64
 
-from jaxstab.point.radius.elementary import power_of_two_below_inverse, reciprocal, square_root
+from jaxstab.point.dominance import power_of_two_below_inverse, reciprocal, square_root
+from jaxstab.point.poles import companion_poles
+
+_THIRD_OF_BITS = 715_094_163  # x^(1/3) within 6 %, from a third of the upper bits of x
+
+_ABOVE = 1.06
+
+_STEPS = 5
+
+
+def largest_root(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    """Return real and imaginary part, the latter >= 0, of z^3 + a z^2 + b z + c = 0."""
+    shift = a * (1.0 / 3.0)
+    linear = b - a * shift
+    constant = c - b * shift + 2.0 * shift * shift * shift
+    size = jnp.abs(constant)
+    y = _above_cube_root(size) + square_root(jnp.maximum(-linear, 0.0))
+    for _ in range(_STEPS):
+        square = y * y
+        y = (2.0 * y * square + size) * reciprocal(3.0 * square + linear)
+    y = jnp.where(constant < 0.0, y, -y)
+    single = y - shift
+    # The other two are centre +- sqrt(offset).
+    centre = -0.5 * y - shift
+    offset = -0.75 * y * y - linear
+    width = square_root(jnp.abs(offset))
+    is_pair = offset < 0.0
+    re = jnp.where(is_pair, centre, centre + jnp.where(centre < 0.0, -width, width))
+    im = jnp.where(is_pair, width, 0.0)
+    is_single = single * single > re * re + im * im
+    return jnp.where(is_single, single, re), jnp.where(is_single, 0.0, im)
+
+
+def _above_cube_root(x: Array) -> Array:
+    upper = (lax.bitcast_convert_type(x, jnp.int64) >> 32).astype(jnp.int32)
+    third = (upper.astype(jnp.float64) * (1.0 / 3.0)).astype(jnp.int32) + _THIRD_OF_BITS
+    return _ABOVE * lax.bitcast_convert_type(third.astype(jnp.int64) << 32, jnp.float64)
+
+
+# A first guess of the dominant root of polynomials: powers of the companion matrix.
+#
+# z^M mod p, by repeated squaring, is the state after M products with the companion matrix. Little
+# more than the dominant roots remain in it, and four samples determine them: one real root or a
+# pair.
+#
+# A polynomial is a list of columns, the coefficients of many points, lowest power first; None
+# stands for a column of zeros. Only elementwise operations: a compiler keeps all of it in
+# registers.
+#
+# Source: Henrici, Applied and Computational Complex Analysis I, 7.4, with the powers by squaring.
 
 _ONE_ROOT = 1e-10  # relative determinant below which one real root is left
 
@@ -150,3 +197,64 @@ def _minus(a: Column, b: Array, c: Column) -> Column:
     if c is None:
         return a
     return -(b * c) if a is None else a - b * c
+
+
+# The largest modulus of a root with a derivative, for JAX's transformations alone.
+
+_NEWTON: optimistix.Newton[Array, Array, None] = optimistix.Newton(rtol=1e-15, atol=1e-15)
+
+_NEWTON_STEPS = 3
+
+_FARTHEST = 1e-6  # that an eigenvalue is from its root; at multiple roots Newton's method may leave
+
+
+@jax.custom_jvp
+def largest_modulus(
+    coefficients: Float64[Array, "*grid coefficient"],
+) -> Float64[Array, "*grid"]:
+    """Return the largest modulus of a root of monic polynomials, highest power first."""
+    return jnp.abs(_dominant_root(coefficients))
+
+
+@largest_modulus.defjvp
+def _largest_modulus_jvp(
+    primals: tuple[Array], tangents: tuple[Array]
+) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid"]]:
+    """Differentiate p(z) = 0 at the dominant root: eigvals has no derivative at double roots."""
+    (coefficients,), (change,) = primals, tangents
+    degree = coefficients.shape[-1] - 1
+    root = _dominant_root(coefficients)
+    slope = _evaluated(coefficients[..., :-1] * jnp.arange(degree, 0, -1), root)
+    motion = -_evaluated(change, root) / slope
+    modulus = jnp.abs(root)
+    return modulus, (root.conj() * motion).real / modulus
+
+
+@partial(jnp.vectorize, signature="(coefficient)->()")
+def _dominant_root(
+    coefficients: Float64[Array, " coefficient"],
+) -> Complex128[Array, ""]:
+    """Return the dominant eigenvalue of a companion matrix, corrected by Newton's method."""
+    guess = companion_poles(coefficients)[0]
+    start = jnp.stack([guess.real, guess.imag])
+    solution: optimistix.Solution[Array, None]
+    solution = optimistix.root_find(
+        _parts, _NEWTON, start, coefficients, max_steps=_NEWTON_STEPS, throw=False
+    )
+    root = jax.lax.complex(*solution.value)
+    return jnp.where(jnp.abs(root - guess) < _FARTHEST * jnp.abs(guess), root, guess)
+
+
+def _parts(point: Float64[Array, "2"], coefficients: Array) -> Float64[Array, "2"]:
+    """Return the real and the imaginary part of a polynomial at a complex number."""
+    value = _evaluated(coefficients, jax.lax.complex(point[0], point[1]))
+    return jnp.stack([value.real, value.imag])
+
+
+def _evaluated(
+    coefficients: Float64[Array, "*grid coefficient"], z: Complex128[Array, "*grid"]
+) -> Complex128[Array, "*grid"]:
+    value = jnp.zeros_like(z)
+    for power in range(coefficients.shape[-1]):
+        value = value * z + coefficients[..., power]
+    return value

@@ -1,15 +1,28 @@
-"""Certified verdicts of polynomials without a special form: loops with estimators and filters.
+"""A Schur-Cohn recursion in O(degree) operations whose rounding errors are part of a proof.
 
-The Schur-Cohn steps act on all coefficients, in O(degree^2) operations; where only the first and
-the last ones are not 0, as with windows and long delays, they act on those alone (lemma V9 of
-docs/proofs.md). The proof uses the same lemmas as for the loop of the paper, V2 to V6, and V8 for
-the error of forming p(z).
+**Recursion.** p(z) = z^(m-2) (u0 z^2 + u1 z + u2 + u3/z) + (v0 + v1 z + v2 z^2 + v3 z^3): only the
+first and the last few coefficients of p are not zero, whatever the delay. A step of Schur and Cohn,
+p -> (p - K z^m p(1/z)) / z with K = v0/u0, lowers the degree m by one and keeps this form:
+
+    u_i -> u_i - K v_i,        v_i -> v_(i+1) - K u_(i+1).
+
+The K that were computed decide, however wrong they are; ``error`` bounds what the polynomial may
+differ by from exact steps with the same K, and the winding number of the quadratic at the end, with
+the signs of p(1) and p(-1), tells where the roots are: lemmas V1 to V6 of docs/proofs.md.
+
+Near z = 1 u0 and u2 are both close to 1. Their difference, the ``gap``, is carried instead, so
+errors are relative to the gap and to the tail, not to the coefficients of p. Far outside, for long
+delays, factors of 1 + |K| add up to more than float64 has digits, though an early K is certainly
+above 1: ``drift`` bounds the distance to the steps with the exact K.
+
+Sources: Schur (1917), Cohn (1922); Jury (1964), Theory and Application of the z-Transform Method.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Generic
+from itertools import zip_longest
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -17,7 +30,174 @@ from jaxstab.arrays import Array, is_any_traced, kept, namespace, pytree, repeat
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import DoubleDouble
 from jaxstab.model.linear_loop import Affine, LinearLoop
-from jaxstab.point.verdict.recursion import SAFETY, UNDERFLOW, Number, drifted, leading, size
+
+Number = TypeVar("Number", Array, DoubleDouble)
+
+FLOAT_UNIT = 2.0**-53
+
+PAIR_UNIT = 2.0**-99  # of the least accurate operation, the division
+
+UNDERFLOW = 1e-260  # more than all that is lost by numbers flushed to zero
+
+SAFETY = 1.001  # the bounds themselves are rounded (lemma V3)
+
+
+@pytree
+@dataclass(frozen=True)
+class Chain(Generic[Number]):
+    """A polynomial in the form of the recursion, with the error bounds of its coefficients."""
+
+    gap: Number  # u0 - u2
+    head: tuple[Number, ...]  # u1, u2 and u3 where it is not zero
+    tail: tuple[Number, ...]  # v0, v1, ... as far as they are not zero
+    head_error: Array  # of u1 and twice that of u2
+    error: Array  # l1 norm of all other errors
+    inside: Array | bool = True  # every |K| < 1 so far
+    regular: Array | bool = True  # no |K| = 1 so far
+    outside: Array | bool = False  # an exact |K| > 1
+    drift: Array | None = None  # of each coefficient from exact steps; None: not followed
+
+
+class Ends(NamedTuple):
+    """p(1) and (-1)^n p(-1) up to positive factors, and bounds of their errors."""
+
+    at_one: Array
+    at_one_error: Array | float
+    at_minus_one: Array
+    at_minus_one_error: Array
+
+
+def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -> Array:
+    """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff.
+
+    A degree that is an array sets the length of a loop, one compilation serving all above 3.
+    """
+    xp = namespace(chain, degree)
+    is_cubic = isinstance(degree, int) and degree == 3
+    if not is_cubic:
+        chain = _step(chain, unit, is_monic=True)
+    if isinstance(degree, int):
+        for _ in range(degree - 4):
+            chain = _step(chain, unit)
+    else:
+        chain = _steps(chain, unit, degree - 4)
+    gap, error, modulus = _last_gap(chain, unit, is_monic=is_cubic)
+    is_clear = size(gap) > (SAFETY * (degree - 1)) * error
+    is_clear = is_clear & chain.regular & (modulus != 1.0)
+    is_inside = chain.inside & (modulus < 1.0) & (leading(gap) > 0.0)
+    real_outside = (ends.at_one < -ends.at_one_error) | (
+        ends.at_minus_one < -ends.at_minus_one_error
+    )
+    no_real = (ends.at_one > ends.at_one_error) & (ends.at_minus_one > ends.at_minus_one_error)
+    counted = xp.where(is_inside, STABLE, UNSTABLE)
+    codes = xp.where(no_real & is_clear, counted, UNDECIDED)
+    return xp.where(real_outside | chain.outside, UNSTABLE, codes).astype(np.int8)
+
+
+def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Array]:
+    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last |K|.
+
+    The step from a cubic b0 z^3 + b1 z^2 + b2 z + b3.
+    """
+    head, tail = chain.head, chain.tail
+    b0 = chain.gap + head[1]
+    b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
+    b3 = tail[0] + head[2] if len(head) > 2 else tail[0]
+    ratio = b3 if is_monic else b3 / b0
+    modulus = size(ratio)
+    gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
+    sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
+    error = chain.error + modulus * (chain.error + chain.head_error + 4.0 * unit * sizes)
+    return gap, error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2])), modulus
+
+
+def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
+    xp = namespace(chain, count)
+    start = tree_map(lambda value: xp.broadcast_to(value, xp.shape(chain.error)), chain)
+    return repeat(count, lambda state: _step(state, unit), start)
+
+
+def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Number]:
+    """Lower the degree by one."""
+    head, tail = chain.head, chain.tail
+    first = chain.gap + head[1]
+    ratio = tail[0] if is_monic else tree_map(kept, tail[0] / first)
+    modulus = size(ratio)
+    lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
+    pairs = list(zip_longest(head, tail[1:]))
+    bounds = _bounds_after(chain, first, modulus, unit)
+    return Chain(
+        gap=chain.gap - ratio * lowered,
+        head=tuple(_minus(u, ratio, v) for u, v in pairs),
+        tail=tuple(_minus(v, ratio, u) for u, v in pairs),
+        inside=chain.inside & (modulus < 1.0),
+        regular=chain.regular & (modulus != 1.0),
+        **bounds,
+    )
+
+
+def _bounds_after(
+    chain: Chain[Number], first: Number, modulus: Array, unit: float
+) -> dict[str, Any]:
+    """Bound what exact steps could differ by after one more: with the same K, and with the exact K.
+
+    Lemma V3 has the terms of the errors, lemma V6 those of the drift.
+    """
+    head, tail = chain.head, chain.tail
+    sizes = size(first) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
+    small = size(chain.gap) + size_sum(tail[1:])
+    carried = chain.error + chain.head_error + 4.0 * unit * sizes
+    # Where v_i = 0, u_i stays and is not rounded.
+    touched = list(zip(head[:2], tail[1:3], (1.0, 2.0), strict=False))
+    rounded = sum(weight * (size(u) + 2.0 * modulus * size(v)) for u, v, weight in touched)
+    outside, drift = chain.outside, chain.drift
+    if drift is not None:
+        outside = outside | (size(tail[0]) - size(first) > 4.0 * drift)
+        drift = drifted(drift, modulus, size(first), sizes + small, unit)
+    return {
+        "head_error": chain.head_error + 2.0 * modulus * chain.error + unit * rounded,
+        "error": chain.error + modulus * carried + unit * small,
+        "outside": outside,
+        "drift": drift,
+    }
+
+
+def drifted(drift: Array, modulus: Array, first: Array, total: Array, unit: float) -> Array:
+    """Bound the distance to exact steps after one more, while u0 is large beside its error."""
+    ratio_error = 3.0 * drift * (1.0 + modulus) / first + 3.0 * unit * modulus
+    grown = drift * (1.0 + 2.0 * modulus) + 2.0 * ratio_error * total
+    grown = grown + 5.0 * unit * total * (1.0 + modulus)
+    return namespace(drift, grown).where(first >= 6.0 * drift, grown, np.inf)
+
+
+def _minus(a: Number | None, ratio: Number, b: Number | None) -> Number:
+    """Return a - ratio b, where None is zero."""
+    if b is None:
+        return cast(Number, a)
+    return -(ratio * b) if a is None else a - ratio * b
+
+
+def leading(number: Array | DoubleDouble) -> Array:
+    """Return the number rounded to float64, its sign being exact."""
+    return number.hi if isinstance(number, DoubleDouble) else number
+
+
+def size(number: Array | DoubleDouble) -> Array:
+    """Return the absolute value, to float64 accuracy."""
+    return abs(leading(number))
+
+
+def size_sum(numbers: tuple[Number, ...]) -> Array:
+    """Return the l1 norm."""
+    return sum(map(size, numbers), 0.0)
+
+
+# Certified verdicts of polynomials without a special form: loops with estimators and filters.
+#
+# The Schur-Cohn steps act on all coefficients, in O(degree^2) operations; where only the first and
+# the last ones are not 0, as with windows and long delays, they act on those alone (lemma V9 of
+# docs/proofs.md). The proof uses the same lemmas as for the loop of the paper, V2 to V6, and V8 for
+# the error of forming p(z).
 
 _PAYS = 2.5  # degree over the length of an end from which on steps on the ends are less work
 
@@ -108,9 +288,9 @@ def polynomial_codes(
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
     large = _sum(coefficients) - error > 8.0 * 2.0**degree
     if width < given:
-        apart = partial(_step, unit=unit, is_apart=True)
+        apart = partial(_dense_step, unit=unit, is_apart=True)
         state = _joined(repeat(degree + 1 - width, apart, state), unit)
-    state = repeat(width - 3, partial(_step, unit=unit), state)
+    state = repeat(width - 3, partial(_dense_step, unit=unit), state)
     gap = leading(part_of(state.falling, 0) - part_of(state.falling, 2))
     is_clear = (abs(gap) > (SAFETY * (degree - 1)) * state.error) & state.regular
     real_outside, no_real = large, is_clear
@@ -203,7 +383,7 @@ def _sum(*numbers: Number) -> Array:
     return sum(xp.sum(size(number), axis=0) for number in numbers)
 
 
-def _step(state: _State[Number], unit: float, *, is_apart: bool = False) -> _State[Number]:
+def _dense_step(state: _State[Number], unit: float, *, is_apart: bool = False) -> _State[Number]:
     """Lower the degree by one, and bound what exact steps with the same K could differ by."""
     falling, rising = state.falling, state.rising
     first, last = part_of(falling, 0), part_of(rising, 0)

@@ -1,0 +1,587 @@
+"""The spectral radius of the closed loop, with a proved bound of its error."""
+
+import operator
+from collections.abc import Callable
+from decimal import ROUND_CEILING
+from functools import partial, reduce
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8
+
+from jaxstab.arrays import (
+    Array,
+    Numbers,
+    are_numbers,
+    constant,
+    is_any_traced,
+    leaves,
+    named,
+    namespace,
+    repeat_while,
+    tree_map,
+)
+from jaxstab.batches import compiled, over_tiles
+from jaxstab.conventions import STABLE, UNSTABLE, RadiusStatus
+from jaxstab.model import (
+    DoubleDouble,
+    characteristic_polynomial,
+    checked_delay,
+    checked_delta,
+    checked_gain,
+    checked_gamma,
+    polynomial_degree,
+    require_x64,
+)
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.linear_loop import LinearLoop
+from jaxstab.model.polynomial import loop_polynomial
+from jaxstab.numbers import checked_word
+from jaxstab.point.dominance import (
+    LONGEST_DELAY,
+    TOLERANCE,
+    Complex,
+    Loop,
+    distance_of_dominant,
+    fast_radius,
+    modulus,
+    newton,
+)
+from jaxstab.point.grid import looked_up, over_grid
+from jaxstab.point.poles import companion_poles
+from jaxstab.point.schur_cohn import (
+    FLOAT_UNIT,
+    PAIR_UNIT,
+    SAFETY,
+    UNDERFLOW,
+    Chain,
+    Ends,
+    Number,
+    decide,
+    leading,
+    loop_coefficients,
+    part_of,
+    polynomial_codes,
+    size,
+    size_sum,
+)
+from jaxstab.point.verdicts import (
+    HIGHEST_UNROLLED,
+    Points,
+    filtered_loops,
+    float_plant,
+    gathered,
+    is_plant_lost,
+)
+from jaxstab.shown import number_text, text_with_bound
+
+# The error bound of a spectral radius, from verdicts on p(r z) for a ladder of radii r.
+#
+# All roots are inside the circle of radius + error, and not all inside that of radius - error; each
+# side is one verdict (lemma R3 of docs/proofs.md). The steps of the ladder have a ratio of 4.
+
+_STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds that are tried
+
+
+def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
+    """Return bounds of the errors of radii, infinite where even 2^-6 of the radius is not proved.
+
+    Args:
+        codes: gives the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).
+        radius: the estimates, > 0.
+    """
+    xp = namespace(radius)
+    steps = xp.asarray(_STEPS)
+    sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
+    wanted = xp.stack([xp.full_like(radius, STABLE), xp.full_like(radius, UNSTABLE)])
+
+    def prove(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        step, error = state
+        scale = radius * (1.0 + sides * steps[step])
+        tried = abs(scale - radius) * (1.0 + 4.0 * FLOAT_UNIT)
+        is_proved = xp.isinf(error) & (codes(scale) == wanted)
+        return step + 1, xp.where(is_proved, tried, error)
+
+    def is_open(state: tuple[Array, Array]) -> Array:
+        step, error = state
+        return (step < len(_STEPS)) & xp.any(xp.isinf(error))
+
+    start = xp.asarray(0), xp.full_like(sides, xp.inf)
+    return xp.max(repeat_while(is_open, prove, start)[1], axis=0)
+
+
+# Spectral radii of any linear loops, and a bound of the error of each.
+#
+# The dominant eigenvalue of the companion matrix is corrected by Newton's method with a residual in
+# double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V8 of docs/proofs.md).
+
+_DENSE_NEWTON_STEPS = 2
+
+_MATRICES = 1 << 11  # points at once
+
+Values = np.ndarray[Any, np.dtype[Any]]
+
+
+def linear_radius(alpha: Values, beta: Values, loop: LinearLoop) -> tuple[Values, Values]:
+    """Return the spectral radii of walls of one loop and bounds of their errors.
+
+    Args:
+        alpha: float64, any shape; it broadcasts with beta and with the loop.
+        beta: likewise.
+        loop: what base + alpha stiffness + beta damping is.
+
+    Returns:
+        Radii and bounds, which are infinite where none holds.
+    """
+    shape = np.broadcast_shapes(*(np.shape(leaf) for leaf in leaves((alpha, beta, loop))))
+    every = np.arange(prod(shape))
+    value, error = _listed_radii((alpha, beta, loop), shape, every)
+    return value.reshape(shape), error.reshape(shape)
+
+
+def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
+    """Return the spectral radii of points and bounds of their errors, infinite where none holds."""
+    value, error = np.zeros(points.shape), np.full(points.shape, np.inf)
+    for form, indices in points.groups(np.full(points.shape, True)):
+        walls = points.alpha, points.beta, filtered_loops(points, form, filters)
+        value.flat[indices], error.flat[indices] = _listed_radii(walls, points.shape, indices)
+    return value, error
+
+
+def _listed_radii(
+    walls: tuple[Values, Values, LinearLoop], shape: tuple[int, ...], indices: Values
+) -> tuple[Values, Values]:
+    """Return radii and bounds at flat indices of a grid."""
+    value, error = np.zeros(indices.size), np.full(indices.size, np.inf)
+    for start in range(0, indices.size, _MATRICES):
+        part = slice(start, start + _MATRICES)
+        alpha, beta, loops = gathered(walls, shape, indices[part])
+        gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
+        with np.errstate(all="ignore"):
+            coefficients, lost = loop_coefficients(*gains, loops, PAIR_UNIT)
+            value[part] = _dominant_modulus(coefficients)
+            error[part] = dense_radius_error(coefficients, lost, value[part], unit=PAIR_UNIT)
+    return value, error
+
+
+def traced_radius_error(coefficients: Array, radius: Array) -> Array:
+    """Return bounds of the errors of radii in float64, for coefficients of (*grid, coefficient)."""
+    xp = namespace(coefficients, radius)
+    lost = 2.0 * FLOAT_UNIT * xp.sum(abs(coefficients), axis=-1)
+    return dense_radius_error(xp.moveaxis(coefficients, -1, 0), lost, radius, unit=FLOAT_UNIT)
+
+
+def _dominant_modulus(coefficients: DoubleDouble) -> Values:
+    rounded = coefficients.rounded()
+    z = companion_poles(np.moveaxis(rounded, 0, -1))[..., 0]
+    for _ in range(_DENSE_NEWTON_STEPS):
+        slope = np.polyval(rounded[:-1] * np.arange(len(rounded) - 1, 0, -1)[:, None], z)
+        moved = z - _value(coefficients, z) / slope
+        z = np.where(np.isfinite(moved), moved, z)
+    return np.abs(z)
+
+
+def _value(coefficients: DoubleDouble, z: Values) -> Values:
+    """Return p(z), by division by the real quadratic of z and its conjugate, in pairs."""
+    total = DoubleDouble.of(2.0 * z.real)
+    square = DoubleDouble.of(z.real) * z.real + DoubleDouble.of(z.imag) * z.imag
+    zero = total - total
+    before, last = zero, zero
+    for column in _columns(coefficients):
+        before, last = last, column + (total * last - square * before)
+    # The remainder is ``before`` (z - total) + ``last``, and z - total is minus the conjugate.
+    real = last - before * z.real
+    return real.rounded() + 1j * (before * z.imag).rounded()
+
+
+def _columns(coefficients: DoubleDouble) -> list[DoubleDouble]:
+    pairs = zip(coefficients.hi, coefficients.lo, strict=True)
+    return [DoubleDouble(hi, lo) for hi, lo in pairs]
+
+
+@compiled(static=["unit"])
+def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, unit: float) -> Array:
+    """Prove how far spectral radii can be from the true ones; infinite where 2^-6 of them is more.
+
+    Args:
+        coefficients: of monic polynomials, on the first axis, highest power first.
+        error: bound of the sum of their errors.
+        radius: the estimate, > 0.
+        unit: roundoff of the coefficients' numbers.
+    """
+    xp = namespace(coefficients, error, radius)
+    both = tree_map(lambda values: xp.stack([values, values], axis=1), coefficients)
+    return proved_error(lambda scale: scaled_codes(both, error, scale, unit), radius)
+
+
+def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) -> Array:
+    """Return the codes of p(scale z) / scale^n; see ``dense_radius_error`` for the arguments."""
+    xp = namespace(coefficients, error, scale)
+    columns = [part_of(coefficients, index) for index in range(len(leading(coefficients)))]
+    inverse, power = columns[0] / scale, columns[0]  # the first coefficient is 1
+    scaled: list[Number] = []
+    for column in columns:
+        scaled.append(column * power)
+        power = power * inverse
+    signed = [-value if index % 2 else value for index, value in enumerate(scaled)]
+    sizes = sum(map(size, scaled))
+    degree = len(columns) - 1
+    lost = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
+    lost = lost + (2 * degree + 6) * unit * sizes + UNDERFLOW
+    ends = [
+        (leading(reduce(operator.add, terms)), lost + degree * unit * sizes)
+        for terms in (scaled, signed)
+    ]
+    return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), lost, ends, unit, degree)
+
+
+# The error bound of a spectral radius, for the loop of the paper.
+#
+# The verdicts of the ladder are those of the certified recursion on the few coefficients of p that
+# are not 0 (lemma R3 of docs/proofs.md).
+#
+# Source: Schur-Cohn criterion (Jury 1964) for p(r z).
+
+
+def radius_error(
+    coefficients: Float64[Array, "*grid coefficient"],
+    radius: Float64[Array, "*grid"],
+    coefficient_error: float = 2.0 * FLOAT_UNIT,
+) -> Float64[Array, "*grid"]:
+    """Prove how far a spectral radius can be from the true one.
+
+    Bounds from a ladder of ratio 4 are tried, so the result is up to 4 times larger than the
+    smallest bound that could be proved, and never smaller than the true error.
+
+    Args:
+        coefficients: monic p(z) of degree >= 3, highest power first, as characteristic_polynomial
+            gives them for one delay.
+        radius: the estimate, > 0.
+        coefficient_error: relative uncertainty of each coefficient.
+
+    Returns:
+        The absolute error; inf if even 2^-6 radius cannot be proved, as when coefficients other
+        than the first three and the last four are not zero.
+
+    Raises:
+        ValueError: the degree is below 3.
+    """
+    degree = coefficients.shape[-1] - 1
+    if degree < 3:
+        raise ValueError(f"coefficients are of degree {degree}; give polynomials of degree >= 3.")
+    return _radius_error(coefficients, radius, coefficient_error=coefficient_error)
+
+
+@compiled(static=["coefficient_error"])
+def _radius_error(coefficients: Array, radius: Array, *, coefficient_error: float) -> Array:
+    degree = coefficients.shape[-1] - 1
+    xp = namespace(coefficients, radius)
+    columns = [coefficients[..., index] for index in range(degree + 1)]
+    tail = columns[: max(2, degree - 4) : -1]
+    rest = sum(map(abs, columns[3 : degree + 1 - len(tail)]), xp.zeros_like(radius))
+    bound = partial(_ladder, degree=degree, coefficient_error=coefficient_error)
+    return over_tiles(bound, (tuple(columns[1:3]), tuple(tail), rest, radius))
+
+
+def _ladder(
+    head: tuple[Array, ...],
+    tail: tuple[Array, ...],
+    rest: Array,
+    radius: Array,
+    *,
+    degree: int,
+    coefficient_error: float,
+) -> Array:
+    def codes(scale: Array) -> Array:
+        return _scaled_codes(head, tail, rest, scale, degree, coefficient_error)
+
+    return proved_error(codes, radius)
+
+
+def _scaled_codes(
+    head: tuple[Array, ...],
+    tail: tuple[Array, ...],
+    rest: Array,
+    scale: Array,
+    degree: int,
+    coefficient_error: float,
+) -> Array:
+    """Return the codes of p(scale z) / scale^degree, of which ``rest`` is left out."""
+    xp = namespace(scale)
+    inverse = 1.0 / scale
+    head = tuple(value * inverse**power for power, value in enumerate(head, start=1))
+    tail = tuple(value * inverse ** (degree - power) for power, value in enumerate(tail))
+    head_error = (coefficient_error + 10.0 * FLOAT_UNIT) * size_sum(head)
+    tail_error = (coefficient_error + (2 * degree + 6) * FLOAT_UNIT) * size_sum(tail)
+    left_out = rest * xp.maximum(inverse**3, inverse**degree)
+    error = head_error + 2.0 * tail_error + 2.0 * left_out + 2.0 * FLOAT_UNIT + UNDERFLOW
+    chain = Chain(1.0 - head[1], head, tail, 2.0 * head_error, error)
+    at_one = sum((*head, *tail), xp.ones_like(scale))
+    signs = [(-1.0) ** power for power in range(len(tail))]
+    wall = sum(sign * value for sign, value in zip(signs, tail, strict=True))
+    at_minus_one = 1.0 - head[0] + head[1] + (-1.0) ** degree * wall
+    end_error = error + 8.0 * FLOAT_UNIT * (1.0 + size_sum(head) + size_sum(tail))
+    ends = Ends(at_one, end_error, at_minus_one, end_error)
+    is_rolled = xp is not np and degree > HIGHEST_UNROLLED
+    return decide(chain, ends, FLOAT_UNIT, xp.asarray(degree) if is_rolled else degree)
+
+
+_MANY = 1 << 14  # points of one delay from which on XLA looks for dominant roots
+
+_LIST = 1 << 12  # points whose companion matrices are made at once
+
+_NEWTON_STEPS = 3
+
+# Strongly damped plants have coefficients of N far below its size, which do not have all their
+# digits; what is lost beside 1, divided by powers of a small radius, is more than a rounding.
+_DAMPED, _SMALL_RADIUS = 10.0, 0.5
+
+_KNOWN = {
+    RadiusStatus.NOT_COMPUTED: "not computed",
+    RadiusStatus.PROVED: "proved",
+    RadiusStatus.NO_BOUND: "no bound proved",
+}
+
+
+class SpectralRadius(NamedTuple):
+    """The largest modulus of a root of p(z), a bound of its error, and how the bound is known.
+
+    Attributes:
+        value: the largest modulus, per sample.
+        error: all roots are inside value + error, and not all of them inside value - error.
+        status: a RadiusStatus.
+
+    Example:
+        >>> jaxstab.spectral_radius(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
+        0.98712203316983... +/- ... (proved)
+    """
+
+    value: Float64[Array, "*grid"]
+    error: Float64[Array, "*grid"]
+    status: Int8[Array, "*grid"]
+
+    def __repr__(self) -> str:
+        """Return the radius with its bound, or a summary of many."""
+        if not are_numbers(self):
+            return f"SpectralRadius{tuple(self)}"
+        values, errors, codes = map(np.ravel, self)
+        if np.ndim(self.value) == 0:
+            shown = text_with_bound(float(values[0]), float(errors[0]))
+            return f"{shown} ({_KNOWN[RadiusStatus(int(codes[0]))]})"
+        if not len(values):
+            return "SpectralRadius of no loop"
+        bound = number_text(float(errors.max()), 2, ROUND_CEILING)
+        counts = ", ".join(
+            f"{count} {words}" for code, words in _KNOWN.items() if (count := np.sum(codes == code))
+        )
+        ends = f"{values.min():.6g} to {values.max():.6g}"
+        return f"SpectralRadius of {len(values)} loops: {ends}, bound {bound} at most ({counts})"
+
+
+def spectral_radius(
+    alpha: Numbers,
+    beta: Numbers,
+    *,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    method: str = "fast",
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> SpectralRadius:
+    """Return the largest modulus of a closed-loop pole with a proved error bound.
+
+    Args:
+        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m in [0, 1e4].
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, concrete.
+        method: "fast" finds and proves the dominant root, without eigenvalues for many points of
+            one delay up to 64, by XLA; "companion" takes the companion matrix and a ladder of
+            verdicts for all. Inside jit, vmap and grad, and with filters, it is always the
+            companion matrix.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
+
+    Returns:
+        SpectralRadius of arrays of the broadcast shape, in JAX if an argument is: ``value``;
+        ``error``, proved: all roots are inside value + error, not all inside value - error;
+        ``status``, a RadiusStatus: NO_BOUND also next to gamma = (2 pi k)^2 with next to no
+        damping, where N(z) nearly vanishes, and for radii below 0.5 at delta above 10, where not
+        all digits of N(z) are known. The derivative of ``value`` is that of the dominant root by
+        the implicit function theorem; it is infinite or NaN where that root is multiple.
+
+    Raises:
+        ValueError: a concrete argument is outside its range, infinite or NaN, or the method is
+            unknown.
+        TypeError: the delay is traced.
+        RuntimeError: JAX arrays are given without x64.
+
+    Source: eq. (9); sec. V of the paper for its use.
+
+    Example:
+        >>> radius = jaxstab.spectral_radius(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
+        >>> round(float(radius.value), 9)
+        0.987122033
+    """
+    checked_word("method", method, ("fast", "companion"))
+    arguments = alpha, beta, gamma, delta, delay
+    require_x64(*arguments)
+    filters = given_filters(velocity, position)
+    if is_any_traced(arguments, filters):
+        return _traced_radius(*arguments, filters=filters)
+    checked_arguments = (
+        checked_gain("alpha", alpha),
+        checked_gain("beta", beta),
+        checked_gamma(gamma),
+        checked_delta(delta),
+        checked_delay(delay),
+    )
+    points = [np.asarray(value, np.float64) for value in checked_arguments]
+    if filters:
+        value, error = filtered_radius(Points(*points), filters)
+    else:
+        value, error = _concrete_radius(points, is_fast=method == "fast")
+    found, xp = _believed(value, error, points[2], points[3]), namespace(arguments)
+    return found if xp is np else tree_map(xp.asarray, found)
+
+
+def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
+    """Return the spectral radii of walls of one loop, with any device, estimator and filter.
+
+    Args:
+        alpha: float64, any shape; it broadcasts with beta and with the loop.
+        beta: likewise.
+        loop: what base + alpha stiffness + beta damping is; walls and loops may be traced.
+    """
+    if is_any_traced(alpha, beta, loop):
+        both = _traced_radius_of(loop_polynomial(alpha, beta, loop), traced_radius_error)
+    else:
+        xp = namespace(alpha, beta, loop)
+        walls = tree_map(np.asarray, (alpha, beta, loop))
+        both = tree_map(xp.asarray, linear_radius(*walls))
+    return _with_status(*both)
+
+
+def _concrete_radius(points: list[Values], *, is_fast: bool) -> tuple[Values, Values]:
+    *parameters, delay = points
+    shape = np.broadcast_shapes(*(values.shape for values in points))
+    if delay.size == 1:
+        return _of_delay(parameters, shape, delay.item(), is_fast=is_fast)
+    value, error = np.zeros(shape), np.full(shape, np.inf)
+    for one in np.unique(delay).tolist():
+        indices = np.flatnonzero(np.broadcast_to(delay == one, shape))
+        listed = looked_up(parameters, shape, indices)
+        found = _of_delay(listed, indices.shape, one, is_fast=is_fast)
+        value.flat[indices], error.flat[indices] = found
+    return value, error
+
+
+def _of_delay(
+    parameters: list[Values], shape: tuple[int, ...], delay: float, *, is_fast: bool
+) -> tuple[Values, Values]:
+    if is_fast and delay <= LONGEST_DELAY and prod(shape) >= _MANY:
+        value, error = fast_radius(parameters, shape, delay)
+    else:
+        value, error = np.zeros(shape), np.full(shape, np.inf)
+    still_open = np.flatnonzero(~(error <= TOLERANCE))
+    for start in range(0, still_open.size, _LIST):
+        part = still_open[start : start + _LIST]
+        best = _few(looked_up(parameters, shape, part), delay, is_fast=is_fast)
+        closer = ~(best[1] >= error.flat[part])
+        value.flat[part[closer]], error.flat[part[closer]] = (column[closer] for column in best)
+    return value, error
+
+
+def _few(parameters: list[Values], delay: float, *, is_fast: bool) -> tuple[Values, Values]:
+    """Return value and error for a list of points: eigenvalues, proved in one of two ways."""
+    alpha, beta, gamma, delta = parameters
+    coefficients = characteristic_polynomial(alpha, beta, gamma=gamma, delta=delta, delay=delay)
+    poles = companion_poles(coefficients)
+    value, error = np.abs(poles[:, 0]), np.full(len(poles), np.inf)
+    if is_fast:
+        value, error = _polished(parameters, delay, poles[:, 0])
+    is_open = np.flatnonzero(~(error <= TOLERANCE))
+    if is_open.size:
+        rough = np.abs(poles[is_open, 0])
+        bound = radius_error(coefficients[is_open], rough)
+        closer = ~(bound >= error[is_open])
+        value[is_open[closer]], error[is_open[closer]] = rough[closer], bound[closer]
+    return value, error
+
+
+def _polished(parameters: list[Values], delay: float, root: Values) -> tuple[Values, Values]:
+    alpha, beta, gamma, delta = parameters
+    degree, fraction = polynomial_degree(delay), delay % 1.0
+    plant = float_plant(gamma, delta, np.float64(fraction), is_fractional=fraction > 0.0)
+    loop = Loop(alpha, beta, gamma, plant)
+    t = Complex(root.real - 1.0, np.abs(root.imag))
+    with np.errstate(all="ignore"):
+        for _ in range(_NEWTON_STEPS):
+            t = newton(t, loop, degree)
+        closer = t.re + 1j * t.im
+    return modulus(closer), distance_of_dominant(closer, loop, degree=degree)
+
+
+def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
+    velocity, position = filters or (None, None)
+    bound = traced_radius_error if filters else radius_error
+
+    radius = partial(_traced_radius_of, bound=bound)
+    both = over_grid(radius, *arguments, velocity=velocity, position=position)
+    return _believed(*both, *arguments[2:4])
+
+
+def _traced_radius_of(
+    coefficients: Array, bound: Callable[[Array, Array], Array]
+) -> tuple[Array, Array]:
+    from jaxstab.point.traced_radius import largest_modulus
+
+    value = largest_modulus(coefficients)
+    return value, bound(*constant((coefficients, value)))
+
+
+@compiled()
+def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> SpectralRadius:
+    """Take back the bounds where the plant is not known to an ulp, and say how all are known."""
+    xp = namespace(value, error, gamma, delta)
+    is_damped, is_lost = delta > _DAMPED, is_plant_lost(gamma, delta)
+    if xp is not np or np.any(is_damped) or np.any(is_lost):
+        error = xp.where(is_lost | (is_damped & (value < _SMALL_RADIUS)), xp.inf, error)
+    return _with_status(value, error)
+
+
+def _with_status(value: Array, error: Array) -> SpectralRadius:
+    xp = namespace(value, error)
+    known, unknown = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
+    status = named(xp.where(xp.isfinite(error), known, unknown), RadiusStatus)
+    return SpectralRadius(value, error, status)
+
+
+# Which polynomials have all roots in a circle, in float64 and not proved: a sieve.
+
+
+def are_inside(
+    coefficients: Float64[np.ndarray, "coefficient *grid"], radius: Float64[np.ndarray, "..."]
+) -> Bool[np.ndarray, "*grid"]:
+    """Return where all roots of monic polynomials seem to be in the circle of a radius.
+
+    Args:
+        coefficients: highest power first.
+        radius: broadcasts with the grid.
+
+    Source: Schur-Cohn criterion (Jury 1964) for p(r z).
+    """
+    degree = len(coefficients) - 1
+    inside = np.ones(coefficients.shape[1:], bool)
+    scaled = coefficients.copy()
+    for power in range(1, degree + 1):
+        scaled[power:] /= radius
+    with np.errstate(all="ignore"):
+        for count in range(degree, 0, -1):
+            ratio = scaled[count] / scaled[0]
+            inside &= np.abs(ratio) < 1.0
+            scaled = (scaled - ratio * scaled[::-1])[:count]
+    return inside

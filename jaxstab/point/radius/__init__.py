@@ -1,1 +1,0 @@
-"""The spectral radius with a proved bound."""

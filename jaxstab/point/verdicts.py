@@ -1,0 +1,571 @@
+"""The points of a grid as they were given, in groups of one form of p(z)."""
+
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any, Generic, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8, Int64
+
+from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace, pytree, tree_map
+from jaxstab.batches import compiled, lists, over_tiles
+from jaxstab.conventions import UNDECIDED, UNSTABLE, Verdict
+from jaxstab.model import (
+    DoubleDouble,
+    PlantPairs,
+    TracedDelay,
+    by_name,
+    characteristic_polynomial,
+    checked_delta,
+    checked_gain,
+    checked_gamma,
+    companion_matrix,
+    plant_pairs,
+    require_x64,
+)
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.linear_loop import LinearLoop, filtered_loop
+from jaxstab.model.parameters import whole_and_fraction
+from jaxstab.model.plant import may_cancel, pairs_error
+from jaxstab.point.grid import looked_up
+from jaxstab.point.schur_cohn import (
+    FLOAT_UNIT,
+    PAIR_UNIT,
+    UNDERFLOW,
+    Chain,
+    Ends,
+    Number,
+    decide,
+    dense_codes,
+    leading,
+    rounded_loop,
+    size,
+    size_sum,
+    without_zeros,
+)
+
+Values = np.ndarray[Any, np.dtype[Any]]
+
+
+class Form(NamedTuple):
+    """What sets the form of p(z)."""
+
+    whole_delay: int
+    is_fractional: bool
+
+    @classmethod
+    def of(cls, delay: Numbers | TracedDelay) -> "Form":
+        """Return the form for one delay in samples; a fraction that is traced may be any."""
+        if isinstance(delay, TracedDelay):
+            return cls(delay.whole, True)
+        number = np.asarray(delay, np.float64).item()
+        return cls(int(number), number % 1.0 > 0.0)
+
+    @property
+    def degree(self) -> int:
+        """The degree of p(z) without filters."""
+        return self.whole_delay + 3 + self.is_fractional
+
+
+class Points(NamedTuple):
+    """The five parameters of a grid, as they were given: they broadcast."""
+
+    alpha: Values
+    beta: Values
+    gamma: Values
+    delta: Values
+    delay: Values
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape to which they broadcast."""
+        return np.broadcast_shapes(*(values.shape for values in self))
+
+    def groups(
+        self, chosen: Bool[np.ndarray, "*grid"]
+    ) -> list[tuple[Form, Int64[np.ndarray, " point"]]]:
+        """Return the form of p(z) and the flat indices of each group of chosen points."""
+        twice = np.broadcast_to(np.floor(self.delay) + np.ceil(self.delay), chosen.shape)
+        return [
+            (Form.of(one / 2.0), np.flatnonzero(chosen & (twice == one)))
+            for one in np.unique(twice[chosen]).tolist()
+        ]
+
+
+def gathered(values: Any, shape: tuple[int, ...], indices: Int64[np.ndarray, " point"]) -> Any:
+    """Return arrays that broadcast to a grid, at flat indices of it."""
+    index = np.unravel_index(indices, shape or (1,))
+    return tree_map(lambda value: np.broadcast_to(value, shape or (1,))[index], values)
+
+
+# Certified verdicts of any linear loop: of any device, velocity estimator and position filter.
+
+_MANY_LOOPS = 1 << 13  # points from which on XLA answers for NumPy arrays
+
+_TILE = 512  # points whose polynomials stay in the cache
+
+_LOOP_PAIRS = 1 << 11  # points at once in double-double
+
+
+def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "*grid"]:
+    """Return the codes of walls of one loop: float64 before pairs.
+
+    Args:
+        alpha: float64, any shape; it broadcasts with beta and with the loop.
+        beta: likewise.
+        loop: what base + alpha stiffness + beta damping is. Traced walls and loops are answered in
+            float64 alone.
+    """
+    degree, loop = loop.degree, without_zeros(loop)
+    if is_any_traced(alpha, beta, loop):
+        return _loop_float_codes(alpha, beta, rounded_loop(loop), degree=degree)
+    xp = namespace(alpha, beta, loop)
+    if xp is not np:
+        alpha, beta, loop = tree_map(np.asarray, (alpha, beta, loop))
+    codes = np.array(_loop_float_codes(alpha, beta, rounded_loop(loop), degree=degree))
+    still_open = np.flatnonzero(codes == UNDECIDED)
+    for start in range(0, still_open.size, _LOOP_PAIRS):
+        part = still_open[start : start + _LOOP_PAIRS]
+        chosen = gathered((alpha, beta, loop), codes.shape, part)
+        codes.flat[part] = _loop_pair_codes(*chosen, degree=degree)
+    return xp.asarray(codes)
+
+
+def traced_filtered_verdict(
+    point: tuple[Array, Array, Array, Array], form: Form, fraction: Array, filters: Filters
+) -> Int8[Array, "*grid"]:
+    """Return the codes of points that a transformation of JAX traces, in float64 alone."""
+    alpha, beta, gamma, delta = point
+    part = fraction if form.is_fractional else 0.0
+    loop = filtered_loop(gamma, delta, form.whole_delay, part, filters)
+    return _loop_float_codes(alpha, beta, rounded_loop(without_zeros(loop)), degree=loop.degree)
+
+
+def filtered_verdict(points: Points, filters: Filters) -> Int8[np.ndarray, "*grid"]:
+    """Return the codes of points of one mass, each delay at the degree of its own."""
+    codes = np.zeros(points.shape, np.int8)
+    for form, indices in points.groups(np.full(points.shape, True)):
+        walls = points.alpha, points.beta, filtered_loops(points, form, filters)
+        if indices.size == codes.size:  # a grid of one delay is not taken apart
+            codes[...] = linear_verdict(*walls)
+        else:
+            codes.flat[indices] = linear_verdict(*gathered(walls, points.shape, indices))
+    return codes
+
+
+def filtered_loops(points: Points, form: Form, filters: Filters) -> LinearLoop:
+    """Return loops on the smallest grid that holds them."""
+    fraction: Any = points.delay % 1.0 if form.is_fractional else 0.0
+    if form.is_fractional:  # of delays of the other form some number that is nowhere read
+        fraction = np.where(fraction == 0.0, 0.5, fraction)
+    return filtered_loop(points.gamma, points.delta, form.whole_delay, fraction, filters)
+
+
+@compiled(static=["degree"], many=_MANY_LOOPS, wide=True)
+def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: int) -> Array:
+    loop = tree_map(namespace(alpha, beta, loop).asarray, loop)
+    codes = partial(dense_codes, unit=FLOAT_UNIT, degree=degree)
+    return over_tiles(codes, (alpha, beta, loop), _TILE)
+
+
+def _loop_pair_codes(
+    alpha: Array, beta: Array, loop: LinearLoop, *, degree: int
+) -> Int8[np.ndarray, " point"]:
+    gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
+    with np.errstate(all="ignore"):
+        return dense_codes(*gains, loop, unit=PAIR_UNIT, degree=degree)
+
+
+# The proof of instability by one root outside, for loops whose recursion loses its digits.
+#
+# One z outside the unit circle at which p is small enough proves that a root is outside (lemma V5
+# of docs/proofs.md). It is taken from the eigenvalues of the companion matrix.
+
+_BATCH = 256  # polynomials at once: each takes a matrix
+
+_ON_CIRCLE = 1e-13  # of the sum of the coefficients' sizes
+
+_PER_DEGREE = 8.0  # roundings of a complex product, of the sum, and of a coefficient, and to spare
+
+
+def have_outer_root(
+    coefficients: Float64[np.ndarray, "point coefficient"],
+) -> Bool[np.ndarray, " point"]:
+    """Prove for polynomials that not all of their roots lie inside the unit circle.
+
+    Polynomials with a root at 1 or -1 up to rounding, as on whole lines of walls, are not tried.
+
+    Args:
+        coefficients: monic, highest power first, each within two roundings of the true one.
+
+    Returns:
+        True where a root is proved to be outside; False says nothing.
+
+    Source: Laguerre's bound for the distance to the nearest root.
+    """
+    alternating = (-1.0) ** np.arange(coefficients.shape[-1])
+    ends = np.abs(np.stack([coefficients.sum(axis=-1), coefficients @ alternating]))
+    sizes = np.abs(coefficients).sum(axis=-1)
+    tried = np.flatnonzero(np.all(ends > _ON_CIRCLE * sizes, axis=0))
+    proved = np.zeros(sizes.shape, bool)
+    for start in range(0, tried.size, _BATCH):
+        batch = tried[start : start + _BATCH]
+        proved[batch] = _has_outer_root(coefficients[batch])
+    return proved
+
+
+def _has_outer_root(
+    coefficients: Float64[np.ndarray, "point coefficient"],
+) -> Bool[np.ndarray, " point"]:
+    degree = coefficients.shape[-1] - 1
+    poles = np.linalg.eigvals(companion_matrix(coefficients))
+    z = np.take_along_axis(poles, np.argmax(np.abs(poles), -1)[..., None], -1)[..., 0]
+    size = np.abs(z)
+    value, slope = np.zeros_like(z), np.zeros_like(z)
+    value_size, slope_size = np.zeros_like(size), np.zeros_like(size)
+    for coefficient in coefficients.T:
+        slope, slope_size = slope * z + value, slope_size * size + value_size
+        value, value_size = value * z + coefficient, value_size * size + np.abs(coefficient)
+    rounding = _PER_DEGREE * (degree + 1) * FLOAT_UNIT
+    steepness = np.abs(slope) - rounding * slope_size
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half_width = degree * (np.abs(value) + rounding * value_size) / steepness
+    return (steepness > 0.0) & (size - (1.0 + rounding) * half_width > 1.0 + rounding)
+
+
+# The loop's p(z) in the form of the certified recursion, and what is lost in forming it.
+#
+# Plants are computed once, in double-double (lemma V7 of docs/proofs.md). Source: eq. (9).
+
+HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a loop
+
+_LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
+
+
+@pytree
+@dataclass(frozen=True)
+class Plant(Generic[Number]):
+    """A sampled plant, with N(z) ((alpha + beta) z - beta) = stiff(z) alpha - damp(z) beta."""
+
+    gap: Number  # 1 - d0
+    d1: Number
+    d0: Number
+    stiff: tuple[Number, ...]  # lowest power of z first
+    damp: tuple[Number, ...]
+    difference: Number  # N(-1)
+    at_minus_one: Number  # D(-1)
+    error: Array  # of the numbers above, relative to 1, or to the size of N
+    size: Array  # of N
+    sum: Array  # N(1)
+
+
+def float_plant(
+    gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool
+) -> Plant[Array]:
+    """Return the plant rounded to float64; without a fraction, ``fraction`` is not read."""
+    # Not in one jit: plant_pairs takes long to compile, and others share what was compiled.
+    pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
+    plant: Plant[Array] = _rounded_plant(gamma, delta, pairs, is_fractional=is_fractional)
+    return plant
+
+
+@compiled(static=["is_fractional"])
+def _rounded_plant(
+    gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
+) -> Plant[Array]:
+    plant = _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
+    rounded = {field.name: _rounded(getattr(plant, field.name)) for field in fields(plant)}
+    return Plant(**rounded)
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(map(_rounded, value))
+    return value.rounded() if isinstance(value, DoubleDouble) else value
+
+
+def pair_plant(
+    gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool
+) -> Plant[DoubleDouble]:
+    """Return the plant in double-double; without a fraction, ``fraction`` is not read."""
+    pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
+    return _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
+
+
+def _plant_of(
+    gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
+) -> Plant[DoubleDouble]:
+    xp = namespace(gamma, delta, pairs)
+    one = DoubleDouble.of(xp.ones_like(pairs.d0.hi))
+    zero = one - one
+    stiff = (zero, pairs.n0, pairs.n1, pairs.n2)
+    # n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
+    damp = (pairs.n0, pairs.n1 - pairs.n0, pairs.difference - pairs.n0, -pairs.n2)
+    sum_n = sum(abs(n.hi) for n in stiff[1:])
+    return Plant(
+        gap=one - pairs.d0,
+        d1=pairs.d1,
+        d0=pairs.d0,
+        stiff=stiff if is_fractional else stiff[1:],
+        damp=damp if is_fractional else damp[1:],
+        difference=pairs.difference,
+        at_minus_one=one - pairs.d1 + pairs.d0,
+        error=pairs_error(gamma, delta),
+        size=xp.where(may_cancel(gamma, delta), xp.sqrt(sum_n), sum_n),
+        sum=pairs.sum.hi,
+    )
+
+
+def is_plant_lost(gamma: Array, delta: Array) -> Array:
+    """Return True where N(z) nearly vanishes, so that an ulp of it cannot be relied on."""
+    xp = namespace(gamma, delta)
+    rate = xp.sqrt(xp.maximum(gamma - 0.25 * delta**2, 0.0))
+    half = xp.expm1(-0.5 * delta)
+    gamma_sum = half**2 + 4.0 * (1.0 + half) * xp.sin(0.5 * rate) ** 2  # gamma N(1)
+    return may_cancel(gamma, delta) & (gamma_sum < _LOST * gamma)
+
+
+def loop_codes(
+    alpha: Number,
+    beta: Number,
+    gamma: Array,
+    plant: Plant[Number],
+    *,
+    unit: float,
+    degree: int | Array,
+) -> Array:
+    """Return the code of each point, computed in numbers of the given unit roundoff.
+
+    The drift from exact steps is followed for high degrees, and where the degree is an array.
+    """
+    chain = _closed_loop(alpha, beta, plant, unit)
+    ends = _ends(alpha, beta, gamma, plant, unit, degree)
+    # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
+    large = size_sum(chain.tail) - chain.error > 8.0 * 2.0**degree
+    if not isinstance(degree, int) or degree > HIGHEST_UNROLLED:
+        chain = replace(chain, drift=chain.error + chain.head_error + 4.0 * unit)
+    codes = decide(chain, ends, unit, degree)
+    return namespace(large, codes).where(large, UNSTABLE, codes).astype(np.int8)
+
+
+def _closed_loop(alpha: Number, beta: Number, plant: Plant[Number], unit: float) -> Chain[Number]:
+    """Return p(z) and what is lost in its coefficients."""
+    tail = tuple(
+        stiff * alpha - damp * beta for stiff, damp in zip(plant.stiff, plant.damp, strict=True)
+    )
+    # Three roundings: of the plant's coefficient, of the product, of the difference.
+    per_alpha = 3.0 * unit * size_sum(plant.stiff) + 4.0 * plant.error * plant.size
+    per_beta = 3.0 * unit * size_sum(plant.damp) + 8.0 * plant.error * plant.size
+    error = unit * size(plant.gap) + plant.error + UNDERFLOW
+    return Chain(
+        gap=plant.gap,
+        head=(plant.d1, plant.d0),
+        tail=tail,
+        head_error=unit * (size(plant.d1) + 2.0 * size(plant.d0)) + 4.0 * plant.error,
+        error=error + (per_alpha * size(alpha) + per_beta * size(beta)),
+    )
+
+
+def _ends(
+    alpha: Number,
+    beta: Number,
+    gamma: Array,
+    plant: Plant[Number],
+    unit: float,
+    degree: int | Array,
+) -> Ends:
+    """Return (gamma + alpha) N(1) and D(-1) - (-1)^floor(delay) N(-1) (alpha + 2 beta)."""
+    whole_delay = degree - len(plant.stiff)
+    sign = 1.0 - 2.0 * (whole_delay % 2)
+    gain = (alpha + (beta + beta)) * sign
+    wall = plant.difference * gain
+    error = unit * (2.0 * size(plant.at_minus_one) + 5.0 * size(wall))
+    error = error + plant.error * (8.0 + plant.size * size(gain)) + UNDERFLOW
+    at_one = leading(alpha) + gamma  # N(1) > 0, and the sign of a sum of two is exact
+    return Ends(at_one, 0.0, leading(plant.at_minus_one - wall), error)
+
+
+# Certified verdicts: STABLE and UNSTABLE are proofs, rounding included.
+#
+# ``recursion`` has the proof, ``loop`` forms p(z) from plants that are computed once. This module
+# takes the points of a grid to the kernels, each at the degree of its own delay.
+
+_MANY = 1 << 15  # points from which on XLA answers for NumPy arrays
+
+_LIST = 1 << 16  # points of one list that is gathered from a grid
+
+_PAIRS = 1 << 12  # the same in double-double
+
+
+def verdict(
+    alpha: Numbers,
+    beta: Numbers,
+    *,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    resolve: str | None = None,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> Int8[Array, "*grid"]:
+    """Prove for every point whether all roots of p(z) lie inside the unit circle.
+
+    STABLE and UNSTABLE are proofs: the rounding of plant, coefficients and recursion is bounded.
+    Points too close to the boundary are UNDECIDED, and so are points exactly on it, such as
+    alpha = -gamma. UNSTABLE means at least one root outside or on the circle.
+
+    Args:
+        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m in [0, 1e4].
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, whole or fractional, concrete.
+        resolve: "exact" repeats the recursion in double-double where float64 leaves a point
+            UNDECIDED, and then looks for a root that is certainly outside; all arguments must be
+            concrete, as for an array of delays.
+        velocity: the velocity estimator in units of one sample; None for the difference over one
+            sample, the wall of the paper.
+        position: the position filter in units of one sample; None for none. With an estimator or a
+            filter double-double is tried wherever float64 leaves a point UNDECIDED.
+
+    Returns:
+        int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED; in JAX if an
+        argument is. The int8 of one point prints its name. Plants are computed once for
+        each (gamma, delta, delay): give grids as arrays that broadcast. NumPy grids of 32,768
+        points and more go through XLA.
+
+    Raises:
+        ValueError: an argument is outside its range, infinite or NaN, or resolve is unknown.
+        TypeError: the delay is traced, or an array of delays or ``resolve`` meets traced arguments.
+        RuntimeError: JAX arrays are given without x64.
+
+    Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> jaxstab.verdict([0.1, 1.5], 0.2, gamma=0.0, delta=0.015, delay=1.0)
+        array([1, 2], dtype=int8)
+        >>> window = jaxstab.Velocity.difference(samples=20)
+        >>> jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0, velocity=window)
+        <Verdict.UNSTABLE: 2>
+    """
+    if resolve not in (None, "exact"):
+        raise ValueError(f'resolve is {resolve!r}; give "exact" or None.')
+    require_x64(alpha, beta, gamma, delta, delay)
+    filters = given_filters(velocity, position)
+    gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
+    point = (*gains, checked_gamma(gamma), checked_delta(delta))
+    xp = namespace(point, delay)
+    whole, fraction = whole_and_fraction(delay)
+    if filters and whole.size == 1 and is_any_traced(point, delay, filters):
+        return traced_filtered_verdict(point, Form.of(delay), fraction, filters)
+    if not filters and resolve is None and whole.size == 1:
+        arrays = [xp.asarray(value, xp.float64) for value in point]
+        codes = _float_verdict(arrays, xp.asarray(fraction), Form.of(delay))
+        shape = np.broadcast_shapes(whole.shape, *(array.shape for array in arrays))
+        return named(xp.array(xp.broadcast_to(codes, shape)), Verdict)
+    if is_any_traced(point, delay, filters):
+        raise TypeError("verdict takes traced arguments with one delay and without resolve only.")
+    points = Points(*(np.asarray(value, np.float64) for value in (*point, delay)))
+    if filters:
+        return named(xp.asarray(filtered_verdict(points, filters)), Verdict)
+    codes = _grouped_verdict(points)
+    return named(xp.asarray(codes if resolve is None else _resolved(codes, points)), Verdict)
+
+
+def is_stable(
+    alpha: Numbers,
+    beta: Numbers,
+    *,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> Bool[Array, "*grid"]:
+    """Return True where all poles are proved to lie inside the unit circle.
+
+    False where the loop is unstable, marginal, or closer to the boundary than can be decided. Of
+    these ``verdict`` tells those that are proved unstable from all others, which are UNDECIDED.
+
+    Args:
+        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m in [0, 1e4].
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, concrete.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
+
+    Raises:
+        ValueError: a concrete argument is outside its range, infinite or NaN.
+        TypeError: the delay is traced.
+        RuntimeError: JAX arrays are given without x64.
+
+    Source: sec. V of the paper.
+
+    Example:
+        >>> jaxstab.is_stable([0.1, 1.5], 0.2, gamma=0.0, delta=0.015, delay=1.0).tolist()
+        [True, False]
+    """
+    point = alpha, beta, gamma, delta, delay
+    return verdict(**by_name(*point), velocity=velocity, position=position) == Verdict.STABLE
+
+
+def _float_verdict(point: list[Array], fraction: Array, form: Form) -> Array:
+    alpha, beta, gamma, delta = point
+    plant = float_plant(gamma, delta, fraction, is_fractional=form.is_fractional)
+    return _float_codes((alpha, beta, gamma, plant), form.degree)
+
+
+def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
+    """Return the codes of points; XLA compiles once for all long delays."""
+    if degree <= HIGHEST_UNROLLED:
+        return _short_codes(arguments, degree=degree)
+    return _long_codes(arguments, degree)
+
+
+@compiled(static=["degree"], many=_MANY, wide=True, pointwise=True)
+def _short_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
+    codes = partial(loop_codes, unit=FLOAT_UNIT, degree=degree)
+    return codes(*arguments) if degree <= 4 else over_tiles(codes, arguments)
+
+
+@compiled(many=_MANY, wide=True, pointwise=True)
+def _long_codes(arguments: tuple[Any, ...], degree: int | Array) -> Array:
+    return over_tiles(partial(loop_codes, unit=FLOAT_UNIT, degree=degree), arguments)
+
+
+def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
+    """Run every delay at the degree of its own."""
+    codes = np.zeros(points.shape, np.int8)
+    for form, indices in points.groups(np.full(points.shape, True)):
+        # Plants on the smallest grid that holds them, then gathered like the points.
+        plants = float_plant(
+            points.gamma, points.delta, points.delay % 1.0, is_fractional=form.is_fractional
+        )
+        for part, padded in lists(indices, _LIST, fewest=_MANY):
+            values = gathered((*points[:3], plants), points.shape, padded)
+            codes.flat[part] = _float_codes(values, form.degree)[: part.size]
+    return codes
+
+
+def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarray, "*grid"]:
+    """Repeat UNDECIDED points in double-double; of what is left, look for a root outside."""
+    for form, indices in points.groups(np.asarray(codes == UNDECIDED)):
+        for start in range(0, indices.size, _PAIRS):
+            part = indices[start : start + _PAIRS]
+            codes.flat[part] = _pair_codes(gathered(points, points.shape, part), form)
+    for _, indices in points.groups(np.asarray(codes == UNDECIDED)):
+        values = looked_up(list(points), points.shape, indices)
+        proved = have_outer_root(characteristic_polynomial(**by_name(*values)))
+        proved &= ~is_plant_lost(*values[2:4])
+        codes.flat[indices[proved]] = UNSTABLE
+    return codes
+
+
+def _pair_codes(points: Points, form: Form) -> Int8[np.ndarray, " point"]:
+    alpha, beta, gamma, delta, delay = points
+    plant = pair_plant(gamma, delta, delay % 1.0, is_fractional=form.is_fractional)
+    gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
+    with np.errstate(all="ignore"):
+        return loop_codes(*gains, gamma, plant, unit=PAIR_UNIT, degree=form.degree)
