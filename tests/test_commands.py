@@ -17,7 +17,7 @@ from commands import POINT, START, assert_one_sentence, run, run_process
 
 from jaxstab import HapticLoop, Velocity, durable
 from jaxstab.cli.main import main
-from jaxstab.region.other_roots import others_inside
+from jaxstab.region.pieces import others_inside
 from jaxstab.scene import EXAMPLE, Scene, design_loop, scene_limits
 from jaxstab.scene.guard import scene_guard
 
@@ -382,13 +382,13 @@ def test_31_26_angles_in_a_table_are_divided_too(monkeypatch: pytest.MonkeyPatch
         asked.append((arguments, options))
         return others_inside(*arguments, **options)
 
-    monkeypatch.setattr("jaxstab.region.scan.others_inside", kept)
+    monkeypatch.setattr("jaxstab.region.pieces.others_inside", kept)
     window = Velocity.difference(5)
     HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, velocity=window).region()
     (c, _, length), options = asked[0]
     theta = np.linspace(0.01, 3.0, 40)
     whole = others_inside(c, theta, length, **options)
-    monkeypatch.setattr("jaxstab.region.other_roots._AT_ONCE", 4 * length)
+    monkeypatch.setattr("jaxstab.region.pieces._AT_ONCE", 4 * length)
     table = others_inside(c, theta[None], length, **options)
     assert table.shape == (1, *theta.shape)
     assert 0 < whole.sum() < whole.size

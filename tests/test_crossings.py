@@ -6,7 +6,7 @@ import pytest
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.region.crossings import crossings
 from jaxstab.region.curve import boundary_curve, slice_coefficients
-from jaxstab.region.scan import scan_angles
+from jaxstab.region.pieces import scan_angles
 
 FARTHEST = 1e-6  # from the circle: what is still on it
 

@@ -9,9 +9,8 @@ from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.region.linear import linear_region
-from jaxstab.region.stable_set import StableRegion
-from jaxstab.region.status import RegionStatus
+from jaxstab.region.region import linear_region
+from jaxstab.region.stable_set import RegionStatus, StableRegion
 
 ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
 MODE = Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)

@@ -16,9 +16,9 @@ from jaxstab.model import by_name
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import curve_and_lift
-from jaxstab.region.exact_roots import _about
-from jaxstab.region.scan import slice_angles
-from jaxstab.region.stretches import standing_for, stretches_around, true_angles
+from jaxstab.region.exact import _about
+from jaxstab.region.filtered_curve import standing_for, stretches_around, true_angles
+from jaxstab.region.pieces import slice_angles
 
 SLOW = [1646, 2638, 2649]  # low passes and Butterworth filters of order 6 to 8, below 0.016
 

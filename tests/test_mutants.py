@@ -10,8 +10,8 @@ import pytest
 import jaxstab
 from jaxstab.boxes.cell_polynomial import CellPolynomial
 from jaxstab.boxes.followed_roots import _bend
-from jaxstab.region.other_roots import _all_inside
-from jaxstab.region.pole_lines import PoleLine
+from jaxstab.region.filtered_curve import PoleLine
+from jaxstab.region.pieces import _all_inside
 
 
 def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:

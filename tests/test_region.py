@@ -214,7 +214,7 @@ def test_an_outline_with_a_cut_that_its_scan_missed_is_unresolved() -> None:
 
 @pytest.mark.campaign
 def test_an_unresolved_region_claims_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jaxstab.region.search._SCANS", ((1, 4, 1e-4),))  # no finer ones
+    monkeypatch.setattr("jaxstab.region.crossings._SCANS", ((1, 4, 1e-4),))  # no finer ones
     region = stable_region(gamma=39.52046, delta=0.13948, delay=4.0)
     assert region.status == RegionStatus.UNRESOLVED
     assert not region.is_empty

@@ -22,7 +22,7 @@ from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.region.linear import linear_region
+from jaxstab.region.region import linear_region
 
 _HIGHEST_ORDER = 24
 _PERIOD = 2.0**-10  # of devices, in s: cut-offs in Hz and per sample are the same numbers

@@ -9,8 +9,7 @@ from jaxstab.criteria.passive import passive_region
 from jaxstab.criteria.validity import ValidityStatus, linear_validity
 from jaxstab.numbers import require_x64, without_noise
 from jaxstab.region.region import stable_region
-from jaxstab.region.stable_set import StableRegion
-from jaxstab.region.status import RegionStatus
+from jaxstab.region.stable_set import RegionStatus, StableRegion
 
 _FINE = 1e-7  # of delta: the tolerance of the passive region
 _ROUNDING = 1e-15

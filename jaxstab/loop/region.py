@@ -18,7 +18,7 @@ from jaxstab.region import (
     region_outline,
     stable_region,
 )
-from jaxstab.region.linear import linear_region
+from jaxstab.region.region import linear_region
 from jaxstab.region.shown import GainNames, ShownRegion, limits_text
 
 TOLERANCE = 1e-6  # of the outline, where none is asked for

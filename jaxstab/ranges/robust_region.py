@@ -30,8 +30,7 @@ from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
 from jaxstab.region.region import stable_region
-from jaxstab.region.stable_set import StableRegion
-from jaxstab.region.status import RegionStatus
+from jaxstab.region.stable_set import RegionStatus, StableRegion
 
 Range = tuple[float, float]
 Points = Float64[np.ndarray, "points 2"]

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxstab.arrays import Array, constant, kept, namespace, repeat_while
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift, plus_offset
-from jaxstab.region.lines import minus_margin
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift, minus_margin, plus_offset
 from jaxstab.region.roots import nonzero, with_slope
 
 _STEPS = 16

@@ -12,29 +12,49 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int
 
+from jaxstab.arrays import tree_map
 from jaxstab.region.corners import steps_to_meeting
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift
+from jaxstab.region.curve import SliceCoefficients, curve_and_lift, minus_margin
 from jaxstab.region.filtered_curve import FilteredCurve
 from jaxstab.region.filtered_points import may_be_stable
-from jaxstab.region.lines import minus_margin
-from jaxstab.region.other_roots import others_inside
+from jaxstab.region.pieces import (
+    Angles,
+    Pieces,
+    closer_angles,
+    find_pieces,
+    nearly_stable,
+    others_inside,
+    slice_angles,
+    suspects,
+)
 from jaxstab.region.roots import bracketed_root, with_slope
-from jaxstab.region.scan import Angles
 
 _AT_ONCE = 1 << 20  # pairs of boxes that are held in memory
+
 _CUBIC_STEPS = 12  # of Newton's method on the cubics
+
 _NEWTON_STEPS = 6  # on the curve; where two parts nearly touch, each step halves the rest
+
 _BEYOND = 0.5  # how far Newton's method may leave a part, as a share of it
+
 _ARRIVED = 1e-3  # the last step, and the least distance of two angles that meet; likewise
+
 _SAME = 1e-4  # starts closer to each other are one; likewise
+
 _MISS = 0.05  # how far from each other cubics are where the curve may meet, beside their lengths
+
 _NEARLY_STABLE = 1.1  # of the circle: with filters parts with roots farther out bound nothing
+
 _SETTLED = 1e-9  # a step that small is the last one; likewise
+
 _CLOSE = 1e-6  # crossings closer to each other are one
+
 _STARTS = np.array([[0.0, 0.0, 1.0, 1.0], [0.0, 1.0, 0.0, 1.0]])  # of two parts: one end of each
+
 _POWERS = np.array([[1, 0, 0, 0], [-3, 3, 0, 0], [3, -6, 3, 0], [-1, 3, -3, 1]])  # by controls
 
 Parts = Int[np.ndarray, " _"]  # numbers of intervals between two angles of the scan
+
 Controls = Float64[np.ndarray, "4 2 part"]
 
 
@@ -114,8 +134,6 @@ def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
 
 
 # ---------------------------------------------------------------------------- of two parts
-
-
 def _self_crossings(c: SliceCoefficients, cubics: _Cubics) -> Angles:
     controls = cubics.controls[:, :2]
     pairs = np.concatenate([_touching_parts(cubics.number, controls), _loops(cubics)], axis=1)
@@ -233,8 +251,6 @@ def _meetings(
 
 
 # ------------------------------------------------------------------------ of parts and lines
-
-
 def _line_crossings(c: SliceCoefficients, cubics: _Cubics) -> Angles:
     controls, begin, end = cubics.controls[:, 2:], cubics.begin, cubics.end
     crosses = _unlike(controls[0], controls[3])
@@ -264,3 +280,65 @@ def _margin(parameters: tuple[SliceCoefficients, Parts], theta: np.ndarray) -> n
 
 def _margin_slope(parameters: tuple[SliceCoefficients, Parts], theta: np.ndarray) -> np.ndarray:
     return with_slope(lambda angle: _margin(parameters, angle), theta)[1]
+
+
+# The search for the pieces of one slice: finer and finer, until they close to loops.
+
+# Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
+# the circle there. The last ones take the angles of the best chances only.
+_SCANS = ((1, 24, 1e-4), (4, 192, 1e-4), (16, 768, 1e-4), (64, 1536, 1e-7))
+
+_FILTERED_SCANS = 2  # with filters: what these leave open the others do, too, in minutes
+
+_EMPTY_FINENESS = 4
+
+_ROUNDS = 8
+
+_KEPT = 32  # pieces that do not close
+
+
+def refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Pieces:
+    """Return pieces that join up to loops, searched until nothing hides at their ends.
+
+    With damping, the loop without a wall is stable, so an empty answer means that the scan was too
+    coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
+    """
+    length = coefficient_count(delay) if c.filtered is None else c.filtered.parts.shape[1] - 2
+    first = slice_angles(c, length, 1)
+    closer = crossings(c, first, length)
+    scans = _SCANS if c.filtered is None else _SCANS[:_FILTERED_SCANS]
+    for fineness, most, outside in scans:
+        scan = first if fineness == 1 else slice_angles(c, length, fineness)
+        pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
+        if is_settled:
+            return pieces
+        if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.exists[0]:
+            return pieces
+    some = tree_map(lambda x: x[:_KEPT] if x.ndim else x, pieces)  # there may be 1e5 of them
+    nowhere = np.zeros(len(some.exists), int)
+    return some._replace(successor=nowhere, resolved=np.bool_(False))
+
+
+def _settled_pieces(
+    c: SliceCoefficients, scan: Angles, closer: Angles, most: int, outside: float, length: int
+) -> tuple[Pieces, Angles, bool]:
+    """Look closer at more and more angles, until no new one shows; return whether all is resolved.
+
+    Beside the pieces, the angles looked at are returned.
+    """
+    closer = nearly_stable(c, closer, outside, length=length)
+    for _ in range(_ROUNDS):
+        pieces = find_pieces(c, closer_angles(c, scan, closer[:most]), length=length)
+        if not pieces.exists[0]:
+            return pieces, closer, False
+        fresh = suspects(c, pieces, closer, outside, length=length)
+        closer = np.sort(np.concatenate([closer, fresh]))
+        if not fresh.size or len(closer) > most:
+            is_all = not fresh.size and len(closer) <= most
+            return pieces, closer, is_all and bool(pieces.resolved)
+    return pieces, closer, False
+
+
+def coefficient_count(delay: float) -> int:
+    """Return how many coefficients the polynomials of the other roots have."""
+    return int(delay) + 3

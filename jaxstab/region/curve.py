@@ -14,7 +14,7 @@ z = r for th < pi/2 and z = -r for th > pi/2. For th < pi/2 alpha is the line z 
 all carry the factor h, divided out by hand.
 """
 
-from math import pi
+from math import factorial, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from jaxstab.arrays import (
     PI_REST,
     Array,
     Numbers,
+    constant,
     float_arrays,
     is_traced,
     kept,
@@ -41,10 +42,73 @@ from jaxstab.model.transfer import Transfer
 from jaxstab.numbers import checked
 from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve, mass_system
 from jaxstab.region.filtered_points import filtered_point
-from jaxstab.region.sines import sines
+
+# Sine, cosine and sin(x) / x of positive angles, with derivatives to full precision.
+
+# sin(x) / x and cos(x) as series in x^2, for all x up to pi/4 and derivatives, too.
+_SINC = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(10))
+
+_COSINE = tuple((-1.0) ** k / factorial(2 * k) for k in range(10))
+
+_SMALL, _SMALL_TERMS = 0.3, 6  # the first terms of the same are enough up to there
+
+# A quarter turn in parts of 27 bits: multiples of the first two are exact.
+_QUARTER_TURN = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18)
+
+
+def sines(x: Array, *, are_small: bool = False) -> tuple[Array, Array, Array]:
+    """Return sin(x), cos(x) and sin(x) / x for x >= 0, with derivatives to full precision.
+
+    A quotient would lose digits of the derivative of sin(x) / x next to 0; a series is used there.
+    ``are_small`` says that all x are at most pi/4, which saves time in XLA.
+    """
+    xp = namespace(x)
+    if xp is not np:
+        return _sines_of_small(x) if are_small else _sines_of_vectors(x)
+    sine, cosine = np.sin(x.real), np.cos(x.real)
+    if np.iscomplexobj(x):  # a complex step: real to first order
+        sine, cosine = sine + 1j * (x.imag * cosine), cosine - 1j * (x.imag * sine)
+    small = x.real < _SMALL
+    sinc = _series(_SINC[:_SMALL_TERMS], x * x)
+    return sine, cosine, np.where(small, sinc, sine / np.where(small, 1.0, x))
+
+
+def _sines_of_vectors(x: Array) -> tuple[Array, Array, Array]:
+    """Return the same; XLA makes vectors of this, and not of calls of sin and cos.
+
+    Most of the run time is here.
+    """
+    xp = namespace(x)
+    quarters = constant(xp.round(x * (2.0 / pi)))
+    rest = x
+    for part in _QUARTER_TURN:
+        rest = rest - quarters * part
+    sine, cosine, sinc = _sines_of_small(rest)
+    odd = quarters % 2.0 == 1.0
+    sine, cosine = xp.where(odd, cosine, sine), xp.where(odd, -sine, cosine)
+    sign = xp.where(quarters % 4.0 >= 2.0, -1.0, 1.0)
+    sine, cosine = sign * sine, sign * cosine
+    first = quarters == 0.0
+    return sine, cosine, xp.where(first, sinc, sine / xp.where(first, 1.0, x))
+
+
+def _sines_of_small(x: Array) -> tuple[Array, Array, Array]:
+    square = x**2
+    sinc = _series(_SINC, square)
+    return x * sinc, _series(_COSINE, square), sinc
+
+
+def _series(coefficients: tuple[float, ...], x: Array) -> Array:
+    total: Array = coefficients[-1]
+    for coefficient in reversed(coefficients[:-1]):
+        total = coefficient + x * total
+    return total
+
 
 _CLOSE, _FAR = 1e-9, 4.0  # between these the distances of poles from the circle are clipped
+
 _VANISHING = 1e-3  # N(r) this small beside its terms: the line z = r is no anchor any more
+
 _MANY = 1 << 18  # angles that are worth compiling for
 
 
@@ -390,3 +454,43 @@ def _quotient(c: SliceCoefficients, upper: Array, circle: _Circle) -> tuple[Arra
     real = d * q + c.eps * c.nu * circle.sine_square
     scale = c.gain / (q**2 + c.nu**2 * circle.sine_square)
     return real, c.eps * q - c.nu * d, scale
+
+
+# The lines of a real root at z = r and z = -r: margins to them, directions, where they cross.
+
+
+def minus_margin(c: SliceCoefficients, alpha: Array, beta: Array) -> Array:
+    """Return p(-r) / r^2 with the sign chosen so that it is positive inside the stable set."""
+    if c.filtered is not None:
+        base, stiffness, damping = c.filtered.at_minus_one
+        return base + (stiffness * alpha + damping * beta)
+    return c.gain * c.den_minus + parity(c) * c.num_minus * (alpha + minus_slope(c) * beta)
+
+
+def lines_crossing(c: SliceCoefficients) -> tuple[Array, Array]:
+    """Return (alpha, beta) where the lines of a real root at r and at -r cross."""
+    if c.filtered is not None:
+        damping, alpha = c.filtered.at_minus_one[2], plus_offset(c)
+        with np.errstate(all="ignore"):  # an estimator may make them parallel
+            return alpha, -minus_margin(c, alpha, np.float64(0.0)) / damping
+    beta = (minus_offset(c) - plus_offset(c)) / (minus_slope(c) - plus_slope(c))
+    return plus_offset(c) - plus_slope(c) * beta, beta
+
+
+def along_lines(c: SliceCoefficients, alpha: Array, beta: Array) -> tuple[Array, Array]:
+    """Return coordinates along the lines z = r and z = -r, with the stable set on the left."""
+    xp = namespace(c, beta)
+    plus = -xp.sign(c.num_plus) * beta
+    if c.filtered is not None and c.filtered.at_minus_one[1] == 0.0:  # a line of constant beta
+        return plus, np.sign(c.filtered.at_minus_one[2]) * alpha
+    return plus, -xp.sign(parity(c) * c.num_minus) * beta
+
+
+def lines_turn(c: SliceCoefficients) -> Array:
+    """Return a sign: 1 where the boundary turns from the line z = r into the line z = -r.
+
+    It is -1 where it turns from z = -r into z = r, and 0 where they are parallel.
+    """
+    xp = namespace(c)
+    slanted = parity(c) * c.num_minus if c.filtered is None else c.filtered.at_minus_one[2]
+    return xp.sign(c.num_plus) * xp.sign(slanted)

@@ -13,11 +13,16 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.around import Rows
-from jaxstab.region.exact_points import determinants, exact_gains
-from jaxstab.region.filtered_curve import Angles, FilteredCurve, Form, Half
-from jaxstab.region.pole_lines import PoleLine
-from jaxstab.region.stretches import true_angles
+from jaxstab.region.exact import determinants, exact_gains
+from jaxstab.region.filtered_curve import (
+    Angles,
+    FilteredCurve,
+    Form,
+    Half,
+    PoleLine,
+    Rows,
+    true_angles,
+)
 
 Values = Any  # an array, or a Dual
 _TINY = 1e-100  # in place of the angle 0, where quotients of sines have a limit

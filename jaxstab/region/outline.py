@@ -10,13 +10,12 @@ from jaxstab.region.corners import Branch
 from jaxstab.region.curve import (
     SliceCoefficients,
     curve_and_lift,
+    lines_crossing,
     plus_offset,
     plus_slope,
     poles,
 )
-from jaxstab.region.lines import lines_crossing
-from jaxstab.region.other_roots import others_inside
-from jaxstab.region.pieces import NO_BRANCH, Pieces
+from jaxstab.region.pieces import NO_BRANCH, Pieces, others_inside
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns

@@ -10,21 +10,184 @@ G1): what a scan of th can miss are components of which it meets no piece (docs/
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Array, constant, first_indices, kept, namespace, repeat
+from jaxstab.arrays import Array, constant, first_indices, kept, namespace, repeat, scan, stored
+from jaxstab.model import companion_matrix
+from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.corners import Branch, Scales, nearest_branch, scales, solved_corners
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift
-from jaxstab.region.lines import along_lines, lines_crossing, lines_turn
-from jaxstab.region.other_roots import lines_crossing_is_stable, others_inside
+from jaxstab.region.curve import (
+    SliceCoefficients,
+    along_lines,
+    curve_and_lift,
+    lines_crossing,
+    lines_turn,
+)
+from jaxstab.region.exact import all_inside, angles_on_circle, lines_crossing_of
+from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, standing_for
+from jaxstab.region.filtered_points import (
+    exact_walls,
+    filtered_quotient,
+    is_oriented,
+    may_be_stable,
+    root_angles,
+)
+
+# Whether the other roots of p lie inside the circle, where a pair of roots is known.
+#
+# A point of the curve bounds the stable set exactly where all roots but the pair at r e^(+-i th)
+# lie inside of the circle: p is divided by that pair, and the Schur-Cohn test decides.
+
+_REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
+
+_MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
+
+_AT_ONCE = 1 << 18  # coefficients of polynomials that are held in memory
+
+_ROUND = 32  # steps of the test after which NumPy drops the polynomials that failed
+
+
+def others_inside(c: SliceCoefficients, theta: Array, length: int, within: float = 1.0) -> Array:
+    """Return where all roots of p but those at r e^(+-i theta) lie inside of the circle.
+
+    ``within`` is the size of another circle, as a multiple of that.
+
+    Source: the criterion of Schur and Cohn, as a recursion for the polynomial and its reverse.
+    """
+    if c.filtered is not None and c.filtered.is_exact:
+        return all_inside(c.filtered, *exact_walls(c.filtered, theta), within)
+    xp = namespace(c, theta)
+    if xp is np and theta.size * length > _AT_ONCE and theta.size > 1:
+        parts = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
+        inside = [others_inside(c, part, length, within) for part in parts]
+        return np.concatenate(inside).reshape(theta.shape)
+    if c.filtered is not None:
+        return _others_inside(c, c.filtered, theta.ravel(), length, within).reshape(theta.shape)
+    return _all_inside(stored(_shrunk(other_roots(c, theta, length), within)))
+
+
+def _others_inside(
+    c: SliceCoefficients, curve: FilteredCurve, theta: Array, length: int, within: float
+) -> Array:
+    """Return the same for a loop with filters; p is divided only where its coefficients may be."""
+    alpha, beta = curve_and_lift(c, theta)[:2]
+    inside = may_be_stable(curve, alpha, beta, within)
+    wall, angle = (alpha[inside], beta[inside]), root_angles(curve, theta[inside])
+    others = _quotient(c, wall, 2.0 * np.cos(angle), 1.0, length)
+    inside[inside] = _all_inside(_shrunk(others, within))
+    return inside
+
+
+def _shrunk(falling: Array, within: float) -> Array:
+    """Return the polynomials of the roots over a number."""
+    powers = namespace(falling).arange(float(len(falling)))
+    return falling * (within**-powers).reshape(-1, *(1 for _ in falling.shape[1:]))
+
+
+def lines_crossing_is_stable(c: SliceCoefficients, length: int) -> Array:
+    """Return whether all roots lie inside where the lines z = r and z = -r cross, but for those."""
+    if c.filtered is not None and c.filtered.is_exact:
+        return all_inside(c.filtered, *lines_crossing_of(c.filtered.pairs), 1.0)
+    both = _quotient(c, lines_crossing(c), namespace(c).zeros(()), -1.0, length)
+    return _all_inside(both)
+
+
+def other_roots(c: SliceCoefficients, theta: Array, length: int) -> Array:
+    """Return the coefficients of p(r zeta) / (zeta^2 - 2 cos(theta) zeta + 1), highest first.
+
+    There are ``length`` of them, the last ones zeros: roots at 0 are inside of any circle.
+    """
+    wall = stored(curve_and_lift(c, theta)[:2])
+    angle = theta if c.filtered is None else root_angles(c.filtered, theta)
+    return _quotient(c, wall, 2.0 * namespace(c, theta).cos(angle), 1.0, length)
+
+
+def _quotient(
+    c: SliceCoefficients, wall: tuple[Array, Array], total: Array, product: float, length: int
+) -> Array:
+    """Divide p(r zeta) by zeta^2 - total zeta + product, of two roots that the wall has."""
+    if c.filtered is not None:
+        return filtered_quotient(c.filtered, wall, total, product, length)
+    xp = namespace(c, wall)
+    alpha, beta = wall
+    unit = c.gain * c.radius
+    gain, lagged = (alpha + beta) / unit, beta / (c.radius * unit)
+    leading, middle = 0.5 * (c.sigma + c.nu), c.num_plus - c.sigma
+    first, second = (c.den_plus - c.kappa) / c.radius, 0.5 * (c.kappa - c.eps) / c.radius
+    third, fourth = leading * gain, middle * gain - leading * lagged  # of powers m and m + 1
+    series = _series_of_inverse(total, product, length)
+    zeros = xp.zeros_like(series[:2])
+    once = xp.concatenate([zeros[:1], series[:-1]])
+    twice = xp.concatenate([zeros, series[:-2]])
+    power = xp.arange(length).reshape(-1, *(1 for _ in total.shape))
+    quotient = series + first * once + second * twice
+    quotient = quotient + xp.where(power == c.turns, third, 0.0)
+    quotient = quotient + xp.where(power == c.turns + 1, third * total + fourth, 0.0)
+    return xp.where(power <= c.turns + 1, quotient, 0.0)
+
+
+def _series_of_inverse(total: Array, product: float, length: int) -> Array:
+    """Return the series of 1 / (1 - total x + product x^2): Chebyshev's polynomials for 1."""
+
+    def step(before: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
+        last, last_but_one = before
+        return (total * last - product * last_but_one, last), last
+
+    xp = namespace(total)
+    return scan(length, step, (xp.ones_like(total), xp.zeros_like(total)))
+
+
+def _all_inside(falling: Array) -> Array:
+    """Return where all roots of polynomials (coefficient, ...) lie inside of the unit circle."""
+    # Where all walls leave a root at z = r or -r, rounding must not decide.
+    xp = namespace(falling)
+    even, odd = xp.sum(falling[::2], axis=0), xp.sum(falling[1::2], axis=0)
+    real = xp.minimum(even + odd, even - odd)
+    is_clear = real > _REAL_MARGIN * xp.sum(abs(falling), axis=0)
+    if xp is np:
+        return _passes(falling.reshape(len(falling), -1), is_clear.ravel()).reshape(is_clear.shape)
+
+    def step(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        falling, rising, inside = state
+        reflection = rising[0] / falling[0]
+        lower = rising - reflection * falling
+        return (
+            falling - reflection * rising,
+            xp.concatenate([lower[1:], xp.zeros_like(lower[:1])]),
+            inside & (abs(reflection) < 1.0 - _MARGIN),
+        )
+
+    return repeat(len(falling) - 1, step, (falling, falling[::-1], is_clear))[2]
+
+
+def _passes(falling: Array, is_clear: Array) -> Array:
+    """Run the same recursion on arrays that shrink, as NumPy may: fewer and shorter polynomials."""
+    passes = is_clear.copy()
+    index = np.arange(passes.size)
+    while len(falling) > 1 and index.size:
+        open_ones = passes[index]
+        falling, index = falling[:, open_ones], index[open_ones]
+        inside = np.ones(index.size, bool)
+        for _ in range(min(_ROUND, len(falling) - 1)):
+            reflection = falling[-1] / falling[0]
+            inside &= abs(reflection) < 1.0 - _MARGIN
+            falling = falling[:-1] - reflection * falling[:0:-1]
+        passes[index] = inside
+    return passes
+
 
 _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
+
 _NARROWING = {"numpy": (2, 23), "jax": (9, 2)}  # rounds, parts: few calls, or few angles
+
 _EXACT_NARROWING = 16, 8, 1e-14  # and the width that is enough
+
 _STRAY = 16.0  # brackets: an iterate of Newton's method this far outside is given up
+
 NO_BRANCH = -1
 
 
@@ -137,8 +300,6 @@ def find_pieces(
 
 
 # ---------------------------------------------------------------------------- where pieces end
-
-
 def _found_ends(
     c: SliceCoefficients, angles: Array, length: int, slots: int | None
 ) -> tuple[_Ends, Array]:
@@ -269,8 +430,6 @@ def _solved(
 
 
 # ------------------------------------------------------------------------ what follows a piece
-
-
 def _may_turn(c: SliceCoefficients, via: Array, length: int) -> Array:
     """Return whether the boundary may turn where the lines cross, if any piece asks for it."""
     if namespace(c, via) is np and not np.any(via):
@@ -312,3 +471,177 @@ def _linked(
         via=~crosses & ~straight,
         exists=crosses | straight | xp.any(there, axis=1),
     )
+
+
+# The angles at which a scan looks for pieces of the boundary of the stable set. NumPy only.
+
+_FIRST, _PI_MINUS_LAST = 1e-7, 1e-7
+
+_CLOSEST = 1e-11
+
+_OFFSETS = 24  # to each side of an angle to look closer at
+
+_NEAR_CIRCLE = 1e-2
+
+_SAME = 1e-10
+
+_ON_CIRCLE, _APART, _MOST_CENTERS = 1e-9, 1e-7, 8
+
+_WIDTHS, _STEPS_AROUND = 8.0, 16  # of a resonance
+
+_STEPS_OF_LINE = 48  # on each side of a line at a pole
+
+Angles = Float64[np.ndarray, " _"]  # of any length
+
+
+@cache
+def scan_angles(length: int, fineness: int) -> Angles:
+    """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends.
+
+    ``length`` is that of the polynomials, as for ``find_pieces``.
+    """
+    count = fineness * (24 + 8 * length)
+    even = (np.arange(count) + 0.5) * (np.pi / count)
+    start, end = (
+        np.geomspace(first, even[0], 12 * fineness, endpoint=False)
+        for first in (_FIRST, _PI_MINUS_LAST)
+    )
+    angles = np.concatenate([start, even, np.pi - end[::-1]])
+    angles.flags.writeable = False
+    return angles
+
+
+def slice_angles(c: SliceCoefficients, length: int, fineness: int) -> Angles:
+    """Return the angles of a scan: with filters more of them at the poles and where beta is 0.
+
+    They have the sign of Im V: see ``filtered_curve``.
+    """
+    angles = scan_angles(length, fineness)
+    if c.filtered is None:
+        return angles
+    offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
+    centers = np.concatenate([c.filtered.poles[0], c.filtered.steep])
+    around = centers[:, None] + np.concatenate([-offsets, offsets])
+    lines = [_around_line(line, fineness) for line in c.filtered.lines]
+    drawn = [one.scan for one in c.filtered.stretches]
+    around = np.concatenate(
+        [around.ravel(), _around_resonances(c.filtered, fineness), *lines, *drawn]
+    )
+    inner = around[(around > angles[0]) & (around < angles[-1])]
+    angles = np.sort(np.concatenate([angles, inner]))
+    return np.sort(np.where(is_oriented(c.filtered, angles), angles, -angles))
+
+
+def _around_resonances(curve: FilteredCurve, fineness: int) -> Angles:
+    """Return angles around zeros and poles of a device, in steps that grow with the distance."""
+    angle, width = curve.resonances[:, :, None]
+    reach = np.maximum(angle, _WIDTHS * width)
+    growth = np.linspace(0.0, 1.0, _STEPS_AROUND * fineness)
+    offsets = width / _WIDTHS * (reach / (width / _WIDTHS)) ** growth
+    around: Angles = (angle + np.concatenate([-offsets, offsets], axis=1)).ravel()
+    return around
+
+
+def _around_line(line: PoleLine, fineness: int) -> Angles:
+    """Return angles of a line at a pole: the knots twice, as pieces end there."""
+    count = _STEPS_OF_LINE * fineness
+    even = line.half_width * (np.arange(count) + 0.5) / count
+    close = np.geomspace(_CLOSEST, even[0], 8 * fineness)
+    offsets = np.concatenate([-even, even, -close, close])
+    knots = np.array(line.knots)
+    beside = knots[:, None] + np.concatenate([-close, close, [0.0, 0.0]])
+    return np.concatenate([line.angle + offsets, beside.ravel()])
+
+
+def closer_angles(c: SliceCoefficients, angles: Angles, centers: Angles) -> Angles:
+    """Return the angles of a scan with more angles around some centres."""
+    offsets = np.geomspace(_CLOSEST, np.max(np.diff(angles)), _OFFSETS)
+    around = centers[:, None] + np.concatenate([-offsets, offsets])
+    closer: Angles = np.clip(around.ravel(), angles[0], angles[-1])
+    if c.filtered is not None:
+        closer = closer[is_oriented(c.filtered, closer)]
+    return np.sort(np.concatenate([angles, closer]))
+
+
+def suspects(
+    c: SliceCoefficients, pieces: Pieces, known: Angles, outside: float, *, length: int
+) -> Angles:
+    """Return further angles around which a piece may hide between two angles of the scan.
+
+    They are the corners that the pieces have and the angles of the roots that are on the circle
+    there, or close.
+    """
+    ends = np.concatenate([pieces.begin, pieces.end])
+    size = np.abs(ends)
+    corners = ends[np.tile(pieces.exists, 2) & (size > 0.0) & (size < np.pi)]
+    if c.filtered is not None and c.filtered.is_exact:
+        angles_of_roots = angles_on_circle(c.filtered, *exact_walls(c.filtered, corners))
+        partners = standing_for(c.filtered.stretches, angles_of_roots)
+    else:
+        others = other_roots(c, corners, length)
+        partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
+    if c.filtered is not None:
+        partners = np.where(is_oriented(c.filtered, partners), partners, -partners)
+    every = np.concatenate([corners, partners])
+    away = np.min(np.abs(every[:, None] - known), axis=1, initial=np.inf)
+    return nearly_stable(c, every[away >= _SAME], outside, length=length)
+
+
+def lone_partners(c: SliceCoefficients, pieces: Pieces) -> DoubleDouble:
+    """Return the angles at which a piece would have to begin or end for others, but none does.
+
+    The curve is evaluated in double-double.
+    """
+    curve = c.filtered
+    assert curve is not None
+    ends = np.concatenate([pieces.begin, pieces.end])
+    ends = ends[np.tile(pieces.exists, 2)]
+    open_ends = ends[(ends != 0.0) & (np.abs(ends) < np.pi)]
+    angles = angles_on_circle(curve, *exact_walls(curve, open_ends), within=_ON_CIRCLE)
+    size = standing_for(curve.stretches, angles)
+    away = np.min(np.abs(size[:, None] - np.abs(ends)), axis=1, initial=np.inf)
+    known = [one.angle for one in curve.stretches]
+    near = np.min(np.abs(angles.hi[:, None] - known), axis=1, initial=np.inf)
+    _, first = np.unique(np.round(angles.hi / _APART), return_index=True)
+    chosen = first[(away[first] > _APART) & (near[first] > _APART)][:_MOST_CENTERS]
+    return DoubleDouble(angles.hi[chosen], angles.lo[chosen])
+
+
+def nearly_stable(c: SliceCoefficients, angles: Angles, outside: float, *, length: int) -> Angles:
+    """Return the angles, in order, at which no other root is farther outside than a limit."""
+    if not angles.size:
+        return angles
+    angles = np.sort(angles)
+    angles = angles[np.diff(angles, prepend=-np.inf) > _CLOSEST]
+    chosen: Angles = angles[others_inside(c, angles, length, within=1.0 + outside)]
+    return chosen
+
+
+def _angles_near_circle(polynomials: Float64[np.ndarray, "polynomial coefficient"]) -> Angles:
+    """Return the angles between 0 and pi of the roots close to the circle."""
+    if polynomials.shape[1] < 2:
+        return np.empty(0)
+    roots = np.linalg.eigvals(companion_matrix(polynomials)).ravel()
+    near = roots[(np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE) & (roots.imag > 0.0)]
+    angles: Angles = np.angle(near)
+    return angles
+
+
+# Which points lie inside an outline's polygon; the same answer as the curve, except next to it.
+
+
+def edges_of(points: np.ndarray, branch: np.ndarray) -> Float64[np.ndarray, "edge 4"]:
+    """Return the edges of an outline, without those between its loops."""
+    return np.concatenate([points[:-1], points[1:]], axis=1)[branch != NO_BRANCH]
+
+
+def are_inside(edges: np.ndarray, points: np.ndarray) -> Bool[np.ndarray, " point"]:
+    """Count the edges to the right of each point: an odd number of them encloses it."""
+    alpha, beta = points[:, None]
+    first_alpha, first_beta, last_alpha, last_beta = edges.T[..., None]
+    crosses = (first_beta > beta) != (last_beta > beta)
+    with np.errstate(all="ignore"):  # edges that run level are not crossed
+        share = (beta - first_beta) / (last_beta - first_beta)
+        is_right = first_alpha + share * (last_alpha - first_alpha) > alpha
+    inside: np.ndarray = np.sum(crosses & is_right, axis=0) % 2 == 1
+    return inside

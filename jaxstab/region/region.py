@@ -1,30 +1,277 @@
 """Stable regions of slices: found by a search, or in arrays of fixed sizes for JAX."""
 
+from math import ceil, sqrt
+
+import numpy as np
+from jaxtyping import Float64, Int
+
 from jaxstab.arrays import Numbers, is_traced, namespace, stored
 from jaxstab.batches import compiled
+from jaxstab.conventions import STABLE, UNSTABLE
 from jaxstab.model import require_x64
+from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
+from jaxstab.model.linear_loop import LinearLoop, SampledPlant
 from jaxstab.model.loop import refuses_loops
-from jaxstab.model.parameters import (
-    DELTA_LIMIT,
-    GAMMA_LIMIT,
-    LONGEST_DELAY,
-    whole_and_fraction,
-)
+from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY, whole_and_fraction
+from jaxstab.model.transfer import Transfer
 from jaxstab.numbers import checked_count, checked_number
+from jaxstab.point.verdicts import linear_verdict
+from jaxstab.region import measures
+from jaxstab.region.corners import Branch
+from jaxstab.region.crossings import coefficient_count, refined_pieces
 from jaxstab.region.curve import (
     SliceCoefficients,
+    curve_and_lift,
     filtered_coefficients,
     slice_coefficients,
 )
-from jaxstab.region.filtered_curve import System, mass_system
-from jaxstab.region.outline import extra_vertices, polygon
-from jaxstab.region.pieces import Pieces, find_pieces
-from jaxstab.region.resolution import resolved_outline
-from jaxstab.region.scan import scan_angles
-from jaxstab.region.search import coefficient_count
-from jaxstab.region.stable_set import StableRegion, region_within
-from jaxstab.region.status import RegionStatus
+from jaxstab.region.exact import Pairs, exact_gains, in_pairs
+from jaxstab.region.filtered_curve import System, loop_of_system, mass_system, parts_in_pairs
+from jaxstab.region.outline import Outline, extra_vertices, polygon
+from jaxstab.region.pieces import (
+    NO_BRANCH,
+    Pieces,
+    are_inside,
+    edges_of,
+    find_pieces,
+    lone_partners,
+    scan_angles,
+)
+from jaxstab.region.stable_set import RegionStatus, StableRegion, region_within
+
+# A second look at regions of loops with any plant, estimator and filter, by proved verdicts.
+#
+# The curve of such a loop, and the count of its other roots, may lose digits without any status
+# showing it. So walls on both sides of the outline get a verdict, which is a proof. This does not
+# prove the region, but a region that a proof contradicts is not given. The walls keep a distance
+# from the outline, so that the rounding of a corner contradicts nothing. Next to corners they are
+# closer: the curve passes a mode that walls hardly move within an angle that the search may step
+# over, and where gains are small such a mode can cut off a corner of the set.
+
+_ASIDE = 1e-3  # of the outline's size
+
+_ROUGH = 1e-3  # of the same: edges that leave the boundary by more
+
+_WALLS = 24  # on each side
+
+_FROM_CORNER = 10.0 ** -np.arange(1.0, 6.0)  # shares of an edge that ends at a corner
+
+_UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
+
+_SHORTEST = 1e-8  # of the outline's size: an edge next to a corner
+
+_GAINS = np.geomspace(1e-8, 1.0, 9)  # of alpha and of beta, of both signs
+
+Edges = Float64[np.ndarray, "_ 4"]
+
+Walls = Float64[np.ndarray, "2 _"]
+
+
+def is_contradicted(
+    c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviation: float
+) -> bool:
+    """Return whether a wall inside is proved unstable, or one outside stable.
+
+    An outline without a loop claims that no wall is stable; gains of all sizes are tried then. An
+    outline that stays away from its curve whatever the number of vertices follows nothing but
+    rounding.
+
+    Args:
+        c: the coefficients of the slice.
+        outline: of the region.
+        loop: the same loop, by which verdicts are proved.
+        deviation: of the outline from its curve.
+    """
+    size = int(outline.size)
+    if size == 0:
+        alpha, beta = _walls_of_all_sizes()
+        return bool(np.any(linear_verdict(alpha, beta, loop) == STABLE))
+    if deviation > _ROUGH:
+        return True
+    vertices = outline.vertices[:size]
+    edges, extent = edges_of(vertices, outline.branches[: size - 1]), np.ptp(vertices, axis=0)
+    walls = _beside(edges, extent)
+    codes = linear_verdict(walls[0], walls[1], loop)
+    doubtful = codes == np.where(are_inside(edges, walls), UNSTABLE, STABLE)
+    walls, codes = walls[:, doubtful], codes[doubtful]  # a polygon is not exact
+    assert c.filtered is not None
+    angles, distances = c.filtered.resonances
+    if np.any((angles > 0.0) & (distances < _UNDAMPED)):
+        near = _beside(_near_corners(c, outline), extent, is_near=True)
+        walls = np.concatenate([walls, near], axis=1)
+        codes = np.concatenate([codes, linear_verdict(near[0], near[1], loop)])
+    if not codes.size:
+        return False
+    is_inside = measures.contains(c, outline, walls[0], walls[1])
+    return bool(np.any(codes == np.where(is_inside, UNSTABLE, STABLE)))
+
+
+def _beside(edges: Edges, extent: Float64[np.ndarray, "2"], *, is_near: bool = False) -> Walls:
+    """Return walls on both sides of edges: of some of an outline, or of all next to corners.
+
+    Next to corners they are as close to their edges as these are short.
+    """
+    here, there = edges[:, :2], edges[:, 2:]
+    normal = (there - here)[:, ::-1] * [-1.0, 1.0] / extent[::-1]
+    length = np.hypot(*normal.T)
+    chosen = np.flatnonzero(length > (_SHORTEST if is_near else 0.0))
+    if not is_near:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, _WALLS).round().astype(int)]
+        normal /= np.where(length > 0.0, length, 1.0)[:, None]
+    aside, middle = _ASIDE * extent * normal[chosen], 0.5 * (here + there)[chosen]
+    return np.concatenate([middle + aside, middle - aside]).T
+
+
+def _near_corners(c: SliceCoefficients, outline: Outline) -> Edges:
+    """Return short edges of the boundary, at some distances from the corners."""
+    size = int(outline.size)
+    vertices = outline.vertices[:size]
+    is_corner = np.any(np.all(outline.corners[:, None] == vertices, axis=-1), axis=0)
+    is_edge = (outline.branches[: size - 1] != NO_BRANCH) & np.any(np.diff(vertices, axis=0), 1)
+    begins, ends = (np.flatnonzero(is_edge & one) for one in (is_corner[:-1], is_corner[1:]))
+    edges = np.repeat(np.append(begins, ends), len(_FROM_CORNER))
+    close, far = (
+        np.append(np.tile(part, len(begins)), 1.0 - np.tile(part, len(ends)))
+        for part in (_FROM_CORNER, 2.0 * _FROM_CORNER)
+    )
+    both = (_on_edges(c, outline, edges, shares) for shares in (close, far))
+    return np.concatenate(list(both), axis=1)
+
+
+def _on_edges(
+    c: SliceCoefficients,
+    outline: Outline,
+    edges: Int[np.ndarray, " edge"],
+    shares: Float64[np.ndarray, " edge"],
+) -> Float64[np.ndarray, "edge 2"]:
+    """Return points of the boundary at shares of edges."""
+    here, there = outline.vertices[edges], outline.vertices[edges + 1]
+    straight = here + (there - here) * shares[:, None]
+    first, last = outline.angles[edges].T
+    curved = np.stack(curve_and_lift(c, first + (last - first) * shares)[:2], axis=1)
+    return np.where((outline.branches[edges] == Branch.CURVE)[:, None], curved, straight)
+
+
+def _walls_of_all_sizes() -> Walls:
+    gains = np.concatenate([-_GAINS, [0.0], _GAINS])
+    return np.stack(np.meshgrid(gains, gains), axis=0).reshape(2, -1)
+
+
+# The outline of one slice, with as many angles and digits as it needs. NumPy only.
+
+_FEWEST_POINTS, _MOST_POINTS = 256, 65536
+
+_STRETCHINGS = 3  # rounds
+
+_ASKED, _STRAYED = 32, 1e-12  # points, and how far aside they may be beside the outline's size
+
+_NOTHING = 2.0**-86  # of the coefficients of p(z): pairs know that much
+
+_BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
+
+
+def resolved_outline(
+    c: SliceCoefficients,
+    delay: float,
+    tolerance: float,
+    *,
+    may_be_empty: bool,
+    system: System | None,
+) -> tuple[SliceCoefficients, Outline]:
+    """Return the outline of a slice, and the coefficients by which it was resolved.
+
+    Where no number of digits resolves it, or verdicts of the loop contradict it, the outline is not
+    ``resolved``. That nothing is stable is said after all have been tried.
+    """
+    if c.filtered is None or system is None:
+        return c, _outline(c, delay, tolerance, may_be_empty, None)[0]
+    loop = loop_of_system(system)
+    curve, rough = c.filtered, None
+    if not curve.loses_digits:
+        outline, _ = _outline(c, delay, tolerance, may_be_empty, loop)
+        rough = outline if _is_known(outline) else None
+        if rough is not None and not (curve.may_lose_some and _strays(c, rough, system)):
+            return c, rough
+    pairs = parts_in_pairs(system)
+    if not curve.loses_digits and outline.resolved and _keeps_a_root(pairs):
+        return c, outline
+    centers = DoubleDouble.of(np.empty(0))
+    for _ in range(_STRETCHINGS):
+        exact = c._replace(filtered=in_pairs(curve, pairs, centers))
+        outline, pieces = _outline(exact, delay, tolerance, may_be_empty, loop)
+        if _is_known(outline):
+            break
+        more = lone_partners(exact, pieces)
+        if not more.hi.size:
+            break
+        both = (centers.hi, more.hi), (centers.lo, more.lo)
+        centers = DoubleDouble(*map(np.concatenate, both))
+    if rough is not None and not _is_known(outline):
+        return c, rough
+    return exact, outline
+
+
+def _strays(c: SliceCoefficients, outline: Outline, system: System) -> bool:
+    """Return whether some points of an outline in float64 are beside the curve in double-double."""
+    curve = c.filtered
+    assert curve is not None
+    size = np.abs(outline.angles)
+    straight = np.any([line.holds(size[:, 0]) for line in curve.lines], axis=0)
+    edges = np.flatnonzero((outline.branches == Branch.CURVE) & ~straight)
+    edges = edges[np.linspace(0, len(edges) - 1, min(_ASKED, len(edges))).round().astype(int)]
+    extent = np.ptp(outline.vertices, axis=0)
+    points = np.stack(curve_and_lift(c, outline.angles[edges, 0])[:2], axis=1)
+    angles = DoubleDouble.of(size[edges, 0])
+    exact = exact_gains(parts_in_pairs(system), angles, with_slopes=False).values[:2]
+    away = (points - np.stack([one.rounded() for one in exact], axis=1)) / extent
+    along = (outline.vertices[edges + 1] - outline.vertices[edges]) / extent
+    length = np.hypot(*along.T)
+    aside = np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0])
+    return bool(np.any(aside > _STRAYED * length))
+
+
+def _keeps_a_root(pairs: Pairs) -> bool:
+    """Return whether all walls leave a root at z = -1, as far as pairs tell."""
+    values, sizes = np.abs(pairs[1, 1, 0, :, 0]), np.sum(np.abs(pairs[1, 0, 0]), axis=1)
+    return bool(np.all(values <= _NOTHING * sizes))
+
+
+def _is_known(outline: Outline) -> bool:
+    return bool(outline.resolved) and int(outline.size) > 0
+
+
+def _outline(
+    c: SliceCoefficients,
+    delay: float,
+    tolerance: float,
+    may_be_empty: bool,
+    loop: LinearLoop | None,
+) -> tuple[Outline, Pieces]:
+    """Return an outline, not ``resolved`` if verdicts contradict it, and its pieces."""
+    pieces = refined_pieces(c, delay, may_be_empty=may_be_empty)
+    outline, deviation = _adapted(c, pieces, tolerance)
+    if outline.resolved and loop is not None and is_contradicted(c, outline, loop, deviation):
+        outline = polygon(c, pieces._replace(resolved=np.bool_(False)), _FEWEST_POINTS)
+    return outline, pieces
+
+
+def _adapted(c: SliceCoefficients, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
+    """Return an outline of as many points as the tolerance asks for, and its deviation."""
+    fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
+    points = _enough_points(sqrt(_BULGE / tolerance), fewest)
+    outline = polygon(c, pieces, points)
+    deviation = float(measures.deviation(c, outline))
+    if outline.resolved and outline.size > 0 and deviation > tolerance:
+        points = _enough_points(1.2 * points * sqrt(deviation / tolerance), fewest)
+        outline = polygon(c, pieces, points)
+        deviation = float(measures.deviation(c, outline))
+    return outline, deviation
+
+
+def _enough_points(wanted: float, fewest: int) -> int:
+    return max(fewest, min(ceil(wanted), _MOST_POINTS))
+
 
 _FINEST = 1e-10
 
@@ -187,3 +434,33 @@ def _region(
     c: SliceCoefficients, pieces: Pieces, *, points: int, length: int | None = None
 ) -> StableRegion:
     return region_within(c, polygon(c, pieces, points, length))
+
+
+# The stable set of a loop with any plant, estimator and filter.
+
+
+def linear_region(
+    plant: SampledPlant, velocity: Transfer, position: Transfer, tolerance: float
+) -> StableRegion:
+    """Return the set of all stable (alpha, beta) of a loop.
+
+    Args:
+        plant: of one number each.
+        velocity: T V(z) less its factor (1 - 1/z).
+        position: P(z).
+        tolerance: largest distance between the polygon and the boundary, as a share of the region's
+            diameter, > 1e-10.
+
+    Raises:
+        ValueError: the plant does not give way to a constant force, N(1) = 0, by which the curve is
+            divided near z = 1.
+    """
+    if float(plant.at_one[0].value.hi) == 0.0:
+        raise ValueError(
+            "the device does not give way to a constant force: its transfer function in s is 0 at "
+            "s = 0. It has no region and no limits here; ask for verdicts, radii, poles or margins."
+        )
+    with np.errstate(all="ignore"):
+        c = filtered_coefficients(plant, velocity, position)
+        system = plant, velocity, position
+        return region_of(c, float(plant.lag), tolerance, may_be_empty=True, system=system)

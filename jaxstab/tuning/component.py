@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.model.filters import Filters
 from jaxstab.region import RegionStatus, StableRegion, stable_region
-from jaxstab.region.components import holds_small_gains
-from jaxstab.region.polygons import are_inside, edges_of
+from jaxstab.region.pieces import are_inside, edges_of
+from jaxstab.region.stable_set import holds_small_gains
 from jaxstab.tuning.status import TuningStatus
 
 _NUMBERS = 1 << 20  # of an array that points beside edges fill, about

@@ -18,7 +18,7 @@ from jaxstab.motion.transition import Loops, device_loops, loops_of
 from jaxstab.point import SpectralRadius, spectral_radius
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict, verdict
-from jaxstab.region.linear import linear_region
+from jaxstab.region.region import linear_region
 from jaxstab.tuning.component import ALL_GAINS, Component, component_of, searched_component
 from jaxstab.tuning.radius import filtered_walls, minimize_radius, smallest_radius, walls_of
 from jaxstab.tuning.search import Walls

@@ -1,34 +1,43 @@
-"""Points and slopes of the boundary in double-double, where float64 loses all digits.
-
-Filters with many slow poles have these next to each other: at z next to 1 their polynomials are
-1e-5 to 1e-30 of their coefficients. So p(z) = base + alpha S + beta R itself is taken in powers of
-z -+ 1 there, and in powers of z elsewhere, in pairs of float64; with Cramer's rule
-
-    alpha = Im(conj(R) base) / Im(conj(S) R),     beta = -Im(conj(S) base) / Im(conj(S) R).
-
-Powers of zeta - 1 have real and imaginary parts of all their digits, so nothing is divided by hand,
-as it is in ``filtered_points``: there is enough left of 106 bits. NumPy only.
-"""
+"""The curve that is evaluated in double-double, with the angles that float64 misses. NumPy only."""
 
 from fractions import Fraction
-from functools import cache
-from math import factorial
+from functools import cache, lru_cache
+from math import comb, factorial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Complex128, Float64
+from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.arrays import PI_REST, Array
+from jaxstab.arrays import PI_REST, Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
+from jaxstab.region.filtered_curve import FilteredCurve, standing_for, stretches_around, true_angles
+from jaxstab.region.roots import bracketed_root
+
+# Points and slopes of the boundary in double-double, where float64 loses all digits.
+#
+# Filters with many slow poles have these next to each other: at z next to 1 their polynomials are
+# 1e-5 to 1e-30 of their coefficients. So p(z) = base + alpha S + beta R itself is taken in powers
+# of z -+ 1 there, and in powers of z elsewhere, in pairs of float64; with Cramer's rule
+#
+#     alpha = Im(conj(R) base) / Im(conj(S) R),     beta = -Im(conj(S) base) / Im(conj(S) R).
+#
+# Powers of zeta - 1 have real and imaginary parts of all their digits, so nothing is divided by
+# hand, as it is in ``filtered_points``: there is enough left of 106 bits. NumPy only.
 
 _CLOSE = 0.5  # of zeta - 1: up to there its powers are taken
+
 _LEAST = 1e-11  # in place of the angle 0: there the curve has a limit, and even in the angle
+
 _HALVINGS = 3  # of angles before the series
+
 _AT_ONCE = 1 << 18  # coefficients that are held in memory
+
 _POLISHING, _POLISHED = 3, 1e-3  # steps, and the longest one beside the root
+
 _TERMS = 10  # of the series of sine and cosine, for angles up to 0.1
 
 Angles = Float64[np.ndarray, " _"]
+
 Pairs = Float64[np.ndarray, "half form pair part coefficient"]
 
 
@@ -298,3 +307,203 @@ def _terms() -> list[DoubleDouble]:
         low = [float(one - Fraction(part)) for one, part in zip(exact, high, strict=True)]
         terms.append(DoubleDouble(np.array(high)[:, None], np.array(low)[:, None]))
     return terms
+
+
+_SEARCHED = np.concatenate(  # angles between which poles are looked for, on each half
+    [np.geomspace(1e-7, 0.1, 240, endpoint=False), np.linspace(0.1, 0.5 * np.pi, 400)]
+)
+
+_SAME = 1e-5  # of angles that float64 finds, too
+
+_CLOSEST = 1e-9  # what counts as the distance of a pole on the circle
+
+
+def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> FilteredCurve:
+    """Return a curve as it is evaluated in double-double.
+
+    Args:
+        curve: as it is evaluated in float64.
+        pairs: the parts of p(z), as ``exact_points`` takes them.
+        centers: angles around which the curve is drawn out.
+    """
+    lines = [line.angle + side * line.half_width for line in curve.lines for side in (-1.0, 1.0)]
+    stretches = stretches_around(centers, np.array(lines))
+    even = np.concatenate([_SEARCHED, np.pi - _SEARCHED])
+    outside = ~np.any([one.holds(even) for one in stretches], axis=0) if stretches else slice(None)
+    angles = np.unique(np.concatenate([even[outside], *(one.scan for one in stretches)]))
+
+    def both(theta: Angles) -> Float64[np.ndarray, "2 angle"]:
+        return determinants(pairs, true_angles(stretches, theta, np.zeros_like(theta))[0])
+
+    def value(number: np.ndarray, theta: Angles) -> Angles:
+        chosen: Angles = np.choose(number, both(theta))
+        return chosen
+
+    values = both(angles)
+    number, index = np.nonzero(np.diff(np.sign(values), axis=1))
+    ends = values[number, index], values[number, index + 1]
+    roots = bracketed_root(value, number, angles[index], angles[index + 1], ends)
+    real, steep = (roots[number == k] for k in range(2))
+    poles, lone, resonances = (
+        standing_for(stretches, DoubleDouble.of(one))
+        for one in (curve.poles[0], curve.steep, curve.resonances[0])
+    )
+    is_pole, is_steep = _are_apart(poles, real), _are_apart(lone, steep)
+    distances = np.concatenate([curve.poles[1, is_pole], np.full(len(real), _CLOSEST)])
+    return curve._replace(
+        poles=np.stack([np.concatenate([poles[is_pole], real]), distances]),
+        steep=np.concatenate([lone[is_steep], steep]),
+        resonances=np.stack([resonances, curve.resonances[1]]),
+        stretches=stretches,
+        pairs=pairs,
+        is_exact=True,
+    )
+
+
+def _are_apart(angles: Angles, others: Angles) -> Bool[np.ndarray, " _"]:
+    """Return which angles are no others that rounding has moved."""
+    gaps = np.abs(angles[:, None] - others)
+    apart: np.ndarray = np.all(gaps > _SAME * angles[:, None], axis=1)
+    return apart
+
+
+# Whether all other roots are inside the circle, at walls on the boundary. Double-double, NumPy.
+#
+# Slow modes have roots next to each other near z = 1, which the coefficients in powers of z cannot
+# tell apart. So p(z) is written in powers of z - 1, where each small root makes one more
+# coefficient small, and z = r (1 + w) / (1 - w) turns the circle of radius r into the imaginary
+# axis, z = r into 0. With
+#
+#     p = sum c_k (z - r)^k = (1 - w)^-n sum c_k (2 r w)^k (1 - w)^(n - k)
+#
+# Routh's criterion counts the roots. r is just so much larger than 1 that the roots which the wall
+# puts on the unit circle count as inside: the less, the smaller the gains are, because a mode that
+# nothing damps is on the circle without them, and moves as little as they are small.
+
+_ON_CIRCLE = 1e-14  # a root so close is on the circle, where gains count as much as the plant
+
+_STEP, _SMALLEST_ANGLE = 1e-3, 1e-15  # of the share that gains count for, and the least one
+
+_NEAR_CIRCLE = 1e-2
+
+_COEFFICIENTS = 1 << 11  # walls
+
+
+def all_inside(
+    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble, within: float
+) -> Bool[np.ndarray, "*wall"]:
+    """Return where all roots of p(z) are inside a circle; those on the unit circle count."""
+    inside = np.zeros(np.shape(alpha.hi), bool)
+    walls = [tree_map(np.ravel, wall) for wall in (alpha, beta)]
+    falling = np.ascontiguousarray(curve.pairs[0, 1, :, :, ::-1])  # in powers of z - 1
+    outside = np.maximum(within - 1.0, _power_on_circle(curve, *walls))
+    for one in np.unique(outside).tolist():
+        parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], one)
+        chosen = np.flatnonzero(outside == one)
+        for start in range(0, chosen.size, _COEFFICIENTS):
+            some = chosen[start : start + _COEFFICIENTS]
+            gains = (DoubleDouble(wall.hi[some], wall.lo[some]) for wall in walls)
+            inside.flat[some] = _are_left(_with_gains(parts, *gains))
+    return inside
+
+
+def _power_on_circle(
+    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble
+) -> Float64[np.ndarray, " wall"]:
+    """Return how far outside a root is on the circle: in steps, by what gains count for in p(z)."""
+    base, stiffness, damping = np.sum(np.abs(curve.pairs[0, 0, 0]), axis=-1)
+    share = (np.abs(alpha.hi) * stiffness + np.abs(beta.hi) * damping) / base
+    share = np.clip(np.nan_to_num(share, nan=1.0), _SMALLEST_ANGLE, 1.0)
+    steps: np.ndarray = np.floor(np.log(share) / np.log(_STEP))
+    return _ON_CIRCLE * _STEP**steps
+
+
+def _with_gains(parts: DoubleDouble, alpha: DoubleDouble, beta: DoubleDouble) -> DoubleDouble:
+    base, stiffness, damping = (
+        DoubleDouble(parts.hi[:, k, None], parts.lo[:, k, None]) for k in range(3)
+    )
+    return base + (stiffness * alpha + damping * beta)
+
+
+@lru_cache(maxsize=64)
+def _parts_in_half_plane(falling: bytes, count: int, outside: float) -> DoubleDouble:
+    """Return base, stiffness and damping (coefficient, part) in powers of w, highest first.
+
+    They are given in powers of z - 1, (pair, part, coefficient); r = 1 + outside. Many walls are
+    asked of one curve.
+    """
+    pairs = np.frombuffer(falling).reshape(2, 3, count).transpose(0, 2, 1)
+    return _to_half_plane(_about(DoubleDouble(*pairs), outside), DoubleDouble.of(outside) + 1.0)
+
+
+def angles_on_circle(
+    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble, *, within: float = np.inf
+) -> DoubleDouble:
+    """Return the angles in (0, pi) of roots that are close to the circle for slow roots.
+
+    ``within`` is how close they have to be at last.
+    """
+    base, stiffness, damping = curve.pairs[0, 1, 0, :, ::-1]
+    angles = [DoubleDouble.of(np.empty(0))]
+    for k in range(len(alpha.hi)):
+        coefficients = base + stiffness * alpha.hi[k] + damping * beta.hi[k]
+        step = np.roots(coefficients) if np.all(np.isfinite(coefficients)) else np.empty(0)
+        modulus = np.abs(1.0 + step)
+        is_near = np.abs(modulus - 1.0) < _NEAR_CIRCLE * np.minimum(1.0, np.abs(step))
+        rough = step[is_near & (step.imag > 0.0)]
+        stiffness_gain, damping_gain = (DoubleDouble(one.hi[k], one.lo[k]) for one in (alpha, beta))
+        polished, excess = polished_angles(curve.pairs, stiffness_gain, damping_gain, rough)
+        chosen = np.abs(excess) < within
+        angles.append(DoubleDouble(polished.hi[chosen], polished.lo[chosen]))
+    high, low = ([getattr(one, name) for one in angles] for name in ("hi", "lo"))
+    return DoubleDouble(np.concatenate(high), np.concatenate(low))
+
+
+def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
+    """Return the coefficients in powers of s - move by those in powers of s, part by part.
+
+    sum c_k s^k has the coefficients sum over k of binomial(k, j) move^(k - j) c_k.
+    """
+    degree = len(falling.hi) - 1
+    total, power = falling, DoubleDouble.of(1.0)
+    for more in range(1, degree + 1):
+        power = power * move
+        ways = np.array([float(comb(k, more)) for k in range(degree, more - 1, -1)])[:, None]
+        higher = DoubleDouble(falling.hi[:-more], falling.lo[:-more]) * power * ways
+        moved = (np.pad(one, ((more, 0), (0, 0))) for one in (higher.hi, higher.lo))
+        total = total + DoubleDouble(*moved)
+    return total
+
+
+def _to_half_plane(falling: DoubleDouble, radius: DoubleDouble) -> DoubleDouble:
+    """Return sum c_k (2 r w)^k (1 - w)^(n - k), highest power of w first."""
+    degree = len(falling.hi) - 1
+    total, factor = DoubleDouble.of(np.zeros_like(falling.hi)), DoubleDouble.of(1.0)
+    for power in range(degree + 1):
+        index = degree - power
+        one = DoubleDouble(falling.hi[index], falling.lo[index]) * factor
+        total = total + DoubleDouble(one.hi[None], one.lo[None]) * _binomials(degree, power)
+        factor = factor * radius.scaled(2.0)
+    return total
+
+
+def _binomials(degree: int, power: int) -> Float64[np.ndarray, "coefficient 1"]:
+    """Return the coefficients of w^power (1 - w)^(degree - power), highest first."""
+    rest = degree - power
+    signed = [float((-1) ** k * comb(rest, k)) for k in range(rest, -1, -1)]
+    return np.array(signed + [0.0] * power)[:, None]
+
+
+def _are_left(falling: DoubleDouble) -> Bool[np.ndarray, " wall"]:
+    """Return where all roots have negative real parts (Routh 1877)."""
+    even, odd = (DoubleDouble(falling.hi[k::2], falling.lo[k::2]) for k in (0, 1))
+    is_left = np.ones(falling.hi.shape[1], bool)
+    while len(odd.hi):
+        is_left = is_left & (odd.hi[0] * even.hi[0] > 0.0)
+        ratio = DoubleDouble(even.hi[0], even.lo[0]) / DoubleDouble(odd.hi[0], odd.lo[0])
+        length = len(even.hi) - 1
+        lower = DoubleDouble(even.hi[1:], even.lo[1:])
+        missing = length - (len(odd.hi) - 1)
+        above = [np.pad(part[1:], ((0, missing), (0, 0))) for part in (odd.hi, odd.lo)]
+        even, odd = odd, lower - DoubleDouble(*above) * ratio
+    return is_left
