@@ -19,11 +19,11 @@ from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.filtered import FilteredLoop
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab import StableRegion
-from jaxstab.boxes.columns import column_gaps
-from jaxstab.boxes.enclosure import Domain
-from jaxstab.boxes.plant import HandBoxes
 from jaxstab.conventions import STABLE, UNSTABLE, Verdict
 from jaxstab.model.filters import given_filters
+from jaxstab.proofs.columns import column_gaps
+from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.plant import HandBoxes
 from jaxstab.ranges.device_delays import extra_delays
 from jaxstab.ranges.device_margins import device_ends
 from jaxstab.ranges.first_crossings import WAYS, first_crossings

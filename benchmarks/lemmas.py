@@ -18,11 +18,11 @@ import flint
 import numpy as np
 
 from benchmarks.truth.balls import ExactPlant
-from jaxstab.boxes.circle import quick_plant
-from jaxstab.boxes.exclusion import Loops, expansion
 from jaxstab.model import DoubleDouble
 from jaxstab.point import verdicts
 from jaxstab.point.schur_cohn import FLOAT_UNIT, PAIR_UNIT
+from jaxstab.proofs.exclusion import Loops, expansion
+from jaxstab.proofs.plant import quick_plant
 
 _BITS = 700
 _EPS = float(np.finfo(np.float64).eps)

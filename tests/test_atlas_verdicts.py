@@ -12,8 +12,8 @@ from benchmarks import truth
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, characteristic_polynomial, verdict
 from jaxstab.atlas.compute import verdicts
 from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts, undecided_nodes
-from jaxstab.boxes.columns import ColumnGaps, column_gaps
-from jaxstab.boxes.plant import HandBoxes
+from jaxstab.proofs.columns import ColumnGaps, column_gaps
+from jaxstab.proofs.plant import HandBoxes
 
 DELAYS = (0.0, 0.5, 1.0, 5.0)
 MORE_DELAYS = (2.3, 20.0, 41.7, 60.0)  # for the campaign: XLA compiles for each

@@ -29,11 +29,11 @@ from jaxstab import (
     build_guard,
     guard_header,
 )
-from jaxstab.boxes.held_device import Arms, HeldDevice, with_parts
 from jaxstab.guard.grid import Grid, interpolated
 from jaxstab.guard.grid_boxes import grid_boxes
 from jaxstab.model.device import sampled_device
 from jaxstab.model.filters import given_filters
+from jaxstab.proofs.device_boxes import Arms, HeldDevice, with_parts
 
 ROOT = Path(__file__).resolve().parents[1]
 PERIOD = 1e-3

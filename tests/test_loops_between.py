@@ -25,8 +25,8 @@ from jaxstab import (
     Verdict,
     common_region,
 )
-from jaxstab.boxes.family_lines import FamilyBoxes, family_cells, models
-from jaxstab.boxes.in_pieces import PieceBoxes
+from jaxstab.proofs.linear_circle import FamilyBoxes, PieceBoxes, family_cells
+from jaxstab.proofs.linear_circle import family_models as models
 
 PERIOD = 2.0**-10
 DRAWN = devices.Drawn(

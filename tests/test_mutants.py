@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import jaxstab
-from jaxstab.boxes.cell_polynomial import CellPolynomial
-from jaxstab.boxes.followed_roots import _bend
+from jaxstab.proofs.radius_cells import CellPolynomial, _bend
 from jaxstab.region.filtered_curve import PoleLine
 from jaxstab.region.pieces import _all_inside
 

@@ -11,12 +11,17 @@ from numpy.typing import NDArray
 from benchmarks import truth
 from jaxstab import AtlasSpec, FittedAxis, QueryStatus, build_atlas, spectral_radius
 from jaxstab.atlas.read.surfaces import radius_bounds
-from jaxstab.boxes.cell_polynomial import WallBoxes, cell_polynomial
-from jaxstab.boxes.outer_roots import RadiusSurfaces, SurfaceKind, radius_surfaces
-from jaxstab.boxes.plant import HandBoxes
-from jaxstab.boxes.quadratics import FIRST, SECOND, VARIABLES, Quadratic
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import Velocity, as_keywords, known_filters
+from jaxstab.proofs.plant import HandBoxes
+from jaxstab.proofs.quadratics import FIRST, SECOND, VARIABLES, Quadratic
+from jaxstab.proofs.radius_cells import (
+    RadiusSurfaces,
+    SurfaceKind,
+    WallBoxes,
+    cell_polynomial,
+    radius_surfaces,
+)
 
 Floats = NDArray[np.float64]
 

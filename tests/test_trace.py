@@ -8,7 +8,7 @@ from mpmath import mp
 
 from benchmarks import truth
 from jaxstab import HapticLoop
-from jaxstab.boxes.exclusion import Loops, exclude
+from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.region import boundary_curve, minus_line
 from jaxstab.region.corners import Branch
 from jaxstab.trace import TraceStatus, trace_boundary

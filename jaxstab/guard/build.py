@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int64
 
-from jaxstab.boxes.filter_cells import responses_at
 from jaxstab.guard.grid import Grid, interpolated
 from jaxstab.guard.guard import Guard, Range
 from jaxstab.guard.limits import boundary_of
@@ -19,6 +18,7 @@ from jaxstab.guard.proof import Cells, are_stable, proved
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
 from jaxstab.numbers import checked_number
+from jaxstab.proofs.filters import responses_at
 from jaxstab.ranges import HandRange
 from jaxstab.ranges.hands import checked_range
 

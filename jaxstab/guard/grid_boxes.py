@@ -3,11 +3,20 @@
 import numpy as np
 from jaxtyping import Bool
 
-from jaxstab.boxes.device_boxes import DAMPING, DELAY, MASS, DeviceBoxes, Extent, FirstRow, along
-from jaxstab.boxes.models import LinearModel
-from jaxstab.boxes.parted import AXES, Boxes
 from jaxstab.guard.grid import Grid, Models, limits_over, step_of, tops_over
 from jaxstab.model import Device, LoopParameters
+from jaxstab.proofs.device_boxes import (
+    AXES,
+    DAMPING,
+    DELAY,
+    MASS,
+    Boxes,
+    DeviceBoxes,
+    Extent,
+    FirstRow,
+    along,
+)
+from jaxstab.proofs.plant import LinearModel
 from jaxstab.ranges import HandRange
 
 _ROUNDED_UP = 1.0 + 1e-9

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab.boxes.circle import quick_plant
-from jaxstab.boxes.filter_cells import responses_at
-from jaxstab.boxes.held_device import Arms, HeldDevice
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
+from jaxstab.proofs.device_boxes import Arms, HeldDevice
+from jaxstab.proofs.filters import responses_at
+from jaxstab.proofs.plant import quick_plant
 from jaxstab.ranges import HandRange
 from jaxstab.ranges.hands import spread_hands
 

@@ -12,13 +12,12 @@ from math import pi
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.boxes.held_device import Arms, device_of, with_parts
-from jaxstab.boxes.parted import BEYOND
 from jaxstab.conventions import Verdict
 from jaxstab.guard.grid import Grid, interpolated, step_of
 from jaxstab.guard.grid_boxes import grid_boxes
 from jaxstab.model import LoopParameters
 from jaxstab.point.verdicts import linear_verdict
+from jaxstab.proofs.device_boxes import BEYOND, Arms, device_of, with_parts
 from jaxstab.ranges import HandRange
 
 Cells = Bool[np.ndarray, "mass delay damping"]

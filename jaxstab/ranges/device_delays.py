@@ -10,11 +10,11 @@ from math import inf, nan, pi
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.boxes.bisection import Boxes, Proof, pave_by
-from jaxstab.boxes.delay_lines import DelayBoxes, DelayedDevice, delayed_device, models
-from jaxstab.boxes.first_root import Models, Parts, search
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.filters import Filters
+from jaxstab.proofs.exclusion import Boxes, Models, Parts, Proof, pave_by, search
+from jaxstab.proofs.linear_circle import DelayBoxes, DelayedDevice, delayed_device
+from jaxstab.proofs.linear_circle import delay_models as models
 from jaxstab.ranges.first_crossings import MOST_DELAY, joined_angles
 
 Walls = Float64[np.ndarray, "wall 2"]

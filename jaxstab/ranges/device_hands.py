@@ -9,10 +9,9 @@ from math import pi
 
 import numpy as np
 
-from jaxstab.boxes import bisection
-from jaxstab.boxes.device_boxes import DELAY, MASS, DeviceBoxes, Extent, along
-from jaxstab.boxes.parted import AXES, BEYOND, Boxes
 from jaxstab.model import Device, LoopParameters
+from jaxstab.proofs import exclusion as bisection
+from jaxstab.proofs.device_boxes import AXES, BEYOND, DELAY, MASS, Boxes, DeviceBoxes, Extent, along
 from jaxstab.ranges.hands import HandRange, Hands, Range
 
 _SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond

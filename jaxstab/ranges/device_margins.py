@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Numbers
-from jaxstab.boxes.first_root import FirstRoots, Parts, search
-from jaxstab.boxes.linear_circle import GainLines, line_models, loop_cells
 from jaxstab.conventions import Verdict
 from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.point.verdicts import linear_verdict
+from jaxstab.proofs.exclusion import FirstRoots, Parts, search
+from jaxstab.proofs.linear_circle import GainLines, line_models, loop_cells
 from jaxstab.ranges.device_delays import extra_delays
 from jaxstab.ranges.margins import Margins, WallMargins
 

@@ -6,14 +6,21 @@ from math import inf, pi
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.boxes.bisection import Boxes, Proof, pave_by
-from jaxstab.boxes.exclusion import is_free
-from jaxstab.boxes.family_lines import FamilyBoxes, FamilyCells, family_cells, models
-from jaxstab.boxes.first_root import FirstRoots, Models, Parts, search
-from jaxstab.boxes.in_pieces import PieceBoxes
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model.device.family import LoopFamily
 from jaxstab.point.verdicts import linear_verdict
+from jaxstab.proofs.exclusion import (
+    Boxes,
+    FirstRoots,
+    Models,
+    Parts,
+    Proof,
+    is_free,
+    pave_by,
+    search,
+)
+from jaxstab.proofs.linear_circle import FamilyBoxes, FamilyCells, PieceBoxes, family_cells
+from jaxstab.proofs.linear_circle import family_models as models
 
 Walls = Float64[np.ndarray, "wall 2"]
 Outline = Float64[np.ndarray, "vertex 2"]

@@ -12,13 +12,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from jaxstab.boxes.bisection import Boxes, Extent, pave
-from jaxstab.boxes.exclusion import Loops, exclude_any_delay
-from jaxstab.boxes.first_root import Lines, Parts, first_roots
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
+from jaxstab.proofs.exclusion import (
+    Boxes,
+    Extent,
+    Lines,
+    Loops,
+    Parts,
+    exclude_any_delay,
+    first_roots,
+    pave,
+)
 
 Walls = Float64[np.ndarray, "wall 5"]
 Column = Float64[np.ndarray, " wall"]

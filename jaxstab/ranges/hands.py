@@ -17,9 +17,6 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from jaxstab.batches import by_kind
-from jaxstab.boxes.bisection import Boxes, Extent, pave
-from jaxstab.boxes.circle import quick_plant
-from jaxstab.boxes.exclusion import Loops, exclude
 from jaxstab.conventions import UNDECIDED, Verdict
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
@@ -27,6 +24,8 @@ from jaxstab.model.linear_loop import filtered_loop
 from jaxstab.numbers import checked_number
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.point.radius import are_inside
+from jaxstab.proofs.exclusion import Boxes, Extent, Loops, exclude, pave
+from jaxstab.proofs.plant import quick_plant
 
 Loop = TypeVar("Loop", bound=LoopParameters)
 Range = tuple[float, float]

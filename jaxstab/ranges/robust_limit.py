@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.boxes.columns import column_gaps
-from jaxstab.boxes.enclosure import Domain
-from jaxstab.boxes.plant import HandBoxes
 from jaxstab.conventions import Verdict
 from jaxstab.model.filters import known_filters
+from jaxstab.proofs.columns import column_gaps
+from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.plant import HandBoxes
 from jaxstab.ranges.hands import (
     HandRange,
     Loop,

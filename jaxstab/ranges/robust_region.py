@@ -22,13 +22,12 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Numbers
-from jaxstab.boxes.bisection import Boxes, Extent, pave
-from jaxstab.boxes.exclusion import Loops, exclude
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import by_name, checked_delay, checked_delta, checked_gain, checked_gamma
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
+from jaxstab.proofs.exclusion import Boxes, Extent, Loops, exclude, pave
 from jaxstab.region.region import stable_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.boxes.circle import circle_equations, quick_slice
+from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, slice_coefficients
 from jaxstab.trace.plane import Monomials

@@ -19,11 +19,10 @@ from math import pi
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.boxes.bisection import Boxes, Extent, pave
-from jaxstab.boxes.exclusion import Loops
 from jaxstab.conventions import Status
 from jaxstab.model import LoopParameters, characteristic_polynomial, companion_matrix
 from jaxstab.numbers import checked_number
+from jaxstab.proofs.exclusion import Boxes, Extent, Loops, pave
 from jaxstab.region.corners import Branch
 from jaxstab.trace.continuation import Corrected, Path, follow, project
 from jaxstab.trace.plane import Monomials, Window, corner_ranges, loop_quantities, monomials

@@ -16,10 +16,10 @@ from jaxtyping import Bool, Float64, Int32
 from jaxstab.atlas.compute.layout import Grid
 from jaxstab.atlas.format.schema import WHOLE_ALPHA, WHOLE_BOTH
 from jaxstab.atlas.read.sides import surface
-from jaxstab.boxes.columns import StableColumns, stable_columns
-from jaxstab.boxes.enclosure import Domain
-from jaxstab.boxes.plant import NUMERATOR_SLOPES, HandBoxes
 from jaxstab.model.filters import Filters
+from jaxstab.proofs.columns import StableColumns, stable_columns
+from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.plant import NUMERATOR_SLOPES, HandBoxes
 
 _COLUMNS = 24  # along beta
 _NEAREST = 0.02  # of the way to a bound of beta: how wide the first column is

@@ -6,9 +6,9 @@ from jaxtyping import Float32
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.schema import ALPHA_LIMITS
 from jaxstab.atlas.format.single import in_float32
-from jaxstab.boxes.columns import stable_columns
-from jaxstab.boxes.enclosure import Domain
-from jaxstab.boxes.plant import HandBoxes
+from jaxstab.proofs.columns import stable_columns
+from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.plant import HandBoxes
 
 
 def alpha_limits(plan: Plan, tile: Tile, hands: HandBoxes) -> Float32[np.ndarray, "*shape"]:

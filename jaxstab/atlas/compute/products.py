@@ -18,7 +18,7 @@ from jaxstab.atlas.format.schema import (
     SPECTRAL_RADIUS,
     VERDICT,
 )
-from jaxstab.boxes.plant import HandBoxes
+from jaxstab.proofs.plant import HandBoxes
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -14,14 +14,14 @@ from jaxstab.atlas.format.schema import (
     RADIUS_TERMS,
     TERMS_OF_RADIUS,
 )
-from jaxstab.boxes.cell_polynomial import WallBoxes
-from jaxstab.boxes.outer_roots import (
+from jaxstab.proofs.plant import HandBoxes
+from jaxstab.proofs.radius_cells import (
     WIDEST_CLUSTER,
     RadiusSurfaces,
     SurfaceKind,
+    WallBoxes,
     radius_surfaces,
 )
-from jaxstab.boxes.plant import HandBoxes
 
 _BEYOND = 1e-9  # of a cell: cells overlap, so that rounding finds no gap between them
 _STEP = 1 / 64  # of an error: terms are multiples of less than this, which take little room

@@ -1,7 +1,7 @@
 """Verdicts of nodes and cells, proved column by column.
 
 A column is a cell along beta over a box of hands. Between the pieces of the boundary that pass
-through it lie gaps, each with one proved verdict (``jaxstab.boxes.columns``). A node in a gap of a
+through it lie gaps, each with one proved verdict (``jaxstab.proofs.columns``). A node in a gap of a
 column beside it has the verdict of the gap, and so has a cell that lies in one gap of its column.
 The few nodes in no gap are computed one by one.
 """
@@ -9,13 +9,13 @@ The few nodes in no gap are computed one by one.
 import numpy as np
 from jaxtyping import Float64, Int8, Int64
 
-from jaxstab.boxes.columns import column_gaps
-from jaxstab.boxes.enclosure import Domain
-from jaxstab.boxes.plant import HandBoxes
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
+from jaxstab.proofs.columns import column_gaps
+from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.plant import HandBoxes
 
 AlphaNodes = Float64[np.ndarray, " alpha_node"]
 BetaNodes = Float64[np.ndarray, " beta_node"]

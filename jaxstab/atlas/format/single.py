@@ -12,7 +12,7 @@ def in_float32(
     """Round the terms of limits to float32, and their errors up by what that changes.
 
     Args:
-        terms: of one limit, as ``jaxstab.boxes.columns.TERMS`` has them.
+        terms: of one limit, as ``jaxstab.proofs.columns.TERMS`` has them.
         largest: the largest |beta|, gamma, delta and delay for which they are asked.
     """
     exact, error = terms[..., :-1], terms[..., -1]

@@ -124,7 +124,7 @@ class Atlas(HeldAtlas):
             ValueError: a value is NaN or infinite or, unless ``outside`` is "undecided", outside of
                 the atlas; or the atlas has another estimator or filter than the named one.
 
-        Source: ``jaxstab.boxes.columns``.
+        Source: ``jaxstab.proofs.columns``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -206,7 +206,7 @@ class Atlas(HeldAtlas):
             ValueError: a value is NaN, infinite or outside of the atlas, or this holds no limits of
                 alpha.
 
-        Source: ``jaxstab.boxes.columns``.
+        Source: ``jaxstab.proofs.columns``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -234,7 +234,7 @@ class Atlas(HeldAtlas):
         Raises:
             TypeError, ValueError: as ``alpha_limits``.
 
-        Source: ``jaxstab.boxes.columns``.
+        Source: ``jaxstab.proofs.columns``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -264,7 +264,7 @@ class Atlas(HeldAtlas):
         Raises:
             TypeError, ValueError: as ``alpha_limits``; or a range has its ends swapped.
 
-        Source: ``jaxstab.boxes.columns``.
+        Source: ``jaxstab.proofs.columns``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -292,7 +292,7 @@ class Atlas(HeldAtlas):
         Raises:
             TypeError, ValueError: as ``worst_verdict``.
 
-        Source: ``jaxstab.boxes.columns``.
+        Source: ``jaxstab.proofs.columns``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")

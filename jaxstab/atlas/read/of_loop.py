@@ -111,7 +111,7 @@ class LoopAtlas:
             ValueError: a gain is NaN or infinite or, unless ``outside`` is "undecided", outside of
                 the atlas.
 
-        Source: ``jaxstab.boxes.columns``; Table I.
+        Source: ``jaxstab.proofs.columns``; Table I.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -155,7 +155,7 @@ class LoopAtlas:
             ValueError: a damping is NaN, infinite or outside of the atlas, or this holds no limits
                 of alpha.
 
-        Source: ``jaxstab.boxes.columns``; Table I.
+        Source: ``jaxstab.proofs.columns``; Table I.
         """
         (given,) = all_checked([damping], ["damping"])
         beta = np.asarray(self.loop.beta(given))
@@ -168,7 +168,7 @@ class LoopAtlas:
         Raises:
             ValueError: this holds no limits of alpha.
 
-        Source: ``jaxstab.boxes.columns``; Table I.
+        Source: ``jaxstab.proofs.columns``; Table I.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")

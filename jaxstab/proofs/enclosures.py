@@ -17,22 +17,64 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.boxes.filter_cells import filter_cells
-from jaxstab.boxes.filter_parts import filter_ends, filter_models
-from jaxstab.boxes.intervals import Box, Intervals, Patch
-from jaxstab.boxes.models import LinearModel, Moving
-from jaxstab.boxes.plant import CurveParts, HandBoxes, plant_models
-from jaxstab.boxes.wall import largest_within, responses
 from jaxstab.model.filters import Filters
+from jaxstab.proofs.filters import (
+    filter_cells,
+    filter_ends,
+    filter_models,
+    largest_within,
+    responses,
+)
+from jaxstab.proofs.plant import CurveParts, HandBoxes, LinearModel, Moving, plant_models
+
+# Intervals of theta, each for a box of hands, and parts of them.
+
+Patch = Float64[np.ndarray, " patch"]
+
+Box = Int64[np.ndarray, " patch"]
+
+
+class Intervals(NamedTuple):
+    """Intervals of theta, each for a box of hands."""
+
+    box: Box
+    first: Patch
+    last: Patch
+
+    def some(self, which: Bool[np.ndarray, " patch"] | Box | slice) -> "Intervals":
+        """Return some of them."""
+        return Intervals(self.box[which], self.first[which], self.last[which])
+
+    def parts(self, halvings: Box) -> tuple[Box, "Intervals"]:
+        """Return the equal parts after so many halvings, but none for 0, and whose part each is."""
+        count = np.where(halvings > 0, 1 << halvings, 0)
+        owner = np.repeat(np.arange(count.size), count)
+        number = np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count)
+        whole, counts = self.some(owner), count[owner]
+
+        def edge(number: Box) -> Patch:  # neighbours have the same one
+            inside = whole.first + (whole.last - whole.first) * (number / counts)
+            return np.where(number == counts, whole.last, inside)
+
+        return owner, Intervals(whole.box, edge(number), edge(number + 1))
+
 
 _ROUNDING = 16 * np.finfo(np.float64).eps  # more than cosines have
+
 _FIRST_PATCHES = 64
+
 _PER_TURN = 8  # of z^(delay + 1)
+
 _MOST_HALVINGS = 10
+
 _AT_ONCE = 4  # of them: where most of a patch is outside, its parts are better looked at before
+
 _BLOCK = 2**13  # intervals whose models are in memory at once
+
 _TOLERATED = 8.0  # widths of what is not known of a patch, if halving it helps
+
 _CLEAR = 0.25  # of what the gains are divided by: how far from 0 it is
+
 _HELPS = 0.5  # times what was not known of the whole
 
 Model = TypeVar("Model", LinearModel, Moving)

@@ -9,34 +9,288 @@ docs/proofs.md). F is real at theta = 0, where a free device has its root withou
 """
 
 from collections.abc import Callable
-from math import pi
+from dataclasses import replace
+from math import hypot, inf, pi, prod
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.boxes.filter_cells import filter_cells
-from jaxstab.boxes.held_device import Arms, HeldDevice
-from jaxstab.boxes.models import LinearModel, Moving
-from jaxstab.boxes.parted import AXES, BEYOND, Boxes, parted, taken
-from jaxstab.boxes.wall import largest_within, responses
 from jaxstab.model import Device, LoopParameters
+from jaxstab.model import Hand as Arm
+from jaxstab.model.device.parts import MassSpringDamper, Mode, Modes
 from jaxstab.model.filters import known_filters
+from jaxstab.proofs.filters import filter_cells, largest_within, responses
+from jaxstab.proofs.plant import LinearModel, Moving
+
+# A device with its vibration modes, actuators and a held grip, of any mass, for any hand.
+#
+# In units of one sample, with s = i theta or any other number, position over force is N(s)/D(s).
+# Both are polynomials that are affine in the mass of the device and in what the arm is made of.
+
+_ALIASES = 4  # on either side, that responses without a bound add up
+
+Function = Any  # a number, an array or a model of a function over boxes
+
+
+class Arms(NamedTuple):
+    """What the arm is made of: mass in kg; stiffness and damping in units of one sample, too."""
+
+    mass: Function
+    stiffness: Function
+    damping: Function
+
+
+class HeldDevice(NamedTuple):
+    """A device of any mass in the hand of any arm, in units of one sample and kg.
+
+    Attributes:
+        damping: of the rigid body, b T.
+        stiffness: to the ground, k T^2.
+        modes: angular frequency, damping ratio and mass of the vibration modes.
+        lags: angular frequencies of the actuators.
+        grip: stiffness and damping between the arm and the device; None if they are glued.
+    """
+
+    damping: float
+    stiffness: float
+    modes: tuple[tuple[float, float, float], ...]
+    lags: tuple[float, ...]
+    grip: tuple[float, float] | None
+
+    @classmethod
+    def of(cls, device: Device, period: float) -> "HeldDevice":
+        """Return a device, for some sampling period in s.
+
+        Raises:
+            NotImplementedError: the device has no mass that could change, or the hand is none of
+                one mass, spring and damper, or slips out of its grip.
+        """
+        body = _body_of(device)
+        springs = body.stiffness if isinstance(body, MassSpringDamper) else 0.0
+        modes = body.modes if isinstance(body, Modes) else ()
+        grips = [hand.grip for hand in device.hands if hand.grip is not None]
+        return cls(
+            body.damping * period,
+            springs * period**2,
+            tuple(_mode_in_samples(mode, period) for mode in modes),
+            tuple(2.0 * pi * hertz * period for hertz in device.bandwidths),
+            (grips[0].stiffness * period**2, grips[0].damping * period) if grips else None,
+        )
+
+    def parts(self, s: Function, mass: Function, arm: Arms) -> tuple[Function, Function]:
+        """Return N(s) and D(s) in 1/kg, of numbers, arrays or models."""
+        # The square comes last: only it takes from the stiffness, which is rounded.
+        body = (s * self.damping + self.stiffness) + s * s * mass
+        held = s * (s * arm.mass + arm.damping) + arm.stiffness
+        above, below = 1.0, body
+        if self.modes:
+            give, whole = self._vibrations(s)
+            above, below = body * give + whole, body * whole
+        if self.grip is None:
+            below = below + held * above
+        else:
+            # Of a unit of the stiffer one, so that a pure spring and a pure damper are of size 1.
+            unit = 1.0 / (self.grip[0] + self.grip[1])
+            between = s * (self.grip[1] * unit) + self.grip[0] * unit
+            both = held * unit + between
+            below = below * both + held * between * above
+            above = both * above
+        if self.lags:
+            below = below * self.lag(s)
+        return above, below
+
+    def lag(self, s: Function) -> Function:
+        """Return the denominator of the actuators."""
+        product = 1.0
+        for lag in self.lags:
+            product = (s * (1.0 / lag) + 1.0) * product
+        return product
+
+    @property
+    def is_passive(self) -> bool:
+        """Whether device and arm, without actuators, give no energy."""
+        return all(moved > 0.0 for _, _, moved in self.modes)
+
+    def _vibrations(self, s: Function) -> tuple[Function, Function]:
+        """Return numerator and denominator of the sum of the modes' displacements over force."""
+        give, whole = 0.0, 1.0
+        for frequency, damping_ratio, moved in self.modes:
+            part = s * (1.0 / frequency)
+            one = part * (part + 2.0 * damping_ratio) + 1.0
+            give, whole = one * give + whole * (1.0 / (moved * frequency**2)), one * whole
+        return give, whole
+
+    def response(
+        self,
+        mass: float,
+        arm: Arms,
+        delay: Float64[np.ndarray, " delay"],
+        theta: Float64[np.ndarray, " angle"],
+    ) -> Complex128[np.ndarray, "delay arm angle"]:
+        """Return sampled position over force on the unit circle, to 1e-3 or so.
+
+        Source: the sum of aliases, lemma B20 of docs/proofs.md.
+        """
+        turns = theta + 2.0 * pi * np.arange(-_ALIASES, _ALIASES + 1)[:, None]
+        arms = Arms(*(np.reshape(part, (-1, 1, 1)) for part in arm))
+        above, below = self.parts(1j * turns, mass, arms)
+        terms = above / below * (2.0 * np.sin(0.5 * theta) / turns)
+        phases = np.exp(-1j * (turns * delay[:, None, None] + 0.5 * theta))
+        sums: np.ndarray = np.einsum("hka,dka->dha", terms, phases, optimize=True)
+        return sums
+
+    def largest_compliance(
+        self, mass: tuple[float, float], arm: tuple[float, float], beyond: float
+    ) -> float:
+        """Return a bound of w^2 |N/D| at s = i w for w >= beyond; infinite where none is known.
+
+        Args:
+            mass: the smallest and the largest one of the device.
+            arm: the largest stiffness and the smallest damping of the arm, of any mass.
+            beyond: an angle in radians per sample.
+
+        Source: lemma B20 of docs/proofs.md.
+        """
+        light = off = 0.0
+        for moved, damper, spring in self._bodies(mass[0], beyond):
+            if damper + spring >= 1.0:
+                return inf
+            light += 1.0 / moved
+            off += (damper + spring) / (abs(moved) * (1.0 - damper - spring))
+        stiff = arm[0]
+        if self.grip is not None:
+            grip = self.grip[0] + beyond * self.grip[1]
+            damped = beyond * (self.grip[1] + arm[1])
+            stiff = grip * (1.0 + grip / damped) if damped else inf
+        clear = 1.0 / (light + off) - stiff / beyond**2
+        weaker = prod(hypot(1.0, beyond / lag) for lag in self.lags)
+        is_known = off < light - (1.0 / mass[0] - 1.0 / mass[1]) and clear > 0.0
+        return 1.0 / (clear * weaker) if is_known else inf
+
+    def _bodies(self, mass: float, beyond: float) -> list[tuple[float, float, float]]:
+        """Return masses that move, and how much damper and spring do beside them at most."""
+        own = mass, self.damping / (mass * beyond), self.stiffness / (mass * beyond**2)
+        ratios = [frequency / beyond for frequency, _, _ in self.modes]
+        return [own] + [
+            (moved, 2.0 * damping_ratio * ratio, ratio**2)
+            for (_, damping_ratio, moved), ratio in zip(self.modes, ratios, strict=True)
+        ]
+
+
+def device_of(loop: LoopParameters) -> Device:
+    """Return the device of a loop, without a hand where it is one mass by its numbers."""
+    if loop.device is not None:
+        return loop.device
+    return Device.mass_spring_damper(loop.device_mass, damping=loop.device_damping)
+
+
+def with_parts(device: Device, mass: float, arm: Arms) -> Device:
+    """Return a device with another mass, held by another arm behind the same grip, if any."""
+    dynamics = MassSpringDamper(arm.mass, arm.damping, arm.stiffness)
+    hands = device.hands or (Arm.mass_spring_damper(),)
+    mechanism = replace(_body_of(device), mass=mass)
+    return replace(device, mechanism=mechanism, hands=(replace(hands[0], dynamics=dynamics),))
+
+
+def _body_of(device: Device) -> MassSpringDamper | Modes:
+    body, hands = device.mechanism, device.hands
+    known = isinstance(body, MassSpringDamper) or (
+        isinstance(body, Modes) and body.mass is not None
+    )
+    known &= len(hands) <= 1 and all(isinstance(hand.dynamics, MassSpringDamper) for hand in hands)
+    known &= all(hand.grip is None or hand.grip.stiffness > 0.0 for hand in hands)
+    if not known or not isinstance(body, MassSpringDamper | Modes):
+        raise NotImplementedError(
+            "a guard is proved for a mass with vibration modes, actuators and one hand of mass, "
+            f"spring and damper, behind a grip with a spring or glued; this device is {device}."
+        )
+    return body
+
+
+def _mode_in_samples(mode: Mode, period: float) -> tuple[float, float, float]:
+    return 2.0 * pi * mode.frequency * period, mode.damping_ratio, mode.modal_mass
+
+
+# Where a straight line parts all loops of a box, and of all stiffnesses up to a limit, from 0.
+
+Boxes = Float64[np.ndarray, "axis box"]
+
+AXES = 7  # mass, delay and damping in cells; mass, stiffness, damping of the hand; theta
+
+_HAND = slice(3, 6)
+
+BEYOND = 1e-9  # of the angles and of a hand: boxes go so far beyond
+
+_ANY_WAY = 0.05  # of how far an axis moves g: halving it may help in another direction
+
+
+def parted(none: LinearModel, most: LinearModel) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+    """Say where a straight line parts all of g from 0, and what each axis takes from the distance.
+
+    Between the loops without stiffness and those at the limit g is on straight lines.
+    """
+    between = most.centre - none.centre
+    hand = none.slope[_HAND]
+    largest = np.take_along_axis(hand, np.abs(hand).argmax(axis=0)[None], axis=0)[0]
+    # Across a value, or along what moves g most: the stiffness, the damping, the angle, the hand,
+    # whose parts move it along the sides of a rectangle
+    normals = [none.centre + most.centre, most.centre, none.centre, largest]
+    normals += [1j * way for way in (between, most.slope[2], most.slope[6], largest)]
+    clear = np.full(between.shape, -np.inf)
+    shares = np.zeros(none.slope.shape)
+    for normal in normals:
+        normal = normal / np.maximum(np.abs(normal), 1e-300)
+        far = [np.real(normal.conj() * one.centre) for one in (none, most)]
+        side = np.where(far[0] + far[1] < 0.0, -1.0, 1.0)
+        moves = [np.abs(np.real(normal.conj() * one.slope)) for one in (none, most)]
+        distances = [
+            side * one_far - one_moves.sum(axis=0) - one.rest
+            for one, one_far, one_moves in zip((none, most), far, moves, strict=True)
+        ]
+        nearest = np.minimum(*distances)
+        better = nearest > clear
+        clear = np.where(better, nearest, clear)
+        parts = [taken(one, by) for one, by in zip((none, most), moves, strict=True)]
+        shares = np.where(better, np.where(distances[0] < distances[1], *parts), shares)
+    return clear > 0.0, shares + _ANY_WAY * np.abs(most.slope)
+
+
+def taken(model: LinearModel, moves: Boxes) -> Boxes:
+    """Return what each axis takes: its move along a normal, and its part of the rest.
+
+    The rest counts as that of the axes that move the model in any direction.
+    """
+    size = np.abs(model.slope)
+    rest = np.where(np.isfinite(model.rest), model.rest, 0.0)
+    shares: Boxes = moves + rest * size / np.maximum(size.sum(axis=0), 1e-300)
+    return shares
+
 
 Range = tuple[float, float]
 
 MASS, DELAY, DAMPING = 0, 1, 2
+
 """The axes whose meaning is that of an extent; then follow the arm's three, and theta."""
 
 _ARM, _THETA = 3, 6
+
 _AT_ONCE = 2048
+
 _FAST = 1.0  # up to this angle all aliases are small
+
 _HINT = 0.1  # of the size of a function of which nothing else is known
+
 _FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
+
 _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
+
 _FAR = 2.0  # times how far it moves: a value that is far from 0
+
 _ROUNDED_UP = 1.0 + 1e-9
+
 _ROUNDING = 1e-14  # of a number
+
 _EPS = 4.0 * np.finfo(np.float64).eps
 
 
@@ -323,8 +577,6 @@ class _Aliases(NamedTuple):
 
 
 # ------------------------------------------------------------------------------------------ models
-
-
 def _rising(
     rates: list[tuple[LinearModel, Any]], below: LinearModel | None = None
 ) -> tuple[Bool[np.ndarray, " box"], Boxes]:

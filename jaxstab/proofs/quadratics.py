@@ -17,18 +17,25 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 VARIABLES = 5
+
 FIRST, SECOND = np.triu_indices(VARIABLES)
+
 """The two variables of each term of second order."""
 
 TERMS = 1 + VARIABLES + FIRST.size
+
 PLACES = {
     (int(i), int(j)): 1 + VARIABLES + n for n, (i, j) in enumerate(zip(FIRST, SECOND, strict=True))
 }
+
 """Where the term of two variables, the first not after the second, is among all terms."""
 
 _LINES = slice(1, 1 + VARIABLES)
+
 _CURVES = slice(1 + VARIABLES, TERMS)
+
 _MIXED = (FIRST != SECOND)[:, None]
+
 _ROUNDING = 16 * np.finfo(np.float64).eps  # of the sum of all terms: more than one operation loses
 
 

@@ -1,0 +1,885 @@
+"""Limits of alpha over columns: boxes of beta, gamma, delta and delay with known stable alphas.
+
+In a column the boundary is a few strips, each within an error of a plane over its parameters:
+the line of a root at 1, the parts of the curve (``enclosure``), and the line of a root at -1.
+Between two strips, and below and above them all, no root crosses the unit circle, so one certified
+verdict holds for the whole gap. Nothing has to be known about the shape of the stable set. Where
+strips meet, or more than one gap is stable, what lies between stays undecided.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8, Int64
+
+from jaxstab.conventions import NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
+from jaxstab.model import by_name
+from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.point import verdict
+from jaxstab.proofs.enclosures import Domain, Patches, curve_patches, minus_line_models
+from jaxstab.proofs.filters import Ends, filter_ends
+from jaxstab.proofs.plant import HandBoxes, LinearModel
+
+# Runs of patches of the curve through columns, and the surfaces that follow them.
+#
+# A surface is a plane over beta, gamma and delta at each delay: its height has a term in the square
+# of the delay, and its slopes change linearly with it.
+
+T, SQUARE = 3, 4  # the variables of columns that are t and its square; its products follow
+
+EDGE = 1e-9  # of a column: it reaches beyond its edges, so that rounding finds no gap
+
+_T = 3  # the variable of patches that is the delay; the next is its square, then its products
+
+_THETA, _HANDS = 0, slice(1, _T)
+
+_BLOCK = 2**17  # patches in columns
+
+_STEEPEST = 1e3  # of slopes along beta that are tried
+
+_EPS = 16 * np.finfo(np.float64).eps
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Boxes of beta and the variables of the plant, all with the same delays.
+
+    The variables are x = beta, gamma, delta and, where the delays have a width, t, the square of t
+    less half of what it can be, and t x, with t from the delay in the middle and x from its own.
+    """
+
+    centre: Float64[np.ndarray, "column variable"]
+    half: Float64[np.ndarray, "column variable"]
+    delay: float
+    half_delay: float
+
+    @cached_property
+    def corners(self) -> Float64[np.ndarray, "corner column variable"]:
+        """The corners of the columns, as deviations from their centres.
+
+        What is affine in each variable, products taken as products, is largest at one of them.
+        """
+        count = min(self.half.shape[1], SQUARE + 1)
+        signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * count), axis=-1).reshape(-1, 1, count)
+        return with_products(self.half[:, :count] * signs)
+
+    def some(self, which: np.ndarray) -> "Columns":
+        """Return some of the columns."""
+        return replace(self, centre=self.centre[which], half=self.half[which])
+
+
+def with_products(
+    deviations: Float64[np.ndarray, "*point variable"],
+) -> Float64[np.ndarray, "*point variable_or_product"]:
+    """Return deviations of x, t and its square with the products t x; of x alone as they are."""
+    if deviations.shape[-1] <= T:
+        return deviations
+    products = deviations[..., T, None] * deviations[..., :T]
+    return np.concatenate([deviations[..., : SQUARE + 1], products], axis=-1)
+
+
+def columns_of(
+    beta: Float64[np.ndarray, " edge"], hands: HandBoxes, delay: float, half_delay: float = 0.0
+) -> Columns:
+    """Return the columns of all boxes, those of one box side by side."""
+    cells, boxes = beta.size - 1, hands.gamma.size
+    middle, half = 0.5 * (beta[1:] + beta[:-1]), (0.5 + EDGE) * np.diff(beta)
+    along_beta = np.tile(middle, boxes), np.tile(half, boxes)
+    of_hands = [np.repeat(part, cells) for part in hands]
+    centre = np.stack([along_beta[0], *of_hands[:2]], axis=-1)
+    reach = np.stack([along_beta[1], *of_hands[2:]], axis=-1)
+    if half_delay:
+        widths = np.broadcast_to([half_delay, 0.5 * half_delay**2], (cells * boxes, 2))
+        reach = np.concatenate([reach, widths, half_delay * reach], axis=-1)
+        centre = np.concatenate([centre, np.zeros((cells * boxes, T + 2))], axis=-1)
+    return Columns(centre, reach, delay, half_delay)
+
+
+class Runs(NamedTuple):
+    """Patches of the curve that follow each other through a column, run after run."""
+
+    patch: Int64[np.ndarray, " entry"]
+    column: Int64[np.ndarray, " entry"]
+    number: Int64[np.ndarray, " entry"]  # of the run
+    start: Int64[np.ndarray, " run"]  # its first entry
+
+
+def runs_of(patches: Patches, beta: Float64[np.ndarray, " edge"]) -> Runs:
+    """Return the runs of patches through the columns of a cell of delays, of all boxes of hands."""
+    cells = beta.size - 1
+    beyond = 2.0 * EDGE * np.max(np.diff(beta))
+    low, high = patches.beta.low - beyond, patches.beta.high + beyond
+    first = np.searchsorted(beta[1:], np.where(np.isnan(low), -np.inf, low))
+    last = np.searchsorted(beta[:-1], np.where(np.isnan(high), np.inf, high), "right") - 1
+    counts = np.maximum(last - first + 1, 0)
+    patch = np.repeat(np.arange(counts.size), counts)
+    column = np.arange(patch.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    column += (patches.box * cells + first)[patch]
+    order = np.lexsort((patch, column))
+    patch, column = patch[order], column[order]
+    follows = (patch[1:] == patch[:-1] + 1) & (column[1:] == column[:-1])
+    follows &= patches.first[patch[1:]] == patches.last[patch[:-1]]
+    begins = np.append(True, ~follows)[: patch.size]
+    return Runs(patch, column, np.cumsum(begins) - 1, np.flatnonzero(begins))
+
+
+def distances(
+    patches: Patches,
+    columns: Columns,
+    runs: Runs,
+    middle: Float64[np.ndarray, " run"],
+    slope: Float64[np.ndarray, "run variable"],
+) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
+    """Return the lowest and the highest that each patch is above its run's surface in its column.
+
+    Many patches are looked at block by block, which bounds the memory.
+    """
+    blocks = (slice(i, i + _BLOCK) for i in range(0, max(runs.patch.size, 1), _BLOCK))
+    parts = [
+        _distances_of(
+            patches,
+            columns,
+            runs._replace(
+                patch=runs.patch[block], column=runs.column[block], number=runs.number[block]
+            ),
+            middle,
+            slope,
+        )
+        for block in blocks
+    ]
+    low, high = (np.concatenate(ends) for ends in zip(*parts, strict=True))
+    return low, high
+
+
+def _distances_of(
+    patches: Patches,
+    columns: Columns,
+    runs: Runs,
+    middle: Float64[np.ndarray, " run"],
+    slope: Float64[np.ndarray, "run variable"],
+) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
+    """Return the distances of a block of patches.
+
+    Another slope along beta may be taken for a patch, if what it differs by is added for all beta
+    of the column: those that level a patch along theta, or the delay, are tried (lemma B16).
+    """
+    alpha, gain, patch = patches.alpha, patches.beta, runs.patch
+    own, of_beta = alpha.slope[:, patch], gain.slope[:, patch]
+    goal, rest, moved = _surface_in_patches(patches, columns, runs, slope)
+    away = gain.centre[patch] - columns.centre[runs.column, 0]
+    above = alpha.centre[patch] - middle[runs.number] - moved
+    rest += alpha.rest[patch]
+    chosen = slope[runs.number, 0]
+    low, high = np.full((2, patch.size), [[-np.inf], [np.inf]])
+    for level in (None, _THETA, _T) if columns.half_delay else (None, _THETA):
+        per_beta = chosen
+        if level is not None:
+            steep = np.abs(own[level] - goal[level]) >= _STEEPEST * np.abs(of_beta[level])
+            quotient = (own[level] - goal[level]) / np.where(steep, 1.0, of_beta[level])
+            per_beta = np.where(steep, chosen, quotient)
+        tilt = own - goal - per_beta * of_beta
+        off = above - per_beta * away
+        half_width = np.abs(per_beta - chosen) * columns.half[runs.column, 0]
+        if columns.half_delay:
+            inside, middle_of_tilt = _tilted_inside(patches, columns, runs, tilt)
+            off, half_width = off + middle_of_tilt, half_width + inside
+        else:
+            half_width += np.sum(np.abs(tilt) * alpha.half[:, patch], axis=0)
+        with np.errstate(invalid="ignore"):  # a slope of 0 times no bound
+            half_width += rest + np.abs(per_beta) * gain.rest[patch] + _EPS * np.abs(off)
+            half_width *= 1.0 + _EPS
+        low, high = np.fmax(low, off - half_width), np.fmin(high, off + half_width)
+    return low, high
+
+
+def _surface_in_patches(
+    patches: Patches, columns: Columns, runs: Runs, slope: Float64[np.ndarray, "run variable"]
+) -> tuple[
+    Float64[np.ndarray, "variable entry"],
+    Float64[np.ndarray, " entry"],
+    Float64[np.ndarray, " entry"],
+]:
+    """Return a surface less its slope along beta in the variables of patches: slopes, rest, centre.
+
+    The product of t and beta is that of t and the patch's model of beta.
+    """
+    gain, patch = patches.beta, runs.patch
+    of_beta, half = gain.slope[:, patch], gain.half[:, patch]
+    goal = np.zeros_like(of_beta)
+    moved = np.zeros(patch.size)
+    if not columns.half_delay:
+        goal[_HANDS] = slope[runs.number, 1:].T
+        return goal, moved.copy(), moved
+    terms = slope[runs.number].T
+    goal[_HANDS] = terms[1:T]
+    goal[_T : _T + 2] = terms[T : SQUARE + 1]
+    turn, most = terms[SQUARE + 1], columns.half_delay
+    first, last = _T + 2, 2 * _T + 2
+    goal[first + 1 : last] = terms[SQUARE + 2 :]
+    goal[first:last] += turn * of_beta[:_T]
+    goal[_T] += turn * (gain.centre[patch] - columns.centre[runs.column, 0])
+    goal[_T + 1] += turn * of_beta[_T]
+    moved += turn * of_beta[_T] * half[_T + 1]
+    left = np.abs(of_beta[_T + 1]) * half[_T + 1] + gain.rest[patch]
+    left += np.sum(np.abs(of_beta[first:last]) * half[first:last], axis=0)
+    with np.errstate(invalid="ignore"):
+        rest = np.where(turn == 0.0, 0.0, np.abs(turn) * most * left) * (1.0 + EDGE)
+    return goal, rest + _EPS * np.abs(moved), moved
+
+
+def _tilted_inside(
+    patches: Patches, columns: Columns, runs: Runs, tilt: Float64[np.ndarray, "variable entry"]
+) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
+    """Bound what a tilt adds to patches while they are in their columns: half-width and middle.
+
+    With the delay a patch moves along beta, and where it is beyond the edges of the column it does
+    not matter.
+    """
+    gain, patch = patches.beta, runs.patch
+    half, slope = gain.half[:, patch], gain.slope[:, patch]
+    others = np.arange(len(slope)) != _T
+    reach = np.sum(np.abs(slope[others]) * half[others], axis=0)
+    rate = slope[_T]
+    room = (columns.half[runs.column, 0] + reach + gain.rest[patch]) * (1.0 + EDGE)
+    away = gain.centre[patch] - columns.centre[runs.column, 0]
+    most = half[_T]
+    moves = np.abs(rate) * most > room
+    ends = (np.stack([-room, room]) - away) / np.where(moves, rate, 1.0)
+    ends = np.where(moves, np.clip(ends, -most, most), np.stack([-most, most]))
+    # t = middle + u, |u| <= width, in tilt t + bend (t^2 - most^2 / 2)
+    middle, width = 0.5 * (ends[0] + ends[1]), 0.5 * np.abs(ends[1] - ends[0]) + _EPS * most
+    rate, bend = tilt[_T], tilt[_T + 1]
+    bulge = 0.5 * bend * width**2
+    others[_T + 1] = False
+    half_width = np.sum(np.abs(tilt[others]) * half[others], axis=0)
+    half_width += np.abs(rate + 2.0 * bend * middle) * width + np.abs(bulge)
+    return half_width, rate * middle + bend * (middle**2 - half[_T + 1]) + bulge
+
+
+def surfaces(
+    patches: Patches, columns: Columns, runs: Runs, height: float
+) -> tuple[Float64[np.ndarray, " run"], Float64[np.ndarray, "run variable"]]:
+    """Return surfaces along runs: alpha in the middle of the column, and how it changes.
+
+    Any surface would be correct; these follow the patches in the middle of the column along beta,
+    and for early and late delays the patches that are there then.
+    """
+    column, half_delay = runs.column[runs.start], columns.half_delay
+    typical, away = _in_the_middle(patches, columns, runs, 0.0)
+    of_alpha, of_beta = patches.alpha.slope[:, typical], patches.beta.slope[:, typical]
+    steep = np.abs(of_alpha[0]) * columns.half[column, 0] > height * np.abs(of_beta[0])
+    per_theta = np.where(steep, 1.0, of_beta[0])
+    per_beta = np.where(steep, 0.0, of_alpha[0] / per_theta)
+    left = of_alpha - per_beta * of_beta
+    slope = np.stack([per_beta, *left[_HANDS]], axis=-1)
+    middle = _at_delay(patches.alpha, typical, columns, 0.0) - per_beta * away
+    if half_delay:
+        by_theta, *by_hands = left[_T + 2 :]
+        turn = np.where(steep, 0.0, by_theta / per_theta)
+        turns = [turn, *(by_hands - turn * of_beta[_HANDS])]
+        early, late = (
+            _at_delay(patches.alpha, patch, columns, t) - (per_beta + turn * t) * off
+            for t in (-half_delay, half_delay)
+            for patch, off in [_in_the_middle(patches, columns, runs, t)]
+        )
+        rate = 0.5 * (late - early) / half_delay
+        bend = (0.5 * (early + late) - middle) / half_delay**2
+        slope = np.stack([*slope.T, rate, bend, *turns], axis=-1)
+        middle += bend * columns.half[column, SQUARE]
+    known = np.isfinite(middle) & np.all(np.isfinite(slope), axis=1)
+    return np.where(known, middle, 0.0), np.where(known[:, None], slope, 0.0)
+
+
+def _in_the_middle(
+    patches: Patches, columns: Columns, runs: Runs, t: float
+) -> tuple[Int64[np.ndarray, " run"], Float64[np.ndarray, " run"]]:
+    """Return for each run its patch next to the middle of the column at a delay, and how far."""
+    away = _at_delay(patches.beta, runs.patch, columns, t) - columns.centre[runs.column, 0]
+    away = np.where(np.isnan(away), np.inf, away)
+    nearest = np.minimum.reduceat(np.abs(away), runs.start)
+    entry = np.flatnonzero(np.abs(away) == nearest[runs.number])[::-1]
+    chosen = np.zeros(runs.start.size, np.intp)
+    chosen[runs.number[entry]] = entry
+    return runs.patch[chosen], away[chosen]
+
+
+def _at_delay(
+    gain: LinearModel, patch: Int64[np.ndarray, " entry"], columns: Columns, t: float
+) -> Float64[np.ndarray, " entry"]:
+    """Return a gain in the middle of patches, at a delay that is so far from the middle."""
+    value: np.ndarray = gain.centre[patch]
+    if columns.half_delay:
+        rate, bend = gain.slope[_T : _T + 2, patch]
+        value = value + rate * t + bend * (t**2 - 0.5 * columns.half_delay**2)
+    return value
+
+
+# Strips: where in a column roots may cross the unit circle.
+#
+# A strip lies within an error of a surface alpha(beta, gamma, delta, delay): at each delay a plane
+# (``runs``). The boundary in a column is a few of them: the line of a root at 1, the runs of
+# patches of the curve (``enclosure``), and the line of a root at -1. Strips that touch somewhere in
+# a column become one flat strip (lemma B8 of docs/proofs.md).
+
+_PATCHES_PER_CELL = 2.0
+
+_PATCHES_PER_MOVING_CELL = 3.0  # of which the delay is an interval
+
+_PATCHES_PER_DOMAIN = 256.0  # along alpha
+
+_MARGIN = 0.1  # of the domain along alpha: a strip that leaves it leaves it for good
+
+
+class Strips(NamedTuple):
+    """Surfaces by centre value, slopes and error; NaN in columns that have fewer strips.
+
+    A strip ``folds`` if for one beta and hand it may hold more than one root on the circle: it may
+    then hide stable alphas, though all alphas on both sides are unstable.
+    """
+
+    centre: Float64[np.ndarray, "column strip"]
+    slope: Float64[np.ndarray, "column strip variable"]
+    error: Float64[np.ndarray, "column strip"]
+    folds: Bool[np.ndarray, "column strip"]
+
+    def some(self, which: np.ndarray) -> "Strips":
+        """Return the strips of some of the columns."""
+        return Strips(*(part[which] for part in self))
+
+    def straightened(self, columns: Columns) -> "Strips":
+        """Return the strips with the square and products of the delay as parts of their errors."""
+        if not columns.half_delay:
+            return self
+        slope = self.slope.copy()
+        slope[..., SQUARE:] = 0.0
+        bent = np.sum(np.abs(self.slope[..., SQUARE:]) * columns.half[:, None, SQUARE:], axis=-1)
+        return self._replace(slope=slope, error=self.error + bent)
+
+    def ends(self, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
+        """Return the low and high ends at the corners of the columns, (corner, column, strip)."""
+        return self.ends_at(columns.corners)
+
+    def ends_at(
+        self, deviations: Float64[np.ndarray, "point column variable"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the low and high ends at points of each column, (point, column, strip)."""
+        rises = self.slope @ np.moveaxis(deviations, 0, -1)
+        planes = self.centre + np.moveaxis(rises, -1, 0)
+        return planes - self.error, planes + self.error
+
+
+def strips_of(
+    beta: Float64[np.ndarray, " edge"],
+    columns: Columns,
+    hands: HandBoxes,
+    domain: Domain,
+    filters: Filters | None = None,
+) -> Strips:
+    """Return the strips of all columns: first the line of a root at 1, then others in any order.
+
+    ``filters`` are the velocity estimator and the position filter, in units of one sample.
+    """
+    height = domain.alpha[1] - domain.alpha[0]
+    cell = (beta[-1] - beta[0]) / (beta.size - 1)
+    per_cell = _PATCHES_PER_MOVING_CELL if columns.half_delay else _PATCHES_PER_CELL
+    width = (height / _PATCHES_PER_DOMAIN, cell / per_cell)
+    wide = widened(domain)
+    ends = Ends(1.0, (1.0, 2.0), 0.0) if filters is None else _checked_ends(filters)
+    patches = curve_patches(hands, columns.delay, wide, width, filters, columns.half_delay)
+    lines = _line_strips(columns, hands, wide, ends)
+    return _joined(lines, _curve_strips(patches, columns, beta, height))
+
+
+def apart(strips: Strips, columns: Columns) -> Strips:
+    """Return the strips in order from below, merged until none of them touches another."""
+    return _merged(strips, columns)
+
+
+def above_line(strips: Strips, columns: Columns) -> Strips:
+    """Return the line of a root at 1 and then, in order, the strips that are not all below it.
+
+    The first of these may cross the line, which the others do not touch.
+    """
+    low, high = strips.ends(columns)
+    is_below = np.all(high < low[..., :1], axis=0)
+    centre = np.where(is_below, np.nan, strips.centre)
+    line, others = (
+        Strips(*(part[:, some] for part in strips._replace(centre=centre)))
+        for some in (slice(0, 1), slice(1, None))
+    )
+    return _joined(line, _merged(others, columns, high[..., :1]))
+
+
+def holds_line(filters: Filters | None) -> bool:
+    """Whether a root lies beyond 1 at all alphas below the line of a root at 1."""
+    return filters is None or filter_ends(filters).position_at_one > 0.0
+
+
+def _checked_ends(filters: Filters) -> Ends:
+    ends = filter_ends(filters)
+    if ends.position_at_one == 0.0:
+        raise ValueError(
+            f"position is {filters[1]}, whose gain at z = 1 is 0: it holds no hand at rest; give a "
+            "filter that passes what does not move."
+        )
+    return ends
+
+
+def widened(domain: Domain) -> Domain:
+    """Return the domain, widened along alpha, in which strips are known."""
+    low, high = domain.alpha
+    margin = _MARGIN * (high - low)
+    return Domain((low - margin, high + margin), domain.beta)
+
+
+def _line_strips(columns: Columns, hands: HandBoxes, domain: Domain, ends: Ends) -> Strips:
+    """Return the lines of a real root at 1, alpha P(1) = -gamma, and at -1."""
+    beta, gamma, *_ = columns.centre.T
+    cells = beta.size // hands.gamma.size
+    per_gamma = -1.0 / ends.position_at_one
+    at_one = np.zeros_like(columns.centre)
+    at_one[:, 1] = per_gamma
+    lost_at_one = ends.lost * np.abs(per_gamma) * (gamma + columns.half[:, 1])
+    value, weight = minus_line_models(hands, columns.delay, columns.half_delay)
+    line, per_beta, error = _minus_line(value, weight, columns, domain, ends)
+    centre, *slope = (
+        np.where(np.isnan(error), np.nan, np.repeat(part, cells))
+        for part in (line.centre, *line.slope)
+    )
+    if columns.half_delay:  # with the delay the line does not turn along beta
+        slope.insert(SQUARE, np.zeros_like(beta))
+    at_minus_one = np.stack([np.full_like(beta, per_beta), *slope], axis=-1)
+    return Strips(
+        np.stack([per_gamma * gamma, centre + per_beta * beta], axis=-1),
+        np.stack([at_one, at_minus_one], axis=1),
+        np.stack([lost_at_one, error], axis=-1),
+        np.stack([np.zeros_like(gamma, bool), error == np.inf], axis=-1),
+    )
+
+
+def _minus_line(
+    value: LinearModel, weight: LinearModel, columns: Columns, domain: Domain, ends: Ends
+) -> tuple[LinearModel, float, Float64[np.ndarray, " column"]]:
+    """Return the line of a root at -1: alpha at beta = 0, per beta, and its error in each column.
+
+    The error is NaN where no wall of the domain is on the line, and infinite where all may be.
+    """
+    beta, half = columns.centre[:, 0], columns.half[:, 0]
+    cells = beta.size // value.centre.size
+    per_alpha, per_damping = ends.at_minus_one
+    farthest = np.max(np.abs(domain.alpha)), np.max(np.abs(domain.beta))
+    if per_alpha == 0.0:  # where a wall is on the line depends on its damping alone
+        gains = np.abs(per_damping) * np.array([np.abs(beta) + half, half])
+        gains[0] *= 1.0 + ends.lost
+        middle = np.repeat(value.centre, cells) - np.repeat(weight.centre, cells) * (
+            per_damping * beta
+        )
+        reach = np.repeat(value.swing, cells) + np.repeat(weight.swing, cells) * gains[0]
+        reach += np.repeat(np.abs(weight.centre), cells) * (gains[1] + ends.lost * gains[0])
+        off = np.abs(middle) > reach * (1.0 + ends.lost) + _EPS * np.abs(middle)
+        return value * 0.0, 0.0, np.where(off, np.nan, np.inf)
+    lost = ends.lost * (np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1])
+    reach = np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1] + lost
+    off = (value.low > reach * weight.size) | (value.high < -reach * weight.size)
+    line = value * weight.reciprocal()
+    if per_alpha != 1.0:
+        line = line * (1.0 / per_alpha)
+    error = np.where(off, np.nan, line.rest + lost / np.abs(per_alpha))
+    return line, -per_damping / per_alpha, np.repeat(error, cells)
+
+
+def _curve_strips(
+    patches: Patches, columns: Columns, beta: Float64[np.ndarray, " edge"], height: float
+) -> Strips:
+    """Return one strip for each run of patches through a column."""
+    runs = runs_of(patches, beta)
+    if not runs.patch.size:
+        return _no_strips(columns, 0)
+    column = runs.column[runs.start]
+    middle, slope = surfaces(patches, columns, runs, height)
+    low, high = distances(patches, columns, runs, middle, slope)
+    low, high = np.minimum.reduceat(low, runs.start), np.maximum.reduceat(high, runs.start)
+
+    rank = np.arange(column.size) - np.searchsorted(column, column)
+    strips = _no_strips(columns, int(rank.max()) + 1)
+    known = np.isfinite(low) & np.isfinite(high)
+    low, high = np.where(known, low, 0.0), np.where(known, high, 0.0)
+    strips.centre[column, rank] = np.where(known, middle, 0.0) + 0.5 * (low + high)
+    strips.slope[column, rank] = np.where(known[:, None], slope, 0.0)
+    strips.error[column, rank] = np.where(known, 0.5 * (high - low), np.inf)
+    may_turn = np.logical_or.reduceat(patches.may_turn[runs.patch], runs.start)
+    strips.folds[column, rank] = ~known | may_turn
+    return strips
+
+
+def _no_strips(columns: Columns, count: int) -> Strips:
+    number, variables = columns.centre.shape
+    shape = (number, count)
+    nothing = np.full(shape, np.nan)
+    return Strips(
+        nothing, np.full((*shape, variables), np.nan), nothing.copy(), np.zeros(shape, bool)
+    )
+
+
+def _joined(one: Strips, other: Strips) -> Strips:
+    return Strips(*(np.concatenate(parts, axis=1) for parts in zip(one, other, strict=True)))
+
+
+def _merged(strips: Strips, columns: Columns, line: np.ndarray | float = -np.inf) -> Strips:
+    """Put strips in order from below, those that touch somewhere in a column as one flat strip.
+
+    Two of them touch, too, where the upper one touches a line.
+    """
+    while True:
+        order = np.argsort(strips.centre, axis=1)
+        slope = np.take_along_axis(strips.slope, order[..., None], 1)
+        centre, error, folds = (
+            np.take_along_axis(part, order, 1)
+            for part in (strips.centre, strips.error, strips.folds)
+        )
+        strips = Strips(centre, slope, error, folds)
+        low, high = strips.ends(columns)
+        touching = np.any(low[..., 1:] <= np.maximum(high[..., :-1], line), axis=0)
+        if not touching.any():
+            return strips
+        low, high = low.min(axis=0), high.max(axis=0)
+        for upper in range(1, touching.shape[1] + 1):
+            column = np.flatnonzero(touching[:, upper - 1])
+            low[column, upper] = np.minimum(low[column, upper - 1], low[column, upper])
+            high[column, upper] = np.maximum(high[column, upper - 1], high[column, upper])
+            _set_flat(strips, (column, upper), low[column, upper], high[column, upper])
+            centre[column, upper - 1] = np.nan  # in the next round the last of its column
+            folds[column, upper - 1] = False
+
+
+def _set_flat(
+    strips: Strips, where: tuple[np.ndarray, int | np.ndarray], low: np.ndarray, high: np.ndarray
+) -> None:
+    """Put a strip between two alphas in place of another."""
+    known = np.isfinite(low) & np.isfinite(high)
+    low, high = np.where(known, low, 0.0), np.where(known, high, 0.0)
+    strips.centre[where] = 0.5 * (low + high)
+    strips.error[where] = np.where(known, 0.5 * (high - low), np.inf)
+    strips.slope[where] = 0.0
+    strips.folds[where] = True
+
+
+TERMS = (
+    "constant",
+    "per_beta",
+    "per_gamma",
+    "per_delta",
+    "per_delay",
+    "per_delay_squared",
+    "per_delay_beta",
+    "per_delay_gamma",
+    "per_delay_delta",
+    "error",
+)
+
+"""A surface over (beta, gamma, delta, delay) and how far from it the true limit can be.
+
+The last three slopes are those of the products of the delay and beta, gamma, delta.
+"""
+
+_INSIDE = 1.0 - 1e-6  # of the way to a corner of a column
+
+_EVERYWHERE = Domain((-np.inf, np.inf), (-np.inf, np.inf))
+
+_ROUNDING = 1e-14  # of the domain: sums of the terms of a plane
+
+Planes = Float64[np.ndarray, "*column 10"]
+
+
+class StableColumns(NamedTuple):
+    """The proved stable alphas of columns, shape (box, beta cell, term of ``TERMS``).
+
+    Where alpha is below the lower plane by more than its error, or above the upper one, the loop is
+    unstable, and between them, by more than the errors, it is stable. Lower planes are infinite in
+    a column without a stable alpha, upper planes in one whose stable alphas do not end in the
+    domain.
+    """
+
+    lower: Float64[np.ndarray, "box beta_cell 10"]
+    upper: Float64[np.ndarray, "box beta_cell 10"]
+
+
+class ColumnGaps(NamedTuple):
+    """Open intervals of alpha in which no root crosses the unit circle anywhere in a column.
+
+    Each gap has one verdict for all beta, gamma and delta of its closed column. Entries without
+    ``low < high`` are padding.
+
+    Attributes:
+        low: lower ends, shape (box, beta cell, gap), from below.
+        high: upper ends, of the same shape.
+        verdict: codes of ``jaxstab.Verdict``, of the same shape.
+    """
+
+    low: Float64[np.ndarray, "box beta_cell gap"]
+    high: Float64[np.ndarray, "box beta_cell gap"]
+    verdict: Int8[np.ndarray, "box beta_cell gap"]
+
+
+def stable_columns(
+    beta: Float64[np.ndarray, " edge"],
+    hands: HandBoxes,
+    delay: float,
+    domain: Domain,
+    filters: Filters | None = None,
+    half_delay: float = 0.0,
+) -> StableColumns:
+    """Return which alphas of a domain are proved stable in each column.
+
+    Args:
+        beta: edges of the cells along beta, ascending.
+        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples.
+        domain: of alpha and beta.
+        filters: velocity estimator and position filter in units of one sample, whose gain P(1) is
+            not 0; None for the difference over one sample. Then a column may have several stable
+            gaps, and between the first and the last of them nothing is said.
+        half_delay: largest distance of the delay from this one; no whole sample may lie between.
+
+    Raises:
+        ValueError: gamma, delta or delay is outside the range of the model, or P(1) is 0.
+
+    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle, and the certified
+    verdict; lemmas B8, B12 and B16 of docs/proofs.md.
+    """
+    columns = columns_of(beta, hands, delay, half_delay)
+    strips = strips_of(beta, columns, hands, domain, filters)
+    lower, upper = (np.empty((columns.centre.shape[0], len(TERMS))) for _ in range(2))
+    rest = np.arange(columns.centre.shape[0])
+    for ordered in (above_line, apart) if holds_line(filters) else (apart,):
+        some, there = strips.some(rest), columns.some(rest)
+        some = _straight_where_partial(ordered, some, there, domain)
+        codes = _gap_verdicts(some, there, domain, filters)
+        lower[rest], upper[rest] = _limits(some, codes, there, domain)
+        rest = rest[upper[rest, -1] == np.inf]
+        if not rest.size:
+            break
+    shape = (hands.gamma.size, beta.size - 1, len(TERMS))
+    return StableColumns(lower.reshape(shape), upper.reshape(shape))
+
+
+def column_gaps(
+    beta: Float64[np.ndarray, " edge"],
+    hands: HandBoxes,
+    delay: float,
+    domain: Domain,
+    filters: Filters | None = None,
+) -> ColumnGaps:
+    """Return the proved verdicts of each column of a domain, gap by gap.
+
+    Args, errors and source: as ``stable_columns``.
+    """
+    columns = columns_of(beta, hands, delay)
+    strips = apart(strips_of(beta, columns, hands, domain, filters), columns)
+    codes = _gap_verdicts(strips, columns, domain, filters)
+    terms = np.sum(np.abs(strips.slope * columns.centre[:, None]), axis=-1)
+    error = strips.error + _ROUNDING * (np.abs(strips.centre) + 2.0 * terms)
+    low, high = _gaps(*strips._replace(error=error).ends(columns), widened(domain))
+    shape = (hands.gamma.size, beta.size - 1, codes.shape[1])
+    return ColumnGaps(
+        low.max(axis=0).reshape(shape), high.min(axis=0).reshape(shape), codes.reshape(shape)
+    )
+
+
+def _gap_verdicts(
+    strips: Strips, columns: Columns, domain: Domain, filters: Filters | None
+) -> Int8[np.ndarray, "column gap"]:
+    """Return a verdict for each gap of a domain, from below; NOT_COMPUTED where there is none.
+
+    A gap is connected: where it is not all along its column strips are straight, and it is convex.
+    """
+    inside = columns.corners[..., : SQUARE + 1] * _INSIDE
+    middle = np.zeros_like(inside[:1])
+    if columns.half_delay:  # the square of the delay is not free
+        middle[..., SQUARE] = -columns.half[:, SQUARE]
+        inside[..., SQUARE] = (2.0 * _INSIDE**2 - 1.0) * columns.half[:, SQUARE]
+    points = with_products(np.concatenate([middle, inside]))
+    begins, ends = _gaps(*strips.ends_at(points), widened(domain))
+    width = ends - begins
+    widest = np.argmax(np.where(np.isnan(width), -np.inf, width), axis=0)
+    chosen = np.where(width[0] > 0.0, 0, widest)
+    exists = np.take_along_axis(width, chosen[None], 0)[0] > 0.0
+    column, gap = np.nonzero(exists)
+    chosen = chosen[exists]
+    alpha = 0.5 * (begins + ends)[chosen, column, gap]
+    deviation = points[chosen, column]
+    beta, gamma, delta = (columns.centre[column] + deviation)[:, :3].T
+    codes = np.full(exists.shape, NOT_COMPUTED, np.int8)
+    resolve = "exact" if filters is None else None
+    some = np.empty(alpha.size, np.int8)
+    shares = np.sign(deviation[:, T]) if columns.half_delay else np.zeros_like(alpha)
+    for share in np.unique(shares).tolist():
+        here = shares == share
+        delay = columns.delay + share * _INSIDE * columns.half_delay
+        walls = alpha[here], beta[here], np.maximum(gamma[here], 0.0), np.maximum(delta[here], 0.0)
+        some[here] = verdict(**by_name(*walls, delay), resolve=resolve, **as_keywords(filters))
+    codes[exists] = some
+    codes[(codes == NOT_COMPUTED) & _may_be(strips, columns, domain)] = UNDECIDED
+    low, high = strips.ends(columns)
+    crosses = np.any(low[..., 1:] <= high[..., :1], axis=0)
+    codes[:, 2:][crosses & (codes[:, 2:] == STABLE)] = UNDECIDED  # its lower limit has a corner
+    return codes
+
+
+def _may_be(strips: Strips, columns: Columns, domain: Domain) -> Bool[np.ndarray, "column gap"]:
+    """Say which gaps may reach into a domain somewhere in their columns."""
+    begins, ends = _gaps(*strips.ends(columns), _EVERYWHERE)
+    reach: np.ndarray = np.any(begins < ends, axis=0)
+    reach &= np.any(ends > domain.alpha[0], axis=0) & np.any(begins < domain.alpha[1], axis=0)
+    return reach
+
+
+def _straight_where_partial(
+    ordered: Callable[[Strips, Columns], Strips], strips: Strips, columns: Columns, domain: Domain
+) -> Strips:
+    """Order strips, straight ones in columns that hold a part of a gap alone."""
+    first = ordered(strips, columns)
+    if not columns.half_delay:
+        return first
+    begins, ends = _gaps(*first.ends(columns), widened(domain))
+    exists = begins < ends
+    partial = np.any(np.any(exists, axis=0) & ~np.all(exists, axis=0), axis=1)
+    straight = strips.straightened(columns)
+    bent = partial.reshape(-1, 1)
+    return ordered(
+        strips._replace(
+            slope=np.where(bent[..., None], straight.slope, strips.slope),
+            error=np.where(bent, straight.error, strips.error),
+        ),
+        columns,
+    )
+
+
+def _gaps(
+    low: Float64[np.ndarray, "*column strip"],
+    high: Float64[np.ndarray, "*column strip"],
+    of: Domain,
+) -> tuple[Float64[np.ndarray, "*column gap"], Float64[np.ndarray, "*column gap"]]:
+    """Return the ends of gaps; NaN where a column has fewer."""
+    *shape, _ = low.shape
+    lowest, highest = (np.full((*shape, 1), end) for end in of.alpha)
+    begins = np.concatenate([lowest, np.maximum(high, high[..., :1])], axis=-1)
+    ends = np.concatenate([low, np.full_like(highest, np.nan)], axis=-1)
+    ends = np.where(np.isnan(ends) & ~np.isnan(begins), highest, ends)
+    return np.maximum(begins, lowest), np.minimum(ends, highest)
+
+
+def _limits(
+    strips: Strips, codes: Int8[np.ndarray, "column gap"], columns: Columns, asked: Domain
+) -> tuple[Planes, Planes]:
+    """Return the strips below and above the stable gap of each column.
+
+    Where others hide what is in them, both limits are the flat span of all that may be stable.
+    """
+    is_stable = codes == STABLE
+    first, count = np.argmax(is_stable, axis=1), is_stable.sum(axis=1)
+    last = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
+    low, high = strips.ends(columns)
+    is_seen = np.any((high >= asked.alpha[0]) & (low <= asked.alpha[1]), axis=0)
+    hiding = is_seen & _may_hide(strips, codes)
+    number = np.arange(strips.centre.shape[1])
+    beside = (number == first[:, None]) | (number == first[:, None] - 1)
+    hiding &= ~((count == 1)[:, None] & beside)
+    hides = hiding.any(axis=1) | (count > 1)
+    spanned = (number >= first[:, None] - 1) & (number <= last[:, None]) & (count > 0)[:, None]
+    some = (spanned | hiding) & hides[:, None]
+    low = np.min(low, axis=(0, 2), where=some, initial=np.inf)
+    high = np.max(high, axis=(0, 2), where=some, initial=-np.inf)
+    is_open = (count > 0) & ((first == 0) | np.isnan(_of_strip(strips.centre, last)))
+    lost = np.any(codes == UNDECIDED, axis=1) | np.any(strips.error == np.inf, axis=1)
+    lost |= hides & is_open
+    low, high = (np.where(hides & ~lost, end, 0.0) for end in (low, high))
+    variables = columns.centre.shape[1]
+    span = _flat(0.5 * (low + high), 0.5 * (high - low), variables)
+    unknown = _flat(np.zeros_like(low), np.full_like(low, np.inf), variables)
+    limits = []
+    for strip, outermost in ((first - 1, -np.inf), (first, np.inf)):
+        limit = _ends_at(strips, strip, outermost, count > 0)
+        limit = limit.replaced(hides, span).replaced(lost, unknown)
+        limits.append(_planes(limit, columns))
+    return limits[0], limits[1]
+
+
+def _may_hide(
+    strips: Strips, codes: Int8[np.ndarray, "column gap"]
+) -> Bool[np.ndarray, "column strip"]:
+    """Say which strips may hide stable alphas: not those between unstable gaps that do not fold."""
+    between_unstable = (codes[:, :-1] == UNSTABLE) & (codes[:, 1:] == UNSTABLE)
+    hides: Bool[np.ndarray, "column strip"] = strips.folds | ~between_unstable
+    return hides
+
+
+class _Limits(NamedTuple):
+    """One limit of each column: a plane by its value at the centre, its slopes and its error."""
+
+    centre: Float64[np.ndarray, " column"]
+    slope: Float64[np.ndarray, "column variable"]
+    error: Float64[np.ndarray, " column"]
+
+    def replaced(self, where: Bool[np.ndarray, " column"], others: "_Limits") -> "_Limits":
+        """Return other limits in some columns."""
+        return _Limits(
+            *(
+                np.where(where.reshape(-1, *[1] * (mine.ndim - 1)), other, mine)
+                for mine, other in zip(self, others, strict=True)
+            )
+        )
+
+
+def _flat(
+    centre: Float64[np.ndarray, " column"], error: Float64[np.ndarray, " column"], variables: int
+) -> _Limits:
+    return _Limits(centre, np.zeros((centre.size, variables)), error)
+
+
+def _ends_at(
+    strips: Strips,
+    strip: Int64[np.ndarray, " column"],
+    outermost: float,
+    is_known: Bool[np.ndarray, " column"],
+) -> _Limits:
+    """Return one strip of each column, infinite where there is none or nothing is stable."""
+    centre, slope, error = (_of_strip(part, strip) for part in strips[:3])
+    open_end = np.isnan(centre) | ~is_known
+    centre = np.where(open_end, np.where(is_known, outermost, np.inf), centre)
+    slope, error = np.where(open_end[:, None], 0.0, slope), np.where(open_end, 0.0, error)
+    return _Limits(centre, slope, error)
+
+
+def _of_strip(part: np.ndarray, strip: Int64[np.ndarray, " column"]) -> np.ndarray:
+    """Return the limits by one strip of each column; NaN where there is no such strip."""
+    count = part.shape[1]
+    some = part[np.arange(strip.size), np.clip(strip, 0, count - 1)]
+    outside = (strip < 0) | (strip >= count)
+    value: np.ndarray = np.where(outside.reshape(-1, *[1] * (some.ndim - 1)), np.nan, some)
+    return value
+
+
+def _planes(limits: _Limits, columns: Columns) -> Planes:
+    """Return the terms of limits, in the parameters themselves."""
+    centre, slope, error = limits
+    constant = centre - np.sum(slope * columns.centre, axis=1)
+    size = np.abs(centre) + 2.0 * np.sum(np.abs(slope * columns.centre), axis=1)
+    of_delay = np.zeros((constant.size, len(TERMS) - 1 - T - 1))
+    plane = slope[:, :T]
+    if columns.half_delay:
+        # t = d - d0 in rate t + bend (t^2 - half) + turns t (x - x0), where centres are 0
+        middle, known = columns.delay, columns.centre[:, :T]
+        rate, bend, turns = slope[:, T], slope[:, SQUARE], slope[:, SQUARE + 1 :]
+        level = np.sum(turns * known, axis=1)
+        constant += (level - rate) * middle + bend * (middle**2 - columns.half[:, SQUARE])
+        plane = plane - turns * middle
+        of_delay = np.column_stack([rate - 2.0 * middle * bend - level, bend, turns])
+        latest = middle + columns.half_delay
+        size += 4.0 * (np.abs(rate) + 2.0 * latest * np.abs(bend)) * latest
+        size += 8.0 * latest * np.sum(np.abs(turns) * (np.abs(known) + columns.half[:, :T]), axis=1)
+    error = error + _ROUNDING * np.where(np.isfinite(size), size, 0.0)
+    return np.column_stack([constant, plane, of_delay, error])

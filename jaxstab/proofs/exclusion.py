@@ -1,0 +1,486 @@
+"""Proof that a box of loops and angles has no root on the unit circle (lemma B3 of docs/proofs.md).
+
+g of ``jaxstab.proofs.plant`` is expanded at the centre of the box; lemma B2 bounds how far the
+plant's second derivatives can bend it. If the enclosed values of g all lie in one open half-plane,
+the box is free of roots.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex128, Float64, Int64
+
+from jaxstab.model.filters import Filters
+from jaxstab.proofs.filters import Gains, Wall, wall_over
+from jaxstab.proofs.plant import BENDS, NUMERATOR_SLOPES, QuickPlant, accurate_plant, quick_plant
+
+Reals = Float64[np.ndarray, " boxes"]
+
+Complexes = Complex128[np.ndarray, " boxes"]
+
+_EPS = np.finfo(np.float64).eps
+
+_SUMS = 4 * _EPS  # of each term of g, for each sample that it turns and 8 operations
+
+
+class Loops(NamedTuple):
+    """Loops and an angle each: the five parameters in their order, then theta."""
+
+    alpha: Reals
+    beta: Reals
+    gamma: Reals
+    delta: Reals
+    delay: Reals
+    theta: Reals
+
+
+class Exclusion(NamedTuple):
+    """Whether a box is proved free of roots on the circle, and how steep g is in each variable."""
+
+    free: Bool[np.ndarray, " boxes"]
+    slopes: Float64[np.ndarray, "6 boxes"]
+
+
+class Expansion(NamedTuple):
+    """g over boxes: |g - value - sum_k linear_k (x_k - centre_k)| <= rest.
+
+    ``free`` is the part D/z of the value, ``free_theta`` its derivative by theta; ``rest_slopes``
+    says how steep the rest is in each variable, ``rounding`` how much of it is rounding.
+    """
+
+    value: Complexes
+    linear: Complex128[np.ndarray, "6 boxes"]
+    rest: Reals
+    free: Complexes
+    free_theta: Complexes
+    rest_slopes: Float64[np.ndarray, "6 boxes"]
+    rounding: Reals
+
+
+def exclude(center: Loops, radius: Loops, filters: Filters | None = None) -> Exclusion:
+    """Prove that no loop of a box center +- radius has a root on the circle at the box's angles.
+
+    Boxes may extend to negative gamma, delta or delay; nothing is proved about those parts.
+    """
+    g = expansion(center, radius, filters=filters)
+    free = is_free(g.value, g.linear * np.stack(radius), g.rest)
+    return Exclusion(free, np.abs(g.linear) + g.rest_slopes)
+
+
+def exclude_any_delay(center: Loops, radius: Loops, filters: Filters | None = None) -> Exclusion:
+    """Prove the same as ``exclude`` for these delays and all that are whole samples longer.
+
+    A box is free when nowhere in it |D/z| = |(N/z) H|: then no phase z^-m brings the two to cancel.
+    """
+    g = expansion(center, radius, filters=filters)
+    slope = np.abs(g.linear)
+    slope[5] = np.abs(g.free_theta) + np.abs(g.linear[5] - g.free_theta)
+    apart = np.abs(np.abs(g.free) - np.abs(g.value - g.free))
+    clear = apart - np.sum(slope * np.stack(radius), axis=0) - g.rest
+    return Exclusion(clear > 0, slope + g.rest_slopes)
+
+
+def is_free(
+    value: Complexes, moves: Complex128[np.ndarray, "variable boxes"], rest: Reals
+) -> Bool[np.ndarray, " boxes"]:
+    """Return in which boxes value + sum_k x_k moves_k, |x_k| <= 1, stays off a disc about 0.
+
+    It does where a straight line separates the two. The lines tried are across the value and, best
+    for a sum of segments, along each of them.
+    """
+    size = np.abs(value)
+    clear = size * (size - rest) > np.sum(np.abs(_along(value, moves)), axis=0)
+    unsure = np.flatnonzero(~clear)
+    value, moves, rest = value[unsure], moves[:, unsure], rest[unsure]
+    for segment in moves:
+        normal = 1j * segment
+        seen = np.abs(_along(normal, value)) - np.sum(np.abs(_along(normal, moves)), axis=0)
+        clear[unsure] |= seen > rest * np.abs(segment)
+    return clear
+
+
+def expansion(
+    center: Loops,
+    radius: Loops,
+    plant: QuickPlant | None = None,
+    filters: Filters | None = None,
+) -> Expansion:
+    """Expand g over boxes; see lemmas B3 and B10.
+
+    Args:
+        center: of the boxes.
+        radius: half-widths, >= 0.
+        plant: the plant at the centre, if it is known.
+        filters: velocity estimator and position filter, in units of one sample.
+    """
+    if plant is None:
+        hand = (np.maximum(value, 0.0) for value in center[2:5])
+        plant = quick_plant(*hand)
+    turns = np.floor(center.delay) + 1.0
+    back = np.exp(-1j * center.theta)  # 1/z
+    z = back.conj()
+    behind = np.exp(-1j * turns * center.theta)  # z^-m
+    lag = 1.0 - back
+    gains = Gains(*center[:2], *radius[:2], center.theta, radius.theta)
+    wall = wall_over(gains, back, filters)
+    ahead, after = behind * plant.n2 * z, behind * plant.n0 * back
+    force = ahead + behind * plant.n1 + after  # z^-m N/z
+    force_theta = 1j * (ahead - after - turns * force)
+    free, free_theta = z + plant.d1 + plant.d0 * back, 1j * (z - plant.d0 * back)
+    turned = 1j * center.beta * force * back if filters is None else force * wall.per_theta
+    linear = np.stack(
+        [
+            force * wall.per_alpha,
+            force * wall.per_beta,
+            plant.impulse + 0j,
+            plant.kept - plant.d0 * back,
+            behind * lag * -(plant.late + plant.early * z) * wall.value,
+            free_theta + force_theta * wall.value + turned,
+        ]
+    )
+    rest, slopes, rounding = _rest(center, radius, plant, (turns, np.abs(lag), wall))
+    value = free + force * wall.value
+    return Expansion(value, linear, rest + rounding, free, free_theta, slopes, rounding)
+
+
+def _rest(
+    center: Loops, radius: Loops, plant: QuickPlant, parts: tuple[Reals, Reals, Wall]
+) -> tuple[Reals, Float64[np.ndarray, "6 boxes"], Reals]:
+    """Bound what the expansion leaves, say how steep that is, and bound the rounding."""
+    turns, lag_here, wall = parts
+    total = np.abs(plant.n2) + np.abs(plant.n1) + np.abs(plant.n0)
+    steps = np.floor(center.delay + radius.delay) + 2.0  # the largest m + 1
+    lag = np.minimum(lag_here + radius.theta, 2.0)  # the largest |1 - 1/z|
+    per_gamma, per_delta, per_delay = NUMERATOR_SLOPES
+    force_change = per_gamma * radius.gamma + per_delta * radius.delta
+    hand = (
+        wall.size * (force_change + lag * radius.delay**2)
+        + radius.delay * lag * wall.change
+        + BENDS["d1"].rest(radius.gamma, radius.delta)
+        + BENDS["d0"].rest(radius.gamma, radius.delta)
+    )
+    if wall.bend is None:
+        turns_of_wall = (2 * steps + 1) * wall.slope
+    else:
+        turns_of_wall = 2 * steps * wall.slope + wall.bend
+    bend = 1.0 + 0.5 * total * (steps**2 * wall.size + turns_of_wall)
+    turning = radius.theta * (
+        bend * radius.theta
+        + radius.delta
+        + radius.delay * ((steps * lag + 1) * wall.size + lag * wall.slope)
+        + total * (steps * wall.change + wall.turned_change)
+    )
+    most_force = total + force_change + per_delay * radius.delay
+    rounding = _SUMS * (turns + 8) * (4.0 + most_force * wall.terms)
+    rounding += plant.d_error + plant.n_error * wall.size + most_force * wall.lost
+    slopes = np.zeros((6, len(total)))
+    slopes[2], slopes[3] = wall.size * per_gamma, wall.size * per_delta
+    slopes[4] = wall.size * lag * radius.delay
+    slopes[5] = bend * radius.theta
+    return hand + turning, slopes, rounding
+
+
+def _along(direction: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Return the part of complex numbers along a direction, times its length."""
+    part: np.ndarray = direction.real * value.real + direction.imag * value.imag
+    return part
+
+
+# Boxes of loops that may have a root on the unit circle; all others are proved free of one.
+
+Corners = Float64[np.ndarray, "boxes axis"]
+
+_AT_ONCE = 1 << 14  # boxes that are proved at once
+
+
+class Boxes(NamedTuple):
+    """Boxes center +- half, in coordinates chosen by the caller."""
+
+    center: Corners
+    half: Corners
+
+    def select(self, chosen: Bool[np.ndarray, " boxes"]) -> "Boxes":
+        """Return some of them."""
+        return Boxes(self.center[chosen], self.half[chosen])
+
+
+class Extent(NamedTuple):
+    """The loops of each box: its center, a radius that covers it, and the part of each axis."""
+
+    center: Loops
+    radius: Loops
+    by_axis: Float64[np.ndarray, "axis 6 boxes"]
+
+    @classmethod
+    def of(cls, center: Loops, by_axis: Float64[np.ndarray, "axis 6 boxes"]) -> "Extent":
+        """Return the extent of boxes whose radius is the sum of the parts."""
+        return cls(center, Loops(*by_axis.sum(axis=0)), by_axis)
+
+
+class Proof(NamedTuple):
+    """Which boxes are proved free, and how much each axis contributes where the proof fails."""
+
+    free: Bool[np.ndarray, " boxes"]
+    share: Corners
+
+
+class Paving(NamedTuple):
+    """The smallest boxes that could not be excluded, and whether all boxes were tried."""
+
+    boxes: Boxes
+    finished: bool
+
+
+def pave(
+    boxes: Boxes,
+    smallest: float | Float64[np.ndarray, " axis"],
+    extent: Callable[[Boxes], Extent],
+    most: int = 60_000,
+    prove: Callable[[Loops, Loops], Exclusion] = exclude,
+    *,
+    is_numbered: bool = False,
+) -> Paving:
+    """Halve boxes along the axis that matters most, until they are proved free or the smallest.
+
+    Axes of half-width zero are not split. The work is given up, unfinished, when more than ``most``
+    boxes are open at once. Where the first axis ``is_numbered``, it says what boxes belong to: each
+    number has so many boxes of its own, and what becomes of it does not depend on the others.
+    """
+
+    def proof(boxes: Boxes) -> Proof:
+        span = extent(boxes)
+        exclusion = prove(span.center, span.radius)
+        return Proof(exclusion.free, np.sum(exclusion.slopes * span.by_axis, axis=1).T)
+
+    return pave_by(boxes, smallest, proof, most, is_numbered=is_numbered)
+
+
+def pave_by(
+    boxes: Boxes,
+    smallest: float | Float64[np.ndarray, " axis"],
+    prove: Callable[[Boxes], Proof],
+    most: int = 60_000,
+    *,
+    is_numbered: bool = False,
+) -> Paving:
+    """Do the same with any proof of boxes."""
+    kept = [Boxes(boxes.center[:0], boxes.half[:0])]
+    finished = True
+    while len(boxes.center):
+        if len(boxes.center) > most:
+            given_up = _are_too_many(boxes, most, is_numbered)
+            kept.append(boxes.select(given_up))
+            boxes, finished = boxes.select(~given_up), finished and not given_up.any()
+        free, share = _proved_in_parts(prove, boxes)
+        divisible = boxes.half > smallest
+        kept.append(boxes.select(~free & ~divisible.any(axis=1)))
+        going = ~free & divisible.any(axis=1)
+        axis = np.argmax(np.where(divisible, share, -1.0), axis=1)[going]
+        boxes = _halved(boxes.select(going), axis)
+    return Paving(_joined(kept), finished)
+
+
+def _are_too_many(boxes: Boxes, most: int, is_numbered: bool) -> Bool[np.ndarray, " boxes"]:
+    if not is_numbered:
+        return np.full(len(boxes.center), True)
+    number = boxes.center[:, 0].astype(np.int64)
+    too_many: np.ndarray = np.bincount(number)[number] > most
+    return too_many
+
+
+def _proved_in_parts(prove: Callable[[Boxes], Proof], boxes: Boxes) -> Proof:
+    """Return the proofs of boxes: a part at once, as each needs about a hundred numbers."""
+    starts = range(0, max(len(boxes.center), 1), _AT_ONCE)
+    parts = (Boxes(*(part[i : i + _AT_ONCE] for part in boxes)) for i in starts)
+    return Proof(*map(np.concatenate, zip(*map(prove, parts), strict=True)))
+
+
+def _halved(boxes: Boxes, axis: np.ndarray) -> Boxes:
+    rows = np.arange(len(axis))
+    half = boxes.half.copy()
+    half[rows, axis] /= 2
+    shift = np.zeros_like(half)
+    shift[rows, axis] = half[rows, axis]
+    return Boxes(
+        np.concatenate([boxes.center - shift, boxes.center + shift]), np.concatenate([half, half])
+    )
+
+
+def _joined(parts: list[Boxes]) -> Boxes:
+    return Boxes(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+# The first root on the unit circle along straight lines through the space of loops, bracketed.
+#
+# The search keeps boxes of (t, theta), with t from 0 at the start of a line to 1 at its end. Boxes
+# in which g has no zero are dropped (lemma B3 of docs/proofs.md); the others are shrunk to where
+# both real parts of g can vanish (lemma B4), and halved if that shrinks them little. Shrinking
+# squares the width, so a few rounds lead from a coarse grid to the last digits.
+
+Ends = Float64[np.ndarray, "2 box"]
+
+_MOST = 100_000  # boxes at once
+
+_NARROW = 1e-12  # of the way from the start: a root bracketed like this is found
+
+_FINEST = np.array([[2.0**-48], [2.0**-30]])  # of t and theta: boxes are not halved beyond
+
+_PROGRESS = 0.6  # a box shrunk to less than this along t or theta is not halved
+
+
+class Lines(NamedTuple):
+    """Where lines start and how far they go: the five parameters, a line in each column."""
+
+    start: Float64[np.ndarray, "5 line"]
+    change: Float64[np.ndarray, "5 line"]
+
+
+class Parts(NamedTuple):
+    """Boxes of (t, theta): the number of the line, and the ends of both."""
+
+    line: Int64[np.ndarray, " box"]
+    low: Ends
+    high: Ends
+
+    def some(self, which: Bool[np.ndarray, " box"]) -> "Parts":
+        """Return some of them."""
+        return Parts(self.line[which], self.low[:, which], self.high[:, which])
+
+
+class FirstRoots(NamedTuple):
+    """For each line: no root is on the circle before ``low``, and one is proved before ``high``.
+
+    Both are parts of the line. ``low`` is infinite where all boxes are free of roots, ``high``
+    where no root is proved; ``theta`` is an angle next to ``low``.
+    """
+
+    low: Float64[np.ndarray, " line"]
+    high: Float64[np.ndarray, " line"]
+    theta: Float64[np.ndarray, " line"]
+
+
+class Models(NamedTuple):
+    """g over boxes: the value in the middle, the moves to the ends of each axis, the rest."""
+
+    value: np.ndarray
+    moves: np.ndarray  # (2, box)
+    rest: np.ndarray
+    bends: np.ndarray  # (2, box): how much each axis moves g, and its rest
+    rounding: np.ndarray
+
+    def some(self, which: Bool[np.ndarray, " box"]) -> "Models":
+        """Return some of them."""
+        return Models(*(part[..., which] for part in self))
+
+
+def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> FirstRoots:
+    """Return where, within some boxes of lines, a root is on the unit circle for the first time.
+
+    ``filters`` are the velocity estimator and the position filter, in units of one sample.
+    """
+    with np.errstate(all="ignore"):
+        plants = accurate_plant(*lines.start[2:])
+    return search(lines.start.shape[1], parts, lambda some: _models(lines, plants, some, filters))
+
+
+def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> FirstRoots:
+    """Return the first roots on some lines, by models of g over boxes."""
+    found = FirstRoots(*(np.full(count, end) for end in (np.inf, np.inf, np.nan)))
+    with np.errstate(all="ignore"):
+        while parts.line.size:
+            models = models_of(parts)
+            is_open = ~is_free(*models[:3])
+            parts, models = parts.some(is_open), models.some(is_open)
+            shrunk, is_proved = _shrunk(parts, models)
+            np.minimum.at(found.high, shrunk.line[is_proved], shrunk.high[0, is_proved])
+            is_open = np.all(shrunk.low <= shrunk.high, axis=0)
+            is_open &= shrunk.low[0] <= found.high[shrunk.line]
+            size, before = shrunk.high - shrunk.low, parts.high - parts.low
+            has_shrunk = np.any(size < _PROGRESS * before, axis=0)
+            is_narrow = size[0] <= _NARROW * shrunk.high[0]
+            is_rounded = models.rest <= 2.0 * models.rounding
+            is_flat = np.sum(np.abs(models.moves), axis=0) <= 4.0 * models.rest
+            is_done = is_proved & is_narrow | is_rounded & (is_proved | is_flat)
+            is_done |= np.all(size <= _FINEST, axis=0)
+            is_done |= np.sum(is_open) > _MOST
+            _keep(found, shrunk.some(is_open & is_done))
+            is_open &= ~is_done
+            bends = np.where(size > _FINEST, models.bends * (size / before), -1.0)
+            parts = _joined_parts(
+                shrunk.some(is_open & has_shrunk),
+                _halved_parts(shrunk.some(is_open & ~has_shrunk), bends[:, is_open & ~has_shrunk]),
+            )
+    return found
+
+
+def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | None) -> Models:
+    t, theta = 0.5 * (parts.low + parts.high)
+    half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * _EPS)
+    change = lines.change[:, parts.line]
+    middle = lines.start[:, parts.line] + change * t
+    center = Loops(*np.concatenate([middle, theta[None]]))
+    moved = np.abs(change) * half[0]
+    plant = QuickPlant(*(part[parts.line] for part in plants))
+    is_other = np.any(change[2:] != 0.0, axis=0)
+    if np.any(is_other):
+        others = quick_plant(*(np.maximum(value[is_other], 0.0) for value in center[2:5]))
+        for part, other in zip(plant, others, strict=True):
+            part[is_other] = other
+    g = expansion(center, Loops(*np.concatenate([moved, half[1:]])), plant, filters)
+    moves = np.stack([np.sum(g.linear[:5] * change, axis=0), g.linear[5]]) * half
+    bends = np.stack([np.sum(g.rest_slopes[:5] * moved, axis=0), g.rest_slopes[5] * half[1]])
+    return Models(g.value, moves, g.rest, bends + np.abs(moves), g.rounding)
+
+
+def _shrunk(parts: Parts, models: Models) -> tuple[Parts, Bool[np.ndarray, " box"]]:
+    """Shrink boxes to where g can vanish, and say which of them are proved to hold a zero."""
+    value, (by_t, by_theta), rest, *_ = models
+    determinant = _turned(by_t, by_theta)
+    is_regular = determinant != 0.0
+    determinant = np.where(is_regular, determinant, 1.0)
+    middle = np.stack([_turned(by_theta, value), -_turned(by_t, value)]) / determinant
+    spread = np.stack([np.abs(by_theta), np.abs(by_t)]) * (rest / np.abs(determinant))
+    spread = np.where(is_regular, spread, np.inf) * (1.0 + 64.0 * _EPS)
+    spread += 64.0 * _EPS * np.abs(middle)
+    # In units of the half-widths
+    low, high = middle - spread, middle + spread
+    is_proved = np.all((low > -1.0) & (high < 1.0), axis=0)
+    center, half = 0.5 * (parts.low + parts.high), 0.5 * (parts.high - parts.low)
+    slack = 2.0 * _EPS * np.abs(center)
+    low = np.where(low > -1.0, center + half * low - slack, parts.low)
+    high = np.where(high < 1.0, center + half * high + slack, parts.high)
+    return Parts(parts.line, np.maximum(low, parts.low), np.minimum(high, parts.high)), is_proved
+
+
+def _turned(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the imaginary part of conj(one) other."""
+    part: np.ndarray = one.real * other.imag - one.imag * other.real
+    return part
+
+
+def _keep(found: FirstRoots, done: Parts) -> None:
+    """Note the first of the boxes that are left of each line."""
+    order = np.argsort(-done.low[0], kind="stable")  # the first one is written last
+    line, low = done.line[order], done.low[0, order]
+    theta = 0.5 * (done.low[1] + done.high[1])[order]
+    is_first = low < found.low[line]
+    found.low[line[is_first]] = low[is_first]
+    found.theta[line[is_first]] = theta[is_first]
+
+
+def _halved_parts(parts: Parts, bends: np.ndarray) -> Parts:
+    """Halve boxes along the axis that moves g most."""
+    axis, box = np.argmax(bends, axis=0), np.arange(parts.line.size)
+    middle = 0.5 * (parts.low[axis, box] + parts.high[axis, box])
+    low, high = parts.low.copy(), parts.high.copy()
+    low[axis, box] = high[axis, box] = middle
+    return _joined_parts(Parts(parts.line, parts.low, high), Parts(parts.line, low, parts.high))
+
+
+def _joined_parts(one: Parts, other: Parts) -> Parts:
+    return Parts(
+        np.concatenate([one.line, other.line]),
+        np.concatenate([one.low, other.low], axis=1),
+        np.concatenate([one.high, other.high], axis=1),
+    )

@@ -1,0 +1,790 @@
+"""The responses of velocity estimator and position filter on the unit circle, cell by cell.
+
+A filter is a chain of short factors. Taylor series of all factors over cells of theta give series
+of the whole, with bounds of their remainders and of the derivatives (lemma B10 of docs/proofs.md).
+To lose no digits, factors of first and second order are written in powers of 1 - 1/z next to z = 1,
+and of 1 + 1/z next to z = -1, where poles and zeros are. Cells are halved until the series are good
+to rounding.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache, reduce
+from math import comb, factorial, perm
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+
+from jaxstab.arrays import PI_REST, Array
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import Filters
+from jaxstab.model.transfer import ONE, Polynomial, Transfer, size_of
+from jaxstab.proofs.plant import LinearModel, Moving
+
+# Taylor series of functions of one angle over many cells, each coefficient with its error.
+#
+# In each cell, a series states |f^(k)(x)/k! - value_k| <= error_k for a function f. If x is the
+# middle of the cell alone, the errors are those of rounding; if x is any point of the cell, they
+# include the change of the derivatives, so |value_k| + error_k bounds these (Moore 1966). Products
+# and quotients of series are series again.
+
+Cells = Float64[np.ndarray, " cell"]
+
+Numbers = Float64[np.ndarray, "order cell"] | Complex128[np.ndarray, "order cell"]
+
+ORDERS = 9  # coefficients that a series has
+
+_BEYOND = 16  # orders by which the change of those of a cosine sum is known
+
+_EPS = np.finfo(np.float64).eps
+
+_ROUNDING = (ORDERS + 4) * _EPS  # of a sum of so many products, complex ones too
+
+_OF_ERRORS = 1.0 + 1e-13
+
+
+@dataclass(frozen=True)
+class Series:
+    """Coefficients, shape (order, cell), and bounds of their errors."""
+
+    value: Numbers
+    error: Float64[np.ndarray, "order cell"]
+
+    def __add__(self, other: "Series") -> "Series":
+        value = self.value + other.value
+        return Series(value, _OF_ERRORS * (self.error + other.error + _EPS * abs(value)))
+
+    def __mul__(self, other: "Series") -> "Series":
+        size = abs(other.value)
+        error = _convolved(self.error, size + other.error)
+        error += _convolved(abs(self.value), other.error + _ROUNDING * size)
+        return Series(_convolved(self.value, other.value), _OF_ERRORS * error)
+
+    def reciprocal(self) -> "Series":
+        """Return 1/f; its errors are infinite where f may vanish."""
+        size = abs(self.value[0])
+        clear = size - self.error[0]
+        is_known = clear > 0.0
+        first = 1.0 / np.where(is_known, self.value[0], 1.0)
+        value, error = np.zeros_like(self.value), np.zeros_like(self.error)
+        value[0] = first
+        lost = self.error[0] / np.where(is_known, clear, 1.0) + _ROUNDING
+        error[0] = np.where(is_known, abs(first) * lost, np.inf)
+        for k in range(1, len(value)):  # the sum of self_i over_(k - i), i from 1 on, is 0
+            after, after_error = self.value[1 : k + 1], self.error[1 : k + 1]
+            before, before_error = value[:k][::-1], error[:k][::-1]
+            total = np.sum(after * before, axis=0)
+            lost = after_error * (abs(before) + before_error)
+            lost = lost + abs(after) * (before_error + _ROUNDING * abs(before))
+            total_error = np.sum(lost, axis=0)
+            value[k] = -first * total
+            error[k] = error[0] * (abs(total) + total_error) + abs(first) * total_error
+            error[k] = _OF_ERRORS * (error[k] + _ROUNDING * abs(value[k]))
+        return Series(value, np.where(is_known, error, np.inf))
+
+
+def constant(number: float, cells: int) -> Series:
+    """Return the series of a number."""
+    value = np.zeros((ORDERS, cells))
+    value[0] = number
+    return Series(value, np.zeros((ORDERS, cells)))
+
+
+def power_sum(weights: Sequence[float], middle: Cells, half: Cells) -> tuple[Series, Series]:
+    """Return sum_k weights_k e^(-i k theta): in the middle of each cell, and in all of it.
+
+    The weights may have been rounded.
+    """
+    order = np.arange(len(weights), dtype=float)
+    derivatives = ORDERS + _BEYOND
+    powers = np.array([order**m / factorial(m) for m in range(derivatives)])
+    terms = powers * np.asarray(weights)
+    turns = np.array([(-1j) ** m for m in range(derivatives)])[:, None]
+    value = turns * (terms @ np.exp(-1j * np.multiply.outer(order, middle)))
+    lost = _EPS * (abs(terms) @ (len(weights) + 8.0 + 8.0 * order))
+    error = np.broadcast_to(lost[:, None], value.shape)
+    sizes = abs(value) + error
+    wide = np.zeros((ORDERS, len(middle)))
+    for m in range(ORDERS):
+        for k in range(m + 1, derivatives):
+            wide[m] += comb(k, m) * sizes[k] * half ** (k - m)
+        beyond = float(abs(terms[-1]) @ order) * comb(derivatives, m) / derivatives
+        wide[m] += beyond * half ** (derivatives - m)
+    value, error = value[:ORDERS], error[:ORDERS]
+    return Series(value, error), Series(value, _OF_ERRORS * (error + wide))
+
+
+def difference(middle: Cells, half: Cells) -> tuple[Series, Series]:
+    """Return s = 1 - e^(-i theta): in the middle, and in all of a cell."""
+    turned = np.exp(-1j * middle)
+    value = np.stack([-((-1j) ** m) / factorial(m) * turned for m in range(ORDERS)])
+    value[0] = 2.0 * np.sin(0.5 * middle) ** 2 + 1j * np.sin(middle)
+    sizes = np.array([1.0 / factorial(m) for m in range(ORDERS)])[:, None]
+    error = np.broadcast_to(4.0 * _EPS * sizes, value.shape)
+    return Series(value, error), Series(value, _OF_ERRORS * (error + sizes * half))
+
+
+def _convolved(one: Numbers, other: Numbers) -> Numbers:
+    total = one[0] * other
+    for k in range(1, len(one)):
+        total[k:] += one[k] * other[: len(one) - k]
+    return total
+
+
+_MARGIN = 0.125  # cells reach so far beyond 0 and pi
+
+_FIRST_CELLS = 128
+
+_MOST_HALVINGS = 24
+
+_MOST_CELLS = 1 << 14
+
+_REMAINDER = 2.0**-52  # of the values of a cell, by which the series may miss them
+
+_SMALL = 2.0**-20  # of the largest value: a filter's smaller ones need no digits of their own
+
+_OVERLAP = 1.0 + 1e-9  # what is known of a cell holds a little beyond, for rounded ends
+
+_PAIRS_LOST = 2.0**-94  # of the size of a polynomial, by its coefficients in pairs
+
+_ZERO, _ONE = DoubleDouble(0.0, 0.0), DoubleDouble(1.0, 0.0)
+
+Factor = tuple[Polynomial, Polynomial]  # numerator and denominator in 1/z, lowest power first
+
+
+class FilterCells(NamedTuple):
+    """Cells of theta from below 0 to beyond pi, ascending; the position filter is before V.
+
+    Attributes:
+        middle: of the cells.
+        half: half their widths.
+        first: their lower ends.
+        series: Taylor coefficients of P and V in each cell, lowest order first.
+        lost: bounds of the errors of these series' sums, then of their derivatives.
+        steepness: bounds of |P'|, |V'|, |P''| and |V''| in 2^k cells from each one on.
+    """
+
+    middle: Cells
+    half: Cells
+    first: Cells
+    series: Complex128[np.ndarray, "cell function order"]
+    lost: Float64[np.ndarray, "cell bound"]
+    steepness: Float64[np.ndarray, "k cell bound"]
+
+
+Functions = Callable[[Cells, Cells, bool], list[Series]]
+
+"""Series of functions over cells of some middles and halves: in the middles, or in all of them."""
+
+
+@lru_cache(maxsize=32)
+def filter_cells(filters: Filters) -> FilterCells:
+    """Return the responses on the circle of filters in units of one sample."""
+    chains = factors_of(filters)
+
+    def series(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
+        return [over_halves(chain, middle, half, is_wide) for chain in chains]
+
+    return cells_of(series)
+
+
+def cells_of(functions: Functions) -> FilterCells:
+    """Return functions on the circle."""
+    edges = np.linspace(-_MARGIN, np.pi + _MARGIN, _FIRST_CELLS + 1)
+    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+    largest: np.ndarray | float = 0.0
+    done: list[_Known] = []
+    for halving in range(_MOST_HALVINGS + 1):
+        with np.errstate(invalid="ignore"):  # 0 times what has no bound
+            known = _known_of(functions, middle, half)
+        largest = np.fmax(largest, np.nanmax(abs(known.series[:, :, 0]), axis=0))
+        enough = np.all(known.remainder <= _REMAINDER * (known.size + _SMALL * largest), axis=1)
+        enough |= (halving == _MOST_HALVINGS) or (len(middle) > _MOST_CELLS)
+        done.append(known.some(enough))
+        if enough.all():
+            break
+        middle, half = known.middle[~enough], 0.5 * known.half[~enough]
+        middle, half = np.concatenate([middle - half, middle + half]), np.tile(half, 2)
+    whole = _Known(*(np.concatenate(parts) for parts in zip(*done, strict=True)))
+    whole = whole.some(np.argsort(whole.middle))
+    ends = whole.middle + whole.half
+    return FilterCells(
+        middle=whole.middle,
+        half=whole.half,
+        first=np.append(-_MARGIN, 0.5 * (ends[:-1] + (whole.middle - whole.half)[1:])),
+        series=whole.series,
+        lost=whole.lost,
+        steepness=largest_from(whole.steepness),
+    )
+
+
+def responses_at(filters: Filters, z: Array) -> tuple[Array, Array]:
+    """Return P and V at points on the circle, of NumPy or JAX, without a bound."""
+    values = []
+    for chain in factors_of(filters):
+        value = 1.0 + 0.0 * z
+        for above, below in chain:
+            one, other = (_at(part, 1.0 / z) for part in (above, below))
+            value = value * one / other
+        values.append(value)
+    return values[0], values[1]
+
+
+def _at(ascending: Polynomial, back: Array) -> Array:
+    return reduce(lambda value, c: value * back + float(c.rounded()), ascending[::-1], 0.0 * back)
+
+
+def factors_of(filters: Filters, sample_time: float = 1.0) -> tuple[list[Factor], list[Factor]]:
+    """Return short factors of P and of T V, whose first one is (1 - z^-n) / n."""
+    velocity, position = filters
+    samples, stages = velocity.stages(sample_time)
+    part = DoubleDouble.of(1.0) / float(samples)
+    over_window = (part, *(_ZERO,) * (samples - 1), -part)
+    of_velocity = [(over_window, ONE), *map(_in_lags, stages)]
+    return [_in_lags(stage) for stage in position.stages(sample_time)], of_velocity
+
+
+def _in_lags(transfer: Transfer) -> Factor:
+    """Return numerator and denominator in powers of 1/z."""
+    above, below, lag = transfer[:3]
+    return (_ZERO,) * (lag + len(below) - len(above)) + above, below
+
+
+# --------------------------------------------------------------------------------------- series
+class _Known(NamedTuple):
+    """What is known of some cells, the cell on the first axis, P and V on the next."""
+
+    middle: Cells
+    half: Cells
+    remainder: np.ndarray  # what the series leave
+    size: np.ndarray  # of the functions
+    series: np.ndarray
+    lost: np.ndarray
+    steepness: np.ndarray
+
+    def some(self, which: np.ndarray) -> "_Known":
+        """Return chosen cells, in any order."""
+        return _Known(*(part[which] for part in self))
+
+
+class Circle(NamedTuple):
+    """Cells of an angle, and 1 - e^(-i theta) in them: in their middles, or in all of them."""
+
+    middle: Cells
+    half: Cells
+    is_wide: bool
+    step: Series
+
+    @classmethod
+    def of(cls, middle: Cells, half: Cells, is_wide: bool) -> "Circle":
+        """Return cells with the step in them."""
+        return cls(middle, half, is_wide, difference(middle, half)[is_wide])
+
+    def product(self, chain: list[Factor]) -> Series:
+        """Return the product of all factors."""
+        series = []
+        for above, below in chain:
+            series.append(self.polynomial(above))
+            if len(below) > 1:
+                series.append(self.polynomial(below).reciprocal())
+        return reduce(Series.__mul__, series) if series else constant(1.0, len(self.middle))
+
+    def polynomial(self, ascending: Polynomial) -> Series:
+        """Return a polynomial in e^(-i theta), lowest power first."""
+        if len(ascending) > 3:
+            weights = [float(one.rounded()) for one in ascending]
+            return power_sum(weights, self.middle, self.half)[self.is_wide]
+        one, first, second = (*ascending, _ZERO, _ZERO)[:3]
+        constant_, linear, square = (
+            self.known(number, ascending)
+            for number in (one + first + second, -(first + second.scaled(2.0)), second)
+        )
+        return constant_ + self.step * (linear + self.step * square)
+
+    def known(self, number: DoubleDouble, of: Polynomial) -> Series:
+        """Return the series of a number that was formed from some coefficients in pairs."""
+        exact = constant(float(number.rounded()), len(self.middle))
+        exact.error[0] = _PAIRS_LOST * float(size_of(of)) + _EPS * abs(exact.value[0])
+        return exact
+
+
+def _known_of(functions: Functions, middle: Cells, size: Cells) -> _Known:
+    half = size * _OVERLAP
+    narrow, wide = (functions(middle, half, is_wide) for is_wide in (False, True))
+    lost = [lost_of(*both, half, k) for k in range(2) for both in zip(narrow, wide, strict=True)]
+    return _Known(
+        middle=middle,
+        half=size,
+        remainder=np.stack([bound_of(of_cell, ORDERS - 1) for of_cell in wide], axis=-1)
+        * half[:, None] ** (ORDERS - 1),
+        size=np.stack([abs(f.value[0]) + abs(f.value[1]) * half for f in wide], axis=-1),
+        series=np.stack([f.value[:-1].T for f in narrow], axis=1).astype(np.complex128),
+        lost=np.stack(lost, axis=-1),
+        steepness=np.stack([factorial(k) * bound_of(f, k) for k in (1, 2) for f in wide], axis=-1),
+    )
+
+
+def over_halves(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool) -> Series:
+    """Return a function of theta; next to pi it is that of -z and of pi - theta, conjugated."""
+    is_near = middle < 0.5 * np.pi
+    near = Circle.of(middle[is_near], half[is_near], is_wide).product(chain)
+    folded = (np.pi - middle[~is_near]) + PI_REST
+    mirrored = [(turned(above), turned(below)) for above, below in chain]
+    far = Circle.of(folded, half[~is_near], is_wide).product(mirrored)
+    value = np.empty((ORDERS, len(middle)), complex)
+    error = np.empty((ORDERS, len(middle)))
+    signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
+    value[:, is_near], value[:, ~is_near] = near.value, far.value.conj() * signs
+    error[:, is_near], error[:, ~is_near] = near.error, far.error
+    return Series(value, error)
+
+
+def turned(ascending: Polynomial) -> Polynomial:
+    """Return the polynomial of -z."""
+    return tuple(-one if power % 2 else one for power, one in enumerate(ascending))
+
+
+def bound_of(wide: Series, order: int) -> Cells:
+    """Bound a coefficient in all of each cell."""
+    bound = abs(wide.value[order]) + wide.error[order]
+    return np.where(bound >= 0.0, bound, np.inf)
+
+
+def lost_of(narrow: Series, wide: Series, half: Cells, derivative: int) -> Cells:
+    """Bound the error of the sum of a series, or of its derivative."""
+    total = 4.0 * _EPS * factorial(derivative + 1) * bound_of(wide, derivative + 1)  # of theta
+    for k in range(derivative, ORDERS - 1):
+        error = narrow.error[k] + 2 * ORDERS * _EPS * abs(narrow.value[k])
+        total += perm(k, derivative) * error * half ** (k - derivative)
+    last = ORDERS - 1
+    total += perm(last, derivative) * bound_of(wide, last) * half ** (last - derivative)
+    return np.where(total >= 0.0, total, np.inf)
+
+
+def largest_from(
+    cells: Float64[np.ndarray, "cell bound"],
+) -> Float64[np.ndarray, "k cell bound"]:
+    """Return the largest of 2^k rows from each one on, for each k."""
+    rows, span = [cells], 1
+    while 2 * span <= len(cells):
+        longer = rows[-1].copy()
+        longer[:-span] = np.maximum(rows[-1][:-span], rows[-1][span:])
+        rows.append(longer)
+        span *= 2
+    return np.stack(rows)
+
+
+# The wall's part of g over boxes of loops and angles: H = alpha P(z) + beta V(z).
+#
+# P is the position filter and V the velocity estimator. Without filters P = 1 and V = 1 - 1/z, in
+# closed form; else both come from ``jaxstab.proofs.filters``.
+
+Reals = Float64[np.ndarray, " boxes"]
+
+Complexes = Complex128[np.ndarray, " boxes"]
+
+
+class Gains(NamedTuple):
+    """alpha and beta of boxes, their half-widths, and the angle with its half-width."""
+
+    alpha: Reals
+    beta: Reals
+    by_alpha: Reals
+    by_beta: Reals
+    theta: Reals
+    by_theta: Reals
+
+
+class Wall(NamedTuple):
+    """H over boxes.
+
+    value: H in the middle of each box.
+    per_alpha: dH/dalpha there, P.
+    per_beta: dH/dbeta there, V.
+    per_theta: dH/dtheta there; None for i beta/z.
+    size: a bound of |H| in the box.
+    change: a bound of how far alpha and beta move H at the middle angle.
+    slope: a bound of |dH/dtheta| in the box.
+    bend: a bound of |d^2H/dtheta^2| in the box; None where ``slope`` is one.
+    turned_change: a bound of how far alpha and beta move dH/dtheta in the box.
+    terms: a bound of the terms whose sum is H.
+    lost: a bound of the error of H beyond roundings of its terms.
+    """
+
+    value: Complexes
+    per_alpha: Complexes | float
+    per_beta: Complexes
+    per_theta: Complexes | None
+    size: Reals
+    change: Reals
+    slope: Reals
+    bend: Reals | None
+    turned_change: Reals
+    terms: Reals
+    lost: Reals | float
+
+
+def wall_over(gains: Gains, back: Complexes, filters: Filters | None) -> Wall:
+    """Return the wall over boxes; ``back`` is 1/z in their middles."""
+    if filters is None:
+        return _plain_wall(gains, back)
+    return _filtered_wall(gains, filter_cells(filters))
+
+
+def _plain_wall(gains: Gains, back: Complexes) -> Wall:
+    lag = 1.0 - back
+    value = gains.alpha + gains.beta * lag
+    most_beta = np.abs(gains.beta) + gains.by_beta
+    change = gains.by_alpha + np.abs(lag) * gains.by_beta
+    size = np.abs(value) + change + np.minimum(gains.by_theta, 2.0) * most_beta
+    return Wall(
+        value=value,
+        per_alpha=1.0,
+        per_beta=lag,
+        per_theta=None,
+        size=size,
+        change=change,
+        slope=most_beta,
+        bend=None,
+        turned_change=gains.by_beta,
+        terms=size + np.abs(gains.alpha) + np.abs(gains.beta),
+        lost=0.0,
+    )
+
+
+def _filtered_wall(gains: Gains, cells: FilterCells) -> Wall:
+    alpha, beta, by_alpha, by_beta, theta, by_theta = gains
+    (position, velocity), (position_theta, velocity_theta), lost = responses(cells, theta)
+    steep = largest_within(cells.steepness, cells, theta, by_theta)
+    most_alpha, most_beta = np.abs(alpha) + by_alpha, np.abs(beta) + by_beta
+    value = alpha * position + beta * velocity
+    change = by_alpha * np.abs(position) + by_beta * np.abs(velocity)
+    slope = most_alpha * steep[0] + most_beta * steep[1]
+    size = np.abs(value) + change + by_theta * slope
+    return Wall(
+        value=value,
+        per_alpha=position,
+        per_beta=velocity,
+        per_theta=alpha * position_theta + beta * velocity_theta,
+        size=size,
+        change=change,
+        slope=slope,
+        bend=most_alpha * steep[2] + most_beta * steep[3],
+        turned_change=by_alpha * steep[0] + by_beta * steep[1],
+        terms=size + np.abs(alpha * position) + np.abs(beta * velocity),
+        lost=most_alpha * (lost[0] + by_theta * lost[2])
+        + most_beta * (lost[1] + by_theta * lost[3]),
+    )
+
+
+def cell_numbers(cells: FilterCells, theta: Reals) -> np.ndarray:
+    """Return the cells in which angles lie."""
+    return np.maximum(np.searchsorted(cells.first, theta, "right") - 1, 0)
+
+
+def responses(cells: FilterCells, theta: Reals) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return P and V at angles, (2, box), their derivatives, and bounds of what these lost."""
+    number = cell_numbers(cells, theta)
+    offset = theta - cells.middle[number]
+    series = cells.series[number].T  # (order, 2, box)
+    value, slope = series[-1], np.zeros_like(series[0])
+    for coefficient in series[-2::-1]:
+        slope = slope * offset + value
+        value = value * offset + coefficient
+    is_inside = np.abs(offset) <= cells.half[number] * (1.0 + 1e-9)
+    return value, slope, np.where(is_inside, cells.lost[number].T, np.inf)
+
+
+def largest_within(
+    steepness: np.ndarray, cells: FilterCells, theta: Reals, by_theta: Reals
+) -> np.ndarray:
+    """Return the largest of bounds of cells in theta +- by_theta; infinite beyond the cells."""
+    low, high = theta - by_theta, theta + by_theta
+    first, last = cell_numbers(cells, low), cell_numbers(cells, high)
+    level = np.frexp(last - first + 1)[1] - 1
+    largest = np.maximum(steepness[level, first], steepness[level, last + 1 - (1 << level)])
+    is_inside = (low >= cells.first[0]) & (high <= cells.middle[-1] + cells.half[-1])
+    bounds: np.ndarray = np.where(is_inside, largest.T, np.inf)
+    return bounds
+
+
+# Estimator and position filter on the circle in real parts, as models over patches.
+#
+# With s = 1 - 1/z and h = 1 - cos(theta), s^2 = 2 h s - 2 h, so that on the circle every rational
+# function of z with real coefficients is
+#
+#     one + h rise + slope s,        one = its value at z = 1,
+#
+# with real functions rise and slope of h. Products and quotients of these parts lose no digits next
+# to z = 1; next to z = -1 the parts of the function of -z take their place, and in between the
+# parts follow from the function itself (lemma B12 of docs/proofs.md).
+
+_NEAR = 0.25  # of 0 or pi: there products of parts lose no digits
+
+
+class Ends(NamedTuple):
+    """P and V at z = 1 and -1; ``lost`` bounds the relative error of the values at -1."""
+
+    position_at_one: float
+    at_minus_one: tuple[float, float]
+    lost: float
+
+
+class FilterModels(NamedTuple):
+    """Rise and slope of P and V over patches."""
+
+    position_rise: Moving
+    position_slope: Moving
+    velocity_rise: Moving
+    velocity_slope: Moving
+
+
+class _PartCells(NamedTuple):
+    """Taylor coefficients of the four in the cells of ``filter_cells``, and bounds."""
+
+    series: Float64[np.ndarray, "cell 4 order"]
+    lost: Float64[np.ndarray, "cell 12"]  # of the sums, then of two derivatives
+    steepness: Float64[np.ndarray, "k cell 8"]  # second, then third derivatives
+
+
+class _Parts(NamedTuple):
+    """A function one + h rise + slope s in cells."""
+
+    one: DoubleDouble
+    rise: Series
+    slope: Series
+
+
+@lru_cache(maxsize=32)
+def filter_ends(filters: Filters) -> Ends:
+    """Return the values of filters at z = 1 and -1."""
+    position, velocity = factors_of(filters)
+    at_minus_one = [
+        _value([(turned(above), turned(below)) for above, below in chain])
+        for chain in (position, velocity)
+    ]
+    lost = 2.0**-49
+    for above, below in (*position, *velocity):
+        for part in (above, below, turned(above), turned(below)):
+            value = float(abs(reduce(DoubleDouble.__add__, part).hi))
+            # A value of exactly 0 is one of coefficients that cancel exactly.
+            lost += 2.0**-50 + (2.0**-94 * float(size_of(part)) / value if value else 0.0)
+    return Ends(_value(position), (at_minus_one[0], at_minus_one[1]), lost)
+
+
+def filter_models(
+    filters: Filters, theta: Cells, half: Float64[np.ndarray, "variable patch"]
+) -> FilterModels:
+    """Return models over patches of theta, which is the first of their variables."""
+    cells, parts = filter_cells(filters), _part_cells(filters)
+    number = cell_numbers(cells, theta)
+    offset = theta - cells.middle[number]
+    series = parts.series[number].T  # (order, 4, patch)
+    derivatives = []
+    for k in range(3):
+        total = np.zeros_like(series[0])
+        for order in range(len(series) - 1, k - 1, -1):
+            total = total * offset + factorial(order) / factorial(order - k) * series[order]
+        derivatives.append(total)
+    lost = parts.lost[number].T.reshape(3, 4, -1)
+    steep = largest_within(parts.steepness, cells, theta, half[0]).reshape(2, 4, -1)
+    still = np.zeros((len(half) - 1, len(theta)))
+
+    def model(part: int, k: int) -> LinearModel:
+        rest = 0.5 * steep[k, part] * half[0] ** 2 + lost[k, part] + half[0] * lost[k + 1, part]
+        slope = np.concatenate([derivatives[k + 1][None, part], still])
+        return LinearModel(derivatives[k][part], slope, rest, half)
+
+    return FilterModels(*(Moving(model(part, 0), model(part, 1)) for part in range(4)))
+
+
+def _value(chain: list[Factor]) -> float:
+    """Return a function at z = 1."""
+    quotients = (
+        reduce(DoubleDouble.__add__, above) / reduce(DoubleDouble.__add__, below)
+        for above, below in chain
+    )
+    return float(reduce(DoubleDouble.__mul__, quotients, _ONE).rounded())
+
+
+@lru_cache(maxsize=32)
+def _part_cells(filters: Filters) -> _PartCells:
+    cells = filter_cells(filters)
+    half = cells.half * _OVERLAP
+    narrow, wide = (
+        [part for chain in factors_of(filters) for part in _parts(chain, cells.middle, half, whole)]
+        for whole in (False, True)
+    )
+    lost = [lost_of(*both, half, k) for k in range(3) for both in zip(narrow, wide, strict=True)]
+    return _PartCells(
+        series=np.stack([part.value[:-1].T for part in narrow], axis=1),
+        lost=np.stack(lost, axis=-1),
+        steepness=largest_from(
+            np.stack([factorial(k) * bound_of(f, k) for k in (2, 3) for f in wide], axis=-1)
+        ),
+    )
+
+
+def _parts(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool) -> tuple[Series, Series]:
+    """Return rise and slope of a function."""
+    rows = np.zeros((2, 2, ORDERS, len(middle)))
+    is_first, is_last = middle < _NEAR, middle > np.pi - _NEAR
+    for function, which in (
+        (_next_to_one, is_first),
+        (_between, ~is_first & ~is_last),
+        (_next_to_minus_one, is_last),
+    ):
+        with np.errstate(invalid="ignore"):
+            some = function(chain, middle[which], half[which], is_wide)
+        for part, series in zip(rows, some, strict=True):
+            part[0][:, which], part[1][:, which] = series.value, series.error
+    return Series(*rows[0]), Series(*rows[1])
+
+
+def _next_to_one(
+    chain: list[Factor], middle: Cells, half: Cells, is_wide: bool
+) -> tuple[Series, Series]:
+    parts = _Algebra.over(middle, half, is_wide).product(chain)
+    return parts.rise, parts.slope
+
+
+def _between(
+    chain: list[Factor], middle: Cells, half: Cells, is_wide: bool
+) -> tuple[Series, Series]:
+    h, sine, function = _real_and_imaginary(chain, middle, half, is_wide)
+    slope = function[1] * sine.reciprocal()
+    zero = function[0] + _negative(h * slope + constant(_value(chain), len(middle)))
+    return zero * h.reciprocal(), slope
+
+
+def _real_and_imaginary(
+    chain: list[Factor], middle: Cells, half: Cells, is_wide: bool
+) -> tuple[Series, Series, tuple[Series, Series]]:
+    """Return h, the sine, and both parts of the function."""
+    circle = Circle.of(middle, half, is_wide)
+    step, whole = circle.step, circle.product(chain)
+    value = whole.value.astype(np.complex128)
+    parts = Series(value.real, whole.error), Series(value.imag, whole.error)
+    return Series(step.value.real, step.error), Series(step.value.imag, step.error), parts
+
+
+def _next_to_minus_one(
+    chain: list[Factor], middle: Cells, half: Cells, is_wide: bool
+) -> tuple[Series, Series]:
+    """Return the parts from those of the function of -z, of theta' = pi - theta.
+
+    With s' = 1 + 1/z a function zero' + slope' s' is zero' + 2 slope' - slope' s.
+    """
+    mirror = _Algebra.over((np.pi - middle) + PI_REST, half, is_wide)
+    parts = mirror.product([(turned(above), turned(below)) for above, below in chain])
+    count = len(middle)
+    zero = _backwards(mirror.zero(parts) + parts.slope * constant(2.0, count))
+    step = Circle.of(middle, half, is_wide).step
+    h = Series(step.value.real, step.error)
+    rise = (zero + constant(-_value(chain), count)) * h.reciprocal()
+    return rise, _backwards(_negative(parts.slope))
+
+
+class _Algebra(NamedTuple):
+    """Arithmetic with parts over cells next to z = 1."""
+
+    circle: Circle
+    h: Series
+
+    @classmethod
+    def over(cls, middle: Cells, half: Cells, is_wide: bool) -> "_Algebra":
+        circle = Circle.of(middle, half, is_wide)
+        return cls(circle, Series(circle.step.value.real, circle.step.error))
+
+    def product(self, chain: list[Factor]) -> _Parts:
+        """Return the parts of a product of factors."""
+        nothing = self.number(0.0)
+        parts = _Parts(_ONE, nothing, nothing)
+        for above, below in chain:
+            parts = self.times(parts, self.polynomial(above))
+            if len(below) > 1:
+                parts = self.times(parts, self.inverse(below))
+        return parts
+
+    def polynomial(self, ascending: Polynomial) -> _Parts:
+        """Return the parts of a polynomial in 1/z, lowest power first."""
+        one = reduce(DoubleDouble.__add__, ascending)
+        if len(ascending) > 3:
+            middle, half = self.circle.middle, self.circle.half
+            sums = (
+                power_sum(weights, middle, half)[self.circle.is_wide]
+                for weights in _cosines(ascending)
+            )
+            return _Parts(one, *(Series(each.value.real, each.error) for each in sums))
+        zero = DoubleDouble(0.0, 0.0)
+        _, first, second = (*ascending, zero, zero)[:3]
+        bend = self.circle.known(second.scaled(2.0), ascending)
+        straight = self.circle.known(-(first + second.scaled(2.0)), ascending)
+        return _Parts(one, _negative(bend), straight + bend * self.h)
+
+    def inverse(self, below: Polynomial) -> _Parts:
+        """Return the parts of the reciprocal of a polynomial."""
+        one, rise, slope = self.polynomial(below)
+        whole = self.circle.polynomial(below)
+        conjugate = Series(whole.value.conj(), whole.error)
+        norm = whole * conjugate
+        over_norm = Series(norm.value.real, norm.error).reciprocal()
+        double = self.number(2.0)
+        fall = rise * (self.zero(_Parts(one, rise, slope)) + double * self.h * slope)
+        fall = fall + double * slope * slope
+        inverse = _ONE / one
+        over_one = self.circle.known(-inverse, (inverse,))
+        return _Parts(inverse, fall * over_norm * over_one, _negative(slope * over_norm))
+
+    def times(self, one: _Parts, other: _Parts) -> _Parts:
+        """Return the parts of a product."""
+        a, b = (self.circle.known(each.one, (each.one,)) for each in (one, other))
+        both = one.slope * other.slope
+        rise = one.rise * b + other.rise * a + self.h * one.rise * other.rise
+        rise = rise + both * self.number(-2.0)
+        slope = self.zero(one) * other.slope + self.zero(other) * one.slope
+        slope = slope + self.number(2.0) * self.h * both
+        return _Parts(one.one * other.one, rise, slope)
+
+    def zero(self, parts: _Parts) -> Series:
+        """Return one + h rise."""
+        return self.circle.known(parts.one, (parts.one,)) + self.h * parts.rise
+
+    def number(self, value: float) -> Series:
+        """Return the series of an exact number."""
+        return constant(value, len(self.circle.middle))
+
+
+def _cosines(ascending: Polynomial) -> tuple[list[float], list[float]]:
+    """Return weights of cosines of the rise and the slope of a polynomial in 1/z.
+
+    With U_k = sin((k + 1) theta)/sin(theta), 1/z^k is U_(k-1) - U_(k-2) - U_(k-1) s, and a U is a
+    sum of cosines; (cos(k theta) - 1)/h is minus k and twice those below k, weighted (Fejer).
+    """
+    count = len(ascending)
+    weights = [Fraction(float(pair.hi)) + Fraction(float(pair.lo)) for pair in ascending]
+    zero, slope, rise = ([Fraction(0)] * count for _ in range(3))
+    zero[0] = weights[0]
+    for power, weight in enumerate(weights):
+        for k in range(power - 1, -power, -2):
+            zero[abs(k)] += weight
+            slope[abs(k)] -= weight
+        for k in range(power - 2, 1 - power, -2):
+            zero[abs(k)] -= weight
+    for k in range(1, count):
+        rise[0] -= k * zero[k]
+        for order in range(1, k):
+            rise[order] -= 2 * (k - order) * zero[k]
+    return list(map(float, rise)), list(map(float, slope))
+
+
+def _negative(series: Series) -> Series:
+    return Series(-series.value, series.error)
+
+
+def _backwards(series: Series) -> Series:
+    """Return the series of f(-x)."""
+    signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
+    return Series(series.value * signs, series.error)

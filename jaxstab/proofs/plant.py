@@ -1,0 +1,577 @@
+"""The plant's coefficients over whole boxes of hands, enclosed.
+
+How far they can bend follows from lemmas B1 and B2 of docs/proofs.md: the plant's response to an
+impulse stays below t, its velocity below 1, and derivatives by gamma and delta are convolutions.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+from math import pi
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
+from jaxstab.model import by_name, plant_coefficients
+from jaxstab.model.plant import pairs_error
+from jaxstab.region.curve import SliceCoefficients
+
+# The two real equations for a pair of roots on the unit circle, in a form quick to compute.
+#
+# With z = e^(i theta), m = floor(delay) + 1 and the notation of ``jaxstab.region.curve``,
+#
+#     g = p(z) / z^(m + 2) = D/z + z^-m (N/z) H,      H = alpha + beta (1 - 1/z).
+#
+# g is continuous in all six variables, in the delay too. Re g and Im g / sin(theta) are even and 2
+# pi-periodic in theta, so the equations Re g = 0, Im g / sin(theta) = 0 of a pair of roots go on
+# smoothly to theta = 0 and pi, where the pair meets a real root.
+
+_DOUBLINGS = 12  # enough for the stiffest and most damped hands
+
+_TERMS = 12  # enough for a time in which the plant moves by 1/4
+
+_LOST = 16 * np.finfo(np.float64).eps
+
+"""More than each of n2, n1, n0 and d0 of a quick plant has lost; d1 loses more for a stiff hand."""
+
+
+class Motion(NamedTuple):
+    """Position and velocity after a unit step of force on the plant at rest.
+
+    The velocity is the plant's response h to an impulse, the position its integral.
+    """
+
+    position: Float64[Array, "*grid"]
+    velocity: Float64[Array, "*grid"]
+
+
+def motion(gamma: Array, delta: Array, time: Array) -> Motion:
+    """Sum a Taylor series for a small time and double that time: sums keep their accuracy."""
+    xp = namespace(gamma, delta, time)
+    doublings = _doublings(gamma, delta) if xp is np else _DOUBLINGS
+    short = time * 2.0**-doublings
+    before, term = xp.zeros_like(short), 0.5 * short**2
+    position, moment = term, 2.0 * term
+    for k in range(2, _TERMS):
+        following = -(delta * short * term + gamma * short**2 * before / k) / (k + 1)
+        before, term = term, following
+        position, moment = position + term, moment + (k + 1) * term
+
+    def doubled(half: Motion) -> Motion:
+        p, v = half
+        return Motion(2 * p - gamma * p**2 + v**2, 2 * v - delta * v**2 - 2 * gamma * p * v)
+
+    start = Motion(position, moment / xp.where(short == 0.0, 1.0, short))
+    if xp is not np:
+        return repeat(_DOUBLINGS, doubled, start)
+    moved = start
+    for count in range(int(np.max(doublings, initial=0.0))):
+        moved = Motion(*map(partial(np.where, count < doublings), doubled(moved), moved))
+    return moved
+
+
+def _doublings(gamma: Array, delta: Array) -> Array:
+    """Return how often to double the time in which a plant moves by no more than about 1/4."""
+    rates = 4.0 * (np.sqrt(np.abs(gamma)) + np.abs(delta))
+    return np.ceil(np.log2(np.fmax(np.fmin(rates, 2.0**_DOUBLINGS), 1.0)))  # whatever is NaN
+
+
+class QuickPlant(NamedTuple):
+    """D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, with some slopes, in plain float64.
+
+    ``impulse`` and ``kept`` are position and velocity one sample after an impulse, ``early`` and
+    ``late`` the slopes by the delay: n2 loses early, n0 gains late, n1 the rest. ``d_error`` and
+    ``n_error`` bound the errors of D and N on the circle, beyond a few roundings of their terms.
+    """
+
+    d1: Float64[Array, "*grid"]
+    d0: Float64[Array, "*grid"]
+    n2: Float64[Array, "*grid"]
+    n1: Float64[Array, "*grid"]
+    n0: Float64[Array, "*grid"]
+    sum: Float64[Array, "*grid"]
+    impulse: Float64[Array, "*grid"]
+    kept: Float64[Array, "*grid"]
+    early: Float64[Array, "*grid"]
+    late: Float64[Array, "*grid"]
+    d_error: Float64[Array, "*grid"]
+    n_error: Float64[Array, "*grid"]
+
+
+def accurate_plant(
+    gamma: Float64[np.ndarray, " loop"],
+    delta: Float64[np.ndarray, " loop"],
+    delay: Float64[np.ndarray, " loop"],
+) -> QuickPlant:
+    """Return the sampled plants of loops to full precision; equal plants are computed once."""
+    hands = np.stack([gamma, delta, delay - np.floor(delay)], axis=-1)
+    hands, number = np.unique(hands, axis=0, return_inverse=True)
+    alone = len(hands) == 1
+    # Single ones are remembered.
+    exact = plant_coefficients(**by_name(*hands[0] if alone else hands.T))
+    plant = quick_plant(*hands.T)._replace(
+        d1=exact.d1, d0=exact.d0, n2=exact.n2, n1=exact.n1, n0=exact.n0, sum=exact.sum
+    )
+    zero = np.zeros(len(hands))
+    plant = plant._replace(d_error=zero, n_error=zero)
+    return QuickPlant(*(np.broadcast_to(part, len(hands))[number.ravel()] for part in plant))
+
+
+def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
+    """Return the sampled plant, good to about 1e-14 of one."""
+    xp = namespace(gamma, delta, delay)
+    rest_of_sample = xp.floor(delay) + 1.0 - delay
+    times = xp.stack(xp.broadcast_arrays(xp.ones_like(gamma + delta), rest_of_sample))
+    full, held = map(Motion, *motion(gamma, delta, times))
+    kept = 1.0 - delta * full.velocity - gamma * full.position
+    total = full.position + full.velocity**2 - kept * full.position
+    later = full.position - held.position
+    n2, early = held
+    n1 = later + full.velocity * early - kept * n2
+    n0 = full.velocity * (full.velocity - early) - kept * later
+    late = full.velocity * (1.0 - gamma * n2) - early * (1.0 - gamma * full.position)
+    d1, d0 = gamma * full.position - 1.0 - kept, xp.exp(-delta)
+    slopes = (full.velocity, kept, early, late)
+    errors = (_LOST * (2.0 + xp.sqrt(abs(gamma))), xp.full_like(n1, 4.0 * _LOST))
+    return QuickPlant(d1, d0, n2, n1, n0, total, *slopes, *errors)
+
+
+def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
+    """Return the slice for radius 1 in plain float64: quick to compile and to differentiate.
+
+    Good to about 1e-14 of one, where ``slice_coefficients`` gives each value digits of its own.
+    """
+    xp = namespace(gamma, delta, delay)
+    plant = quick_plant(gamma, delta, delay)
+    one = xp.ones_like(plant.d0)
+    return SliceCoefficients(
+        radius=one,
+        turns=xp.floor(delay) + 1.0,
+        gain=one,
+        ratio=gamma,
+        kappa=1.0 + plant.d0,
+        eps=-xp.expm1(-delta),
+        sigma=plant.n2 + plant.n0,
+        nu=plant.n2 - plant.n0,
+        den_plus=gamma * plant.sum,
+        den_minus=1.0 - plant.d1 + plant.d0,
+        num_plus=plant.sum,
+        num_minus=plant.n2 - plant.n1 + plant.n0,
+    )
+
+
+def circle_equations(
+    c: SliceCoefficients, alpha: Numbers, beta: Numbers, theta: Array
+) -> tuple[Array, Array]:
+    """Return Re g and Im g / sin(theta); differentiable, and smooth in theta at 0 and pi."""
+    xp = namespace(c, alpha, beta, theta)
+    upper = theta > pi / 2
+    folded = xp.where(upper, (pi - theta) + PI_REST, theta)
+    sine, is_end = xp.sin(folded), folded == 0.0
+    turn = xp.where(upper, 1.0 - 2.0 * (c.turns % 2.0), 1.0)
+    cosine_m = turn * xp.cos(c.turns * folded)
+    ratio = xp.where(
+        is_end, c.turns, xp.sin(c.turns * folded) / xp.where(is_end, 1.0, sine)
+    )  # sin(m theta) / sin(theta)
+    ratio_m = xp.where(upper, -turn, 1.0) * ratio
+    near, far = 2.0 * xp.sin(0.5 * folded) ** 2, 2.0 * xp.cos(0.5 * folded) ** 2
+    h, rest = xp.where(upper, far, near), xp.where(upper, near, far)  # 1 -+ cos(theta)
+    d = xp.where(upper, c.kappa * rest - c.den_minus, c.den_plus - c.kappa * h)
+    q = xp.where(upper, c.sigma * rest - c.num_minus, c.num_plus - c.sigma * h)
+    wall = alpha + beta * h
+    # (N/z) H = push + i sin(theta) turned
+    push = q * wall - c.nu * beta * sine**2
+    turned = q * beta + c.nu * wall
+    real = d + cosine_m * push + ratio_m * sine**2 * turned
+    imaginary = c.eps + cosine_m * turned - ratio_m * push
+    return real, imaginary
+
+
+# Functions over whole boxes, with proved bounds: a value, slopes, and a remainder.
+#
+# A linear model stands for every function f with
+#
+#     |f(x) - centre - sum_k slope_k dx_k| <= rest        for all |dx_k| <= half_k,
+#
+# and arithmetic with models gives models of the results (Taylor models of first order; Makino, Berz
+# 1996). Rounding is counted with the rest. In batches, real or complex. NumPy only.
+
+Floats = Any  # real or complex arrays
+
+Number = Any  # the same, or one number
+
+_ROUNDING = 32 * np.finfo(np.float64).eps  # of the largest term: no operation below has 32
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """A function over boxes of half-widths ``half``; where no bound is known, ``rest`` is infinite.
+
+    Attributes:
+        centre: value in the middle of each box, shape (*box).
+        slope: derivatives there, (variable, *box).
+        rest: bound of what these leave, (*box).
+        half: half-widths of the boxes, (variable, *box).
+        has_products: whether the variables are x_1 ... x_n, t, the square of t less half of its
+            largest value, and t x_1 ... t x_n. If so, arithmetic keeps these products; otherwise
+            they count as remainder.
+    """
+
+    centre: Floats
+    slope: Floats
+    rest: Floats
+    half: Floats
+    has_products: bool = False
+
+    @property
+    def swing(self) -> Floats:
+        """How far the function can be from its centre."""
+        return self._sloped + self.rest
+
+    @property
+    def size(self) -> Floats:
+        """A bound of its absolute value."""
+        return abs(self.centre) + self.swing
+
+    @property
+    def low(self) -> Floats:
+        """A lower bound of a real function."""
+        return self.centre - self.swing
+
+    @property
+    def high(self) -> Floats:
+        """An upper bound of a real function."""
+        return self.centre + self.swing
+
+    def some(self, boxes: Any) -> "LinearModel":
+        """Return the models of chosen boxes: an index of numbers, of truth values, or a slice."""
+        parts = self.centre[boxes], self.slope[:, boxes], self.rest[boxes], self.half[:, boxes]
+        return LinearModel(*parts, self.has_products)
+
+    @staticmethod
+    def joined(models: "list[LinearModel]") -> "LinearModel":
+        """Return the models of the boxes of one, then of the next, all in the same variables."""
+        centre, slope, rest, half = (
+            np.concatenate([getattr(model, name) for model in models], axis=-1)
+            for name in ("centre", "slope", "rest", "half")
+        )
+        return LinearModel(centre, slope, rest, half, models[0].has_products)
+
+    def __add__(self, other: "LinearModel | Number") -> "LinearModel":
+        if not isinstance(other, LinearModel):
+            return self._with(self.centre + other, self.slope, self.rest)
+        rest = self.rest + other.rest
+        return self._like(other)._with(self.centre + other.centre, self.slope + other.slope, rest)
+
+    def __neg__(self) -> "LinearModel":
+        return self._of(-self.centre, -self.slope, self.rest)
+
+    def __sub__(self, other: "LinearModel | Number") -> "LinearModel":
+        return self.__add__(-other)
+
+    def __rsub__(self, other: Number) -> "LinearModel":
+        return (-self).__add__(other)
+
+    def __mul__(self, other: "LinearModel | Number") -> "LinearModel":
+        if not isinstance(other, LinearModel):
+            return self._with(self.centre * other, self.slope * other, self.rest * abs(other))
+        slope = self.centre * other.slope + other.centre * self.slope
+        with np.errstate(invalid="ignore"):  # what has no bound has none when it is taken 0 times
+            rest = abs(self.centre) * other.rest + self.rest * other.size
+            rest = rest + self._sloped * other.swing
+            product, like = self.centre * other.centre, self._like(other)
+            if like.has_products:
+                products = _products(self.slope, other.slope)
+                product, slope, rest = like._with_products(products, product, slope, rest)
+        rest = np.where(rest >= 0.0, rest, np.inf)
+        return like._with(product, slope, rest)
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def reciprocal(self) -> "LinearModel":
+        """Return 1/f; unbounded where f may vanish."""
+        clear = abs(self.centre) - self.swing
+        is_known = clear > 0.0
+        clear, centre = np.where(is_known, clear, 1.0), np.where(is_known, self.centre, 1.0)
+        square, size = centre**2, abs(centre) ** 2
+        inverse, slope = 1.0 / centre, -self.slope / square
+        if self.has_products:
+            products = (part * inverse**3 for part in _products(self.slope, self.slope))
+            rest = self.swing**2 / (size * abs(centre))
+            inverse, slope, rest = self._with_products(tuple(products), inverse, slope, rest)
+            rest = rest + self.swing**3 / (size * abs(centre) * clear)
+        else:
+            rest = self.swing**2 / (size * clear)
+        known = self._with(inverse, slope, rest + self.rest / size)
+        return self._of(known.centre, known.slope, np.where(is_known, known.rest, np.inf))
+
+    def is_off(self, low: Number, high: Number) -> Floats:
+        """Return where a real function is proved to be outside an interval."""
+        return (self.high < low) | (self.low > high)
+
+    @cached_property
+    def _sloped(self) -> Floats:
+        return (abs(self.slope) * self.half).sum(axis=0)
+
+    def _with(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
+        """Return a result of arithmetic on the same boxes, with its rounding."""
+        exact = self._of(centre, slope, rest)
+        rounded = self._of(centre, slope, rest + _ROUNDING * exact.size)
+        vars(rounded)["_sloped"] = exact._sloped  # the slopes are the same
+        return rounded
+
+    def _of(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
+        return LinearModel(centre, slope, rest, self.half, self.has_products)
+
+    def _like(self, other: "LinearModel") -> "LinearModel":
+        """Return one of two models of the same boxes, if possible one that keeps products."""
+        return other if other.has_products else self
+
+    def _with_products(
+        self, products: tuple[Floats, Floats, Floats], centre: Floats, slope: Floats, rest: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Put products of t with the variables from what is left into their own variables.
+
+        The slope is changed in place.
+        """
+        square, *parts = products
+        t = len(self.half) // 2 - 1
+        half, halves = self.half[t + 1], self.half[t + 2 :]
+        slope[t + 1] += square
+        for part in parts:
+            slope[t + 2 :] += part
+        taken = 2.0 * abs(square) * half + ((abs(parts[0]) + abs(parts[1])) * halves).sum(axis=0)
+        rest = rest * (1.0 + _ROUNDING) - taken
+        return centre + square * half, slope, rest
+
+
+def _products(one: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return coefficients of the square of t in a product, and twice those of t and the others."""
+    t = len(one) // 2 - 1
+    return one[t] * other[t], one[t] * other[:t], one[:t] * other[t]
+
+
+@dataclass(frozen=True)
+class Moving:
+    """A function of boxes, and its derivative by one of the variables."""
+
+    value: LinearModel
+    rate: LinearModel
+
+    def __add__(self, other: "Moving | LinearModel | Number") -> "Moving":
+        if isinstance(other, Moving):
+            return Moving(self.value + other.value, self.rate + other.rate)
+        return Moving(self.value + other, self.rate)
+
+    def __neg__(self) -> "Moving":
+        return Moving(-self.value, -self.rate)
+
+    def __sub__(self, other: "Moving | LinearModel | Number") -> "Moving":
+        return self + -other
+
+    def __rsub__(self, other: LinearModel | Number) -> "Moving":
+        return -self + other
+
+    def __mul__(self, other: "Moving | LinearModel") -> "Moving":
+        if isinstance(other, Moving):
+            rate = self.value * other.rate + other.value * self.rate
+            return Moving(self.value * other.value, rate)
+        return Moving(self.value * other, self.rate * other)
+
+    def reciprocal(self) -> "Moving":
+        """Return 1/f; unbounded where f may vanish."""
+        inverse = self.value.reciprocal()
+        return Moving(inverse, -(self.rate * inverse * inverse))
+
+
+class Bend(NamedTuple):
+    """Bounds of a function's second derivatives by gamma, delta and delay.
+
+    ``delay_thrice`` times gamma + delta bounds the third one by the delay.
+    """
+
+    gamma_twice: float
+    mixed: float
+    delta_twice: float
+    gamma_delay: float = 0.0
+    delta_delay: float = 0.0
+    delay_thrice: float = 0.0
+
+    def rest(self, half_gamma: Floats, half_delta: Floats, half_delay: float = 0.0) -> Floats:
+        """Bound the distance of the function from its tangent within these half-widths."""
+        pure = self.gamma_twice * half_gamma**2 + self.delta_twice * half_delta**2
+        hand = 0.5 * pure + self.mixed * half_gamma * half_delta
+        return hand + half_delay * (self.gamma_delay * half_gamma + self.delta_delay * half_delta)
+
+
+# The tables of lemmas B2 and B16.
+BENDS = {
+    "d1": Bend(1 / 6, 1 / 2, 1.0),
+    "d0": Bend(0.0, 0.0, 1.0),
+    "n2": Bend(1 / 360, 1 / 60, 1 / 12, 1 / 6, 1 / 2, 1),
+    "n1": Bend(1 / 180, 1 / 24, 1 / 3, 1 / 6, 1 / 2, 2),
+    "n0": Bend(1 / 360, 1 / 40, 1 / 4, 1 / 6, 1 / 2, 1),
+    "sum": Bend(1 / 180, 1 / 24, 1 / 3),
+    "difference": Bend(1 / 180, 1 / 24, 1 / 3, 1 / 3, 1.0, 4),
+}
+
+NUMERATOR_SLOPES = (1 / 12, 1 / 2, 2.0)
+
+"""Bounds of the slopes of N by gamma, delta and delay, as sums over its coefficients."""
+
+ROUNDING = 64 * np.finfo(np.float64).eps  # more than the coefficients have
+
+UNDERFLOW = 1e-290  # more than all that is lost by numbers flushed to zero
+
+Boxes = Float64[np.ndarray, " box"]
+
+
+class HandBoxes(NamedTuple):
+    """Boxes of gamma and delta: middles and half-widths."""
+
+    gamma: Boxes
+    delta: Boxes
+    half_gamma: Boxes
+    half_delta: Boxes
+
+
+class PlantModels(NamedTuple):
+    """Linear models of the plant over boxes of gamma, delta and perhaps delay.
+
+    The names are those of ``PlantCoefficients``.
+    """
+
+    gamma: LinearModel
+    d1: LinearModel
+    d0: LinearModel
+    n2: LinearModel
+    n1: LinearModel
+    n0: LinearModel
+    sum: LinearModel
+    difference: LinearModel
+
+
+class CurveParts(NamedTuple):
+    """What the curve takes of the plant alone, as linear models over boxes of hands."""
+
+    gamma: LinearModel
+    sum: LinearModel
+    kappa: LinearModel  # 1 + d0
+    eps: LinearModel  # 1 - d0
+    sigma: LinearModel  # n2 + n0
+    nu: LinearModel  # n2 - n0
+    gamma_sum: LinearModel
+    eps_nu: LinearModel
+    nu_square: LinearModel
+    by_q: LinearModel  # kappa - gamma sigma
+    by_rest: LinearModel  # nu (gamma nu - eps)
+
+    @staticmethod
+    def of(plant: PlantModels) -> "CurveParts":
+        """Return them over the boxes of a plant."""
+        gamma, total = plant.gamma, plant.sum
+        kappa, eps = plant.d0 + 1.0, 1.0 - plant.d0
+        sigma, nu = plant.n2 + plant.n0, plant.n2 - plant.n0
+        products = gamma * total, eps * nu, nu * nu
+        by_q, by_rest = kappa - gamma * sigma, nu * (gamma * nu - eps)
+        return CurveParts(gamma, total, kappa, eps, sigma, nu, *products, by_q, by_rest)
+
+    def over_patches(
+        self, box: Int64[np.ndarray, " patch"], half_theta: Float64[np.ndarray, " patch"]
+    ) -> "CurveParts":
+        """Return the models over patches, each of one of the boxes, with theta before the rest."""
+        has_products, still = self.gamma.has_products, np.zeros((1, box.size))
+
+        def joined(theta: np.ndarray, product: np.ndarray, own: np.ndarray) -> np.ndarray:
+            parts = [theta, own[:4], product, own[4:]] if has_products else [theta, own]
+            return np.concatenate(parts)
+
+        half = self.gamma.half[:, box]
+        by_delay = half_theta * half[2] if has_products else half_theta
+        half = joined(half_theta[None], by_delay[None], half)
+        return CurveParts(
+            *(
+                LinearModel(
+                    part.centre[box],
+                    joined(still, still, part.slope[:, box]),
+                    part.rest[box],
+                    half,
+                    has_products,
+                )
+                for part in self
+            )
+        )
+
+
+def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> PlantModels:
+    """Enclose the plant's coefficients: secants give the slopes, the table bounds the remainder.
+
+    Args:
+        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, of which the fraction enters.
+        half_delay: largest distance of the delay from this one, between the whole samples around
+            it; if it is not 0, the delay is a variable of the models, with its products.
+
+    Raises:
+        ValueError: gamma, delta or delay is outside the range of the model.
+    """
+    h_gamma, h_delta = hands.half_gamma, hands.half_delta
+    still = np.zeros_like(h_gamma)
+    gamma = np.maximum(hands.gamma + np.stack([still, -h_gamma, h_gamma, still, still]), 0.0)
+    delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
+    values = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
+    half = np.stack([h_gamma, h_delta])
+    moves = _delay_moves(hands, delay) if half_delay else {}
+    if half_delay:
+        of_delay = [np.full_like(h_gamma, by) for by in (half_delay, 0.5 * half_delay**2)]
+        half = np.concatenate([half, of_delay, half_delay * half])
+    third = (gamma.max(axis=0) + delta.max(axis=0)) * half_delay**3 / 6.0
+    widths = gamma[2] - gamma[1], delta[4] - delta[3]
+    # More than a rounding is lost of N where it nearly vanishes, and of D where it decays.
+    lost = 8.0 * np.asarray(pairs_error(np.max(gamma, axis=0), np.max(delta, axis=0)))
+    size_n = np.sqrt(np.max(np.asarray(values.sum), axis=0))
+
+    def model(name: str) -> LinearModel:
+        at = np.asarray(getattr(values, name))
+        slope = [_secant(at[1], at[2], widths[0]), _secant(at[3], at[4], widths[1])]
+        # A secant differs from the tangent by as much as the function from its tangent.
+        bend = BENDS[name]
+        secant = bend.rest(h_gamma, 0.0) + bend.rest(0.0, h_delta)
+        rest = bend.rest(h_gamma, h_delta, half_delay) + bend.delay_thrice * third + secant
+        rest += ROUNDING * (np.max(np.abs(at), axis=0) + half_delay)
+        centre = at[0]
+        if half_delay:
+            rate, twice = moves.get(name, (still, still))
+            slope += [rate, twice, still, still]
+            centre = centre + twice * half[3]
+        rest += lost * (1.0 if name in ("d1", "d0") else size_n) + UNDERFLOW
+        return LinearModel(centre, np.stack(slope), rest, half, bool(half_delay))
+
+    along_gamma = np.stack([np.ones_like(still), *[still] * (len(half) - 1)])
+    exact = LinearModel(hands.gamma, along_gamma, still, half, bool(half_delay))
+    return PlantModels(exact, *map(model, PlantModels._fields[1:]))
+
+
+def _delay_moves(hands: HandBoxes, delay: float) -> dict[str, Float64[np.ndarray, "order box"]]:
+    """Return the first and half of the second derivatives of N by the delay.
+
+    Those of others are 0. See lemma B16.
+    """
+    part = delay - np.floor(delay)
+    (went, early), (gone, velocity) = (
+        motion(hands.gamma, hands.delta, np.full_like(hands.gamma, time))
+        for time in (1.0 - part, part)
+    )
+    fading = np.exp(-hands.delta * (1.0 - part))
+    bend = 0.5 * (1.0 - hands.delta * early - hands.gamma * went)
+    n2 = np.stack([-early, bend])
+    n0 = fading * np.stack([velocity, 0.5 * (1.0 - hands.gamma * gone)])
+    return {"n2": n2, "n1": -n2 - n0, "n0": n0, "difference": 2.0 * (n2 + n0)}
+
+
+def _secant(before: Floats, after: Floats, width: Floats) -> Floats:
+    wide = width > 0.0
+    slope: Floats = np.where(wide, (after - before) / np.where(wide, width, 1.0), 0.0)
+    return slope
