@@ -21,8 +21,8 @@ from benchmarks.truth.march import (
 )
 from jaxstab import HapticLoop, SettlingStatus, Velocity
 from jaxstab.model import by_name
-from jaxstab.motion.stretches import positions
-from jaxstab.motion.transition import Loops
+from jaxstab.motion.response import Loops
+from jaxstab.motion.settling import positions
 
 LONG = 4000  # samples, enough for every loop below to come to rest
 

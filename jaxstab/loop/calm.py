@@ -9,10 +9,10 @@ from jaxstab.loop.region import TOLERANCE, wall_region
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
 from jaxstab.motion import amplitude
-from jaxstab.motion.device_amplitudes import device_amplitude
+from jaxstab.motion.amplitude import device_amplitude
 from jaxstab.region import StableRegion
 from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.grid import Grid
+from jaxstab.tuning.gains import Grid
 
 _POINTS = 25  # on an axis
 _ZOOMS = 4

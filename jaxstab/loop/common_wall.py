@@ -10,7 +10,7 @@ from jaxstab.model import LoopParameters
 from jaxstab.motion.settling import Excitation, checked_level, settling_samples
 from jaxstab.numbers import checked_number
 from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.grid import Grid
+from jaxstab.tuning.gains import Grid
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop

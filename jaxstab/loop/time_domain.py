@@ -8,8 +8,7 @@ from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.motion import Amplitude, Response, Settling
-from jaxstab.motion.amplitudes import WallAmplitude
-from jaxstab.motion.device_amplitudes import device_amplitude
+from jaxstab.motion.amplitude import WallAmplitude, device_amplitude
 from jaxstab.motion.response import simulate_device
 from jaxstab.motion.settling import (
     HORIZON,

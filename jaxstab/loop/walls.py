@@ -9,7 +9,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop.time_domain import LoopInTime
 from jaxstab.model import by_name
 from jaxstab.motion import Oscillation
-from jaxstab.motion.oscillation import mode_of
+from jaxstab.motion.response import mode_of
 from jaxstab.numbers import checked_word
 from jaxstab.point import SpectralRadius
 from jaxstab.point.poles import linear_poles

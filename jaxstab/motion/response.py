@@ -4,23 +4,253 @@ Between two events (a sample, the arrival of a delayed force) the force is const
 transition is exact there. This route shares the plant with p(z), but neither z nor polynomials.
 """
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache, reduce
 from math import prod
 from operator import add, mul
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, namespace, repeat_and_keep
+from jaxstab.arrays import (
+    Array,
+    Numbers,
+    fixed,
+    float_arrays,
+    is_any_traced,
+    is_traced,
+    leaves,
+    namespace,
+    pytree,
+    repeat_and_keep,
+)
 from jaxstab.batches import compiled
-from jaxstab.model import LoopParameters, checked_gain, plant_transition, require_x64
+from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
 from jaxstab.model.device import Device
-from jaxstab.model.device.mechanics import mechanics
-from jaxstab.model.filters import Filters, given_filters
-from jaxstab.motion.controller import Controller
+from jaxstab.model.device.mechanics import Mechanics, mechanics
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.transfer import Polynomial, Transfer
+from jaxstab.motion.contraction import Matrices, Systems
 from jaxstab.motion.shown import Column, answer_text
 from jaxstab.numbers import checked, checked_count
+from jaxstab.point.poles import closed_loop_poles
+
+# What the controller runs at each sample: the estimator and the filter as difference equations.
+#
+# The velocity is a difference over a window, then a chain of filters of low orders; the position
+# goes through another chain. The coefficients are those of ``jaxstab.model``, rounded to float64.
+
+Memory = tuple[Array, ...]
+
+
+class Equation(NamedTuple):
+    """y_k = b_0 u_k + ... + b_n u_(k-n) - a_1 y_(k-1) - ... - a_n y_(k-n).
+
+    Coefficients that are 0 are None, so that nothing is computed with them. The memory from sample
+    to sample is the n sums from which the next outputs are made (transposed direct form II).
+    """
+
+    inputs: tuple[Array | None, ...]  # b_0 ... b_n
+    outputs: tuple[Array | None, ...]  # a_1 ... a_n
+
+    @classmethod
+    def of(cls, transfer: Transfer) -> "Equation":
+        """Return the difference equation of a proper transfer function."""
+        above, below, lag, _ = transfer
+        delay = lag + len(below) - len(above)
+        order = max(delay + len(above), len(below)) - 1
+        inputs = (None,) * delay + _rounded(above)
+        outputs = _rounded(below)[1:]
+        return cls(
+            inputs + (None,) * (order + 1 - len(inputs)),
+            outputs + (None,) * (order - len(outputs)),
+        )
+
+    def step(self, value: Array, memory: Memory) -> tuple[Array, Memory]:
+        """Return the output for an input, and the new memory."""
+        output = _plus(memory[0] if memory else 0.0, self.inputs[0], value)
+        return output, self._sums(value, output, (*memory[1:], 0.0))
+
+    def at_rest(self, value: Array) -> tuple[Array, Memory]:
+        """Return the output for an input that never changed, and the memory then."""
+        output = value * (_sum(self.inputs) / (1.0 + _sum(self.outputs)))
+        memory: Memory = ()
+        for order in range(len(self.outputs), 0, -1):
+            below = self.outputs[order - 1]
+            last = memory[0] if memory else 0.0 * value
+            memory = (_less(_plus(last, self.inputs[order], value), below, output), *memory)
+        return output, memory
+
+    def moduli(self) -> "Equation":
+        """Return the equation with the moduli of its coefficients, in which nothing cancels."""
+        return Equation(
+            tuple(one if one is None else abs(one) for one in self.inputs),
+            tuple(one if one is None else -abs(one) for one in self.outputs),
+        )
+
+    def _sums(self, value: Array, output: Array, waiting: Memory) -> Memory:
+        triples = zip(waiting, self.inputs[1:], self.outputs, strict=False)
+        return tuple(
+            _less(_plus(later, above, value), below, output) for later, above, below in triples
+        )
+
+
+Chain = tuple[Equation, ...]
+
+
+@pytree
+@dataclass(frozen=True)
+class Controller:
+    """A velocity estimator, times the sampling period, and a position filter.
+
+    Attributes:
+        velocity: the chain behind the difference.
+        position: the chain of the position filter.
+        window: samples over which the difference is taken.
+    """
+
+    velocity: Chain
+    position: Chain
+    window: int = fixed()
+
+    @classmethod
+    def of(cls, filters: Filters, sample_time: float = 1.0) -> "Controller":
+        """Return the difference equations of an estimator and a filter."""
+        window, behind = filters[0].stages(sample_time)
+        chains = behind, filters[1].stages(sample_time)
+        velocity, position = (tuple(map(Equation.of, chain)) for chain in chains)
+        return cls(velocity, position, window)
+
+    def at_rest(self, position: Array) -> Any:
+        """Return the memory after a device has always stood at one position."""
+        _, behind = _rest_of_chain(self.velocity, 0.0 * position)
+        return (position,) * self.window, behind, _rest_of_chain(self.position, position)[1]
+
+    def step(self, position: Array, memory: Any) -> tuple[Array, Array, Any]:
+        """Return the filtered position, the velocity times the period, and the new memory."""
+        past, behind, beside = memory
+        difference = (position - past[-1]) / self.window
+        velocity, behind = run(self.velocity, difference, behind)
+        filtered, beside = run(self.position, position, beside)
+        return filtered, velocity, ((position, *past[:-1]), behind, beside)
+
+
+class Bank(NamedTuple):
+    """The controller as matrices; columns: position, last difference, memory.
+
+    The memory holds the differences before the last one, as far as the window reaches, then the
+    memory of the velocity's and the position's chains.
+
+    outputs: rows for the filtered position and for the velocity.
+    steps: rows for the memory at the next sample.
+    at_rest: the memory for a device that always stood at position 1.
+    is_velocity: which entries of the memory are velocities.
+    roundings: how often an entry is rounded at most, including the coefficients' own rounding.
+    sizes: outputs and steps again, with moduli in place of the numbers that make up an entry.
+    """
+
+    outputs: Float64[np.ndarray, "2 column"]
+    steps: Float64[np.ndarray, "memory column"]
+    at_rest: Float64[np.ndarray, " memory"]
+    is_velocity: np.ndarray
+    roundings: int
+    sizes: tuple[Float64[np.ndarray, "2 column"], Float64[np.ndarray, "memory column"]]
+
+
+PLAIN = Bank(
+    outputs=np.eye(2),
+    steps=np.zeros((0, 2)),
+    at_rest=np.zeros(0),
+    is_velocity=np.zeros(0, bool),
+    roundings=0,
+    sizes=(np.eye(2), np.zeros((0, 2))),
+)
+
+
+def bank_of(controller: Controller) -> Bank:
+    """Return the matrices of a controller, column by column from its difference equations."""
+    one, zero = np.ones(()), np.zeros(())
+    chains = controller.velocity, controller.position
+    rests = [_rest_of_chain(chain, at) for chain, at in zip(chains, (zero, one), strict=True)]
+    earlier = controller.window - 1
+    memories = rests[0][1], rests[1][1]
+    outputs, steps = _rows(controller.window, chains, memories)
+    moduli = [tuple(equation.moduli() for equation in chain) for chain in chains]
+    at_rest = [np.zeros(earlier), *(np.array(value).ravel() for m in memories for value in m)]
+    velocities = earlier + sum(map(len, memories[0]))
+    return Bank(
+        outputs,
+        steps,
+        at_rest=np.concatenate(at_rest),
+        is_velocity=np.arange(len(steps)) < velocities,
+        roundings=2 + 4 * sum(map(len, chains)),
+        sizes=_rows(controller.window, (moduli[0], moduli[1]), memories),
+    )
+
+
+def _rows(
+    window: int, chains: tuple[Chain, Chain], memories: tuple[Any, Any]
+) -> tuple[Float64[np.ndarray, "2 column"], Float64[np.ndarray, "memory column"]]:
+    """Return the outputs and the steps of a bank; the memories tell how much is remembered."""
+    lengths = [window - 1, *(sum(map(len, memory)) for memory in memories)]
+    units = np.eye(2 + sum(lengths))
+    splits = np.split(units[2:], np.cumsum(lengths)[:2])
+    total = units[1] + splits[0].sum(axis=0)
+    inputs = total / window, units[0]
+    runs = [
+        run(chain, value, _like(memory, split))
+        for chain, value, memory, split in zip(chains, inputs, memories, splits[1:], strict=True)
+    ]
+    steps = [*units[1:window], *(row for _, memory in runs for one in memory for row in one)]
+    return np.array([runs[1][0], runs[0][0]]), np.array(steps).reshape(-1, len(units))
+
+
+def run(
+    chain: Chain, value: Array, memories: tuple[Memory, ...]
+) -> tuple[Array, tuple[Memory, ...]]:
+    """Return the output of a chain for an input, and its new memory."""
+    after = []
+    for equation, memory in zip(chain, memories, strict=True):
+        value, kept = equation.step(value, memory)
+        after.append(kept)
+    return value, tuple(after)
+
+
+def _rest_of_chain(chain: Chain, value: Array) -> tuple[Array, tuple[Memory, ...]]:
+    memories = []
+    for equation in chain:
+        value, memory = equation.at_rest(value)
+        memories.append(memory)
+    return value, tuple(memories)
+
+
+def _like(memories: tuple[Memory, ...], rows: np.ndarray) -> tuple[Memory, ...]:
+    """Return rows in the grouping of memories."""
+    rest = iter(rows)
+    return tuple(tuple(next(rest) for _ in memory) for memory in memories)
+
+
+def _rounded(polynomial: Polynomial) -> tuple[Array | None, ...]:
+    values = (coefficient.rounded() for coefficient in polynomial)
+    return tuple(one if is_traced(one) else _float_or_none(one) for one in values)
+
+
+def _float_or_none(value: Array) -> float | None:
+    return float(value) or None
+
+
+def _plus(total: Array, coefficient: Array | None, value: Array) -> Array:
+    return total if coefficient is None else total + coefficient * value
+
+
+def _less(total: Array, coefficient: Array | None, value: Array) -> Array:
+    return total if coefficient is None else total - coefficient * value
+
+
+def _sum(coefficients: tuple[Array | None, ...]) -> Array:
+    return sum((one for one in coefficients if one is not None), 0.0)
 
 
 class Response(NamedTuple):
@@ -291,3 +521,233 @@ def _require_excitation(*causes: Array) -> None:
             "force, initial_velocity and initial_position are all 0, so nothing moves: give one of "
             "them another value."
         )
+
+
+# Sampled loops as state spaces, many side by side: the state moves by one matrix per sample.
+#
+# The state: position, its difference to the last one that was read, velocity (or what other states
+# a plant has), the acting force, those on their way, the next one to arrive first, and what the
+# filters remember.
+
+POSITION, DIFFERENCE, VELOCITY, FORCE = range(4)  # the first entries of the state, of one mass
+
+
+def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
+    """Return the matrices of an estimator and a filter for a sampling period.
+
+    Raises:
+        TypeError: a filter is traced.
+    """
+    if filters is None:
+        return PLAIN
+    if is_any_traced(filters):
+        raise TypeError(
+            "a filter is traced; this is computed outside of JAX: give filters of concrete numbers."
+        )
+    is_plain = all(isinstance(leaf, float | int) for leaf in leaves(filters))
+    bank = _remembered_bank if is_plain else _bank
+    return bank(filters, sample_time)
+
+
+def _bank(filters: Filters, sample_time: float) -> Bank:
+    return bank_of(Controller.of(filters, sample_time))
+
+
+_remembered_bank = lru_cache(maxsize=64)(_bank)  # one loop is asked about many walls
+
+
+def steps_of(
+    wall: Float64[np.ndarray, "loop known"],
+    rows: Float64[np.ndarray, "loop plant column"],
+    remembered: Float64[np.ndarray, "memory known"],
+    whole_delay: int,
+) -> Matrices:
+    """Return the matrix of the next state (rows) from the state and the inputs (columns).
+
+    Args:
+        wall: the force that is computed, of position, difference, what is remembered, and inputs.
+        rows: the plant's states at the next sample, position first, of those at this one, of the
+            acting force, and of the one that arrives.
+        remembered: the next memory of the filters, from the same columns as the force.
+        whole_delay: of the force, in samples.
+    """
+    states = rows.shape[1]
+    plant = [POSITION, *range(VELOCITY, states + 1)]
+    first, last = states + 1, states + 1 + whole_delay  # of the forces
+    size = last + 1 + len(remembered)
+    inputs = wall.shape[1] - 2 - len(remembered)
+    known = [POSITION, DIFFERENCE, *range(last + 1, size + inputs)]
+    step = np.zeros((len(wall), size, size + inputs))
+    step[:, range(first, last), range(first + 1, last + 1)] = 1.0
+    step[:, last, known] = wall
+    motion = rows[:, :, -1:] * step[:, [first]]  # the force that arrives is the next one to act
+    motion[:, :, [*plant, first]] += rows[:, :, :-1]
+    step[:, plant] = motion
+    step[:, DIFFERENCE] = motion[:, 0]
+    step[:, DIFFERENCE, POSITION] -= 1.0
+    step[:, last + 1 :, known] = remembered
+    return step
+
+
+def groups(
+    whole_delay: np.ndarray, is_hopeful: np.ndarray, memory: int, numbers: int
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield whole delays and the loops that have them, in groups of limited memory."""
+    for whole in np.unique(whole_delay):
+        together = np.flatnonzero((whole_delay == whole) & is_hopeful)
+        count = max(1, int(numbers // (FORCE + 1 + whole + memory) ** 2))
+        for begin in range(0, together.size, count):
+            yield int(whole), together[begin : begin + count]
+
+
+# Loops without inputs, as matrices: the deviation from rest follows s -> A s from s_0 on.
+
+Lanes = Float64[np.ndarray, " loop"]
+
+
+class Loops(NamedTuple):
+    """Loops side by side whose delays have the same whole part: s -> A s, from s_0 on.
+
+    The position, the first state, is in units of the final displacement, or of the velocity.
+    """
+
+    transition: Matrices
+    start: Float64[np.ndarray, "loop state 1"]
+
+    def systems(self) -> Systems:
+        """Return the loops with the start as their input and the position as their output."""
+        outputs = np.zeros((len(self.start), 1, self.start.shape[1]))
+        outputs[:, 0, POSITION] = 1.0
+        sizes = np.abs(np.concatenate(self, axis=2))
+        return Systems(self.transition, self.start, outputs, sizes, outputs, error=0.0)
+
+
+def loops_of(
+    alpha: Lanes,
+    beta: Lanes,
+    entries: Float64[np.ndarray, "8 loop"],
+    whole_delay: int,
+    excitation: str,
+    bank: Bank = PLAIN,
+) -> Loops:
+    """Return the loops of gains and of the entries (2, 4) of their propagators."""
+    rows = np.moveaxis(entries.reshape(2, 4, -1), -1, 0)
+    step = steps_of(_wall(alpha, beta, bank), rows, bank.steps, whole_delay)
+    last = FORCE + whole_delay
+    start = np.zeros(step.shape[:2])
+    if excitation == "impact":
+        start[:, VELOCITY] = 1.0
+    else:
+        start[:, POSITION], start[:, FORCE : last + 1] = -1.0, _gain(bank) * alpha[:, None]
+        start[:, last + 1 :] = -bank.at_rest
+    return Loops(step, start[..., None])
+
+
+def device_loops(
+    stiffness: Lanes,
+    damping: Lanes,
+    moves: Mechanics,
+    whole_delay: int,
+    excitation: str,
+    bank: Bank = PLAIN,
+) -> Loops:
+    """Return the loops of gains, K in N/m and B/T in N/m, at a general device, in SI units."""
+    states = len(moves.at_rest)
+    first, last = states + 1, states + 1 + whole_delay  # of the forces
+    plant = [0, *range(2, states + 1)]
+    rows = np.broadcast_to(moves.rows[-1, :, :-1], (stiffness.size, states, states + 2))
+    step = steps_of(_wall(stiffness, damping, bank), rows, bank.steps, whole_delay)
+    start = np.zeros(step.shape[:2])
+    if excitation == "impact":
+        start[:, plant] = moves.blow
+        start[:, DIFFERENCE] = moves.blow[POSITION]  # where a blow moves the device at once
+    else:
+        wall = _gain(bank) * stiffness[:, None]  # less the force at rest
+        start[:, plant] = np.where(moves.follows, wall, -moves.at_rest)
+        start[:, first : last + 1] = wall
+        start[:, last + 1 :] = -bank.at_rest
+    return Loops(step, start[..., None])
+
+
+def _wall(stiffness: Lanes, damping: Lanes, bank: Bank) -> Float64[np.ndarray, "loop known"]:
+    """Return the force of walls, of position, difference and what the filters remember."""
+    felt, estimated = bank.outputs
+    return -(stiffness[:, None] * felt + damping[:, None] * estimated)
+
+
+def _gain(bank: Bank) -> float:
+    """Return the gain of the position filter at rest."""
+    return float(bank.outputs[0] @ np.array([1.0, 0.0, *bank.at_rest]))
+
+
+# The slowest mode of the loop, as damping ratio and frequency.
+
+
+class Oscillation(NamedTuple):
+    """The mode of the pole with the largest modulus.
+
+    ``damping_ratio`` is 1 for a mode that creeps without oscillating, 0 on the edge of stability
+    and negative where the oscillation grows. ``frequency`` is that of the damped oscillation,
+    between 0 and the Nyquist frequency; a pole on the negative axis is at the Nyquist frequency.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> mode = loop.oscillation(20000.0, 20.0)
+        >>> print(f"damping ratio {mode.damping_ratio:.3f}, {mode.frequency:.1f} Hz")
+        damping ratio 0.109, 77.5 Hz
+    """
+
+    damping_ratio: Float64[Array, "*grid"]
+    frequency: Float64[Array, "*grid"]
+
+
+def dominant_mode(
+    alpha: Numbers,
+    beta: Numbers,
+    *,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> Oscillation:
+    """Return damping ratio and frequency of the slowest pole z = exp(s), in samples.
+
+    The damping ratio is -Re s / |s|, the frequency |Im s| in rad per sample, at most pi. Near a
+    double real pole the companion eigenvalues may split into a pair with a tiny frequency.
+
+    Args:
+        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m in [0, 1e4].
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, concrete.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
+
+    Returns:
+        Oscillation of arrays of the broadcast shape.
+
+    Raises:
+        ValueError: a concrete argument is outside its range, infinite or NaN.
+        TypeError: the delay is traced.
+        RuntimeError: JAX arrays are given without x64.
+
+    Source: the poles of eq. (9); z = exp(s T).
+
+    Example:
+        >>> mode = jaxstab.dominant_mode(0.2, 0.2, gamma=0.0, delta=0.015, delay=0.0)
+        >>> round(float(mode.damping_ratio), 4)
+        0.1086
+    """
+    require_x64(alpha, beta, gamma, delta)
+    point = alpha, beta, gamma, delta, delay
+    return mode_of(closed_loop_poles(**by_name(*point), velocity=velocity, position=position))
+
+
+def mode_of(poles: Complex128[Array, "*grid degree"]) -> Oscillation:
+    """Return damping ratio and frequency in rad per sample of the first pole of each loop."""
+    xp, pole = namespace(poles), poles[..., 0]
+    with np.errstate(all="ignore"):  # a pole at 0 or at 1
+        decay, frequency = -xp.log(abs(pole)), abs(xp.angle(pole))
+        return Oscillation(decay / xp.hypot(decay, frequency), frequency)

@@ -11,18 +11,20 @@ from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.motion.response import propagator
+from jaxstab.motion.response import Loops, bank_for, device_loops, loops_of, propagator
 from jaxstab.motion.settling import Excitation, Settling, device_settling_samples, settling_samples
-from jaxstab.motion.state_space import bank_for
-from jaxstab.motion.transition import Loops, device_loops, loops_of
 from jaxstab.point import SpectralRadius, spectral_radius
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict, verdict
 from jaxstab.region.region import linear_region
-from jaxstab.tuning.component import ALL_GAINS, Component, component_of, searched_component
-from jaxstab.tuning.radius import filtered_walls, minimize_radius, smallest_radius, walls_of
-from jaxstab.tuning.search import Walls
-from jaxstab.tuning.status import OptimalGains
+from jaxstab.tuning.component import (
+    ALL_GAINS,
+    Component,
+    OptimalGains,
+    component_of,
+    searched_component,
+)
+from jaxstab.tuning.radius import Walls, filtered_walls, minimize_radius, smallest_radius, walls_of
 
 Plant = tuple[float, float, float]
 

@@ -1,0 +1,775 @@
+"""Proved amplitudes: how far an encoder, an amplifier and friction can drive the loop.
+
+The encoder's rounding e makes the loop see x + e, the amplifier's rounding adds to the force, and
+friction pushes the device. Only the size of the three is known. The response of a linear loop to
+any such disturbance is at most the sum of the moduli of its impulse response, and some disturbance
+comes as close to that bound as one likes (lemma M6).
+"""
+
+from collections.abc import Callable
+from decimal import ROUND_CEILING
+from functools import partial
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int8
+
+from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, named, namespace
+from jaxstab.batches import on_host
+from jaxstab.conventions import Status
+from jaxstab.model import checked_delay, checked_gain, require_x64
+from jaxstab.model.device import Device
+from jaxstab.model.device.between import Between, between_samples
+from jaxstab.model.device.mechanics import mechanics
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.parameters import checked_delta, checked_gamma
+from jaxstab.motion.contraction import (
+    SAFETY,
+    Contraction,
+    Matrices,
+    PerLoop,
+    Systems,
+    columns,
+    contraction,
+    decay,
+    error_of_square,
+    lost_in,
+    norm,
+    rows,
+    transposed,
+)
+from jaxstab.motion.response import (
+    DIFFERENCE,
+    FORCE,
+    POSITION,
+    VELOCITY,
+    Bank,
+    bank_for,
+    groups,
+    propagator,
+    steps_of,
+)
+from jaxstab.motion.shown import Column, answer_text
+from jaxstab.numbers import checked
+
+# Sums of moduli of impulse responses, |C b| + |C A b| + |C A^2 b| + ..., proved from above.
+#
+# In coordinates in which every sample is a contraction the errors of products do not grow, so sums,
+# their rounding and their tails can be bounded even next to the boundary of stability (lemmas M3 to
+# M5 of docs/proofs.md).
+
+_ROUNDING = 2.0**-53
+
+_TAIL = 1e-11  # the norm of a power behind which a sum ends
+
+_FURTHER = 6  # doublings until then, at most
+
+_SUMMED = 22  # doublings, beyond which the tail is bounded as it is
+
+_STEEP = 0.5  # the norm of a power of which no square gives a better bound of the tail
+
+_TRIED = 20  # such squares
+
+_MATRIX_NUMBERS = 1 << 21  # of an array that is filled at once, about
+
+
+def impulse_sums(systems: Systems) -> Float64[np.ndarray, "loop output input"]:
+    """Return upper bounds of the sums of |C A^k b| over k >= 0; infinite where none is proved."""
+    new = contraction(systems)
+    sums = np.full((len(new.doublings), new.outputs.shape[1], new.inputs.shape[2]), np.inf)
+    with np.errstate(all="ignore"):
+        for doublings in np.unique(new.doublings[new.doublings >= 0]).tolist():
+            for some in _parts(new, doublings):
+                sums[some] = _sums(new.chosen(some), doublings)
+    return sums
+
+
+def _parts(new: Contraction, doublings: int) -> list[np.ndarray]:
+    """Cut loops so that the vectors of each part fill no more memory than they may."""
+    alike = np.flatnonzero(new.doublings == doublings)
+    longest = 2.0 ** (0.5 * min(doublings + _FURTHER, _SUMMED))
+    width = longest * (new.inputs.shape[2] + new.outputs.shape[1])
+    count = ceil(len(alike) * new.inputs.shape[1] * width / _MATRIX_NUMBERS)
+    return np.array_split(alike, min(count, len(alike)))
+
+
+def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output input"]:
+    """Return the bounds of systems of which A was squared equally often."""
+    power, error, lost = new.transition, new.transition_error, lost_in(new.transition)
+    levels: list[tuple[Matrices, PerLoop]] = []
+    most = min(doublings + _FURTHER, _SUMMED)
+    while len(levels) < most and not (levels and np.all(norm(power) <= _TAIL)):
+        levels.append((power, error))
+        power, error = power @ power, error_of_square(power, error)
+    half = len(levels) // 2
+    late = _Family.begun(transposed(new.outputs), new.outputs_error)
+    early = _Family.begun(new.inputs, new.inputs_error)
+    for level in levels[:half]:
+        late = late.doubled(transposed(level[0]), level[1])
+    for level in levels[half:]:
+        early = early.doubled(*level)
+    sums = _sum_of_moduli(late.vectors, early.vectors, new.outputs.shape[1], new.inputs.shape[2])
+    sums *= 1.0 + 2.0 ** (len(levels) + 1) * _ROUNDING
+    one, two = late.size[:, :, None], early.size[:, None, :]
+    one_error, two_error = late.error[:, :, None], early.error[:, None, :]
+    wrong = one_error * (two + two_error) + one * two_error + lost[:, None, None] * one * two
+    behind = np.minimum(new.norms, _sum_of_norms(power, error, 2.0 ** len(levels)))
+    return sums + SAFETY * (wrong + _tail(new, *levels[-1]) * behind[:, None, None])
+
+
+def _tail(new: Contraction, power: Matrices, error: PerLoop) -> Float64[np.ndarray, "_ _ _"]:
+    """Return bounds of |c A^h| |A^h b| for a power A^h.
+
+    The power is applied from either side, so that only what is slow is left of rows and columns.
+    """
+    norms, error = decay(power, error)[:, None], error[:, None]
+    late = rows(new.outputs @ power) + norms * new.outputs_error
+    late += error * (rows(new.outputs) + new.outputs_error)
+    early = columns(power @ new.inputs) + norms * new.inputs_error
+    early += error * (columns(new.inputs) + new.inputs_error)
+    return late[:, :, None] * early[:, None, :]
+
+
+def _sum_of_norms(power: Matrices, error: PerLoop, length: float) -> PerLoop:
+    """Return bounds of |1| + |A| + |A^2| + ... by A^length (M4); infinite where none is proved."""
+    total = np.full(len(power), np.inf)
+    for _ in range(_TRIED):
+        size = decay(power, error)
+        total = np.where(size < 1.0, np.minimum(total, length / (1.0 - size)), total)
+        if np.all(size <= _STEEP):
+            break
+        power, error, length = power @ power, error_of_square(power, error), 2.0 * length
+    return total
+
+
+class _Family(NamedTuple):
+    """Vectors v, A v, A^2 v, ... of several v, the sums of their norms, and of their errors."""
+
+    vectors: Matrices  # side by side, those of one power together
+    size: Float64[np.ndarray, "loop vector"]
+    error: Float64[np.ndarray, "loop vector"]
+
+    @classmethod
+    def begun(cls, vectors: Matrices, error: np.ndarray) -> "_Family":
+        """Return the vectors alone."""
+        return cls(vectors, columns(vectors), error)
+
+    def doubled(self, power: Matrices, error: PerLoop) -> "_Family":
+        """Return as many again, by a power and a bound of its error (lemma M5)."""
+        further = power @ self.vectors
+        shape = (*further.shape[:2], -1, self.size.shape[1])
+        size = self.size + np.sum(columns(further).reshape(shape[0], *shape[2:]), axis=1)
+        lost = (error + lost_in(power) * norm(power))[:, None]
+        wrong = self.error * (1.0 + decay(power, error)[:, None]) + lost * (self.size + self.error)
+        return _Family(np.concatenate([self.vectors, further], axis=2), size, SAFETY * wrong)
+
+
+def _sum_of_moduli(
+    late: Matrices, states: Matrices, outputs: int, inputs: int
+) -> Float64[np.ndarray, "loop output input"]:
+    """Return the sums of the moduli of all products of an output and of an input."""
+    loops, _, width = late.shape
+    late = transposed(late)
+    total = np.zeros((loops, outputs, inputs))
+    length = inputs * max(1, _MATRIX_NUMBERS // (loops * width * inputs))
+    for part in range(0, states.shape[2], length):
+        terms = np.abs(late @ states[:, :, part : part + length])
+        total += terms.reshape(loops, width // outputs, outputs, -1, inputs).sum(axis=(1, 3))
+    return total
+
+
+# Disturbed sampled loops: what errors of the encoder and of the force, and friction, do.
+#
+# What a unit of each does at the samples is a sum of moduli of an impulse response (lemmas M6 and
+# M7 of docs/proofs.md).
+
+_NUMBERS = 1 << 18  # of the matrices of all loops that are looked at together
+
+_ROUNDINGS = 16  # of an entry of the transition, beside those of filters (lemma M7)
+
+_HARD = 8.0  # roundings of 1: the error of a transition of which an entry may nearly vanish
+
+_ACCURATE_GAMMA, _ACCURATE_DELTA = 0.5, 1.0  # up to which no entry of it nearly vanishes
+
+_SAFETY = 1.0 + 2.0**-40  # on sums of a few bounds
+
+
+class Causes(NamedTuple):
+    """The kinds of disturbances: of the sampled position, of the computed force, of the device."""
+
+    position: bool
+    force: bool
+    friction: bool
+
+
+class Gains(NamedTuple):
+    """The most that one disturbance of size 1 does at the samples.
+
+    middle: of the velocity where the delayed force changes, between two samples.
+    """
+
+    position: Array
+    velocity: Array
+    force: Array
+    middle: Array
+
+
+def gains_of_disturbances(*lanes: Array, bank: Bank, causes: Causes) -> tuple[Gains, Gains, Gains]:
+    """Return what a unit of each disturbance does; infinite where nothing is proved.
+
+    The lanes hold alpha, beta, the entries (2, 4) of the propagator of a sample, the entries (3) of
+    the velocity in the middle, gamma, delta and the whole delay. What is not asked for is 0.
+    """
+    columns = np.array([np.ravel(lane) for lane in lanes])
+    gains = np.zeros((3, 4, columns.shape[1]))
+    whole_delay, is_any = columns[-1], np.ones(columns.shape[1], bool)
+    for whole, some in groups(whole_delay, is_any, len(bank.steps), _NUMBERS):
+        loops = _Loops.of(columns[:, some])
+        sums = impulse_sums(_systems(loops, whole, bank, causes))
+        gains[:, :, some] = _gains(sums, loops, causes)
+    one, two, three = gains.reshape(3, 4, *lanes[0].shape)
+    return Gains(*one), Gains(*two), Gains(*three)
+
+
+def throw(gamma: Array, delta: Array) -> Array:
+    """Return a bound of how far a unit impulse moves the device within a sample (lemma M7)."""
+    xp = namespace(gamma, delta)
+    return 1.0 / xp.maximum(1.0, xp.maximum(delta, xp.sqrt(gamma)))
+
+
+def path(delta: Array) -> Array:
+    """Return a bound of the path of a device within a sample after a unit impulse (lemma M7)."""
+    xp = namespace(delta)
+    return 1.0 / xp.sqrt(xp.maximum(1.0, 2.0 * delta))
+
+
+def drag(gamma: Array, delta: Array) -> Array:
+    """Return a bound of the device's acceleration after a unit impulse (lemma M7)."""
+    xp = namespace(gamma, delta)
+    return delta + xp.minimum(gamma, xp.sqrt(gamma))
+
+
+class _Loops(NamedTuple):
+    """Loops side by side: gains, propagators of a sample, velocities in the middle, plants."""
+
+    alpha: PerLoop
+    beta: PerLoop
+    rows: Float64[np.ndarray, "loop 2 4"]
+    middle: Float64[np.ndarray, "loop 3"]
+    gamma: PerLoop
+    delta: PerLoop
+
+    @classmethod
+    def of(cls, columns: Float64[np.ndarray, "lane loop"]) -> "_Loops":
+        """Return the loops of lanes."""
+        rows = np.ascontiguousarray(columns[2:10].T).reshape(-1, 2, 4)
+        return cls(columns[0], columns[1], rows, columns[10:13].T, columns[13], columns[14])
+
+    def sizes(self) -> tuple[Float64[np.ndarray, "loop 2 4"], Float64[np.ndarray, "loop 3"]]:
+        """Return the sizes to which the errors of the propagators are relative (lemma M7)."""
+        is_hard = (self.gamma > _ACCURATE_GAMMA) | (self.delta > _ACCURATE_DELTA)
+        hard = np.where(is_hard, _HARD, 0.0)[:, None]
+        rows, middle = np.abs(self.rows), np.abs(self.middle) + hard
+        rows[:, :, 2] += 2.0 * rows[:, :, 3]  # the acting force's is a difference
+        rows += hard[:, :, None]
+        stiff = hard[:, 0] * np.sqrt(self.gamma)
+        rows[:, 1, 0] += stiff
+        middle[:, 0] += stiff
+        return rows, middle
+
+
+def _systems(loops: _Loops, whole_delay: int, bank: Bank, causes: Causes) -> Systems:
+    """Return the loops with inputs: encoder, computed force, and three of a push on the device.
+
+    The difference is that to the last position *as it was read*: so an error that was read with it
+    is in the state, and need not be remembered beside it.
+    """
+    alpha, beta, rows, middle, *_ = loops
+    row_sizes, middle_sizes = loops.sizes()
+    step = with_inputs(-alpha, -beta, rows, bank.outputs, bank.steps, whole_delay)
+    size = step.shape[1]
+    step[:, DIFFERENCE, size] -= 1.0
+    sizes = with_inputs(np.abs(alpha), np.abs(beta), row_sizes, *bank.sizes, whole_delay)
+    sizes[:, DIFFERENCE, [POSITION, size]] += [2.0, 1.0]  # the modulus of -1, for the difference
+    step = np.concatenate([step, _pushes(rows, size)], axis=2)
+    sizes = np.concatenate([sizes, _pushes(row_sizes, size)], axis=2)
+    outputs = np.zeros((alpha.size, 4, size))
+    outputs[:, [0, 1, 2], [POSITION, VELOCITY, FORCE]] = 1.0
+    output_sizes = outputs.copy()
+    outputs[:, 3, [POSITION, VELOCITY, FORCE]] = middle
+    output_sizes[:, 3, [POSITION, VELOCITY, FORCE]] = middle_sizes
+    is_wanted = np.array([True] * size + [*causes[:2], *causes[2:] * 3])
+    which = slice(4 if np.any(middle[:, 2]) else 3)
+    return Systems(
+        transition=step[:, :, :size],
+        inputs=step[:, :, is_wanted][:, :, size:],
+        outputs=outputs[:, which],
+        sizes=sizes[:, :, is_wanted],
+        output_sizes=output_sizes[:, which],
+        error=(_ROUNDINGS + bank.roundings) * _ROUNDING,
+    )
+
+
+def with_inputs(
+    alpha: PerLoop,
+    beta: PerLoop,
+    rows: Matrices,
+    outputs: np.ndarray,
+    steps: np.ndarray,
+    whole_delay: int,
+) -> Matrices:
+    """Return the steps of loops with two more inputs: the reading error, and an extra push."""
+    wall = alpha[:, None] * outputs[0] + beta[:, None] * outputs[1]
+    wall = np.column_stack([wall, wall[:, 0] + wall[:, 1], np.ones(len(wall))])
+    remembered = np.column_stack([steps, steps[:, 0] + steps[:, 1], np.zeros(len(steps))])
+    return steps_of(wall, rows, remembered, whole_delay)
+
+
+def _pushes(rows: Matrices, size: int) -> Matrices:
+    """Return what unit impulses do to the state: a hit, a displacement, and a hit a sample ago."""
+    pushes = np.zeros((len(rows), size, 3))
+    pushes[:, VELOCITY, 0] = 1.0
+    pushes[:, [POSITION, DIFFERENCE], 1] = 1.0
+    pushes[:, [POSITION, DIFFERENCE], 2] = rows[:, 0, [1]]
+    pushes[:, VELOCITY, 2] = rows[:, 1, 1]
+    return pushes
+
+
+def _gains(
+    sums: Float64[np.ndarray, "loop output input"], loops: _Loops, causes: Causes
+) -> Float64[np.ndarray, "3 4 loop"]:
+    gains = np.zeros((3, 4, len(sums)))
+    columns = np.moveaxis(sums, 0, 2)
+    which = slice(columns.shape[0])
+    simple = [number for number, cause in enumerate(causes[:2]) if cause]
+    for place, number in enumerate(simple):
+        gains[number, which] = columns[:, place]
+    if causes.friction:
+        hit, moved, ended = np.moveaxis(columns[:, len(simple) :], 1, 0)
+        gains[2, which] = _of_friction(hit, moved, ended, loops)
+    return gains
+
+
+def _of_friction(
+    hit: Float64[np.ndarray, "output loop"],
+    moved: Float64[np.ndarray, "output loop"],
+    ended: Float64[np.ndarray, "output loop"],
+    loops: _Loops,
+) -> Float64[np.ndarray, "output loop"]:
+    """Return the integrals over all times of what unit impulses do, at most (lemma M7)."""
+    gamma, delta = loops.gamma, loops.delta
+    bent = drag(gamma, delta)
+    curved = 0.5 * (hit + ended) + (moved * bent + hit * (delta * bent + gamma)) / 12.0
+    thrown = moved * np.minimum(0.5, throw(gamma, delta)) + hit * path(delta)
+    return _SAFETY * np.minimum(curved, thrown)
+
+
+class AmplitudeStatus(Status):
+    """What is known about amplitudes; small integers, so that arrays store int8.
+
+    Example:
+        >>> jaxstab.AmplitudeStatus(1).words
+        'proved: no such disturbance drives the loop further'
+    """
+
+    NOT_COMPUTED = 0, "not computed"
+    PROVED = 1, "proved: no such disturbance drives the loop further"
+    NOT_PROVED = 2, "no bound is proved: the loop is unstable, or too close to the boundary"
+
+
+class Amplitude(NamedTuple):
+    """The most by which disturbances can drive a loop away from its undisturbed motion.
+
+    All are infinite where nothing is proved.
+
+    Attributes:
+        position: of the device, at all times.
+        velocity: of the device, at all times.
+        force: of the wall, at all times.
+        force_per_count: how much the computed force jumps when the encoder moves on by one count.
+        status: an AmplitudeStatus.
+
+    Example:
+        >>> found = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
+        >>> round(float(found.position), 2), found.status
+        (1.03, <AmplitudeStatus.PROVED: 1>)
+    """
+
+    position: Float64[Array, "*grid"]
+    velocity: Float64[Array, "*grid"]
+    force: Float64[Array, "*grid"]
+    force_per_count: Float64[Array, "*grid"]
+    status: Int8[Array, "*grid"]
+
+    def __repr__(self) -> str:
+        """Return the bounds of one loop, rounded up, or a summary of many."""
+        return answer_text("Amplitude", self[:4], _COLUMNS, self.status, AmplitudeStatus)
+
+
+class WallAmplitude(Amplitude):
+    """The same in m, m/s and N.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> loop.amplitude(1000.0, 20.0, encoder=1e-5)
+        Amplitude: position 6.276 um, velocity 2.126 mm/s, force 0.2434 N, force per count 0.21 N
+        (proved)
+    """
+
+    def __repr__(self) -> str:
+        """Return the bounds with their units."""
+        return answer_text("Amplitude", self[:4], _SI_COLUMNS, self.status, AmplitudeStatus)
+
+
+_COLUMNS = [
+    Column(name.replace("_", " "), rounding=ROUND_CEILING) for name in Amplitude._fields[:4]
+]
+
+_SI_COLUMNS = [
+    column._replace(unit=unit, factor=factor)
+    for column, unit, factor in zip(
+        _COLUMNS, ("um", "mm/s", "N", "N"), (10**6, 1000, 1, 1), strict=True
+    )
+]
+
+
+def amplitude(
+    alpha: Numbers,
+    beta: Numbers,
+    *,
+    gamma: Numbers,
+    delta: Numbers,
+    delay: Numbers,
+    encoder: Numbers = 0.0,
+    force_step: Numbers = 0.0,
+    friction: Numbers = 0.0,
+    noise: Numbers = 0.0,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> Amplitude:
+    """Bound what a quantised encoder, a quantised force, friction and noise do to a loop.
+
+    The loop is compared with the same loop without any of these, started and pushed alike. The
+    answer bounds how far the two are apart, at all times and not only at the samples. As the
+    undisturbed loop comes to rest under a constant push, this bounds the chatter that the hand
+    feels in the long run. It holds while the hand is in the wall. Where it is infinite, nothing is
+    proved.
+
+    Friction is treated as any force that is never larger than the given one; that it only brakes is
+    not used.
+
+    Args:
+        alpha: wall stiffness K T^2/m, any shape; like the next four arguments it broadcasts.
+        beta: wall damping B T/m.
+        gamma: physical stiffness k T^2/m in [0, 1e4].
+        delta: physical damping b T/m in [0, 1e3].
+        delay: time delay t_d/T >= 0 in samples, concrete.
+        encoder: resolution of the encoder, which rounds to the nearest multiple, >= 0, in any
+            unit of length U.
+        force_step: resolution of the force, which is rounded to the nearest multiple, >= 0, in
+            m U/T^2.
+        friction: largest Coulomb friction of the device, >= 0, in m U/T^2; it may change at any
+            time, between samples too.
+        noise: largest error of the sampled position, beside that of the resolution, >= 0, in U.
+        velocity: the velocity estimator in units of one sample; None for the difference over one.
+        position: the position filter in units of one sample; None for none.
+
+    Returns:
+        Amplitude in U, U/T and m U/T^2. The proof holds for the gains, the plant and the filter
+        coefficients as float64 holds them; rounding and the tails of all sums are bounded. It is
+        differentiable in the disturbances only.
+
+    Raises:
+        ValueError: an argument is outside its range, infinite or NaN, or nothing disturbs the loop;
+            or JAX differentiates by gains or plant.
+        TypeError: the delay or a filter is traced.
+        RuntimeError: JAX arrays are given without x64.
+
+    Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5); lemmas M3
+    to M8 of docs/proofs.md.
+
+    Example:
+        >>> found = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
+        >>> round(float(found.position), 2)
+        1.03
+    """
+    given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
+    require_x64(alpha, beta, gamma, delta, *given.values())
+    delay = checked_delay(delay)
+    filters = given_filters(velocity, position)
+    names = tuple(given)
+    sizes = float_arrays(*(checked(name, given[name], 0.0) for name in names))
+    if not any(is_traced(size) or np.any(size) for size in sizes):
+        raise ValueError(f"{', '.join(names)} are all 0; give what disturbs the loop.")
+    gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
+    gamma, delta = float_arrays(checked_gamma(gamma), checked_delta(delta))
+    fraction = delay % 1.0
+    moments = np.stack([fraction, np.ones_like(fraction)], axis=-1)
+    propagate = propagator(gamma, delta, fraction, moments)
+    entries = [propagate[..., 1, row, column] for row in (0, 1) for column in range(4)]
+    middle = [propagate[..., 0, 1, column] for column in range(3)]
+    xp = namespace(gains, propagate)
+    grid = xp.broadcast_shapes(*map(np.shape, gains), propagate.shape[:-3], delay.shape)
+    errors, step, rubbing, extra = sizes
+    bounds = 0.5 * errors + extra, 0.5 * step, rubbing
+    causes = Causes(*(is_traced(size) or bool(np.any(size)) for size in bounds))
+    bank = bank_for(filters)
+    search = partial(gains_of_disturbances, bank=bank, causes=causes)
+    lanes = *gains, *entries, *middle, gamma, delta, np.floor(delay)
+    like = (Gains(*[np.float64] * 4),) * 3
+    found = on_host(search, *lanes, shape=grid, like=like, is_count=False)
+    sampled = Gains(*(_total(bounds, parts) for parts in zip(*found, strict=True)))
+    is_proved = xp.isfinite(sum(one.position for one in found))
+    bounded = _at_all_times(sampled, rubbing, gamma, delta, fraction)
+    status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
+    x, v, force = (xp.where(is_proved, one, xp.inf) for one in bounded)
+    direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
+    per_count = errors * abs(gains[0] * direct[0] + gains[1] * direct[1])
+    answers = x, v, force, per_count, status.astype(np.int8)
+    complete = Amplitude(*xp.broadcast_arrays(*answers))
+    return complete._replace(status=named(complete.status, AmplitudeStatus))
+
+
+def _total(sizes: tuple[Array, ...], gains: tuple[Array, ...]) -> Array:
+    """Return the sum of what all disturbances do, 0 for what is not bounded."""
+    xp = namespace(sizes, gains)
+    known = [xp.where(xp.isfinite(gain), gain, 0.0) for gain in gains]
+    return _SAFETY * sum(size * gain for size, gain in zip(sizes, known, strict=True))
+
+
+def _at_all_times(
+    sampled: Gains, friction: Array, gamma: Array, delta: Array, fraction: Array
+) -> tuple[Array, Array, Array]:
+    """Return bounds at all times from those at the samples, for T = m = 1 (lemma M8)."""
+    xp = namespace(sampled, friction, gamma, delta)
+    x, v, force, middle = sampled
+    bent, far = drag(gamma, delta), throw(gamma, delta)
+    is_late = fraction > 0.0
+    acceleration = force * (1.0 + xp.where(is_late, xp.minimum(2.0, bent), 0.0))
+    acceleration = acceleration + delta * v + gamma * (x + v)
+    acceleration = acceleration + friction * (1.0 + delta + 0.5 * gamma)
+    flown = x + far * v + xp.minimum(0.5, far) * (force + friction)
+    position = _SAFETY * xp.minimum(x + acceleration / 8.0, flown)
+    moved = xp.maximum(v, middle + friction * xp.minimum(fraction, path(delta)))
+    held = force + delta * moved + gamma * position
+    curved = moved + (held * bent + gamma * moved) / 8.0 + friction * (2.0 + bent) / 4.0
+    thrown = v + gamma * far * x + far * force * xp.where(is_late, 3.0, 1.0)
+    velocity = _SAFETY * xp.minimum(curved, thrown + friction * path(delta))
+    return position, velocity, force
+
+
+# Proved amplitudes of any linear device: lemma M9 of docs/proofs.md.
+#
+# The sums of moduli are formed as for one mass (``disturbed``), but position and velocity between
+# samples are bounded from the ends of pieces of the sample, with their second derivatives.
+
+_ERROR = 16 * 2.0**-53  # of the entries of a transition, beside that of filters
+
+_SMALLEST = 2.0**-100  # of the largest entry: what entries next to 0 may be wrong by, and more
+
+
+class _Plant(NamedTuple):
+    """A device with its whole delay, and what the controller runs.
+
+    rows: of the states at the next sample, of states and of two forces.
+    """
+
+    rows: Float64[np.ndarray, "state column"]
+    between: Between
+    whole_delay: int
+    bank: Bank
+
+    @property
+    def places(self) -> np.ndarray:
+        """Where a loop's state has those of the device, the acting force last."""
+        states = len(self.rows)
+        return np.array([POSITION, *range(DIFFERENCE + 1, states + 1), states + 1])
+
+
+def device_amplitude(
+    device: Device,
+    sample_time: float,
+    delay: float,
+    filters: Filters | None,
+    stiffness: Numbers,
+    damping: Numbers,
+    *,
+    encoder: Numbers = 0.0,
+    force_step: Numbers = 0.0,
+    friction: Numbers = 0.0,
+    noise: Numbers = 0.0,
+) -> WallAmplitude:
+    """Bound what disturbances do to a general device, in SI units; see ``HapticLoop.amplitude``.
+
+    Friction acts at the handle, behind the actuators; an amplifier's steps come before them.
+
+    Args:
+        device: with its hands and actuators.
+        sample_time: T in s.
+        delay: in samples.
+        filters: estimator and filter in SI units.
+        stiffness: K in N/m, any shape; like all others it broadcasts.
+        damping: B in N s/m.
+        encoder: resolution of the position in m.
+        force_step: resolution of the force in N.
+        friction: largest force at the handle in N.
+        noise: largest error of the position in m, beside that of the resolution.
+
+    Raises:
+        ValueError: an argument is negative, infinite or NaN, nothing disturbs the loop, or the
+            device does not give way to a constant force.
+        TypeError: a filter is traced.
+        RuntimeError: JAX arrays are given without x64.
+    """
+    given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
+    require_x64(stiffness, damping, *given.values())
+    sizes = float_arrays(*(checked(name, value, 0.0) for name, value in given.items()))
+    if not any(is_traced(size) or np.any(size) for size in sizes):
+        raise ValueError(f"{', '.join(given)} are all 0; give what disturbs the loop.")
+    gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
+    bank, fraction = bank_for(filters, sample_time), delay % 1.0
+    moves = mechanics(device, sample_time, fraction, (1.0,))
+    between = between_samples(device, sample_time, fraction)
+    plant = _Plant(moves.rows[-1, :, :-1], between, int(delay), bank)
+    resolution, step, rubbing, extra = sizes
+    lanes = *gains, 0.5 * resolution + extra, 0.5 * step, rubbing
+    xp = namespace(gains, sizes)
+    grid = xp.broadcast_shapes(*map(np.shape, lanes))
+    search = partial(_bounds, plant=plant, sample_time=sample_time)
+    x, v, force = on_host(search, *lanes, shape=grid, like=(np.float64,) * 3)
+    is_proved = xp.isfinite(x + v + force)
+    x, v, force = (xp.where(is_proved, one, xp.inf) for one in (x, v, force))
+    status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
+    direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
+    rate = gains[1] / sample_time
+    per_count = resolution * abs(gains[0] * direct[0] + rate * direct[1])
+    answers = x, v / sample_time, force, per_count, status.astype(np.int8)
+    found = WallAmplitude(*xp.broadcast_arrays(*answers))
+    return found._replace(status=named(found.status, AmplitudeStatus))
+
+
+def _bounds(
+    *lanes: np.ndarray, plant: _Plant, sample_time: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return bounds of position, velocity (per sample) and force, infinite where none is proved.
+
+    The lanes: the two gains, and the sizes of the errors of position and force and of friction.
+    """
+    columns = np.array([np.ravel(lane) for lane in lanes])
+    columns[1] = columns[1] / sample_time
+    found = np.full((3, columns.shape[1]), np.inf)
+    wholes = np.full(columns.shape[1], plant.whole_delay)
+    memory = len(plant.rows) - 2 + len(plant.bank.steps)
+    is_any = np.ones(columns.shape[1], bool)
+    causes = Causes(*(bool(np.any(size)) for size in columns[2:]))
+    for _, some in groups(wholes, is_any, memory, _NUMBERS):
+        found[:, some] = _bounds_of(columns[:, some], plant, causes)
+    x, v, force = (one.reshape(lanes[0].shape) for one in found)
+    return x, v, force
+
+
+def _bounds_of(
+    columns: Float64[np.ndarray, "5 loop"], plant: _Plant, causes: Causes
+) -> Float64[np.ndarray, "3 loop"]:
+    stiffness, damping, *sizes = columns
+    systems, direct = _device_systems(stiffness, damping, plant, causes)
+    sums = impulse_sums(systems)
+    is_proved = np.isfinite(sums).all(axis=(1, 2))
+    sums = np.where(is_proved[:, None, None], sums, 0.0)
+    simple = [number for number, cause in enumerate(causes[:2]) if cause]
+    totals, path = np.zeros(sums.shape[:2]), np.zeros((2, len(stiffness)))
+    for place, number in enumerate(simple):
+        totals += (sums[:, :, place] + direct[:, :, number]) * sizes[number][:, None]
+    if causes.friction:
+        totals += _device_friction(sums[:, :, len(simple) :], plant.between) * sizes[2][:, None]
+        path = np.array(plant.between.path)[:, None] * sizes[2]
+    found = _device_at_all_times(_SAFETY * totals, plant.between) + np.stack([*path, 0.0 * path[0]])
+    return np.where(is_proved, found, np.inf)
+
+
+def _device_at_all_times(
+    totals: Float64[np.ndarray, "loop output"], between: Between
+) -> Float64[np.ndarray, "3 loop"]:
+    """Return bounds at all times by those at the ends of pieces, without friction's last share."""
+    ends = totals[:, between.ends].reshape(len(totals), -1, 2, 2, 2)  # end, derivatives, which
+    states = totals[:, between.states]  # and the acting force, which the arriving one does not pass
+    states = np.concatenate([states, states[:, -1:]], axis=1)
+    bent = 0.5 * between.half**2
+    rest = np.einsum("pwc,lc->lpw", between.rest, states)
+    most = ends.max(axis=2)
+    curved = most[:, :, 1] + bent[:, None] * rest
+    found = (most[:, :, 0] + bent[:, None] * curved).max(axis=1)
+    return _SAFETY * np.stack([*found.T, states[:, -1]])
+
+
+def _device_friction(
+    sums: Float64[np.ndarray, "loop output input"], between: Between
+) -> Float64[np.ndarray, "loop output"]:
+    """Return the integrals over all times of what unit blows do, at most."""
+    ends = between.blows.shape[1]
+    half = between.blow_half
+    values, curves, rest = sums[..., :ends], sums[..., ends : 2 * ends], sums[..., 2 * ends :]
+    bent = (2.0 * half) ** 3 / 12.0
+    total = half * (values[..., :-1] + values[..., 1:]).sum(axis=-1)
+    total = total + bent * (curves[..., :-1] + curves[..., 1:]).sum(axis=-1)
+    total = total + bent * 0.5 * half**2 * (rest * between.blow_rest).sum(axis=-1)
+    return np.asarray(_SAFETY * total)
+
+
+def _device_systems(
+    stiffness: PerLoop, damping: PerLoop, plant: _Plant, causes: Causes
+) -> tuple[Systems, Float64[np.ndarray, "loop output 2"]]:
+    """Return the loops with inputs: encoder, computed force, and blows; what acts at once, too.
+
+    The outputs are the rows of ``Between``.
+    """
+    bank, whole, states = plant.bank, plant.whole_delay, len(plant.rows)
+    count, between = stiffness.size, plant.between
+    rows = np.broadcast_to(plant.rows, (count, *plant.rows.shape))
+    tiny = _SMALLEST * np.abs(plant.rows).max()
+    step = with_inputs(-stiffness, -damping, rows, bank.outputs, bank.steps, whole)
+    size = step.shape[1]
+    step[:, DIFFERENCE, size] -= 1.0
+    sizes = with_inputs(abs(stiffness), abs(damping), np.abs(rows) + tiny, *bank.sizes, whole)
+    sizes[:, DIFFERENCE, [POSITION, size]] += [2.0, 1.0]  # the modulus of -1, for the difference
+    outputs, direct = _outputs(step, plant)
+    output_sizes, _ = _outputs(sizes, plant, np.abs)
+    is_wanted = np.array([True] * size + [*causes[:2]])
+    step, sizes = step[:, :, is_wanted], sizes[:, :, is_wanted]
+    if causes.friction:
+        blows = _blows(between, count, size, states)
+        step = np.concatenate([step, blows], axis=2)
+        sizes = np.concatenate([sizes, np.abs(blows)], axis=2)
+    systems = Systems(
+        transition=step[:, :, :size],
+        inputs=step[:, :, size:],
+        outputs=outputs,
+        sizes=sizes,
+        output_sizes=output_sizes,
+        error=_ERROR + bank.roundings * 2.0**-53,
+    )
+    return systems, _SAFETY * np.abs(direct)
+
+
+def _outputs(
+    step: np.ndarray, plant: _Plant, part: Callable[[np.ndarray], np.ndarray] = np.asarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows of the state, and of the two inputs that act at once."""
+    size, places = step.shape[1], plant.places
+    first = places[-1]
+    known = part(plant.between.rows)
+    rows = np.zeros((len(step), len(known), size))
+    rows[:, :, places] = known[:, :-1]
+    rows += known[:, -1:] * step[:, [first], :size]
+    return rows, known[:, -1:] * step[:, [first], size : size + 2]
+
+
+def _blows(between: Between, count: int, size: int, states: int) -> np.ndarray:
+    """Return what unit impulses at the handle do to the state, and each state alone."""
+    plant = np.array([POSITION, *range(DIFFERENCE + 1, states + 1)])
+    columns = np.concatenate([*between.blows, np.eye(states)]).T
+    blows = np.zeros((count, size, columns.shape[1]))
+    blows[:, plant] = columns
+    blows[:, DIFFERENCE] = columns[0]
+    return blows
