@@ -15,8 +15,8 @@ import numpy as np
 from benchmarks.record import Row
 from benchmarks.truth import NotCertain
 from benchmarks.truth.validity import first_rise, random_questions
-from jaxstab.criteria import LinearValidity, ValidityStatus, linear_validity
 from jaxstab.model import by_name
+from jaxstab.paper import LinearValidity, ValidityStatus, linear_validity
 
 _QUESTIONS, _SMALL = 100_000, 200
 _CHUNK = 10_000

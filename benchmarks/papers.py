@@ -11,8 +11,8 @@ from math import exp, pi, sqrt
 import numpy as np
 
 from jaxstab.conventions import Verdict
-from jaxstab.criteria import linear_validity, passive_region
 from jaxstab.model import Device, plant_coefficients
+from jaxstab.paper import linear_validity, passive_region
 from jaxstab.point import closed_loop_poles, verdict
 from jaxstab.region import boundary_curve, stable_region
 from jaxstab.tuning import minimize_settling

@@ -11,7 +11,8 @@ from mpmath import mp, mpf
 from benchmarks import truth
 from benchmarks.truth.validity import first_rise, random_questions
 from jaxstab import HapticLoop
-from jaxstab.criteria import (
+from jaxstab.model import by_name
+from jaxstab.paper import (
     linear_alpha_limit,
     linear_condition,
     linear_error,
@@ -19,10 +20,7 @@ from jaxstab.criteria import (
     passive_region,
     routh_hurwitz_condition,
 )
-from jaxstab.criteria.cosine_series import largest_value
-from jaxstab.criteria.sign_changes import Series, sign_changes
-from jaxstab.criteria.validity import ValidityStatus
-from jaxstab.model import by_name
+from jaxstab.paper.validity import Series, ValidityStatus, largest_value, sign_changes
 from jaxstab.region import boundary_curve
 
 ANCHORS = Path(__file__).parents[1] / "data" / "reference" / "anchors.tsv"

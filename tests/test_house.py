@@ -20,7 +20,7 @@ LONGEST_FILE = 1000  # lines
 FLOORS_THAT_COMPUTE = tuple(
     f"jaxstab.{floor}"
     for floor in (
-        "model", "point", "region", "ranges", "criteria", "motion", "tuning", "trace", "loop"
+        "model", "point", "region", "ranges", "paper", "motion", "tuning", "trace", "loop"
     )
 )  # fmt: skip
 CONVERSIONS = {  # of a loop: nothing is asked of it

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from jaxstab.cli.main import main
-from jaxstab.criteria import linear_validity
+from jaxstab.paper import linear_validity
 from jaxstab.pictures.paper import paper_figure
 from jaxstab.pictures.region import region_figure
 from jaxstab.pictures.style import picture

@@ -11,8 +11,8 @@ import jaxstab
 from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab.conventions import Verdict
-from jaxstab.criteria import passive_region
 from jaxstab.model import by_name
+from jaxstab.paper import passive_region
 from jaxstab.ranges import HandRange, RobustStatus, robust_region
 from jaxstab.region import stable_region
 

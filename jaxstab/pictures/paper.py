@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
-from jaxstab.criteria import linear_alpha_limit, linear_validity, passive_region, resolved_region
+from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region, resolved_region
 from jaxstab.pictures.shown import closed_outline
 from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, RED, hand_label, panels
 

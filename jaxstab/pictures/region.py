@@ -5,8 +5,8 @@ from decimal import ROUND_FLOOR
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxstab.criteria import linear_alpha_limit, passive_region, resolved_region
 from jaxstab.numbers import without_noise
+from jaxstab.paper import linear_alpha_limit, passive_region, resolved_region
 from jaxstab.pictures.shown import closed_outline
 from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, RED, hand_label, panels
 from jaxstab.scene.answers import Quantity

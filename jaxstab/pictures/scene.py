@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from jaxstab.criteria import passive_region
 from jaxstab.loop import HapticLoop, WallRegion
+from jaxstab.paper import passive_region
 from jaxstab.pictures.shown import draw_islands, draw_linear_rule, draw_stable
 from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY
 from jaxstab.pictures.walls import draw_responses, draw_walls, name_walls

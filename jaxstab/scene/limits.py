@@ -5,9 +5,9 @@ from math import isfinite, nan
 
 import numpy as np
 
-from jaxstab.criteria import linear_alpha_limit, passive_region
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
 from jaxstab.model import Velocity
+from jaxstab.paper import linear_alpha_limit, passive_region
 from jaxstab.scene.answers import (
     Answer,
     Basis,

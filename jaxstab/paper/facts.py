@@ -5,15 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from jaxstab.criteria.passive import passive_region
-from jaxstab.criteria.validity import ValidityStatus, linear_validity
 from jaxstab.numbers import require_x64, without_noise
+from jaxstab.paper.passive import passive_region
+from jaxstab.paper.validity import ValidityStatus, linear_validity
 from jaxstab.region.region import stable_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion
 
 _FINE = 1e-7  # of delta: the tolerance of the passive region
+
 _ROUNDING = 1e-15
+
 _kept_region = lru_cache(8)(stable_region)  # who asks for facts asks for a picture, too
+
 _VALIDITY_LEVELS = {"2": 0.02, "5": 0.05}  # percent, sec. VII
 
 

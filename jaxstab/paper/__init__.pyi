@@ -3,9 +3,9 @@ from .facts import resolved_region as resolved_region
 from .linear import linear_alpha_limit as linear_alpha_limit
 from .linear import linear_condition as linear_condition
 from .linear import linear_error as linear_error
+from .linear import routh_hurwitz_condition as routh_hurwitz_condition
 from .passive import PassiveRegion as PassiveRegion
 from .passive import passive_region as passive_region
-from .routh_hurwitz import routh_hurwitz_condition as routh_hurwitz_condition
 from .validity import LinearValidity as LinearValidity
 from .validity import ValidityStatus as ValidityStatus
 from .validity import linear_validity as linear_validity

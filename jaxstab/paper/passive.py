@@ -24,15 +24,18 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Numbers
-from jaxstab.criteria.cosine_series import largest_value, series_values
 from jaxstab.model import checked_delay, checked_delta, checked_gain, require_x64
 from jaxstab.numbers import checked_number
+from jaxstab.paper.validity import largest_value, series_values
 
 Points = Float64[np.ndarray, "points 2"]
+
 Needs = Float64[np.ndarray, " points"]  # dampings
 
 _MARGIN = 1e-12  # by which an outline is pulled in, so that rounding does not spoil its proof
+
 _FIRST_DIRECTIONS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])  # two ends of an edge, beyond
+
 _CHUNK = 4096  # points tested at once
 
 

@@ -10,15 +10,14 @@ its sign changes can be isolated (``sign_changes``): lemmas C1 to C4 of docs/pro
 third order in gamma and delta and summed in double-double.
 """
 
+from math import pi
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int8
+from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, namespace
 from jaxstab.conventions import Status, Verdict
-from jaxstab.criteria.cosine_series import series_values
-from jaxstab.criteria.sign_changes import Series, SignChanges, sign_changes
 from jaxstab.model import (
     DoubleDouble,
     PlantPairs,
@@ -34,11 +33,273 @@ from jaxstab.numbers import checked
 from jaxstab.point import verdict
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift, slice_coefficients
 
+# Proved facts about cosine series f(theta) = sum_k c_k cos(k theta) on [0, pi].
+#
+# Criteria that hold "for all frequencies" are such series. They are bounded between samples by
+#
+#     |f(theta) - f(t) - f'(t) (theta - t)| <= M (theta - t)^2 / 2,      M = sum_k k^2 |c_k|,
+#
+# so a sample decides for its neighbourhood, and where it cannot decide more samples are taken.
+# Series that are sums of the same few series are evaluated as such: ``weights @ basis``. NumPy
+# alone: the number of samples depends on the values.
+
+Coefficients = Float64[np.ndarray, "batch term"]
+
 Values = Float64[np.ndarray, " batch"]
 
-_STEP_BACK = 1e-6  # of alpha + gamma: how far inside of a boundary point its side is tested
+_LARGEST_GAP = 1e-13  # of the sizes: how far the bound of a largest value may lie above it
+
+_AT_ONCE = 1 << 18  # cells, and terms at angles, that are held in memory
+
+
+class LargestValue(NamedTuple):
+    """A value that each series takes, its angle, and a proved upper bound of all values."""
+
+    value: Values
+    theta: Values
+    bound: Values
+
+
+def series_values(coefficients: Coefficients, theta: Values) -> tuple[Values, Values]:
+    """Return f and f' of each series at one angle each."""
+    order = np.arange(coefficients.shape[-1])
+    phase = theta[:, None] * order
+    value = np.sum(coefficients * np.cos(phase), axis=-1)
+    slope = -np.sum(coefficients * order * np.sin(phase), axis=-1)
+    return value, slope
+
+
+def largest_value(
+    weights: Float64[np.ndarray, "batch part"], basis: Float64[np.ndarray, "part term"]
+) -> LargestValue:
+    """Return the largest values of series ``weights @ basis`` over [0, pi], by branch and bound.
+
+    The bound is above the value by at most 1e-13 of the sizes |weights| @ |basis|, summed, and the
+    rounding of the series.
+    """
+    cells = 4 * basis.shape[1]
+    rows = max(1, _AT_ONCE // cells)
+    parts = range(0, len(weights), rows)
+    answers = [_largest_value(weights[start : start + rows], basis, cells) for start in parts]
+    return LargestValue(*map(np.concatenate, zip(*answers, strict=True)))
+
+
+def _largest_value(weights: np.ndarray, basis: np.ndarray, cells: int) -> LargestValue:
+    batch = len(weights)
+    order = np.arange(basis.shape[1])
+    curvature = np.abs(weights @ basis) @ order**2
+    sizes = np.abs(weights) @ np.abs(basis)
+    gap = _LARGEST_GAP * np.sum(sizes, axis=-1)
+    half = pi / (2 * cells)
+    owner = np.repeat(np.arange(batch), cells)
+    center = np.tile((2 * np.arange(cells) + 1) * half, batch)
+    best, angle = np.full(batch, -np.inf), np.zeros(batch)
+    while owner.size:
+        value, slope = _combined(weights, basis, owner, center)
+        climb = np.argsort(value)  # of equal owners the last one written stays
+        better = climb[value[climb] > best[owner[climb]]]
+        best[owner[better]], angle[owner[better]] = value[better], center[better]
+        above = value + np.abs(slope) * half + 0.5 * curvature[owner] * half**2
+        is_open = above > best[owner] + gap[owner]
+        half /= 2
+        owner = np.repeat(owner[is_open], 2)
+        center = (center[is_open, None] + np.array([-half, half])).ravel()
+    return LargestValue(best, angle, best + gap + _rounding(sizes, len(basis)))
+
+
+def _combined(
+    weights: np.ndarray, basis: np.ndarray, owner: np.ndarray, center: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return values and slopes of series at their centers, of which many have the same."""
+    angles, number = np.unique(center, return_inverse=True)
+    rows = max(1, _AT_ONCE // basis.shape[1])
+    order = np.arange(basis.shape[1])
+    table = np.empty((2, len(angles), len(basis)))
+    for start in range(0, len(angles), rows):
+        part = slice(start, start + rows)
+        phase = angles[part, None] * order
+        table[0, part] = np.cos(phase) @ basis.T
+        table[1, part] = np.sin(phase) @ (-order * basis).T
+    value, slope = np.einsum("kij,ij->ki", table[:, number], weights[owner])
+    return value, slope
+
+
+def _rounding(sizes: Coefficients, parts: int) -> Values:
+    """Bound the rounding error of a computed value: of the phases and of the sums."""
+    order = np.arange(sizes.shape[-1])
+    units = order * pi + len(order) + parts + 5
+    rounding: Values = np.finfo(np.float64).eps * (sizes @ units)
+    return rounding
+
+
+# All sign changes of cosine series on [0, pi], each in a cell of its own.
+#
+# A cell is decided at its middle, by bounds of the second derivative of f in theta or in h = 1 -
+# cos(theta): a polynomial in h is regular at theta = 0 and pi, where df/dtheta vanishes. Cells that
+# neither decides are halved. A computed sign counts only beyond a bound of its error, which shrinks
+# with theta^2 towards 0 as the changes of f do. Proofs: lemmas C2 and C3 of docs/proofs.md.
+
+Column = Float64[np.ndarray, " cells"]
+
 _EPS = np.finfo(np.float64).eps
+
+_HALVINGS = 48
+
+_MOST_CELLS = 64  # of a series that are open at once, times its terms: beyond, it is given up
+
+_SHIFT = 0.382  # of the inner ends of cells, so that they miss the roots at rational parts of pi
+
+
+class Series(NamedTuple):
+    """Cosine series with bounds of their coefficients' errors; f(0) is known more accurately."""
+
+    coefficients: Coefficients
+    errors: Coefficients
+    start: Values  # f(0)
+    start_error: Values
+
+
+class SignChanges(NamedTuple):
+    """Cells of angles that hold the sign changes, in the order of the series and of the angles.
+
+    Where ``is_proved``, the cell holds exactly one change, with its ``direction`` (1 for a rise, -1
+    for a fall). Elsewhere it may hold none or, if the direction is 0, several.
+    """
+
+    owner: Int64[np.ndarray, " cells"]
+    low: Column
+    high: Column
+    direction: Column
+    is_proved: Bool[np.ndarray, " cells"]
+
+
+class _Bounds(NamedTuple):
+    """What bounds a series: its second derivatives in theta and in h, and the errors of values."""
+
+    in_theta: Values
+    in_h: Values
+    error: Values  # over theta
+    slope_error: Values  # over theta; half of it over theta^2 bounds the error of a value, too
+
+
+class _Sample(NamedTuple):
+    value: Column
+    value_error: Column
+    slope: Column
+    slope_error: Column
+
+
+def sign_changes(series: Series) -> SignChanges:
+    """Return where each series changes its sign in (0, pi)."""
+    batch, terms = series.coefficients.shape
+    bounds = _bounds(series)
+    inner = (np.arange(1, 2 * terms + 1) - _SHIFT) * (pi / (2 * terms + 0.5))
+    ends = np.concatenate([[0.0], inner, [pi]])
+    owner = np.repeat(np.arange(batch), len(ends) - 1)
+    low, high = np.tile(ends[:-1], batch), np.tile(ends[1:], batch)
+    kept: list[SignChanges] = []
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        sample = _sample(series, bounds, owner, middle)
+        is_clear, is_monotone = _decided(sample, bounds, owner, middle, 0.5 * (high - low))
+        is_lost = (np.abs(sample.value) <= sample.value_error) & (
+            np.abs(sample.slope) <= sample.slope_error
+        )
+        is_open = ~(is_clear | is_monotone | is_lost)
+        many = np.bincount(owner[is_open], minlength=batch) > _MOST_CELLS * terms
+        is_lost = ~(is_clear | is_monotone) & (is_lost | many[owner])
+        is_open &= ~is_lost
+        direction = np.sign(sample.slope)
+        one = is_monotone & ~is_clear
+        kept.append(_changes(series, bounds, owner[one], low[one], high[one], direction[one]))
+        kept.append(_unproved(owner[is_lost], low[is_lost], high[is_lost]))
+        owner = np.repeat(owner[is_open], 2)
+        low, middle, high = low[is_open], middle[is_open], high[is_open]
+        low, high = np.stack([low, middle], -1).ravel(), np.stack([middle, high], -1).ravel()
+        if not owner.size:
+            break
+    kept.append(_unproved(owner, low, high))
+    together = [np.concatenate(column) for column in zip(*kept, strict=True)]
+    order = np.lexsort((together[1], together[0]))
+    return SignChanges(*(column[order] for column in together))
+
+
+def _bounds(series: Series) -> _Bounds:
+    order = np.arange(series.coefficients.shape[-1])
+    size = np.abs(series.coefficients) + series.errors
+    # Each term is right to a few units: its angle, its sine, the product and the sum.
+    errors = series.errors + (len(order) + 8) * _EPS * np.abs(series.coefficients)
+    return _Bounds(
+        in_theta=np.sum(order**2 * size, axis=-1),
+        in_h=np.sum(order**2 * (order**2 - 1) * size, axis=-1) / 3,
+        error=np.sum(order * errors, axis=-1),
+        slope_error=np.sum(order**2 * errors, axis=-1),
+    )
+
+
+def _sample(
+    series: Series, bounds: _Bounds, owner: Int64[np.ndarray, " cells"], theta: Column
+) -> _Sample:
+    """Return f, df/dtheta and bounds of their errors, one angle for each cell."""
+    order = np.arange(series.coefficients.shape[-1])
+    half = 0.5 * theta[:, None] * order
+    sine, terms = np.sin(half), 2.0 * series.coefficients[owner]
+    value = series.start[owner] - np.sum(terms * sine**2, axis=-1)
+    slope = -np.sum(terms * order * sine * np.cos(half), axis=-1)
+    slope_error = theta * bounds.slope_error[owner]
+    error = np.minimum(theta * bounds.error[owner], 0.5 * theta * slope_error)
+    error = error + series.start_error[owner] + 4 * _EPS * np.abs(value)
+    return _Sample(value, error, slope, slope_error)
+
+
+def _decided(
+    sample: _Sample,
+    bounds: _Bounds,
+    owner: Int64[np.ndarray, " cells"],
+    middle: Column,
+    half: Column,
+) -> tuple[Bool[np.ndarray, " cells"], Bool[np.ndarray, " cells"]]:
+    """Return which cells are proved to hold no root, and which to be monotone."""
+    away = np.abs(sample.value) - sample.value_error
+    slope = np.abs(sample.slope)
+    clear, monotone = np.zeros(len(owner), bool), np.zeros(len(owner), bool)
+    widest = np.maximum(np.sin(middle - 0.5 * half), np.sin(middle + 0.5 * half))
+    in_h = 2.0 * np.sin(0.5 * half) * widest
+    for change, bend, width in (
+        (1.0, bounds.in_theta[owner], half * (1 + 8 * _EPS)),
+        (1.0 / np.sin(middle), bounds.in_h[owner], in_h * (1 + 8 * _EPS)),
+    ):
+        steepest = (slope + sample.slope_error) * change
+        clear |= away > (steepest * width + 0.5 * bend * width**2) * (1 + 8 * _EPS)
+        monotone |= (slope - sample.slope_error) * change > bend * width * (1 + 8 * _EPS)
+    return clear, monotone
+
+
+def _changes(
+    series: Series,
+    bounds: _Bounds,
+    owner: Int64[np.ndarray, " cells"],
+    low: Column,
+    high: Column,
+    direction: Column,
+) -> SignChanges:
+    """Return the monotone cells whose ends differ in sign, or may do so."""
+    first, last = (_sample(series, bounds, owner, theta) for theta in (low, high))
+    starts, ends = direction * first.value, direction * last.value
+    is_known = (starts < -first.value_error) & (ends > last.value_error)
+    from_zero = (low == 0.0) & (series.start[owner] == 0.0) & (series.start_error[owner] == 0.0)
+    kept = (starts <= first.value_error) & (ends >= -last.value_error) & ~from_zero
+    return SignChanges(owner[kept], low[kept], high[kept], direction[kept], is_known[kept])
+
+
+def _unproved(owner: Int64[np.ndarray, " cells"], low: Column, high: Column) -> SignChanges:
+    return SignChanges(owner, low, high, np.zeros(len(owner)), np.zeros(len(owner), bool))
+
+
+_STEP_BACK = 1e-6  # of alpha + gamma: how far inside of a boundary point its side is tested
+
 _CHUNK = 2048  # questions answered at once
+
 _NEWTON_STEPS = 60
 
 

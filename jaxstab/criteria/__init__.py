@@ -1,5 +1,0 @@
-"""The linear rule, Routh and Hurwitz, passivity."""
-
-from jaxstab.lazy import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

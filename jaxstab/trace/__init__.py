@@ -1,5 +1,0 @@
-"""The boundary in any plane of parameters."""
-
-from jaxstab.lazy import attach_stub
-
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
