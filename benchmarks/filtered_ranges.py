@@ -24,9 +24,8 @@ from jaxstab.model.filters import given_filters
 from jaxstab.proofs.columns import column_gaps
 from jaxstab.proofs.enclosures import Domain
 from jaxstab.proofs.plant import HandBoxes
-from jaxstab.ranges.device_delays import extra_delays
-from jaxstab.ranges.device_margins import device_ends
-from jaxstab.ranges.first_crossings import WAYS, first_crossings
+from jaxstab.ranges.device_margins import device_ends, extra_delays
+from jaxstab.ranges.margins import WAYS, first_crossings
 
 _PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged
 _DELAY_PARTS = (0.1, 0.37, 0.71, 0.93, 1.0 - 1e-9)

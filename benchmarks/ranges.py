@@ -23,7 +23,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
 from jaxstab.model import by_name, characteristic_polynomial, companion_matrix
 from jaxstab.ranges import HandRange, RobustLimit
-from jaxstab.ranges.first_crossings import WAYS, first_crossings
+from jaxstab.ranges.margins import WAYS, first_crossings
 from jaxstab.region import RegionStatus, stable_region
 
 _WALLS, _SMALL_WALLS = 400, 6

@@ -13,7 +13,7 @@ import jaxstab
 from jaxstab import AtlasSpec, FittedAxis, HapticLoop, LoopAtlas, Velocity, Verdict
 from jaxstab.scene import Scene
 from jaxstab.scene.atlas import atlas_spec, spec_text
-from jaxstab.scene.members import corners_of, loop_of_member
+from jaxstab.scene.loops import corners_of, loop_of_member
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = ROOT / "data" / "golden"

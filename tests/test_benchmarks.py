@@ -17,7 +17,7 @@ import pytest
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.ranges import is_limit_wrong, judged_margins
 from jaxstab import HandRange, HapticLoop
-from jaxstab.ranges.first_crossings import first_crossings
+from jaxstab.ranges.margins import first_crossings
 
 pytestmark = pytest.mark.campaign
 

@@ -167,7 +167,7 @@ def response(device: Device, frequency: float) -> complex:
 
 
 def coefficients(polynomial: Any) -> list[Any]:
-    from jaxstab.model.device.rational import balls_of
+    from jaxstab.model.device.parts import balls_of
 
     return balls_of(polynomial)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from commands import run
 
-from jaxstab.pictures.comparison import comparison_figure
+from jaxstab.pictures.scene import comparison_figure
 from jaxstab.scene import check_walls
 from jaxstab.scene.many import answer_all, sweep_of, variants_of
 

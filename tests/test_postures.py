@@ -15,8 +15,7 @@ from jaxstab.scene.atlas import atlas_spec
 from jaxstab.scene.check import check_walls
 from jaxstab.scene.design import design_loop
 from jaxstab.scene.limits import scene_limits
-from jaxstab.scene.loops import hands_among
-from jaxstab.scene.members import ranges_of
+from jaxstab.scene.loops import hands_among, ranges_of
 from jaxstab.scene.tune import tune_walls
 from tests.commands import run
 

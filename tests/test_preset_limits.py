@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
 from jaxstab.scene import Scene, loop_of
-from jaxstab.scene.presets import device_presets, software_presets
+from jaxstab.scene.scene import device_presets, software_presets
 
 Floats = NDArray[np.float64]
 

@@ -9,8 +9,13 @@ from scipy.signal import lfilter
 
 from jaxstab.model import Filter, Velocity
 from jaxstab.scene import Scene
-from jaxstab.scene.estimators import PositionTable, VelocityTable
-from jaxstab.scene.presets import Preset, device_presets, software_presets
+from jaxstab.scene.scene import (
+    PositionTable,
+    Preset,
+    VelocityTable,
+    device_presets,
+    software_presets,
+)
 
 DATA = Path(__file__).parents[1] / "data" / "presets"
 ALL = {**device_presets(), **software_presets()}

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from jaxstab.scene import EXAMPLE, Scene, plan_scene
-from jaxstab.scene.presets import device_presets
-from jaxstab.scene.scene import MEASURES
+from jaxstab.scene.scene import MEASURES, device_presets
 
 SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))
 GOOD: dict[str, Any] = {

@@ -15,7 +15,7 @@ from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
-from jaxstab.scene.explained import DIAGRAM
+from jaxstab.scene.example import DIAGRAM
 from jaxstab.scene.limits import inwards
 
 ROOT = Path(__file__).parents[1]

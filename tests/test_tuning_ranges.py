@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from jaxstab import Device, HapticLoop, Velocity, tune_for_all
 from jaxstab.scene import Scene, tune_walls
-from jaxstab.scene.over_ranges import tune_over_ranges
+from jaxstab.scene.tune import tune_over_ranges
 from jaxstab.tuning import TuningStatus
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from jaxstab.cli.options import page_file
-from jaxstab.cli.scene_options import refused, scene_of, warn
+from jaxstab.cli.scene import refused, scene_of, warn
 
 
 @click.command()

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from jaxstab.cli.options import number_or_range, output_file, picture_file, write_beside
-from jaxstab.cli.scene_options import refused, scene_of, scene_options, warn
+from jaxstab.cli.scene import refused, scene_of, scene_options, warn
 from jaxstab.shown import shortened
 
 
@@ -74,7 +74,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
             made = scene_guard(scene, given["masses"], given["delays"], progress=show, cells=cells)
         publish(header_of(scene, made, name).encode(), output)
         if plot:
-            from jaxstab.pictures.guard import guard_figure
+            from jaxstab.pictures.scene import guard_figure
             from jaxstab.pictures.style import picture
 
             write_beside(picture(guard_figure(made, scene.units), plot.suffix[1:]), plot)

@@ -16,14 +16,12 @@ from typing import Any, NoReturn
 import click
 
 import jaxstab
-from jaxstab.cli.atlas import build, info, spec, verify
+from jaxstab.cli.atlas import build, info, plan, spec, verify
 from jaxstab.cli.explore import explore
 from jaxstab.cli.guard import guard
-from jaxstab.cli.plan import plan
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
-from jaxstab.cli.scene import check, design, limits, scene, tune
-from jaxstab.cli.scene_options import sentence_of, warn
+from jaxstab.cli.scene import check, design, limits, scene, sentence_of, tune, warn
 from jaxstab.shown import printable
 
 

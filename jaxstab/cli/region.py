@@ -53,7 +53,7 @@ def region(
     with at_work(f"region of a loop with {delay:g} samples of delay"):
         facts = region_facts(gamma=gamma, delta=delta, delay=delay, radius=radius)
     if output:
-        from jaxstab.pictures.region import region_figure
+        from jaxstab.pictures.paper import region_figure
         from jaxstab.pictures.style import picture
 
         drawn = picture(region_figure(gamma, delta, delay, radius), output.suffix[1:])

@@ -1,16 +1,350 @@
 """The commands around a scene: what it allows, how its walls do, the best walls, the design."""
 
+import csv
+import io
 import json
 import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxstab.cli.many import answer_many
-from jaxstab.cli.options import at_work, output_file, picture_file, write_beside
-from jaxstab.cli.scene_options import refused, scene_of, scene_options, warn
+from jaxstab.cli.options import at_work, number_or_range, output_file, picture_file, write_beside
+from jaxstab.shown import printable
+
+# Options that describe scenes, and the tables of scenes that files and options make.
+
+if TYPE_CHECKING:
+    from jaxstab.scene import Scene
+
+
+def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add what describes a scene: a file, options that go before it, and the form of the answer."""
+    decorations = (
+        click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
+        click.option("--device", help="A device by name; jaxstab scene presets lists them."),
+        click.option(
+            "--mass", callback=number_or_range, help="Of the device in kg; LOW:HIGH for a range."
+        ),
+        click.option(
+            "--inertia",
+            callback=number_or_range,
+            help="In kg m^2, for a device that turns; LOW:HIGH for a range.",
+        ),
+        click.option("--damping", type=float, help="Damping of the device in N s/m (N m s/rad)."),
+        click.option("--hand-mass", callback=number_or_range, help="In kg; LOW:HIGH for a range."),
+        click.option(
+            "--hand-inertia", callback=number_or_range, help="In kg m^2; LOW:HIGH for a range."
+        ),
+        click.option(
+            "--hand-stiffness", callback=number_or_range, help="In N/m; LOW:HIGH for a range."
+        ),
+        click.option(
+            "--hand-damping", callback=number_or_range, help="In N s/m; LOW:HIGH for a range."
+        ),
+        click.option("--sample-time", type=float, help="Sampling period T in s."),
+        click.option("--delay", type=float, help="Time delay of the loop in s."),
+        click.option("--delay-samples", type=float, help="The same in samples."),
+        click.option("--window", type=float, help="Velocity: difference over this window in s."),
+        click.option("--window-samples", type=int, help="The same in samples."),
+        click.option("--cutoff", type=float, help="Velocity: low pass at this cut-off in Hz."),
+        click.option(
+            "--estimator",
+            help="Velocity as this software estimates it; jaxstab scene presets lists names.",
+        ),
+        click.option(
+            "--wall",
+            type=(str, float, float),
+            multiple=True,
+            metavar="NAME K B",
+            help="A wall: its name, N/m and N s/m; may be repeated.",
+        ),
+        click.option(
+            "--sweep",
+            multiple=True,
+            metavar="KEY=LOW:HIGH:COUNT",
+            help="Answer for each value of a key, such as device.mass=0.1:0.5:20, or KEY=V,V,...; "
+            "may be repeated.",
+        ),
+        click.option(
+            "--csv",
+            "csv_file",
+            type=Path,
+            callback=output_file,
+            help="CSV file ('-': stdout) to write all values into, a row for each scene.",
+        ),
+        click.option("--json", "as_json", is_flag=True, help="Print JSON."),
+    )
+    for decoration in reversed(decorations):
+        command = decoration(command)
+    return command
+
+
+_DESCRIBES = ("device", "mass", "inertia", "damping", "sample_time", "wall", "sweep")
+
+_NOTHING = (
+    "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an example), "
+    "or options, such as --device omega --sample-time 0.001 --delay 0.001."
+)
+
+
+def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the table of each file, or an empty one, with the options in place of its values."""
+    from jaxstab.tables import read_table
+
+    with refused():
+        files = given.get("files") or ()
+        if not files and all(value in (None, ()) for value in map(given.get, _DESCRIBES)):
+            raise click.UsageError(_NOTHING)
+        tables = {str(file): read_table(file, "scene") for file in files} or {"": {}}
+        return {source: _merged(table, given) for source, table in tables.items()}
+
+
+def scene_of(given: dict[str, Any]) -> "Scene":
+    """Return the checked scene of one file and options."""
+    from jaxstab.scene import Scene
+
+    ((source, table),) = tables_of(given).items()
+    with refused():
+        return Scene.from_table(table, source)
+
+
+def warn(*unusual: str) -> None:
+    """Say what is unusual about a scene."""
+    if unusual:
+        words = "; ".join(unusual)
+        click.echo(f"jaxstab: warning: {words}{'' if words.endswith('?') else '.'}", err=True)
+
+
+@contextmanager
+def refused() -> Iterator[None]:
+    """End a command that cannot answer with exit code 2: 1 is for walls that are not stable."""
+    try:
+        yield
+    except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
+        words = sentence_of(error) if isinstance(error, OSError) else str(error)
+        raise click.UsageError(words or "there is not enough memory.") from error
+
+
+def sentence_of(error: OSError) -> str:
+    """Return the sentence of an error; the system has none for what it refuses of stdout."""
+    reason = error.strerror or str(error)
+    if error.errno is None or reason != os.strerror(error.errno):
+        return reason
+    return f"cannot {'use' if error.filename else 'write'} {error.filename or 'stdout'}: {reason}."
+
+
+_VELOCITY = {
+    "window": "window",
+    "window_samples": "window_samples",
+    "cutoff": "cutoff",
+    "estimator": "preset",
+}
+
+
+def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    """Return the tables of a file with the options in place of its values."""
+    keys = {
+        "device": ("device", "preset"),
+        "mass": ("device", "mass"),
+        "inertia": ("device", "inertia"),
+        "damping": ("device", "damping"),
+        "hand_mass": ("hand", "mass"),
+        "hand_inertia": ("hand", "inertia"),
+        "hand_stiffness": ("hand", "stiffness"),
+        "hand_damping": ("hand", "damping"),
+        "sample_time": ("controller", "sample_time"),
+        "delay": ("controller", "delay"),
+        "delay_samples": ("controller", "delay_samples"),
+        "at_damping": ("wanted", "at_damping"),
+        "at_stiffness": ("wanted", "at_stiffness"),
+        "stiffness": ("wanted", "stiffness"),
+        "safety": ("wanted", "safety"),
+        "mass_tolerance": ("wanted", "mass_tolerance"),
+        "delay_tolerance": ("wanted", "delay_tolerance"),
+    }
+    merged = {"device": {}, "controller": {}} | table
+    options = {option: value for option, value in given.items() if value is not None}
+    sections = {section for option, (section, _) in keys.items() if option in options}
+    if options.get("wall"):
+        sections.add("walls")
+    if any(not isinstance(merged.get(section, {}), dict) for section in sections):
+        return merged  # which is refused
+    if "delay" in options or "delay_samples" in options:  # in place of one in either unit
+        kept = merged["controller"].items()
+        merged["controller"] = {key: value for key, value in kept if "delay" not in key}
+    velocity = {key: options[option] for option, key in _VELOCITY.items() if option in options}
+    if velocity and isinstance(merged["controller"], dict):  # in place of all that the file says
+        merged["controller"] = merged["controller"] | {"velocity": velocity}
+    for option, (section, key) in keys.items():
+        if option in options:
+            merged[section] = merged.get(section, {}) | {key: options[option]}
+    walls = {}
+    for name, stiffness, damping in options.get("wall", ()):
+        if name in walls:
+            raise ValueError(f"wall {name} is given twice; give each wall a name of its own.")
+        walls[name] = {"stiffness": stiffness, "damping": damping}
+    return merged | ({"walls": merged.get("walls", {}) | walls} if walls else {})
+
+
+# Many scenes in one process: a table, CSV, JSON, and a picture that compares them.
+
+if TYPE_CHECKING:
+    from jaxstab.scene.many import Row, Variant
+
+_SHOWN = {
+    "best.largest_stiffness",
+    "best.at_damping",
+    "most_damped.largest_damping",
+    "all_hands.largest_stiffness",
+    "least_settling.stiffness",
+    "least_settling.damping",
+    "least_settling.settling_time_2_percent",
+    "now_allowed_stiffness",
+    "sample_time.largest_sample_time",
+    "delay.largest_delay",
+}
+
+_SHOWN_OF_WALLS = {"verdict", "stiffness_gain", "settling_time_2_percent"}
+
+
+def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list[Any]:
+    """Answer several scenes, print what they allow, and return the answers.
+
+    Raises:
+        click.UsageError: no scene could be answered, or some were refused; the others are printed.
+    """
+    import jaxstab.scene
+    from jaxstab.scene.many import answer_all, sweep_of, variants_of
+
+    with refused():
+        variants = variants_of(tables_of(given), dict(map(sweep_of, given["sweep"])))
+        for words in dict.fromkeys(w for v in variants if v.scene for w in v.scene.unusual()):
+            warn(words)
+        rows = list(
+            _with_progress(answer_all(variants, getattr(jaxstab.scene, function)), len(variants))
+        )
+        _write(rows, given["csv_file"], as_json)
+        if given["plot"]:
+            _draw_rows(rows, given["plot"])
+    _refuse_some(rows)
+    return [row.answer for row in rows if row.answer]
+
+
+def _with_progress(rows: Iterable["Row"], count: int) -> Iterator["Row"]:
+    """Show on a terminal how many scenes are answered."""
+    if not sys.stderr.isatty():
+        yield from rows
+        return
+    from rich.console import Console
+    from rich.progress import track
+
+    yield from track(rows, "scenes", total=count, console=Console(stderr=True), transient=True)
+
+
+def _write(rows: list["Row"], csv_file: Path | None, as_json: bool) -> None:
+    if csv_file:
+        text = _csv(rows)
+        if str(csv_file) == "-":
+            click.echo(text, nl=False)
+            return
+        write_beside(text.encode(), csv_file)
+    click.echo(_json(rows) if as_json else _table(rows))
+
+
+def _csv(rows: list["Row"]) -> str:
+    columns = [*_heads(rows), *_paths(rows), "refusal"]
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, columns, lineterminator="\n", restval="")
+    writer.writeheader()
+    for row in rows:
+        given = {"scene": row.variant.source, **row.variant.values}
+        cells = {**given, **row.values, "refusal": row.refusal}
+        writer.writerow({name: _no_formula(value) for name, value in cells.items()})
+    return stream.getvalue()
+
+
+def _no_formula(value: Any) -> Any:
+    """Return a cell with a quote before what a spreadsheet would compute."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in tuple("=+-@\t\r") else value
+
+
+def _json(rows: list["Row"]) -> str:
+    return json.dumps(
+        [
+            {
+                "scene": row.variant.source,
+                "swept": row.variant.values,
+                "answer": row.answer.as_json() if row.answer else None,
+                "refusal": row.refusal or None,
+            }
+            for row in rows
+        ],
+        indent=1,
+    )
+
+
+def _table(rows: list["Row"]) -> str:
+    """Return the main numbers of each scene, in columns, or the reason why it was refused."""
+    from jaxstab.scene.many import short
+
+    paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]
+    first = "scene" if any(row.variant.source for row in rows) else ""
+    heads = [first, *rows[0].variant.values]
+    lines = [[*heads, *(_head(path) for path in paths)]]
+    for row in rows:
+        own = [row.variant.source, *(short(value) for value in row.variant.values.values())]
+        lines.append(list(map(printable, [*own, *(row.words.get(path, "") for path in paths)])))
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    refusals = ["", *(printable(row.refusal) for row in rows)]
+    return "\n".join(
+        "  ".join(
+            f"{cell:{width}}" for cell, width in zip(line, widths, strict=True) if width
+        ).rstrip()
+        + (f"  {refusal}" if refusal else "")
+        for line, refusal in zip(lines, refusals, strict=True)
+    )
+
+
+def _is_of_wall(path: str) -> bool:
+    outer, _, name = path.rpartition(".")
+    return name in _SHOWN_OF_WALLS and outer.startswith("walls.") and outer.count(".") == 1
+
+
+def _head(path: str) -> str:
+    return path.removeprefix("walls.").replace("_", " ").replace(".", ": ")
+
+
+def _heads(rows: list["Row"]) -> list[str]:
+    return ["scene", *rows[0].variant.values]
+
+
+def _paths(rows: list["Row"]) -> list[str]:
+    """Return the paths of all values, in the order in which they come."""
+    return list(dict.fromkeys(path for row in rows for path in row.values))
+
+
+def _draw_rows(rows: list["Row"], file: Path) -> None:
+    from jaxstab.pictures.scene import comparison_figure
+    from jaxstab.pictures.style import picture
+
+    answered: list[Variant] = [row.variant for row in rows if row.answer]
+    write_beside(picture(comparison_figure(answered), file.suffix[1:]), file)
+
+
+def _refuse_some(rows: list["Row"]) -> None:
+    wrong = [row for row in rows if row.refusal]
+    if wrong:
+        first = wrong[0]
+        raise click.UsageError(
+            f"{len(wrong)} of {len(rows)} scenes were refused; the first, {first.variant.name}: "
+            f"{first.refusal}"
+        )
+
 
 if TYPE_CHECKING:
     from jaxstab.scene import Answer, Scene
@@ -29,6 +363,7 @@ class _FileOrCommand(click.Group):
 _plot_option = click.option(
     "--plot", type=Path, callback=picture_file, help="PNG or SVG file to draw the scene into."
 )
+
 _safety_option = click.option(
     "--safety", type=float, help="Multiply all limits by this, such as 0.8."
 )
@@ -121,7 +456,7 @@ def init(output: Path | None) -> None:
 @scene.command()
 def presets() -> None:
     """List devices and velocity estimators by name: their numbers, and where these are from."""
-    from jaxstab.scene.presets import device_presets, software_presets
+    from jaxstab.scene.scene import device_presets, software_presets
 
     for heading, known in (
         ("[device] preset =", device_presets()),
@@ -165,8 +500,6 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> int:
 
 
 # --------------------------------------------------------------------------- from options to scene
-
-
 def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
     """Answer one scene or many, and return the exit code."""
     if len(given["files"]) > 1 or given["sweep"] or given["csv_file"]:
@@ -207,8 +540,6 @@ def _computed(scene: "Scene", name: str) -> Any:
 
 
 # ------------------------------------------------------------------------------------------- print
-
-
 def _print(scene: "Scene", answer: "Answer", as_json: bool) -> None:
     warn(*scene.unusual())
     click.echo(json.dumps(answer.as_json(), indent=1) if as_json else answer)

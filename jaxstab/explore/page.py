@@ -6,11 +6,8 @@ from math import isfinite
 from typing import Any
 
 from jaxstab.scene import Scene
-from jaxstab.scene.estimators import VelocityTable
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
-from jaxstab.scene.mechanics import Hand
-from jaxstab.scene.presets import software_presets
-from jaxstab.scene.units import Units
+from jaxstab.scene.scene import Hand, Units, VelocityTable, software_presets
 
 SCRIPTS = (
     *("plant", "polynomial", "loop", "region", "wall", "rules", "state"),

@@ -9,10 +9,13 @@ from jaxstab.guard.guard import Guard
 from jaxstab.shown import printable, shortened
 
 LARGEST = 1_000_000
+
 """Bytes of a header at most."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
+
 _WIDTH = 96
+
 _LINE = ("kg", "N/m", "N s/m")
 
 

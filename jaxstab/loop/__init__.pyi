@@ -1,9 +1,9 @@
 from .between import LoopsBetween as LoopsBetween
 from .between import WorstLoop as WorstLoop
-from .common_region import CommonRegion as CommonRegion
-from .common_region import common_region as common_region
-from .common_wall import CommonWall as CommonWall
-from .common_wall import tune_for_all as tune_for_all
+from .common import CommonRegion as CommonRegion
+from .common import CommonWall as CommonWall
+from .common import common_region as common_region
+from .common import tune_for_all as tune_for_all
 from .loop import HapticLoop as HapticLoop
 from .region import Gains as Gains
 from .region import WallLimits as WallLimits

@@ -1,8 +1,11 @@
 """All loops between two: walls that each of them renders stably, proved."""
 
-from dataclasses import dataclass, fields
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, partial, reduce
+from itertools import product
+from math import nan
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float64, Int8
@@ -10,12 +13,18 @@ from jaxtyping import Float64, Int8
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import UNDECIDED, Verdict
 from jaxstab.loop.loop import HapticLoop
-from jaxstab.model import checked_gain
+from jaxstab.loop.region import TOLERANCE, Gains, WallRegion, wall_region
+from jaxstab.model import Device, Hand, checked_gain
 from jaxstab.model.device.family import LoopFamily
+from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.spans import merged, value_at
 from jaxstab.numbers import checked_number
-from jaxstab.ranges import RobustLimit
-from jaxstab.ranges.families import family_verdicts, first_roots
+from jaxstab.ranges import HandRange, RobustLimit, WorstHand
+from jaxstab.ranges.device_hands import unproved_hands
+from jaxstab.ranges.families import failures, family_verdicts, first_roots
+from jaxstab.ranges.hands import Hands, Range, checked_range, spread_hands
+from jaxstab.ranges.robust import RobustStatus, polygon_of_rows, pulled_in
+from jaxstab.region import RegionStatus
 
 _TRIED, _FINER = 17, 4  # loops of which the worst is looked for, and rounds around it
 
@@ -211,8 +220,6 @@ class LoopsBetween:
             >>> found.is_proved, round(found.limit)
             (True, 70643)
         """
-        from jaxstab.loop.tried_loops import robust_limit
-
         return robust_limit(self)
 
     def _try(
@@ -222,3 +229,373 @@ class LoopsBetween:
         for share in map(float, shares):
             if share not in radii:
                 radii[share] = float(self.loop(share).spectral_radius(*wall).value)
+
+
+# Walls that several stable regions share, by rows of the damping.
+
+_ROWS = 33
+
+_ZOOMS = 5
+
+Key = TypeVar("Key")
+
+Points = Float64[np.ndarray, "vertex 2"]
+
+Rows = Float64[np.ndarray, " row"]
+
+Intervals = Float64[np.ndarray, "row _ 2"]
+
+
+def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
+    """Return a polygon of walls that all regions have, by rows; no point where no row has one.
+
+    Of several intervals of a row it is the widest. What lies between two rows may be missed, and of
+    the polygon nothing is proved.
+
+    Args:
+        regions: at least one, none of them empty.
+        count: of rows.
+    """
+    low, high = common_rows(regions)
+    if not low < high:
+        return np.zeros((0, 2))
+    return polygon_of_rows(partial(common_limits, regions), low, high, count)
+
+
+def stiffest_wall(regions: Sequence[WallRegion]) -> Gains | None:
+    """Return the largest stiffness that regions share, none of them empty, and its damping."""
+    low, high = common_rows(regions)
+    best: Gains | None = None
+    for _ in range(_ZOOMS):
+        if not low < high:
+            break
+        rows = np.linspace(low, high, _ROWS + 2)[1:-1]
+        left, right = common_limits(regions, rows)
+        right = np.where(left < right, right, -np.inf)
+        number = int(np.argmax(right))
+        if right[number] == -np.inf:
+            break
+        if best is None or right[number] >= best.stiffness:
+            best = Gains(float(right[number]), float(rows[number]))
+        step = rows[1] - rows[0]
+        low, high = rows[number] - step, rows[number] + step
+    return best
+
+
+def setter_of(regions: Mapping[Key, WallRegion], damping: float) -> Key:
+    """Return which of some regions allows least at a damping."""
+    row = np.array([damping])
+    tops = {key: region.stiffness_limits(row)[0, 1] for key, region in regions.items()}
+    return min(tops, key=lambda key: tops[key])
+
+
+def common_rows(regions: Sequence[WallRegion]) -> tuple[float, float]:
+    """Return the dampings between which all regions may have a wall."""
+    tops = [region.outline[:, 1] for region in regions]
+    return max(top.min() for top in tops), min(top.max() for top in tops)
+
+
+def common_limits(regions: Sequence[WallRegion], rows: Rows) -> tuple[Rows, Rows]:
+    """Return the ends of the widest interval of stiffness that all regions have in each row."""
+    shared = reduce(_shared, (region.stiffness_intervals(rows) for region in regions))
+    if not shared.shape[1]:
+        return np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
+    shared = np.where(np.isnan(shared), [np.inf, -np.inf], shared)
+    widest = np.argmax(shared[..., 1] - shared[..., 0], axis=1)
+    left, right = shared[np.arange(len(rows)), widest].T
+    return left, right
+
+
+def _shared(one: Intervals, other: Intervals) -> Intervals:
+    """Return the intervals that two sets of intervals share; NaN for none."""
+    low = np.maximum(one[:, :, None, 0], other[:, None, :, 0])
+    high = np.minimum(one[:, :, None, 1], other[:, None, :, 1])
+    both = np.where((low < high)[..., None], np.stack([low, high], axis=-1), np.nan)
+    shared = both.reshape(len(one), low.shape[1] * low.shape[2], 2)
+    return shared[:, ~np.isnan(shared[..., 0]).all(axis=0)]
+
+
+# Walls that all loops between two allow: guessed by some of them, and proved for all.
+#
+# The intersection of the regions of some loops is too large. Where the proof of a wall, or of a
+# polygon, fails, the loop half way between the two next to it joins, and it is tried again.
+
+if TYPE_CHECKING:
+    from jaxstab.loop.between import LoopsBetween
+    from jaxstab.loop.loop import HapticLoop
+
+WIDER = (1.0, 2.0, 4.0)  # times the tolerance, by which a polygon is pulled in
+
+_FIRST = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+_CLOSEST = 2.0**-10  # of the way: there is no loop tried between two that are so close
+
+_ATTEMPTS = 24
+
+_AT_ONCE = 3  # loops that are added
+
+_PULLS = (0.01, 0.02, 0.04, 0.08)  # of the limit: the wall that is proved lies so far below
+
+Shares = Float64[np.ndarray, " share"]
+
+
+class TriedLoops:
+    """Loops between two that are tried, with the walls that small gains lead to in each."""
+
+    def __init__(self, between: "LoopsBetween") -> None:
+        self.between = between
+        self.shares: list[float] = []
+        self.regions: dict[float, WallRegion] = {}
+        for share in _FIRST:
+            self._add(share)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether one of the loops has no stable wall."""
+        return any(region.is_empty for region in self.regions.values())
+
+    @property
+    def loops(self) -> "tuple[HapticLoop, ...]":
+        """The loops, from the first on."""
+        return tuple(self.between.loop(share) for share in self.shares)
+
+    def refine(self, failed: Shares) -> bool:
+        """Add loops where a proof failed; return whether there are any."""
+        last = len(self.shares) - 1
+        numbers = np.clip(np.searchsorted(self.shares, failed, "right"), 1, last)
+        numbers, counts = np.unique(numbers, return_counts=True)
+        pairs = [
+            (self.shares[number - 1], self.shares[number])
+            for number in numbers[np.argsort(-counts, kind="stable")]
+        ]
+        pairs = [(low, high) for low, high in pairs if high - low > _CLOSEST][:_AT_ONCE]
+        for low, high in pairs:
+            self._add(0.5 * (low + high))
+        return bool(pairs)
+
+    def _add(self, share: float) -> None:
+        self.shares = sorted([*self.shares, share])
+        region = wall_region(self.between.loop(share), TOLERANCE)
+        if region.status != RegionStatus.UNRESOLVED:  # the proof covers this loop, too
+            self.regions[share] = region if region.is_empty else region.main or region.components[0]
+
+
+def robust_limit(between: "LoopsBetween") -> RobustLimit:
+    """Return the stiffest wall that all loops between two allow: ``LoopsBetween``."""
+    tried, pulls = TriedLoops(between), list(_PULLS)
+    found = RobustLimit(np.nan, np.nan, False, np.nan, between.first)
+    for _ in range(_ATTEMPTS):
+        if not tried.regions or tried.is_empty:
+            break
+        top = stiffest_wall([*tried.regions.values()])
+        if top is None:
+            break
+        stiffness = top.stiffness - pulls[0] * abs(top.stiffness)
+        setter = between.loop(setter_of(tried.regions, top.damping))
+        found = RobustLimit(stiffness, top.damping, False, top.stiffness, setter)
+        wall = np.array([[stiffness, top.damping]])
+        roots = first_roots(between.family, wall)
+        if roots is None:
+            break
+        if np.isinf(roots.low[0]):
+            is_stable = bool(between.first.is_stable(*wall[0]))
+            return found._replace(is_proved=is_stable)
+        if not tried.refine(roots.low):
+            pulls.pop(0)
+            if not pulls:
+                break
+    return found
+
+
+def common_outline(tried: TriedLoops, tolerance: float) -> tuple[RobustStatus, Points, float]:
+    """Return a polygon that is proved for all loops between two, and by how much it is pulled in.
+
+    Args:
+        tried: the first loops, to which others are added.
+        tolerance: by which part of its size it is pulled in at first.
+    """
+    family, nothing = tried.between.family, np.zeros((0, 2))
+    pulls = [times * tolerance for times in WIDER]
+    for _ in range(_ATTEMPTS):
+        if not tried.regions:
+            break
+        outer = nothing if tried.is_empty else common_walls([*tried.regions.values()])
+        if not len(outer):
+            return RobustStatus.EMPTY, nothing, tolerance
+        outline = pulled_in(outer, pulls[0])
+        roots = first_roots(family, outline)
+        failed = None if roots is None else roots.low[np.isfinite(roots.low)]
+        if failed is not None and not failed.size:
+            failed = failures(family, outline)
+        if failed is None:
+            break
+        if not failed.size:
+            return RobustStatus.PROVED, outline, pulls[0]
+        if not tried.refine(failed):
+            pulls.pop(0)
+            if not pulls:
+                break
+    return RobustStatus.UNPROVED, nothing, tolerance
+
+
+# A loop with any device, held by all hands of a range, its device of any mass of another one.
+#
+# Some hands are tried, and all others are proved in boxes (``ranges.device_hands``). Devices of
+# which boxes know nothing are proved where one number varies, as the loops between two.
+
+if TYPE_CHECKING:
+    from jaxstab.loop.loop import HapticLoop
+
+_VALUES = 3  # values of each number that varies
+
+_MOST_TRIED = 64  # hands of those that could not be proved
+
+_HAND_ATTEMPTS = 12
+
+
+@dataclass(frozen=True)
+class LoopsWithHands:
+    """A loop with its device and all hands of a range, in place of the hand that it has.
+
+    A grip stays.
+
+    Args:
+        loop: the loop, with its device.
+        device: the device.
+        hands: the range of hands.
+        mass: the lowest and the highest mass of the device in kg; None for its own.
+
+    Raises:
+        TypeError: ``hands`` is no range of hands.
+        ValueError: a range is out of order, the device has several hands, or no mass that could
+            vary.
+    """
+
+    loop: "HapticLoop"
+    device: Device
+    hands: HandRange
+    mass: Range | None = None
+
+    def __post_init__(self) -> None:
+        checked_range(self.hands, self.mass)
+        if len(self.device.hands) > 1:
+            raise ValueError(
+                f"the device ({self.device}) is held by {len(self.device.hands)} hands; give one "
+                "that has a single hand, in place of which those of the range hold it."
+            )
+        if self.mass is not None and self._own_mass is None:
+            raise ValueError(
+                f"mass is {self.mass}, but the device ({self.device}) has none that could vary; "
+                "leave it out."
+            )
+
+    def worst(self, stiffness: float, damping: float) -> WorstHand:
+        """Return whether a wall is stable for all of them, and the worst that was found."""
+        wall = stiffness, damping
+        worst = _worst_of([self._held(row) for row in self._spread(_VALUES)], wall)
+        if worst.verdict != Verdict.STABLE:
+            return worst
+        left = self._unproved(wall)
+        if left is None:
+            if self._between is None:
+                return worst._replace(verdict=UNDECIDED)
+            code, loop, _, radius = self._between.worst_loop(*wall)
+            return WorstHand(code, loop, radius)
+        if not len(left):
+            return worst  # one verdict holds for all
+        count = min(len(left), _MOST_TRIED)
+        some = left[np.arange(count) * len(left) // count]
+        found = _worst_of([self._held(row) for row in some], wall)
+        is_known = found.verdict == Verdict.UNSTABLE
+        return found if is_known else worst._replace(verdict=UNDECIDED)
+
+    def robust_limit(self) -> RobustLimit:
+        """Return the stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
+        loops = [self._held(row) for row in self._spread(2)]
+        found, pulls = RobustLimit(nan, nan, False, nan, loops[0]), list(_PULLS)
+        regions: dict[HapticLoop, WallRegion] = {}
+        for _ in range(_HAND_ATTEMPTS):
+            regions |= {loop: _reachable(loop) for loop in loops if loop not in regions}
+            known = {
+                loop: region
+                for loop, region in regions.items()
+                if region.status != RegionStatus.UNRESOLVED  # the proof covers this loop, too
+            }
+            is_empty = not known or any(region.is_empty for region in known.values())
+            top = None if is_empty else stiffest_wall([*known.values()])
+            if top is None:
+                break
+            stiffness = top.stiffness - pulls[0] * abs(top.stiffness)
+            setter = setter_of(known, top.damping)
+            found = RobustLimit(stiffness, top.damping, False, top.stiffness, setter)
+            worst = self.worst(stiffness, top.damping)
+            if worst.verdict == Verdict.STABLE:
+                return found._replace(is_proved=True)
+            if worst.loop in regions:
+                pulls.pop(0)
+                if not pulls:
+                    break
+            loops.append(worst.loop)
+        return found
+
+    @cached_property
+    def _between(self) -> LoopsBetween | None:
+        """The loops between two that these are; None where more than one number varies."""
+        ends = [self.hands.mass, self.hands.stiffness, self.hands.damping, self._masses]
+        if sum(low < high for low, high in ends) > 1:
+            return None
+        return LoopsBetween(*(self._held(row) for row in np.transpose(ends)))
+
+    @property
+    def _own_mass(self) -> float | None:
+        body = self.device.mechanism
+        return body.mass if isinstance(body, MassSpringDamper | Modes) else None
+
+    @property
+    def _masses(self) -> Range:
+        own = self._own_mass or nan
+        return self.mass or (own, own)
+
+    def _spread(self, count: int) -> Hands:
+        low, high = self._masses
+        masses = np.linspace(low, high, count if low < high else 1).tolist()
+        hands = spread_hands(self.hands, count).tolist()
+        return np.array([(*hand, mass) for hand, mass in product(hands, masses)])
+
+    def _held(self, row: np.ndarray) -> "HapticLoop":
+        """Return the loop with a hand, and with a mass of the device."""
+        mass, stiffness, damping, own = row.tolist()
+        hand = Hand.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
+        grip = self.device.hands[0].grip if self.device.hands else None
+        body = self.device.mechanism
+        moved = body if self.mass is None else replace(body, mass=own)
+        free = replace(self.device, mechanism=moved, hands=())
+        return replace(self.loop, device=free.held_by(replace(hand, grip=grip)))
+
+    def _unproved(self, wall: tuple[float, float]) -> Hands | None:
+        """Return hands that are not proved; None where boxes know nothing of such a device."""
+        device = self._held(self._spread(1)[0]).device
+        assert device is not None
+        try:
+            return unproved_hands(device, self.loop, self.hands, self._masses, wall)
+        except NotImplementedError:
+            return None
+
+
+def _worst_of(loops: "list[HapticLoop]", wall: tuple[float, float]) -> WorstHand:
+    """Return the verdict on a wall in the loop of the largest radius; of unstable ones, if any."""
+    codes = np.array([loop.verdict(*wall) for loop in loops])
+    poles = [np.abs(np.asarray(loop.poles(*wall))).max() for loop in loops]
+    unstable = codes == Verdict.UNSTABLE
+    number = int(np.argmax(np.where(unstable | ~unstable.any(), poles, -1.0)))
+    loop = loops[number]
+    radius = float(loop.spectral_radius(*wall).value)
+    return WorstHand(Verdict(int(codes[number])), loop, radius)
+
+
+def _reachable(loop: "HapticLoop") -> WallRegion:
+    """Return the walls that small gains lead to, if there are any."""
+    region = wall_region(loop, TOLERANCE)
+    if region.status == RegionStatus.UNRESOLVED or region.is_empty:
+        return region
+    return region.main or region.components[0]

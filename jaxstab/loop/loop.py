@@ -3,23 +3,34 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from jaxtyping import Float64
+import numpy as np
+from jaxtyping import Bool, Complex128, Float64, Int8
 
-from jaxstab import ranges
-from jaxstab.arrays import Array, Numbers, is_any_traced, pytree
-from jaxstab.loop.region import (
-    TOLERANCE,
-    WallLimits,
-    WallRegion,
-    traced_region,
-    wall_region,
-)
+from jaxstab import motion, point, ranges
+from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
+from jaxstab.conventions import Verdict
+from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, traced_region, wall_region
 from jaxstab.loop.tune import OptimalWall, checked_chatter, optimal_wall
-from jaxstab.loop.walls import LoopWithWalls
-from jaxstab.motion.settling import Excitation
-from jaxstab.numbers import checked_number
-from jaxstab.ranges import HandRange, RobustLimit, WorstHand
+from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
+from jaxstab.model.device import Device
+from jaxstab.model.filters import Filters, given_filters
+from jaxstab.motion import Amplitude, Oscillation, Response, Settling
+from jaxstab.motion.amplitude import WallAmplitude, device_amplitude
+from jaxstab.motion.response import mode_of, simulate_device
+from jaxstab.motion.settling import HORIZON, Excitation, SettlingTime, device_settling_samples
+from jaxstab.numbers import checked, checked_number, checked_word
+from jaxstab.point import SpectralRadius
+from jaxstab.point.poles import linear_poles
+from jaxstab.point.radius import linear_spectral_radius
+from jaxstab.point.verdicts import linear_verdict
+from jaxstab.ranges import HandRange, Margins, RobustLimit, WallMargins, WorstHand
 from jaxstab.ranges.hands import Range
+
+# What a loop answers about its motion at given walls (K, B), in SI units.
+
+
+# What a loop answers about given walls (K, B), in SI units.
+
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +38,7 @@ if TYPE_CHECKING:
 
 @pytree
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)  # a mistake names this class
-class HapticLoop(LoopWithWalls):
+class HapticLoop(LoopParameters):
     """A haptic device held by a hand, and the sampled loop that renders a virtual wall on it.
 
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
@@ -299,7 +310,7 @@ class HapticLoop(LoopWithWalls):
         """
         self._refuse_tracers("worst_hand")
         if self.device is not None:
-            from jaxstab.loop.other_hands import LoopsWithHands
+            from jaxstab.loop.between import LoopsWithHands
 
             wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
             return LoopsWithHands(self, self.device, hands, mass).worst(*wall)
@@ -327,7 +338,7 @@ class HapticLoop(LoopWithWalls):
         """
         self._refuse_tracers("robust_limit")
         if self.device is not None:
-            from jaxstab.loop.other_hands import LoopsWithHands
+            from jaxstab.loop.between import LoopsWithHands
 
             return LoopsWithHands(self, self.device, hands, mass).robust_limit()
         return ranges.robust_limit(self, hands, mass)
@@ -353,7 +364,7 @@ class HapticLoop(LoopWithWalls):
             'stiffness K (N/m)'
         """
         self._refuse_tracers("plot")
-        from jaxstab.pictures.shown import plot_loop
+        from jaxstab.pictures.style import plot_loop
 
         return plot_loop(self, ax)
 
@@ -400,3 +411,387 @@ class HapticLoop(LoopWithWalls):
     def _reachable(self) -> WallRegion:
         region = self.region()
         return region if is_any_traced(self) else region.main or region
+
+    def verdict(
+        self, stiffness: Numbers, damping: Numbers, *, resolve: str | None = None
+    ) -> Int8[Array, "*grid"]:
+        """Prove whether walls are stable: all roots of p(z) inside the unit circle.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+            resolve: "exact" decides more of the walls next to the boundary; see
+                ``jaxstab.verdict``.
+
+        Returns:
+            int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED. The first two
+            are proofs for the loop's dimensionless numbers, which carry a few roundings. The int8
+            of one wall prints its name.
+
+        Raises:
+            ValueError: a gain is infinite or NaN, or resolve is unknown.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
+
+        Example:
+            >>> window = jaxstab.Velocity.difference(window=0.02)
+            >>> device = {"device_mass": 0.25, "device_damping": 0.1}
+            >>> loop = jaxstab.HapticLoop(**device, sample_time=1e-3, delay=1e-3, velocity=window)
+            >>> loop.verdict(5000.0, 30.0)
+            <Verdict.UNSTABLE: 2>
+        """
+        wall = self._wall(stiffness, damping)
+        if self.body is None:
+            checked_word("resolve", resolve or "exact", ("exact",))
+            return named(linear_verdict(*wall, self.linear), Verdict)
+        return point.verdict(*wall, **self.slice, resolve=resolve, **self.filters)
+
+    def is_stable(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
+        """Return True where ``verdict`` proves that a wall is stable.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+
+        Raises:
+            ValueError: a gain is infinite or NaN.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: sec. V of Hulin, Preusche, Hirzinger (2008).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.is_stable([1000.0, 1e6], 10.0).tolist()
+            [True, False]
+        """
+        return self.verdict(stiffness, damping) == Verdict.STABLE
+
+    def spectral_radius(self, stiffness: Numbers, damping: Numbers) -> SpectralRadius:
+        """Return the largest modulus of the loop's poles at walls, with a proved error bound.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+
+        Returns:
+            SpectralRadius per sample, with its bound and status; see ``jaxstab.spectral_radius``.
+
+        Raises:
+            ValueError: a gain is infinite or NaN.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.spectral_radius(1000.0, 10.0)
+            0.9407239707335... +/- ... (proved)
+        """
+        wall = self._wall(stiffness, damping)
+        if self.body is None:
+            return linear_spectral_radius(*wall, self.linear)
+        return point.spectral_radius(*wall, **self.slice, **self.filters)
+
+    def poles(self, stiffness: Numbers, damping: Numbers) -> Complex128[Array, "*grid degree"]:
+        """Return the poles z of the loop at walls, the one of the largest modulus first.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+
+        Returns:
+            Array of shape (*grid, degree); see ``jaxstab.closed_loop_poles``.
+
+        Raises:
+            ValueError: a gain is infinite or NaN.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> abs(loop.poles(1000.0, 10.0)).round(4).tolist()
+            [0.9407, 0.9407, 0.0559]
+        """
+        wall = self._wall(stiffness, damping)
+        if self.body is None:
+            return linear_poles(*wall, self.linear)
+        return point.closed_loop_poles(*wall, **self.slice, **self.filters)
+
+    def margins(self, stiffness: Numbers, damping: Numbers) -> Margins:
+        """Return how far stiffness, damping and delay of the loop at walls may change, each alone.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+
+        Returns:
+            Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, for JAX too. No extra
+            delay is proved (NaN) for a device that is not one mass and has poles of a hundred rad
+            per sample or more.
+
+        Raises:
+            ValueError: a gain is infinite or NaN.
+            TypeError: JAX traces gains, and the device is not one mass.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1.5e-3
+            ... )
+            >>> float(loop.margins(300.0, 2.0).stiffness_gain)
+            5.719...
+        """
+        sampled = self.sampled
+        if sampled is not None:
+            if is_any_traced(stiffness, damping):
+                raise TypeError(
+                    "margins of a device that is not one mass are searched outside of JAX: give "
+                    "concrete gains, outside of jit, vmap and grad."
+                )
+            wall = stiffness, damping
+            return ranges.device_margins(
+                sampled, *wall, velocity=self.velocity, position=self.position
+            )
+        plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
+        found = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
+        return WallMargins(
+            found.verdict,
+            self.stiffness(found.stiffness),
+            self.damping(found.damping),
+            found.stiffness_gain,
+            found.damping_gain,
+            self.sample_time * found.extra_delay,
+        )
+
+    def oscillation(self, stiffness: Numbers, damping: Numbers) -> Oscillation:
+        """Return damping ratio and frequency in Hz of the slowest mode of the loop at walls.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+
+        Returns:
+            Oscillation of arrays of the broadcast shape, the frequency in Hz.
+
+        Raises:
+            ValueError: a gain is infinite or NaN.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: as ``jaxstab.dominant_mode``; Table I.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.oscillation(20000.0, 20.0).frequency), 1)  # Hz
+            77.5
+        """
+        mode = mode_of(self.poles(stiffness, damping))
+        return Oscillation(mode.damping_ratio, mode.frequency / (2.0 * np.pi * self.sample_time))
+
+    def settling_time(
+        self,
+        stiffness: Numbers,
+        damping: Numbers,
+        *,
+        level: float = 0.02,
+        excitation: Excitation = "force",
+        horizon: int = HORIZON,
+    ) -> Settling:
+        """Return the time in s until the position stays within a tolerance of its final value.
+
+        It is ``jaxstab.settling_samples`` times the sample time; the tolerance is explained there.
+        A count of samples jumps from number to number, so it has no useful derivative; that of
+        ``spectral_radius`` says how the decay changes. The hand pushes or strikes at the handle,
+        behind the actuators of a device.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the damping.
+            damping: B in N s/m.
+            level: the tolerance, between 0 and 1; 0.02 is the usual one.
+            excitation: "force", a constant push, or "impact", a velocity at the wall.
+            horizon: samples after which a loop that is not proved to have settled is given up.
+
+        Returns:
+            Settling with ``value`` in s and ``status``, a SettlingStatus.
+
+        Raises:
+            ValueError: an argument is outside its range, infinite or NaN, or the excitation is
+                unknown.
+            TypeError: a filter is traced, or the horizon is not a whole number.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: the loop of eqs. (1)-(5), Table I; lemmas M1 to M3 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.settling_time(1000.0, 20.0).value), 3)
+            0.069
+        """
+        self._refuse_tracers("settling_time")
+        options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}
+        if self.body is None:
+            samples = device_settling_samples(
+                *self._device_and_filters, stiffness, damping, level, **options
+            )
+        else:
+            alpha, beta = self._wall(stiffness, damping)
+            samples = motion.settling_samples(
+                alpha, beta, **self.slice, level=level, **options, **self.filters
+            )
+        return SettlingTime(samples.value * self.sample_time, samples.status)
+
+    def amplitude(
+        self,
+        stiffness: Numbers,
+        damping: Numbers,
+        *,
+        encoder: Numbers = 0.0,
+        force_step: Numbers = 0.0,
+        friction: Numbers = 0.0,
+        noise: Numbers = 0.0,
+    ) -> Amplitude:
+        """Bound what a quantised encoder, a quantised force, friction and noise do at walls.
+
+        The loop is compared with the same loop without any of these, started and pushed alike. The
+        answer bounds how far the two are apart at all times; as the undisturbed one comes to rest
+        under a constant push, it bounds the chatter that the hand feels in the long run. See
+        ``jaxstab.amplitude``.
+
+        Args:
+            stiffness: K in N/m, any shape; like all arguments it broadcasts.
+            damping: B in N s/m.
+            encoder: resolution of the position in m, which is rounded to the nearest multiple.
+            force_step: resolution of the force in N, which is rounded to the nearest multiple.
+            friction: largest Coulomb friction of the device in N, treated as any force at the
+                handle that is never larger.
+            noise: largest error of the position in m, beside that of the resolution.
+
+        Returns:
+            Amplitude in m, m/s and N; infinite where nothing is proved, as at the boundary of
+            stability and beyond it.
+
+        Raises:
+            ValueError: an argument is negative, infinite or NaN, nothing disturbs the loop, or the
+                device does not give way to a constant force.
+            TypeError: a filter is traced.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5);
+        lemmas M3 to M8 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> found = loop.amplitude(1000.0, 20.0, encoder=1e-5)
+            >>> f"{found.position:.1e} m, {found.force:.2f} N"
+            '6.3e-06 m, 0.24 N'
+        """
+        self._refuse_tracers("amplitude")
+        if self.body is None:
+            causes = {"encoder": encoder, "force_step": force_step, "friction": friction}
+            return device_amplitude(
+                *self._device_and_filters, stiffness, damping, **causes, noise=noise
+            )
+        unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
+        found = motion.amplitude(
+            *self._wall(stiffness, damping),
+            **self.slice,
+            encoder=checked("encoder", encoder, 0.0),
+            force_step=checked("force_step", force_step, 0.0) / unit,
+            friction=checked("friction", friction, 0.0) / unit,
+            noise=checked("noise", noise, 0.0),
+            **self.filters,
+        )
+        return WallAmplitude(
+            found.position,
+            found.velocity / self.sample_time,
+            found.force * unit,
+            found.force_per_count * unit,
+            found.status,
+        )
+
+    def simulate(
+        self,
+        stiffness: Numbers,
+        damping: Numbers,
+        *,
+        samples: int = 200,
+        force: Numbers = 0.0,
+        initial_velocity: Numbers = 0.0,
+        initial_position: Numbers = 0.0,
+        between: int = 0,
+        unilateral: bool = False,
+    ) -> Response:
+        """Simulate the device, held by the hand, against a virtual wall at position 0.
+
+        Device and hand move in continuous time. At every sample the wall computes -K x - B v from
+        the position x, filtered if there is a filter, and the estimated velocity v; this force
+        begins to act after the delay and is held for one sample. Before time 0 the device stood
+        where it starts, held there by the hand, and no force was on its way.
+
+        Args:
+            stiffness: K in N/m, any shape; broadcasts with the four other arrays.
+            damping: B in N s/m.
+            samples: how many samples to simulate, from time 0 on.
+            force: a step in N from time 0 on: the hand begins to push, at the handle.
+            initial_velocity: in m/s at time 0: an impact on the wall, or a blow of this velocity
+                times the mass. A device of several masses was thrown by a blow at the handle.
+            initial_position: in m at time 0, the penetration if positive.
+            between: how many equidistant points to return between two samples.
+            unilateral: the wall pushes or pulls only while the sampled position is positive
+                (Remark 1); otherwise it holds the device from both sides, as in the rest of the
+                paper.
+
+        Returns:
+            Response at samples * (between + 1) times; exact up to rounding at each of them, and
+            differentiable in all arrays.
+
+        Raises:
+            ValueError: a gain is infinite or NaN, nothing moves the device, a count is too small, a
+                blow cannot throw the device, or it does not give way to a constant force.
+            RuntimeError: JAX arrays are given without x64.
+
+        Source: eqs. (1)-(5) and Fig. 2 of Hulin, Preusche, Hirzinger (2008); Remark 1.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> response = loop.simulate(1000.0, 20.0, samples=100, initial_velocity=0.1)
+            >>> f"{1e3 * response.position.max():.3f} mm deep"
+            '0.372 mm deep'
+        """
+        self._refuse_tracers("simulate")
+        options: dict[str, Any] = {
+            "samples": samples,
+            "force": force,
+            "initial_velocity": initial_velocity,
+            "initial_position": initial_position,
+            "between": between,
+            "unilateral": unilateral,
+        }
+        if self.body is None:
+            return simulate_device(*self._device_and_filters, stiffness, damping, **options)
+        return motion.simulate(self, stiffness, damping, **options)
+
+    @property
+    def _device_and_filters(self) -> tuple[Device, float, float, Filters | None]:
+        """Device, sampling period in s, delay in samples, estimator and filter in SI units."""
+        loop = self.in_floats()
+        assert loop.device is not None  # asked only where the device is not one mass
+        filters = given_filters(loop.velocity, loop.position)
+        return loop.device, loop.sample_time, loop.delay_samples, filters
+
+    def _wall(self, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
+        """Return alpha and beta of walls."""
+        require_x64(stiffness, damping)
+        alpha = self.alpha(checked_gain("stiffness", stiffness))
+        return alpha, self.beta(checked_gain("damping", damping))
+
+    def _refuse_tracers(self, method: str) -> None:
+        """Refuse a loop that JAX traces where what answers searches outside of JAX."""
+        if is_any_traced(self):
+            raise TypeError(
+                f"{method} takes no loop that JAX traces: give one of concrete numbers, made "
+                "outside of jit, vmap and grad."
+            )

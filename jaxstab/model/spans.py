@@ -3,8 +3,7 @@
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-from jaxstab.model.device.parts import StateSpace
-from jaxstab.model.device.rational import Span
+from jaxstab.model.device.parts import Span, StateSpace
 from jaxstab.model.sections import Average, Rational
 
 _WHOLE = (StateSpace, Average, Rational)  # nothing between two of them is known

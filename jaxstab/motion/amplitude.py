@@ -20,8 +20,7 @@ from jaxstab.batches import on_host
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
 from jaxstab.model.device import Device
-from jaxstab.model.device.between import Between, between_samples
-from jaxstab.model.device.mechanics import mechanics
+from jaxstab.model.device.mechanics import Between, between_samples, mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.contraction import (

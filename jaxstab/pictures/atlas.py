@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 from jaxstab.atlas import Atlas
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
-from jaxstab.pictures.shown import html_with_picture, new_axes
-from jaxstab.pictures.style import ALPHA_LABEL, BETA_LABEL, SKY, hand_label, picture
+from jaxstab.pictures.style import (
+    ALPHA_LABEL,
+    BETA_LABEL,
+    SKY,
+    hand_label,
+    html_with_picture,
+    new_axes,
+    picture,
+)
 
 _RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel

@@ -1,46 +1,182 @@
 """A picture of a scene: what is stable in the plane of K and B, its walls, and how they respond."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
+from itertools import product
 from math import isfinite
 from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
+from jaxstab.conventions import Verdict
+from jaxstab.guard import Guard
 from jaxstab.loop import HapticLoop, WallRegion
 from jaxstab.paper import passive_region
-from jaxstab.pictures.shown import draw_islands, draw_linear_rule, draw_stable
-from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY
-from jaxstab.pictures.walls import draw_responses, draw_walls, name_walls
-from jaxstab.scene.answers import Answer, Quantity
-from jaxstab.scene.basis import basis_of
-from jaxstab.scene.check import Check, check_walls
+from jaxstab.pictures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    closed_outline,
+    draw_islands,
+    draw_linear_rule,
+    draw_stable,
+    plain,
+)
+from jaxstab.scene.answers import Answer, Quantity, basis_of, in_words
+from jaxstab.scene.check import Check, WallCheck, at_lowest, check_walls, common_outline
 from jaxstab.scene.design import Design, delayed_loop, sampled_loop
-from jaxstab.scene.hands import at_lowest, common_outline
-from jaxstab.scene.loops import corner_loops, hands_of, is_plain, loop_of, reachable, wall_region
-from jaxstab.scene.mechanics import Encoder
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.loops import (
+    OneHand,
+    corner_loops,
+    hands_of,
+    is_plain,
+    loop_of,
+    reachable,
+    wall_region,
+)
+from jaxstab.scene.many import Variant, short
+from jaxstab.scene.scene import Encoder, Scene, Units
 from jaxstab.scene.tune import Tuned
-from jaxstab.scene.units import Units
 from jaxstab.tuning import TuningStatus
 
+# The walls of a scene in its picture: marks by their verdicts, names, and responses.
+
+Walls = Mapping[str, WallCheck]
+
+_FEWEST, _MOST = 100, 2000  # samples of a response
+
+_LEVEL = 0.02
+
+_GONE = 5.0  # final positions: an unstable response is drawn no further
+
+_MARK = 14.0  # pixels: a wall's mark
+
+_LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
+
+
+class _Look(NamedTuple):
+    """How a wall of a verdict is drawn: told apart by colour and by form."""
+
+    colour: str
+    marker: str
+    line: str
+
+
+_LOOKS = {
+    Verdict.STABLE: _Look(BLUE, "o", "-"),
+    Verdict.UNSTABLE: _Look(RED, "X", ":"),
+    Verdict.UNDECIDED: _Look(BLACK, "s", "--"),
+}
+
+
+def draw_walls(panel: Axes, checked: Walls) -> None:
+    """Draw a mark for each wall, by its verdict."""
+    for verdict, look in _LOOKS.items():
+        walls = [wall for wall in checked.values() if wall.verdict == verdict]
+        if walls:
+            panel.plot(
+                [wall.stiffness for wall in walls],
+                [wall.damping for wall in walls],
+                look.marker,
+                color=look.colour,
+                ms=9,
+                mec=BLACK,
+                ls="",
+                zorder=5,
+                label=f"wall, {in_words(verdict)}",
+            )
+
+
+def name_walls(panel: Axes, checked: Walls) -> None:
+    """Write the name of each wall beside it, where no other name or mark is."""
+    lines = [line for line in panel.get_lines() if line.get_marker() != "None"]
+    marks = np.concatenate([panel.transData.transform(line.get_xydata()) for line in lines])
+    taken = [Bbox.from_bounds(x - _MARK / 2, y - _MARK / 2, _MARK, _MARK) for x, y in marks]
+    for name, wall in checked.items():
+        position = (wall.stiffness, wall.damping)
+        if not panel.bbox.contains(*panel.transData.transform(position)):
+            continue
+        text = panel.annotate(
+            plain(name),
+            position,
+            xytext=(8, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=9,
+            zorder=6,
+            bbox={"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75},
+        )
+        for across, along in product((1, -1), _LIFTS):
+            text.set(ha="left" if across > 0 else "right")
+            text.xyann = (8 * across, along)
+            box = text.get_window_extent()
+            is_inside = panel.bbox.containsx(box.x0) and panel.bbox.containsx(box.x1)
+            if is_inside and not box.count_overlaps(taken):
+                break
+        taken.append(box)
+
+
+def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
+    """Draw the response to a step of force, relative to the final displacement."""
+    period = scene.controller.sample_time
+    times = [wall.settling.settling_time_2_percent for wall in checked.values() if wall.settling]
+    settled = [time for time in times if isfinite(time)] or [0.0]
+    longest = min(1.2 * max(settled), 6.0 * min(settled))
+    samples = int(np.clip(longest / period, _FEWEST, _MOST))
+    for name, wall in checked.items():
+        hand = wall.worst_hand
+        held = loop_of(scene, None if hand is None else OneHand(*vars(hand).values()))
+        spring = held.device.static_stiffness() if held.device else held.hand_stiffness
+        response = held.simulate(
+            wall.stiffness, wall.damping, samples=samples, force=1.0, between=_MOST // samples
+        )
+        relative = np.asarray(response.position) * (wall.stiffness + spring)
+        gone = np.logical_or.accumulate(np.abs(relative) > _GONE)
+        shown = np.where(gone, np.nan, relative)
+        panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict].line, label=plain(name))
+    panel.axhspan(1.0 - _LEVEL, 1.0 + _LEVEL, color=BLACK, alpha=0.12, lw=0)
+    panel.set(xlim=(0.0, samples * period), ylim=(-0.3, 2.3))
+    panel.set(xlabel="time (s)", ylabel="position / final position")
+    panel.legend(fontsize=8, frameon=True)
+
+
 _HEIGHT = 4.6  # inches
+
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
+
 _SEEN = 0.05  # of the region, in K or in B: what is smaller is enlarged
+
 _COLUMNS = 64  # of the map of settling times, and rows
+
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
+
 _CALM_COLUMNS = 40  # of the map of amplitudes, and rows
+
 _COUNTS = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
+
 _LONGEST = 50.0  # of the shortest settling time: the slowest line that is drawn
+
 _HORIZON = 4096  # samples
+
 _LETTERS = 14.0  # of a remark, per inch
+
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
+
 _BOUND = Quantity("N/m", 4, ROUND_CEILING)
+
 _LARGEST_TIME = Quantity("s", 4, ROUND_FLOOR)
+
 _STIFFNESS, _DAMPING, _TIME, _LENGTH = (Quantity(unit, 3) for unit in ("N/m", "N s/m", "s", "m"))
 
 Floats = NDArray[np.float64]
@@ -301,3 +437,145 @@ def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
         stiffness, damping, times, levels, colors=BLACK, linewidths=0.7, linestyles="dotted"
     )
     panel.clabel(lines, fmt="%g ms", fontsize=7)
+
+
+# A picture of several scenes: what is stable in each, and the largest stiffness of each.
+
+_SIZE = 10.0, 4.6  # inches
+
+_COLOURS = BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK
+
+_MOST_NAMES = 12  # in a legend
+
+
+def comparison_figure(variants: Sequence[Variant]) -> Figure:
+    """Draw the stable walls of several scenes that gains reach when they are turned up from 0.
+
+    Beside them stands the largest stiffness of each: over the values of a key, where one was swept
+    through numbers, else by name.
+
+    Raises:
+        ValueError: there is no scene, or some turn and others move along a line.
+
+    Source: sec. V of Hulin, Preusche, Hirzinger (2008).
+    """
+    scenes = [variant.scene for variant in variants if variant.scene]
+    if not scenes:
+        raise ValueError("no scene was answered; there is nothing to draw.")
+    if len({scene.units for scene in scenes}) > 1:
+        raise ValueError("some of the scenes turn, others move along a line; draw them apart.")
+    regions = [reachable(wall_region(loop_of(scene))) for scene in scenes]
+    swept = _swept_numbers(variants)
+    colours = _colours(len(scenes), is_graded=swept is not None)
+    figure = Figure(figsize=_SIZE)
+    figure.set_layout_engine("constrained")
+    walls, largest = figure.subplots(1, 2, width_ratios=(3, 2))
+    for variant, region, colour in zip(variants, regions, colours, strict=True):
+        if not region.is_empty:
+            outline = closed_outline(region)
+            walls.plot(*outline.T, color=colour, lw=1.2, label=_label(variant))
+    walls.set_title("stable walls, as far as gains are turned up")
+    _name_axes(walls, scenes[0])
+    stiffnesses = [region.stiffest.stiffness for region in regions]
+    if swept is None:
+        _draw_bars(largest, [_label(variant) for variant in variants], stiffnesses, colours)
+        largest.set_xlabel(f"largest stiffness K ({scenes[0].units.stiffness})")
+        if len(scenes) <= _MOST_NAMES:
+            walls.legend(fontsize=8, frameon=True, title=", ".join(variants[0].values))
+    else:
+        name, values = swept
+        largest.plot(values, stiffnesses, color=BLACK, lw=0.8, zorder=1)
+        largest.scatter(values, stiffnesses, c=colours, s=24, zorder=2)
+        largest.set(xlabel=name, ylim=(0.0, None))
+        largest.set_ylabel(f"largest stiffness K ({scenes[0].units.stiffness})")
+    largest.set_title("the largest stiffness")
+    return figure
+
+
+def _label(variant: Variant) -> str:
+    """Return the file and the values, without their keys."""
+    values = map(short, variant.values.values())
+    return plain(", ".join([*([variant.source] if variant.source else []), *values]))
+
+
+def _swept_numbers(variants: Sequence[Variant]) -> tuple[str, list[float]] | None:
+    """Return the key and its values where one file was swept through the numbers of one key."""
+    keys = {tuple(variant.values) for variant in variants}
+    if len({variant.source for variant in variants}) > 1 or len(keys) > 1:
+        return None
+    (names,) = keys
+    values = [value for variant in variants for value in variant.values.values()]
+    numbers = [value for value in values if isinstance(value, float)]
+    return (names[0], numbers) if len(names) == 1 and len(numbers) == len(variants) > 1 else None
+
+
+def _colours(count: int, *, is_graded: bool) -> list[object]:
+    if is_graded or count > len(_COLOURS):
+        return list(colormaps["viridis"](np.linspace(0.0, 0.9, count)))
+    return list(_COLOURS[:count])
+
+
+def _name_axes(panel: Axes, scene: Scene) -> None:
+    panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
+    panel.set_ylabel(f"damping B ({scene.units.damping})")
+
+
+def _draw_bars(panel: Axes, names: list[str], values: list[float], colours: list[object]) -> None:
+    places = np.arange(len(names))
+    panel.barh(places, np.nan_to_num(values), color=colours)
+    panel.set_yticks(places, names, fontsize=7)
+    panel.invert_yaxis()
+
+
+# A picture of a guard: what it grants beside what is stable.
+
+_CURVES = 5
+
+_POINTS = 400
+
+
+def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
+    """Draw the largest stiffness over the damping: exact, and as the guard grants it.
+
+    On the left for delays of the range, at the middle mass, on the right for masses, at the middle
+    delay.
+
+    Source: the D-decomposition of eq. (9) of Hulin, Preusche, Hirzinger (2008), and lemma B15.
+    """
+    figure = Figure(figsize=_SIZE)
+    figure.set_layout_engine("constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    middle = float(np.mean(guard.mass)), float(np.mean(guard.delay))
+    for delay, colour in _coloured(guard.delay):
+        _draw(left, guard, (middle[0], delay), colour, f"{1e3 * delay:.3g} ms")
+    for mass, colour in _coloured(guard.mass):
+        _draw(right, guard, (mass, middle[1]), colour, f"{mass:.3g} {units.kilogram}")
+    left.set_title(f"delays, at {middle[0]:.3g} {units.kilogram}")
+    right.set_title(f"{units.moved} of the device, at {1e3 * middle[1]:.3g} ms")
+    left.set_ylabel(f"largest stiffness K ({units.stiffness}), for all hands")
+    for panel in (left, right):
+        panel.set_xlabel(f"damping B ({units.damping})")
+        panel.set_ylim(0.0, None)
+        panel.set_xlim(0.0, None)
+        panel.plot([], [], color="black", lw=0.8, ls="--", label="where a hand becomes unstable")
+        panel.plot([], [], color="black", lw=1.6, label="granted, proved stable")
+        panel.legend(fontsize=8)
+    return figure
+
+
+def _coloured(ends: tuple[float, float]) -> list[tuple[float, object]]:
+    colours = colormaps["viridis"](np.linspace(0.0, 0.85, _CURVES))
+    return list(zip(np.linspace(*ends, _CURVES).tolist(), colours, strict=True))
+
+
+def _draw(
+    panel: Axes, guard: Guard, place: tuple[float, float], colour: object, label: str
+) -> None:
+    mass, delay = place
+    damping = np.linspace(0.0, 1.1 * float(guard.grid.top.max()), _POINTS)
+    exact = guard.exact_stiffness(
+        damping[None, None], mass=np.array([mass]), delay=np.array([delay])
+    )[0, 0]
+    panel.plot(damping, np.where(exact > 0.0, exact, np.nan), color=colour, lw=0.8, ls="--")
+    granted = guard.largest_stiffness(damping, mass=mass, delay=delay)
+    panel.plot(damping, np.where(granted > 0.0, granted, np.nan), color=colour, lw=1.6, label=label)

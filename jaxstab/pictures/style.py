@@ -1,9 +1,18 @@
 """The style of all pictures: colours, sizes, labels; and how a figure becomes a file."""
 
+from base64 import b64encode
+from collections.abc import Sequence
+from html import escape
 from io import BytesIO
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from jaxstab.loop import HapticLoop, WallRegion
+from jaxstab.model.filters import given_filters
+from jaxstab.region import StableRegion
 
 # Okabe and Ito's colours, told apart with any colour vision.
 BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
@@ -15,11 +24,15 @@ BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
     "#d55e00",
     "#cc79a7",
 )
+
 ALPHA_LABEL = r"stiffness  $\alpha = K\,T^2/m$"
+
 BETA_LABEL = r"damping  $\beta = B\,T/m$"
+
 FORMATS = ("png", "svg")
 
 _PANEL = (4.2, 3.5)  # inches
+
 _DOTS_PER_INCH = 150
 
 
@@ -64,3 +77,140 @@ def picture(figure: Figure, form: str) -> bytes:
     image = BytesIO()
     figure.savefig(image, format=form, dpi=_DOTS_PER_INCH)
     return image.getvalue()
+
+
+# Pictures that regions and loops draw of themselves, on axes or in a notebook.
+
+_SIZE = 5.0, 3.6  # inches
+
+_MAP = 0.72, 0.12, 0.26, 0.36  # of the axes: where islands are drawn
+
+_ROOM = np.array([0.65, 0.35])  # of the main component, beside it for the map and the legend
+
+_STIFFNESS_LABEL, _DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
+
+Region = StableRegion | WallRegion
+
+Floats = NDArray[np.float64]
+
+
+def closed_outline(region: Region) -> Floats:
+    """Return the outline of a region, with NaN between two loops."""
+    plain = region.region if isinstance(region, WallRegion) else region
+    jumps = np.flatnonzero(np.asarray(plain.branch) < 0)
+    points = region.outline if isinstance(region, WallRegion) else region.points
+    broken: Floats = np.insert(np.asarray(points), jumps + 1, np.nan, axis=0)
+    return broken
+
+
+def draw_stable(panel: Axes, region: Region) -> None:
+    """Fill what is stable."""
+    outline = closed_outline(region).T
+    panel.fill(*outline, color=SKY, alpha=0.35, lw=0, label="stable")
+    panel.plot(*outline, color=BLUE, lw=1.2)
+
+
+def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
+    """Fill what is stable, but not reached by turning gains up from 0."""
+    label = "stable, not reachable by turning gains up"
+    for number, island in enumerate(islands):
+        outline = closed_outline(island).T
+        panel.fill(*outline, color=PURPLE, alpha=0.35, lw=0, label="" if number else label)
+        panel.plot(*outline, color=PURPLE, lw=1.2)
+
+
+def plot_region(region: Region, ax: Axes | None = None) -> Axes:
+    """Draw a region on axes, or on new ones: ``region.plot``.
+
+    Raises:
+        ValueError: there is nothing to draw.
+    """
+    if not isinstance(region.status, int) or not region.components:
+        raise ValueError(f"there is nothing to draw: {region!r}; ask a region that is COMPLETE.")
+    panel = new_axes() if ax is None else ax
+    if region.main is not None:
+        draw_stable(panel, region.main)
+        if region.islands:
+            _draw_map(panel, region.main, region.islands)
+    draw_islands(panel, region.islands)
+    is_in_si_units = isinstance(region, WallRegion)
+    panel.set_xlabel(_STIFFNESS_LABEL if is_in_si_units else ALPHA_LABEL)
+    panel.set_ylabel(_DAMPING_LABEL if is_in_si_units else BETA_LABEL)
+    return panel
+
+
+def _draw_map(panel: Axes, main: Region, islands: Sequence[Region]) -> None:
+    """Let the main component fill the axes, and draw it with its islands in a small map."""
+    panel.autoscale(False)
+    inset = panel.inset_axes(_MAP)
+    draw_stable(inset, main)
+    draw_islands(inset, islands)
+    inset.set_title("with islands", fontsize=7, pad=2)
+    inset.tick_params(labelsize=6)
+    inset.locator_params(nbins=3)
+    low, high = (np.nanquantile(closed_outline(main), end, axis=0) for end in (0.0, 1.0))
+    (left, bottom), (right, top) = low - 0.04 * (high - low), high + _ROOM * (high - low)
+    panel.set(xlim=(left, right), ylim=(bottom, top))
+
+
+def plot_loop(loop: HapticLoop, ax: Axes | None = None) -> Axes:
+    """Draw the stable walls of a loop, the stiffest, and the linear rule: ``HapticLoop.plot``.
+
+    Raises:
+        ValueError: there is nothing to draw.
+    """
+    region = loop.region()
+    panel = plot_region(region, ax)
+    limits = loop.limits()
+    panel.plot(
+        limits.stiffness,
+        limits.at_damping,
+        ">",
+        color=ORANGE,
+        mec=BLACK,
+        ms=8,
+        label=f"stiffest: {region.names.at_largest_stiffness(limits[:2])}",
+    )
+    draw_linear_rule(panel, loop)
+    panel.legend(fontsize=8, frameon=False)
+    return panel
+
+
+def draw_linear_rule(panel: Axes, loop: HapticLoop) -> None:
+    """Draw the linear rule where it is one: it knows of no estimator, filter or mode."""
+    if loop.body is None or given_filters(**loop.filters):
+        return
+    window = panel.get_xlim(), panel.get_ylim()
+    damping = np.array(window[1])
+    linear = (damping + loop.body.damping) / (loop.delay + 0.5 * loop.sample_time)
+    panel.plot(linear, damping, "--", color=RED, lw=1.4, label="linear rule")
+    panel.set(xlim=window[0], ylim=window[1])
+
+
+def new_axes() -> Axes:
+    """Return axes of a new figure that notebooks and ``pyplot.show`` show."""
+    from matplotlib import pyplot
+
+    return pyplot.subplots(figsize=_SIZE, layout="constrained")[1]
+
+
+def html_with_picture(words: str, figure: Figure | None) -> str:
+    """Return HTML of words and, above them, a picture if there is one."""
+    if figure is None:
+        return f"<pre>{escape(words)}</pre>"
+    image = b64encode(picture(figure, "png")).decode("ascii")
+    alt = escape(words, quote=True).replace("\n", " ")
+    return (
+        f'<img alt="{alt}" style="max-width: 32em" src="data:image/png;base64,{image}">'
+        f"<pre>{escape(words)}</pre>"
+    )
+
+
+def region_html(region: Region) -> str:
+    """Return the picture and the words of a region."""
+    figure = Figure(figsize=_SIZE, layout="constrained")
+    try:
+        plot_region(region, figure.subplots())
+    except ValueError:
+        return html_with_picture(repr(region), None)
+    return html_with_picture(repr(region), figure)

@@ -18,8 +18,7 @@ from jaxtyping import Float64, Int64
 
 from jaxstab.arrays import PI_REST
 from jaxstab.model.device import SampledDevice
-from jaxstab.model.device.delays import Piece, pieces_of_delay
-from jaxstab.model.device.family import LoopFamily, LoopPiece, pieces_of
+from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, pieces_of, pieces_of_delay
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.transfer import ONE, Polynomial
@@ -166,7 +165,7 @@ def line_models(cells: FilterCells, lines: GainLines, parts: Parts) -> Models:
 
 # Polynomials in z whose coefficients are polynomials in one more number, over boxes of angles.
 #
-# They are known by pieces (``jaxstab.model.device.delays.Piece``), over a power of z; what lemma
+# They are known by pieces (``jaxstab.model.device.family.Piece``), over a power of z; what lemma
 # B14 of docs/proofs.md says of one bounds it in boxes of the number and the angle.
 
 Reals = Float64[np.ndarray, " box"]
@@ -293,7 +292,7 @@ def _shifted(powers: Float64[np.ndarray, "box power"], by: int) -> Float64[np.nd
 #
 #     g = D(z)/z^k + x^(n + 1) F,      F = N_f(z)/z^k (alpha P + beta V),
 #
-# where N_f is a polynomial in f by pieces (``jaxstab.model.device.delays``). Taylor series of D, P,
+# where N_f is a polynomial in f by pieces (``jaxstab.model.device.family``). Taylor series of D, P,
 # V and of its coefficients over cells of the angle give what lemma B4 needs of g over boxes of
 # delays and angles (lemma B14 of docs/proofs.md).
 

@@ -6,10 +6,10 @@ from .hands import worst_hand as worst_hand
 from .margins import Margins as Margins
 from .margins import WallMargins as WallMargins
 from .margins import margins as margins
-from .robust_limit import RobustLimit as RobustLimit
-from .robust_limit import robust_limit as robust_limit
-from .robust_region import RobustRegion as RobustRegion
-from .robust_region import RobustStatus as RobustStatus
-from .robust_region import robust_region as robust_region
+from .robust import RobustLimit as RobustLimit
+from .robust import RobustRegion as RobustRegion
+from .robust import RobustStatus as RobustStatus
+from .robust import robust_limit as robust_limit
+from .robust import robust_region as robust_region
 
 __all__: list[str]

@@ -18,7 +18,7 @@ from jaxstab.arrays import is_traced
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.filters import responses_at
 from jaxstab.proofs.plant import circle_equations, quick_plant, quick_slice
-from jaxstab.ranges.first_crossings import WAYS, first_crossings
+from jaxstab.ranges.margins import WAYS, first_crossings
 
 _REAL = 2.0**-29  # of pi: a root this near to the real axis is taken for real
 

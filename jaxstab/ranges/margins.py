@@ -5,20 +5,336 @@ the unit circle no root can have crossed it, so the loop is proved stable that f
 docs/proofs.md). The delay is changed continuously, through all fractions of a sample.
 """
 
-from math import inf
+from decimal import ROUND_CEILING, ROUND_FLOOR
+from functools import partial
+from math import ceil, inf, nan, pi
 from typing import Any, NamedTuple
 
-from jaxtyping import Float64, Int8
+import numpy as np
+from jaxtyping import Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_jax, namespace
-from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
-from jaxstab.model.filters import Filter, Velocity, known_filters
+from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
+from jaxstab.conventions import AXES, Verdict
+from jaxstab.model import by_name, checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.numbers import checked
-from jaxstab.ranges.first_crossings import MOST_DELAY as MOST_DELAY
-from jaxstab.ranges.first_crossings import WAYS, first_crossings
-from jaxstab.ranges.shown import DIMENSIONLESS, IN_SI_UNITS, margins_text
+from jaxstab.numbers import checked, without_noise
+from jaxstab.point import verdict
+from jaxstab.proofs.exclusion import (
+    Boxes,
+    Extent,
+    Lines,
+    Loops,
+    Parts,
+    exclude_any_delay,
+    first_roots,
+    pave,
+)
+from jaxstab.shown import number_text, table_text
+
+# From stable walls to the first root on the unit circle, when one quantity is changed.
+#
+# A gain is changed until the wall is proved unstable. A delay has no such end, but only the angles
+# at which |D| = |N| |H| for some fraction of a sample matter: at other angles no delay, however
+# long, brings a root onto the circle.
+
+Walls = Float64[np.ndarray, "wall 5"]
+
+Column = Float64[np.ndarray, " wall"]
+
+MOST_DELAY = 1024.0  # samples: further delay is not looked at
+
+_ALPHA, _BETA, _DELAY = (AXES.index(name) for name in ("alpha", "beta", "delay"))
+
+GAIN_WAYS = ((_ALPHA, -1.0), (_ALPHA, 1.0), (_BETA, -1.0), (_BETA, 1.0))
+
+WAYS = (*GAIN_WAYS, (_DELAY, 1.0))
+
+"""The axes along which a wall is changed, and the signs."""
+
+_ANGLES_AT_ONCE = 8192  # of walls: their boxes, four for each at first, stay in the cache
+
+_ANGLES, _ANGLES_PER_TURN = 16, 4  # boxes of theta at first, for half a turn of the root
+
+_FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
+
+_DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
+
+_DELAY_ANGLES, _FRACTIONS = 32, 2  # boxes at first, for half a turn and for a sample
+
+_FINER = 8  # boxes of angles where these are not free
+
+_COARSE = np.array([0.0, 2.0**-4, 2.0**-10])  # half the size of boxes of fractions, angles / pi
+
+_FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
+
+_MOST_ANGLES = 2000  # such boxes of a wall at once
+
+_TOUCHING = 1e-9
+
+_LONGER = 4.0  # each stretch of delay than the one before
+
+_SAFE = 1.0 - 2.0**-50  # a step loses less when it is computed
+
+
+class _Crossings(NamedTuple):
+    """Steps within which no root reaches the circle, and the angles of the roots that then do."""
+
+    step: Column
+    angle: Column
+
+
+def first_crossings(
+    walls: Walls, filters: Filters | None = None
+) -> Float64[np.ndarray, "wall found"]:
+    """Return the verdict on each wall and then, each way of ``WAYS``, a step and an angle.
+
+    Within the signed step no root reaches the circle; the step of the delay is infinite if no root
+    ever does. The angle is that of the root which reaches the circle, in units of pi. Both are NaN
+    for a wall that is not proved stable.
+    """
+    table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
+    counts = _angle_counts(walls)
+    parts = np.linspace(0, counts.sum(), ceil(counts.sum() / _ANGLES_AT_ONCE) + 1)
+    ends = np.searchsorted(np.cumsum(counts), parts[1:-1])
+    for some, rows in zip(np.split(walls, ends), np.split(table, ends), strict=True):
+        if not len(some):
+            continue
+        rows[:, 0] = _verdicts(some.T[:2], some, filters)
+        stable = rows[:, 0] == Verdict.STABLE
+        if stable.any():
+            ways = [*_along_gains(some[stable], filters), _along_delay(some[stable], filters)]
+            rows[stable, 1:] = np.stack([column for way in ways for column in way], axis=-1)
+    return table
+
+
+def _verdicts(
+    gains: Float64[np.ndarray, "2 *wall"], walls: Walls, filters: Filters | None
+) -> np.ndarray:
+    codes: np.ndarray = verdict(**by_name(*gains, *_plants(walls)), **as_keywords(filters))
+    return codes
+
+
+def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
+    """Return gamma, delta and delay of walls, once if they are those of all: quicker to prove."""
+    plants = walls.T[2:]
+    return plants[:, 0] if np.all(plants == plants[:, :1]) else plants
+
+
+def _along_gains(walls: Walls, filters: Filters | None) -> list[_Crossings]:
+    reach = _reach(walls, filters)
+    change = np.zeros((len(AXES), *reach.shape))
+    for way, (axis, sign) in enumerate(GAIN_WAYS):
+        change[axis, way] = sign * reach[way]
+    lines = Lines(np.tile(walls.T, len(GAIN_WAYS)), change.reshape(len(AXES), -1))
+    roots = first_roots(lines, _all_angles(walls, len(GAIN_WAYS)), filters)
+    low, angle = (part.reshape(reach.shape) for part in (roots.low, roots.theta / pi))
+    step = np.minimum(low, 1.0) * reach * _SAFE
+    signs = [sign for _, sign in GAIN_WAYS]
+    return [_Crossings(signs[way] * step[way], angle[way]) for way in range(len(GAIN_WAYS))]
+
+
+def _reach(walls: Walls, filters: Filters | None) -> Float64[np.ndarray, "way wall"]:
+    """Return how far away, along the gains, walls are proved unstable, or no less than 2^37."""
+    axes, signs = (np.array(column) for column in zip(*GAIN_WAYS, strict=True))
+    first = np.maximum(_FIRST_STEP, 0.5 * np.abs(walls.T[axes]))
+    reach = np.full(first.shape, inf)
+    for doubled in range(0, _DOUBLINGS, _DOUBLINGS_AT_ONCE):
+        way, wall = np.nonzero(reach == inf)
+        if not way.size:
+            break
+        steps = np.outer(2.0 ** np.arange(doubled, doubled + _DOUBLINGS_AT_ONCE), first[way, wall])
+        gains = np.repeat(walls[wall, :2].T[:, None], _DOUBLINGS_AT_ONCE, axis=1)
+        gains[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
+        is_unstable = _verdicts(gains, walls[wall], filters) == Verdict.UNSTABLE
+        reach[way, wall] = np.min(np.where(is_unstable, steps, inf), axis=0)
+    return np.minimum(reach, 2.0 ** (_DOUBLINGS - 1) * first)
+
+
+def _all_angles(walls: Walls, ways: int) -> Parts:
+    """Return boxes of all angles of lines, the real roots in the middle of the first and last."""
+    count = np.tile(_angle_counts(walls), ways)
+    line = np.repeat(np.arange(count.size), count + 1)
+    number = np.arange(line.size) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
+    ends = pi * (number + np.array([[-0.5], [0.5]])) / count[line]
+    low, high = np.stack(np.broadcast_arrays([[0.0], [1.0]], ends), axis=1)
+    return Parts(line, low, high)
+
+
+def _angle_counts(walls: Walls) -> Int64[np.ndarray, " wall"]:
+    return _ANGLES + _ANGLES_PER_TURN * (1 + np.floor(walls[:, _DELAY]).astype(np.int64))
+
+
+def _along_delay(walls: Walls, filters: Filters | None) -> _Crossings:
+    angles = _critical_angles(walls, np.arange(len(walls)), _COARSE, filters)
+    begin, angle = np.zeros(len(walls)), np.full(len(walls), nan)
+    # Within one turn of the phase at a critical angle a root meets the circle: about so long.
+    highest = np.full(len(walls), -inf)
+    np.maximum.at(highest, angles.line, angles.high[1])
+    stretch = np.where(highest > 0.0, 2.0 * pi / np.where(highest > 0.0, highest, 1.0), MOST_DELAY)
+    step = np.full(len(walls), inf)
+    is_open = highest > -inf
+    while is_open.any():
+        length = np.minimum(stretch, MOST_DELAY - begin)
+        change = np.zeros((len(AXES), len(walls)))
+        change[_DELAY] = length
+        start = walls.T.copy()
+        start[_DELAY] += begin
+        parts = _in_pieces(angles.some(is_open[angles.line]), length)
+        roots = first_roots(Lines(start, change), parts, filters)
+        is_found = np.isfinite(roots.low)
+        part = np.where(is_found, roots.low, 0.0)
+        step = np.where(is_found, begin + length * part * _SAFE, step)
+        angle = np.where(is_found, roots.theta / pi, angle)
+        is_open &= ~is_found & (begin + length < MOST_DELAY)
+        if not begin.any() and is_open.any():
+            angles = _critical_angles(walls, np.flatnonzero(is_open), _FINE, filters)
+            is_open &= np.isin(np.arange(len(walls)), angles.line)
+        begin, stretch = begin + length, _LONGER * stretch
+    return _Crossings(step, angle)
+
+
+def _critical_angles(
+    walls: Walls,
+    numbers: Int64[np.ndarray, " some"],
+    smallest: Float64[np.ndarray, "3"],
+    filters: Filters | None,
+) -> Parts:
+    """Return the angles at which some delay may put a root of some walls on the circle."""
+    prove, extent = partial(exclude_any_delay, filters=filters), partial(_at_any_delay, walls)
+    boxes = _angles_and_fractions(numbers)
+    span = extent(boxes)
+    boxes = _finer_angles(boxes.select(~prove(span.center, span.radius).free))
+    left, _ = pave(boxes, smallest, extent, _MOST_ANGLES, prove, is_numbered=True)
+    return joined_angles(left)
+
+
+def joined_angles(left: Boxes) -> Parts:
+    """Return the angles of boxes of a wall's number, a fraction of the delay, and theta / pi."""
+    wall = left.center[:, 0].astype(np.int64)
+    middle, half = pi * left.center[:, 2], pi * left.half[:, 2]
+    low, high = middle - half, middle + half
+    order = np.lexsort((low, wall))
+    wall, low, high = wall[order], low[order], high[order]
+    # Those that touch are one
+    ends, number = np.unique(high, return_inverse=True)
+    high = ends[np.maximum.accumulate(number + ends.size * wall) - ends.size * wall]
+    is_apart = (np.diff(wall) > 0) | (low[1:] > high[:-1] + _TOUCHING)
+    is_start = np.append(True, is_apart)[: wall.size]
+    is_end = np.append(is_apart, True)[: wall.size]
+    ends = np.stack([low[is_start] - _TOUCHING, high[is_end] + _TOUCHING])
+    whole = np.repeat([[0.0], [1.0]], is_start.sum(), axis=1)
+    return Parts(wall[is_start], *np.stack([whole, ends], axis=1))
+
+
+def _angles_and_fractions(numbers: Int64[np.ndarray, " some"]) -> Boxes:
+    """Return boxes of the number of the wall, the fraction of the delay, and theta / pi."""
+    fractions, angles = ((np.arange(n) + 0.5) / n for n in (_FRACTIONS, _DELAY_ANGLES))
+    center = np.stack(np.meshgrid(numbers, fractions, angles, indexing="ij"), axis=-1)
+    center = center.reshape(-1, 3)
+    return Boxes(center, np.full_like(center, [0.0, 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES]))
+
+
+def _finer_angles(boxes: Boxes) -> Boxes:
+    """Divide the angles of boxes at once into as many as most of them need."""
+    half = boxes.half / [1.0, 1.0, _FINER]
+    number = np.repeat(np.arange(len(half)), _FINER)
+    offsets = np.tile(2.0 * np.arange(_FINER) + 1.0 - _FINER, len(half))
+    center = boxes.center[number]
+    center[:, 2] += offsets * half[number, 2]
+    return Boxes(center, half[number])
+
+
+def _at_any_delay(walls: Walls, boxes: Boxes) -> Extent:
+    wall, fraction, angle = boxes.center.T
+    alpha, beta, gamma, delta, _ = walls[wall.astype(np.int64)].T
+    by_axis = np.zeros((3, 6, wall.size))
+    by_axis[1, 4], by_axis[2, 5] = boxes.half.T[1], pi * boxes.half.T[2]
+    return Extent.of(Loops(alpha, beta, gamma, delta, fraction, pi * angle), by_axis)
+
+
+def _in_pieces(angles: Parts, length: Column) -> Parts:
+    """Divide lines along the delay, so that the phase turns little in each box."""
+    pieces = np.ceil(length[angles.line] * np.maximum(angles.high[1], 0.0)).astype(np.int64) + 1
+    part = np.repeat(np.arange(pieces.size), pieces)
+    number = np.arange(part.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    low, high = angles.low[:, part], angles.high[:, part]
+    low[0], high[0] = number / pieces[part], (number + 1.0) / pieces[part]
+    return Parts(angles.line[part], low, high)
+
+
+# Margins as a table for people: limits rounded inwards, and 0 if they are 0 but for rounding.
+
+_DIGITS = 5
+
+_MOST_ROWS = 8  # of many walls
+
+
+class MarginNames(NamedTuple):
+    """What the rows of a table of margins are called, with their units."""
+
+    stiffness: str
+    damping: str
+    delay: str
+
+
+DIMENSIONLESS = MarginNames("alpha", "beta", "extra delay (samples)")
+
+IN_SI_UNITS = MarginNames("K (N/m)", "B (N s/m)", "extra delay (s)")
+
+
+def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
+    """Return the table: of one wall a row for each quantity, of many a row for each wall.
+
+    Args:
+        margins: the fields of a ``Margins``.
+        names: of the rows.
+    """
+    if not are_numbers(margins):
+        return f"Margins{tuple(margins)}"
+    verdict, stiffness, damping, stiffness_gain, damping_gain, extra_delay = margins
+    codes = [Verdict(int(code)).name.lower() for code in np.ravel(verdict)]
+    delays = [
+        "not known" if code == "stable" and np.isnan(delay) else _largest(delay)
+        for code, delay in zip(codes, np.ravel(extra_delay), strict=True)
+    ]
+    limits = [
+        [(*_interval(low, high), _largest(gain)) for (low, high), gain in pairs]
+        for pairs in (
+            zip(np.reshape(stiffness, (-1, 2)), np.ravel(stiffness_gain), strict=True),
+            zip(np.reshape(damping, (-1, 2)), np.ravel(damping_gain), strict=True),
+        )
+    ]
+    if np.ndim(verdict) == 0:
+        rows = [
+            (f"Margins: {codes[0]}", "least", "largest", "factor"),
+            (names.stiffness, *limits[0][0]),
+            (names.damping, *limits[1][0]),
+            (names.delay, "", delays[0], ""),
+        ]
+        return table_text(rows)
+    heads = [(name, "to", "factor") for name in (names.stiffness, names.damping)]
+    table = [("verdict", *heads[0], *heads[1], names.delay)]
+    walls = zip(codes, *limits, delays, strict=True)
+    table += [(code, *first, *second, delay) for code, first, second, delay in walls]
+    more = f"\n... and {len(codes) - _MOST_ROWS} more" if len(codes) > _MOST_ROWS else ""
+    return f"Margins of {len(codes)} walls\n{table_text(table[: 1 + _MOST_ROWS])}{more}"
+
+
+def _interval(low: float, high: float) -> tuple[str, str]:
+    extent = float(high) - float(low)
+    least, largest = without_noise((low, high), extent).tolist()
+    return _least(least), _largest(largest)
+
+
+def _least(value: float) -> str:
+    return number_text(float(value), _DIGITS, ROUND_CEILING).replace("unlimited", "-unlimited")
+
+
+def _largest(value: float) -> str:
+    return number_text(float(value), _DIGITS, ROUND_FLOOR)
+
 
 _ROUNDING = 2.0**-52
 

@@ -72,7 +72,7 @@ class ShownRegion:
 
     def _repr_html_(self) -> str:
         """Return the picture and the words for a notebook."""
-        from jaxstab.pictures.shown import region_html
+        from jaxstab.pictures.style import region_html
 
         region: Any = self
         return region_html(region)
@@ -94,7 +94,7 @@ class ShownRegion:
         Example:
             >>> axes = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0).plot()
         """
-        from jaxstab.pictures.shown import plot_region
+        from jaxstab.pictures.style import plot_region
 
         region: Any = self
         return plot_region(region, ax)

@@ -1,7 +1,7 @@
 from .answers import Answer as Answer
 from .answers import Answers as Answers
 from .answers import Basis as Basis
-from .basis import basis_of as basis_of
+from .answers import basis_of as basis_of
 from .check import Check as Check
 from .check import WallCheck as WallCheck
 from .check import check_scenes as check_scenes
@@ -10,14 +10,14 @@ from .design import Design as Design
 from .design import DesignStatus as DesignStatus
 from .design import design_loop as design_loop
 from .example import EXAMPLE as EXAMPLE
-from .explained import explain_model as explain_model
+from .example import explain_model as explain_model
 from .limits import Limits as Limits
 from .limits import scene_limits as scene_limits
 from .loops import corner_loops as corner_loops
 from .loops import hands_of as hands_of
 from .loops import loop_of as loop_of
+from .loops import plan_scene as plan_scene
 from .loops import wall_region as wall_region
-from .plan import plan_scene as plan_scene
 from .scene import Scene as Scene
 from .tune import BestWall as BestWall
 from .tune import Tuned as Tuned

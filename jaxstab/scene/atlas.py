@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from jaxstab.atlas import Atlas, AtlasAnswer, AtlasSpec, FittedAxis
 from jaxstab.atlas.compute.layout import reach_of
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.scene.basis import basis_of
-from jaxstab.scene.loops import walls_of
-from jaxstab.scene.members import Member, corners_of, loop_of_member, ranges_of
+from jaxstab.scene.answers import basis_of
+from jaxstab.scene.loops import Member, corners_of, loop_of_member, ranges_of, walls_of
 from jaxstab.scene.scene import Scene
 
 Outside = Literal["error", "undecided"]

@@ -18,9 +18,9 @@ from jaxstab.scene.answers import (
     LargestTime,
     Number,
     Stiffness,
+    basis_of,
 )
-from jaxstab.scene.basis import basis_of
-from jaxstab.scene.hands import at_lowest
+from jaxstab.scene.check import at_lowest
 from jaxstab.scene.loops import loop_of, reachable, wall_region
 from jaxstab.scene.scene import Scene
 

@@ -11,10 +11,9 @@ from jaxstab.guard.build import CELLS, plan_guard
 from jaxstab.guard.header import LARGEST
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.ranges import HandRange
-from jaxstab.scene.basis import basis_of
+from jaxstab.scene.answers import basis_of
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of
-from jaxstab.scene.mechanics import Hand
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.scene import Hand, Scene
 
 Range = tuple[float, float]
 

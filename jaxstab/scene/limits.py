@@ -18,9 +18,9 @@ from jaxstab.scene.answers import (
     Number,
     Stiffness,
     StiffnessLimits,
+    basis_of,
 )
-from jaxstab.scene.basis import basis_of
-from jaxstab.scene.hands import AllHands, Floats, at_lowest, limit_for_all
+from jaxstab.scene.check import AllHands, Floats, at_lowest, limit_for_all
 from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 

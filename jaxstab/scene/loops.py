@@ -1,6 +1,8 @@
 """The loops of a scene, and the stable walls of a loop."""
 
-from typing import NamedTuple
+from dataclasses import replace
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,8 +14,7 @@ from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.ranges import HandRange
 from jaxstab.ranges.hands import spread_hands
 from jaxstab.region import RegionStatus
-from jaxstab.scene.mechanics import Hand
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.scene import ANSWERS, MEASURES, Hand, Scene
 
 
 class OneHand(NamedTuple):
@@ -184,3 +185,86 @@ def _in_words(loop: HapticLoop) -> str:
         f"gamma = {loop.gamma:g}, delta = {loop.delta:g}, delay = {loop.delay_samples:g} "
         f"samples{filters}"
     )
+
+
+# The members of a scene's ranges: masses of the device, hands and delays.
+
+
+class Member(NamedTuple):
+    """A member of the ranges: the device's mass, the hand and the delay in s."""
+
+    mass: float
+    hand: OneHand
+    delay: float
+
+
+def ranges_of(scene: Scene) -> list[tuple[float, float]]:
+    """Return the ends of mass, hand (3) and delay."""
+    wanted, hand, delay = scene.wanted, scene.hand or Hand(), scene.controller.time_delay
+    masses, share = scene.device.effective_mass, wanted.mass_tolerance or 0.0
+    aside = wanted.delay_tolerance or 0.0
+    return [
+        (masses[0] * (1.0 - share), masses[1] * (1.0 + share)),
+        hand.effective_mass,
+        hand.stiffness,
+        hand.damping,
+        (max(delay - aside, 0.0), delay + aside),
+    ]
+
+
+def member_of(values: Any) -> Member:
+    """Return the member of five numbers, one of each range."""
+    mass, *hand, delay = values
+    return Member(mass, OneHand(*hand), delay)
+
+
+def corners_of(scene: Scene) -> list[Member]:
+    """Return the members at the corners of the ranges, each once."""
+    return list(dict.fromkeys(member_of(values) for values in product(*ranges_of(scene))))
+
+
+def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
+    """Return the loop of a member of the ranges."""
+    delayed = replace(scene.controller, delay=member.delay, delay_samples=None)
+    hand = member.hand._replace(device_mass=member.mass)
+    return loop_of(replace(scene, controller=delayed), hand)
+
+
+# The plan for a scene: what is computed, what is skipped, and why.
+
+
+class Step(NamedTuple):
+    """One thing that a scene may ask for: whether it is computed, and why or why not."""
+
+    what: str
+    computed: bool
+    why: str
+
+
+def plan_scene(scene: Scene) -> list[Step]:
+    """Return what is computed for a scene and what is skipped."""
+    wanted = scene.wanted
+    asked = {name: name in wanted.answers for name in ANSWERS}
+    reason = {True: "wanted.answers has it", False: "wanted.answers does not have it"}
+    steps = [Step(name, asked[name], reason[asked[name]]) for name in ("limits", "tune", "design")]
+    for key, what in (("at_damping", "stiffness limits"), ("at_stiffness", "damping limits")):
+        given = getattr(wanted, key) is not None
+        why = f"wanted.{key} is {'given' if given else 'not given'}"
+        steps.append(Step(f"{what} at a given {key[3:]}", given and asked["limits"], why))
+    checked = f"for each of {len(scene.walls)} walls" if asked["check"] else reason[False]
+    steps.append(Step("certified verdicts", asked["check"], checked))
+    for name in MEASURES:
+        is_wanted = name in wanted.measures
+        why = checked if is_wanted else "wanted.measures does not have it"
+        if name == "chatter" and scene.device.encoder is None:
+            is_wanted, why = False, "device.encoder is not given"
+        steps.append(Step(name, asked["check"] and is_wanted, why))
+    varies = hands_of(scene) is not None
+    is_over = varies or bool(wanted.mass_tolerance) or bool(wanted.delay_tolerance)
+    why = "neither hand nor mass nor a tolerance of mass or delay is a range"
+    why = "a hand, the mass or a tolerance is a range" if is_over else why
+    steps.append(Step("tune over ranges", is_over and asked["tune"], why))
+    why = "the hand or the mass is a range" if varies else "there is one hand at most, and one mass"
+    steps.append(Step("worst case over the hands", varies, why))
+    steps.append(Step("proof for all hands", varies, why))
+    return steps

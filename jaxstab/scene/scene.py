@@ -1,37 +1,412 @@
 """A haptic scene in SI units: what a TOML file or the command line says, checked; no JAX here."""
 
+import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from enum import Enum
+from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from math import inf
 from os import PathLike
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
 
 from jaxstab.model import Filter, Velocity
+from jaxstab.model.filters import FilterTable
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.scene.estimators import PositionTable, VelocityTable
-from jaxstab.scene.mechanics import LENGTH, Device, Hand
-from jaxstab.scene.units import Units
 from jaxstab.shown import shortened
 from jaxstab.tables import (
     Table,
     check_keys,
     checked_label,
     each,
+    interval,
     key,
     nested,
+    not_zero,
     one_of,
+    parsed,
     quantity,
     read_table,
     share,
     tolerance,
 )
 
+# The units of a scene: those of motion along a line, or those of rotation.
+
+
+class Units(Enum):
+    """The units of mass, stiffness, damping, length, force, and the word for what is moved."""
+
+    LINE = "kg", "N/m", "N s/m", "m", "N", "mass"
+    ROTATION = "kg m^2", "N m/rad", "N m s/rad", "rad", "N m", "inertia"
+
+    def __init__(
+        self, kilogram: str, stiffness: str, damping: str, length: str, force: str, moved: str
+    ) -> None:
+        self.kilogram = kilogram
+        self.stiffness = stiffness
+        self.damping = damping
+        self.length = length
+        self.force = force
+        self.moved = moved
+
+    def unit(self, of_line: str) -> str:
+        """Return the unit that stands for one of motion along a line."""
+        line = Units.LINE
+        pairs = {
+            line.kilogram: self.kilogram,
+            line.stiffness: self.stiffness,
+            line.damping: self.damping,
+            line.length: self.length,
+            line.force: self.force,
+        }
+        return pairs.get(of_line, of_line)
+
+    def translated(self, sentence: str) -> str:
+        """Return a sentence with the units of motion along a line in these units."""
+        return re.sub(r"N/m\b|N s/m\b", lambda match: self.unit(match[0]), sentence)
+
+
+# Devices and software by name: the numbers of data/presets, each with its source.
+
+ASSUMED = "assumed"
+
+
+def _words(value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise ValueError("give words")
+    return value
+
+
+def _number_or_list(value: Any) -> Any:
+    numbers = value if isinstance(value, list) else [value]
+    if not all(isinstance(number, float) for number in numbers):
+        raise ValueError("give a number with a decimal point, or a list of such")
+    return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sourced(Table):
+    """A number or a list of coefficients, and where it is from."""
+
+    value: Any = key(_number_or_list)
+    unit: str = key(_words)
+    source: str = key(_words)
+    date: str = key(_words)
+
+    def __str__(self) -> str:
+        number = self.value if isinstance(self.value, list) else f"{self.value:g}"
+        return f"{number} {self.unit}  ({self.source}; {self.date})"
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What is known of a device or of a velocity estimator, by the keys of a scene.
+
+    Attributes:
+        title: what it is.
+        note: a remark on the numbers; may be empty.
+        numbers: by key, in SI units. Keys that a scene does not have are for comparison.
+    """
+
+    title: str
+    note: str
+    numbers: dict[str, Sourced]
+
+    def values(self, keys: tuple[str, ...]) -> dict[str, Any]:
+        """Return the numbers of those of some keys that are known."""
+        return {name: self.numbers[name].value for name in keys if name in self.numbers}
+
+    def lines(self) -> list[str]:
+        """Return a line for the title, one for each number with its source, and the note."""
+        numbers = [f"  {name.replace('_', ' '):28}{value}" for name, value in self.numbers.items()]
+        return [self.title, *numbers, *([f"  {self.note}"] if self.note else [])]
+
+
+def device_presets() -> Mapping[str, Preset]:
+    """Return the devices by their names."""
+    return _presets("devices.toml")
+
+
+def software_presets() -> Mapping[str, Preset]:
+    """Return the velocity estimators of software by their names."""
+    return _presets("software.toml")
+
+
+@cache
+def _presets(file: str) -> Mapping[str, Preset]:
+    tables = parsed((_folder() / file).read_text(encoding="utf-8"), f"{file}: ")
+    return {name: _preset(table, f"{file}: {name}") for name, table in tables.items()}
+
+
+def _preset(table: Mapping[str, Any], place: str) -> Preset:
+    numbers = {name: entry for name, entry in table.items() if name not in ("title", "note")}
+    return Preset(
+        table["title"],
+        table.get("note", ""),
+        {name: Sourced.from_table(entry, f"{place}.{name}") for name, entry in numbers.items()},
+    )
+
+
+def _folder() -> Traversable:
+    """Return the folder of the presets: in the package where it is installed, or in a checkout."""
+    installed = files("jaxstab") / "presets"
+    in_checkout = Path(__file__).parents[2] / "data" / "presets"
+    return installed if installed.is_dir() else in_checkout
+
+
+# What moves in a scene: the device and the hand that holds it, as tables of a file.
+
+LENGTH = "m, or in rad for a device that turns"
+
+_NO_MASS = "mass is missing; give it a value."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoder(Table):
+    """What the position is rounded to: the resolution at the handle."""
+
+    resolution: float = key(quantity(LENGTH, is_positive=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class VibrationMode(Table):
+    """A vibration mode of the device: its displacement at the handle adds to the rigid body's."""
+
+    frequency: float = key(quantity("Hz", is_positive=True))
+    damping_ratio: float = key(quantity("1"))
+    modal_mass: float | None = key(not_zero("kg"), None)
+    modal_inertia: float | None = key(not_zero("kg m^2"), None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.modal_mass is None) == (self.modal_inertia is None):
+            given = "both given" if self.modal_mass is not None else "missing"
+            raise ValueError(
+                f"modal_mass and modal_inertia are {given}; give modal_mass in kg, or "
+                "modal_inertia in kg m^2 for a device that turns."
+            )
+
+    @property
+    def effective_mass(self) -> float:
+        """The modal mass in kg, or the modal moment of inertia in kg m^2."""
+        return self.modal_mass or self.modal_inertia or 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Actuator(Table):
+    """The motor with its amplifier: the bandwidth at which the force is 3 dB too weak."""
+
+    bandwidth: float = key(quantity("Hz", is_positive=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Device(Table):
+    """The haptic device: effective mass in kg and physical damping in N s/m, or a preset.
+
+    A device that turns has a moment of inertia in kg m^2 in place of the mass, and its damping is
+    in N m s/rad. Either may be a range, from the lowest to the highest one of all postures.
+    Vibration modes and an actuator are of any device.
+    """
+
+    preset: str | None = key(lambda name: one_of(device_presets())(name), None)
+    mass: tuple[float, float] | None = key(interval("kg", is_positive=True), None)
+    inertia: tuple[float, float] | None = key(interval("kg m^2", is_positive=True), None)
+    damping: float = key(quantity("N s/m"))
+    encoder: Encoder | None = key(nested(Encoder), None)
+    modes: tuple[VibrationMode, ...] = key(each(nested(VibrationMode)), ())
+    actuator: Actuator | None = key(nested(Actuator), None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.mass is not None and self.inertia is not None:
+            raise ValueError(
+                f"mass is {self.mass[0]:g} beside inertia; give mass for a device that moves along "
+                "a line, or inertia for one that turns."
+            )
+        if self.mass is None and self.inertia is None:
+            raise ValueError(_NO_MASS)
+        for number, mode in enumerate(self.modes):
+            if (mode.modal_inertia is None) != (self.inertia is None):
+                own, other = ("mass", "inertia") if self.inertia is None else ("inertia", "mass")
+                raise ValueError(
+                    f"modes.{number}.modal_{other} is {mode.effective_mass:g} beside {own}; give "
+                    f"modal_{own}."
+                )
+
+    @classmethod
+    def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Let a preset give what the table does not."""
+        preset = device_presets().get(str(table.get("preset")))
+        if preset is None:
+            if not {"preset", "mass", "inertia"} & {*table}:
+                raise ValueError(_NO_MASS)
+            return table  # a preset that is not known is refused
+        known = preset.values(("mass", "damping"))
+        for name in ("mass", "damping"):
+            if name not in known and name not in table:
+                raise ValueError(
+                    f"{name} is missing; no source has that of the preset {table['preset']!r}, so "
+                    "give it a value."
+                )
+        return {**known, **table}
+
+    @property
+    def units(self) -> Units:
+        """The units of whatever belongs to the device."""
+        return Units.LINE if self.inertia is None else Units.ROTATION
+
+    @property
+    def effective_mass(self) -> tuple[float, float]:
+        """The lowest and the highest mass in kg, or moment of inertia in kg m^2."""
+        return self.mass or self.inertia or (0.0, 0.0)
+
+    @property
+    def varies(self) -> bool:
+        """Whether the mass is a range."""
+        return self.effective_mass[0] < self.effective_mass[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grip(Table):
+    """What is between the device and the arm: a spring and a damper side by side."""
+
+    stiffness: float = key(quantity("N/m"))
+    damping: float = key(quantity("N s/m"), 0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.stiffness == self.damping == 0.0:
+            raise ValueError("stiffness and damping are 0; give a grip that holds something.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hand(Table):
+    """The hand that holds the device; each quantity a range from lowest to highest.
+
+    With a grip these are of the arm behind it; without one the hand is glued to the device.
+    """
+
+    mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0))
+    inertia: tuple[float, float] | None = key(interval("kg m^2"), None)
+    stiffness: tuple[float, float] = key(interval("N/m"), (0.0, 0.0))
+    damping: tuple[float, float] = key(interval("N s/m"), (0.0, 0.0))
+    grip: Grip | None = key(nested(Grip), None)
+
+    @property
+    def effective_mass(self) -> tuple[float, float]:
+        """The mass in kg, or the moment of inertia in kg m^2."""
+        return self.inertia or self.mass
+
+    @property
+    def varies(self) -> bool:
+        """Whether this is more than one hand."""
+        return any(low < high for low, high in (self.effective_mass, self.stiffness, self.damping))
+
+
+# The velocity estimator and the position filter of a scene, as tables of a file.
+
+_NYQUIST = 0.499  # of the sampling rate: a Butterworth filter ends at 0.5
+
+_FASTEST = 100.0  # of the sampling rate: a pole that is 0 in float64 is refused
+
+
+@dataclass(frozen=True, kw_only=True)
+class _TimedTable(FilterTable):
+    """The keys of a filter, and the window in s."""
+
+    window: float | None = key(quantity("s", is_positive=True), None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.window is not None and self.window_samples is not None:
+            raise ValueError(f"window is {self.window:g} beside window_samples; give one.")
+
+    @property
+    def _length(self) -> dict[str, Any]:
+        return super()._length if self.window is None else {"window": self.window}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionTable(_TimedTable):
+    """The filter of the position that the wall's spring sees."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.as_filter()
+
+
+@dataclass(frozen=True, kw_only=True)
+class VelocityTable(_TimedTable):
+    """The estimator of the velocity that the wall's damper sees, or that of a software by name."""
+
+    preset: str | None = key(lambda name: one_of(software_presets())(name), None)
+
+    names_besides: ClassVar[tuple[str, ...]] = ("preset",)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.as_velocity()
+
+    @classmethod
+    def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Let a preset give what the table does not."""
+        preset = software_presets().get(str(table.get("preset")))
+        if preset is None:
+            return table
+        known = preset.values(tuple(entry.name for entry in fields(cls)))
+        if "window_samples" in table:
+            known.pop("window", None)
+        if len(table) == 1 and not known:
+            raise ValueError(
+                f"preset is {table['preset']!r}, whose estimator its maker does not document; "
+                "give window, cutoff or coefficients that you have measured."
+            )
+        return {**known, **table}
+
+    @property
+    def longest_sample_time(self) -> float:
+        """The sample time in s up to which the low pass is one; infinite where there is none."""
+        if self.cutoff is None:
+            return inf
+        return (_NYQUIST if self.kind == "butterworth" else _FASTEST) / self.cutoff
+
+    @property
+    def usual_sample_time(self) -> float | None:
+        """The sampling period in s for which the preset is meant; None where it does not matter."""
+        meant = self._preset_numbers.get("sample_time")
+        return meant.value if meant else None
+
+    @property
+    def is_assumed(self) -> bool:
+        """Whether a number of the preset is assumed, in whole or in part."""
+        return any(ASSUMED in number.source for number in self._preset_numbers.values())
+
+    @property
+    def _preset_numbers(self) -> Mapping[str, Sourced]:
+        return software_presets()[self.preset].numbers if self.preset else {}
+
+    def __str__(self) -> str:
+        preset = f" (preset {self.preset}{', assumed in part' if self.is_assumed else ''})"
+        return f"{self.as_velocity()}{preset if self.preset else ''}"
+
+
 ANSWERS = ("limits", "check", "tune", "design")
+
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter")
+
 _FEW_SAMPLES = 0.01  # of delay: more likely s
+
 _SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
+
 _LIGHT = 0.01
+
 _MANY_SAMPLES = 200  # of delay: more likely a slip of the unit
+
 _MOST_SAMPLES_OF_HANDS = 128  # the same for each of hundreds of hands of a range
+
 MOST_WALLS = 1000
 
 
@@ -238,6 +613,7 @@ class _Usual(NamedTuple):
 
 
 _USUAL = _Usual((1e-3, 50.0), (0.0, 100.0), (0.0, 20.0), (0.0, 1e3), (0.0, 1e6), (0.0, 1e4))
+
 _USUAL_TURNING = _Usual((1e-8, 1.0), (0.0, 10.0), (0.0, 1.0), (0.0, 100.0), (0.0, 1e5), (0.0, 1e3))
 
 _PARTS: Mapping[str, type[Table]] = {

@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from functools import reduce
 from typing import Any
 
-from jaxstab.model.filter_table import SampledTable
-from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
+from jaxstab.model.filters import Filter, Filters, SampledTable, Velocity, known_filters
 from jaxstab.model.sections import Average, Butterworth, Exponential, LowPass
 from jaxstab.tables import parsed
 

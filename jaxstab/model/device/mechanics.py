@@ -6,20 +6,24 @@ balls, rounded once.
 """
 
 from functools import lru_cache
+from itertools import pairwise
+from math import ceil
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.rational import balls_of, exact, turn, working_precision
-from jaxstab.model.device.sampling import in_samples
+from jaxstab.model.device.parts import balls_of, exact, turn, working_precision
+from jaxstab.model.device.sampling import in_fastest_time, in_samples
 
 if TYPE_CHECKING:
     from flint import arb, arb_mat
 
 _FIRST_BITS, _MOST_BITS = 256, 1 << 14
+
 _WANTED_BITS = 64  # of each entry
+
 _NOTHING = 2.0**-200  # of the largest entry: one that small may be 0
 
 Rows = Float64[np.ndarray, "offset state column"]
@@ -152,3 +156,198 @@ def are_known(matrix: "arb_mat") -> bool:
 
 def _float(ball: "arb") -> float:
     return float(ball.mid())
+
+
+# How a general device moves between two samples, as far as lemma M9 of docs/proofs.md needs it.
+#
+# Position and velocity are linear in the states at a sample and in the forces. These functionals
+# and their second derivatives are known at the ends of pieces of the sample, and their fourth
+# derivatives are bounded within the pieces. The effect of a blow at the handle on later states is
+# known likewise.
+
+if TYPE_CHECKING:
+    from flint import arb, arb_mat
+
+_MOST_PIECES = 24  # of a sample
+
+_ROUNDED_UP = 1.0 + 2.0**-40
+
+
+class Between(NamedTuple):
+    """A device within a sample; x is in m, forces in N, the unit of time is one sample.
+
+    Columns: the states, the force that acts up to the fraction of the delay, the one from then on.
+
+    Attributes:
+        rows: all that is asked for, once each.
+        ends: which of it are position, velocity and their second derivatives at both ends of each
+            piece; what it is at the next sample, it is at this one.
+        states: which of it are the states, and then the acting force.
+        half: half the lengths of the pieces.
+        rest: bounds of the fourth derivatives in each piece, of position and velocity.
+        blows: the states a time after a unit impulse at the handle, and their second derivatives,
+            at the ends of pieces that are all alike.
+        blow_half: half the length of these.
+        blow_rest: bounds of the fourth derivatives of the states, summed over the pieces.
+        path: what a force at the handle, never larger than 1, does to position and velocity within
+            a sample, at most.
+    """
+
+    rows: Float64[np.ndarray, "row column"]
+    ends: Int64[np.ndarray, "piece 2 4"]
+    states: Int64[np.ndarray, " state"]
+    half: Float64[np.ndarray, " piece"]
+    rest: Float64[np.ndarray, "piece 2 column"]
+    blows: Float64[np.ndarray, "2 end state"]
+    blow_half: float
+    blow_rest: Float64[np.ndarray, " state"]
+    path: tuple[float, float]
+
+
+@lru_cache(maxsize=32)
+def between_samples(device: Device, sample_time: float, fraction: float) -> Between:
+    """Return how a device moves within a sample, for a fraction of the delay."""
+    bits = _FIRST_BITS
+    while True:
+        with working_precision(bits):
+            above, below = in_samples(device.handle_compliance(), sample_time)
+            matrix = equations(device, above, below, sample_time)
+            rates = [
+                in_fastest_time(above, below)[2],
+                *(-matrix[k, k] for k in range(len(above), matrix.ncols() - 2)),
+            ]
+            motion = _Motion(matrix, fraction)
+            pieces = motion.pieces(max(map(float, rates)))
+            rows = [
+                [motion.rows(first, is_late), motion.rows(last % 1.0, is_late and last < 1.0)]
+                for first, last, is_late in pieces
+            ]
+            if all(are_known(one) for pair in rows for one in pair) or bits >= _MOST_BITS:
+                return _rounded(motion, pieces, rows)
+        bits *= 2
+
+
+class _Motion(NamedTuple):
+    """[[A, B], [0, 0]] of states, the wall's force and the hand's, and when the wall's changes."""
+
+    matrix: "arb_mat"
+    fraction: float
+
+    @property
+    def states(self) -> int:
+        return int(self.matrix.ncols()) - 2
+
+    def pieces(self, speed: float) -> list[tuple[float, float, bool]]:
+        """Return the ends of pieces, and whether the force has changed by then."""
+        count = min(speed, _MOST_PIECES)
+        parts = [(0.0, self.fraction, False), (self.fraction, 1.0, True)]
+        pieces = []
+        for first, last, is_late in parts:
+            if first == last:
+                continue
+            ends = np.linspace(first, last, max(1, ceil(count * (last - first))) + 1).tolist()
+            pieces += [(a, b, is_late) for a, b in pairwise(ends)]
+        return pieces
+
+    def rows(self, time: "float | arb", is_late: bool) -> "arb_mat":
+        """Return the position and its derivatives up to the fifth, of states and two forces."""
+        import flint
+
+        wall = self.states
+        whole = self._derivatives(time)
+        late = self._derivatives(time - flint.arb(exact(self.fraction))) if is_late else None
+        rows = []
+        for order, (*states, force, _) in enumerate(whole):
+            arrived = late[order][wall] if late is not None else flint.arb(0)
+            rows.append([*states, force - arrived, arrived])
+        return flint.arb_mat(rows)
+
+    def _derivatives(self, time: "float | arb") -> list[list["arb"]]:
+        import flint
+
+        row = flint.arb_mat([[int(k == 0) for k in range(self.states + 2)]])
+        row = row * (self.matrix * flint.arb(time)).exp()
+        rows = []
+        for _ in range(6):
+            rows.append(row.entries())
+            row = row * self.matrix
+        return rows
+
+    def blows(self, time: "float | arb") -> list[list["arb"]]:
+        """Return the states a time after a unit impulse at the handle, and their derivatives."""
+        import flint
+
+        unit = flint.arb_mat([[int(k == self.states + 1)] for k in range(self.states + 2)])
+        column = (self.matrix * flint.arb(time)).exp() * (self.matrix * unit)
+        columns = []
+        for _ in range(6):
+            columns.append(column.entries()[: self.states])
+            column = self.matrix * column
+        return columns
+
+
+def _rounded(
+    motion: _Motion, pieces: list[tuple[float, float, bool]], rows: list[list["arb_mat"]]
+) -> Between:
+    import flint
+
+    ends = np.array([[_floats(one)[:4] for one in pair] for pair in rows])
+    columns, states = ends.shape[-1], motion.states + 1
+    known, number = np.unique(
+        np.concatenate([ends.reshape(-1, columns), np.eye(states, columns)]),
+        axis=0,
+        return_inverse=True,
+    )
+    number = np.ravel(number)
+    half = np.array([0.5 * (last - first) for first, last, _ in pieces]) * _ROUNDED_UP
+    rest = np.array([_sizes(motion.rows(_over(*piece[:2]), piece[2]))[4:] for piece in pieces])
+    count = len(pieces)
+    times = [k / count for k in range(count + 1)]
+    blows = np.array(
+        [np.array([[float(x.mid()) for x in one] for one in motion.blows(t)]) for t in times]
+    )
+    widest = np.array(
+        [
+            [[float(abs(x).upper()) for x in one] for one in motion.blows(_over(a, b))]
+            for a, b in pairwise(times)
+        ]
+    )
+    size = 0.5 / count * _ROUNDED_UP
+    # The integral of a modulus: that of the chord, and what the second derivative adds.
+    path = [
+        float(
+            sum(
+                size * (abs(blows[k, order, 0]) + abs(blows[k + 1, order, 0]))
+                + (2.0 * size) ** 3 / 12.0 * widest[k, order + 2, 0]
+                for k in range(count)
+            )
+        )
+        for order in (0, 1)
+    ]
+    direct = float(abs(motion.blows(flint.arb(0))[0][0]).upper())
+    return Between(
+        rows=known,
+        ends=number[:-states].reshape(ends.shape[:-1]),
+        states=number[-states:],
+        half=half,
+        rest=rest,
+        blows=np.moveaxis(blows[:, [0, 2]], 1, 0),
+        blow_half=size,
+        blow_rest=widest[:, 4].sum(axis=0) * _ROUNDED_UP,
+        path=(path[0] * _ROUNDED_UP, (path[1] + direct) * _ROUNDED_UP),
+    )
+
+
+def _over(first: float, last: float) -> "arb":
+    """Return a ball of all times of a piece."""
+    import flint
+
+    return flint.arb(0.5 * (first + last), 0.5 * (last - first) * _ROUNDED_UP + 2.0**-60)
+
+
+def _floats(matrix: "arb_mat") -> np.ndarray:
+    return np.array([[float(one.mid()) for one in row] for row in matrix.tolist()])
+
+
+def _sizes(matrix: "arb_mat") -> np.ndarray:
+    return np.array([[float(abs(one).upper()) for one in row] for row in matrix.tolist()])

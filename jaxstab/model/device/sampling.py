@@ -16,7 +16,7 @@ from math import inf, isfinite, ldexp, nextafter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.rational import Rational, balls_of, exact, working_precision
+from jaxstab.model.device.parts import Rational, balls_of, exact, working_precision
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_loop
