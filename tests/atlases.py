@@ -8,9 +8,8 @@ from pathlib import Path
 import h5py
 
 from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, build_atlas, write_atlas
-from jaxstab.atlas.format import footer
-from jaxstab.atlas.format.digest import digest_of
-from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format import schema as footer
+from jaxstab.atlas.format.schema import VARIABLES, digest_of
 from jaxstab.atlas.format.table import table_text
 from jaxstab.atlas.read import file
 from jaxstab.atlas.write.variables import places_of

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxstab import AtlasSpec, plan_atlas
 from jaxstab.atlas.compute.plan import Plan, Tile
-from jaxstab.atlas.write.workers import tile_image
+from jaxstab.atlas.write.build import tile_image
 
 KEY = "0" * 64
 TINY = AtlasSpec(

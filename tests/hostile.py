@@ -13,9 +13,10 @@ from itertools import product
 
 import numpy as np
 
-from jaxstab.atlas.format import footer, schema
-from jaxstab.atlas.format.digest import Chunked, values_digest
-from jaxstab.atlas.format.filters import words_of
+from jaxstab.atlas.format import schema
+from jaxstab.atlas.format import schema as footer
+from jaxstab.atlas.format.schema import Chunked, values_digest
+from jaxstab.atlas.format.spec import words_of
 from jaxstab.atlas.format.table import Place, table_text
 from jaxstab.atlas.read.file import Array
 

@@ -29,8 +29,8 @@ from jaxstab.atlas.compute import products
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.write import build
+from jaxstab.atlas.write.build import tile_image
 from jaxstab.atlas.write.tiles import shards_of
-from jaxstab.atlas.write.workers import tile_image
 
 LONG = pytest.mark.campaign
 KILLS = Path(__file__).with_name("killed_builds.py")

@@ -27,7 +27,8 @@ from hostile_images import IMAGES, with_another_image
 import jaxstab
 from jaxstab import open_atlas, plan_atlas
 from jaxstab.atlas.compute.products import compute_tile
-from jaxstab.atlas.format import footer, schema
+from jaxstab.atlas.format import schema
+from jaxstab.atlas.format import schema as footer
 from jaxstab.atlas.read import file
 from jaxstab.atlas.write.verify import verify_atlas
 from jaxstab.model import by_name

@@ -24,7 +24,7 @@ from jaxstab import (
 )
 from jaxstab.atlas.format.schema import PRODUCTS
 from jaxstab.atlas.read import file
-from jaxstab.atlas.read.answer import checked_range
+from jaxstab.atlas.read.points import checked_range
 from jaxstab.model import by_name
 
 DELAYS = (0.0, 1.5)

@@ -5,9 +5,7 @@ import pytest
 from atlases import moving_atlas, small_atlas
 
 from jaxstab import Atlas
-from jaxstab.atlas.read.delays import DelayCells
-from jaxstab.atlas.read.limits import LimitTable
-from jaxstab.atlas.read.parts import in_parts
+from jaxstab.atlas.read.limits import DelayCells, LimitTable, in_parts
 from jaxstab.model import by_name
 
 

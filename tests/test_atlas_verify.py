@@ -12,9 +12,8 @@ from click.testing import CliRunner
 from hostile import parted, retold, sub
 
 from jaxstab import AtlasSpec, FittedAxis, open_atlas, spectral_radius, write_atlas
-from jaxstab.atlas.format import footer
-from jaxstab.atlas.format.digest import content_digest, digest_of
-from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format import schema as footer
+from jaxstab.atlas.format.schema import VARIABLES, content_digest, digest_of
 from jaxstab.cli.main import main
 
 SPEC = AtlasSpec(

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from jaxstab import AtlasSpec, Velocity, write_atlas
-from jaxstab.atlas.write.workers import dask_cluster, processes
+from jaxstab.atlas.write.build import dask_cluster, processes
 
 pytestmark = pytest.mark.campaign
 
@@ -182,7 +182,7 @@ def test_a_dask_cluster_builds_the_serial_atlas_though_a_worker_is_killed(
 
 
 def test_without_a_scheduler_or_dask_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jaxstab.atlas.write.workers._SECONDS_TO_CONNECT", 1)
+    monkeypatch.setattr("jaxstab.atlas.write.build._SECONDS_TO_CONNECT", 1)
     with pytest.raises(OSError, match=r"no dask scheduler answers at tcp://127\.0\.0\.1:9;"):
         dask_cluster("tcp://127.0.0.1:9").__enter__()
     monkeypatch.setitem(sys.modules, "distributed", None)

@@ -25,7 +25,8 @@ from jaxstab import (
     verdict,
     write_atlas,
 )
-from jaxstab.atlas.compute import products, tolerance
+from jaxstab.atlas.compute import layout as tolerance
+from jaxstab.atlas.compute import products
 from jaxstab.atlas.compute.products import compute_tile
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.schema import VARIABLES

@@ -12,7 +12,7 @@ import pytest
 
 import jaxstab
 from benchmarks.truth.problems import PROBLEMS
-from jaxstab.atlas.write.workers import processes
+from jaxstab.atlas.write.build import processes
 from jaxstab.model import by_name
 
 DELAY = 0.0  # one, for each is compiled in each process

@@ -18,11 +18,17 @@ from programs_in_c import READER, compiled
 from benchmarks import truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Atlas, AtlasSpec, QueryStatus, open_atlas
-from jaxstab.atlas.format import footer
-from jaxstab.atlas.format.digest import content_digest, digest_of
-from jaxstab.atlas.format.schema import PRODUCTS, SCHEMA_VERSION, SLICE, VARIABLES
+from jaxstab.atlas.format import schema as footer
+from jaxstab.atlas.format.schema import (
+    PRODUCTS,
+    SCHEMA_VERSION,
+    SLICE,
+    VARIABLES,
+    content_digest,
+    digest_of,
+)
 from jaxstab.atlas.read.file import table_of
-from jaxstab.atlas.write.image import checked_datasets, opened, text_of
+from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
 from jaxstab.model import by_name
 
 DATA = Path(__file__).resolve().parents[1] / "data"

@@ -22,7 +22,7 @@ from jaxstab import (
     stable_region,
     verdict,
 )
-from jaxstab.atlas.compute.counts import counts_of, with_counts
+from jaxstab.atlas.compute.layout import counts_of, with_counts
 from jaxstab.cli.main import main
 from jaxstab.model import by_name
 

@@ -14,8 +14,9 @@ import pytest
 from builds import FORMER, KEY, TINY, entries, tiny_images, tiny_plan
 
 from jaxstab import write_atlas
-from jaxstab.atlas.format.footer import image_of, sealed
-from jaxstab.atlas.write import build, tiles, workers
+from jaxstab.atlas.format.schema import image_of, sealed
+from jaxstab.atlas.write import build, tiles
+from jaxstab.atlas.write import build as workers
 from jaxstab.atlas.write.tiles import VALUES_DIGEST, build_key, shards_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="folders are opened by descriptor")

@@ -178,7 +178,7 @@ def query(
     ranges; of those between nothing is said. The exit code is 0 if every verdict is stable, 1 if
     not.
     """
-    from jaxstab.atlas.format.filters import position_of, velocity_of
+    from jaxstab.atlas.format.spec import position_of, velocity_of
 
     if exact:
         keep_programs()

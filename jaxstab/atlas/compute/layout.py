@@ -1,13 +1,14 @@
 """What a specification means in numbers: the nodes along each axis, for each delay."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from math import ceil, floor, prod
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.atlas.compute.tolerance import known_region, tolerant_nodes
 from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
     CELL,
@@ -17,15 +18,127 @@ from jaxstab.atlas.format.schema import (
     SPECTRAL_RADIUS,
     TERMS_OF_RADIUS,
 )
-from jaxstab.atlas.format.spec import AtlasSpec, FittedAxis, Nodes, ToleranceAxis, check_size
-from jaxstab.model.filters import Filters
+from jaxstab.atlas.format.spec import (
+    FEWEST_FITTED,
+    AtlasSpec,
+    FittedAxis,
+    Nodes,
+    ToleranceAxis,
+    check_size,
+)
+from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.region import Branch, RegionStatus, StableRegion, stable_region
+from jaxstab.region.curve import curve_point, minus_offset, minus_slope, plus_offset, plus_slope
+
+# As many nodes along gamma or delta as a tolerance needs: where little changes, few.
+
+_PROBES = 17  # values along the axis at which the boundary is looked at
+
+_FINENESS = 1e-3  # of outlines, whose extremes are exact
+
+Slice = tuple[float, float, float]
+
+
+def tolerant_nodes(
+    axis: ToleranceAxis,
+    name: str,
+    across: Sequence[float],
+    delays: Sequence[float],
+    filters: Filters | None,
+) -> Float64[np.ndarray, " node"]:
+    """Return nodes between which the boundary of the stable set moves by the tolerance at most.
+
+    The motion is that of the boundary's points at a fixed angle of the roots on the circle, and for
+    a real root at a fixed beta, in units of the set's extents. It is added up over even steps along
+    the axis, and the nodes share it equally.
+
+    Args:
+        axis: its ends and the tolerance.
+        name: "gamma" or "delta".
+        across: values of the other one of the two.
+        delays: time delays t_d/T.
+        filters: velocity estimator and position filter.
+
+    Raises:
+        ValueError: nowhere along the axis a loop is stable, a region is unresolved, or a parameter
+            is too large.
+    """
+    values = np.linspace(axis.start, axis.stop, _PROBES)
+    moved = np.zeros(_PROBES - 1)
+    for other in across:
+        for delay in delays:
+            slices = [
+                (value, other, delay) if name == "gamma" else (other, value, delay)
+                for value in values.tolist()
+            ]
+            moved = np.maximum(moved, _motions(slices, filters))
+    passed = np.concatenate([[0.0], np.cumsum(moved)])
+    steps = max(1, ceil(passed[-1] / axis.tolerance))
+    nodes = np.interp(np.linspace(0.0, passed[-1], steps + 1), passed, values)
+    return np.concatenate([[axis.start], nodes[1:-1], [axis.stop]])
+
+
+def known_region(gamma: float, delta: float, delay: float, filters: Filters | None) -> StableRegion:
+    """Return the stable region of a slice, which may be empty.
+
+    Raises:
+        ValueError: it is unresolved, or a parameter is too large for the model.
+    """
+    region = stable_region(
+        gamma=gamma, delta=delta, delay=delay, tolerance=_FINENESS, **as_keywords(filters)
+    )
+    if region.status == RegionStatus.UNRESOLVED:
+        raise ValueError(
+            f"no axis can be laid around the region at gamma {gamma:g}, delta {delta:g}, delay "
+            f"{delay:g} ({RegionStatus.UNRESOLVED.words}); give its nodes."
+        )
+    return region
+
+
+def _motions(slices: Sequence[Slice], filters: Filters | None) -> list[float]:
+    """Return how far the boundary moves from each slice to the next."""
+    regions = [known_region(*one, filters) for one in slices]
+    points = np.concatenate([region.points for region in regions])
+    if not points.size:
+        raise ValueError(
+            f"no (alpha, beta) is stable at delay {slices[0][2]:g} along an axis that is given by "
+            "a tolerance; give its nodes."
+        )
+    extent = np.ptp(points, axis=0)
+    there = [_motion(*pair, extent) for pair in pairwise(regions)]
+    back = [_motion(*pair, extent) for pair in zip(regions[1:], regions[:-1], strict=True)]
+    return list(map(max, there, back))
+
+
+def _motion(region: StableRegion, other: StableRegion, extent: Float64[np.ndarray, "2"]) -> float:
+    """Return how far the outline's points move to another slice, at their angle or their beta."""
+    points, branch, c = region.points[:-1], region.branch[:, None], other.coefficients
+    beta = points[:, 1]
+    moved = np.select(
+        [branch == kind for kind in (Branch.CURVE, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)],
+        [
+            np.stack(curve_point(c, region.outline.angles[: beta.size, 0]), axis=-1),
+            np.stack([plus_offset(c) - plus_slope(c) * beta, beta], axis=-1),
+            np.stack([minus_offset(c) - minus_slope(c) * beta, beta], axis=-1),
+        ],
+        np.nan,
+    )
+    way = np.abs(moved - points) / extent
+    return float(np.max(way, where=np.isfinite(way), initial=0.0))
+
 
 _MARGIN = 0.03  # around the stable region, of its size
+
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
+
 _STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
+
 _COARSE = 32  # cells to a sample, at some of whose edges regions are looked at beforehand
+
 _RADII = 0.8  # cells of radii along the delay for each of limits around a delay of 1/2
+
 _LATE = 3.0  # samples: from here on they are wider
+
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 
 
@@ -362,3 +475,72 @@ def _fitted_alpha(
 def _fitted_beta(count: int, lowest: float, highest: float) -> Float64[np.ndarray, " count"]:
     margin = _MARGIN * (highest - lowest)
     return np.linspace(lowest - margin, highest + margin, count)
+
+
+# The same range with more or fewer nodes: the counts along each axis of a specification.
+
+Counts = Mapping[str, int]
+
+"""Of nodes along alpha and beta, of cells along gamma and delta, and ``limit_cells`` and
+``delay_cells`` of the limits of alpha."""
+
+WALLS, HANDS, OF_LIMITS = ("alpha", "beta"), ("gamma", "delta"), ("limit_cells", "delay_cells")
+
+
+def with_known_nodes(spec: AtlasSpec) -> AtlasSpec:
+    """Return a specification whose axes by tolerance are nodes.
+
+    Raises:
+        ValueError: as ``jaxstab.plan_atlas`` for such an axis.
+    """
+    return replace(spec, **{name: plant_axis(spec, name).tolist() for name in HANDS})
+
+
+def counts_of(spec: AtlasSpec) -> dict[str, int]:
+    """Return the counts of a specification with known nodes; no cells where only delays are."""
+    along: dict[str, int] = {name: _length(getattr(spec, name)) for name in (*WALLS, *HANDS)}
+    along |= {name: max(1, along[name] - 1) for name in HANDS}
+    cells = 0 if is_fixed(spec, "delay_cells") else int(spec.delay_cells or 0)
+    return along | {"limit_cells": spec.limit_cells, "delay_cells": cells}
+
+
+def is_fixed(spec: AtlasSpec, name: str) -> bool:
+    """Whether a count cannot be another one: an axis of one node, or limits at delays alone."""
+    if name == "delay_cells":
+        return not spec.delay_cells or _length(spec.delay) == 1
+    return name in HANDS and _length(getattr(spec, name)) == 1
+
+
+def with_counts(spec: AtlasSpec, counts: Counts) -> AtlasSpec:
+    """Return a specification of the same range with other counts; nodes stay as dense as they were.
+
+    Raises:
+        ValueError: the atlas would be too large.
+    """
+    now = counts_of(spec)
+    changed: dict[str, Any] = {}
+    for name in (name for name in counts if counts[name] != now[name]):
+        if name in OF_LIMITS:
+            changed[name] = counts[name]
+        elif isinstance(getattr(spec, name), FittedAxis):
+            changed[name] = replace(getattr(spec, name), count=counts[name])
+        else:
+            nodes = np.array(getattr(spec, name))
+            changed[name] = _resampled(nodes, counts[name] + (name in HANDS)).tolist()
+    return replace(spec, **changed)
+
+
+def least_count(spec: AtlasSpec, name: str) -> int:
+    """Return the smallest count that a specification may have."""
+    if name not in WALLS:
+        return 1
+    return FEWEST_FITTED if isinstance(getattr(spec, name), FittedAxis) else 2
+
+
+def _resampled(nodes: Float64[np.ndarray, " node"], count: int) -> Float64[np.ndarray, " count"]:
+    numbers = np.arange(nodes.size)
+    return np.interp(np.linspace(0.0, nodes.size - 1.0, count), numbers, nodes)
+
+
+def _length(axis: Any) -> int:
+    return axis.count if isinstance(axis, FittedAxis) else len(axis)

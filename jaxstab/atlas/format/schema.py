@@ -5,50 +5,91 @@ footer; the image holds the variables below in its root group, with dimension sc
 are dimensionless. What a file may hold is written here once: the readers refuse the rest.
 """
 
+import errno
+import hashlib
+import io
+import struct
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import inf
-from typing import Final
+from typing import Any, Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxstab.atlas.format import schema
 from jaxstab.conventions import Verdict
 
 FORMAT: Final = "jaxstab atlas"
+
 SCHEMA_VERSION: Final = 3
 
 FOOTER_MAGIC: Final = b"jaxstab\n"
+
 """At the end: these 8 bytes, the length of the image (uint64, little endian), and the SHA-256 (32
 bytes) of all that is before."""
 
 CHECKSUM_SIZE: Final = 4  # bytes of Fletcher32 after the values of a chunk
+
 BEST_COMPRESSION: Final = 1100  # deflate cannot do better than about 1032
+
 LARGEST_EXPANSION: Final = 20  # of numbers, when they are more than the next
+
 LARGEST_UNASKED: Final = 2 * 10**8  # bytes
+
 LARGEST_ARRAY: Final = 2**31  # bytes that are read into memory at once
+
 LARGEST_ATLAS: Final = 2**38  # nodes
+
 LARGEST_SLICE: Final = 2**22  # nodes along alpha and beta
+
 LARGEST_DELAY: Final = 100.0
+
 LEAST_SPAN: Final = 1e-300  # of alpha and beta: cells to it do not overflow
+
 LEAST_SHARE: Final = 2.0**-24  # of the larger of its ends: rounding swallows no cell of a span
 
 VERDICT: Final = "verdict"
+
 CELL_VERDICT: Final = "cell_verdict"
+
 ALPHA_LIMITS: Final = "alpha_limits"
+
 LIMIT_RANGE: Final = "limit_range"
+
 LIMIT_WHOLE: Final = "limit_whole"
+
 WHOLE_ALPHA: Final = 1
+
 WHOLE_BOTH: Final = 2
+
 SPECTRAL_RADIUS: Final = "spectral_radius"
+
 RADIUS_RANGE: Final = "radius_range"
+
 RADIUS_KIND: Final = "radius_kind"
+
 RADIUS_TERMS: Final = "radius_terms"
+
 RADIUS_ROW: Final = "radius_row"
+
 OUTLINE_ALPHA: Final = "outline_alpha"
+
 OUTLINE_BETA: Final = "outline_beta"
+
 OUTLINE_BRANCH: Final = "outline_branch"
+
 OUTLINE_SIZE: Final = "outline_size"
+
 OUTLINE_STATUS: Final = "outline_status"
+
 CORNER_ALPHA: Final = "corner_alpha"
+
 CORNER_BETA: Final = "corner_beta"
+
 CORNER_COUNT: Final = "corner_count"
+
 SUMMARY: Final = (
     "largest_alpha",
     "beta_of_largest_alpha",
@@ -58,15 +99,19 @@ SUMMARY: Final = (
     "alpha_of_least_radius",
     "beta_of_least_radius",
 )
+
 SPEC: Final = "spec"
 
 NODE: Final = ("alpha_node", "beta_node", "gamma", "delta", "delay")
+
 CELL: Final = ("alpha_cell", "beta_cell", "gamma_cell", "delta_cell", "delay")
 
-
 SLICE: Final = ("gamma", "delta", "delay")
+
 LIMITS: Final = ("limit_cell", "gamma_cell", "delta_cell", "delay_cell", "limit_term")
+
 LIMIT_TERMS: Final = 10  # of each of the two limits
+
 RADIUS_CELL: Final = (
     "radius_alpha_cell",
     "radius_beta_cell",
@@ -74,8 +119,11 @@ RADIUS_CELL: Final = (
     "radius_delta_cell",
     "radius_delay_cell",
 )
+
 TERMS_OF_RADIUS: Final = 22  # of each function: those up to second order, and an error
+
 RADIUS_KINDS: Final = (1, 4)  # the least and the largest
+
 RADIUS_FUNCTIONS: Final = (0, 1, 2, 2, 3)  # of cells of each kind
 
 
@@ -140,7 +188,9 @@ def _count(name: str, long_name: str, interpretation: str, highest: float | int)
 
 
 FLAG_VALUES: Final = tuple(int(code) for code in Verdict)
+
 FLAG_MEANINGS: Final = " ".join(code.name.lower() for code in Verdict)
+
 _CODES: Final = (min(FLAG_VALUES), max(FLAG_VALUES))
 
 VARIABLES: Final = {
@@ -315,6 +365,7 @@ VARIABLES: Final = {
         ),
     )
 }
+
 """All variables in the order in which they are written; those of a product only if it is chosen."""
 
 PRODUCTS: Final = {
@@ -351,14 +402,157 @@ PRODUCTS: Final = {
     ),
     "summary": SUMMARY,
 }
+
 """What can be chosen in a specification, and the variables that hold it."""
 
 KNOWN_BEFORE: Final = (LIMIT_RANGE, LIMIT_WHOLE, RADIUS_RANGE)
+
 """Variables of products that no tile holds: they follow from the specification."""
 
 STRUNG: Final = {OUTLINE_SIZE: "outline_point", CORNER_COUNT: "corner"}
+
 """How many of the places along a dimension belong to each slice."""
 
 ALWAYS: Final = frozenset(VARIABLES) - {name for names in PRODUCTS.values() for name in names}
 
 LONGEST_LINE: Final = 4096  # bytes in a line of the specification
+
+
+# Attributes of a file and of its datasets, in words and numbers. No JAX.
+
+
+def head_attributes(created_by: str, filters: str) -> dict[str, Any]:
+    """Return the attributes of a file, without the digest of its values."""
+    return {
+        "format": schema.FORMAT,
+        "title": "Stability of a haptic rendering loop over its dimensionless parameters",
+        "created_by": created_by,
+        "source": "characteristic polynomial of Hulin, Preusche, Hirzinger (2008), eq. (9)",
+        "symbols": "K, B stiffness and damping of the virtual wall; m, b, k mass, damping and "
+        "stiffness of device and hand; T sampling period, t_d delay",
+        "filters": filters,
+        "Conventions": "CF-1.8",
+        "schema_version": np.int32(schema.SCHEMA_VERSION),
+    }
+
+
+def attributes_of(variable: Variable) -> dict[str, Any]:
+    """Return the attributes of a dataset."""
+    attributes: dict[str, Any] = {
+        "long_name": variable.long_name,
+        "interpretation": variable.interpretation,
+    }
+    if variable.dtype.startswith("float"):
+        attributes["units"] = "1"
+    if variable.dimensions == schema.NODE:
+        attributes["coordinates"] = "alpha beta"
+    if variable.holds_verdicts:
+        attributes["flag_values"] = np.array(schema.FLAG_VALUES, np.int8)
+        attributes["flag_meanings"] = schema.FLAG_MEANINGS
+    return attributes
+
+
+# A digest of what an atlas holds, the same for equal values on any machine. No JAX.
+#
+# The bytes of a file depend on the libraries that compressed it; its values do not. The digest is
+# the SHA-256 of a line for each variable, in the order of the schema:
+#
+#     name, dtype, shape, shape of the chunks, and the SHA-256 of the values of each chunk
+#
+# with the chunks in the order of their places (the last dimension fastest), and the values of a
+# chunk in that order too, little endian, and only those inside of the array.
+
+
+class Chunked(NamedTuple):
+    """A variable as the digest sees it."""
+
+    name: str
+    dtype: np.dtype[Any]
+    shape: Sequence[int]
+    chunk: Sequence[int]
+    digests: Iterable[str]
+
+    def __str__(self) -> str:
+        shapes = ("x".join(map(str, shape)) for shape in (self.shape, self.chunk))
+        dtype = self.dtype.newbyteorder("<").str
+        return " ".join([self.name, dtype, *shapes, *self.digests])
+
+
+def content_digest(variables: Iterable[Chunked | str]) -> str:
+    """Return the digest of all variables, or of their lines, in hexadecimal."""
+    digest = hashlib.sha256()
+    for variable in variables:
+        digest.update(f"{variable}\n".encode())
+    return digest.hexdigest()
+
+
+def values_digest(values: NDArray[Any]) -> str:
+    """Return the SHA-256 of values, in hexadecimal."""
+    ordered = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+    return hashlib.sha256(ordered.reshape(-1).view(np.uint8).data).hexdigest()
+
+
+def chunk_digests(dataset: Any) -> Iterator[str]:
+    """Yield the digest of each chunk of an HDF5 dataset, with one chunk at a time in memory."""
+    starts = [range(0, n, step) for n, step in zip(dataset.shape, dataset.chunks, strict=True)]
+    for place in product(*starts):
+        inside = zip(place, dataset.chunks, strict=True)
+        yield values_digest(dataset[tuple(slice(start, start + step) for start, step in inside)])
+
+
+def digest_of(name: str, dataset: Any) -> Chunked:
+    """Return an HDF5 dataset as the digest sees it; its values are read when they are needed."""
+    return Chunked(name, dataset.dtype, dataset.shape, dataset.chunks, chunk_digests(dataset))
+
+
+# The footer of a file, by which a reader knows that all of it is there. No JAX.
+
+FOOTER = struct.Struct(f"<{len(FOOTER_MAGIC)}sQ32s")
+
+_BLOCK = 2**18  # bytes, which stay in the cache
+
+
+def footer_of(stream: io.FileIO | io.BytesIO, length: int, image_size: int) -> bytes:
+    """Return the footer of what is in the first bytes of a stream.
+
+    Args:
+        stream: of a file.
+        length: how many bytes.
+        image_size: how many of them are the HDF5 image.
+
+    Raises:
+        OSError: the stream is shorter, or cannot be read.
+    """
+    stream.seek(0)
+    digest, rest, block = hashlib.sha256(), length, memoryview(bytearray(_BLOCK))
+    while rest:
+        count = stream.readinto(block[:rest])
+        if not count:
+            raise OSError(errno.EIO, f"the file ends {rest} bytes early")
+        digest.update(block[:count])
+        rest -= count
+    return FOOTER.pack(FOOTER_MAGIC, image_size, digest.digest())
+
+
+def sealed(image: bytes, table: bytes = b"") -> bytes:
+    """Return an image, and perhaps a table, with their footer."""
+    data = image + table
+    return data + footer_of(io.BytesIO(data), len(data), len(image))
+
+
+def image_of(data: bytes) -> bytes | None:
+    """Return the image if the footer is right."""
+    size = image_size(io.BytesIO(data))
+    return None if size is None else data[:size]
+
+
+def image_size(stream: io.FileIO | io.BytesIO) -> int | None:
+    """Return the length of the image in a stream; None where the footer is missing or wrong."""
+    length = stream.seek(0, io.SEEK_END) - FOOTER.size
+    if length < 0:
+        return None
+    stream.seek(length)
+    footer = stream.read(FOOTER.size)
+    size = int(FOOTER.unpack(footer)[1])
+    is_right = size <= length and footer == footer_of(stream, length, size)
+    return size if is_right else None

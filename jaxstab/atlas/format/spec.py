@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import partial
+from functools import partial, reduce
 from itertools import pairwise
 from os import PathLike
 from typing import Any, TypeAlias
@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxstab.atlas.format.filters import position_of, toml_of, velocity_of
 from jaxstab.atlas.format.schema import (
     ALPHA_LIMITS,
     LARGEST_ATLAS,
@@ -24,19 +23,119 @@ from jaxstab.atlas.format.schema import (
     VERDICT,
 )
 from jaxstab.conventions import AXES
-from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
+from jaxstab.model.filters import (
+    Filter,
+    Filters,
+    SampledTable,
+    Velocity,
+    as_keywords,
+    known_filters,
+)
+from jaxstab.model.sections import Average, Butterworth, Exponential, LowPass
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.tables import check_keys, parsed, read_table
+
+# Velocity estimators and position filters as a specification writes them, per sample. No JAX.
+#
+# Each is one table, or a list of tables of which each follows the one before:
+#
+#     [velocity]
+#     window_samples = 20         the difference over 20 samples
+#     cutoff = 0.1                then a low pass at 0.1 of the sampling rate
+
+
+def velocity_of(entry: Any) -> Velocity:
+    """Return the estimator that a specification has for ``velocity``.
+
+    Raises:
+        TypeError, ValueError: a key is unknown, missing or has a bad value.
+    """
+    first, *others = _tables("velocity", entry)
+    return first.as_velocity() * _chain(others)
+
+
+def position_of(entry: Any) -> Filter:
+    """Return the filter that a specification has for ``position``.
+
+    Raises:
+        TypeError, ValueError: a key is unknown, missing or has a bad value.
+    """
+    return _chain(_tables("position", entry))
+
+
+def filters_of(spec: str) -> Filters | None:
+    """Return the estimator and the filter of a specification's text.
+
+    Raises:
+        TypeError, ValueError: the text is no TOML, or it has others than are allowed.
+    """
+    table = parsed(spec)
+    return known_filters(
+        velocity_of(table["velocity"]) if "velocity" in table else None,
+        position_of(table["position"]) if "position" in table else None,
+    )
+
+
+def toml_of(filters: Velocity | Filter) -> str:
+    """Return an estimator or a filter as inline tables of TOML, in units of one sample.
+
+    Raises:
+        ValueError: a window, a cut-off or a transfer function does not go with such units.
+    """
+    chain = filters.filter if isinstance(filters, Velocity) else filters
+    return "[" + ", ".join(map(_inline, chain.per_sample(1.0).sections)) + "]"
+
+
+def words_of(filters: Filters | None) -> str:
+    """Return in words what a loop makes of the sampled positions."""
+    velocity, position = filters or (Velocity(), Filter())
+    words = f"velocity: {velocity}; position: {position}"
+    return words.replace(" Hz", " of the sampling rate")  # the unit per sample
+
+
+def _tables(name: str, entry: Any) -> list[SampledTable]:
+    tables = entry if isinstance(entry, list) else [entry]
+    if not tables or not all(isinstance(table, Mapping) and table for table in tables):
+        raise TypeError(f"{name} is {entry!r}; give a table, such as window_samples = 20.")
+    for table in tables:
+        if "window" in table:
+            raise ValueError(f"{name}.window is in s, which an atlas has not; give window_samples.")
+    return [SampledTable.from_table(table, name) for table in tables]
+
+
+def _chain(tables: list[SampledTable]) -> Filter:
+    return reduce(Filter.__mul__, (table.as_filter() for table in tables), Filter())
+
+
+def _inline(section: Any) -> str:
+    if isinstance(section, Average):
+        return f"{{ window_samples = {section.length} }}"
+    if isinstance(section, LowPass):
+        return f"{{ cutoff = {section.cutoff!r}, order = {section.order} }}"
+    if isinstance(section, Butterworth):
+        return f'{{ cutoff = {section.cutoff!r}, order = {section.order}, kind = "butterworth" }}'
+    if isinstance(section, Exponential):
+        return f"{{ factor = {section.factor!r} }}"
+    numerator = [number * getattr(section, "period", 1.0) for number in section.numerator]
+    return f"{{ numerator = {numerator}, denominator = {list(section.denominator)} }}"
+
 
 Nodes: TypeAlias = ArrayLike | tuple[float, ...]
 
 FEWEST_FITTED = 8
+
 _DELAY_CELLS, _MOST_DELAY_CELLS = 32, 2**16  # to a sample around 1/2
+
 _LIMIT_CELLS = 256, 128  # at delays alone, and between them
+
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
+
 _RANGE = ("start", "stop", "count", "spacing")
+
 _TOLERANT = ("start", "stop", "tolerance")
+
 _REACH = ("least", "most")
+
 _LINE_LENGTH = 90
 
 
@@ -189,7 +288,7 @@ class AtlasSpec:
         ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
         ``fitted``, a count, and perhaps ``least`` and ``most``, and for gamma and delta ``start``,
         ``stop`` and ``tolerance``. The tables ``velocity`` and ``position`` are of
-        ``jaxstab.atlas.format.filters``.
+        ``jaxstab.atlas.format.spec``.
 
         Raises:
             ValueError: the text is no TOML, or has an unknown name or a bad value.
@@ -234,10 +333,12 @@ _LAID_OUT: Mapping[str, type] = {
     "gamma": ToleranceAxis,
     "delta": ToleranceAxis,
 }
+
 _FILTERS: Mapping[str, Callable[[Any], Velocity | Filter]] = {
     "velocity": velocity_of,
     "position": position_of,
 }
+
 _ENTRIES: Mapping[type, list[str]] = {
     FittedAxis: [*_REACH, "fitted"],
     ToleranceAxis: ["tolerance"],

@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 
 from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.digest import Chunked, content_digest
-from jaxstab.atlas.format.schema import VARIABLES, Variable
+from jaxstab.atlas.format.schema import VARIABLES, Chunked, Variable, content_digest
 
 _TITLE = re.compile(rb"jaxstab atlas (\d{1,9})\n")
 _HEAD = re.compile(

@@ -6,29 +6,252 @@ delay they are planes.
 """
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.schema import LIMIT_TERMS
-from jaxstab.atlas.read.delays import DelayCells
-from jaxstab.atlas.read.parts import in_parts
-from jaxstab.atlas.read.sides import (
-    codes_by_limits,
-    codes_by_one,
-    deciding_alphas,
-    ignoring,
-    surface,
-    surfaces,
-)
+from jaxstab.atlas.format import schema
+from jaxstab.atlas.format.schema import LIMIT_TERMS, WHOLE_ALPHA, WHOLE_BOTH
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
 
+# The cells of delays of an atlas: which one holds a delay, and how far it reaches. NumPy alone.
+
 Floats = NDArray[np.float64]
+
 Integers = NDArray[np.intp]
+
 Range = tuple[float, float]
+
+_MOST_STEPS = 2**12
+
+
+class DelayCells:
+    """The cells of all delays, ascending.
+
+    Args:
+        ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells.
+        whole: (delay_cell,), which axes hold the whole stable set (``schema.LIMIT_WHOLE``).
+    """
+
+    def __init__(self, ends: Floats, whole: NDArray[np.int32]) -> None:
+        self._whole = whole
+        lowest, highest = np.ascontiguousarray(ends.T[::2]), np.ascontiguousarray(ends.T[1::2])
+        self.ends = dict(
+            zip(("delay", "alpha", "beta"), zip(lowest, highest, strict=True), strict=True)
+        )
+        """The lowest and the highest delay, alpha and beta of the cells."""
+        self._early, self._late = self.ends["delay"]
+        self._are_joined = np.array_equal(self._late[:-1], self._early[1:])
+        self._begins = np.append(self._early, np.inf)
+        self._per_delay, self._counts = _steps(self._early)
+        self._early_list = self._early.tolist()
+        self.span: Range = float(self._early[0]), float(self._late[-1])
+
+    def of(self, delay: Floats) -> Integers:
+        """Return the numbers of the last cells that begin at delays or before; -1 for none."""
+        if not self._counts.size:
+            return np.asarray(np.searchsorted(self._early, delay, "right") - 1)
+        place = np.clip((delay - self.span[0]) * self._per_delay, 0.0, self._counts.size - 1.0)
+        count = self._counts.take(place.astype(np.intp))
+        count += delay >= self._begins.take(count)
+        count -= 1
+        return np.asarray(count)
+
+    def of_one(self, delay: float) -> int:
+        """Return the number of the last cell that begins at a delay or before; -1 for none."""
+        return bisect_right(self._early_list, delay) - 1
+
+    def covers(self, delay: Floats) -> NDArray[np.bool_]:
+        """Say which delays are in a cell."""
+        cell = self.of(delay)
+        return np.asarray((cell >= 0) & (delay <= self._late.take(cell)))
+
+    def walls(self, name: str, cell: Integers) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest alpha, or beta, of cells."""
+        least, most = self.ends[name]
+        return np.asarray(least.take(cell)), np.asarray(most.take(cell))
+
+    def beyond(self, cell: Integers, alpha: Floats, beta: Floats) -> NDArray[np.bool_]:
+        """Say which walls are beyond axes of cells that hold the whole stable set: unstable."""
+        inside = []
+        for name, values in (("alpha", alpha), ("beta", beta)):
+            least, most = self.walls(name, cell)
+            inside.append((values >= least) & (values <= most))
+        whole = self._whole.take(cell)
+        is_beyond = ((whole >= WHOLE_ALPHA) & ~inside[0] & inside[1]) | (
+            (whole == WHOLE_BOTH) & ~inside[1]
+        )
+        return np.asarray(is_beyond)
+
+    def hold(self, cell: Integers, delay: Floats, **walls: Floats) -> bool:
+        """Whether these cells reach to delays that they begin before, and to alphas or betas."""
+        inside = self._are_joined or delay <= self._late.take(cell)
+        for name, values in walls.items():
+            least, most = self.walls(name, cell)
+            inside = inside & (values >= least) & (values <= most)
+        return bool(np.all(inside))
+
+
+def _steps(early: Floats) -> tuple[float, Integers]:
+    """Return how many even steps there are to a delay, and how many cells begin before each step.
+
+    A step is at most half as long as a cell, and what begins in its last quarter counts for the
+    next one. So no more than one cell begins from there to the end of a step, whatever is rounded.
+    Without steps cells are so short that they are searched for.
+    """
+    width = float(early[-1] - early[0])
+    if not width:
+        return 0.0, np.zeros(1, np.intp)
+    count = np.ceil(2.0 * width / np.diff(early).min())
+    if count > _MOST_STEPS:
+        return 0.0, np.zeros(0, np.intp)
+    begins = early[0] + width * (np.arange(count + 1.0) - 0.25) / count
+    return float(count / width), np.searchsorted(early, begins, "right")
+
+
+# Questions about many points, answered part by part. NumPy alone.
+
+Array = NDArray[Any]
+
+_PART = 2**16  # points: enough for what a call of NumPy costs, and few for the memory
+
+
+def in_parts(
+    answers: Callable[..., Sequence[Array]], points: Sequence[Array], *dtypes: type
+) -> list[Array]:
+    """Return what a function answers for points of any broadcast shape.
+
+    Args:
+        answers: takes as many arrays of one length as there are in ``points``, as float64, and
+            returns an array for each of ``dtypes``.
+        points: real numbers; what is not float64 is converted, and what is broadcast is repeated,
+            part by part as well.
+        dtypes: of the answers.
+    """
+    asked = len(points)
+    operands: Any = [*points, *(None for _ in dtypes)]
+    uses: Any = [["readonly"] for _ in points] + [["writeonly", "allocate"] for _ in dtypes]
+    with np.nditer(
+        operands,
+        flags=["external_loop", "buffered", "zerosize_ok"],
+        op_flags=uses,
+        op_dtypes=[*(np.float64 for _ in points), *dtypes],
+        order="C",
+        casting="same_kind",
+        buffersize=_PART,
+    ) as parts:
+        for part in parts:
+            for place, values in zip(part[asked:], answers(*part[:asked]), strict=True):
+                place[...] = values
+        return list(parts.operands[asked:])
+
+
+# What the limits of a column say about an alpha, and which of the two says it. NumPy alone.
+
+Codes = NDArray[np.int8]
+
+Mask = NDArray[np.bool_]
+
+ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
+
+_ROUNDING = 1e-6  # of what is added up: far more than is lost, also where cells begin
+
+
+def surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
+    """Return a limit by its terms; numbers or arrays."""
+    c, per_beta, per_gamma, per_delta, per_delay, bend, by_beta, by_gamma, by_delta, _ = terms
+    rate = per_delay + bend * delay + by_beta * beta + by_gamma * gamma + by_delta * delta
+    return c + per_beta * beta + per_gamma * gamma + per_delta * delta + rate * delay
+
+
+def surfaces(columns: NDArray[np.float32], *point: Floats) -> Sequence[Floats]:
+    """Return the lower limit, its error, the upper and its error, of columns (20, point)."""
+    terms = columns.astype(np.float64, order="C")  # at once: many times faster than in each product
+    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
+    return surface(lower, *point), lower[-1], surface(upper, *point), upper[-1]
+
+
+@ignoring
+def codes_by_limits(
+    alpha: Floats, lower: Floats, lower_error: Floats, upper: Floats, upper_error: Floats
+) -> Codes:
+    """Return the verdicts on alphas."""
+    is_unstable = (alpha < lower - lower_error) | (alpha > upper + upper_error)
+    is_stable = (alpha > lower + lower_error) & (alpha < upper - upper_error)
+    return _codes(is_unstable | is_stable, is_stable)
+
+
+@ignoring
+def codes_by_one(
+    alpha: Floats, is_upper: Mask, terms: NDArray[np.float32], *point: Floats
+) -> Codes:
+    """Return the verdicts on alphas that one limit decides, by its terms (10, point)."""
+    of_limit = terms.astype(np.float64, order="C")
+    limit, error = surface(of_limit, *point), of_limit[-1]
+    is_below = alpha < limit - error
+    is_decided = is_below | (alpha > limit + error)
+    return _codes(is_decided, is_decided & (is_below == is_upper))
+
+
+def _codes(is_decided: Mask, is_stable: Mask) -> Codes:
+    """Return UNDECIDED, UNSTABLE or STABLE: codes that follow each other downwards."""
+    codes: Codes = np.int8(UNDECIDED) - is_decided.view(np.int8)
+    codes -= is_stable.view(np.int8)
+    return codes
+
+
+def deciding_alphas(
+    columns: NDArray[np.float32], middles: Sequence[Floats], halves: Sequence[Floats]
+) -> Floats:
+    """Return above which alpha, and below which one, one limit decides, in columns (column, 2).
+
+    Above the first, which is above all that the lower limit leaves open in the column, that is the
+    upper limit; below the second, which is below all that the upper one leaves open, the lower. Of
+    a column without a stable alpha the lower limit says so: there it is infinite.
+
+    Args:
+        columns: (column, 20), those of a grid of cells of beta, gamma, delta and delay.
+        middles: of the cells along the four, broadcast to the grid.
+        halves: half of the widths of the cells, likewise.
+    """
+    shape = np.broadcast_shapes(*(middle.shape for middle in middles))
+    numbers = np.arange(len(columns), dtype=np.float64).reshape(shape)
+    found = in_parts(partial(_deciding, columns), [numbers, *middles, *halves], float, float)
+    return np.stack(found, axis=-1).reshape(-1, 2)
+
+
+@ignoring
+def _deciding(
+    columns: NDArray[np.float32], numbers: Floats, *boxes: Floats
+) -> tuple[Floats, Floats]:
+    terms = columns.take(numbers.astype(np.intp), axis=0).T.astype(np.float64, order="C")
+    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
+    (lowest, reach), (highest, room) = (_range(of_limit, *boxes) for of_limit in (lower, upper))
+    is_empty = lower[0] - lower[-1] == np.inf
+    return lowest + reach, np.where(is_empty, np.inf, highest - room)
+
+
+def _range(terms: Floats, *boxes: Floats) -> tuple[Floats, Floats]:
+    """Return a limit at the middle of its column, and how far it and its error reach from there."""
+    beta, gamma, delta, delay, *halves = boxes
+    _, per_beta, per_gamma, per_delta, per_delay, bend, *mixed, error = terms
+    by_beta, by_gamma, by_delta = mixed
+    slopes = (
+        per_beta + by_beta * delay,
+        per_gamma + by_gamma * delay,
+        per_delta + by_delta * delay,
+        per_delay + 2.0 * bend * delay + by_beta * beta + by_gamma * gamma + by_delta * delta,
+    )
+    half_delay = halves[-1]
+    bends = zip((*mixed, bend), halves, strict=True)
+    reach = error + half_delay * sum(np.abs(term) * half for term, half in bends)
+    reach += sum(np.abs(slope) * half for slope, half in zip(slopes, halves, strict=True))
+    farthest = (np.abs(middle) + half for middle, half in zip(boxes[:4], halves, strict=True))
+    return surface(terms, *boxes[:4]), reach + _ROUNDING * surface(np.abs(terms), *farthest)
+
 
 _FEW = 16  # nodes
 
@@ -365,3 +588,188 @@ def within(at: AlphaLimits, least: Floats | float, most: Floats | float) -> Alph
         np.where(is_above, np.inf, at.upper),
         np.where(is_above, 0.0, at.upper_error),
     )
+
+
+# Spectral radii from a few functions of a cell, with proved bounds (lemma B19). NumPy alone.
+
+ONE, LARGER, PAIR, CLUSTER = 1, 2, 3, 4
+
+"""What a radius is made of: ``schema.RADIUS_KIND``."""
+
+_SURFACE_ROUNDING = 1e-13  # more than is lost below, of numbers around 1
+
+_ROUNDING_OF_ROOTS = 1e-14
+
+
+def radius_bounds(kind: NDArray[Any], values: Floats, errors: Floats) -> tuple[Floats, Floats]:
+    """Return the lowest and the highest radius of points.
+
+    Args:
+        kind: of the cell of each point.
+        values: of the functions of the cell, (3, point).
+        errors: of the first two functions, (2, point).
+    """
+    low, high = np.zeros(kind.size), np.full(kind.size, np.inf)
+    below, above = values[:2] - errors, values[:2] + errors
+    is_larger = kind == LARGER
+    for number, known in ((0, (kind == ONE) | is_larger), (1, is_larger)):
+        low = np.where(known, np.fmax(low, below[number]), low)
+        high = np.where(known, above[number] if number == 0 else np.fmax(high, above[1]), high)
+    for of_kind, bounds in ((PAIR, _of_pairs), (CLUSTER, _of_clusters)):
+        some = np.flatnonzero(kind == of_kind)
+        if some.size:
+            of_some = [of_function[some] for of_function in values]
+            found = bounds(of_some, errors[0, some])
+            low[some], high[some] = found[0] - errors[1, some], found[1] + errors[1, some]
+    return np.maximum(low - _SURFACE_ROUNDING, 0.0), high + _SURFACE_ROUNDING
+
+
+def _of_pairs(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats]:
+    """Bound the larger |mean + w| of two w with |w^2 + constant| <= bound."""
+    mean, constant, _ = functions
+    half = np.sqrt(np.abs(constant))
+    radius = np.where(constant > 0.0, np.hypot(mean, half), np.abs(mean) + half)
+    distance, loss = 2.0 * half, bound + _ROUNDING_OF_ROOTS
+    with np.errstate(invalid="ignore"):
+        alone = 2.0 * loss / (distance + np.sqrt(distance**2 - 4.0 * loss))
+    reach = np.where(distance**2 > 4.0 * loss, alone, np.inf)
+    farthest = np.sqrt(np.abs(constant) + loss)
+    low, high = np.abs(mean) - farthest, np.abs(mean) + farthest
+    return np.maximum(radius - reach, low), np.minimum(radius + reach, high)
+
+
+def _of_clusters(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats]:
+    """Bound the largest |mean + w| of three w with |w^3 + slope w + constant| <= bound."""
+    mean, slope, constant = functions
+    roots = _cubic_roots(slope, constant)
+    one, two, three = roots
+    products = one * two + one * three + two * three, one * two * three
+    size = np.abs(roots).max(axis=0) + 5.0 * np.cbrt(bound)
+    lost = np.abs(one + two + three) * size**2 + np.abs(products[0] - slope) * size
+    loss = bound + lost + np.abs(products[1] + constant) + _ROUNDING_OF_ROOTS
+    farthest = _farthest(np.abs(slope), np.abs(constant) + bound + _ROUNDING_OF_ROOTS)
+    lowest, highest = np.abs(mean) - farthest, np.abs(mean) + farthest
+    low, high = lowest, np.zeros(mean.size)
+    for first, second, third in ((one, two, three), (two, one, three), (three, one, two)):
+        near, far = np.sort([np.abs(first - second), np.abs(first - third)], axis=0)
+        reach = _component(near, far, loss)
+        radius = np.abs(mean + first)
+        low, high = np.maximum(low, radius - reach), np.maximum(high, radius + reach)
+    return low, np.minimum(high, highest)
+
+
+def _farthest(slope: Floats, constant: Floats) -> Floats:
+    """Bound s with s^3 <= slope s + constant, by Newton's method from above."""
+    size = np.maximum(np.sqrt(2.0 * slope), np.cbrt(2.0 * constant))
+    for _ in range(3):
+        size = (2.0 * size**3 + constant) / (3.0 * size**2 - slope)
+    return size * (1.0 + 1e-12)
+
+
+def _component(near: Floats, far: Floats, loss: Floats) -> Floats:
+    """Bound the distance from a root of a cubic within its component of |cubic| <= loss.
+
+    Args:
+        near: distance to the nearest of the other two roots.
+        far: to the other one.
+        loss: more than 0.
+    """
+    with np.errstate(all="ignore"):
+        alone = 1.2 * loss / (near * far)
+        is_alone = (alone < near) & (alone * (near - alone) * (far - alone) > loss)
+        with_one = 0.5 * near + np.sqrt(0.25 * near**2 + 1.5 * loss / far)
+        is_apart = (with_one < far) & (with_one * (with_one - near) * (far - with_one) > loss)
+    return np.where(is_alone, alone, np.where(is_apart, with_one, np.inf))
+
+
+def _cubic_roots(slope: Floats, constant: Floats) -> NDArray[np.complex128]:
+    """Return the roots of w^3 + slope w + constant, good to about a rounding of the largest."""
+    third, half = slope / 3.0, 0.5 * constant
+    inside = half**2 + third**3
+    sign = np.where(half > 0.0, -1.0, 1.0)
+    first = sign * np.cbrt(np.abs(half) + np.sqrt(np.maximum(inside, 0.0)))
+    second = -third / np.where(first == 0.0, 1.0, first)
+    real = first + second
+    pair = -0.5 * real + 0.5j * np.sqrt(3.0) * (first - second)
+    radius = np.sqrt(np.maximum(-third, 0.0))
+    cosine = -half / np.where(radius == 0.0, 1.0, radius) ** 3
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0)) / 3.0
+    turned = [2.0 * radius * np.cos(angle - 2.0 * np.pi * k / 3.0) for k in range(3)]
+    is_real = inside < 0.0
+    alone = (real, pair, pair.conj())
+    return np.stack([np.where(is_real, a, b) for a, b in zip(turned, alone, strict=True)])
+
+
+# Lookups of spectral radii: a few functions of a cell bound the radius of a point. NumPy alone.
+#
+# A cell is one along alpha, beta, gamma, delta and delay (``schema.RADIUS_KIND``).
+
+_VARIABLES = 5
+
+_FIRST, _SECOND = np.triu_indices(_VARIABLES)
+
+
+class RadiusTable:
+    """Spectral radii of an atlas at any point.
+
+    Args:
+        arrays: of the atlas.
+    """
+
+    def __init__(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        kinds, terms = arrays[schema.RADIUS_KIND], arrays[schema.RADIUS_TERMS]
+        self._counts = kinds.shape
+        self._kinds = np.moveaxis(kinds, -1, 0).reshape(-1).astype(np.int8)
+        functions = np.array(schema.RADIUS_FUNCTIONS)[self._kinds]
+        self._rows = np.cumsum(functions, dtype=np.int64) - functions
+        self._terms = np.ascontiguousarray(terms.T)
+        self._ends = arrays[schema.RADIUS_RANGE]
+        hands = (arrays[name] for name in ("gamma", "delta"))
+        self._hands = [(float(nodes[0]), float(nodes[-1])) for nodes in hands]
+
+    def bounds(self, points: list[Floats]) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest radius of points; 0 and infinity where none is known.
+
+        Args:
+            points: alpha, beta, gamma, delta and delay of each, inside of gamma and delta.
+        """
+        low, high = in_parts(self._bounds, points, float, float)
+        return low, high
+
+    def _bounds(self, *points: Floats) -> tuple[Floats, Floats]:
+        number = np.searchsorted(self._ends[:, 0], points[-1], side="right") - 1
+        ends = self._ends[number].T
+        inside = points[-1] <= ends[1]
+        cell = number
+        beside = np.empty((_VARIABLES, number.size))
+        for axis, values in enumerate(points[:-1]):
+            walls = ends[2 + 2 * axis : 4 + 2 * axis]
+            lowest, highest = walls if axis < 2 else self._hands[axis - 2]
+            inside &= (values >= lowest) & (values <= highest)
+            count = self._counts[axis]
+            width = np.asarray((highest - lowest) / count)
+            with np.errstate(all="ignore"):
+                part = np.where(width > 0.0, (values - lowest) / width, 0.5)
+            along = np.clip(np.nan_to_num(part), 0, count - 1).astype(np.intp)
+            beside[axis] = 2.0 * (part - along) - 1.0
+            cell = cell * count + along
+        middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
+        beside[-1] = (points[-1] - middle) / np.where(half > 0.0, half, 1.0)
+        beside[:, ~inside] = 0.0  # what is far outside would overflow
+        low, high = self._of_cells(cell, beside)
+        return np.where(inside, low, 0.0), np.where(inside, high, np.inf)
+
+    def _of_cells(self, cell: Integers, beside: Floats) -> tuple[Floats, Floats]:
+        kind, first = self._kinds[cell], self._rows[cell]
+        functions = np.array(schema.RADIUS_FUNCTIONS)[kind]
+        powers = np.concatenate(
+            [np.ones((1, cell.size)), beside, beside[_FIRST] * beside[_SECOND]]
+        ).T
+        values, errors = np.zeros((3, cell.size)), np.zeros((2, cell.size))
+        for number in range(3):
+            has = np.flatnonzero(functions > number)
+            terms = self._terms[first[has] + number]
+            values[number, has] = np.einsum("pt,pt->p", terms[:, :-1], powers[has])
+            if number < 2:
+                errors[number, has] = terms[:, -1]
+        return radius_bounds(kind, values, errors)

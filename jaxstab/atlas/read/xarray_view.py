@@ -5,8 +5,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.schema import VARIABLES
-from jaxstab.atlas.format.words import attributes_of, head_attributes
+from jaxstab.atlas.format.schema import VARIABLES, attributes_of, head_attributes
 
 
 def to_xarray(arrays: Mapping[str, NDArray[Any]], created_by: str, filters: str) -> Any:

@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 from jaxstab.atlas.compute.beyond import whole_axes
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.digest import Chunked, content_digest, digest_of
-from jaxstab.atlas.format.filters import words_of
-from jaxstab.atlas.format.footer import footer_of
-from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format.schema import VARIABLES, Chunked, content_digest, digest_of, footer_of
+from jaxstab.atlas.format.spec import words_of
 from jaxstab.atlas.format.table import RefusalError, table_text
-from jaxstab.atlas.read.chunks import TooLargeError
-from jaxstab.atlas.read.file import contents_of, table_in
+from jaxstab.atlas.read.file import TooLargeError, contents_of, table_in
 from jaxstab.atlas.write.tiles import VALUES_DIGEST, Shards
 from jaxstab.atlas.write.variables import (
     FORMAT_VERSIONS,

@@ -25,19 +25,19 @@ from numpy.typing import NDArray
 import jaxstab
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.compute.products import Arrays
-from jaxstab.atlas.format.digest import values_digest
-from jaxstab.atlas.format.footer import image_of, sealed
 from jaxstab.atlas.format.schema import (
     KNOWN_BEFORE,
     PRODUCTS,
     SCHEMA_VERSION,
     VARIABLES,
+    image_of,
+    sealed,
+    values_digest,
 )
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.format.table import check
-from jaxstab.atlas.read.chunks import check_values
-from jaxstab.atlas.write.image import TROUBLES, checked_layout
-from jaxstab.atlas.write.variables import FORMAT_VERSIONS, filters_of
+from jaxstab.atlas.read.file import check_values
+from jaxstab.atlas.write.variables import FORMAT_VERSIONS, TROUBLES, checked_layout, filters_of
 from jaxstab.durable import Folder, named_errors, own_folder, target_of
 
 VALUES_DIGEST = "values_sha256"

@@ -16,9 +16,7 @@ import numpy as np
 from jaxtyping import Float64, Int8, Int64
 from numpy.typing import NDArray
 
-from jaxstab.atlas.compute.slices import slice_summaries
-from jaxstab.atlas.format.digest import content_digest, digest_of
-from jaxstab.atlas.format.filters import filters_of
+from jaxstab.atlas.compute.products import slice_summaries
 from jaxstab.atlas.format.schema import (
     CELL_VERDICT,
     PRODUCTS,
@@ -27,13 +25,15 @@ from jaxstab.atlas.format.schema import (
     SPEC,
     SPECTRAL_RADIUS,
     VERDICT,
+    content_digest,
+    digest_of,
 )
+from jaxstab.atlas.format.spec import filters_of
 from jaxstab.atlas.format.table import Table
 from jaxstab.atlas.read.atlas import Atlas, open_atlas
-from jaxstab.atlas.read.chunks import TooLargeError
-from jaxstab.atlas.read.file import table_of
+from jaxstab.atlas.read.file import TooLargeError, table_of
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
-from jaxstab.atlas.write.image import checked_datasets, opened, text_of
+from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
 from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import by_name
 from jaxstab.model.filters import as_keywords, known_filters
