@@ -20,9 +20,9 @@ import numpy as np
 from benchmarks.truth.balls import ExactPlant
 from jaxstab.model import DoubleDouble
 from jaxstab.point import verdicts
-from jaxstab.point.schur_cohn import FLOAT_UNIT, PAIR_UNIT
 from jaxstab.proofs.exclusion import Loops, expansion
 from jaxstab.proofs.plant import quick_plant
+from jaxstab.rounding import PAIR_UNIT, UNIT
 
 _BITS = 700
 _EPS = float(np.finfo(np.float64).eps)
@@ -126,11 +126,11 @@ def polynomial(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
         difference = true.n2 - true.n1 + true.n0
         d_minus = 1 - true.d1 + true.d0
         for words, unit, make in (
-            ("float64", FLOAT_UNIT, verdicts.float_plant),
+            ("float64", UNIT, verdicts.float_plant),
             ("pairs", PAIR_UNIT, verdicts.pair_plant),
         ):
             plant = make(gamma, delta, fraction, is_fractional=is_fractional)
-            gains = (alpha, beta) if unit == FLOAT_UNIT else map(DoubleDouble.of, (alpha, beta))
+            gains = (alpha, beta) if unit == UNIT else map(DoubleDouble.of, (alpha, beta))
             alpha_, beta_ = gains
             chain = verdicts._closed_loop(alpha_, beta_, plant, unit)
             got, exact = [chain.gap, *chain.tail], [1 - true.d0, *tail]
@@ -140,7 +140,7 @@ def polynomial(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
             ends = verdicts._ends(alpha_, beta_, gamma, plant, unit, degree)
             at_end = d_minus - (a + 2 * b) * difference * (-1) ** (degree - len(plant.stiff))
             # Its sign counts, so that it may be rounded to float64.
-            off = _distance(ends.at_minus_one, at_end) - FLOAT_UNIT * abs(float(ends.at_minus_one))
+            off = _distance(ends.at_minus_one, at_end) - UNIT * abs(float(ends.at_minus_one))
             yield Finding(f"V7 p(-1), {words}", float(ends.at_minus_one_error), off, loop)
 
 

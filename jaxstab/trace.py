@@ -10,7 +10,7 @@ So every wall of the window with a root on the unit circle lies within two resol
 of the trace or of an unresolved box.
 
 Points are solved for by Newton's method in NumPy. Optimistix, whose Newton method solves for the
-dominant root under JAX (``point/radius/derivative.py``), would have to be compiled for each plane.
+dominant root under JAX (``point/traced_radius.py``), would have to be compiled for each plane.
 """
 
 from collections.abc import Mapping
@@ -473,7 +473,7 @@ def trace_boundary(
             empty, the resolution out of range.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; pseudo-arclength
-    continuation (Keller 1977); exclusion boxes, ``exclude`` of jaxstab/boxes/exclusion.py.
+    continuation (Keller 1977); exclusion boxes, ``exclude`` of jaxstab/proofs/exclusion.py.
 
     Example:
         >>> window = (0.0, 0.2), (0.0, 0.8)

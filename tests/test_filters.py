@@ -23,8 +23,9 @@ from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
 from jaxstab.model import by_name
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
-from jaxstab.point.schur_cohn import FLOAT_UNIT, dense_codes, rounded_loop, without_zeros
+from jaxstab.point.schur_cohn import dense_codes, rounded_loop, without_zeros
 from jaxstab.region.curve import curve_and_lift, mass_coefficients
+from jaxstab.rounding import UNIT
 
 # Each estimator beside T V(z), each filter beside P(z), by the truth.
 ESTIMATORS: dict[str, tuple[Velocity, truth.Rational]] = {
@@ -212,7 +213,7 @@ def test_zeros_left_out_change_no_verdict(samples: int, delay: float) -> None:
     assert len(short.base) < len(loop.base)
     alpha, beta = np.random.default_rng(3).normal(scale=0.1, size=(2, 500))
     codes = [
-        dense_codes(alpha, beta, rounded_loop(one), unit=FLOAT_UNIT, degree=loop.degree)
+        dense_codes(alpha, beta, rounded_loop(one), unit=UNIT, degree=loop.degree)
         for one in (loop, short)
     ]
     np.testing.assert_array_equal(*codes)

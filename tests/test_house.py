@@ -84,7 +84,7 @@ def test_imports_keep_their_contracts() -> None:
 
 
 @pytest.mark.parametrize(
-    "package", ["", ".model", ".point", ".region", ".ranges", ".tuning", ".trace", ".atlas"]
+    "package", ["", ".model", ".point", ".region", ".ranges", ".tuning", ".atlas"]
 )
 def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
     loads = loaded_by(f"jaxstab{package}")

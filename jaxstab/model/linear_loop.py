@@ -17,9 +17,8 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.plant import may_cancel, pairs_error, plant_pairs
 from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
+from jaxstab.rounding import FILTERS, PAIR_PRODUCT
 
-_LOST = 2.0**-90  # of the sizes: the error of filters' coefficients and of products with them
-_PRODUCT = 2.0**-100  # of a product of two pairs
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
 
 
@@ -31,7 +30,7 @@ class Bounded(NamedTuple):
 
     def __mul__(self, other: "Bounded") -> "Bounded":  # type: ignore[override]
         one, two = abs(self.value.hi), abs(other.value.hi)
-        error = self.error * (two + other.error) + one * other.error + _PRODUCT * one * two
+        error = self.error * (two + other.error) + one * other.error + PAIR_PRODUCT * one * two
         return Bounded(self.value * other.value, error)
 
     def __neg__(self) -> "Bounded":
@@ -179,7 +178,7 @@ def loop_of(plant: SampledPlant, filters: LoopFilters) -> LinearLoop:
     base, stiffness, damping = ((zero,) * (degree + 1 - len(part)) + part for part in parts)
     losses = plant.errors[1], plant.errors[0], plant.errors[0]
     errors = [
-        size * (lost + _LOST * size_of(one))
+        size * (lost + FILTERS * size_of(one))
         for size, lost, one in zip(filters.sizes, losses, plants, strict=True)
     ]
     return LinearLoop(
@@ -234,5 +233,5 @@ def _at_minus_one(plant: SampledPlant, filters: LoopFilters, powers: list[int]) 
 def _values(transfer: Transfer, z: float) -> tuple[Bounded, Bounded]:
     """Return numerator and denominator at z = 1 or -1."""
     both = zip(transfer.at(z), transfer.sizes, strict=True)
-    above, below = (Bounded(value, _LOST * size) for value, size in both)
+    above, below = (Bounded(value, FILTERS * size) for value, size in both)
     return above, below

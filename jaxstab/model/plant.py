@@ -43,13 +43,11 @@ from jaxstab.arrays import (
 from jaxstab.batches import compiled
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma, require_x64
+from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT
 
-# Bounds of the errors of D, and of N relative to its size (lemma V7). From the zeros of N at
-# gamma = (2 pi k)^2 on, the size of N is the root of its coefficients' sum: what cancels there is
-# larger than what is left.
-_ACCURATE_GAMMA, _ACCURATE_DELTA = 40.0, 10.0
-_CANCELLING_GAMMA = 36.0  # up to _ACCURATE_DELTA
-_ERROR, _STIFF_ERROR, _DAMPED_ERROR = 2.0**-89, 2.0**-66, 2.0**-56
+# From the zeros of N at gamma = (2 pi k)^2 on, the size of N is the root of its coefficients' sum:
+# what cancels there is larger than what is left (up to SOFT_DELTA).
+_CANCELLING_GAMMA = 36.0
 
 _MANY = 1 << 16  # plants that are worth the two seconds that XLA takes to compile
 _REMEMBERED = 1 << 12  # plants that are kept, 0.5 MB of them
@@ -222,14 +220,14 @@ def _computed(rows: list[tuple[float, float, float]], *, whole: bool) -> np.ndar
 def pairs_error(gamma: Numbers, delta: Numbers) -> Array:
     """Return a bound of the error of plant_pairs, in D and relative to the size of N."""
     xp = namespace(gamma, delta)
-    soft_error = xp.where(xp.asarray(gamma) <= _ACCURATE_GAMMA, _ERROR, _STIFF_ERROR)
-    return xp.where(xp.asarray(delta) <= _ACCURATE_DELTA, soft_error, _DAMPED_ERROR)
+    soft_error = xp.where(xp.asarray(gamma) <= SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT)
+    return xp.where(xp.asarray(delta) <= SOFT_DELTA, soft_error, DAMPED_PLANT)
 
 
 def may_cancel(gamma: Numbers, delta: Numbers) -> Array:
     """Return True where N may nearly vanish: its size is the root of its coefficients' sum then."""
     xp = namespace(gamma, delta)
-    return (xp.asarray(gamma) > _CANCELLING_GAMMA) & (xp.asarray(delta) <= _ACCURATE_DELTA)
+    return (xp.asarray(gamma) > _CANCELLING_GAMMA) & (xp.asarray(delta) <= SOFT_DELTA)
 
 
 @compiled(static=["whole"], many=_MANY, pointwise=True)

@@ -24,7 +24,6 @@ from jaxstab.model.device.mechanics import Between, between_samples, mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.contraction import (
-    SAFETY,
     Contraction,
     Matrices,
     PerLoop,
@@ -51,6 +50,7 @@ from jaxstab.motion.response import (
 )
 from jaxstab.motion.shown import Column, answer_text
 from jaxstab.numbers import checked
+from jaxstab.rounding import RAISED, RAISED_MANY, UNIT
 
 # Sums of moduli of impulse responses, |C b| + |C A b| + |C A^2 b| + ..., proved from above.
 #
@@ -58,7 +58,6 @@ from jaxstab.numbers import checked
 # their rounding and their tails can be bounded even next to the boundary of stability (lemmas M3 to
 # M5 of docs/proofs.md).
 
-_ROUNDING = 2.0**-53
 
 _TAIL = 1e-11  # the norm of a power behind which a sum ends
 
@@ -109,12 +108,12 @@ def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output 
     for level in levels[half:]:
         early = early.doubled(*level)
     sums = _sum_of_moduli(late.vectors, early.vectors, new.outputs.shape[1], new.inputs.shape[2])
-    sums *= 1.0 + 2.0 ** (len(levels) + 1) * _ROUNDING
+    sums *= 1.0 + 2.0 ** (len(levels) + 1) * UNIT
     one, two = late.size[:, :, None], early.size[:, None, :]
     one_error, two_error = late.error[:, :, None], early.error[:, None, :]
     wrong = one_error * (two + two_error) + one * two_error + lost[:, None, None] * one * two
     behind = np.minimum(new.norms, _sum_of_norms(power, error, 2.0 ** len(levels)))
-    return sums + SAFETY * (wrong + _tail(new, *levels[-1]) * behind[:, None, None])
+    return sums + RAISED_MANY * (wrong + _tail(new, *levels[-1]) * behind[:, None, None])
 
 
 def _tail(new: Contraction, power: Matrices, error: PerLoop) -> Float64[np.ndarray, "_ _ _"]:
@@ -161,7 +160,7 @@ class _Family(NamedTuple):
         size = self.size + np.sum(columns(further).reshape(shape[0], *shape[2:]), axis=1)
         lost = (error + lost_in(power) * norm(power))[:, None]
         wrong = self.error * (1.0 + decay(power, error)[:, None]) + lost * (self.size + self.error)
-        return _Family(np.concatenate([self.vectors, further], axis=2), size, SAFETY * wrong)
+        return _Family(np.concatenate([self.vectors, further], axis=2), size, RAISED_MANY * wrong)
 
 
 def _sum_of_moduli(
@@ -190,8 +189,6 @@ _ROUNDINGS = 16  # of an entry of the transition, beside those of filters (lemma
 _HARD = 8.0  # roundings of 1: the error of a transition of which an entry may nearly vanish
 
 _ACCURATE_GAMMA, _ACCURATE_DELTA = 0.5, 1.0  # up to which no entry of it nearly vanishes
-
-_SAFETY = 1.0 + 2.0**-40  # on sums of a few bounds
 
 
 class Causes(NamedTuple):
@@ -306,7 +303,7 @@ def _systems(loops: _Loops, whole_delay: int, bank: Bank, causes: Causes) -> Sys
         outputs=outputs[:, which],
         sizes=sizes[:, :, is_wanted],
         output_sizes=output_sizes[:, which],
-        error=(_ROUNDINGS + bank.roundings) * _ROUNDING,
+        error=(_ROUNDINGS + bank.roundings) * UNIT,
     )
 
 
@@ -361,7 +358,7 @@ def _of_friction(
     bent = drag(gamma, delta)
     curved = 0.5 * (hit + ended) + (moved * bent + hit * (delta * bent + gamma)) / 12.0
     thrown = moved * np.minimum(0.5, throw(gamma, delta)) + hit * path(delta)
-    return _SAFETY * np.minimum(curved, thrown)
+    return RAISED * np.minimum(curved, thrown)
 
 
 class AmplitudeStatus(Status):
@@ -534,7 +531,7 @@ def _total(sizes: tuple[Array, ...], gains: tuple[Array, ...]) -> Array:
     """Return the sum of what all disturbances do, 0 for what is not bounded."""
     xp = namespace(sizes, gains)
     known = [xp.where(xp.isfinite(gain), gain, 0.0) for gain in gains]
-    return _SAFETY * sum(size * gain for size, gain in zip(sizes, known, strict=True))
+    return RAISED * sum(size * gain for size, gain in zip(sizes, known, strict=True))
 
 
 def _at_all_times(
@@ -549,12 +546,12 @@ def _at_all_times(
     acceleration = acceleration + delta * v + gamma * (x + v)
     acceleration = acceleration + friction * (1.0 + delta + 0.5 * gamma)
     flown = x + far * v + xp.minimum(0.5, far) * (force + friction)
-    position = _SAFETY * xp.minimum(x + acceleration / 8.0, flown)
+    position = RAISED * xp.minimum(x + acceleration / 8.0, flown)
     moved = xp.maximum(v, middle + friction * xp.minimum(fraction, path(delta)))
     held = force + delta * moved + gamma * position
     curved = moved + (held * bent + gamma * moved) / 8.0 + friction * (2.0 + bent) / 4.0
     thrown = v + gamma * far * x + far * force * xp.where(is_late, 3.0, 1.0)
-    velocity = _SAFETY * xp.minimum(curved, thrown + friction * path(delta))
+    velocity = RAISED * xp.minimum(curved, thrown + friction * path(delta))
     return position, velocity, force
 
 
@@ -563,7 +560,7 @@ def _at_all_times(
 # The sums of moduli are formed as for one mass (``disturbed``), but position and velocity between
 # samples are bounded from the ends of pieces of the sample, with their second derivatives.
 
-_ERROR = 16 * 2.0**-53  # of the entries of a transition, beside that of filters
+_ERROR = 16 * UNIT  # of the entries of a transition, beside that of filters
 
 _SMALLEST = 2.0**-100  # of the largest entry: what entries next to 0 may be wrong by, and more
 
@@ -683,7 +680,7 @@ def _bounds_of(
     if causes.friction:
         totals += _device_friction(sums[:, :, len(simple) :], plant.between) * sizes[2][:, None]
         path = np.array(plant.between.path)[:, None] * sizes[2]
-    found = _device_at_all_times(_SAFETY * totals, plant.between) + np.stack([*path, 0.0 * path[0]])
+    found = _device_at_all_times(RAISED * totals, plant.between) + np.stack([*path, 0.0 * path[0]])
     return np.where(is_proved, found, np.inf)
 
 
@@ -699,7 +696,7 @@ def _device_at_all_times(
     most = ends.max(axis=2)
     curved = most[:, :, 1] + bent[:, None] * rest
     found = (most[:, :, 0] + bent[:, None] * curved).max(axis=1)
-    return _SAFETY * np.stack([*found.T, states[:, -1]])
+    return RAISED * np.stack([*found.T, states[:, -1]])
 
 
 def _device_friction(
@@ -713,7 +710,7 @@ def _device_friction(
     total = half * (values[..., :-1] + values[..., 1:]).sum(axis=-1)
     total = total + bent * (curves[..., :-1] + curves[..., 1:]).sum(axis=-1)
     total = total + bent * 0.5 * half**2 * (rest * between.blow_rest).sum(axis=-1)
-    return np.asarray(_SAFETY * total)
+    return np.asarray(RAISED * total)
 
 
 def _device_systems(
@@ -746,9 +743,9 @@ def _device_systems(
         outputs=outputs,
         sizes=sizes,
         output_sizes=output_sizes,
-        error=_ERROR + bank.roundings * 2.0**-53,
+        error=_ERROR + bank.roundings * UNIT,
     )
-    return systems, _SAFETY * np.abs(direct)
+    return systems, RAISED * np.abs(direct)
 
 
 def _outputs(

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int
 
+from jaxstab.rounding import RAISED_MANY, UNIT
+
 Matrices = Float64[np.ndarray, "_ _ _"]
 PerLoop = Float64[np.ndarray, " loop"]
 
-SAFETY = 1.0 + 2.0**-20  # on bounds of errors: they are rounded themselves
-_ROUNDING = 2.0**-53
 _SMALL = 0.25  # the norm of a power of A behind which the sum of squares ends
 _HOPELESS = 1e60  # a power as large as this belongs to an unstable loop
 _DOUBLINGS = 40  # after which a loop is given up
@@ -88,26 +88,30 @@ def contraction(systems: Systems) -> Contraction:
         moved = upper @ step
         moduli = np.abs(upper) @ sizes
         wrong = (error + lost)[:, None] * rows(moduli[:, :, :size])
-        moved_error, moved_norm, length = SAFETY * norm(wrong[:, None]), norm(moved), norm(upper)
+        moved_error, moved_norm, length = (
+            RAISED_MANY * norm(wrong[:, None]),
+            norm(moved),
+            norm(upper),
+        )
         # What L^T L - A^T L^T L A - 1 is, which must be small.
         defect = transposed(upper) @ upper - transposed(moved) @ moved - np.eye(size)
         defect_error = lost * (length**2 + moved_norm**2)
         defect_error += moved_error * (2.0 * moved_norm + moved_error)
-        is_proved = norm(defect) + SAFETY * defect_error <= 0.5
+        is_proved = norm(defect) + RAISED_MANY * defect_error <= 0.5
         # Rows of L A and of C times the inverse of L, however it is computed.
         given = np.concatenate([moved, outputs], axis=1)
         wrong = np.concatenate([wrong, (error + lost)[:, None] * rows(output_sizes)], axis=1)
         new = given @ np.linalg.inv(upper)
         wrong += rows(new @ upper - given) + (lost * length)[:, None] * rows(new)
-        wrong *= _INVERSE * SAFETY
+        wrong *= _INVERSE * RAISED_MANY
     return Contraction(
         transition=new[:, :size],
         inputs=upper @ inputs,
         outputs=new[:, size:],
         transition_error=norm(wrong[:, None, :size]),
-        inputs_error=SAFETY * (error + lost)[:, None] * columns(moduli[:, :, size:]),
+        inputs_error=RAISED_MANY * (error + lost)[:, None] * columns(moduli[:, :, size:]),
         outputs_error=wrong[:, size:],
-        norms=4.0 * SAFETY * length**2,
+        norms=4.0 * RAISED_MANY * length**2,
         doublings=np.where(is_proved, doublings, -1),
     )
 
@@ -135,17 +139,17 @@ def _coordinates(step: Matrices) -> tuple[Matrices, Int[np.ndarray, " loop"]]:
 def error_of_square(power: Matrices, error: PerLoop) -> PerLoop:
     """Return a bound of the error of the square of a power of A, by that of the power (M5)."""
     rounding = lost_in(power) * norm(power) ** 2
-    return SAFETY * (error * (2.0 * decay(power, error) + error) + rounding)
+    return RAISED_MANY * (error * (2.0 * decay(power, error) + error) + rounding)
 
 
 def decay(power: Matrices, error: PerLoop) -> PerLoop:
     """Return a bound of the norm of a power of A by its computed value, at most 1."""
-    return np.minimum(1.0, SAFETY * (norm(power) + error))
+    return np.minimum(1.0, RAISED_MANY * (norm(power) + error))
 
 
 def lost_in(matrices: Matrices) -> PerLoop:
     """Return what a product with such matrices may lose, as a share of the product of norms."""
-    return np.full(len(matrices), (matrices.shape[1] + 8) * _ROUNDING)
+    return np.full(len(matrices), (matrices.shape[1] + 8) * UNIT)
 
 
 def transposed(matrices: Matrices) -> Matrices:

@@ -22,7 +22,6 @@ from jaxstab.model.device import Device, sampled_device
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.motion.contraction import (
-    SAFETY,
     Contraction,
     Matrices,
     PerLoop,
@@ -44,6 +43,7 @@ from jaxstab.motion.response import (
 from jaxstab.motion.shown import Column, answer_text
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdicts import linear_verdict, verdict
+from jaxstab.rounding import RAISED_MANY
 
 # Sampled positions of many loops side by side, in stretches that are doubled by powers of A.
 
@@ -372,7 +372,7 @@ class _Search(NamedTuple):
         for _ in range(int(log2(STRETCH))):
             power, error = power @ power, error_of_square(power, error)
         motion = Motion.begun(new.outputs, new.transition, new.inputs)
-        gain = SAFETY * (norm(new.outputs) + new.outputs_error[:, 0])
+        gain = RAISED_MANY * (norm(new.outputs) + new.outputs_error[:, 0])
         return cls(number, motion, gain, error, new.inputs_error[:, 0], zero, zero)
 
     def doubled(self) -> "_Search":
@@ -382,7 +382,7 @@ class _Search(NamedTuple):
         return self._replace(
             motion=self.motion.doubled(),
             power_error=error_of_square(power, self.power_error),
-            state_error=SAFETY * (decay(power, self.power_error) * self.state_error + lost),
+            state_error=RAISED_MANY * (decay(power, self.power_error) * self.state_error + lost),
         )
 
     def looked_at(self, level: float, is_impact: bool) -> "_Search":
@@ -400,7 +400,7 @@ class _Search(NamedTuple):
 
     def bound(self) -> PerLoop:
         """Return a bound of all positions from the last stretch on (lemma M1)."""
-        return SAFETY * self.gain * (norm(self.motion.states[:, -1:]) + self.state_error)
+        return RAISED_MANY * self.gain * (norm(self.motion.states[:, -1:]) + self.state_error)
 
     def chosen(self, which: Any) -> "_Search":
         """Return the search of some of the loops."""

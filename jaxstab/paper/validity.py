@@ -32,6 +32,7 @@ from jaxstab.model.plant import may_cancel, pairs_error
 from jaxstab.numbers import checked
 from jaxstab.point import verdict
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift, slice_coefficients
+from jaxstab.rounding import EPS
 
 # Proved facts about cosine series f(theta) = sum_k c_k cos(k theta) on [0, pi].
 #
@@ -128,7 +129,7 @@ def _rounding(sizes: Coefficients, parts: int) -> Values:
     """Bound the rounding error of a computed value: of the phases and of the sums."""
     order = np.arange(sizes.shape[-1])
     units = order * pi + len(order) + parts + 5
-    rounding: Values = np.finfo(np.float64).eps * (sizes @ units)
+    rounding: Values = EPS * (sizes @ units)
     return rounding
 
 
@@ -141,7 +142,6 @@ def _rounding(sizes: Coefficients, parts: int) -> Values:
 
 Column = Float64[np.ndarray, " cells"]
 
-_EPS = np.finfo(np.float64).eps
 
 _HALVINGS = 48
 
@@ -228,7 +228,7 @@ def _bounds(series: Series) -> _Bounds:
     order = np.arange(series.coefficients.shape[-1])
     size = np.abs(series.coefficients) + series.errors
     # Each term is right to a few units: its angle, its sine, the product and the sum.
-    errors = series.errors + (len(order) + 8) * _EPS * np.abs(series.coefficients)
+    errors = series.errors + (len(order) + 8) * EPS * np.abs(series.coefficients)
     return _Bounds(
         in_theta=np.sum(order**2 * size, axis=-1),
         in_h=np.sum(order**2 * (order**2 - 1) * size, axis=-1) / 3,
@@ -248,7 +248,7 @@ def _sample(
     slope = -np.sum(terms * order * sine * np.cos(half), axis=-1)
     slope_error = theta * bounds.slope_error[owner]
     error = np.minimum(theta * bounds.error[owner], 0.5 * theta * slope_error)
-    error = error + series.start_error[owner] + 4 * _EPS * np.abs(value)
+    error = error + series.start_error[owner] + 4 * EPS * np.abs(value)
     return _Sample(value, error, slope, slope_error)
 
 
@@ -266,12 +266,12 @@ def _decided(
     widest = np.maximum(np.sin(middle - 0.5 * half), np.sin(middle + 0.5 * half))
     in_h = 2.0 * np.sin(0.5 * half) * widest
     for change, bend, width in (
-        (1.0, bounds.in_theta[owner], half * (1 + 8 * _EPS)),
-        (1.0 / np.sin(middle), bounds.in_h[owner], in_h * (1 + 8 * _EPS)),
+        (1.0, bounds.in_theta[owner], half * (1 + 8 * EPS)),
+        (1.0 / np.sin(middle), bounds.in_h[owner], in_h * (1 + 8 * EPS)),
     ):
         steepest = (slope + sample.slope_error) * change
-        clear |= away > (steepest * width + 0.5 * bend * width**2) * (1 + 8 * _EPS)
-        monotone |= (slope - sample.slope_error) * change > bend * width * (1 + 8 * _EPS)
+        clear |= away > (steepest * width + 0.5 * bend * width**2) * (1 + 8 * EPS)
+        monotone |= (slope - sample.slope_error) * change > bend * width * (1 + 8 * EPS)
     return clear, monotone
 
 
@@ -470,7 +470,7 @@ def _solved(curve: _Curve, series: np.ndarray, changes: SignChanges) -> Values:
         following = theta - excess / np.where(slope == 0.0, np.inf, slope)
         is_inside = (following >= low) & (following <= high)
         following = np.where(is_inside, following, 0.5 * (low + high))
-        is_done = np.all(np.abs(following - theta) <= 2 * _EPS * theta)
+        is_done = np.all(np.abs(following - theta) <= 2 * EPS * theta)
         theta = following
         if is_done:
             break
@@ -494,7 +494,7 @@ def excess_series(level: Values, gamma: Values, delta: Values, delay: Values) ->
     plant = np.stack([pair.rounded() for pair in pairs[:5]])
     # Errors of N are relative to the sum of its coefficients, or to the root of it.
     size = np.sum(np.abs(plant[2:]), axis=0)
-    loss = pairs_error(gamma, delta) / _EPS
+    loss = pairs_error(gamma, delta) / EPS
     size += np.where(may_cancel(gamma, delta), loss * np.sqrt(size), 0.0)
     sizes = np.broadcast_to(size, plant.shape).copy()
     sizes[:2] = [[2.0], [1.0]]
@@ -512,7 +512,7 @@ def excess_series(level: Values, gamma: Values, delta: Values, delay: Values) ->
         damping, real, square = _wall_series(sizes[:, rows], turns, -1)
         errors[rows, columns] = (
             16
-            * _EPS
+            * EPS
             * (
                 damping
                 + slope * (damping + _times_cosine(damping) + real)
@@ -575,6 +575,6 @@ def _excess_at_corner(
     bracket = bracket - (plant.d1 + 2.0) + rest * gamma
     value = (plant.sum * bracket).rounded()
     terms = size * (size * (3 * gamma + delta) + 4.0)
-    error = 16 * (pairs_error(gamma, delta) + 2.0**-98) * terms + 4 * _EPS * np.abs(value)
+    error = 16 * (pairs_error(gamma, delta) + 2.0**-98) * terms + 4 * EPS * np.abs(value)
     is_zero = (gamma == 0.0) | ((delta == 0.0) & ((fraction == 0.0) | (fraction == 0.5)))
     return np.where(is_zero, 0.0, value), np.where(is_zero, 0.0, error)

@@ -21,8 +21,8 @@ from jaxstab.arrays import Array, is_jax, namespace, repeat
 from jaxstab.batches import compiled, lists, on_few_sizes, over_tiles
 from jaxstab.model import polynomial_degree
 from jaxstab.point.grid import looked_up
-from jaxstab.point.schur_cohn import FLOAT_UNIT
 from jaxstab.point.verdicts import Plant, float_plant
+from jaxstab.rounding import UNIT
 
 # Reciprocals, roots and powers of two that XLA fuses with the arithmetic around them.
 #
@@ -285,7 +285,7 @@ def _distance(root: Array, loop: Loop, *, degree: int) -> Array:
     is_unrolled = degree <= (_SHORT_FOR_NUMPY if xp is np else _HIGHEST_UNROLLED)
     all_inside = _all_inside if is_unrolled else _rolled_all_inside
     is_proved = all_inside(rest, error) & (is_real | (t.im > distance))
-    return xp.where(is_proved, distance + 4.0 * FLOAT_UNIT * radius, xp.inf)
+    return xp.where(is_proved, distance + 4.0 * UNIT * radius, xp.inf)
 
 
 def _distance_to_root(t: Complex, radius: Array, loop: Loop, degree: int) -> Array:
@@ -297,7 +297,7 @@ def _distance_to_root(t: Complex, radius: Array, loop: Loop, degree: int) -> Arr
     xp = namespace(t, loop)
     value, slope = evaluated(t, loop, degree)
     t_size = xp.sqrt(t.squared_modulus())
-    plant_error = loop.plant.error / FLOAT_UNIT
+    plant_error = loop.plant.error / UNIT
     linear, constant = loop.denominator
     linear = linear + plant_error
     denominator = (t_size + linear) * t_size + constant
@@ -315,7 +315,7 @@ def _distance_to_root(t: Complex, radius: Array, loop: Loop, degree: int) -> Arr
         + numerator * (stiffness + damping)
         + numerator_slope * wall
     )
-    unit = (4.0 * (degree - 2) + 30.0) * FLOAT_UNIT
+    unit = (4.0 * (degree - 2) + 30.0) * UNIT
     value_size = xp.sqrt(value.squared_modulus()) + unit * value_terms + _LOST_IN_SQUARES
     slope_size = xp.sqrt(slope.squared_modulus()) - unit * slope_terms
     distance = (_SAFETY * degree) * value_size / slope_size
@@ -368,8 +368,8 @@ def _error_of_division(
     for stiff, damp, power in zip(plant.stiff, plant.damp, powers[::-1], strict=False):
         wall = (abs(stiff) + plant.sum) * abs(loop.alpha)
         terms = terms + power * (wall + (abs(damp) + 2.0 * plant.sum) * abs(loop.beta))
-    moved = distance * powers[0] + 8.0 * FLOAT_UNIT
-    once = (2.0 * degree + 16.0) * FLOAT_UNIT * terms + 4.0 * moved * _size_sum(rest)
+    moved = distance * powers[0] + 8.0 * UNIT
+    once = (2.0 * degree + 16.0) * UNIT * terms + 4.0 * moved * _size_sum(rest)
     xp = namespace(moved)
     return xp.where(degree * moved < 0.5, degree * (degree + 1.0) * once, xp.inf)
 
@@ -461,7 +461,7 @@ def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
 
 def _lost(error: Array, above: Array, whole: Array, quotients: Array) -> Array:
     """Bound what the polynomial's own error and the rounding of all steps come to at the end."""
-    return _SAFETY * (error * whole + 8.0 * FLOAT_UNIT * above * quotients)
+    return _SAFETY * (error * whole + 8.0 * UNIT * above * quotients)
 
 
 def _size_sum(columns: list[Array]) -> Array:

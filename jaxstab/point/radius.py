@@ -51,8 +51,6 @@ from jaxstab.point.dominance import (
 from jaxstab.point.grid import looked_up, over_grid
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.schur_cohn import (
-    FLOAT_UNIT,
-    PAIR_UNIT,
     SAFETY,
     UNDERFLOW,
     Chain,
@@ -74,6 +72,7 @@ from jaxstab.point.verdicts import (
     gathered,
     is_plant_lost,
 )
+from jaxstab.rounding import PAIR_UNIT, UNIT
 from jaxstab.shown import number_text, text_with_bound
 
 # The error bound of a spectral radius, from verdicts on p(r z) for a ladder of radii r.
@@ -99,7 +98,7 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
     def prove(state: tuple[Array, Array]) -> tuple[Array, Array]:
         step, error = state
         scale = radius * (1.0 + sides * steps[step])
-        tried = abs(scale - radius) * (1.0 + 4.0 * FLOAT_UNIT)
+        tried = abs(scale - radius) * (1.0 + 4.0 * UNIT)
         is_proved = xp.isinf(error) & (codes(scale) == wanted)
         return step + 1, xp.where(is_proved, tried, error)
 
@@ -168,8 +167,8 @@ def _listed_radii(
 def traced_radius_error(coefficients: Array, radius: Array) -> Array:
     """Return bounds of the errors of radii in float64, for coefficients of (*grid, coefficient)."""
     xp = namespace(coefficients, radius)
-    lost = 2.0 * FLOAT_UNIT * xp.sum(abs(coefficients), axis=-1)
-    return dense_radius_error(xp.moveaxis(coefficients, -1, 0), lost, radius, unit=FLOAT_UNIT)
+    lost = 2.0 * UNIT * xp.sum(abs(coefficients), axis=-1)
+    return dense_radius_error(xp.moveaxis(coefficients, -1, 0), lost, radius, unit=UNIT)
 
 
 def _dominant_modulus(coefficients: DoubleDouble) -> Values:
@@ -247,7 +246,7 @@ def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) 
 def radius_error(
     coefficients: Float64[Array, "*grid coefficient"],
     radius: Float64[Array, "*grid"],
-    coefficient_error: float = 2.0 * FLOAT_UNIT,
+    coefficient_error: float = 2.0 * UNIT,
 ) -> Float64[Array, "*grid"]:
     """Prove how far a spectral radius can be from the true one.
 
@@ -312,19 +311,19 @@ def _scaled_codes(
     inverse = 1.0 / scale
     head = tuple(value * inverse**power for power, value in enumerate(head, start=1))
     tail = tuple(value * inverse ** (degree - power) for power, value in enumerate(tail))
-    head_error = (coefficient_error + 10.0 * FLOAT_UNIT) * size_sum(head)
-    tail_error = (coefficient_error + (2 * degree + 6) * FLOAT_UNIT) * size_sum(tail)
+    head_error = (coefficient_error + 10.0 * UNIT) * size_sum(head)
+    tail_error = (coefficient_error + (2 * degree + 6) * UNIT) * size_sum(tail)
     left_out = rest * xp.maximum(inverse**3, inverse**degree)
-    error = head_error + 2.0 * tail_error + 2.0 * left_out + 2.0 * FLOAT_UNIT + UNDERFLOW
+    error = head_error + 2.0 * tail_error + 2.0 * left_out + 2.0 * UNIT + UNDERFLOW
     chain = Chain(1.0 - head[1], head, tail, 2.0 * head_error, error)
     at_one = sum((*head, *tail), xp.ones_like(scale))
     signs = [(-1.0) ** power for power in range(len(tail))]
     wall = sum(sign * value for sign, value in zip(signs, tail, strict=True))
     at_minus_one = 1.0 - head[0] + head[1] + (-1.0) ** degree * wall
-    end_error = error + 8.0 * FLOAT_UNIT * (1.0 + size_sum(head) + size_sum(tail))
+    end_error = error + 8.0 * UNIT * (1.0 + size_sum(head) + size_sum(tail))
     ends = Ends(at_one, end_error, at_minus_one, end_error)
     is_rolled = xp is not np and degree > HIGHEST_UNROLLED
-    return decide(chain, ends, FLOAT_UNIT, xp.asarray(degree) if is_rolled else degree)
+    return decide(chain, ends, UNIT, xp.asarray(degree) if is_rolled else degree)
 
 
 _MANY = 1 << 14  # points of one delay from which on XLA looks for dominant roots

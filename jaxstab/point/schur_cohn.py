@@ -33,10 +33,6 @@ from jaxstab.model.linear_loop import Affine, LinearLoop
 
 Number = TypeVar("Number", Array, DoubleDouble)
 
-FLOAT_UNIT = 2.0**-53
-
-PAIR_UNIT = 2.0**-99  # of the least accurate operation, the division
-
 UNDERFLOW = 1e-260  # more than all that is lost by numbers flushed to zero
 
 SAFETY = 1.001  # the bounds themselves are rounded (lemma V3)

@@ -29,8 +29,6 @@ from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import may_cancel, pairs_error
 from jaxstab.point.grid import looked_up
 from jaxstab.point.schur_cohn import (
-    FLOAT_UNIT,
-    PAIR_UNIT,
     UNDERFLOW,
     Chain,
     Ends,
@@ -43,6 +41,7 @@ from jaxstab.point.schur_cohn import (
     size_sum,
     without_zeros,
 )
+from jaxstab.rounding import PAIR_UNIT, UNIT
 
 Values = np.ndarray[Any, np.dtype[Any]]
 
@@ -164,7 +163,7 @@ def filtered_loops(points: Points, form: Form, filters: Filters) -> LinearLoop:
 @compiled(static=["degree"], many=_MANY_LOOPS, wide=True)
 def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: int) -> Array:
     loop = tree_map(namespace(alpha, beta, loop).asarray, loop)
-    codes = partial(dense_codes, unit=FLOAT_UNIT, degree=degree)
+    codes = partial(dense_codes, unit=UNIT, degree=degree)
     return over_tiles(codes, (alpha, beta, loop), _TILE)
 
 
@@ -226,7 +225,7 @@ def _has_outer_root(
     for coefficient in coefficients.T:
         slope, slope_size = slope * z + value, slope_size * size + value_size
         value, value_size = value * z + coefficient, value_size * size + np.abs(coefficient)
-    rounding = _PER_DEGREE * (degree + 1) * FLOAT_UNIT
+    rounding = _PER_DEGREE * (degree + 1) * UNIT
     steepness = np.abs(slope) - rounding * slope_size
     with np.errstate(divide="ignore", invalid="ignore"):
         half_width = degree * (np.abs(value) + rounding * value_size) / steepness
@@ -526,13 +525,13 @@ def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
 
 @compiled(static=["degree"], many=_MANY, wide=True, pointwise=True)
 def _short_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
-    codes = partial(loop_codes, unit=FLOAT_UNIT, degree=degree)
+    codes = partial(loop_codes, unit=UNIT, degree=degree)
     return codes(*arguments) if degree <= 4 else over_tiles(codes, arguments)
 
 
 @compiled(many=_MANY, wide=True, pointwise=True)
 def _long_codes(arguments: tuple[Any, ...], degree: int | Array) -> Array:
-    return over_tiles(partial(loop_codes, unit=FLOAT_UNIT, degree=degree), arguments)
+    return over_tiles(partial(loop_codes, unit=UNIT, degree=degree), arguments)
 
 
 def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:

@@ -8,13 +8,14 @@ import numpy as np
 from jaxstab.arrays import Array, constant, kept, namespace, repeat_while
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift, minus_margin, plus_offset
 from jaxstab.region.roots import nonzero, with_slope
+from jaxstab.rounding import UNIT
 
 _STEPS = 16
 _SMALLEST = 0.1  # of the largest corner: the size of those at 0
 _ROUGH = 1e-8  # the same mismatch next to a zero of N, of which coefficients in float64 tell less
 _TOLERANCE = 1e-10  # of the last step: its square is below rounding
 _PARALLEL = 1e-12  # the sine of the angle between two tangents that are
-_ROUNDING = 4.0 * 2.0**-53  # of angles
+_ROUNDING = 4.0 * UNIT  # of angles
 
 
 class Branch(IntEnum):

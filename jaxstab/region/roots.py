@@ -7,13 +7,14 @@ from typing import TypeVar
 import numpy as np
 
 from jaxstab.arrays import Array, constant, namespace, repeat_while, stored, tree_map
+from jaxstab.rounding import UNIT
 
 Parameters = TypeVar("Parameters")
 Values = TypeVar("Values")
 _State = tuple[Array, ...]
 
 _STEPS = 60  # bisection alone would take 53 from any bracket of like ends
-_STILL = 4.0 * 2.0**-53
+_STILL = 4.0 * UNIT
 _ENOUGH = 1e-10  # of a step of the secant method: what is left after it is below rounding
 _COMPLEX_STEP = 2.0**-300  # its square is nothing beside any number
 

@@ -36,6 +36,7 @@ from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.loop import LoopParameters
 from jaxstab.model.sections import Exponential, LowPass, Section, butterworth_sine
 from jaxstab.model.spans import has_spans, merged, value_at
+from jaxstab.rounding import RAISED_FEW
 
 # N(z) of a device for all fractions of the delay: Taylor polynomials in pieces of a sample.
 #
@@ -58,8 +59,6 @@ _LEFT_IN_Z = 2.0**-66  # of the size of N, by which a polynomial may miss it
 _OVERLAP = 1e-6  # of a piece, beyond its ends
 
 _MOST_DELAY_PIECES = 128
-
-_ROUNDED_UP = 1.0 + 2.0**-50
 
 
 @dataclass(frozen=True)
@@ -211,7 +210,7 @@ def rounded_piece(
     if not worst <= float(size_on_circle(terms[0])) * _LEFT_IN_Z:
         return None
     near, far = (np.array([[float(one.mid()) for one in row] for row in form]) for form in forms)
-    return Piece(middle, half, near, far, (worst + float(missed.upper())) * _ROUNDED_UP)
+    return Piece(middle, half, near, far, (worst + float(missed.upper())) * RAISED_FEW)
 
 
 def size_on_circle(polynomial: "arb_poly | acb_poly") -> "arb":

@@ -16,6 +16,7 @@ from jaxtyping import Float64, Int64
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import balls_of, exact, turn, working_precision
 from jaxstab.model.device.sampling import in_fastest_time, in_samples
+from jaxstab.rounding import RAISED
 
 if TYPE_CHECKING:
     from flint import arb, arb_mat
@@ -170,8 +171,6 @@ if TYPE_CHECKING:
 
 _MOST_PIECES = 24  # of a sample
 
-_ROUNDED_UP = 1.0 + 2.0**-40
-
 
 class Between(NamedTuple):
     """A device within a sample; x is in m, forces in N, the unit of time is one sample.
@@ -299,7 +298,7 @@ def _rounded(
         return_inverse=True,
     )
     number = np.ravel(number)
-    half = np.array([0.5 * (last - first) for first, last, _ in pieces]) * _ROUNDED_UP
+    half = np.array([0.5 * (last - first) for first, last, _ in pieces]) * RAISED
     rest = np.array([_sizes(motion.rows(_over(*piece[:2]), piece[2]))[4:] for piece in pieces])
     count = len(pieces)
     times = [k / count for k in range(count + 1)]
@@ -312,7 +311,7 @@ def _rounded(
             for a, b in pairwise(times)
         ]
     )
-    size = 0.5 / count * _ROUNDED_UP
+    size = 0.5 / count * RAISED
     # The integral of a modulus: that of the chord, and what the second derivative adds.
     path = [
         float(
@@ -333,8 +332,8 @@ def _rounded(
         rest=rest,
         blows=np.moveaxis(blows[:, [0, 2]], 1, 0),
         blow_half=size,
-        blow_rest=widest[:, 4].sum(axis=0) * _ROUNDED_UP,
-        path=(path[0] * _ROUNDED_UP, (path[1] + direct) * _ROUNDED_UP),
+        blow_rest=widest[:, 4].sum(axis=0) * RAISED,
+        path=(path[0] * RAISED, (path[1] + direct) * RAISED),
     )
 
 
@@ -342,7 +341,7 @@ def _over(first: float, last: float) -> "arb":
     """Return a ball of all times of a piece."""
     import flint
 
-    return flint.arb(0.5 * (first + last), 0.5 * (last - first) * _ROUNDED_UP + 2.0**-60)
+    return flint.arb(0.5 * (first + last), 0.5 * (last - first) * RAISED + 2.0**-60)
 
 
 def _floats(matrix: "arb_mat") -> np.ndarray:

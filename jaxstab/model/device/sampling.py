@@ -23,6 +23,7 @@ from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.model.transfer import Polynomial, Transfer
 from jaxstab.numbers import checked_number
+from jaxstab.rounding import RAISED_FEW
 
 if TYPE_CHECKING:
     from flint import acb, acb_poly, arb, arb_poly
@@ -34,7 +35,6 @@ _WANTED_BITS = 112  # of each coefficient: pairs have 107
 _NOTHING = 2.0**-400  # of the size of all: a coefficient that small may be 0
 _MOST_BINARY_DIGITS = 900  # of a unit: products of numbers in it are float64 still
 _FASTEST = 14  # power of two: poles per sampling period
-_ROUNDED_UP = 1.0 + 2.0**-50
 
 
 @dataclass(frozen=True)
@@ -350,7 +350,7 @@ def bounded(ball: "arb") -> Bounded:
     low = float((ball - high).mid()) if isfinite(high) else 0.0
     total = high + low
     error = float((ball - high - low).abs_upper())
-    return Bounded(DoubleDouble(total, low - (total - high)), nextafter(error * _ROUNDED_UP, inf))
+    return Bounded(DoubleDouble(total, low - (total - high)), nextafter(error * RAISED_FEW, inf))
 
 
 def _falling(polynomial: "arb_poly") -> list["arb"]:
@@ -362,7 +362,7 @@ def _values(coefficients: list[Bounded]) -> Polynomial:
 
 
 def _errors(coefficients: list[Bounded]) -> float:
-    return sum(coefficient.error for coefficient in coefficients) * _ROUNDED_UP
+    return sum(coefficient.error for coefficient in coefficients) * RAISED_FEW
 
 
 def _turned(falling: Polynomial) -> Polynomial:
