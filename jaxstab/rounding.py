@@ -31,7 +31,6 @@ SOFT_PLANT, STIFF_PLANT, DAMPED_PLANT = 2.0**-89, 2.0**-66, 2.0**-56
 # Coefficients of filters, relative to the product of their stages' sizes, and of the products of
 # filters with each other and with plants (lemma V8).
 FILTERS = 2.0**-90
-
 RAISED_FEW = 1.0 + 2.0**-50
 RAISED = 1.0 + 2.0**-40
 RAISED_MANY = 1.0 + 2.0**-20

@@ -45,9 +45,7 @@ PHYSICAL = {  # Table I: powers of the quantities in each parameter
 }
 
 DIMENSIONLESS = {name: {name: 1} for name in AXES}
-
 SIGNED = {"alpha", "beta", "stiffness", "damping"}  # all others are >= 0
-
 POSITIVE = {"mass", "sample_time"}
 
 Window = tuple[tuple[float, float], tuple[float, float]]
@@ -171,19 +169,12 @@ Points = Float64[np.ndarray, "points 3"]
 Turns = Float64[np.ndarray, "*points"]
 
 _CONVERGED = 1e-9  # of the unit cube: the last Newton step, which the next one squares
-
 _MOST_STEPS = 13
-
 _DIFFERENCE = 2.0**-17  # of the unit cube: derivatives are then good to about 1e-10
-
 _STRAIGHT = 0.985  # cosine between tangents: grow the step
-
 _BENT = 0.94  # shrink it
-
 _SHORTEST = 1e-7
-
 _ON_FACE = 1e-12
-
 _MOST_POINTS = 20_000
 
 
@@ -380,9 +371,7 @@ def _passes(first: Vector, first_tangent: Vector, here: Vector, there: Vector) -
 Cloud = Float64[np.ndarray, "points 3"]
 
 _COVER = 1.0  # resolutions: a box this near to a traced point is explained by it
-
 _REFINEMENTS = 4  # each to a quarter of the size before
-
 _ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are double roots)
 
 

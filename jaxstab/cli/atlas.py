@@ -21,7 +21,7 @@ from jaxstab.cli.options import (
     write_beside,
 )
 from jaxstab.cli.query import careful
-from jaxstab.cli.scene import refused, scene_of, warn
+from jaxstab.cli.scene import scene_of, warn
 from jaxstab.conventions import STABLE
 
 if TYPE_CHECKING:
@@ -124,8 +124,7 @@ def spec(file: Path, **tolerances: float | None) -> None:
 
     scene = scene_of({"files": [file], **tolerances})
     warn(*scene.unusual())
-    with refused():
-        click.echo(spec_text(scene, str(file)), nl=False)
+    click.echo(spec_text(scene, str(file)), nl=False)
 
 
 @click.command()

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from jaxstab.cli.options import page_file
-from jaxstab.cli.scene import refused, scene_of, warn
+from jaxstab.cli.scene import scene_of, warn
 
 
 @click.command()
@@ -32,8 +32,7 @@ def explore(file: Path | None, output: Path) -> None:
     scene = scene_of(given)
     warn(*scene.unusual())
     title = f"the scene {file.name}" if file else "an omega-like device at 1 kHz"
-    with refused():
-        page = explorer_page(scene, title)
+    page = explorer_page(scene, title)
     publish(page.encode(), output)
     click.echo(output)
 

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from jaxstab.cli.options import number_or_range, output_file, picture_file, write_beside
-from jaxstab.cli.scene import refused, scene_of, scene_options, warn
+from jaxstab.cli.scene import scene_of, scene_options, warn
 from jaxstab.shown import shortened
 
 
@@ -63,21 +63,20 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
         raise click.UsageError("a guard is of one scene; give one FILE, no --sweep, --csv, --json.")
     scene = scene_of(given)
     warn(*scene.unusual())
-    with refused():
-        from jaxstab.durable import publish
-        from jaxstab.guard.header import checked_name
-        from jaxstab.scene.guard import guard_about, guard_plan, header_of, scene_guard
+    from jaxstab.durable import publish
+    from jaxstab.guard.header import checked_name
+    from jaxstab.scene.guard import guard_about, guard_plan, header_of, scene_guard
 
-        name = checked_name(output.stem)  # before the proof, which takes long
-        cells = given["cells"]
-        with _progress(guard_plan(scene, cells)) as show:
-            made = scene_guard(scene, given["masses"], given["delays"], progress=show, cells=cells)
-        publish(header_of(scene, made, name).encode(), output)
-        if plot:
-            from jaxstab.pictures.scene import guard_figure
-            from jaxstab.pictures.style import picture
+    name = checked_name(output.stem)  # before the proof, which takes long
+    cells = given["cells"]
+    with _progress(guard_plan(scene, cells)) as show:
+        made = scene_guard(scene, given["masses"], given["delays"], progress=show, cells=cells)
+    publish(header_of(scene, made, name).encode(), output)
+    if plot:
+        from jaxstab.pictures.scene import guard_figure
+        from jaxstab.pictures.style import picture
 
-            write_beside(picture(guard_figure(made, scene.units), plot.suffix[1:]), plot)
+        write_beside(picture(guard_figure(made, scene.units), plot.suffix[1:]), plot)
     click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{guard_about(scene, made)}")
 
 

@@ -6,7 +6,6 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -96,12 +95,11 @@ def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the table of each file, or an empty one, with the options in place of its values."""
     from jaxstab.tables import read_table
 
-    with refused():
-        files = given.get("files") or ()
-        if not files and all(value in (None, ()) for value in map(given.get, _DESCRIBES)):
-            raise click.UsageError(_NOTHING)
-        tables = {str(file): read_table(file, "scene") for file in files} or {"": {}}
-        return {source: _merged(table, given) for source, table in tables.items()}
+    files = given.get("files") or ()
+    if not files and all(value in (None, ()) for value in map(given.get, _DESCRIBES)):
+        raise click.UsageError(_NOTHING)
+    tables = {str(file): read_table(file, "scene") for file in files} or {"": {}}
+    return {source: _merged(table, given) for source, table in tables.items()}
 
 
 def scene_of(given: dict[str, Any]) -> "Scene":
@@ -109,8 +107,7 @@ def scene_of(given: dict[str, Any]) -> "Scene":
     from jaxstab.scene import Scene
 
     ((source, table),) = tables_of(given).items()
-    with refused():
-        return Scene.from_table(table, source)
+    return Scene.from_table(table, source)
 
 
 def warn(*unusual: str) -> None:
@@ -118,16 +115,6 @@ def warn(*unusual: str) -> None:
     if unusual:
         words = "; ".join(unusual)
         click.echo(f"jaxstab: warning: {words}{'' if words.endswith('?') else '.'}", err=True)
-
-
-@contextmanager
-def refused() -> Iterator[None]:
-    """End a command that cannot answer with exit code 2: 1 is for walls that are not stable."""
-    try:
-        yield
-    except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
-        words = sentence_of(error) if isinstance(error, OSError) else str(error)
-        raise click.UsageError(words or "there is not enough memory.") from error
 
 
 def sentence_of(error: OSError) -> str:
@@ -221,16 +208,15 @@ def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list[Any
     import jaxstab.scene
     from jaxstab.scene.many import answer_all, sweep_of, variants_of
 
-    with refused():
-        variants = variants_of(tables_of(given), dict(map(sweep_of, given["sweep"])))
-        for words in dict.fromkeys(w for v in variants if v.scene for w in v.scene.unusual()):
-            warn(words)
-        rows = list(
-            _with_progress(answer_all(variants, getattr(jaxstab.scene, function)), len(variants))
-        )
-        _write(rows, given["csv_file"], as_json)
-        if given["plot"]:
-            _draw_rows(rows, given["plot"])
+    variants = variants_of(tables_of(given), dict(map(sweep_of, given["sweep"])))
+    for words in dict.fromkeys(w for v in variants if v.scene for w in v.scene.unusual()):
+        warn(words)
+    rows = list(
+        _with_progress(answer_all(variants, getattr(jaxstab.scene, function)), len(variants))
+    )
+    _write(rows, given["csv_file"], as_json)
+    if given["plot"]:
+        _draw_rows(rows, given["plot"])
     _refuse_some(rows)
     return [row.answer for row in rows if row.answer]
 
@@ -517,8 +503,7 @@ def _draw(scene: "Scene", answer: Any, file: Path) -> None:
     from jaxstab.pictures.scene import scene_figure
     from jaxstab.pictures.style import picture
 
-    with refused():
-        write_beside(picture(scene_figure(scene, answer), file.suffix[1:]), file)
+    write_beside(picture(scene_figure(scene, answer), file.suffix[1:]), file)
 
 
 FUNCTIONS = {
@@ -532,10 +517,7 @@ FUNCTIONS = {
 def _computed(scene: "Scene", name: str) -> Any:
     import jaxstab.scene
 
-    with (
-        refused(),
-        at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay"),
-    ):
+    with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay"):
         return getattr(jaxstab.scene, FUNCTIONS[name])(scene)
 
 

@@ -60,15 +60,10 @@ from jaxstab.rounding import RAISED, RAISED_MANY, UNIT
 
 
 _TAIL = 1e-11  # the norm of a power behind which a sum ends
-
 _FURTHER = 6  # doublings until then, at most
-
 _SUMMED = 22  # doublings, beyond which the tail is bounded as it is
-
 _STEEP = 0.5  # the norm of a power of which no square gives a better bound of the tail
-
 _TRIED = 20  # such squares
-
 _MATRIX_NUMBERS = 1 << 21  # of an array that is filled at once, about
 
 
@@ -183,11 +178,8 @@ def _sum_of_moduli(
 # M7 of docs/proofs.md).
 
 _NUMBERS = 1 << 18  # of the matrices of all loops that are looked at together
-
 _ROUNDINGS = 16  # of an entry of the transition, beside those of filters (lemma M7)
-
 _HARD = 8.0  # roundings of 1: the error of a transition of which an entry may nearly vanish
-
 _ACCURATE_GAMMA, _ACCURATE_DELTA = 0.5, 1.0  # up to which no entry of it nearly vanishes
 
 
@@ -561,7 +553,6 @@ def _at_all_times(
 # samples are bounded from the ends of pieces of the sample, with their second derivatives.
 
 _ERROR = 16 * UNIT  # of the entries of a transition, beside that of filters
-
 _SMALLEST = 2.0**-100  # of the largest entry: what entries next to 0 may be wrong by, and more
 
 

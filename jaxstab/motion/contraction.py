@@ -20,7 +20,6 @@ _HOPELESS = 1e60  # a power as large as this belongs to an unstable loop
 _DOUBLINGS = 40  # after which a loop is given up
 _LARGEST = 1e12  # of the squared coordinates, beyond which they are noise
 _INVERSE = 2.0**0.5  # no less than the norm of the inverse of L
-
 _POWERS = 11  # of A that units make small: A, A^2, A^4 ...
 _SWEEPS = 8  # that look for units
 _SMALLEST = 1e-30  # of the units

@@ -48,7 +48,6 @@ from jaxstab.rounding import RAISED_MANY
 # Sampled positions of many loops side by side, in stretches that are doubled by powers of A.
 
 STRETCH = 32  # samples, a power of two
-
 _BLOCK = 64  # stretches of one product, a power of two
 
 
@@ -117,7 +116,6 @@ def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop
 Excitation = Literal["force", "impact"]
 
 HORIZON = 1 << 18
-
 _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 
 

@@ -30,9 +30,7 @@ from jaxstab.pictures.style import (
 from jaxstab.scene.answers import Quantity
 
 _NYQUIST_STEPS = 6
-
 _BELOW_NYQUIST = 1 - 1e-4  # frequency drawn for Nyquist's where only the limit is stable
-
 _BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 8, "frameon": False}
 
 Floats = NDArray[np.float64]
@@ -132,9 +130,7 @@ def _delayed_range() -> Figure:
 
 # -------------------------------------------------------------------------------------- figure 7
 _DAMPINGS = ((0.0, BLUE), (0.005, GREEN), (0.01, ORANGE), (0.015, RED))
-
 _LEVELS = ((0.02, "o"), (0.05, "s"))
-
 _VALIDITY_WINDOWS = {0.0: (0.16, 0.07), 1.0: (0.05, 0.07)}
 
 

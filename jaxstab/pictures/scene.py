@@ -55,13 +55,9 @@ from jaxstab.tuning import TuningStatus
 Walls = Mapping[str, WallCheck]
 
 _FEWEST, _MOST = 100, 2000  # samples of a response
-
 _LEVEL = 0.02
-
 _GONE = 5.0  # final positions: an unstable response is drawn no further
-
 _MARK = 14.0  # pixels: a wall's mark
-
 _LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
 
 
@@ -152,31 +148,18 @@ def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
 
 
 _HEIGHT = 4.6  # inches
-
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
-
 _SEEN = 0.05  # of the region, in K or in B: what is smaller is enlarged
-
 _COLUMNS = 64  # of the map of settling times, and rows
-
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
-
 _CALM_COLUMNS = 40  # of the map of amplitudes, and rows
-
 _COUNTS = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
-
 _LONGEST = 50.0  # of the shortest settling time: the slowest line that is drawn
-
 _HORIZON = 4096  # samples
-
 _LETTERS = 14.0  # of a remark, per inch
-
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
-
 _BOUND = Quantity("N/m", 4, ROUND_CEILING)
-
 _LARGEST_TIME = Quantity("s", 4, ROUND_FLOOR)
-
 _STIFFNESS, _DAMPING, _TIME, _LENGTH = (Quantity(unit, 3) for unit in ("N/m", "N s/m", "s", "m"))
 
 Floats = NDArray[np.float64]
@@ -442,9 +425,7 @@ def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
 # A picture of several scenes: what is stable in each, and the largest stiffness of each.
 
 _SIZE = 10.0, 4.6  # inches
-
 _COLOURS = BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK
-
 _MOST_NAMES = 12  # in a legend
 
 
@@ -530,7 +511,6 @@ def _draw_bars(panel: Axes, names: list[str], values: list[float], colours: list
 # A picture of a guard: what it grants beside what is stable.
 
 _CURVES = 5
-
 _POINTS = 400
 
 

@@ -26,13 +26,9 @@ BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
 )
 
 ALPHA_LABEL = r"stiffness  $\alpha = K\,T^2/m$"
-
 BETA_LABEL = r"damping  $\beta = B\,T/m$"
-
 FORMATS = ("png", "svg")
-
 _PANEL = (4.2, 3.5)  # inches
-
 _DOTS_PER_INCH = 150
 
 
@@ -82,11 +78,8 @@ def picture(figure: Figure, form: str) -> bytes:
 # Pictures that regions and loops draw of themselves, on axes or in a notebook.
 
 _SIZE = 5.0, 3.6  # inches
-
 _MAP = 0.72, 0.12, 0.26, 0.36  # of the axes: where islands are drawn
-
 _ROOM = np.array([0.65, 0.35])  # of the main component, beside it for the map and the legend
-
 _STIFFNESS_LABEL, _DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
 
 Region = StableRegion | WallRegion

@@ -30,11 +30,8 @@ from jaxstab.rounding import UNIT
 # start from the bits of the number and are refined by Newton's method; NumPy divides.
 
 _EXPONENT = 0x7FF0_0000_0000_0000
-
 _LARGEST_EXPONENT = 0x7FE0_0000_0000_0000
-
 _RECIPROCAL = 0x7FDE_6238_22FC_16E6  # minus the bits of x: 1/x within 13 %
-
 _INVERSE_ROOT = 0x5FE6_EB50_C7B5_37A9  # minus half the bits of x: 1/sqrt(x) within 4 %
 
 
@@ -94,7 +91,6 @@ def _floats(bits: Array) -> Array:
 Column = Any  # an array, or None for zeros
 
 _LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
-
 TILE = 256  # points whose polynomials of a higher degree stay in the cache
 
 
@@ -247,13 +243,9 @@ def _to_power(z: Complex, exponent: int) -> Complex | None:
 
 
 _MANY = 1 << 13
-
 _HIGHEST_UNROLLED = 28  # degree; from 33 on unrolled code was up to 100 times slower
-
 _SHORT_FOR_NUMPY = 8  # degree up to which single columns cost less than whole arrays
-
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
-
 _SAFETY = 1.0 + 1e-6  # the bounds themselves are rounded
 
 
@@ -476,13 +468,9 @@ def _size_sum(columns: list[Array]) -> Array:
 # dominant roots.
 
 LONGEST_DELAY = 64.0  # beyond, polynomials of many points do not stay in the cache
-
 TOLERANCE = 1e-12
-
 _LIST = 2**18  # up to this many points, lists are filled up to a length compiled once for all
-
 _SHORTEST_LIST = 8
-
 _BLOCK = 2**21  # points of a larger grid that are computed at once
 
 Values = np.ndarray[Any, np.dtype[Any]]

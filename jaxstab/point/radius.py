@@ -116,7 +116,6 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
 # double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V8 of docs/proofs.md).
 
 _DENSE_NEWTON_STEPS = 2
-
 _MATRICES = 1 << 11  # points at once
 
 Values = np.ndarray[Any, np.dtype[Any]]
@@ -327,9 +326,7 @@ def _scaled_codes(
 
 
 _MANY = 1 << 14  # points of one delay from which on XLA looks for dominant roots
-
 _LIST = 1 << 12  # points whose companion matrices are made at once
-
 _NEWTON_STEPS = 3
 
 # Strongly damped plants have coefficients of N far below its size, which do not have all their

@@ -17,9 +17,7 @@ from jaxstab.point.dominance import power_of_two_below_inverse, reciprocal, squa
 from jaxstab.point.poles import companion_poles
 
 _THIRD_OF_BITS = 715_094_163  # x^(1/3) within 6 %, from a third of the upper bits of x
-
 _ABOVE = 1.06
-
 _STEPS = 5
 
 
@@ -202,9 +200,7 @@ def _minus(a: Column, b: Array, c: Column) -> Column:
 # The largest modulus of a root with a derivative, for JAX's transformations alone.
 
 _NEWTON: optimistix.Newton[Array, Array, None] = optimistix.Newton(rtol=1e-15, atol=1e-15)
-
 _NEWTON_STEPS = 3
-
 _FARTHEST = 1e-6  # that an eigenvalue is from its root; at multiple roots Newton's method may leave
 
 

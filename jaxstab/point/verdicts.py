@@ -100,9 +100,7 @@ def gathered(values: Any, shape: tuple[int, ...], indices: Int64[np.ndarray, " p
 # Certified verdicts of any linear loop: of any device, velocity estimator and position filter.
 
 _MANY_LOOPS = 1 << 13  # points from which on XLA answers for NumPy arrays
-
 _TILE = 512  # points whose polynomials stay in the cache
-
 _LOOP_PAIRS = 1 << 11  # points at once in double-double
 
 
@@ -181,9 +179,7 @@ def _loop_pair_codes(
 # of docs/proofs.md). It is taken from the eigenvalues of the companion matrix.
 
 _BATCH = 256  # polynomials at once: each takes a matrix
-
 _ON_CIRCLE = 1e-13  # of the sum of the coefficients' sizes
-
 _PER_DEGREE = 8.0  # roundings of a complex product, of the sum, and of a coefficient, and to spare
 
 
@@ -237,7 +233,6 @@ def _has_outer_root(
 # Plants are computed once, in double-double (lemma V7 of docs/proofs.md). Source: eq. (9).
 
 HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a loop
-
 _LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
 
 
@@ -390,9 +385,7 @@ def _ends(
 # takes the points of a grid to the kernels, each at the degree of its own delay.
 
 _MANY = 1 << 15  # points from which on XLA answers for NumPy arrays
-
 _LIST = 1 << 16  # points of one list that is gathered from a grid
-
 _PAIRS = 1 << 12  # the same in double-double
 
 

@@ -30,27 +30,16 @@ from jaxstab.region.pieces import (
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _AT_ONCE = 1 << 20  # pairs of boxes that are held in memory
-
 _CUBIC_STEPS = 12  # of Newton's method on the cubics
-
 _NEWTON_STEPS = 6  # on the curve; where two parts nearly touch, each step halves the rest
-
 _BEYOND = 0.5  # how far Newton's method may leave a part, as a share of it
-
 _ARRIVED = 1e-3  # the last step, and the least distance of two angles that meet; likewise
-
 _SAME = 1e-4  # starts closer to each other are one; likewise
-
 _MISS = 0.05  # how far from each other cubics are where the curve may meet, beside their lengths
-
 _NEARLY_STABLE = 1.1  # of the circle: with filters parts with roots farther out bound nothing
-
 _SETTLED = 1e-9  # a step that small is the last one; likewise
-
 _CLOSE = 1e-6  # crossings closer to each other are one
-
 _STARTS = np.array([[0.0, 0.0, 1.0, 1.0], [0.0, 1.0, 0.0, 1.0]])  # of two parts: one end of each
-
 _POWERS = np.array([[1, 0, 0, 0], [-3, 3, 0, 0], [3, -6, 3, 0], [-1, 3, -3, 1]])  # by controls
 
 Parts = Int[np.ndarray, " _"]  # numbers of intervals between two angles of the scan
@@ -287,13 +276,9 @@ def _margin_slope(parameters: tuple[SliceCoefficients, Parts], theta: np.ndarray
 # Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
 # the circle there. The last ones take the angles of the best chances only.
 _SCANS = ((1, 24, 1e-4), (4, 192, 1e-4), (16, 768, 1e-4), (64, 1536, 1e-7))
-
 _FILTERED_SCANS = 2  # with filters: what these leave open the others do, too, in minutes
-
 _EMPTY_FINENESS = 4
-
 _ROUNDS = 8
-
 _KEPT = 32  # pieces that do not close
 
 

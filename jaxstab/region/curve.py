@@ -47,9 +47,7 @@ from jaxstab.region.filtered_points import filtered_point
 
 # sin(x) / x and cos(x) as series in x^2, for all x up to pi/4 and derivatives, too.
 _SINC = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(10))
-
 _COSINE = tuple((-1.0) ** k / factorial(2 * k) for k in range(10))
-
 _SMALL, _SMALL_TERMS = 0.3, 6  # the first terms of the same are enough up to there
 
 # A quarter turn in parts of 27 bits: multiples of the first two are exact.
@@ -106,9 +104,7 @@ def _series(coefficients: tuple[float, ...], x: Array) -> Array:
 
 
 _CLOSE, _FAR = 1e-9, 4.0  # between these the distances of poles from the circle are clipped
-
 _VANISHING = 1e-3  # N(r) this small beside its terms: the line z = r is no anchor any more
-
 _MANY = 1 << 18  # angles that are worth compiling for
 
 

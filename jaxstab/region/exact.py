@@ -25,15 +25,10 @@ from jaxstab.region.roots import bracketed_root
 # hand, as it is in ``filtered_points``: there is enough left of 106 bits. NumPy only.
 
 _CLOSE = 0.5  # of zeta - 1: up to there its powers are taken
-
 _LEAST = 1e-11  # in place of the angle 0: there the curve has a limit, and even in the angle
-
 _HALVINGS = 3  # of angles before the series
-
 _AT_ONCE = 1 << 18  # coefficients that are held in memory
-
 _POLISHING, _POLISHED = 3, 1e-3  # steps, and the longest one beside the root
-
 _TERMS = 10  # of the series of sine and cosine, for angles up to 0.1
 
 Angles = Float64[np.ndarray, " _"]
@@ -312,9 +307,7 @@ def _terms() -> list[DoubleDouble]:
 _SEARCHED = np.concatenate(  # angles between which poles are looked for, on each half
     [np.geomspace(1e-7, 0.1, 240, endpoint=False), np.linspace(0.1, 0.5 * np.pi, 400)]
 )
-
 _SAME = 1e-5  # of angles that float64 finds, too
-
 _CLOSEST = 1e-9  # what counts as the distance of a pole on the circle
 
 
@@ -381,11 +374,8 @@ def _are_apart(angles: Angles, others: Angles) -> Bool[np.ndarray, " _"]:
 # nothing damps is on the circle without them, and moves as little as they are small.
 
 _ON_CIRCLE = 1e-14  # a root so close is on the circle, where gains count as much as the plant
-
 _STEP, _SMALLEST_ANGLE = 1e-3, 1e-15  # of the share that gains count for, and the least one
-
 _NEAR_CIRCLE = 1e-2
-
 _COEFFICIENTS = 1 << 11  # walls
 
 

@@ -42,7 +42,6 @@ from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
 # Polynomials in powers of zeta and of zeta - 1, in double-double and as rows of numbers.
 
 _VANISHING = DoubleDouble(0.0, 0.0)
-
 _NOTHING = 1e-25  # of the size of a polynomial: pairs that are rounding
 
 # |zeta - 1|: on half of the circle at most sqrt(2).
@@ -186,19 +185,12 @@ def _powers_of_steps(count: int) -> Float64[np.ndarray, "power step"]:
 # (lemma G2).
 
 _BITS = 200  # of fixed point
-
 _ZERO = 2.0**-86  # of the sizes of the polynomials: pairs know that much
-
 _MAYBE = 1e-6  # the same, to be looked at: double roots are known to half of the digits
-
 _SAME = 1e-5  # of angles of a double root
-
 _REACH, _WIDEST = 0.3, 0.1  # of a line: as a share of the distance to the next pole, and radians
-
 _DOUBLE = 1e-6  # Re(U V') beside V' at a double pole
-
 _MIDDLE = 0.5  # where the line meets the curve, as a share of the half width
-
 _NEWTON_STEPS = 6
 
 Angles = Float64[np.ndarray, " _"]
@@ -476,12 +468,10 @@ def _to_fixed(value: float) -> int:
 # stands for c + h sinh(L (t - c)/h) / sinh(L): all distances from 1e-24 on have digits.
 
 _LEAST = 1e-24  # the distance that is drawn out to a share of 1 / L
-
 _WIDEST_STRETCH, _STRETCH_SHARE = (
     0.05,
     0.45,
 )  # of h: radians, and as a share of the distance to the next angle
-
 _SCAN_STEPS = 120  # of a scan, to each side
 
 
@@ -546,17 +536,11 @@ def standing_for(stretches: Sequence[Stretch], angles: DoubleDouble) -> Angles:
 
 
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
-
 _MOST_LOST = 1e5  # the sum of a denominator's coefficients beside its least size on the circle
-
 _SOME_LOST = 30.0  # the same, for loops of which the digits are looked at
-
 _CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
-
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
-
 _REMEMBERED = 64  # pairs of filters, and curves
-
 _SLOW = 0.5  # of the distance from 1
 
 System = tuple[SampledPlant, Transfer, Transfer]  # with T V(z) less its factor (1 - 1/z), P(z)

@@ -43,11 +43,8 @@ from jaxstab.region.filtered_points import (
 # lie inside of the circle: p is divided by that pair, and the Schur-Cohn test decides.
 
 _REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
-
 _MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
-
 _AT_ONCE = 1 << 18  # coefficients of polynomials that are held in memory
-
 _ROUND = 32  # steps of the test after which NumPy drops the polynomials that failed
 
 
@@ -181,13 +178,9 @@ def _passes(falling: Array, is_clear: Array) -> Array:
 
 
 _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
-
 _NARROWING = {"numpy": (2, 23), "jax": (9, 2)}  # rounds, parts: few calls, or few angles
-
 _EXACT_NARROWING = 16, 8, 1e-14  # and the width that is enough
-
 _STRAY = 16.0  # brackets: an iterate of Newton's method this far outside is given up
-
 NO_BRANCH = -1
 
 
@@ -476,19 +469,12 @@ def _linked(
 # The angles at which a scan looks for pieces of the boundary of the stable set. NumPy only.
 
 _FIRST, _PI_MINUS_LAST = 1e-7, 1e-7
-
 _CLOSEST = 1e-11
-
 _OFFSETS = 24  # to each side of an angle to look closer at
-
 _NEAR_CIRCLE = 1e-2
-
 _SAME = 1e-10
-
 _ON_CIRCLE, _APART, _MOST_CENTERS = 1e-9, 1e-7, 8
-
 _WIDTHS, _STEPS_AROUND = 8.0, 16  # of a resonance
-
 _STEPS_OF_LINE = 48  # on each side of a line at a pole
 
 Angles = Float64[np.ndarray, " _"]  # of any length

@@ -50,17 +50,11 @@ from jaxstab.region.stable_set import RegionStatus, StableRegion, region_within
 # over, and where gains are small such a mode can cut off a corner of the set.
 
 _ASIDE = 1e-3  # of the outline's size
-
 _ROUGH = 1e-3  # of the same: edges that leave the boundary by more
-
 _WALLS = 24  # on each side
-
 _FROM_CORNER = 10.0 ** -np.arange(1.0, 6.0)  # shares of an edge that ends at a corner
-
 _UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
-
 _SHORTEST = 1e-8  # of the outline's size: an edge next to a corner
-
 _GAINS = np.geomspace(1e-8, 1.0, 9)  # of alpha and of beta, of both signs
 
 Edges = Float64[np.ndarray, "_ 4"]
@@ -161,13 +155,9 @@ def _walls_of_all_sizes() -> Walls:
 # The outline of one slice, with as many angles and digits as it needs. NumPy only.
 
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
-
 _STRETCHINGS = 3  # rounds
-
 _ASKED, _STRAYED = 32, 1e-12  # points, and how far aside they may be beside the outline's size
-
 _NOTHING = 2.0**-86  # of the coefficients of p(z): pairs know that much
-
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 
 

@@ -43,7 +43,6 @@ class RegionStatus(Status):
 # NumPy only.
 
 _SMALL = 1e-8  # of what a set spans
-
 _RATIOS = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
 
 

@@ -18,9 +18,7 @@ from jaxstab.scene.scene import Grip, Scene, Units
 from jaxstab.shown import rounded_text
 
 _LIMIT_DIGITS = 4
-
 _MOST_DIGITS = 17
-
 _COLUMN = 34  # where values begin
 
 _HEADINGS = {
@@ -308,7 +306,6 @@ def _quantities(kind: Any) -> dict[str, Quantity]:
 # The basis of a scene's answers, stated in front of them.
 
 _ASSUMED = "the difference over one sample (assumed: the scene names no estimator)"
-
 _NO_DELAY = "assumed: the scene names none"
 
 

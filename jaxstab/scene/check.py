@@ -68,9 +68,7 @@ from jaxstab.scene.scene import Scene
 # Hands are tried: what one of them contradicts is proved. For all others a proof is looked for.
 
 _PROVED = "proved for every hand"
-
 _TRIED = "no hand that was tried is unstable, but not all others are proved"
-
 _ROWS = 400  # of B, in which walls are stable for all hands
 
 WallOfScene = tuple[Scene, Gains]
@@ -193,7 +191,6 @@ def common_outline(loops: list[HapticLoop]) -> Floats:
 
 
 _HORIZON = 2**17  # samples within which settling is looked for
-
 _LEVELS = 0.02, 0.05
 
 Asked = TypeVar("Asked")

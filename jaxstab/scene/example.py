@@ -88,7 +88,6 @@ _OUTSIDE = (
 )
 
 _UNITS = ("kg", "N/m", "N s/m")
-
 _NAME = 14  # where what is said of a block begins
 
 

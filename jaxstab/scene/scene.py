@@ -160,7 +160,6 @@ def _folder() -> Traversable:
 # What moves in a scene: the device and the hand that holds it, as tables of a file.
 
 LENGTH = "m, or in rad for a device that turns"
-
 _NO_MASS = "mass is missing; give it a value."
 
 
@@ -309,7 +308,6 @@ class Hand(Table):
 # The velocity estimator and the position filter of a scene, as tables of a file.
 
 _NYQUIST = 0.499  # of the sampling rate: a Butterworth filter ends at 0.5
-
 _FASTEST = 100.0  # of the sampling rate: a pole that is 0 in float64 is refused
 
 
@@ -394,19 +392,12 @@ class VelocityTable(_TimedTable):
 
 
 ANSWERS = ("limits", "check", "tune", "design")
-
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter")
-
 _FEW_SAMPLES = 0.01  # of delay: more likely s
-
 _SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
-
 _LIGHT = 0.01
-
 _MANY_SAMPLES = 200  # of delay: more likely a slip of the unit
-
 _MOST_SAMPLES_OF_HANDS = 128  # the same for each of hundreds of hands of a range
-
 MOST_WALLS = 1000
 
 
@@ -613,7 +604,6 @@ class _Usual(NamedTuple):
 
 
 _USUAL = _Usual((1e-3, 50.0), (0.0, 100.0), (0.0, 20.0), (0.0, 1e3), (0.0, 1e6), (0.0, 1e4))
-
 _USUAL_TURNING = _Usual((1e-8, 1.0), (0.0, 10.0), (0.0, 1.0), (0.0, 100.0), (0.0, 1e5), (0.0, 1e3))
 
 _PARTS: Mapping[str, type[Table]] = {

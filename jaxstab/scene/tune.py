@@ -45,9 +45,7 @@ from jaxstab.tuning import TuningStatus
 # of all.
 
 _BETWEEN = 100  # loops between the corners that are tried
-
 _ROUNDS = 3  # in which the slowest of them joins the corners
-
 _SEED = 20081120
 
 

@@ -27,9 +27,7 @@ from jaxstab.tuning.loops import MassLoop, TunedLoop
 # Grids of gains that zoom in on their best point.
 
 FINE = 33  # points on an axis of the grids that zoom in
-
 _NEIGHBOURS = 4  # steps of a grid to which the next one zooms in
-
 _ZOOMS = 12
 
 
@@ -85,13 +83,9 @@ def zoomed(
 
 
 _STEPS = np.geomspace(2.0**-24, 2.0**8, 129)  # from a stable point until the loop is unstable
-
 _COARSE = 65  # points on an axis of the first grid
-
 _SLOWEST = 1.0 / 16.0  # of the decay of the wall of the smallest radius
-
 _NUMBERS = 1 << 20  # of an array that walls side by side fill, about
-
 _DAMPINGS = np.geomspace(1e-7, 1e2, 600)  # of either sign, tried where the stiffness is given
 
 

@@ -45,11 +45,8 @@ from jaxstab.tuning.component import (
 # A triple real root solves p = p' = p'' = 0, a double complex pair p = p' = 0, for the gains and z.
 
 _NEWTON_STEPS = 10
-
 _PATIENCE, _LOST = 4, 0.05  # after so many steps, of the root: no root is near
-
 _FARTHEST = 1.3  # a root beyond has been lost
-
 _REAL = 1e-3  # relative: imaginary parts of a real root of a polynomial with rounded coefficients
 
 
@@ -194,31 +191,18 @@ def value(coefficients: Array, z: Array) -> Array:
 # pair next to the best point, or the point itself, passes this test.
 
 _SMALLEST, _LARGEST = 1e-4, 1.3  # radii that are looked at
-
 _FIRST = 1e-5  # rad: close enough to a double real root
-
 _NEAR = 1.2  # radii: how large other poles may be where a scan looks at them
-
 _MINIMA, _POINTS, _ROUNDS = 8, 9, 5  # of the scan that are looked at closer
-
 _MORE = 4.0  # times what a minimum lost when it was looked at closer
-
 _STEP = 0.8  # from one radius to the next smaller one that is tried
-
 _CLOSE = 1.01  # ends of the interval for the radius at which the search becomes local
-
 _SHORT = 0.1  # of the way to the radius that was guessed: what is left of it
-
 _ROWS, _COLUMNS, _ZOOMS = 32, 48, 14
-
 _FLAT = 1e-11  # relative: radii this close are not told apart
-
 _AGREEMENT = 1e-6  # relative, between the scan and the solution of the equations
-
 _ROOM = 1e-4  # relative, below a radius, where a smaller one is looked for once more
-
 _ATTEMPTS = 4
-
 _NOISE, _MOST_NOISE = 1e-5, 1e-3  # relative, of a triple pole; of one whose gains lost digits
 
 Angles = Float64[np.ndarray, " angle"]
@@ -505,7 +489,6 @@ def _quotient(coefficients: Array, pair: Pair) -> Array:
 
 
 _LIKE = (np.float64,) * 4 + (np.int8,)
-
 _NEAR_CIRCLE = 0.9  # how far out zeros are that bend the curve sharply
 
 
