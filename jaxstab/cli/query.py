@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, AtlasAnswer
 
 _MOST_BYTES = 100_000_000  # of a CSV file
-_ANSWER = ("verdict", "spectral_radius", "radius_error", "status")
+_RADIUS = ("spectral_radius", "radius_error")
+_ANSWER = ("verdict", *_RADIUS, "status")
 
 
 def _axis_options(command: Any) -> Any:
@@ -89,8 +90,10 @@ def query(
         others = given | {"csv": table, "velocity": velocity, "position": position}
         _refuse_beside_scene(others)
         opened = jaxstab.open_atlas(file)
-        rows = _asked_of_scene(opened, scene_file, wall, outside or "undecided", exact=exact)
-        _write(rows, _columns(opened, list(rows[0])), form)
+        stated, rows = _asked_of_scene(
+            opened, scene_file, wall, outside or "undecided", exact=exact
+        )
+        _write(rows, _columns(opened, list(rows[0])), form, stated)
         return 0 if all(row["verdict"] == "stable" for row in rows) else 1
     for name, value in wall.items():
         if value is not None:
@@ -104,7 +107,8 @@ def query(
         velocity=None if velocity is None else velocity_of(parsed(velocity, "--velocity: ")),
         position=None if position is None else position_of(parsed(position, "--position: ")),
     )
-    _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form)
+    stated = {"inputs": _made_of(opened), "units": dict.fromkeys([*AXES, *_RADIUS], "1")}
+    _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form, stated)
     return 0 if (answer.verdict == STABLE).all() else 1
 
 
@@ -230,17 +234,19 @@ def _columns(opened: "Atlas", names: list[str]) -> list[str]:
     products = set(opened.products)
     left_out = set() if products & {"verdict", "alpha_limits"} else {"verdict"}
     if "spectral_radius" not in products:
-        left_out |= {"spectral_radius", "radius_error"}
+        left_out |= {*_RADIUS}
     return [name for name in names if name not in left_out]
 
 
 def _asked_of_scene(
     opened: "Atlas", scene_file: Path, wall: dict[str, float | None], outside: Any, *, exact: bool
-) -> list[dict[str, float | str]]:
-    """Return a row for each wall at each corner of the ranges of a scene."""
+) -> tuple[dict[str, Any], list[dict[str, float | str]]]:
+    """Return inputs and units, and a row for each wall at each corner of the ranges of a scene."""
     from jaxstab.loop import Gains
     from jaxstab.scene import Scene
+    from jaxstab.scene.answers import Answers
     from jaxstab.scene.atlas import ask_atlas
+    from jaxstab.scene.basis import basis_of
     from jaxstab.scene.loops import walls_of
 
     scene = Scene.from_file(scene_file)
@@ -252,20 +258,44 @@ def _asked_of_scene(
         other = "damping" if name == "stiffness" else "stiffness"
         raise click.UsageError(f"--{name} is {value:g} alone; give --{other}, too.")
     walls = {"": Gains(**given)} if given else walls_of(scene)
-    moved = scene.units.moved
-    hand = f"hand_{moved}", "hand_stiffness", "hand_damping"
-    names = "stiffness", "damping", moved, *hand, "delay"
+    si, moved = scene.units, scene.units.moved
+    units = {
+        "stiffness": si.stiffness,
+        "damping": si.damping,
+        moved: si.kilogram,
+        f"hand_{moved}": si.kilogram,
+        "hand_stiffness": si.stiffness,
+        "hand_damping": si.damping,
+        "delay": "s",
+    }
     rows = []
     for asked in ask_atlas(scene, opened, walls, outside, exact=exact):
         member = asked.member
         numbers = [*asked.gains, member.mass, *member.hand[:3], member.delay]
         answer = (getattr(asked.answer, name).item() for name in _ANSWER)
         where: dict[str, float | str] = {"wall": asked.name}
-        rows.append(where | dict(zip(names, numbers, strict=True)) | _words(*answer))
-    return rows
+        rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))
+    stated = Answers(basis_of(scene), {}).as_json()
+    stated["inputs"] |= {"created_by": opened.created_by}
+    stated["units"] |= units | dict.fromkeys(_RADIUS, "1")
+    return stated, rows
 
 
-def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str) -> None:
+def _made_of(opened: "Atlas") -> dict[str, str]:
+    """Return the filters and the maker of an atlas, as inputs of its answers."""
+    from jaxstab.model import Filter
+
+    velocity, _, position = opened.filters_in_words.partition("; position: ")
+    filters = {"velocity": velocity.removeprefix("velocity: "), "position": position}
+    if position == str(Filter()):
+        del filters["position"]
+    return filters | {"created_by": opened.created_by}
+
+
+def _write(
+    rows: Iterable[dict[str, float | str]], header: list[str], form: str, stated: dict[str, Any]
+) -> None:
+    """Print a table, or JSON with inputs and units before the rows."""
     every = [{name: row[name] for name in header} for row in rows]
     if form == "csv":
         text = io.StringIO()
@@ -274,7 +304,11 @@ def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str)
         writer.writerows(row.values() for row in every)
         click.echo(text.getvalue(), nl=False)
     else:
-        click.echo(json.dumps([_finite(row) for row in every], indent=1))
+        units = stated["units"]
+        stated["units"] = {
+            name: units[name] for name in units if name in {*stated["inputs"], *header}
+        }
+        click.echo(json.dumps(stated | {"points": [_finite(row) for row in every]}, indent=1))
 
 
 def _finite(row: dict[str, float | str]) -> dict[str, float | str | None]:
