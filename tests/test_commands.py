@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -337,7 +338,7 @@ def test_31_19_json_of_regions_and_of_atlases_has_inputs_and_units(
     numbers = (inputs | found).items()
     assert [*units] == [name for name, value in numbers if isinstance(value, float | list)]
     assert set(units.values()) == {"1"}
-    given = zip(arguments, arguments[1:], strict=False)
+    given = pairwise(arguments)
     asked = {name[2:]: float(value) for name, value in given if name[2:] in units}
     assert asked.items() <= (inputs | found).items()
 
