@@ -5,7 +5,8 @@ showing it. So walls on both sides of the outline get a verdict, which is a proo
 prove the region, but a region that a proof contradicts is not given. The walls keep a distance from
 the outline, so that the rounding of a corner contradicts nothing. Next to corners they are closer:
 the curve passes a mode that walls hardly move within an angle that the search may step over, and
-where gains are small such a mode can cut off a corner of the set.
+where gains are small such a mode can cut off a corner of the set. Where walls move it so little
+that no verdict decides, no digit of the search tells more, and the region is not given either.
 """
 
 import numpy as np
@@ -33,11 +34,10 @@ Edges = Float64[np.ndarray, "_ 4"]
 Walls = Float64[np.ndarray, "2 _"]
 
 
-def is_contradicted(
-    c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviation: float
-) -> bool:
+def fails_audit(c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
     """Return whether a wall inside is proved unstable, or one outside stable.
 
+    Where a mode is next to undamped, an outline also fails if no wall beside it is proved stable.
     An outline without a loop claims that no wall is stable; gains of all sizes are tried then. An
     outline that stays away from its curve whatever the number of vertices follows nothing but
     rounding.
@@ -58,11 +58,14 @@ def is_contradicted(
     edges, extent = edges_of(vertices, outline.branches[: size - 1]), np.ptp(vertices, axis=0)
     walls = _beside(edges, extent)
     codes = linear_verdict(walls[0], walls[1], loop)
+    is_any_proved = bool(np.any(codes == STABLE))
     doubtful = codes == np.where(are_inside(edges, walls), UNSTABLE, STABLE)
     walls, codes = walls[:, doubtful], codes[doubtful]  # a polygon is not exact
     assert c.filtered is not None
     angles, distances = c.filtered.resonances
     if np.any((angles > 0.0) & (distances < _UNDAMPED)):
+        if not is_any_proved:
+            return True
         near = _beside(_near_corners(c, outline), extent, is_near=True)
         walls = np.concatenate([walls, near], axis=1)
         codes = np.concatenate([codes, linear_verdict(near[0], near[1], loop)])

@@ -174,7 +174,7 @@ def region_of(
     may_be_empty: bool,
     system: System | None = None,
 ) -> StableRegion:
-    """Return the region of a slice, UNRESOLVED if verdicts of a loop with filters contradict it."""
+    """Return the region of a slice, UNRESOLVED if that of a loop with filters fails the audit."""
     both = resolved_outline(c, delay, tolerance, may_be_empty=may_be_empty, system=system)
     return region_within(*both)
 

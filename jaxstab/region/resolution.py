@@ -7,7 +7,7 @@ import numpy as np
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.region import measures
-from jaxstab.region.audit import is_contradicted
+from jaxstab.region.audit import fails_audit
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift
 from jaxstab.region.exact_curve import in_pairs
@@ -35,8 +35,8 @@ def resolved_outline(
 ) -> tuple[SliceCoefficients, Outline]:
     """Return the outline of a slice, and the coefficients by which it was resolved.
 
-    Where no number of digits resolves it, or verdicts of the loop contradict it, the outline is not
-    ``resolved``. That nothing is stable is said after all have been tried.
+    Where no number of digits resolves it, or it fails the audit, the outline is not ``resolved``.
+    That nothing is stable is said after all have been tried.
     """
     if c.filtered is None or system is None:
         return c, _outline(c, delay, tolerance, may_be_empty, None)[0]
@@ -102,10 +102,10 @@ def _outline(
     may_be_empty: bool,
     loop: LinearLoop | None,
 ) -> tuple[Outline, Pieces]:
-    """Return an outline, not ``resolved`` if verdicts contradict it, and its pieces."""
+    """Return an outline, not ``resolved`` if it fails the audit, and its pieces."""
     pieces = refined_pieces(c, delay, may_be_empty=may_be_empty)
     outline, deviation = _adapted(c, pieces, tolerance)
-    if outline.resolved and loop is not None and is_contradicted(c, outline, loop, deviation):
+    if outline.resolved and loop is not None and fails_audit(c, outline, loop, deviation):
         outline = polygon(c, pieces._replace(resolved=np.bool_(False)), _FEWEST_POINTS)
     return outline, pieces
 
