@@ -84,7 +84,7 @@ def test_31_13_margins_with_long_windows_end_where_balls_say(case: Case) -> None
         assert case.balls(loop, share * extra).is_stable(*gains) is truth
 
 
-@pytest.mark.parametrize("excitation", ["force", "impact"])
+@pytest.mark.parametrize("excitation", ["force", pytest.param("impact", marks=CAMPAIGN)])
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_31_13_settling_with_long_windows_is_that_of_lfilter(case: Case, excitation: str) -> None:
     loop = case.loop
@@ -109,7 +109,7 @@ def test_31_13_settling_with_long_windows_is_that_of_lfilter(case: Case, excitat
 
 
 @pytest.mark.parametrize(
-    "case", [SHORTER, *CASES[2:], pytest.param(LONGEST, marks=CAMPAIGN)], ids=str
+    "case", [SHORTER, *CASES[2:-1], pytest.param(LONGEST, marks=CAMPAIGN)], ids=str
 )
 def test_31_13_hands_with_long_windows_are_those_of_balls(case: Case) -> None:
     loop = case.loop
@@ -130,8 +130,8 @@ def test_31_13_hands_with_long_windows_are_those_of_balls(case: Case) -> None:
     proved = loop.worst_hand(HANDS, *case.wall)
     assert proved.verdict == Verdict.STABLE
     assert all(case.is_stable(one, case.wall) for one in loops)
-    stiffest = min(float(one.stiffness_limits(case.wall[1])[1]) for one in loops)
-    beyond = 1.01 * stiffest, case.wall[1]
+    beyond = 1.01 * float(loops[0].stiffness_limits(case.wall[1])[1]), case.wall[1]
+    assert case.is_stable(loops[0], beyond) is False
     refuted = loop.worst_hand(HANDS, *beyond)
     assert refuted.verdict == Verdict.UNSTABLE
     for worst, wall in ((proved, case.wall), (refuted, beyond)):
