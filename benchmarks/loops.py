@@ -51,7 +51,7 @@ class Kind(NamedTuple):
 KINDS = (
     Kind(MassLoop.drawn, "", 0.45, 6),
     Kind(DeviceLoop.drawn, " of devices", 0.45, 6),
-    Kind(DeviceLoop.hardly_moved, " of devices with modes that are hardly moved", 0.095, 6),
+    Kind(DeviceLoop.hardly_moved, " of devices with modes that are hardly moved", 0.095, 2),
     Kind(long_window, " with long windows", 0.005, 1),
 )
 
