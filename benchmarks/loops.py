@@ -1,17 +1,18 @@
 """Random loops with estimators and filters against balls of python-flint: walls, radii, regions.
 
 Loops are ordinary and hostile ones (``benchmarks/truth/random_loops.py``), of one mass and of
-devices with modes, grips and motors, at delays of 0 to 30 samples. Half of the walls lie within
-1e-6 of the boundary. A radius is ``wrong`` where the circle that its bound makes larger does not
-hold all roots, or the one that it makes smaller does. Points of regions lie next to outlines,
-corners and islands, next to boundaries that eigenvalues find whether the region has them or not,
-next to where the curve sets out from theta = 0 and pi, and anywhere; an UNRESOLVED region claims
-only what it contains. The judge is the criterion of Schur and Cohn in balls; ``unjudged`` is what
-their bits do not tell. Processes, one for each core, share the loops; seconds are those of CPU in
-the process that answered. The record is written as answers come: a campaign that is ended leaves
-one of what it did.
+devices with modes, grips and motors, at delays of 0 to 30 samples; some have modes that walls
+hardly move, some windows of 42 to 200 samples. Half of the walls lie within 1e-6 of the boundary. A
+radius is ``wrong`` where the circle that its bound makes larger does not hold all roots, or the one
+that it makes smaller does. Points of regions lie next to outlines, corners and islands, next to
+boundaries that eigenvalues find whether the region has them or not, next to where the curve sets
+out from theta = 0 and pi, and anywhere; an UNRESOLVED region claims only what it contains. The
+judge is the criterion of Schur and Cohn in balls; ``unjudged`` is what their bits do not tell.
+Processes, one for each core, share the loops; seconds are those of CPU in the process that
+answered. The record is written as answers come: a campaign that is ended leaves one of what it did.
 """
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -26,16 +27,33 @@ from benchmarks.record import Row
 from benchmarks.regions import DISTANCES
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
-from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, long_window
 from jaxstab.conventions import STABLE, UNDECIDED
 from jaxstab.region import RegionStatus, StableRegion
 
-LOOPS, _SMALL = 10_000, 6  # how many loops in all, and of each kind
+LOOPS = 10_000
 _PROGRESS = 500  # loops after which counts are printed
-_SHARE = 10  # loops that a process is given at once
+_AT_ONCE = 10  # loops that a process is given
 MEASURE = "share of {} that balls refute"
 
 Loop = MassLoop | DeviceLoop
+
+
+class Kind(NamedTuple):
+    """Random loops: how one is drawn, words for them, how many of all and in a small benchmark."""
+
+    drawn: Callable[[np.random.Generator], Loop]
+    words: str
+    share: float
+    small: int
+
+
+KINDS = (
+    Kind(MassLoop.drawn, "", 0.45, 6),
+    Kind(DeviceLoop.drawn, " of devices", 0.45, 6),
+    Kind(DeviceLoop.hardly_moved, " of devices with modes that are hardly moved", 0.095, 2),
+    Kind(long_window, " with long windows", 0.005, 1),
+)
 
 _LONGEST = 30
 _WALLS = 100  # of a loop
@@ -63,11 +81,12 @@ class Tally(NamedTuple):
 def rows(
     small: bool, points: int = LOOPS, keep: Callable[[list[Row]], object] = lambda rows: None
 ) -> Iterator[Row]:
-    count, workers = (_SMALL, 1) if small else (points // 2, os.cpu_count() or 1)
+    workers = 1 if small else os.cpu_count() or 1
     done: list[Row] = []
-    for kind, words in ((MassLoop, ""), (DeviceLoop, " of devices")):
+    for kind in KINDS:
+        count = kind.small if small else math.ceil(points * kind.share)
         for tallies in _tallies(kind, count, workers):
-            known = [*done, *_rows_of(words, *tallies)]
+            known = [*done, *_rows_of(kind.words, *tallies)]
             keep(known)
         done = known
     yield from done
@@ -83,11 +102,11 @@ def _rows_of(
     yield _row("points of regions" + words, "stable_region", of_regions, "unresolved")
 
 
-def _tallies(kind: type[Loop], count: int, workers: int) -> Iterator[list[list[Tally]]]:
+def _tallies(kind: Kind, count: int, workers: int) -> Iterator[list[list[Tally]]]:
     """Yield what became of the three kinds of questions about each loop so far."""
     tallies: list[list[Tally]] = [[] for _ in _JUDGES]
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        answers = pool.map(partial(_judged, kind), range(count), chunksize=_SHARE)
+        answers = pool.map(partial(_judged, kind), range(count), chunksize=_AT_ONCE)
         for index, answer in enumerate(answers):
             for judge, kept, one in zip(_JUDGES, tallies, answer, strict=True):
                 kept.append(one)
@@ -102,11 +121,11 @@ def _tallies(kind: type[Loop], count: int, workers: int) -> Iterator[list[list[T
                     f"{sum(one.open for one in kept)} open"
                     for judge, kept in zip(_JUDGES, tallies, strict=True)
                 )
-                print(f"{kind.__name__} {index + 1}: {'; '.join(counts)}", flush=True)
+                print(f"loops{kind.words} {index + 1}: {'; '.join(counts)}", flush=True)
                 yield tallies
 
 
-def _judged(kind: type[Loop], index: int) -> list[Tally]:
+def _judged(kind: Kind, index: int) -> list[Tally]:
     """Return what became of the questions about one loop: its truth is computed once for all."""
     loop, rng = _drawn(kind, index)
     drawn = rng.bit_generator.state
@@ -117,7 +136,7 @@ def _judged(kind: type[Loop], index: int) -> list[Tally]:
     return tallies
 
 
-def _drawn(kind: type[Loop], index: int) -> tuple[Loop, np.random.Generator]:
+def _drawn(kind: Kind, index: int) -> tuple[Loop, np.random.Generator]:
     """Return one loop, which can be repeated alone, and the generator after it."""
     rng = np.random.default_rng([20121120, index])
     return kind.drawn(rng), rng

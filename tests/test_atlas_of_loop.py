@@ -292,11 +292,16 @@ def test_the_walls_of_a_scene_are_asked_at_each_corner(tmp_path: Path) -> None:
     far = run("atlas", "query", WINDOW, "--scene", path, "--stiffness", "1", "--damping", "1e9")
     assert far.stdout.count("undecided,nan,inf,outside") == len(corners)
     wall = "--stiffness", "500", "--damping", "5", "--format", "json"
-    (one, *_) = json.loads(run("atlas", "query", WINDOW, "--scene", path, *wall).stdout)
+    (one, *_) = json.loads(run("atlas", "query", WINDOW, "--scene", path, *wall).stdout)["points"]
     assert (one["wall"], one["stiffness"], one["mass"]) == ("", 500.0, 0.2)
     turning = scene_file(tmp_path, SCENE.replace("mass", "inertia"))
-    (one, *_) = json.loads(run("atlas", "query", WINDOW, "--scene", turning, *wall).stdout)
-    assert (one["inertia"], one["hand_inertia"]) == (0.2, 0.0)
+    table = json.loads(run("atlas", "query", WINDOW, "--scene", turning, *wall).stdout)
+    assert (table["points"][0]["inertia"], table["points"][0]["hand_inertia"]) == (0.2, 0.0)
+    inputs, units = table["inputs"], table["units"]  # issue 31, 19
+    assert (inputs["delay_samples"], inputs["hand_inertia"]) == (1.0, [0.0, 0.1])
+    assert (units["inertia"], units["stiffness"], units["delay"]) == ("kg m^2", "N m/rad", "s")
+    numbers = inputs | table["points"][0]
+    assert units.keys() == {name for name in numbers if not isinstance(numbers[name], str)}
 
 
 @pytest.mark.parametrize(

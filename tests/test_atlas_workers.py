@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 
 from jaxstab import AtlasSpec, Velocity, write_atlas
+from jaxstab.atlas.write import tiles
 from jaxstab.atlas.write.build import dask_cluster, processes
 
 pytestmark = pytest.mark.campaign
@@ -178,6 +180,35 @@ def test_a_dask_cluster_builds_the_serial_atlas_though_a_worker_is_killed(
     path = tmp_path / "a.h5"
     with dask_cluster(cluster.address) as executor:
         write_atlas(SPEC, path, when_done(1, cluster.running[-1].kill), executor)
+    assert path.read_bytes() == serial
+
+
+def as_of_another_code() -> None:
+    """Make a worker name another code than that of the build."""
+    maker = tiles.computed_by()
+    tiles.computed_by = lambda: maker.replace("code ", "code 1")  # type: ignore[assignment]
+
+
+def test_31_25_workers_of_a_local_cluster_are_believed_if_their_code_is_that_of_the_build(
+    serial: bytes, tmp_path: Path
+) -> None:
+    from distributed import LocalCluster
+
+    path = tmp_path / "a.h5"
+    with (
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+        ) as local,
+        local.get_client() as client,
+        dask_cluster(local.scheduler_address) as executor,
+    ):
+        write_atlas(SPEC, path, executor=executor)
+        assert path.read_bytes() == serial
+        assert len(client.run(as_of_another_code)) == 2
+        with pytest.raises(
+            RuntimeError, match=r"a worker computes with .*\(code 1.*install the same"
+        ):
+            write_atlas(replace(SPEC, delay=[1.0]), path, executor=executor)
     assert path.read_bytes() == serial
 
 

@@ -72,7 +72,8 @@ def test_a_point_is_answered_as_csv_and_as_json(path: Path) -> None:
     assert (row["verdict"], row["status"]) == ("stable", "cell")
     assert float(row["radius_error"]) > 0.0
     assert float(row["alpha"]) == 0.1
-    (entry,) = json.loads(run("atlas", "query", path, *POINT, "--format", "json").stdout)
+    table = json.loads(run("atlas", "query", path, *POINT, "--format", "json").stdout)
+    (entry,) = table["points"]
     assert entry["verdict"] == "stable"
     assert entry["spectral_radius"] == float(row["spectral_radius"])
     assert entry["radius_error"] == float(row["radius_error"])

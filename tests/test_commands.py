@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -315,6 +316,31 @@ def test_31_19_units_are_those_of_rotation() -> None:
     assert answer["inputs"]["hand_inertia"] == [0.0, 0.05]
     assert answer["units"]["largest_stiffness"] == "N m/rad"
     assert "mass" in answer["walls"]  # a name, not a quantity
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["region", "--gamma", "0", "--delta", "0.015", "--delay", "1", "--json"],
+        ["region", "--gamma", "0", "--delta", "0.015", "--radius", "0.9", "--json"],
+        ["atlas", "query", "small.h5", *POINT, "--format", "json"],
+    ],
+    ids=" ".join,
+)
+def test_31_19_json_of_regions_and_of_atlases_has_inputs_and_units(
+    arguments: list[str], folder: Path
+) -> None:
+    """Regions had their inputs between their results; queries were a list of rows alone."""
+    answer = json.loads(run(*arguments).stdout)
+    inputs, units = answer.pop("inputs"), answer.pop("units")
+    assert inputs["velocity"] == "the difference over a window of 1 sample"
+    (found,) = answer.pop("points", [answer])
+    numbers = (inputs | found).items()
+    assert [*units] == [name for name, value in numbers if isinstance(value, float | list)]
+    assert set(units.values()) == {"1"}
+    given = pairwise(arguments)
+    asked = {name[2:]: float(value) for name, value in given if name[2:] in units}
+    assert asked.items() <= (inputs | found).items()
 
 
 # ---------------------------------------------------------------------------------------- streams

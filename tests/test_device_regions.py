@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+import benchmarks.loops
 import jaxstab
+from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import STABLE, UNSTABLE, Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice, sampled_device
@@ -126,3 +128,12 @@ def test_a_mode_that_walls_hardly_move_cuts_off_a_corner() -> None:
     assert loop.verdict(*wall) == Verdict.UNSTABLE
     assert loop.region().status == RegionStatus.COMPLETE
     assert not loop.region().contains(*wall)
+
+
+@pytest.mark.parametrize("number", [22, pytest.param(25, marks=pytest.mark.campaign)])
+def test_modes_of_which_verdicts_tell_nothing_leave_no_region(number: int) -> None:
+    """Of the kind of issue 31, 6: COMPLETE regions held walls of radius 1 + 1e-20 beside a corner,
+    or lacked stable ones."""
+    rng = np.random.default_rng([20121120, number])
+    tally = benchmarks.loops.region(DeviceLoop.hardly_moved(rng), rng)
+    assert (tally.wrong, tally.open) == (0, 1)

@@ -16,7 +16,6 @@ from builds import FORMER, KEY, TINY, entries, tiny_images, tiny_plan
 from jaxstab import write_atlas
 from jaxstab.atlas.format.schema import image_of, sealed
 from jaxstab.atlas.write import build, tiles
-from jaxstab.atlas.write import build as workers
 from jaxstab.atlas.write.tiles import VALUES_DIGEST, build_key, shards_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="folders are opened by descriptor")
@@ -196,7 +195,7 @@ def test_25_tiles_of_workers_of_another_jaxstab_are_refused(
             other,
         ),
         (lambda: retiled(image, lambda file: file.attrs.__delitem__("computed_by")), "an older"),
-        (lambda: workers.no_such_thing, "cannot compute tiles of this build"),
+        (lambda: build.no_such_thing, "cannot compute tiles of this build"),
         (lambda: None, "cannot compute tiles of this build"),
     ):
         with pytest.raises(RuntimeError) as refusal:

@@ -3,7 +3,8 @@
 Parameters of filters are numbers that the truth can take over exactly; the loops are hostile as
 well as ordinary: cut-offs down to a thousandth of the sampling rate, orders to 24, hands without
 stiffness or damping, stiff ones, devices with vibration modes, grips and motors, and delays of
-whole samples and of fractions next to them.
+whole samples and of fractions next to them. Two kinds are apart: modes that walls hardly move, and
+windows of up to 200 samples.
 """
 
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from jaxstab.region.region import linear_region
 
 _HIGHEST_ORDER = 24
 _PERIOD = 2.0**-10  # of devices, in s: cut-offs in Hz and per sample are the same numbers
+_LONG = (42, 201)  # samples of windows
 
 Factor = tuple[Filter, Rational, int]  # and its order
 
@@ -84,6 +86,15 @@ class DeviceLoop:
         """Devices as haptics knows them, and some that are stiffer, less damped or later."""
         return cls(devices.drawn(rng)._replace(sample_time=_PERIOD), _filters(rng, _PERIOD))
 
+    @classmethod
+    def hardly_moved(cls, rng: np.random.Generator) -> "DeviceLoop":
+        """Devices with modes that walls hardly move, next to undamped, at small fractional delays.
+
+        Half of the hands are light and behind weak grips, half of the estimators slow smoothings.
+        """
+        filters = _slow(rng) if rng.random() < 0.5 else _filters(rng, _PERIOD)
+        return cls(_hardly_moved(rng), filters)
+
     @cached_property
     def balls(self) -> BallLoop:
         """The truth."""
@@ -125,6 +136,46 @@ def device_of(drawn: devices.Drawn) -> Device:
             hand if grip is None else hand.with_grip(stiffness=grip[1], damping=grip[0])
         )
     return device if drawn.bandwidth is None else device.with_actuator(drawn.bandwidth)
+
+
+def long_window(rng: np.random.Generator) -> MassLoop | DeviceLoop:
+    """Return a loop of a mass or of a device, a window of 42 to 200 samples, a short delay."""
+    samples = int(np.exp(rng.uniform(*np.log(_LONG))))
+    truths = filtered.difference(samples), filtered.average(1)
+    filters = Filters(Velocity.difference(samples=samples), Filter(), truths)
+    delay = float(rng.choice([0.0, 1.0, rng.uniform(0.0, 3.0), 10.0 ** rng.uniform(-9.0, -1.0)]))
+    if rng.random() < 0.5:
+        gamma, delta, _ = _hand(rng)
+        return MassLoop((gamma, delta, delay), filters)
+    return DeviceLoop(devices.drawn(rng)._replace(sample_time=_PERIOD, delay=delay), filters)
+
+
+def _hardly_moved(rng: np.random.Generator) -> devices.Drawn:
+    device = devices.drawn(rng)
+    fraction = 10.0 ** rng.uniform(-12.0, -3.0)
+    modes = []
+    for _ in range(rng.integers(1, 4)):
+        frequency = 10.0 ** rng.uniform(0.3, 2.7)
+        damping_ratio = rng.choice([0.0, 10.0 ** rng.uniform(-17.0, -6.0)])
+        heavier = rng.choice([10.0 ** rng.uniform(3.0, 9.0), 1e12], p=[0.8, 0.2])
+        sign = rng.choice([1.0, -1.0], p=[0.7, 0.3])
+        modes.append((float(frequency), float(damping_ratio), float(sign * heavier * device.mass)))
+    hand = device.hand
+    if rng.random() < 0.5:
+        mass, damping, grip_damping = (10.0 ** rng.uniform(-5.0, -2.0, 3)).tolist()
+        stiffness = float(rng.choice([0.0, 10.0 ** rng.uniform(-3.0, 1.0)]))
+        grip = float(rng.choice([0.0, grip_damping])), float(10.0 ** rng.uniform(-3.0, 1.0))
+        hand = mass, damping, stiffness, grip
+    delay = rng.integers(0, 4) + rng.choice([0.0, fraction, 1.0 - fraction])
+    own = device.modes[: 3 - len(modes)]
+    return device._replace(modes=own + modes, hand=hand, sample_time=_PERIOD, delay=float(delay))
+
+
+def _slow(rng: np.random.Generator) -> Filters:
+    """Return exponential smoothing of the difference over one sample, over up to 1,000 samples."""
+    factor = float(10.0 ** rng.uniform(-3.0, -0.5))
+    truth = filtered.times(filtered.difference(1), filtered.exponential(factor))
+    return Filters(Velocity.exponential(factor), Filter(), (truth, filtered.average(1)))
 
 
 def _filters(rng: np.random.Generator, period: float = 1.0) -> Filters:

@@ -20,8 +20,8 @@ from jaxstab.cli.options import (
     spec_file,
     write_beside,
 )
-from jaxstab.cli.query import careful
 from jaxstab.cli.scene import scene_of, warn
+from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import STABLE
 
 if TYPE_CHECKING:

@@ -1,18 +1,10 @@
 """The commands that ask an atlas and draw it."""
 
 import csv
-import ctypes
-import hashlib
 import io
 import json
 import math
-import os
-import re
-import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from functools import wraps
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,106 +12,16 @@ import click
 
 import jaxstab
 from jaxstab.cli.options import keep_programs, png_file
+from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import AXES, STABLE, Verdict
-from jaxstab.durable import named_errors, target_of
 from jaxstab.tables import parsed, text_of
-
-# Files from strangers: a published digest is compared first, and a child process reads them.
-#
-# ``python -m jaxstab.cli.query ARGUMENTS`` runs a command with limits on memory and time.
-
-_OPTION = "--untrusted"
-
-_MEMORY = 4 * 2**30  # bytes of addresses
-
-_SECONDS = 300
-
-_PR_SET_PDEATHSIG = 1
-
-
-def careful(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of a command that reads a file of a stranger, its argument ``file``."""
-
-    @click.option(_OPTION, is_flag=True, help="Read the file in a process with limits.")
-    @click.option("--expect-sha256", help="Refuse a file with another SHA-256.")
-    @wraps(command)
-    def careful_command(
-        untrusted: bool, expect_sha256: str | None, file: Path, **options: Any
-    ) -> Any:
-        if untrusted:
-            sys.exit(_in_a_child(file))
-        if expect_sha256 is not None:
-            _check_digest(file, expect_sha256)
-        return command(file=file, **options)
-
-    return careful_command
-
-
-def _check_digest(file: Path, expected: str) -> None:
-    wanted = expected.strip().lower()
-    if not re.fullmatch("[0-9a-f]{64}", wanted):
-        raise click.UsageError(
-            f"--expect-sha256 is {expected!r}; give the 64 hexadecimal digits of a SHA-256."
-        )
-    with named_errors("read", file):
-        target_of(file)  # a pipe would be waited for
-        with file.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    if digest != wanted:
-        raise ValueError(
-            f"{file} has the SHA-256 {digest}, and {wanted} is expected; do not use this file."
-        )
-
-
-def _in_a_child(file: Path) -> int:
-    """Run this command in another process, and return its exit code."""
-    arguments = [argument for argument in sys.argv[1:] if argument != _OPTION]
-    # -P: nothing from this folder
-    words = [sys.executable, "-P", "-m", __name__, str(os.getpid()), *arguments]
-    try:
-        code = subprocess.run(words, timeout=2 * _SECONDS).returncode
-    except subprocess.TimeoutExpired as error:
-        raise ValueError(f"{file} takes longer than {2 * _SECONDS} s; do not use it.") from error
-    if code < 0:
-        raise ValueError(f"{file} ended the process that read it (signal {-code}); do not use it.")
-    return code
-
-
-def main() -> None:
-    """Run a command with limits on memory and time, which ends with its parent.
-
-    The first argument is the process of the parent.
-    """
-    from jaxstab.cli.main import main as run
-
-    if sys.platform == "win32":
-        raise click.UsageError(f"{_OPTION} needs the limits of POSIX systems.")
-    import resource
-
-    _end_with(int(sys.argv.pop(1)))
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS, _SECONDS))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    run(prog_name="jaxstab")
-
-
-def _end_with(parent: int) -> None:
-    """Have the system end this process when its parent ends; elsewhere than on Linux, limits do."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
-        if os.getppid() != parent:  # it has ended already
-            sys.exit(1)
-
-
-if __name__ == "__main__":
-    main()
 
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, AtlasAnswer
 
 _MOST_BYTES = 100_000_000  # of a CSV file
-
-_ANSWER = ("verdict", "spectral_radius", "radius_error", "status")
+_RADIUS = ("spectral_radius", "radius_error")
+_ANSWER = ("verdict", *_RADIUS, "status")
 
 
 def _axis_options(command: Any) -> Any:
@@ -188,8 +90,10 @@ def query(
         others = given | {"csv": table, "velocity": velocity, "position": position}
         _refuse_beside_scene(others)
         opened = jaxstab.open_atlas(file)
-        rows = _asked_of_scene(opened, scene_file, wall, outside or "undecided", exact=exact)
-        _write(rows, _columns(opened, list(rows[0])), form)
+        stated, rows = _asked_of_scene(
+            opened, scene_file, wall, outside or "undecided", exact=exact
+        )
+        _write(rows, _columns(opened, list(rows[0])), form, stated)
         return 0 if all(row["verdict"] == "stable" for row in rows) else 1
     for name, value in wall.items():
         if value is not None:
@@ -203,7 +107,8 @@ def query(
         velocity=None if velocity is None else velocity_of(parsed(velocity, "--velocity: ")),
         position=None if position is None else position_of(parsed(position, "--position: ")),
     )
-    _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form)
+    stated = {"inputs": _made_of(opened), "units": dict.fromkeys([*AXES, *_RADIUS], "1")}
+    _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form, stated)
     return 0 if (answer.verdict == STABLE).all() else 1
 
 
@@ -327,16 +232,17 @@ def _columns(opened: "Atlas", names: list[str]) -> list[str]:
     products = set(opened.products)
     left_out = set() if products & {"verdict", "alpha_limits"} else {"verdict"}
     if "spectral_radius" not in products:
-        left_out |= {"spectral_radius", "radius_error"}
+        left_out |= {*_RADIUS}
     return [name for name in names if name not in left_out]
 
 
 def _asked_of_scene(
     opened: "Atlas", scene_file: Path, wall: dict[str, float | None], outside: Any, *, exact: bool
-) -> list[dict[str, float | str]]:
-    """Return a row for each wall at each corner of the ranges of a scene."""
+) -> tuple[dict[str, Any], list[dict[str, float | str]]]:
+    """Return inputs and units, and a row for each wall at each corner of the ranges of a scene."""
     from jaxstab.loop import Gains
     from jaxstab.scene import Scene
+    from jaxstab.scene.answers import Answers, basis_of
     from jaxstab.scene.atlas import ask_atlas
     from jaxstab.scene.loops import walls_of
 
@@ -349,20 +255,44 @@ def _asked_of_scene(
         other = "damping" if name == "stiffness" else "stiffness"
         raise click.UsageError(f"--{name} is {value:g} alone; give --{other}, too.")
     walls = {"": Gains(**given)} if given else walls_of(scene)
-    moved = scene.units.moved
-    hand = f"hand_{moved}", "hand_stiffness", "hand_damping"
-    names = "stiffness", "damping", moved, *hand, "delay"
+    si, moved = scene.units, scene.units.moved
+    units = {
+        "stiffness": si.stiffness,
+        "damping": si.damping,
+        moved: si.kilogram,
+        f"hand_{moved}": si.kilogram,
+        "hand_stiffness": si.stiffness,
+        "hand_damping": si.damping,
+        "delay": "s",
+    }
     rows = []
     for asked in ask_atlas(scene, opened, walls, outside, exact=exact):
         member = asked.member
         numbers = [*asked.gains, member.mass, *member.hand[:3], member.delay]
         answer = (getattr(asked.answer, name).item() for name in _ANSWER)
         where: dict[str, float | str] = {"wall": asked.name}
-        rows.append(where | dict(zip(names, numbers, strict=True)) | _words(*answer))
-    return rows
+        rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))
+    stated = Answers(basis_of(scene), {}).as_json()
+    stated["inputs"] |= {"created_by": opened.created_by}
+    stated["units"] |= units | dict.fromkeys(_RADIUS, "1")
+    return stated, rows
 
 
-def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str) -> None:
+def _made_of(opened: "Atlas") -> dict[str, str]:
+    """Return the filters and the maker of an atlas, as inputs of its answers."""
+    from jaxstab.model import Filter
+
+    velocity, _, position = opened.filters_in_words.partition("; position: ")
+    filters = {"velocity": velocity.removeprefix("velocity: "), "position": position}
+    if position == str(Filter()):
+        del filters["position"]
+    return filters | {"created_by": opened.created_by}
+
+
+def _write(
+    rows: Iterable[dict[str, float | str]], header: list[str], form: str, stated: dict[str, Any]
+) -> None:
+    """Print a table, or JSON with inputs and units before the rows."""
     every = [{name: row[name] for name in header} for row in rows]
     if form == "csv":
         text = io.StringIO()
@@ -371,7 +301,11 @@ def _write(rows: Iterable[dict[str, float | str]], header: list[str], form: str)
         writer.writerows(row.values() for row in every)
         click.echo(text.getvalue(), nl=False)
     else:
-        click.echo(json.dumps([_finite(row) for row in every], indent=1))
+        units = stated["units"]
+        stated["units"] = {
+            name: units[name] for name in units if name in {*stated["inputs"], *header}
+        }
+        click.echo(json.dumps(stated | {"points": [_finite(row) for row in every]}, indent=1))
 
 
 def _finite(row: dict[str, float | str]) -> dict[str, float | str | None]:

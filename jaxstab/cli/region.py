@@ -11,6 +11,7 @@ from jaxstab.cli.options import at_work, picture_file, write_beside
 
 _FIGURES = range(4, 11)
 _DIGITS = 10
+_INPUTS = "gamma", "delta", "delay", "radius"
 
 
 @click.command()
@@ -48,6 +49,7 @@ def region(
     gamma: float, delta: float, delay: float, radius: float, output: Path | None, as_json: bool
 ) -> None:
     """Measure the stable region in the (alpha, beta) plane, and draw it."""
+    from jaxstab.model import Velocity
     from jaxstab.paper import region_facts
 
     with at_work(f"region of a loop with {delay:g} samples of delay"):
@@ -59,7 +61,11 @@ def region(
         drawn = picture(region_figure(gamma, delta, delay, radius), output.suffix[1:])
         write_beside(drawn, output)
     if as_json:
-        click.echo(json.dumps(facts, indent=1, allow_nan=False))
+        inputs = {name: facts.pop(name) for name in _INPUTS}
+        units = dict.fromkeys([*inputs, *(name for name in facts if facts[name] is not None)], "1")
+        inputs = {"velocity": str(Velocity()), **inputs}
+        stated = {"inputs": inputs, "units": units, **facts}
+        click.echo(json.dumps(stated, indent=1, allow_nan=False))
     else:
         width = max(map(len, facts))
         for name, value in facts.items():

@@ -40,14 +40,15 @@ from jaxstab.region.pieces import (
 )
 from jaxstab.region.stable_set import RegionStatus, StableRegion, region_within
 
-# A second look at regions of loops with any plant, estimator and filter, by proved verdicts.
+# A-posteriori check of regions of loops with estimators and filters, by certified verdicts.
 #
 # The curve of such a loop, and the count of its other roots, may lose digits without any status
 # showing it. So walls on both sides of the outline get a verdict, which is a proof. This does not
 # prove the region, but a region that a proof contradicts is not given. The walls keep a distance
 # from the outline, so that the rounding of a corner contradicts nothing. Next to corners they are
 # closer: the curve passes a mode that walls hardly move within an angle that the search may step
-# over, and where gains are small such a mode can cut off a corner of the set.
+# over, and where gains are small such a mode can cut off a corner of the set. Where walls move it
+# so little that no verdict decides, more digits do not help, and the region is not given.
 
 _ASIDE = 1e-3  # of the outline's size
 _ROUGH = 1e-3  # of the same: edges that leave the boundary by more
@@ -62,11 +63,10 @@ Edges = Float64[np.ndarray, "_ 4"]
 Walls = Float64[np.ndarray, "2 _"]
 
 
-def is_contradicted(
-    c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviation: float
-) -> bool:
+def fails_audit(c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
     """Return whether a wall inside is proved unstable, or one outside stable.
 
+    Where a mode is next to undamped, an outline also fails if no wall beside it is proved stable.
     An outline without a loop claims that no wall is stable; gains of all sizes are tried then. An
     outline that stays away from its curve whatever the number of vertices follows nothing but
     rounding.
@@ -87,11 +87,14 @@ def is_contradicted(
     edges, extent = edges_of(vertices, outline.branches[: size - 1]), np.ptp(vertices, axis=0)
     walls = _beside(edges, extent)
     codes = linear_verdict(walls[0], walls[1], loop)
+    is_any_proved = bool(np.any(codes == STABLE))
     doubtful = codes == np.where(are_inside(edges, walls), UNSTABLE, STABLE)
     walls, codes = walls[:, doubtful], codes[doubtful]  # a polygon is not exact
     assert c.filtered is not None
     angles, distances = c.filtered.resonances
     if np.any((angles > 0.0) & (distances < _UNDAMPED)):
+        if not is_any_proved:
+            return True
         near = _beside(_near_corners(c, outline), extent, is_near=True)
         walls = np.concatenate([walls, near], axis=1)
         codes = np.concatenate([codes, linear_verdict(near[0], near[1], loop)])
@@ -171,8 +174,8 @@ def resolved_outline(
 ) -> tuple[SliceCoefficients, Outline]:
     """Return the outline of a slice, and the coefficients by which it was resolved.
 
-    Where no number of digits resolves it, or verdicts of the loop contradict it, the outline is not
-    ``resolved``. That nothing is stable is said after all have been tried.
+    Where no number of digits resolves it, or it fails the audit, the outline is not ``resolved``.
+    That nothing is stable is said after all have been tried.
     """
     if c.filtered is None or system is None:
         return c, _outline(c, delay, tolerance, may_be_empty, None)[0]
@@ -238,10 +241,10 @@ def _outline(
     may_be_empty: bool,
     loop: LinearLoop | None,
 ) -> tuple[Outline, Pieces]:
-    """Return an outline, not ``resolved`` if verdicts contradict it, and its pieces."""
+    """Return an outline, not ``resolved`` if it fails the audit, and its pieces."""
     pieces = refined_pieces(c, delay, may_be_empty=may_be_empty)
     outline, deviation = _adapted(c, pieces, tolerance)
-    if outline.resolved and loop is not None and is_contradicted(c, outline, loop, deviation):
+    if outline.resolved and loop is not None and fails_audit(c, outline, loop, deviation):
         outline = polygon(c, pieces._replace(resolved=np.bool_(False)), _FEWEST_POINTS)
     return outline, pieces
 
@@ -411,7 +414,7 @@ def region_of(
     may_be_empty: bool,
     system: System | None = None,
 ) -> StableRegion:
-    """Return the region of a slice, UNRESOLVED if verdicts of a loop with filters contradict it."""
+    """Return the region of a slice, UNRESOLVED if that of a loop with filters fails the audit."""
     both = resolved_outline(c, delay, tolerance, may_be_empty=may_be_empty, system=system)
     return region_within(*both)
 
