@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Array, Numbers, float_arrays, is_any_traced, namespace, tree_map
-from jaxstab.batches import compiled
+from jaxstab.batches import MANY, compiled
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
@@ -21,8 +21,6 @@ from jaxstab.model.parameters import (
     whole_and_fraction,
 )
 from jaxstab.model.plant import PlantPairs, plant_pairs
-
-_MANY = 1 << 15  # polynomials that are worth compiling for
 
 
 def polynomial_degree(delay: Numbers) -> int:
@@ -138,7 +136,7 @@ def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degr
     return xp.concatenate([-coefficients[..., None, 1:], below], axis=-2)
 
 
-@compiled(static=["degree"], many=_MANY)
+@compiled(static=["degree"], many=MANY)
 def _polynomial(
     alpha: Array,
     beta: Array,

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxstab.arrays import Array, is_jax, namespace, repeat
-from jaxstab.batches import compiled, lists, on_few_sizes, over_tiles
+from jaxstab.batches import MANY, compiled, lists, on_few_sizes, over_tiles
 from jaxstab.model import polynomial_degree
 from jaxstab.point.grid import looked_up
 from jaxstab.point.verdicts import Plant, float_plant
@@ -242,14 +242,13 @@ def _to_power(z: Complex, exponent: int) -> Complex | None:
     return result
 
 
-_MANY = 1 << 13
 _HIGHEST_UNROLLED = 28  # degree; from 33 on unrolled code was up to 100 times slower
 _SHORT_FOR_NUMPY = 8  # degree up to which single columns cost less than whole arrays
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _SAFETY = 1.0 + 1e-6  # the bounds themselves are rounded
 
 
-@compiled(static=["degree"], many=_MANY, wide=True)
+@compiled(static=["degree"], many=MANY, wide=True)
 def distance_of_dominant(root: Array, loop: Loop, *, degree: int) -> Array:
     """Return a proved bound of | |1 + root| - spectral radius |, inf where there is no proof.
 
@@ -261,7 +260,7 @@ def distance_of_dominant(root: Array, loop: Loop, *, degree: int) -> Array:
     return over_tiles(distance, (root, loop), TILE)
 
 
-@compiled(many=_MANY, wide=True)
+@compiled(many=MANY, wide=True)
 def modulus(root: Array) -> Array:
     """Return |1 + root| to 3 ulp."""
     return namespace(root).sqrt(Complex(root.real, root.imag).shifted(1.0).squared_modulus())

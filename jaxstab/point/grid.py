@@ -14,13 +14,12 @@ import numpy as np
 from jaxtyping import Int64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, namespace, tree_map
-from jaxstab.batches import lists
+from jaxstab.batches import MANY, lists
 from jaxstab.model import by_name, characteristic_polynomial, checked_delay, require_x64
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.numbers import checked_count
 
 CHUNK = 2**15
-MANY = 2**14  # points of one degree whose companion matrices go through XLA
 
 Result = TypeVar("Result")
 

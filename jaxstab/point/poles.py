@@ -4,15 +4,14 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from jaxstab.arrays import Array, Numbers, namespace
-from jaxstab.batches import compiled
+from jaxstab.batches import MANY_COEFFICIENTS, compiled
 from jaxstab.model import companion_matrix
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.polynomial import loop_polynomial
-from jaxstab.point.grid import MANY, over_grid
+from jaxstab.point.grid import over_grid
 
 _HUGE = 2.0**400
-_MANY = 64 * MANY  # coefficients of as many points, or more: both namespaces call LAPACK
 
 
 def closed_loop_poles(
@@ -70,7 +69,7 @@ def linear_poles(alpha: Array, beta: Array, loop: LinearLoop) -> Complex128[Arra
     return companion_poles(loop_polynomial(alpha, beta, loop))
 
 
-@compiled(many=_MANY)
+@compiled(many=MANY_COEFFICIENTS)
 def companion_poles(
     coefficients: Float64[Array, "*grid coefficient"],
 ) -> Complex128[Array, "*grid degree"]:

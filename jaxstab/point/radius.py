@@ -22,7 +22,7 @@ from jaxstab.arrays import (
     repeat_while,
     tree_map,
 )
-from jaxstab.batches import compiled, over_tiles
+from jaxstab.batches import MANY, compiled, over_tiles
 from jaxstab.conventions import STABLE, UNSTABLE, RadiusStatus
 from jaxstab.model import (
     DoubleDouble,
@@ -325,7 +325,6 @@ def _scaled_codes(
     return decide(chain, ends, UNIT, xp.asarray(degree) if is_rolled else degree)
 
 
-_MANY = 1 << 14  # points of one delay from which on XLA looks for dominant roots
 _LIST = 1 << 12  # points whose companion matrices are made at once
 _NEWTON_STEPS = 3
 
@@ -478,7 +477,7 @@ def _concrete_radius(points: list[Values], *, is_fast: bool) -> tuple[Values, Va
 def _of_delay(
     parameters: list[Values], shape: tuple[int, ...], delay: float, *, is_fast: bool
 ) -> tuple[Values, Values]:
-    if is_fast and delay <= LONGEST_DELAY and prod(shape) >= _MANY:
+    if is_fast and delay <= LONGEST_DELAY and prod(shape) >= MANY:
         value, error = fast_radius(parameters, shape, delay)
     else:
         value, error = np.zeros(shape), np.full(shape, np.inf)

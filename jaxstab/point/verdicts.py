@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace, pytree, tree_map
-from jaxstab.batches import compiled, lists, over_tiles
+from jaxstab.batches import MANY, compiled, lists, over_tiles
 from jaxstab.conventions import UNDECIDED, UNSTABLE, Verdict
 from jaxstab.model import (
     DoubleDouble,
@@ -99,7 +99,6 @@ def gathered(values: Any, shape: tuple[int, ...], indices: Int64[np.ndarray, " p
 
 # Certified verdicts of any linear loop: of any device, velocity estimator and position filter.
 
-_MANY_LOOPS = 1 << 13  # points from which on XLA answers for NumPy arrays
 _TILE = 512  # points whose polynomials stay in the cache
 _LOOP_PAIRS = 1 << 11  # points at once in double-double
 
@@ -158,7 +157,7 @@ def filtered_loops(points: Points, form: Form, filters: Filters) -> LinearLoop:
     return filtered_loop(points.gamma, points.delta, form.whole_delay, fraction, filters)
 
 
-@compiled(static=["degree"], many=_MANY_LOOPS, wide=True)
+@compiled(static=["degree"], many=MANY, wide=True)
 def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: int) -> Array:
     loop = tree_map(namespace(alpha, beta, loop).asarray, loop)
     codes = partial(dense_codes, unit=UNIT, degree=degree)
@@ -384,7 +383,6 @@ def _ends(
 # ``recursion`` has the proof, ``loop`` forms p(z) from plants that are computed once. This module
 # takes the points of a grid to the kernels, each at the degree of its own delay.
 
-_MANY = 1 << 15  # points from which on XLA answers for NumPy arrays
 _LIST = 1 << 16  # points of one list that is gathered from a grid
 _PAIRS = 1 << 12  # the same in double-double
 
@@ -516,13 +514,13 @@ def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
     return _long_codes(arguments, degree)
 
 
-@compiled(static=["degree"], many=_MANY, wide=True, pointwise=True)
+@compiled(static=["degree"], many=MANY, wide=True, pointwise=True)
 def _short_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
     codes = partial(loop_codes, unit=UNIT, degree=degree)
     return codes(*arguments) if degree <= 4 else over_tiles(codes, arguments)
 
 
-@compiled(many=_MANY, wide=True, pointwise=True)
+@compiled(many=MANY, wide=True, pointwise=True)
 def _long_codes(arguments: tuple[Any, ...], degree: int | Array) -> Array:
     return over_tiles(partial(loop_codes, unit=UNIT, degree=degree), arguments)
 
@@ -535,7 +533,7 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
         plants = float_plant(
             points.gamma, points.delta, points.delay % 1.0, is_fractional=form.is_fractional
         )
-        for part, padded in lists(indices, _LIST, fewest=_MANY):
+        for part, padded in lists(indices, _LIST, fewest=MANY):
             values = gathered((*points[:3], plants), points.shape, padded)
             codes.flat[part] = _float_codes(values, form.degree)[: part.size]
     return codes

@@ -31,7 +31,7 @@ from jaxstab.arrays import (
     namespace,
     tree_map,
 )
-from jaxstab.batches import compiled
+from jaxstab.batches import MANY_ANGLES, compiled
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
@@ -105,7 +105,6 @@ def _series(coefficients: tuple[float, ...], x: Array) -> Array:
 
 _CLOSE, _FAR = 1e-9, 4.0  # between these the distances of poles from the circle are clipped
 _VANISHING = 1e-3  # N(r) this small beside its terms: the line z = r is no anchor any more
-_MANY = 1 << 18  # angles that are worth compiling for
 
 
 class SliceCoefficients(NamedTuple):
@@ -278,7 +277,7 @@ def filtered_coefficients(
     )
 
 
-@compiled(many=_MANY)
+@compiled(many=MANY_ANGLES)
 def _slice_coefficients(
     gamma: Array, radius: Array, turns: Array, plant: PlantPairs
 ) -> SliceCoefficients:
@@ -359,7 +358,7 @@ def poles(c: SliceCoefficients) -> tuple[Array, Array]:
     return angles, xp.clip(xp.nan_to_num(distance, nan=_FAR), _CLOSE, _FAR)
 
 
-@compiled(many=_MANY)
+@compiled(many=MANY_ANGLES)
 def curve_point(
     c: SliceCoefficients, theta: Array, low: Array | float = 0.0
 ) -> tuple[Array, Array]:
