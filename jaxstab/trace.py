@@ -1,9 +1,9 @@
 """The boundary in any plane of two quantities, complete without seeds.
 
 1. The window times the angles [0, pi] is halved into boxes; those proved free of roots on the
-   circle are dropped (``circle.exclude``).
+   circle are dropped (``proofs.exclusion``).
 2. From a box that is left, a point of the boundary is solved for and its branch followed both ways
-   (``continuation``), until every box left lies at a branch; boxes that do not are halved further.
+   by pseudo-arclength steps, until every box left lies at a branch; others are halved further.
 3. Boxes that can be neither excluded nor explained are returned as unresolved.
 
 So every wall of the window with a root on the unit circle lies within two resolutions of a point

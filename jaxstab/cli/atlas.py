@@ -1,4 +1,4 @@
-"""The commands that make, describe and verify atlases; ``cli`` has those that ask and draw them."""
+"""The commands that specify, plan, build, describe and verify atlases."""
 
 import re
 import shlex

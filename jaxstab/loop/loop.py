@@ -26,12 +26,6 @@ from jaxstab.point.verdicts import linear_verdict
 from jaxstab.ranges import HandRange, Margins, RobustLimit, WallMargins, WorstHand
 from jaxstab.ranges.hands import Range
 
-# What a loop answers about its motion at given walls (K, B), in SI units.
-
-
-# What a loop answers about given walls (K, B), in SI units.
-
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 

@@ -549,7 +549,7 @@ def _at_all_times(
 
 # Proved amplitudes of any linear device: lemma M9 of docs/proofs.md.
 #
-# The sums of moduli are formed as for one mass (``disturbed``), but position and velocity between
+# The sums of moduli are formed as for one mass, but position and velocity between
 # samples are bounded from the ends of pieces of the sample, with their second derivatives.
 
 _ERROR = 16 * UNIT  # of the entries of a transition, beside that of filters

@@ -79,12 +79,13 @@ def _floats(bits: Array) -> Array:
 # The dominant root of p(z) without eigenvalues, point by point.
 #
 # Only elementwise operations, the same for every point: a compiler keeps all of it in registers.
-# ``power_iteration`` makes the guess; Newton's method works on t = z - 1, where the terms of
+# Powers of the companion matrix (``traced_radius``) make the guess; Newton's method works on
+# t = z - 1, where the terms of
 #
 #     p(z) = z^(n-2) D(z) + N(z) (alpha z + beta t),    D = t^2 + (1 - d0 + D(1)) t + D(1)
 #
 # are as small as the gains that make them, so slow loops with roots close to 1 lose no digits. That
-# a root is dominant is proved in ``dominance``.
+# a root is dominant is proved above.
 #
 # Source: eq. (9) in the form of the design.
 

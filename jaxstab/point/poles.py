@@ -1,4 +1,8 @@
-"""The closed loop's poles: eigenvalues of the companion matrix of p(z)."""
+"""The closed loop's poles: eigenvalues of the companion matrix of p(z), by LAPACK, without a proof.
+
+They serve answers of which nothing is proved (mode shapes, frequencies) and guesses for those of
+which something is.
+"""
 
 import numpy as np
 from jaxtyping import Complex128, Float64

@@ -1,4 +1,18 @@
-"""The spectral radius of the closed loop, with a proved bound of its error."""
+"""The spectral radius of the closed loop, with a proved bound of its error.
+
+The value comes from the dominant root, found in one of two ways: for many points of one delay by
+elementwise operations alone (``dominance``), otherwise as the largest eigenvalue of the companion
+matrix, refined by Newton's method. The bound is a proof that uses nothing of how the value was
+found:
+
+- lemma R2: divided by the dominant root, all other roots are proved to be inside the circle through
+  it, and lemma R1 bounds the distance of that root from its approximation; or
+- lemma R3: all roots are inside the circle of radius value + error, and not all inside that of
+  value - error. Both are verdicts on p(r z), tried for a ladder of errors.
+
+Points without a proof within ``TOLERANCE`` keep their value with the smallest error that is proved,
+or with an infinite one (NO_BOUND).
+"""
 
 import operator
 from collections.abc import Callable

@@ -1,7 +1,8 @@
-"""The largest root of real cubics to about eight digits, by additions and products alone.
+"""The spectral radius where JAX traces: a guess, Newton's method, derivatives.
 
-Source: with z = y - a/3 the cubic is y^3 + P y + Q; one root has the sign of -Q, and
-Newton's method approaches it monotonically from above.
+A transformation of JAX needs one program for all points, without eigenvalues and without branches:
+the powers of the companion matrix guess the dominant root (of degree 3 a closed form does), and
+Newton's method refines it. The derivative is that of the root by the implicit function theorem.
 """
 
 from functools import partial, reduce
@@ -16,6 +17,9 @@ from jaxtyping import Complex128, Float64
 from jaxstab.point.dominance import power_of_two_below_inverse, reciprocal, square_root
 from jaxstab.point.poles import companion_poles
 
+# The largest root of real cubics to about eight digits, by additions and products alone. With
+# z = y - a/3 the cubic is y^3 + P y + Q; one root has the sign of -Q, and Newton's method
+# approaches it monotonically from above.
 _THIRD_OF_BITS = 715_094_163  # x^(1/3) within 6 %, from a third of the upper bits of x
 _ABOVE = 1.06
 _STEPS = 5

@@ -1,4 +1,10 @@
-"""Closed polygons on the exact boundary: pieces joined to loops, points where the curve bends."""
+"""Closed polygons on the exact boundary: pieces joined to loops, points where the curve bends.
+
+Pieces are followed from end to end: a piece ends where its partner begins, so each component is
+bounded by closed loops. Vertices are spread over a piece by how much it bends; straight parts get
+few. Between two vertices alpha and beta are monotone, because turning points of either are vertices
+as well. Every vertex is a point of the closed form, exact to rounding.
+"""
 
 from functools import partial
 from typing import NamedTuple

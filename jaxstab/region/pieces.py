@@ -1,7 +1,7 @@
 """The pieces of the closed-form boundary that bound the stable set, and how they join.
 
 A point of the curve bounds the stable set exactly where the other roots of p lie inside of the
-circle (``other_roots``). So the search is one-dimensional: a *piece* is an interval of th that
+circle. So the search is one-dimensional: a *piece* is an interval of th that
 passes that test. The stable set lies to the left of a piece in the direction of growing th, because
 z -> (alpha, beta) preserves orientation. A piece ends where another root reaches the circle: a real
 one (a corner with one of the two lines) or a pair (a corner with another piece, which begins

@@ -1,7 +1,7 @@
 """The wall gains with the smallest spectral radius.
 
 The radius has no smooth minimum: at the best gains several roots share the largest modulus, and at
-a triple root it grows with the cube root of any change. So the search (``search``) does not run
+a triple root it grows with the cube root of any change. So the search does not run
 over gains, but over the dominant pair z = r e^(+-i theta) itself. Where a multiple root is found,
 its equations, p = p' = p'' = 0 at a real z or p = p' = 0 at a complex one, are solved to full
 precision.
