@@ -107,9 +107,9 @@ def float_arrays(*values: Numbers) -> list[Array]:
 def leaves(tree: object, *, plain: bool = True) -> Iterator[Any]:
     """Yield the arrays and numbers of nested tuples, lists, dicts and pytree dataclasses.
 
-    Those of NumPy and Python are passed over if they are not asked for (``plain``).
+    Those of NumPy and Python are passed over unless requested (``plain``).
     """
-    pending = [tree]  # no recursion: kernels ask often, and a generator in another costs time
+    pending = [tree]  # no recursion: it is called often, and nested generators are slow
     while pending:
         part = pending.pop()
         if type(part) in _PLAIN:

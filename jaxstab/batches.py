@@ -176,7 +176,7 @@ def lists(
 
     The lengths are ``longest`` / 8^k down to ``shortest`` (by default ``longest``): a few points do
     not pay for many. Parts of less than ``fewest`` points, which NumPy computes, stay as they are.
-    Yields each part and the list to compute, of which the part comes first.
+    Yields each part and the padded list to compute, which begins with the part.
     """
     for start in range(0, indices.size, longest):
         part = indices[start : start + longest]
@@ -190,7 +190,7 @@ def lists(
 
 
 def alike(kinds: Iterable[Hashable]) -> list[list[int]]:
-    """Return the numbers of items that are of one kind and may be asked about together."""
+    """Return the indices of items of one kind, which may be evaluated together."""
     numbers: dict[Hashable, list[int]] = defaultdict(list)
     for number, kind in enumerate(kinds):
         numbers[kind].append(number)
@@ -202,7 +202,7 @@ def by_kind(
     kinds: Iterable[Hashable],
     answer: Callable[[list[Item]], Iterable[Result]],
 ) -> list[Result]:
-    """Return the answers to items in their order; items of one kind are asked about together."""
+    """Return the answers to items in their order; items of one kind are evaluated together."""
     found: dict[int, Result] = {}
     for numbers in alike(kinds):
         answers = answer([items[number] for number in numbers])

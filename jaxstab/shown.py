@@ -82,7 +82,7 @@ def table_text(rows: Sequence[Sequence[str]]) -> str:
 
 
 def number_text(value: float, digits: int, rounding: str = ROUND_HALF_EVEN, unit: str = "") -> str:
-    """Return a number with its unit; infinite numbers and NaN are given in words."""
+    """Return a number with its unit; infinite numbers and NaN are spelled out."""
     if isnan(value):
         return "none"
     if not isfinite(value):

@@ -141,7 +141,7 @@ class Table:
         """Check a table of a file, whose keys are unknown.
 
         Args:
-            table: a mapping, or whatever stands in its place.
+            table: a mapping, or whatever was given instead.
             place: keys that lead to it, for the sentence.
 
         Raises:
@@ -161,7 +161,7 @@ class Table:
 
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return a table with what others of its values stand for."""
+        """Return a table with its values expanded."""
         return table
 
 
@@ -310,7 +310,7 @@ def nested(kind: type["Table"]) -> Check:
 
 
 def each(check: Check) -> Check:
-    """Return the check of a list, of which each entry is checked."""
+    """Return the check of a list, which checks each entry."""
 
     def check_list(value: Any) -> tuple[Any, ...]:
         if not isinstance(value, list | tuple):

@@ -296,7 +296,7 @@ def test_limits_around_a_wall_are_those_of_the_interval_that_it_is_in() -> None:
 
 def test_the_hand_that_limits_are_of_stands_before_them_and_the_linear_rule_is_no_limit() -> None:
     lines = run("limits", *OMEGA, "--hand-mass", "0:0.2").stdout.splitlines()
-    assert re.match(r"hand +at its lowest values; below stands what all hands allow$", lines[2])
+    assert re.match(r"hand +at its lowest values \(all hands: see below\)$", lines[2])
     assert lines[3] == "best"
     rule = answered("limits", *OMEGA)["linear_rule"]
     best = answered("limits", *OMEGA)["best"]

@@ -1,4 +1,4 @@
-"""The stable walls of a loop in SI units: its stable region, scaled, and asked in N/m and N s/m."""
+"""The stable walls of a loop in SI units: its stable region, scaled to N/m and N s/m."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -21,7 +21,7 @@ from jaxstab.region import (
 from jaxstab.region.region import linear_region
 from jaxstab.region.shown import GainNames, ShownRegion, limits_text
 
-TOLERANCE = 1e-6  # of the outline, where none is asked for
+TOLERANCE = 1e-6  # of the outline, by default
 _REMEMBERED = 64  # regions
 _NAMES = GainNames("K", "B", "N/m", "N s/m")
 
@@ -353,7 +353,7 @@ class WallRegion(ShownRegion):
 
 @lru_cache(maxsize=_REMEMBERED)
 def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
-    """Return the stable walls of a loop; the last ones asked for are remembered."""
+    """Return the stable walls of a loop; the most recent ones are remembered."""
     sampled = loop.sampled
     if sampled is None:
         region = stable_region(**loop.slice, tolerance=tolerance, **loop.filters)

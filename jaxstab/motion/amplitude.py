@@ -62,7 +62,7 @@ from jaxstab.rounding import RAISED, RAISED_MANY, UNIT
 _TAIL = 1e-11  # the norm of a power behind which a sum ends
 _FURTHER = 6  # doublings until then, at most
 _SUMMED = 22  # doublings, beyond which the tail is bounded as it is
-_STEEP = 0.5  # the norm of a power of which no square gives a better bound of the tail
+_STEEP = 0.5  # the norm of a power above which squaring does not improve the bound of the tail
 _TRIED = 20  # such squares
 _MATRIX_NUMBERS = 1 << 21  # of an array that is filled at once, about
 
@@ -88,7 +88,7 @@ def _parts(new: Contraction, doublings: int) -> list[np.ndarray]:
 
 
 def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output input"]:
-    """Return the bounds of systems of which A was squared equally often."""
+    """Return the bounds of systems whose A was squared equally often."""
     power, error, lost = new.transition, new.transition_error, lost_in(new.transition)
     levels: list[tuple[Matrices, PerLoop]] = []
     most = min(doublings + _FURTHER, _SUMMED)
@@ -179,7 +179,7 @@ def _sum_of_moduli(
 
 _NUMBERS = 1 << 18  # of the matrices of all loops that are looked at together
 _ROUNDINGS = 16  # of an entry of the transition, beside those of filters (lemma M7)
-_HARD = 8.0  # roundings of 1: the error of a transition of which an entry may nearly vanish
+_HARD = 8.0  # roundings of 1: the error of a transition with an entry that may nearly vanish
 _ACCURATE_GAMMA, _ACCURATE_DELTA = 0.5, 1.0  # up to which no entry of it nearly vanishes
 
 
@@ -207,7 +207,7 @@ def gains_of_disturbances(*lanes: Array, bank: Bank, causes: Causes) -> tuple[Ga
     """Return what a unit of each disturbance does; infinite where nothing is proved.
 
     The lanes hold alpha, beta, the entries (2, 4) of the propagator of a sample, the entries (3) of
-    the velocity in the middle, gamma, delta and the whole delay. What is not asked for is 0.
+    the velocity in the middle, gamma, delta and the whole delay. What is not requested is 0.
     """
     columns = np.array([np.ravel(lane) for lane in lanes])
     gains = np.zeros((3, 4, columns.shape[1]))

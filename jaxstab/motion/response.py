@@ -418,7 +418,7 @@ def propagator(
 
     The columns: position and velocity at the sample, the force that acts up to ``fraction``, the
     force that acts from then on, and a force that acts all the time. Propagators of single loops
-    are remembered, for one loop is asked about many walls.
+    are remembered, because one loop is evaluated at many walls.
     """
     gamma, delta, fraction, offsets = float_arrays(gamma, delta, fraction, offsets)
     loop = gamma, delta, fraction
@@ -553,7 +553,7 @@ def _bank(filters: Filters, sample_time: float) -> Bank:
     return bank_of(Controller.of(filters, sample_time))
 
 
-_remembered_bank = lru_cache(maxsize=64)(_bank)  # one loop is asked about many walls
+_remembered_bank = lru_cache(maxsize=64)(_bank)  # one loop is evaluated at many walls
 
 
 def steps_of(

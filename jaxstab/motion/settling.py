@@ -52,7 +52,7 @@ _BLOCK = 64  # stretches of one product, a power of two
 
 
 def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
-    """Return the sampled deviations of loops, at least as many as asked for."""
+    """Return the sampled deviations of loops, at least as many as requested."""
     outputs = np.zeros((len(loops.start), 1, loops.start.shape[1]))
     outputs[:, 0, 0] = 1.0
     motion = Motion.begun(outputs, *loops)

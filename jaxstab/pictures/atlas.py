@@ -27,7 +27,7 @@ _RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
 _MOST_PLANES = 6
 
-# The rows of a picture, and the products of which an atlas needs one for each.
+# The rows of a picture, and the products that provide each.
 _ANSWERED_BY = {
     "verdict": {"verdict", "alpha_limits"},
     "spectral_radius": {"spectral_radius"},
@@ -51,7 +51,7 @@ def draw_atlas(
     """Return a PNG of what an atlas answers in planes of (alpha, beta), a column for each delay.
 
     Args:
-        atlas: the atlas to ask.
+        atlas: the atlas to draw.
         gamma: physical stiffness k T^2/m of the planes.
         delta: physical damping b T/m of the planes.
         delays: delays t_d/T of the atlas, at most 6; by default its first ones.
@@ -123,7 +123,7 @@ def plot_atlas(
 
 
 def atlas_html(atlas: Atlas) -> str:
-    """Return a picture of an atlas at its first delay, and what it holds in words."""
+    """Return a picture of an atlas at its first delay, and a description of what it holds."""
     figure = Figure(layout="constrained", figsize=(1.5 * _WIDTH, 1.2 * _HEIGHT))
     try:
         plot_atlas(atlas, figure.subplots(), None, None, None)

@@ -169,12 +169,12 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     """Draw the stable region in the plane of K and B, in SI units, the scene's walls and an answer.
 
     What is too small to be seen beside it, of the walls that are passive or stable for all hands,
-    is enlarged in a panel of its own.
+    is enlarged in a separate panel.
 
     Args:
         scene: the scene.
         answer: what is drawn of it: of ``check_walls`` the walls' responses to a step of force, in
-            a panel of its own; of ``scene_limits`` the bound for all hands; of ``tune_walls`` the
+            a separate panel; of ``scene_limits`` the bound for all hands; of ``tune_walls`` the
             best walls; of ``design_loop`` the wanted stiffness and the regions that just allow it.
 
     Raises:
@@ -432,7 +432,7 @@ _MOST_NAMES = 12  # in a legend
 def comparison_figure(variants: Sequence[Variant]) -> Figure:
     """Draw the stable walls of several scenes that gains reach when they are turned up from 0.
 
-    Beside them stands the largest stiffness of each: over the values of a key, where one was swept
+    Beside them is the largest stiffness of each: over the values of a key, where one was swept
     through numbers, else by name.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Broadcast grids of points in chunks of one shape, each point at the degree of its own delay.
+"""Broadcast grids of points in chunks of one shape, each point at the degree of p for its delay.
 
 The grid itself is never formed: a chunk is a list of flat indices, looked up in the arguments as
 they were given. A grid of five axes needs memory for its axes, one chunk and its results; ``sweep``

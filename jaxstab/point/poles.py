@@ -1,7 +1,6 @@
 """The closed loop's poles: eigenvalues of the companion matrix of p(z), by LAPACK, without a proof.
 
-They serve answers of which nothing is proved (mode shapes, frequencies) and guesses for those of
-which something is.
+They serve unproved answers (mode shapes, frequencies) and starting values for proved ones.
 """
 
 import numpy as np

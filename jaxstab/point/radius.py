@@ -343,7 +343,7 @@ _LIST = 1 << 12  # points whose companion matrices are made at once
 _NEWTON_STEPS = 3
 
 # Strongly damped plants have coefficients of N far below its size, which do not have all their
-# digits; what is lost beside 1, divided by powers of a small radius, is more than a rounding.
+# digits; rounding errors beside 1, divided by powers of a small radius, exceed one rounding.
 _DAMPED, _SMALL_RADIUS = 10.0, 0.5
 
 _KNOWN = {

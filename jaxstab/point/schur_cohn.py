@@ -33,7 +33,7 @@ from jaxstab.model.linear_loop import Affine, LinearLoop
 
 Number = TypeVar("Number", Array, DoubleDouble)
 
-UNDERFLOW = 1e-260  # more than all that is lost by numbers flushed to zero
+UNDERFLOW = 1e-260  # more than the error of numbers flushed to zero
 SAFETY = 1.001  # the bounds themselves are rounded (lemma V3)
 
 

@@ -61,7 +61,7 @@ def _above_cube_root(x: Array) -> Array:
 # pair.
 #
 # A polynomial is a list of columns, the coefficients of many points, lowest power first; None
-# stands for a column of zeros. Only elementwise operations: a compiler keeps all of it in
+# is a column of zeros. Only elementwise operations: a compiler keeps all of it in
 # registers.
 #
 # Source: Henrici, Applied and Computational Complex Analysis I, 7.4, with the powers by squaring.

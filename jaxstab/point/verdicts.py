@@ -12,7 +12,7 @@ A verdict takes up to three steps, each for the points that the one before leave
 The loop of the paper has few coefficients, whatever the delay, so a step costs a constant number of
 operations; other loops take steps over all of their coefficients. Plants are computed once for each
 (gamma, delta, delay), in double-double (lemma V7), and gathered for the points of the grid, each
-at the degree of its own delay. NumPy and XLA run the same kernels (``batches``).
+at the degree that its delay gives. NumPy and XLA run the same kernels (``batches``).
 """
 
 from dataclasses import dataclass, fields, replace
@@ -153,7 +153,7 @@ def traced_filtered_verdict(
 
 
 def filtered_verdict(points: Points, filters: Filters) -> Int8[np.ndarray, "*grid"]:
-    """Return the codes of points of one mass, each delay at the degree of its own."""
+    """Return the codes of points of one mass; each delay has its own degree of p."""
     codes = np.zeros(points.shape, np.int8)
     for form, indices in points.groups(np.full(points.shape, True)):
         walls = points.alpha, points.beta, filtered_loops(points, form, filters)
@@ -167,7 +167,7 @@ def filtered_verdict(points: Points, filters: Filters) -> Int8[np.ndarray, "*gri
 def filtered_loops(points: Points, form: Form, filters: Filters) -> LinearLoop:
     """Return loops on the smallest grid that holds them."""
     fraction: Any = points.delay % 1.0 if form.is_fractional else 0.0
-    if form.is_fractional:  # of delays of the other form some number that is nowhere read
+    if form.is_fractional:  # delays of the other form get a number that is never read
         fraction = np.where(fraction == 0.0, 0.5, fraction)
     return filtered_loop(points.gamma, points.delta, form.whole_delay, fraction, filters)
 
@@ -242,7 +242,7 @@ def _has_outer_root(
     return (steepness > 0.0) & (size - (1.0 + rounding) * half_width > 1.0 + rounding)
 
 
-# The loop's p(z) in the form of the certified recursion, and what is lost in forming it.
+# The loop's p(z) in the form of the certified recursion, and the rounding errors of forming it.
 #
 # Plants are computed once, in double-double (lemma V7 of docs/proofs.md). Source: eq. (9).
 
@@ -357,7 +357,7 @@ def loop_codes(
 
 
 def _closed_loop(alpha: Number, beta: Number, plant: Plant[Number], unit: float) -> Chain[Number]:
-    """Return p(z) and what is lost in its coefficients."""
+    """Return p(z) and the rounding errors of its coefficients."""
     tail = tuple(
         stiff * alpha - damp * beta for stiff, damp in zip(plant.stiff, plant.damp, strict=True)
     )
@@ -538,7 +538,7 @@ def _long_codes(arguments: tuple[Any, ...], degree: int | Array) -> Array:
 
 
 def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
-    """Run every delay at the degree of its own."""
+    """Run the kernel once for each delay, whose degree differs."""
     codes = np.zeros(points.shape, np.int8)
     for form, indices in points.groups(np.full(points.shape, True)):
         # Plants on the smallest grid that holds them, then gathered like the points.

@@ -12,7 +12,7 @@ from jaxstab.rounding import UNIT
 
 _STEPS = 16
 _SMALLEST = 0.1  # of the largest corner: the size of those at 0
-_ROUGH = 1e-8  # the same mismatch next to a zero of N, of which coefficients in float64 tell less
+_ROUGH = 1e-8  # the same mismatch next to a zero of N, where float64 coefficients resolve less
 _TOLERANCE = 1e-10  # of the last step: its square is below rounding
 _PARALLEL = 1e-12  # the sine of the angle between two tangents that are
 _ROUNDING = 4.0 * UNIT  # of angles

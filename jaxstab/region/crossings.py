@@ -136,7 +136,7 @@ def _self_crossings(c: SliceCoefficients, cubics: _Cubics) -> Angles:
 
 
 def _touching_parts(number: Parts, controls: Controls) -> Int[np.ndarray, "2 pair"]:
-    """Return the pairs of parts, but for neighbours, of which the hulls may touch."""
+    """Return the pairs of parts, neighbours excepted, whose hulls may touch."""
     touching = [
         np.stack([first, second])[
             :, _hulls_overlap(controls, first, second) & _hulls_overlap(controls, second, first)
@@ -149,7 +149,7 @@ def _touching_parts(number: Parts, controls: Controls) -> Int[np.ndarray, "2 pai
 def _overlapping_boxes(
     number: Parts, low: Float64[np.ndarray, "2 part"], high: Float64[np.ndarray, "2 part"]
 ) -> Iterator[tuple[Parts, Parts]]:
-    """Yield pairs of parts, but for neighbours, of which the boxes overlap."""
+    """Yield pairs of parts, neighbours excepted, whose boxes overlap."""
     count = len(number)
     rows = max(1, _AT_ONCE // count)
     for start in range(0, count, rows):

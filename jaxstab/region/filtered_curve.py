@@ -58,7 +58,7 @@ class Around(NamedTuple):
 
     @classmethod
     def of(cls, polynomial: Polynomial) -> "Around":
-        """Return a polynomial with its powers of s, of which rounding is taken for 0."""
+        """Return a polynomial with its powers of s; rounding errors count as 0."""
         nothing = _NOTHING * size_of(polynomial)
         shifted = (c if abs(c.hi) >= nothing else _VANISHING for c in _shifted(polynomial))
         return cls(polynomial, tuple(shifted))
@@ -373,7 +373,7 @@ def _line(parts: list[Angles], angle: float, half_width: float) -> PoleLine | No
 
 
 def _divided(polynomial: Angles, zero: complex) -> Coefficients:
-    """Return a polynomial divided by z - zero, of which it has the root but for rounding."""
+    """Return a polynomial divided by z - zero, a root of it up to rounding."""
     quotient = np.empty(len(polynomial) - 1, complex)
     last = 0.0j
     for k, coefficient in enumerate(polynomial[:-1]):
@@ -460,12 +460,12 @@ def _to_fixed(value: float) -> int:
     return int(Fraction(float(value)) * (1 << _BITS))
 
 
-# Parts of the angles that are drawn out, for arcs that the curve passes in an instant. NumPy only.
+# Angle intervals rescaled to resolve fast arcs of the curve. NumPy only.
 #
 # Where slow filters leave next to nothing of the gains, a fast resonance crosses the circle within
 # 1e-9 to 1e-20 radians while the gains run through all of the stable set: no two angles in float64
 # need lie on such an arc. So around its angle c, known in double-double, an angle t within h of it
-# stands for c + h sinh(L (t - c)/h) / sinh(L): all distances from 1e-24 on have digits.
+# is mapped to c + h sinh(L (t - c)/h) / sinh(L): all distances from 1e-24 on have digits.
 
 _LEAST = 1e-24  # the distance that is drawn out to a share of 1 / L
 _WIDEST_STRETCH, _STRETCH_SHARE = (
@@ -499,7 +499,7 @@ class Stretch(NamedTuple):
 
 
 def stretches_around(centers: DoubleDouble, others: Angles) -> tuple[Stretch, ...]:
-    """Return the stretches around some angles in (0, pi), none of which reaches the others."""
+    """Return disjoint stretches around angles in (0, pi)."""
     limits = np.concatenate([centers.hi, others, [0.0, np.pi]])
     stretches = []
     for angle, rest in zip(centers.hi.tolist(), centers.lo.tolist(), strict=True):
@@ -512,7 +512,7 @@ def stretches_around(centers: DoubleDouble, others: Angles) -> tuple[Stretch, ..
 def true_angles(
     stretches: Sequence[Stretch], size: Angles, rest: Angles
 ) -> tuple[DoubleDouble, Angles]:
-    """Return the angles that angles between 0 and pi stand for, and how fast they grow."""
+    """Return the true angles of rescaled ones between 0 and pi, and the derivatives."""
     angles, speed = DoubleDouble.of(size) + rest, np.ones_like(size)
     for one in stretches:
         held = one.holds(size)
@@ -525,7 +525,7 @@ def true_angles(
 
 
 def standing_for(stretches: Sequence[Stretch], angles: DoubleDouble) -> Angles:
-    """Return the angles that stand for true ones."""
+    """Return the rescaled angles of true ones."""
     size = angles.hi + 0.0
     for one in stretches:
         held = one.holds(size)

@@ -29,7 +29,7 @@ _TINY = 1e-100  # in place of the angle 0, where quotients of sines have a limit
 
 
 class Dual(NamedTuple):
-    """Numbers with their slopes in an angle; what stands to the right of a sign may have none."""
+    """Numbers with their slopes in an angle; the right operand of an operator may have none."""
 
     value: Array
     slope: Array

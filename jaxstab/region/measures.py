@@ -245,7 +245,7 @@ def _nearest(c: SliceCoefficients, outline: Outline, points: Array) -> Array:
 
 
 def _box_distances(here: Array, there: Array, points: Array) -> Array:
-    """Return the distances of points to the boxes of which two opposite corners are given."""
+    """Return the distances of points to boxes, given by two opposite corners."""
     xp = namespace(here, there, points)
     low, high = xp.minimum(here, there), xp.maximum(here, there)
     beside = xp.maximum(xp.maximum(low - points, points - high), 0.0)

@@ -27,7 +27,7 @@ from jaxstab.region.roots import bracketed_root, with_slope
 _FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns
 _TURNS = 8  # vertical and horizontal tangents, for each eight slots of pieces
 _BESIDE = 1e-8
-_FIRST = np.geomspace(1e-6, 1e-2, 5)  # of a piece: where a curve that stands still sets out
+_FIRST = np.geomspace(1e-6, 1e-2, 5)  # of a piece: where a curve with zero speed starts
 _ROUNDING = 1e-10  # a coordinate that moves less than that is constant: a straight edge
 _TESTED = slice(1, None, 4)
 _ROUNDED = 1e-7  # a root so close to the circle may be on it, next to a corner
@@ -171,7 +171,7 @@ def _keys(pieces: Pieces, marks: _Marks) -> Array:
 
 
 def _merged(many: Array, few: Array) -> Array:
-    """Return the order of keys of which the many are in order already; by counting, not sorting."""
+    """Return the order of keys, most of which are in order already, by counting."""
     xp = namespace(many, few)
     order = xp.argsort(few, stable=True)
     rank = xp.arange(len(few)) + xp.searchsorted(many, few[order])
@@ -210,7 +210,7 @@ def _sequence(pieces: Pieces) -> tuple[Array, Array]:
 
 def _survey(c: SliceCoefficients, pieces: Pieces, count: int) -> tuple[Array, Array]:
     """Return angles (piece, node) and the tangents (alpha', beta') there (2, piece, node)."""
-    # At th = 0 and pi the curve stands still: look beside.
+    # At th = 0 and pi the curve has zero speed: look beside.
     xp = namespace(c, pieces)
     beside = _BESIDE * (pieces.end - pieces.begin)[:, None]
     begin, end = pieces.begin[:, None] + beside, pieces.end[:, None] - beside

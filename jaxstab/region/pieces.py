@@ -6,7 +6,7 @@ passes that test. The stable set lies to the left of a piece in the direction of
 z -> (alpha, beta) preserves orientation. A piece ends where another root reaches the circle: a real
 one (a corner with one of the two lines) or a pair (a corner with another piece, which begins
 there). The stable set is bounded and two lines bound nothing, so each component has a piece (lemma
-G1): what a scan of th can miss are components of which it meets no piece (docs/proofs.md, G3).
+G1): a scan of th can miss components none of whose pieces it meets (docs/proofs.md, G3).
 """
 
 from collections.abc import Callable
@@ -424,7 +424,7 @@ def _solved(
 
 # ------------------------------------------------------------------------ what follows a piece
 def _may_turn(c: SliceCoefficients, via: Array, length: int) -> Array:
-    """Return whether the boundary may turn where the lines cross, if any piece asks for it."""
+    """Return whether the boundary may turn where the lines cross, if any piece ends there."""
     if namespace(c, via) is np and not np.any(via):
         return np.False_
     return lines_crossing_is_stable(c, length)

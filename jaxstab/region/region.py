@@ -250,7 +250,7 @@ def _outline(
 
 
 def _adapted(c: SliceCoefficients, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
-    """Return an outline of as many points as the tolerance asks for, and its deviation."""
+    """Return an outline with as many points as the tolerance requires, and its deviation."""
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)
     outline = polygon(c, pieces, points)

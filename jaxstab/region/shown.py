@@ -1,4 +1,4 @@
-"""What a region shows of itself: four lines of words, and a picture."""
+"""How a region presents itself: four lines of text, and a picture."""
 
 from decimal import ROUND_FLOOR
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,11 +24,11 @@ class GainNames(NamedTuple):
     damping_unit: str = ""
 
     def at_largest_stiffness(self, point: Any) -> str:
-        """Return a point in words, the stiffness first and rounded down."""
+        """Return the text of a point, the stiffness first and rounded down."""
         return f"{self._stiffness(point, floors=True)} at {self._damping(point)}"
 
     def at_largest_damping(self, point: Any) -> str:
-        """Return a point in words, the damping first and rounded down."""
+        """Return the text of a point, the damping first and rounded down."""
         return f"{self._damping(point, floors=True)} at {self._stiffness(point)}"
 
     def _stiffness(self, point: Any, **way: bool) -> str:

@@ -129,7 +129,7 @@ class StableRegion(ShownRegion):
         max_alpha: the point (alpha, beta) of the largest alpha; NaN where there is none.
         max_beta: the point (alpha, beta) of the largest beta; NaN where there is none.
 
-    Source: eq. (9) by the D-decomposition, of which the pieces around the stable set are kept.
+    Source: eq. (9) by the D-decomposition, keeping the pieces around the stable set.
 
     Example:
         >>> round(float(jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0).area), 6)

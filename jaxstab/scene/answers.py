@@ -338,7 +338,7 @@ def grip_in_words(grip: Grip, units: Units) -> str:
 
 
 def _postures(scene: Scene) -> str | None:
-    """Return the range of the device's mass in words; None for a single mass."""
+    """Describe the range of the device's mass; None for a single mass."""
     if not scene.device.varies:
         return None
     words = IntervalQuantity("kg").words(scene.device.effective_mass, scene.units)
@@ -346,7 +346,7 @@ def _postures(scene: Scene) -> str | None:
 
 
 def _beside_one_mass(scene: Scene) -> str | None:
-    """Return in words what moves beside the mass of device and hand; None for nothing."""
+    """Describe what moves beside the mass of device and hand; None for nothing."""
     device, grip, units = scene.device, scene.hand.grip if scene.hand else None, scene.units
     words = []
     if device.modes:

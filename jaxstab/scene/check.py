@@ -270,7 +270,7 @@ class Settling(Answer):
 
 @dataclass(frozen=True)
 class Oscillation(Answer):
-    """The slowest mode with the hand, of some, of which it is damped least."""
+    """The slowest mode, with the hand for which it is damped least."""
 
     is_part = True
 
@@ -356,7 +356,7 @@ def check_walls(scene: Scene) -> Check:
 
 
 def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
-    """Return ``check_walls`` of each scene; the walls of all are asked about together.
+    """Return ``check_walls`` of each scene, evaluated as one batch.
 
     Raises:
         ValueError: as ``check_walls`` of one of them.
@@ -406,7 +406,7 @@ def _over_hands(
 ) -> list[tuple[_Wall, list[HapticLoop], Asked]]:
     """Return each wall with its loops, the one with the worst hand too, and what they answer.
 
-    The columns have a number for each wall, which is asked with each of its loops.
+    The columns have a number for each wall, evaluated with each of its loops.
     """
     held = [list(dict.fromkeys([*wall.loops, wall.known.loop])) for wall in walls]
     counts = [len(loops) for loops in held]
@@ -502,7 +502,7 @@ def settled(found: MotionSettling) -> float:
 
 
 def _oscillations(walls: Sequence[_Wall]) -> list[Oscillation]:
-    """Return the slowest mode of each wall with the hand of which it is damped least."""
+    """Return the slowest mode of each wall, with the hand for which it is damped least."""
     return [_least_damped(*own) for own in _over_hands(walls, oscillations)]
 
 

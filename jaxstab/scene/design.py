@@ -58,7 +58,7 @@ class LargestDelay(Answer):
 
 @dataclass(frozen=True)
 class Design(Answer):
-    """What a wanted stiffness asks of the controller."""
+    """What a desired stiffness requires of the controller."""
 
     inputs: Basis | None
     stiffness: Stiffness
@@ -79,7 +79,7 @@ def design_loop(scene: Scene) -> Design:
 
     A delay given in samples grows with the sample time. The damping is the one that allows most.
     The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
-    taken over a window in s, only sample times of which it is a whole number are tried.
+    taken over a window in s, only sample times that divide it are tried.
 
     Raises:
         ValueError: no stiffness is wanted, a quantity is out of range, or a stable region on the
@@ -179,7 +179,7 @@ class _Trial(NamedTuple):
 def _bracket(
     spare: Callable[[float], float], start: float, lowest: float, highest: float
 ) -> tuple[_Trial, _Trial]:
-    """Return two values, of which the lower one has something to spare, and the other one not.
+    """Return two values: the lower one meets the requirement, the upper one does not.
 
     As far as there are such between the lowest and the highest one.
     """

@@ -35,7 +35,7 @@ window = 0.005            # s, the difference over a window; or: window_samples 
 # kind = "butterworth"    # of the low pass, instead of first-order ones in a row
 # factor = 0.5            # exponential smoothing behind it
 
-[walls.soft]              # any number of walls, each with a name of its own
+[walls.soft]              # any number of walls, each with its own name
 stiffness = 300.0         # N/m
 damping = 2.0             # N s/m
 
@@ -57,7 +57,7 @@ answers = ["limits", "check"]    # of limits, check, tune, design
 """
 
 
-# The model in words, with the numbers of a scene; docs/model.md says more.
+# A description of the model with the numbers of a scene; docs/model.md says more.
 
 DIAGRAM = """\
   push of the hand                            +-------------+   +---+

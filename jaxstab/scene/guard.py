@@ -92,7 +92,7 @@ def _check_size(
 
 
 def guard_plan(scene: Scene, cells: tuple[int, int, int] | None = None) -> str:
-    """Return what ``scene_guard`` will compute, and about how long that takes, in words."""
+    """Describe what ``scene_guard`` will compute, and about how long that takes."""
     return str(plan_guard(loop_of(scene), cells or _cells_of(scene)))
 
 

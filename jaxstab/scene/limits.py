@@ -25,7 +25,7 @@ from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls
 from jaxstab.scene.scene import Scene
 
 _NOT_REACHABLE = "not reachable by turning gains up"
-_SEE_BELOW = "; below stands what all hands allow"
+_SEE_BELOW = " (all hands: see below)"
 _FAR = "small gains are not stable: no wall is reachable by turning gains up"
 _WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
 

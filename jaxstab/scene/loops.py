@@ -99,7 +99,7 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
 
 
 def hands_among(scene: Scene, count: int) -> list[OneHand]:
-    """Return so many hands along each quantity of the scene's ranges; two are the corners.
+    """Return a grid over the ranges of the scene's hand; two values each give its corners.
 
     The mass of the device is one of the quantities.
     """
@@ -234,7 +234,7 @@ def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
 
 
 class Step(NamedTuple):
-    """One thing that a scene may ask for: whether it is computed, and why or why not."""
+    """A quantity that a scene may request: whether it is computed, and why or why not."""
 
     what: str
     computed: bool

@@ -113,7 +113,7 @@ def answer_all(variants: list[Variant], function: Callable[[Scene], Answer]) -> 
 
 
 def _answers(scenes: list[Scene], function: Callable[[Scene], Answer]) -> list[Answer | str]:
-    """Return what scenes answer, or why they were refused; checks are asked for together."""
+    """Return the answers of scenes, or why they were refused; checks are one batch."""
     try:
         return [*check_scenes(scenes)] if function is check_walls else [*map(function, scenes)]
     except (ValueError, TypeError, RuntimeError) as error:

@@ -53,7 +53,7 @@ class Units(Enum):
         self.moved = moved
 
     def unit(self, of_line: str) -> str:
-        """Return the unit that stands for one of motion along a line."""
+        """Return the unit that replaces one of linear motion."""
         line = Units.LINE
         pairs = {
             line.kilogram: self.kilogram,
@@ -549,7 +549,7 @@ class Scene:
             raise ValueError("walls is empty; give at least one wall with stiffness and damping.")
 
     def unusual(self) -> list[str]:
-        """Return what looks like a slip of the unit, in words."""
+        """Describe values that look like a slip of the unit."""
         device, controller = self.device, self.controller
         hand, units = self.hand or Hand(), self.units
         kilogram, stiffness, damping = units.kilogram, units.stiffness, units.damping

@@ -31,7 +31,7 @@ class TuningStatus(Status):
     NOT_COMPUTED = 0, "not computed"
     TRIPLE_ROOT = 1, "the best found: a triple real pole, solved for to full precision"
     DOUBLE_PAIR = 2, "the best found: a double pair of poles, solved for to full precision"
-    SCANNED = 3, "the best found: a point of a scan, of which 0.01 % may be missing"
+    SCANNED = 3, "best of a search; up to 0.01 % better may exist"
     NO_STABLE_GAINS = 4, "no gains found that make the loop stable"
     ISLAND = 5, "the best found, of a scan: in an island, for small gains are not stable"
     ANY_COMPONENT = 6, "the best found, of a scan: perhaps in an island, the region is unresolved"

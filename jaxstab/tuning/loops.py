@@ -1,4 +1,4 @@
-"""One loop, of one mass or any linear device, of which the best wall is looked for."""
+"""A loop to be tuned: one mass, or any linear device."""
 
 from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias

@@ -46,7 +46,7 @@ from jaxstab.tuning.component import (
 
 _NEWTON_STEPS = 10
 _PATIENCE, _LOST = 4, 0.05  # after so many steps, of the root: no root is near
-_FARTHEST = 1.3  # a root beyond has been lost
+_FARTHEST = 1.3  # a root beyond it is no longer the one that was followed
 _REAL = 1e-3  # relative: imaginary parts of a real root of a polynomial with rounded coefficients
 
 
@@ -186,7 +186,7 @@ def value(coefficients: Array, z: Array) -> Array:
 # empty; in any case max(r, rest) is a radius that some gains have. A scan minimises rest over
 # theta, then again around the best of its local minima.
 #
-# The first guess is a triple real root, all of which are known. A scan at a slightly smaller radius
+# The first guess is a triple real root; all of these are known. A scan at a slightly smaller radius
 # shows whether it is the best. If it is not, the radius is lowered from scan to scan until a double
 # pair next to the best point, or the point itself, passes this test.
 
@@ -264,7 +264,7 @@ class _Point(NamedTuple):
 
 
 def _best(walls: Walls) -> tuple[Pair, int]:
-    """Return the best pair of a plant; what is found must stand a last scan of all angles."""
+    """Return the best pair of a plant; a last scan of all angles must find no better one."""
     low, (pair, kind) = _SMALLEST, _triple_root(walls)
     for _ in range(_ATTEMPTS):
         radius = float(np.hypot(pair.x, pair.y))
@@ -338,7 +338,7 @@ def _triple_root(walls: Walls) -> tuple[Pair, int]:
 def _holds(walls: Walls, pair: Pair) -> bool:
     """Return whether gains have the radius of their pair, but for the noise of a multiple root.
 
-    Gains that miss it by far more are an artefact of digits that were lost.
+    Gains that miss it by far more are an artefact of cancellation.
     """
     radius = np.hypot(pair.x, pair.y)
     gains = np.atleast_1d(pair.alpha), np.atleast_1d(pair.beta)
@@ -380,7 +380,7 @@ def _scanned(walls: Walls, radius: float) -> _Point:
         lowest = values[rows, least]
         row = int(np.argmin(lowest))
         best = min(best, _Point(float(lowest[row]), radius, float(closer[row, least[row]])))
-        # What a minimum may still lose is not much more than what it lost.
+        # A minimum improves further by not much more than it just did.
         is_open = lowest - _MORE * np.maximum(former - lowest, 0.0) <= best.reached
         left, right = (closer[rows, np.clip(least + side, 0, _POINTS - 1)] for side in (-1, 1))
         left, right, former = left[is_open], right[is_open], lowest[is_open]
