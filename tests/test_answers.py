@@ -423,7 +423,7 @@ def test_item_7_check_prints_the_worst_of_all_hands_and_whose_it_is(
         "walls": {"a": {"stiffness": wall[0], "damping": wall[1]}},
     }
     found = check_walls(Scene.from_table(table)).as_json()["walls"]["a"]
-    times, modes = {}, {}
+    times, modes, distances = {}, {}, []
     for hand in itertools.product(*hands.values()):
         mass, stiffness, damping = hand
         loop = HapticLoop(
@@ -435,6 +435,7 @@ def test_item_7_check_prints_the_worst_of_all_hands_and_whose_it_is(
             sample_time=1e-3,
             delay=1e-3,
         )
+        distances.append(float(loop.boundary_distance(*wall)))
         states, _ = march_on_a_fine_grid(loop, *wall, 4000, wall[0] + stiffness, np.zeros(2))
         outside = np.abs(states[::FINE, 0] - 1.0)
         times[hand] = [1e-3 * (np.flatnonzero(outside > band)[-1] + 1) for band in (0.02, 0.05)]
@@ -454,4 +455,6 @@ def test_item_7_check_prints_the_worst_of_all_hands_and_whose_it_is(
     assert found["damping_ratio"] == pytest.approx(ratio, rel=1e-9)
     assert found["frequency"] == pytest.approx(angle / (2e-3 * np.pi), rel=1e-9)
     assert found["settling_is"] == "the longest of 8 hands"
+    assert found["distance_to_boundary"] == pytest.approx(min(distances), rel=1e-12)
+    assert found["distance_is"] == "the least of 8 hands"
     assert found["oscillation_is"] == "the least damped of 8 hands"

@@ -233,12 +233,13 @@ class NoMargins(Margins):
 
 @dataclass(frozen=True)
 class Distance(Answer):
-    """The distance to the edge of stability in units of alpha and beta."""
+    """The least distance to the edge of stability over some hands, in units of alpha and beta."""
 
     is_part = True
     absent = "not known"
 
     distance_to_boundary: LargestNumber
+    distance_is: str | None
 
 
 @dataclass(frozen=True)
@@ -296,7 +297,8 @@ class Chatter(Answer):
 class WallCheck(Answer):
     """What is known of a wall, and the measures that are wanted.
 
-    The worst hand is that of the largest radius; radius and distance are given for it.
+    The worst hand is that of the largest radius, which is given for it; every other measure is the
+    worst over the hands that are tried.
     """
 
     stiffness: Stiffness
@@ -456,8 +458,11 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
 
 
 def _distances(walls: Sequence[_Wall]) -> list[Distance]:
-    found = boundary_distances([wall.at_worst for wall in walls])
-    return [Distance(away) for away in found.tolist()]
+    """Return the least distance of each wall over its hands; NaN if one has no region."""
+    return [
+        Distance(float(np.min(found)), _among("the least", loops))
+        for _, loops, found in _over_hands(walls, boundary_distances)
+    ]
 
 
 def _radii(walls: Sequence[_Wall]) -> list[Radius]:
