@@ -30,7 +30,7 @@ from jaxstab.atlas.compute import products
 from jaxstab.atlas.compute.products import compute_tile
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.schema import VARIABLES
-from jaxstab.atlas.write.estimate import estimate_build
+from jaxstab.atlas.write.resolution import estimate_build
 
 RADII = (schema.RADIUS_KIND, schema.RADIUS_TERMS)
 ONE_SLICE = {"gamma": [0.001], "delta": [0.015], "products": ["verdict"]}

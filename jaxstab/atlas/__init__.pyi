@@ -14,8 +14,8 @@ from .read.points import AtlasAnswer as AtlasAnswer
 from .read.points import QueryStatus as QueryStatus
 from .write.build import build_atlas as build_atlas
 from .write.build import write_atlas as write_atlas
-from .write.estimate import plan_resolution as plan_resolution
 from .write.resolution import Resolution as Resolution
 from .write.resolution import ResolutionPlan as ResolutionPlan
+from .write.resolution import plan_resolution as plan_resolution
 
 __all__: list[str]
