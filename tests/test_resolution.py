@@ -179,7 +179,7 @@ def test_a_small_range_keeps_its_promises(planned: ResolutionPlan, tmp_path: Pat
     assert chosen.limit_error.value <= 0.002 < planned.rows[0].limit_error.value
 
 
-@pytest.mark.parametrize("wish", [{}, {"accuracy": 0.01}, {"size": 3e6}], ids=str)
+@pytest.mark.parametrize("wish", [{}, {"accuracy": 0.001}, {"size": 3e6}], ids=str)
 def test_a_plan_computes_less_than_its_build(
     wish: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,6 +75,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 _PLASTIC = 1.1673039782614187  # the root of x^5 = x + 1: its powers spread four numbers evenly
 _FEW, _SOME, _MANY = 3, 6, 24  # parts: of a cost, of a row, of what is promised
+_PER_PART = 4  # cells of delays in tiles for each part
 _AT_ONCE = 6  # parts between looks at the spread
 _ENOUGH = 0.05  # of a value: a spread that needs no more parts
 _COLUMNS, _BETAS = 64, 16  # of limits and of radii in a part, at most
@@ -286,10 +287,14 @@ def _units(grid: Grid, product: str) -> int:
 
 
 def _parts(plan: Plan, product: str, count: int, reach: Reach | None = None) -> Iterator[_Part]:
-    """Yield parts of a product at so many places; a part at which two places are comes once."""
+    """Yield parts of a product at so many places, fewer for an atlas of few tiles.
+
+    A part at which two places are comes once.
+    """
     rng = np.random.default_rng(count)
     seen = set()
-    for number in range(count):
+    calls = len(plan.tiles) * len(plan.grid.limit_range) // plan.grid.delay.size
+    for number in range(max(_FEW, min(count, calls // _PER_PART))):
         place = (0.5 + number * _PLASTIC ** -np.arange(1.0, 5.0)) % 1.0
         grid = _SAMPLERS[product].part(plan.grid, place)
         key = grid.limit_range.tobytes() + grid.radius_range.tobytes() + grid.delay.tobytes()
