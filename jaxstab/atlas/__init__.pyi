@@ -13,7 +13,6 @@ from .read.outline import AtlasOutline as AtlasOutline
 from .read.points import AtlasAnswer as AtlasAnswer
 from .read.points import QueryStatus as QueryStatus
 from .write.build import build_atlas as build_atlas
-from .write.build import write_atlas as write_atlas
 from .write.resolution import Resolution as Resolution
 from .write.resolution import ResolutionPlan as ResolutionPlan
 from .write.resolution import plan_resolution as plan_resolution

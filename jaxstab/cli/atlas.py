@@ -47,9 +47,9 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
 
     What was interrupted goes on where it ended when the same command is given again.
     """
-    from jaxstab.atlas import AtlasSpec, write_atlas
+    from jaxstab.atlas import AtlasSpec
     from jaxstab.atlas.read.file import node_count
-    from jaxstab.atlas.write.build import dask_cluster, processes
+    from jaxstab.atlas.write.build import dask_cluster, processes, write_atlas
 
     if workers and scheduler is not None:
         raise click.UsageError("--workers and --scheduler are given; give one of them.")
