@@ -25,9 +25,9 @@ from hostile import retold, sub
 
 import jaxstab
 from jaxstab import build_atlas, durable, open_atlas
-from jaxstab.atlas.compute import products
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.write import build
 from jaxstab.atlas.write.build import tile_image
 from jaxstab.atlas.write.tiles import shards_of
@@ -163,9 +163,8 @@ def test_the_digest_of_the_content_is_that_of_its_description(whole: bytes) -> N
 def test_what_is_not_in_float64_is_refused_in_the_worker(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(
-        products._COMPUTED_BY, "verdict", lambda *_: {"verdict": np.zeros((3, 2, 1, 1, 1))}
-    )
+    wrong = {"verdict": np.zeros((3, 2, 1, 1, 1))}
+    monkeypatch.setattr(PRODUCTS["verdict"], "compute", lambda *_: wrong)
     with pytest.raises(RuntimeError, match=r"verdict was computed as float64 .*, not as int8"):
         tile_image(plan, plan.tiles[0], KEY)
 

@@ -157,7 +157,7 @@ def test_a_radius_that_cannot_be_computed_is_not_taken_for_right(
         radius = spectral_radius(**asked)
         return radius._replace(value=np.full_like(radius.value, np.nan))
 
-    monkeypatch.setattr("jaxstab.atlas.write.verify.spectral_radius", lost)
+    monkeypatch.setattr("jaxstab.point.spectral_radius", lost)
     assert verified(whole, tmp_path) == (1, ["spectral_radius"])
 
 

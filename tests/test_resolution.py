@@ -25,8 +25,7 @@ from jaxstab import (
     verdict,
 )
 from jaxstab.atlas.compute.layout import counts_of, with_counts
-from jaxstab.atlas.compute.plan import Plan, Tile
-from jaxstab.atlas.compute.products import compute_tile
+from jaxstab.atlas.compute.plan import Plan, Tile, compute_tile
 from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.write import resolution
 from jaxstab.cli.main import main

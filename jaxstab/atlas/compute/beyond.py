@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
 from jaxstab.atlas.compute.layout import Grid
-from jaxstab.atlas.format.schema import WHOLE_ALPHA, WHOLE_BOTH
-from jaxstab.atlas.read.limits import surface
+from jaxstab.atlas.products.limits import WHOLE_ALPHA, WHOLE_BOTH, surface
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.columns import StableColumns, stable_columns
 from jaxstab.proofs.enclosures import Domain

@@ -14,11 +14,21 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format import schema
+from jaxstab.atlas.format.variables import SPEC
+from jaxstab.atlas.products.limits import (
+    ALPHA_LIMITS,
+    LIMIT_RANGE,
+    LIMIT_WHOLE,
+    AlphaLimits,
+    LimitTable,
+    MaxAlpha,
+    OutsideError,
+)
+from jaxstab.atlas.products.radii import SPECTRAL_RADIUS, RadiusTable
+from jaxstab.atlas.products.slices import AtlasOutline, outline_at
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT, decided_share
 from jaxstab.atlas.read import file
-from jaxstab.atlas.read.file import decided_share
-from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha, OutsideError, RadiusTable
-from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.read.points import (
     AtlasAnswer,
     Floats,
@@ -309,8 +319,8 @@ def _check_filters(atlas: "Atlas", loop: Any) -> None:
 def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the ends of alpha and of beta at a delay, of which the atlas must say something."""
     arrays = atlas.arrays
-    if schema.ALPHA_LIMITS in arrays:
-        rows = arrays[schema.LIMIT_RANGE]
+    if ALPHA_LIMITS in arrays:
+        rows = arrays[LIMIT_RANGE]
         row = rows[np.searchsorted(rows[:, 0], delay, "right") - 1]
         if delay <= row[1]:
             return (float(row[2]), float(row[3])), (float(row[4]), float(row[5]))
@@ -372,12 +382,12 @@ class Atlas:
         nodes = self.nodes(delay_number)
         if self._table is not None:
             return self._table.decided_share(float(self.delays[delay_number]))
-        if schema.CELL_VERDICT not in self.arrays:
+        if CELL_VERDICT not in self.arrays:
             return 0.0
         if isinstance(self.arrays, file.PackedArrays):
-            blocks = self.arrays.blocks(schema.CELL_VERDICT, delay_number)
+            blocks = self.arrays.blocks(CELL_VERDICT, delay_number)
             return decided_share(blocks, [*nodes.values()])
-        codes = self.arrays[schema.CELL_VERDICT][..., delay_number : delay_number + 1]
+        codes = self.arrays[CELL_VERDICT][..., delay_number : delay_number + 1]
         return decided_share([((0, 0, 0, 0, 0), codes)], [*nodes.values()])
 
     def query(
@@ -439,7 +449,7 @@ class Atlas:
             here = np.flatnonzero(inside & (where["delay"] == node))
             if here.size:
                 answer_at_delay(self.arrays, number, where, here, answer)
-        if schema.SPECTRAL_RADIUS in self.products:
+        if SPECTRAL_RADIUS in self.products:
             answer_radii(self._radii, where, inside, answer)
         if exact:
             own = self.filters or (None, None)
@@ -627,7 +637,7 @@ class Atlas:
 
     @property
     def _has_verdicts(self) -> bool:
-        return schema.VERDICT in self.arrays or schema.ALPHA_LIMITS in self.arrays
+        return VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
 
     @cached_property
     def _radii(self) -> RadiusTable:
@@ -637,9 +647,9 @@ class Atlas:
     @cached_property
     def _table(self) -> LimitTable | None:
         """The limits of alpha, where the atlas has them."""
-        if schema.ALPHA_LIMITS not in self.arrays:
+        if ALPHA_LIMITS not in self.arrays:
             return None
-        names = schema.ALPHA_LIMITS, schema.LIMIT_RANGE, schema.LIMIT_WHOLE
+        names = ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
         hands = {name: self.arrays[name] for name in ("gamma", "delta")}
         return LimitTable(*(self.arrays[name] for name in names), **hands)
 
@@ -648,8 +658,7 @@ class Atlas:
         table = self._table
         if table is None:
             raise ValueError(
-                "this atlas holds no limits of alpha; build one with the product "
-                f"{schema.ALPHA_LIMITS!r}."
+                f"this atlas holds no limits of alpha; build one with the product {ALPHA_LIMITS!r}."
             )
         names = [*given, "delay"]
         points = np.broadcast_arrays(*all_checked((*given.values(), delay), names))
@@ -683,7 +692,7 @@ class Atlas:
 
     def __init__(self, contents: file.Contents) -> None:
         self.arrays = contents.arrays
-        self.spec = b"\n".join(self.arrays[schema.SPEC].tolist()).decode("utf-8") + "\n"
+        self.spec = b"\n".join(self.arrays[SPEC].tolist()).decode("utf-8") + "\n"
         self.created_by = contents.created_by
         self.filters_in_words = contents.filters
 
@@ -696,7 +705,7 @@ class Atlas:
             >>> atlas.products
             ('verdict', 'alpha_limits', 'spectral_radius')
         """
-        return tuple(name for name, held in schema.PRODUCTS.items() if held[0] in self.arrays)
+        return tuple(name for name, one in PRODUCTS.items() if one.names[0] in self.arrays)
 
     @property
     def delays(self) -> Floats:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxstab.atlas.format import schema
+from jaxstab.atlas.products.limits import ALPHA_LIMITS, LimitTable
+from jaxstab.atlas.products.radii import RadiusTable
+from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT
 from jaxstab.atlas.read.file import Integers, Mask, PackedArrays, Place
-from jaxstab.atlas.read.limits import LimitTable, RadiusTable
 from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE, Status
 from jaxstab.numbers import checked
 
@@ -219,15 +220,15 @@ def answer_at_delay(
     points = {name: where[name][here] for name in _WALLS}
     place = Place.of([(along, points[name]) for name, along in nodes.items()])
     codes, status = answer.verdict[here], answer.status[here]
-    if schema.ALPHA_LIMITS not in arrays:
+    if ALPHA_LIMITS not in arrays:
         status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
-        if schema.CELL_VERDICT in arrays:
-            codes = _codes_at(arrays, schema.CELL_VERDICT, place.cell, number)
+        if CELL_VERDICT in arrays:
+            codes = _codes_at(arrays, CELL_VERDICT, place.cell, number)
             status[(codes == STABLE) | (codes == UNSTABLE)] = QueryStatus.CELL
     left = place.at_node & (codes == UNDECIDED)
-    if schema.VERDICT in arrays and left.any():
+    if VERDICT in arrays and left.any():
         nodes_left = [along[left] for along in place.node]
-        codes[left] = _codes_at(arrays, schema.VERDICT, nodes_left, number)
+        codes[left] = _codes_at(arrays, VERDICT, nodes_left, number)
     status[place.at_node] = QueryStatus.NODE
     answer.verdict[here], answer.status[here] = codes, status
 

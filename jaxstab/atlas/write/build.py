@@ -19,8 +19,7 @@ from os import PathLike
 from pathlib import Path
 
 import jaxstab
-from jaxstab.atlas.compute.plan import Plan, Tile, plan_atlas
-from jaxstab.atlas.compute.products import compute_tile
+from jaxstab.atlas.compute.plan import Plan, Tile, compute_tile, plan_atlas
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.read.atlas import Atlas, open_atlas
 from jaxstab.atlas.write.merge import merge

@@ -13,12 +13,19 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.compute.beyond import whole_axes
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.schema import VARIABLES, Chunked, content_digest, digest_of, footer_of
+from jaxstab.atlas.format.schema import (
+    VARIABLES,
+    Chunked,
+    content_digest,
+    digest_of,
+    footer_of,
+)
 from jaxstab.atlas.format.spec import words_of
 from jaxstab.atlas.format.table import RefusalError, table_text
+from jaxstab.atlas.format.variables import LARGEST_UNASKED, SPEC
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read.file import TooLargeError, contents_of, table_in
 from jaxstab.atlas.write.tiles import VALUES_DIGEST, Shards
 from jaxstab.atlas.write.variables import (
@@ -65,7 +72,7 @@ def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
 def _check_whole(path: Path, written: io.FileIO) -> None:
     """Refuse what could not be opened, before it takes the place of a former file."""
     try:
-        if written.seek(0, io.SEEK_END) <= schema.LARGEST_UNASKED:
+        if written.seek(0, io.SEEK_END) <= LARGEST_UNASKED:
             written.seek(0)
             dict(contents_of(path, written.readall()).arrays)
         else:
@@ -81,8 +88,7 @@ def _check_whole(path: Path, written: io.FileIO) -> None:
 
 def _create_variables(file: h5py.File, plan: Plan, shards: Shards) -> dict[str, h5py.Dataset]:
     """Write what is known without the tiles, and make room for the rest."""
-    chosen = (name for product in plan.spec.products for name in schema.PRODUCTS[product])
-    names = schema.ALWAYS.union(chosen)
+    names = schema.ALWAYS.union(*(PRODUCTS[product].names for product in plan.spec.products))
     lengths = plan.grid.lengths | _flat_lengths(plan, shards, names)
     known = _known_variables(plan, lengths)
     datasets = {}
@@ -105,17 +111,16 @@ def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArra
     """Return the axes and the specification."""
     grid = plan.grid
     lines = np.array([line.encode("utf-8") for line in plan.spec.to_toml().splitlines()])
-    known = {
+    known: dict[str, NDArray[Any]] = {
         "alpha": grid.alpha,
         "beta": grid.beta,
         "gamma": grid.gamma,
         "delta": grid.delta,
         "delay": grid.delay,
-        schema.LIMIT_RANGE: grid.limit_range,
-        schema.LIMIT_WHOLE: whole_axes(grid, plan.spec.filters),
-        schema.RADIUS_RANGE: grid.radius_range,
-        schema.SPEC: lines,
+        SPEC: lines,
     }
+    for chosen in plan.spec.products:
+        known |= PRODUCTS[chosen].known_before(grid, plan.spec.filters)
     counted = {**lengths, "spec_line": lines.size}
     numbers = {name: np.arange(count, dtype=np.int32) for name, count in counted.items()}
     return numbers | known
@@ -123,9 +128,7 @@ def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArra
 
 def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str, int]:
     """Return the total length of all tiles along each dimension that is not one of the grid."""
-    flat = [
-        n for n in names if not (plan.is_gridded(n) or VARIABLES[n].is_axis or n == schema.SPEC)
-    ]
+    flat = [n for n in names if not (plan.is_gridded(n) or VARIABLES[n].is_axis or n == SPEC)]
     lengths = {VARIABLES[name].dimensions[-1]: 0 for name in flat}
     for tile in plan.tiles if flat else ():
         with shards.opened(plan, tile) as image:

@@ -21,7 +21,7 @@ is proved.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isnan, prod
@@ -49,24 +49,16 @@ from jaxstab.atlas.compute.layout import (
     with_counts,
     with_known_nodes,
 )
-from jaxstab.atlas.compute.plan import Plan
-from jaxstab.atlas.compute.products import compute_tile
+from jaxstab.atlas.compute.plan import Plan, compute_tile
 from jaxstab.atlas.format.schema import (
-    ALPHA_LIMITS,
-    CELL_VERDICT,
-    LARGEST_ARRAY,
-    LIMIT_TERMS,
-    LIMITS,
-    RADIUS_CELL,
-    RADIUS_RANGE,
-    SLICE,
-    SPECTRAL_RADIUS,
-    VERDICT,
     image_of,
 )
 from jaxstab.atlas.format.spec import AtlasSpec
-from jaxstab.atlas.read.file import decided_share
-from jaxstab.atlas.read.limits import RadiusTable, limits_at, undecided_share
+from jaxstab.atlas.format.variables import LARGEST_ARRAY
+from jaxstab.atlas.products.limits import ALPHA_LIMITS
+from jaxstab.atlas.products.radii import SPECTRAL_RADIUS
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.products.verdicts import VERDICT
 from jaxstab.atlas.write.tiles import encode_tile
 from jaxstab.numbers import checked_number
 
@@ -74,12 +66,11 @@ Floats = Float64[np.ndarray, "..."]
 Arrays = Mapping[str, NDArray[Any]]
 
 _PLASTIC = 1.1673039782614187  # the root of x^5 = x + 1: its powers spread four numbers evenly
+_JUDGES = ALPHA_LIMITS, VERDICT, SPECTRAL_RADIUS  # by the first of them a resolution is judged
 _FEW, _SOME, _MANY = 3, 6, 24  # parts: of a cost, of a row, of what is promised
 _PER_PART = 4  # cells of delays in tiles for each part
 _AT_ONCE = 6  # parts between looks at the spread
 _ENOUGH = 0.05  # of a value: a spread that needs no more parts
-_COLUMNS, _BETAS = 64, 16  # of limits and of radii in a part, at most
-_POINTS, _PER_COLUMN = 2**12, 4  # at which radii and limits are evaluated
 _MOST = 0.95  # of the limits keep the error that is said
 _DRAWS = 50  # of samples of a sample, for its spread
 _FILE, _CHUNK = 28_000, 90  # bytes of a file whose arrays are empty, and of a chunk beside values
@@ -89,7 +80,7 @@ _LEAST_SHARE = 0.02  # of the error, of an axis
 _LEAST_GOAL = 1e-12  # an error
 _SCALES = 2.0**-20, 2.0**20  # in units of the given resolution
 _LADDER = 0.5, 2.0**0.5  # resolutions beside the chosen one, in units of it
-_LIMITS = {"accuracy": (1e-9, 1.0), "size": (0.0, inf)}
+_ALLOWED = {"accuracy": (1e-9, 1.0), "size": (0.0, inf)}
 
 
 class Estimate(NamedTuple):
@@ -138,152 +129,11 @@ class _Part(NamedTuple):
     undecided: float
 
 
-class _Sampler(NamedTuple):
-    """How parts of a product are taken from an atlas and judged.
-
-    Attributes:
-        unit: dimensions of what its cost is proportional to.
-        part: the grid of a part at a place.
-        judged: errors and undecided share of a part that is computed.
-        knobs: the counts on which its error depends.
-        power: of the fall of the error with the scale.
-    """
-
-    unit: Sequence[str]
-    part: Callable[[Grid, Floats], Grid]
-    judged: Callable[[Grid, Arrays, Reach | None, np.random.Generator], tuple[Floats, float]]
-    knobs: Sequence[str] = ()
-    power: float = 0.0
-
-
 # ------------------------------------------------------------------------------- parts of products
 
 
-def _index(widths: Floats, share: float) -> int:
-    """Return the cell at a share of the way through all of them."""
-    if not widths.any():
-        return min(int(share * widths.size), max(widths.size - 1, 0))
-    ends = np.cumsum(widths)
-    return min(int(np.searchsorted(ends, share * ends[-1], "right")), widths.size - 1)
-
-
-def _hands_at(grid: Grid, gamma: float, delta: float) -> Grid:
-    first, second = _index(np.diff(grid.gamma), gamma), _index(np.diff(grid.delta), delta)
-    return replace(grid, gamma=grid.gamma[first : first + 2], delta=grid.delta[second : second + 2])
-
-
-def _some_betas(
-    row: Floats, cells: int, most: int, share: float
-) -> tuple[int, Float64[np.ndarray, "1 6"]]:
-    """Return how many of the cells along beta are in a part, and its row of delays and walls."""
-    runs = -(-cells // most)
-    ends = (np.array([0, 1]) + int(share * runs)) * cells // runs
-    low, high = row[4] + (row[5] - row[4]) * ends / cells
-    return int(ends[1] - ends[0]), np.array([[*row[:4], low, high]])
-
-
-def _of_one_wall(grid: Grid, row: Floats) -> Grid:
-    return replace(grid, alpha=grid.alpha[:, :1], beta=grid.beta[:, :1], delay=row[0, :1])
-
-
-def _part_of_limits(grid: Grid, place: Floats) -> Grid:
-    delay, gamma, delta, beta = place
-    row = grid.limit_range[_index(np.diff(grid.limit_range[:, :2])[:, 0], delay)]
-    columns, ends = _some_betas(row, grid.limit_cells, _COLUMNS, beta)
-    part = _of_one_wall(_hands_at(grid, gamma, delta), ends)
-    return replace(part, limit_cells=columns, limit_range=ends)
-
-
-def _judged_limits(
-    grid: Grid, arrays: Arrays, reach: Reach | None, rng: np.random.Generator
-) -> tuple[Floats, float]:
-    early, late, least, most, low, high = grid.limit_range[0].tolist()
-    terms = arrays[ALPHA_LIMITS].reshape(-1, 2 * LIMIT_TERMS)
-    column = np.repeat(np.arange(len(terms)), _PER_COLUMN)
-    beta = low + (column + rng.random(column.size)) / len(terms) * (high - low)
-    ends = *((nodes[0], nodes[-1]) for nodes in (grid.gamma, grid.delta)), (early, late)
-    others = [rng.uniform(*pair, column.size) for pair in ends]
-    limits = limits_at(terms[column].T, beta, *others)
-    undecided = float(undecided_share(limits, least, most).mean())
-    if reach is None:
-        return np.zeros(0), undecided
-    stable = (limits.lower < inf) & ((limits.upper < inf) | (limits.upper_error == inf))
-    return limits.upper_error[stable] / reach.along(others[-1][stable])[:, 0], undecided
-
-
-def _part_of_verdicts(grid: Grid, place: Floats) -> Grid:
-    delay, gamma, delta, _ = place
-    number = int(delay * grid.delay.size)
-    one = slice(number, number + 1)
-    return replace(
-        _hands_at(grid, gamma, delta),
-        alpha=grid.alpha[:, one],
-        beta=grid.beta[:, one],
-        delay=grid.delay[one],
-    )
-
-
-def _judged_verdicts(
-    grid: Grid, arrays: Arrays, reach: Reach | None, rng: np.random.Generator
-) -> tuple[Floats, float]:
-    axes = [grid.alpha[:, 0], grid.beta[:, 0], grid.gamma, grid.delta]
-    return np.zeros(0), 1.0 - decided_share([((0, 0, 0, 0, 0), arrays[CELL_VERDICT])], axes)
-
-
-def _part_of_radii(grid: Grid, place: Floats) -> Grid:
-    delay, *hand, beta = place
-    row = grid.radius_range[_index(np.diff(grid.radius_range[:, :2])[:, 0], delay)]
-    alphas, betas, *of_hands = grid.radius_cells
-    columns, ends = _some_betas(row, betas, _BETAS, beta)
-    sides = [
-        np.unique(nodes[0] + np.ptp(nodes) * (int(share * count) + np.arange(2.0)) / count)
-        for nodes, count, share in zip((grid.gamma, grid.delta), of_hands, hand, strict=True)
-    ]
-    return replace(
-        _of_one_wall(grid, ends),
-        gamma=sides[0],
-        delta=sides[1],
-        radius_cells=(alphas, columns, 1, 1),
-        radius_range=ends,
-    )
-
-
-def _judged_radii(
-    grid: Grid, arrays: Arrays, reach: Reach | None, rng: np.random.Generator
-) -> tuple[Floats, float]:
-    hands = {"gamma": grid.gamma, "delta": grid.delta}
-    table = RadiusTable({**arrays, **hands, RADIUS_RANGE: grid.radius_range})
-    early, late, *walls = grid.radius_range[0].tolist()
-    ends = *np.reshape(walls, (2, 2)), *hands.values(), (early, late)
-    low, high = table.bounds([rng.uniform(side[0], side[-1], _POINTS) for side in ends])
-    stable = low + high < 2.0
-    return 0.5 * (np.minimum(high, 1.0) - low)[stable], np.nan
-
-
-def _part_of_slices(grid: Grid, place: Floats) -> Grid:
-    part = _part_of_verdicts(grid, place)
-    return replace(part, gamma=part.gamma[:1], delta=part.delta[:1])
-
-
-def _not_judged(
-    grid: Grid, arrays: Arrays, reach: Reach | None, rng: np.random.Generator
-) -> tuple[Floats, float]:
-    return np.zeros(0), np.nan
-
-
-_SAMPLERS = {
-    ALPHA_LIMITS: _Sampler(LIMITS[:4], _part_of_limits, _judged_limits, (*HANDS, *OF_LIMITS), 2.0),
-    VERDICT: _Sampler(
-        ("beta_node", *SLICE), _part_of_verdicts, _judged_verdicts, (*WALLS, *HANDS), 1.0
-    ),
-    SPECTRAL_RADIUS: _Sampler(RADIUS_CELL, _part_of_radii, _judged_radii, (*WALLS, *HANDS), 3.0),
-    "outline": _Sampler(SLICE, _part_of_slices, _not_judged),
-    "summary": _Sampler(SLICE, _part_of_slices, _not_judged),
-}
-
-
 def _units(grid: Grid, product: str) -> int:
-    return prod(grid.lengths[name] for name in _SAMPLERS[product].unit)
+    return prod(grid.lengths[name] for name in PRODUCTS[product].unit)
 
 
 def _parts(plan: Plan, product: str, count: int, reach: Reach | None = None) -> Iterator[_Part]:
@@ -296,13 +146,13 @@ def _parts(plan: Plan, product: str, count: int, reach: Reach | None = None) -> 
     calls = len(plan.tiles) * len(plan.grid.limit_range) // plan.grid.delay.size
     for number in range(max(_FEW, min(count, calls // _PER_PART))):
         place = (0.5 + number * _PLASTIC ** -np.arange(1.0, 5.0)) % 1.0
-        grid = _SAMPLERS[product].part(plan.grid, place)
+        grid = PRODUCTS[product].part(plan.grid, place)
         key = grid.limit_range.tobytes() + grid.radius_range.tobytes() + grid.delay.tobytes()
         key += grid.gamma.tobytes() + grid.delta.tobytes()
         if key not in seen:
             seen.add(key)
             seconds, size, arrays = _computed(plan, product, grid)
-            judged = _SAMPLERS[product].judged(grid, arrays, reach, rng)
+            judged = PRODUCTS[product].judged(grid, arrays, reach, rng)
             yield _Part(seconds, size, _units(grid, product), *judged)
 
 
@@ -325,7 +175,8 @@ def _cost(plan: Plan, product: str, parts: Sequence[_Part]) -> _Cost:
     seconds, size = sum(part.seconds for part in parts), sum(part.size for part in parts)
     call = 0.0
     if product == ALPHA_LIMITS:  # calls of few columns, of which parts have more than builds
-        grid = _part_of_limits(replace(plan.grid, limit_cells=1), np.full(4, 0.5))
+        one = replace(plan.grid, limit_cells=1)
+        grid = PRODUCTS[product].part(one, np.full(4, 0.5))
         call = min(_computed(plan, product, grid)[0], 0.9 * seconds / len(parts))
     return _Cost((seconds - call * len(parts)) / units, size / units, call)
 
@@ -515,7 +366,7 @@ def plan_resolution(
         words = " and ".join(given) or "nothing"
         raise TypeError(f"{words} is wished for; give one of {', '.join(wishes)}.")
     ((name, wish),) = given.items()
-    value = checked_number(name, wish, *_LIMITS[name])
+    value = checked_number(name, wish, *_ALLOWED[name])
     if name == "accuracy" and ALPHA_LIMITS not in spec.products:
         raise ValueError(f"accuracy is of limits of alpha; add {ALPHA_LIMITS!r} to the products.")
     range_ = _Range(spec)
@@ -539,13 +390,12 @@ class _Range:
     given: Resolution
 
     def __init__(self, spec: AtlasSpec) -> None:
-        judges = (name for name, one in _SAMPLERS.items() if one.knobs and name in spec.products)
-        judge = next(judges, None)
+        judge = next((name for name in _JUDGES if name in spec.products), None)
         if judge is None:
             raise ValueError(f"size needs verdicts; add {ALPHA_LIMITS!r} to the products.")
         self._judge = judge
         self._spec = with_known_nodes(spec)
-        self._knobs = [n for n in _SAMPLERS[judge].knobs if not is_fixed(self._spec, n)]
+        self._knobs = [n for n in PRODUCTS[judge].knobs if not is_fixed(self._spec, n)]
         begin = process_time()
         self._reach = reach_of(self._spec)
         first = Plan(self._spec, lay_out(self._spec, self._reach))
@@ -571,7 +421,7 @@ class _Range:
         """
         if len(self._knobs) == 1:
             return {self._knobs[0]: float(self._counts[self._knobs[0]])}
-        whole, power, parts = self._mean_error({}), _SAMPLERS[self._judge].power, {}
+        whole, power, parts = self._mean_error({}), PRODUCTS[self._judge].power, {}
         for knob in self._knobs:
             ratio = self._mean_error({knob: 2 * self._counts[knob]}) / whole
             parts[knob] = max(_LEAST_SHARE, 2.0 * (1.0 - min(1.0, ratio) ** (1.0 / power)))
@@ -592,34 +442,33 @@ class _Range:
 
     def judged(self, plan: Plan, places: int) -> Resolution:
         """Return what a resolution is like, by so many places of its range, or as will do."""
-        parts: list[_Part] = []
-        drawn = _parts(plan, self._judge, places, self._reach)
-        limit_error = undecided = radius_error = _UNKNOWN
-        while some := list(itertools.islice(drawn, _AT_ONCE)):
-            parts += some
-            limit_error = _quantile([part.errors for part in parts], _MOST)
-            undecided = _mean([part.undecided for part in parts])
-            if all(s <= _ENOUGH * v or not v < inf for v, s in (limit_error, undecided)):
-                break
-        self._costs[self._judge] = _cost(plan, self._judge, parts)
+        known = dict.fromkeys(("limit_error", "undecided", "radius_error"), _UNKNOWN)
+        sampled = {self._judge: places}
         if SPECTRAL_RADIUS in plan.spec.products:
-            of_radii = parts
-            if self._judge != SPECTRAL_RADIUS:
-                limit_error = limit_error if self._judge == ALPHA_LIMITS else _UNKNOWN
-                of_radii = list(_parts(plan, SPECTRAL_RADIUS, _SOME))
-                self._costs[SPECTRAL_RADIUS] = _cost(plan, SPECTRAL_RADIUS, of_radii)
-            else:
-                limit_error = _UNKNOWN
-            radius_error = _quantile([part.errors for part in of_radii], 0.5)
-        errors = limit_error, undecided, radius_error
-        return Resolution(plan.spec, counts_of(plan.spec), *errors, *self._estimate(plan))
+            sampled.setdefault(SPECTRAL_RADIUS, _SOME)
+        for name, count in sampled.items():
+            parts: list[_Part] = []
+            drawn = _parts(plan, name, count, self._reach)
+            while some := list(itertools.islice(drawn, _AT_ONCE)):
+                parts += some
+                if name != SPECTRAL_RADIUS:
+                    known["undecided"] = _mean([part.undecided for part in parts])
+                if name != VERDICT:
+                    share = _MOST if name == ALPHA_LIMITS else 0.5
+                    known[PRODUCTS[name].error] = _quantile([part.errors for part in parts], share)
+                if all(s <= _ENOUGH * v or not v < inf for v, s in known.values()):
+                    break
+            self._costs[name] = _cost(plan, name, parts)
+        limit, undecided, radius = known.values()
+        estimate = self._estimate(plan)
+        return Resolution(plan.spec, counts_of(plan.spec), limit, undecided, radius, *estimate)
 
     def of_error(self, wanted: float | int) -> tuple[float, Resolution]:
         """Return the scale at which an error is as wished for, and what is there."""
         scale, error = 1.0, max(self._error, _LEAST_GOAL)
         met: list[tuple[float, Resolution]] = []
         for _ in range(_ROUNDS):
-            scale *= (error / (_AIM * wanted)) ** (1.0 / _SAMPLERS[self._judge].power)
+            scale *= (error / (_AIM * wanted)) ** (1.0 / PRODUCTS[self._judge].power)
             plan = self.plan_or_none(scale)
             if plan is None:
                 raise ValueError(self._refusal(wanted, scale, error))
@@ -676,12 +525,8 @@ class _Range:
         return _estimate(plan, self._costs, self._region_seconds)
 
     def _error_of(self, row: Resolution) -> float:
-        of_judge = {
-            ALPHA_LIMITS: row.limit_error,
-            VERDICT: row.undecided,
-            SPECTRAL_RADIUS: row.radius_error,
-        }
-        return of_judge[self._judge].value
+        error: float = getattr(row, PRODUCTS[self._judge].error).value
+        return error
 
     def _mean_error(self, counts: Mapping[str, int]) -> float:
         parts = list(_parts(self._plan(counts), self._judge, _FEW, self._reach))
@@ -691,7 +536,7 @@ class _Range:
 
     def _refusal(self, accuracy: float | int, scale: float, error: float) -> str:
         largest = self._scale_within(LARGEST_ARRAY)
-        least = error * (scale / largest) ** _SAMPLERS[self._judge].power
+        least = error * (scale / largest) ** PRODUCTS[self._judge].power
         return (
             f"accuracy is {accuracy:g}, and an atlas of this range that can be opened, with up to "
             f"{LARGEST_ARRAY / 1e9:.1f} GB, reaches about {least:.2g}; give that, or less range."

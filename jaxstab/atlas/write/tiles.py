@@ -24,10 +24,7 @@ from numpy.typing import NDArray
 
 import jaxstab
 from jaxstab.atlas.compute.plan import Plan, Tile
-from jaxstab.atlas.compute.products import Arrays
 from jaxstab.atlas.format.schema import (
-    KNOWN_BEFORE,
-    PRODUCTS,
     SCHEMA_VERSION,
     VARIABLES,
     image_of,
@@ -36,6 +33,7 @@ from jaxstab.atlas.format.schema import (
 )
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.format.table import check
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read.file import check_values
 from jaxstab.atlas.write.variables import FORMAT_VERSIONS, TROUBLES, checked_layout, filters_of
 from jaxstab.durable import Folder, named_errors, own_folder, target_of
@@ -68,7 +66,7 @@ def build_key(spec: AtlasSpec) -> str:
     return hashlib.sha256(words.encode()).hexdigest()
 
 
-def encode_tile(plan: Plan, tile: Tile, key: str, arrays: Arrays) -> bytes:
+def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]]) -> bytes:
     """Return the sealed image of a tile; its chunks are those of the atlas.
 
     Raises:
@@ -117,8 +115,8 @@ def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py
 
 def _check_datasets(file: h5py.File, plan: Plan, tile: Tile) -> None:
     """Refuse other variables than those of a tile, and others than its values in their chunks."""
-    held = [name for product in plan.spec.products for name in PRODUCTS[product]]
-    held = [n for n in held if not VARIABLES[n].is_axis and n not in KNOWN_BEFORE]
+    chosen = [PRODUCTS[product] for product in plan.spec.products]
+    held = [v.name for p in chosen for v in p.variables if not v.is_axis and v.name not in p.known]
     gridded = {n for n in held if plan.is_gridded(n) and 0 not in plan.shape(n, tile)}
     flat = {name for name in held if not plan.is_gridded(name)}
     check(gridded <= set(file) <= gridded | flat)

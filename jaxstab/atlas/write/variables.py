@@ -10,8 +10,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.schema import Variable, attributes_of, head_attributes
+from jaxstab.atlas.format.schema import attributes_of, head_attributes
 from jaxstab.atlas.format.table import DAMAGED, Place, RefusalError, Stored, Table, check
+from jaxstab.atlas.format.variables import Variable
 
 FORMAT_VERSIONS: Final = ("v110", "v110")
 
