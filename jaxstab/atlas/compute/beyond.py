@@ -26,7 +26,6 @@ _HALVINGS = 1  # of a cell of delays
 _ABOVE = 1.0 + 1e-9  # times what is rounded
 _LEAST_NUMERATOR = 0.25  # |N| below which no bound is tried
 _LARGEST_BOUND = 1e6
-
 Ends = tuple[float, float]
 Floats = Float64[np.ndarray, " edge"]
 

@@ -28,9 +28,7 @@ from jaxstab.region.curve import curve_point, minus_offset, minus_slope, plus_of
 # As many nodes along gamma or delta as a tolerance needs: where little changes, few.
 
 _PROBES = 17  # values along the axis at which the boundary is looked at
-
 _FINENESS = 1e-3  # of outlines, whose extremes are exact
-
 Slice = tuple[float, float, float]
 
 
@@ -123,17 +121,11 @@ def _motion(region: StableRegion, other: StableRegion, extent: Float64[np.ndarra
 
 
 _MARGIN = 0.03  # around the stable region, of its size
-
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
-
 _STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
-
 _COARSE = 32  # cells to a sample, at some of whose edges regions are looked at beforehand
-
 _RADII = 0.8  # cells of radii along the delay for each of limits around a delay of 1/2
-
 _LATE = 3.0  # samples: from here on they are wider
-
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 
 

@@ -22,7 +22,6 @@ from jaxstab.model.filters import as_keywords
 from jaxstab.proofs.plant import HandBoxes
 
 TILE_NODES = 2**18  # at most, where a tile holds more than one slice
-
 _BEYOND = 1e-9  # of a cell: boxes overlap, so that rounding finds no gap between them
 
 

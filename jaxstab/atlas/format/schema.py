@@ -27,20 +27,15 @@ from jaxstab.atlas.format.variables import (
 from jaxstab.atlas.products.table import PRODUCTS
 
 FORMAT: Final = "jaxstab atlas"
-
 SCHEMA_VERSION: Final = 3
-
 FOOTER_MAGIC: Final = b"jaxstab\n"
 
 """At the end: these 8 bytes, the length of the image (uint64, little endian), and the SHA-256 (32
 bytes) of all that is before."""
 
 CHECKSUM_SIZE: Final = 4  # bytes of Fletcher32 after the values of a chunk
-
 BEST_COMPRESSION: Final = 1100  # deflate cannot do better than about 1032
-
 LARGEST_EXPANSION: Final = 20  # of numbers, when they are more than the next
-
 LONGEST_LINE: Final = 4096  # bytes in a line of the specification
 
 VARIABLES: Final = {
@@ -147,7 +142,6 @@ def digest_of(name: str, dataset: Any) -> Chunked:
 # The footer of a file, by which a reader knows that all of it is there. No JAX.
 
 FOOTER = struct.Struct(f"<{len(FOOTER_MAGIC)}sQ32s")
-
 _BLOCK = 2**18  # bytes, which stay in the cache
 
 

@@ -118,21 +118,13 @@ def _inline(section: Any) -> str:
 
 
 Nodes: TypeAlias = ArrayLike | tuple[float, ...]
-
 FEWEST_FITTED = 8
-
 _DELAY_CELLS, _MOST_DELAY_CELLS = 32, 2**16  # to a sample around 1/2
-
 _LIMIT_CELLS = 256, 128  # at delays alone, and between them
-
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
-
 _RANGE = ("start", "stop", "count", "spacing")
-
 _TOLERANT = ("start", "stop", "tolerance")
-
 _REACH = ("least", "most")
-
 _LINE_LENGTH = 90
 
 

@@ -44,7 +44,6 @@ _PLACE = re.compile(r"(\d{1,12})\+(\d{1,12})")
 _TEXT = re.compile(r"\|S([1-9]\d{0,5})")
 _DIGITS = 64  # of a digest
 _MOST_LINES = 6 + 2 * len(VARIABLES)
-
 Place = tuple[int, int]  # offset and size in bytes
 
 

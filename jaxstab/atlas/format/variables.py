@@ -14,31 +14,18 @@ from typing import Final
 from jaxstab.conventions import Verdict
 
 LARGEST_UNASKED: Final = 2 * 10**8  # bytes
-
 LARGEST_ARRAY: Final = 2**31  # bytes that are read into memory at once
-
 LARGEST_ATLAS: Final = 2**38  # nodes
-
 LARGEST_SLICE: Final = 2**22  # nodes along alpha and beta
-
 LARGEST_DELAY: Final = 100.0
-
 LEAST_SPAN: Final = 1e-300  # of alpha and beta: cells to it do not overflow
-
 LEAST_SHARE: Final = 2.0**-24  # of the larger of its ends: rounding swallows no cell of a span
-
 SPEC: Final = "spec"
-
 NODE: Final = ("alpha_node", "beta_node", "gamma", "delta", "delay")
-
 CELL: Final = ("alpha_cell", "beta_cell", "gamma_cell", "delta_cell", "delay")
-
 SLICE: Final = ("gamma", "delta", "delay")
-
 FLAG_VALUES: Final = tuple(int(code) for code in Verdict)
-
 FLAG_MEANINGS: Final = " ".join(code.name.lower() for code in Verdict)
-
 CODES: Final = (min(FLAG_VALUES), max(FLAG_VALUES))
 
 

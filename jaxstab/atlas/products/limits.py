@@ -163,7 +163,6 @@ class Limits(Product):
 
 
 _COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is judged
-
 _EVALUATION = 1e-14  # of the terms of a limit, for those who add them up
 
 
@@ -194,9 +193,7 @@ def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDA
 # The cells of delays of an atlas: which one holds a delay, and how far it reaches. NumPy alone.
 
 Integers = NDArray[np.intp]
-
 Range = tuple[float, float]
-
 _MOST_STEPS = 2**12
 
 
@@ -322,11 +319,8 @@ def in_parts(
 # What the limits of a column say about an alpha, and which of the two says it. NumPy alone.
 
 Codes = NDArray[np.int8]
-
 Mask = NDArray[np.bool_]
-
 ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
-
 _ROUNDING = 1e-6  # of what is added up: far more than is lost, also where cells begin
 
 

@@ -35,7 +35,6 @@ Array = NDArray[Any]
 Arrays = Mapping[str, Array]
 Floats = NDArray[np.float64]
 Place = Sequence[int]  # numbers along gamma, delta and delay
-
 _SLICES = 16  # that are verified
 
 

@@ -40,9 +40,7 @@ RADIUS_CELL = (
 )
 
 TERMS_OF_RADIUS = 22  # of each function: those up to second order, and an error
-
 RADIUS_KINDS = (1, 4)  # the least and the largest
-
 RADIUS_FUNCTIONS = (0, 1, 2, 2, 3)  # of cells of each kind
 
 _VARIABLES = (
@@ -209,17 +207,11 @@ class Radii(Product):
 
 
 _BETAS, _POINTS = 16, 2**12  # cells along beta of a part, and points at which it is judged
-
 _ROWS = 16  # cells of delays that are verified
-
 _BEYOND = 1e-9  # of a cell: cells overlap, so that rounding finds no gap between them
-
 _STEP = 1 / 64  # of an error: terms are multiples of less than this, which take little room
-
 _LEAST_ERROR = 1e-9
-
 _DIGITS = 5  # of an error that are kept, upwards
-
 _LARGEST = 1e6  # of terms
 
 
@@ -266,9 +258,7 @@ def _raised(errors: Floats) -> NDArray[np.float32]:
 
 
 ONE, LARGER, PAIR, CLUSTER = 1, 2, 3, 4
-
 _SURFACE_ROUNDING = 1e-13  # more than is lost below, of numbers around 1
-
 _ROUNDING_OF_ROOTS = 1e-14
 
 
@@ -372,7 +362,6 @@ def _cubic_roots(slope: Floats, constant: Floats) -> NDArray[np.complex128]:
 
 
 _AXES = 5
-
 _FIRST, _SECOND = np.triu_indices(_AXES)
 
 

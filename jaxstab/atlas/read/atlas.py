@@ -62,7 +62,6 @@ Outside = Literal["error", "undecided"]
 
 # There and back between K and alpha are six roundings of half an ulp each, at most.
 _ROUNDINGS = 4.0 * float(np.finfo(np.float64).eps)
-
 _ULPS_ASIDE = 4  # of numbers that the roundings of SI units move
 
 
@@ -344,7 +343,6 @@ def of_filters(name: str) -> Any:
 
 
 Range = tuple[float, float]
-
 _MOST = 1e300  # of numbers that are answered without a check: floats hold them
 
 

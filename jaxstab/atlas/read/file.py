@@ -68,11 +68,7 @@ def unpacked(data: bytes, stored: Stored) -> Array:
 
 
 def unpacked_chunk(data: bytes, stored: Stored, number: int) -> tuple[tuple[int, ...], Array]:
-    """Return where a chunk begins, and its values inside of the array.
-
-    Raises:
-        RefusalError: as ``unpacked``.
-    """
+    """Return where a chunk begins, and its values inside of the array."""
     start = next(islice(stored.starts(), number, None))
     values = _inside(data, stored, number, start)
     check_values(stored.variable, values)
@@ -125,11 +121,7 @@ def _chunk(stored_bytes: memoryview, stored: Stored) -> Array:
 
 
 def check_values(variable: Variable, values: Array) -> None:
-    """Refuse values out of the range of their variable.
-
-    Raises:
-        RefusalError: as it says.
-    """
+    """Refuse values out of the range of their variable."""
     if variable.dtype == "S":
         return
     if variable.has_nan:
@@ -141,11 +133,7 @@ def check_values(variable: Variable, values: Array) -> None:
 
 
 def check_axes(arrays: Mapping[str, Array]) -> None:
-    """Refuse axes that do not ascend, or so little or so far that cells have no width.
-
-    Raises:
-        RefusalError: as it says.
-    """
+    """Refuse axes that do not ascend, or so little or so far that cells have no width."""
     for name, values in arrays.items():
         if name in AXES:
             with np.errstate(all="ignore"):
@@ -177,11 +165,7 @@ def _check_spans(low: Array, high: Array) -> None:
 
 
 def check_text(lines: Array) -> None:
-    """Refuse lines of a specification that are no text.
-
-    Raises:
-        RefusalError: as it says.
-    """
+    """Refuse lines of a specification that are no text."""
     try:
         b"\n".join(lines.tolist()).decode("utf-8")
     except UnicodeDecodeError:
@@ -189,11 +173,7 @@ def check_text(lines: Array) -> None:
 
 
 def check_together(arrays: Mapping[str, Array], table: Table) -> None:
-    """Refuse arrays of a product that do not fit to each other.
-
-    Raises:
-        RefusalError: as it says.
-    """
+    """Refuse arrays of a product that do not fit to each other."""
     lengths = table.lengths
     for product in PRODUCTS.values():
         check(product.fit_together(arrays, lengths))
@@ -202,9 +182,7 @@ def check_together(arrays: Mapping[str, Array], table: Table) -> None:
 # Where points are in a grid: the cells that they are in, and the nodes that they are. No JAX.
 
 Floats = NDArray[np.float64]
-
 Integers = NDArray[np.intp]
-
 Mask = NDArray[np.bool_]
 
 
@@ -379,11 +357,7 @@ def _opened(path: Path) -> io.FileIO:
 
 
 def table_in(stream: io.FileIO | io.BytesIO) -> Table:
-    """Return the table of a whole file, all bytes of which are checked.
-
-    Raises:
-        RefusalError: as ``table_of`` refuses with a ValueError.
-    """
+    """Return the table of a whole file, all bytes of which are checked."""
     size = image_size(stream)
     check(size is not None)
     stream.seek(size or 0)

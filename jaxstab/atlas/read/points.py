@@ -18,7 +18,6 @@ from jaxstab.numbers import checked
 # Questions to an atlas, checked, and its answers. No JAX.
 
 Floats = NDArray[np.float64]
-
 Numbers = ArrayLike | float | int
 
 
@@ -126,11 +125,8 @@ def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[st
 
 
 Arrays = Mapping[str, NDArray[Any]]
-
 Points = Mapping[str, Floats]
-
 _WALLS = ("alpha", "beta", "gamma", "delta")
-
 _ROUNDING = 1e-15
 
 

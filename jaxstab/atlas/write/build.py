@@ -28,7 +28,6 @@ from jaxstab.atlas.write.tiles import build_key, computed_by, encode_tile, opene
 # Where tiles are computed: in this process, in processes of this machine, or on a dask cluster.
 
 _NODES_IN_FLIGHT = 2**26
-
 _SECONDS_TO_CONNECT = 10
 
 

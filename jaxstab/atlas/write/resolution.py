@@ -64,7 +64,6 @@ from jaxstab.numbers import checked_number
 
 Floats = Float64[np.ndarray, "..."]
 Arrays = Mapping[str, NDArray[Any]]
-
 _PLASTIC = 1.1673039782614187  # the root of x^5 = x + 1: its powers spread four numbers evenly
 _JUDGES = ALPHA_LIMITS, VERDICT, SPECTRAL_RADIUS  # by the first of them a resolution is judged
 _FEW, _SOME, _MANY = 3, 6, 24  # parts: of a cost, of a row, of what is promised

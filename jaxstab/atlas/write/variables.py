@@ -19,7 +19,6 @@ FORMAT_VERSIONS: Final = ("v110", "v110")
 """Of HDF5: checksums of its own structures, and the other readers know it."""
 
 _PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": 6}
-
 _LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
 
 
@@ -102,9 +101,7 @@ def places_of(dataset: h5py.Dataset) -> list[Place]:
 # libhdf5 was not made for hostile files: a reader that only asks uses ``read.file``.
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
-
 _LONGEST_ATTRIBUTE = 2**16  # bytes
-
 _ROOM = 2**28  # bytes
 
 TROUBLES = (
@@ -146,11 +143,7 @@ def _has_room() -> bool:
 
 
 def checked_datasets(file: h5py.File, table: Table) -> dict[str, h5py.Dataset]:
-    """Return the variables by name; they, and nothing else, are stored as the table says.
-
-    Raises:
-        RefusalError: as it says.
-    """
+    """Return the variables by name; they, and nothing else, are stored as the table says."""
     check(set(file) == set(table.variables))
     return {name: _checked_dataset(file, stored) for name, stored in table.variables.items()}
 
