@@ -157,7 +157,7 @@ def test_24_a_merged_file_that_cannot_be_opened_leaves_the_former_one(
     """As when a variable is merged wrong, whatever the reason."""
     path = tmp_path / "a.h5"
     path.write_bytes(FORMER)
-    monkeypatch.setattr("jaxstab.atlas.write.merge.table_text", lambda *_: b"no table\n")
+    monkeypatch.setattr("jaxstab.atlas.write.tiles.table_text", lambda *_: b"no table\n")
     with pytest.raises(ValueError, match=r"a\.h5 make no sound atlas; remove .*build again\.$"):
         build_atlas(TINY, path)
     assert path.read_bytes() == FORMER

@@ -5,7 +5,6 @@ NumPy alone: no JAX, no HDF5, and nothing else that takes time to import.
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from importlib import import_module
 from math import ulp
 from os import PathLike
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.atlas.format.schema import VARIABLES, attributes_of, head_attributes
 from jaxstab.atlas.format.variables import SPEC
 from jaxstab.atlas.products.limits import (
     ALPHA_LIMITS,
@@ -45,7 +45,6 @@ from jaxstab.atlas.read.points import (
     nodes_of,
     settle,
 )
-from jaxstab.atlas.read.xarray_view import to_xarray
 from jaxstab.conventions import AXES, UNDECIDED
 from jaxstab.numbers import checked_number, checked_word, real_numbers
 from jaxstab.shown import table_text
@@ -286,8 +285,9 @@ class LoopAtlas:
 
 def _checked_loop(loop: Any) -> Any:
     """Return a loop of plain numbers, by whose properties all is converted."""
-    # By name at run time: who reads an atlas without a loop does not wait for this import.
-    if not isinstance(loop, import_module("jaxstab.model.loop").LoopParameters):
+    from jaxstab.model.loop import LoopParameters
+
+    if not isinstance(loop, LoopParameters):
         raise TypeError(f"loop is {loop!r}; give a jaxstab.HapticLoop.")
     plain = loop.in_floats()
     if plain.body is None:
@@ -306,12 +306,13 @@ def _node_or(nodes: Floats, value: float) -> float:
 
 def _check_filters(atlas: "Atlas", loop: Any) -> None:
     """Refuse a loop of another estimator or filter, written per sample as an atlas writes it."""
-    own = import_module("jaxstab.atlas.format.spec").AtlasSpec(**loop.filters).filters
+    from jaxstab.atlas.format.spec import AtlasSpec, words_of
+
+    own = AtlasSpec(**loop.filters).filters
     if own != atlas.filters:
-        words = import_module("jaxstab.atlas.format.spec").words_of(own)
         raise ValueError(
-            f"the loop has {words}, and this atlas is of {atlas.filters_in_words}; ask another "
-            "atlas, or build one."
+            f"the loop has {words_of(own)}, and this atlas is of {atlas.filters_in_words}; ask "
+            "another atlas, or build one."
         )
 
 
@@ -335,11 +336,6 @@ def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[floa
 
 
 # What an atlas in memory holds: its arrays, products, delays, nodes and outlines. No JAX.
-
-
-def of_filters(name: str) -> Any:
-    """Return a function around filters, by name at run time: few questions are about them."""
-    return getattr(import_module("jaxstab.atlas.format.spec"), name)
 
 
 Range = tuple[float, float]
@@ -610,10 +606,13 @@ class Atlas:
         """Refuse a question about loops with others than those of the atlas."""
         if velocity is None and position is None:
             return
-        asked = import_module("jaxstab.model.filters").known_filters(velocity, position)
+        from jaxstab.atlas.format.spec import words_of
+        from jaxstab.model.filters import known_filters
+
+        asked = known_filters(velocity, position)
         if asked != self.filters:
             raise ValueError(
-                f"the question is about {of_filters('words_of')(asked)}, and this atlas is of "
+                f"the question is about {words_of(asked)}, and this atlas is of "
                 f"{self.filters_in_words}; ask another atlas, or build one."
             )
 
@@ -724,8 +723,9 @@ class Atlas:
             >>> str(jaxstab.open_atlas("data/golden/atlas-v3-window.h5").filters[0])
             'the difference over a window of 5 samples'
         """
-        found: tuple[Any, Any] | None = of_filters("filters_of")(self.spec)
-        return found
+        from jaxstab.atlas.format.spec import filters_of
+
+        return filters_of(self.spec)
 
     def nodes(self, delay_number: int) -> dict[str, Floats]:
         """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``.
@@ -745,7 +745,19 @@ class Atlas:
             >>> atlas.to_xarray()["verdict"].dims
             ('alpha_node', 'beta_node', 'gamma', 'delta', 'delay')
         """
-        return to_xarray(self.arrays, self.created_by, self.filters_in_words)
+        try:
+            import xarray
+        except ImportError as error:
+            raise RuntimeError(
+                "an xarray.Dataset needs xarray: python -m pip install 'jaxstab[xarray]'."
+            ) from error
+        variables = {}
+        for name, values in self.arrays.items():
+            said = attributes_of(VARIABLES[name])
+            said.pop("coordinates", None)  # xarray takes it for its own
+            variables[name] = VARIABLES[name].dimensions, values, said
+        head = head_attributes(self.created_by, self.filters_in_words)
+        return xarray.Dataset(variables, attrs=head).set_coords(["alpha", "beta"])
 
     def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
         """Return the boundary of the stable region at a node, with its corners.

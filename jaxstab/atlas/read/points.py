@@ -1,8 +1,7 @@
 """What the arrays of an atlas say about points: at nodes, in cells, and outside. NumPy alone."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -117,9 +116,9 @@ def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[st
     is_open = (answer.verdict == UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
     left = np.flatnonzero(is_open)
     if left.size:
-        # By name at run time, so that reading an atlas imports no JAX.
-        verdict: Callable[..., NDArray[np.int8]] = import_module("jaxstab.point").verdict
-        points = {name: where[name][left] for name in AXES}
+        from jaxstab.point import verdict
+
+        points: dict[str, Any] = {name: where[name][left] for name in AXES}
         answer.verdict[left] = np.asarray(verdict(**points, resolve="exact", **filters))
         answer.status[left] = QueryStatus.EXACT
 

@@ -22,8 +22,14 @@ import jaxstab
 from jaxstab.atlas.compute.plan import Plan, Tile, compute_tile, plan_atlas
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.read.atlas import Atlas, open_atlas
-from jaxstab.atlas.write.merge import merge
-from jaxstab.atlas.write.tiles import build_key, computed_by, encode_tile, opened_tile, shards_of
+from jaxstab.atlas.write.tiles import (
+    build_key,
+    computed_by,
+    encode_tile,
+    merge,
+    opened_tile,
+    shards_of,
+)
 
 # Where tiles are computed: in this process, in processes of this machine, or on a dask cluster.
 
