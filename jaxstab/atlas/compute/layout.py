@@ -1,4 +1,18 @@
-"""What a specification means in numbers: the nodes along each axis, for each delay."""
+"""Where the nodes and cells of an atlas lie: the specification in numbers.
+
+Axes of gamma, delta and delay are given as nodes, or, for gamma and delta, as a range and a
+tolerance: then as many nodes as keep the motion of the stable set's boundary between two of them
+below it, few where little changes (``tolerant_nodes``). Axes of alpha and beta may be fitted: laid
+around the stable regions of the atlas's hands at each delay, with a margin, and with nodes close to
+the line alpha = -gamma, where stability ends and no cell can be decided (``_fitted_alpha``).
+
+Limits of alpha and radii also answer between the delays, in cells of delays. Whole samples are
+edges of cells, for there the degree of the polynomial changes. A cell of limits is longer as the
+delay grows, for the boundary bends less; those of radii are even, and wider after some samples.
+The ends of alpha and beta of a cell follow from the regions at some edges (``_delay_cells``).
+
+At the end of this file a specification gets other counts along its axes, for plans of resolutions.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,8 +38,6 @@ from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.region import Branch, RegionStatus, StableRegion, stable_region
 from jaxstab.region.curve import curve_point, minus_offset, minus_slope, plus_offset, plus_slope
-
-# As many nodes along gamma or delta as a tolerance needs: where little changes, few.
 
 _PROBES = 17  # values along the axis at which the boundary is looked at
 _FINENESS = 1e-3  # of outlines, whose extremes are exact

@@ -1,6 +1,13 @@
 """Answers from an atlas in memory: at a node what it holds, elsewhere only what is proved.
 
-NumPy alone: no JAX, no HDF5, and nothing else that takes time to import.
+``Atlas`` answers in dimensionless numbers, ``LoopAtlas`` in SI units for the walls of one loop. A
+query marks the points outside first. Inside, the limits of alpha decide most points, then nodes and
+their cells (``read.points``); functions of cells bound the spectral radius. What is left undecided
+stays so, or is computed where that is asked for.
+
+A verdict alone goes the short way: if all points are inside of the limits of alpha, one lookup in
+their table answers, and nothing else is touched. NumPy alone: no JAX, no HDF5, and nothing else
+that takes time to import.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,13 +56,9 @@ from jaxstab.conventions import AXES, UNDECIDED
 from jaxstab.numbers import checked_number, checked_word, real_numbers
 from jaxstab.shown import table_text
 
-# How an atlas shows itself: six lines of words, and a picture.
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
-# An atlas asked in SI units, about the walls of one loop. No JAX.
 
 Outside = Literal["error", "undecided"]
 
@@ -143,8 +146,8 @@ class LoopAtlas:
         Args:
             stiffness: K in N/m, any shape; broadcasts with the damping.
             damping: B in N s/m.
-            outside: "error" to refuse walls outside of the atlas, "undecided" to answer so.
-            exact: settle UNDECIDED walls inside by computation.
+            outside: as ``Atlas.query``.
+            exact: as ``Atlas.query``.
 
         Raises:
             TypeError: a gain is not made of real numbers.
@@ -335,9 +338,6 @@ def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[floa
     )
 
 
-# What an atlas in memory holds: its arrays, products, delays, nodes and outlines. No JAX.
-
-
 Range = tuple[float, float]
 _MOST = 1e300  # of numbers that are answered without a check: floats hold them
 
@@ -364,6 +364,61 @@ class Atlas:
         >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0))
         <Verdict.STABLE: 1>
     """
+
+    arrays: Mapping[str, NDArray[Any]]
+    spec: str
+    created_by: str
+    filters_in_words: str
+
+    def __init__(self, contents: file.Contents) -> None:
+        self.arrays = contents.arrays
+        self.spec = b"\n".join(self.arrays[SPEC].tolist()).decode("utf-8") + "\n"
+        self.created_by = contents.created_by
+        self.filters_in_words = contents.filters
+
+    @property
+    def products(self) -> tuple[str, ...]:
+        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> atlas.products
+            ('verdict', 'alpha_limits', 'spectral_radius')
+        """
+        return tuple(name for name, one in PRODUCTS.items() if one.names[0] in self.arrays)
+
+    @property
+    def delays(self) -> Floats:
+        """The delays t_d/T of the atlas, ascending.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> atlas.delays.tolist()
+            [0.0, 1.0, 1.5]
+        """
+        return self.arrays["delay"]
+
+    @cached_property
+    def filters(self) -> tuple[Any, Any] | None:
+        """The Velocity and the Filter, per sample; None for the one-sample difference alone.
+
+        Example:
+            >>> str(jaxstab.open_atlas("data/golden/atlas-v3-window.h5").filters[0])
+            'the difference over a window of 5 samples'
+        """
+        from jaxstab.atlas.format.spec import filters_of
+
+        return filters_of(self.spec)
+
+    def nodes(self, delay_number: int) -> dict[str, Floats]:
+        """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
+            {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
+        """
+        return nodes_of(self.arrays, delay_number)
 
     def decided_fraction(self, delay_number: int) -> float:
         """Return the share of the volume at one delay in which a query between nodes is decided.
@@ -492,11 +547,7 @@ class Atlas:
     ) -> AlphaLimits:
         """Return the smallest and largest stable alpha, with proved errors.
 
-        Args:
-            beta: wall damping B T/m; like the others it broadcasts.
-            gamma: physical stiffness k T^2/m.
-            delta: physical damping b T/m.
-            delay: time delay t_d/T in samples.
+        Args: as ``query``.
 
         Raises:
             TypeError: an argument is not made of real numbers.
@@ -523,10 +574,7 @@ class Atlas:
     def max_alpha(self, *, gamma: Numbers, delta: Numbers, delay: Numbers) -> MaxAlpha:
         """Return the largest stable alpha of hands, where it is, and a proved bound.
 
-        Args:
-            gamma: physical stiffness k T^2/m; like the others it broadcasts.
-            delta: physical damping b T/m.
-            delay: time delay t_d/T in samples.
+        Args: as ``query``.
 
         Raises:
             TypeError, ValueError: as ``alpha_limits``.
@@ -548,12 +596,7 @@ class Atlas:
     ) -> np.int8:
         """Return the verdict on one wall for a box of hands.
 
-        Args:
-            alpha: wall stiffness K T^2/m.
-            beta: wall damping B T/m.
-            gamma: lowest and highest physical stiffness k T^2/m.
-            delta: lowest and highest physical damping b T/m.
-            delay: time delay t_d/T in samples.
+        Args: as ``query``, but one wall, and of gamma and delta the lowest and the highest value.
 
         Returns:
             STABLE if proved for every hand of the box, UNSTABLE if proved for one, else UNDECIDED.
@@ -577,11 +620,7 @@ class Atlas:
     ) -> Range:
         """Return the interval of alpha in which every hand of a box is proved stable.
 
-        Args:
-            beta: wall damping B T/m.
-            gamma: lowest and highest physical stiffness k T^2/m.
-            delta: lowest and highest physical damping b T/m.
-            delay: time delay t_d/T in samples.
+        Args: as ``worst_verdict``.
 
         Returns:
             The lowest and the highest alpha, an open interval; empty where the first is not less.
@@ -681,61 +720,6 @@ class Atlas:
         walls = {"beta": beta} | ({} if alpha is None else {"alpha": alpha})
         numbers = {name: checked_number(name, value) for name, value in walls.items()}
         return self._asked(checked_number("delay", delay), **ranges, **numbers)[0]
-
-    arrays: Mapping[str, NDArray[Any]]
-    spec: str
-    created_by: str
-    filters_in_words: str
-
-    def __init__(self, contents: file.Contents) -> None:
-        self.arrays = contents.arrays
-        self.spec = b"\n".join(self.arrays[SPEC].tolist()).decode("utf-8") + "\n"
-        self.created_by = contents.created_by
-        self.filters_in_words = contents.filters
-
-    @property
-    def products(self) -> tuple[str, ...]:
-        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.products
-            ('verdict', 'alpha_limits', 'spectral_radius')
-        """
-        return tuple(name for name, one in PRODUCTS.items() if one.names[0] in self.arrays)
-
-    @property
-    def delays(self) -> Floats:
-        """The delays t_d/T of the atlas, ascending.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.delays.tolist()
-            [0.0, 1.0, 1.5]
-        """
-        return self.arrays["delay"]
-
-    @cached_property
-    def filters(self) -> tuple[Any, Any] | None:
-        """The Velocity and the Filter, per sample; None for the one-sample difference alone.
-
-        Example:
-            >>> str(jaxstab.open_atlas("data/golden/atlas-v3-window.h5").filters[0])
-            'the difference over a window of 5 samples'
-        """
-        from jaxstab.atlas.format.spec import filters_of
-
-        return filters_of(self.spec)
-
-    def nodes(self, delay_number: int) -> dict[str, Floats]:
-        """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
-            {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
-        """
-        return nodes_of(self.arrays, delay_number)
 
     def to_xarray(self) -> Any:
         """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed.

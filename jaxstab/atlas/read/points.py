@@ -1,4 +1,10 @@
-"""What the arrays of an atlas say about points: at nodes, in cells, and outside. NumPy alone."""
+"""What the arrays of an atlas say about points: at nodes, in cells, and outside. NumPy alone.
+
+A query fills in one ``AtlasAnswer``. ``find_outside`` marks points beyond the atlas; axes that hold
+the whole stable set have no end. ``answer_by_limits`` gives the verdicts of columns,
+``answer_at_delay`` those of nodes and their cells at the delays of the atlas, ``answer_radii``
+intervals of the spectral radius, which a verdict narrows; ``settle`` computes what is left open.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +19,6 @@ from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT
 from jaxstab.atlas.read.file import Integers, Mask, PackedArrays, Place
 from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE, Status
 from jaxstab.numbers import checked
-
-# Questions to an atlas, checked, and its answers. No JAX.
 
 Floats = NDArray[np.float64]
 Numbers = ArrayLike | float | int
