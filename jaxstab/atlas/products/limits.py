@@ -101,6 +101,8 @@ class Limits(Product):
     knobs = "gamma", "delta", "limit_cells", "delay_cells"
     power = 2.0
     error = "limit_error"
+    quantile = 0.95
+    has_calls = True
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
         from jaxstab.proofs.columns import stable_columns

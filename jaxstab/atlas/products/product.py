@@ -95,6 +95,8 @@ class Product:
         knobs: the counts of a specification on which its error depends.
         power: of the fall of the error, with all of these counts.
         error: of ``Resolution``, what is to fall.
+        quantile: the share of errors that keep the one that is said; 0 for an undecided share.
+        has_calls: whether each tile and cell of delays costs a time beside that of its units.
     """
 
     name: ClassVar[str]
@@ -108,6 +110,8 @@ class Product:
     knobs: ClassVar[tuple[str, ...]] = ()
     power: ClassVar[float] = 0.0
     error: ClassVar[str] = ""
+    quantile: ClassVar[float] = 0.0
+    has_calls: ClassVar[bool] = False
 
     @property
     def names(self) -> tuple[str, ...]:

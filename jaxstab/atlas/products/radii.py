@@ -108,6 +108,7 @@ class Radii(Product):
     knobs = "alpha", "beta", "gamma", "delta"
     power = 3.0
     error = "radius_error"
+    quantile = 0.5
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
         """Return the functions of a tile, one cell of delays after the other."""

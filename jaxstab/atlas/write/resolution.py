@@ -70,7 +70,6 @@ _FEW, _SOME, _MANY = 3, 6, 24  # parts: of a cost, of a row, of what is promised
 _PER_PART = 4  # cells of delays in tiles for each part
 _AT_ONCE = 6  # parts between looks at the spread
 _ENOUGH = 0.05  # of a value: a spread that needs no more parts
-_MOST = 0.95  # of the limits keep the error that is said
 _DRAWS = 50  # of samples of a sample, for its spread
 _FILE, _CHUNK = 28_000, 90  # bytes of a file whose arrays are empty, and of a chunk beside values
 _NEAR, _AIM = 0.65, 0.85  # of a wish: what is near enough to it, and what is aimed at
@@ -135,6 +134,11 @@ def _units(grid: Grid, product: str) -> int:
     return prod(grid.lengths[name] for name in PRODUCTS[product].unit)
 
 
+def _calls(plan: Plan) -> int:
+    """Return how many times a tile meets a cell of delays."""
+    return len(plan.tiles) * len(plan.grid.limit_range) // plan.grid.delay.size
+
+
 def _parts(plan: Plan, product: str, count: int, reach: Reach | None = None) -> Iterator[_Part]:
     """Yield parts of a product at so many places, fewer for an atlas of few tiles.
 
@@ -142,8 +146,7 @@ def _parts(plan: Plan, product: str, count: int, reach: Reach | None = None) -> 
     """
     rng = np.random.default_rng(count)
     seen = set()
-    calls = len(plan.tiles) * len(plan.grid.limit_range) // plan.grid.delay.size
-    for number in range(max(_FEW, min(count, calls // _PER_PART))):
+    for number in range(max(_FEW, min(count, _calls(plan) // _PER_PART))):
         place = (0.5 + number * _PLASTIC ** -np.arange(1.0, 5.0)) % 1.0
         grid = PRODUCTS[product].part(plan.grid, place)
         key = grid.limit_range.tobytes() + grid.radius_range.tobytes() + grid.delay.tobytes()
@@ -173,7 +176,7 @@ def _cost(plan: Plan, product: str, parts: Sequence[_Part]) -> _Cost:
     units = sum(part.units for part in parts)
     seconds, size = sum(part.seconds for part in parts), sum(part.size for part in parts)
     call = 0.0
-    if product == ALPHA_LIMITS:  # calls of few columns, of which parts have more than builds
+    if PRODUCTS[product].has_calls:  # parts have fewer units to a call than builds
         one = replace(plan.grid, limit_cells=1)
         grid = PRODUCTS[product].part(one, np.full(4, 0.5))
         call = min(_computed(plan, product, grid)[0], 0.9 * seconds / len(parts))
@@ -209,7 +212,7 @@ def _estimate(plan: Plan, costs: Mapping[str, _Cost], region_seconds: float) -> 
     size += _CHUNK * len(plan.tiles) * len(plan.variables)
     for product in plan.spec.products:
         cost, units = costs[product], _units(grid, product)
-        calls = units / prod(plan.chunk(ALPHA_LIMITS)[:4]) if product == ALPHA_LIMITS else 0.0
+        calls = _calls(plan) if PRODUCTS[product].has_calls else 0
         seconds += cost.seconds * units + cost.call * calls
         size += cost.size * units + _CHUNK * calls
     return Estimate(seconds, size)
@@ -450,11 +453,12 @@ class _Range:
             drawn = _parts(plan, name, count, self._reach)
             while some := list(itertools.islice(drawn, _AT_ONCE)):
                 parts += some
-                if name != SPECTRAL_RADIUS:
+                product = PRODUCTS[name]
+                if not isnan(parts[0].undecided):
                     known["undecided"] = _mean([part.undecided for part in parts])
-                if name != VERDICT:
-                    share = _MOST if name == ALPHA_LIMITS else 0.5
-                    known[PRODUCTS[name].error] = _quantile([part.errors for part in parts], share)
+                if product.quantile:
+                    errors = [part.errors for part in parts]
+                    known[product.error] = _quantile(errors, product.quantile)
                 if all(s <= _ENOUGH * v or not v < inf for v, s in known.values()):
                     break
             self._costs[name] = _cost(plan, name, parts)
@@ -464,6 +468,8 @@ class _Range:
 
     def of_error(self, wanted: float | int) -> tuple[float, Resolution]:
         """Return the scale at which an error is as wished for, and what is there."""
+        if isnan(self._error):
+            raise ValueError("no alpha is stable in a sample of this range; give a smaller range.")
         scale, error = 1.0, max(self._error, _LEAST_GOAL)
         met: list[tuple[float, Resolution]] = []
         for _ in range(_ROUNDS):
@@ -529,8 +535,9 @@ class _Range:
 
     def _mean_error(self, counts: Mapping[str, int]) -> float:
         parts = list(_parts(self._plan(counts), self._judge, _FEW, self._reach))
-        if self._judge == SPECTRAL_RADIUS:
-            return max(_quantile([part.errors for part in parts], 0.5).value, _LEAST_GOAL)
+        if isnan(parts[0].undecided):
+            share = PRODUCTS[self._judge].quantile
+            return max(_quantile([part.errors for part in parts], share).value, _LEAST_GOAL)
         return max(_mean([part.undecided for part in parts]).value, _LEAST_GOAL)
 
     def _refusal(self, accuracy: float | int, scale: float, error: float) -> str:
