@@ -38,7 +38,7 @@ class Bounds(NamedTuple):
 
 
 def whole_axes(grid: Grid, filters: Filters | None) -> Int32[np.ndarray, " delay_cell"]:
-    """Return for each cell of delays which axes hold the whole stable set, by ``schema.WHOLE``.
+    """Return for each cell of delays which axes hold the whole stable set, by ``LIMIT_WHOLE``.
 
     Source: lemma B22 of docs/proofs.md.
     """

@@ -204,7 +204,7 @@ class DelayCells:
 
     Args:
         ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells.
-        whole: (delay_cell,), which axes hold the whole stable set (``schema.LIMIT_WHOLE``).
+        whole: (delay_cell,), which axes hold the whole stable set (``LIMIT_WHOLE``).
     """
 
     def __init__(self, ends: Floats, whole: NDArray[np.int32]) -> None:
