@@ -42,6 +42,7 @@ from jaxstab.atlas.format.schema import (
     content_digest,
     digest_of,
     footer_of,
+    head_attributes,
     image_of,
     sealed,
     values_digest,
@@ -58,8 +59,7 @@ from jaxstab.atlas.write.variables import (
     create_variable,
     filters_of,
     places_of,
-    write_content_digest,
-    write_head,
+    write_attributes,
     write_variable,
 )
 from jaxstab.durable import (
@@ -360,10 +360,10 @@ def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
     with replacing(path, shards.folder) as descriptor:
         stream = PatientStream(descriptor)
         with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
-            write_head(file, created_by, filters)
+            write_attributes(file, head_attributes(created_by, filters))
             datasets = _create_variables(file, plan, shards)
             variables = list(_chunked(datasets, _copy_tiles(datasets, plan, shards, stream)))
-            write_content_digest(file, content_digest(variables))
+            write_attributes(file, {"content_sha256": content_digest(variables)})
             file.flush()
             places = {name: places_of(dataset) for name, dataset in datasets.items()}
         stream.check()
