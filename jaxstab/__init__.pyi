@@ -16,7 +16,6 @@ from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
 from .atlas import plan_atlas as plan_atlas
 from .atlas import plan_resolution as plan_resolution
-from .atlas import write_atlas as write_atlas
 from .batches import use_compilation_cache as use_compilation_cache
 from .conventions import AXES as AXES
 from .conventions import NOT_COMPUTED as NOT_COMPUTED

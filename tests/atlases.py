@@ -7,7 +7,7 @@ from pathlib import Path
 
 import h5py
 
-from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, build_atlas, write_atlas
+from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, build_atlas
 from jaxstab.atlas.format import schema as footer
 from jaxstab.atlas.format.schema import VARIABLES, digest_of
 from jaxstab.atlas.format.table import table_text
@@ -39,7 +39,7 @@ delay_cells = 0
 def small_file() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "small.h5"
-        write_atlas(SMALL, path)
+        build_atlas(SMALL, path)
         return path.read_bytes()
 
 

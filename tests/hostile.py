@@ -18,6 +18,8 @@ from jaxstab.atlas.format import schema as footer
 from jaxstab.atlas.format.schema import Chunked, values_digest
 from jaxstab.atlas.format.spec import words_of
 from jaxstab.atlas.format.table import Place, table_text
+from jaxstab.atlas.products.radii import RADIUS_CELL
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read.file import Array
 
 Arrays = dict[str, Array]
@@ -118,48 +120,48 @@ def without(*names: str) -> Edit:
 
 
 def errors(value: float) -> Edit:
-    return put(schema.ALPHA_LIMITS, value, (..., [9, 19]))
+    return put("alpha_limits", value, (..., [9, 19]))
 
 
 VALUES: dict[str, Edit] = {
     "negative error bounds": errors(-1e-3),
     "error bounds of NaN": errors(np.nan),
-    "an upper error of NaN": put(schema.ALPHA_LIMITS, np.nan, (0, 0, 0, 0, 13)),
-    "limits of NaN": put(schema.ALPHA_LIMITS, np.nan, (0, 0, 0, 0, 0)),
-    "an infinite slope": put(schema.ALPHA_LIMITS, -np.inf, (0, 0, 0, 0, 1)),
+    "an upper error of NaN": put("alpha_limits", np.nan, (0, 0, 0, 0, 13)),
+    "limits of NaN": put("alpha_limits", np.nan, (0, 0, 0, 0, 0)),
+    "an infinite slope": put("alpha_limits", -np.inf, (0, 0, 0, 0, 1)),
     "reversed gamma": become("gamma", lambda v: v[::-1]),
-    "an infinite slope along the delay": put(schema.ALPHA_LIMITS, np.inf, (0, 0, 0, 0, 5)),
-    "cells of delays reversed": become(schema.LIMIT_RANGE, lambda v: v[::-1]),
-    "cells of delays that overlap": put(schema.LIMIT_RANGE, 1.25, (0, 1)),
-    "a cell of delays twice": become(schema.LIMIT_RANGE, lambda v: v[[0, *range(len(v) - 1)]]),
-    "a cell that ends before it begins": put(schema.LIMIT_RANGE, 0.5, (-1, 1)),
-    "limits at a negative delay": put(schema.LIMIT_RANGE, -1.0, (0, 0)),
-    "limits at a delay of NaN": put(schema.LIMIT_RANGE, np.nan, (-1, 1)),
-    "limits at a delay of 1000": put(schema.LIMIT_RANGE, 1000.0, (-1, 1)),
-    "limits at an infinite beta": put(schema.LIMIT_RANGE, np.inf, (0, 5)),
-    "limits at an alpha of NaN": put(schema.LIMIT_RANGE, np.nan, (0, 2)),
-    "limits at too wide a beta": put(schema.LIMIT_RANGE, [-1.5e308, 1.5e308], (0, [4, 5])),
-    "limits at a thin beta": put(schema.LIMIT_RANGE, [0.0, 1e-302], (0, [4, 5])),
+    "an infinite slope along the delay": put("alpha_limits", np.inf, (0, 0, 0, 0, 5)),
+    "cells of delays reversed": become("limit_range", lambda v: v[::-1]),
+    "cells of delays that overlap": put("limit_range", 1.25, (0, 1)),
+    "a cell of delays twice": become("limit_range", lambda v: v[[0, *range(len(v) - 1)]]),
+    "a cell that ends before it begins": put("limit_range", 0.5, (-1, 1)),
+    "limits at a negative delay": put("limit_range", -1.0, (0, 0)),
+    "limits at a delay of NaN": put("limit_range", np.nan, (-1, 1)),
+    "limits at a delay of 1000": put("limit_range", 1000.0, (-1, 1)),
+    "limits at an infinite beta": put("limit_range", np.inf, (0, 5)),
+    "limits at an alpha of NaN": put("limit_range", np.nan, (0, 2)),
+    "limits at too wide a beta": put("limit_range", [-1.5e308, 1.5e308], (0, [4, 5])),
+    "limits at a thin beta": put("limit_range", [0.0, 1e-302], (0, [4, 5])),
     "limits at a beta that rounding swallows": put(
-        schema.LIMIT_RANGE, [1.0, 1.0 + 2.0**-45], (0, [4, 5])
+        "limit_range", [1.0, 1.0 + 2.0**-45], (0, [4, 5])
     ),
     "limits at an alpha that rounding swallows": put(
-        schema.LIMIT_RANGE, [-1.0, -1.0 + 2.0**-25], (0, [2, 3])
+        "limit_range", [-1.0, -1.0 + 2.0**-25], (0, [2, 3])
     ),
-    "limits at one alpha": put(schema.LIMIT_RANGE, 0.1, (0, [2, 3])),
-    "five ends": become(schema.LIMIT_RANGE, lambda v: v[:, :5]),
+    "limits at one alpha": put("limit_range", 0.1, (0, [2, 3])),
+    "five ends": become("limit_range", lambda v: v[:, :5]),
     "gamma twice": become("gamma", lambda v: np.full_like(v, v[0])),
     "negative gamma": become("gamma", lambda v: v - 1.0),
     "negative delta": put("delta", -1e-300),
-    "five terms": become(schema.ALPHA_LIMITS, lambda v: v[..., :5]),
-    "a delay too few": become(schema.ALPHA_LIMITS, lambda v: v[:, :, :, :1]),
-    "cells as nodes": become(schema.ALPHA_LIMITS, lambda v: v[:, :1]),
-    "limits in double precision": become(schema.ALPHA_LIMITS, lambda v: v.astype("<f8")),
+    "five terms": become("alpha_limits", lambda v: v[..., :5]),
+    "a delay too few": become("alpha_limits", lambda v: v[:, :, :, :1]),
+    "cells as nodes": become("alpha_limits", lambda v: v[:, :1]),
+    "limits in double precision": become("alpha_limits", lambda v: v.astype("<f8")),
     "single precision": become("gamma", lambda v: v.astype("<f4")),
     "big endian": become("gamma", lambda v: v.astype(">f8")),
     "whole numbers": become("gamma", lambda v: v.astype("<i8")),
     "one dimension more": become("gamma", lambda v: v[:, None]),
-    "a dimension less": become(schema.ALPHA_LIMITS, lambda v: v[0]),
+    "a dimension less": become("alpha_limits", lambda v: v[0]),
 }
 """What C and Octave read as well."""
 
@@ -184,26 +186,26 @@ ELSEWHERE: dict[str, Edit] = {
         "beta", lambda v: 1.0 + 2.0**-50 * np.arange(len(v))[:, None] * np.ones((1, v.shape[1]))
     ),
     "radii at a beta that rounding swallows": put(
-        schema.RADIUS_RANGE, [1.0, 1.0 + 2.0**-45], (0, [4, 5])
+        "radius_range", [1.0, 1.0 + 2.0**-45], (0, [4, 5])
     ),
-    "lines of no text": become(schema.SPEC, lambda v: np.array([b"\xff", *v[1:]], v.dtype)),
+    "lines of no text": become("spec", lambda v: np.array([b"\xff", *v[1:]], v.dtype)),
     "one alpha": become("alpha", lambda v: v[:1]),
     "node numbers": put("alpha_node", 7),
     "cell numbers": become("limit_cell", lambda v: v[::-1]),
-    "a code beyond": put(schema.VERDICT, 4),
-    "a negative code": put(schema.CELL_VERDICT, -1),
-    "a kind of radii beyond": put(schema.RADIUS_KIND, 5),
-    "cells of radii of no kind": put(schema.RADIUS_KIND, 0),
-    "more functions of radii than there are": put(schema.RADIUS_KIND, 4),
-    "terms of radii of NaN": put(schema.RADIUS_TERMS, np.nan),
-    "negative errors of radii": put(schema.RADIUS_TERMS, -1e-9, (-1, 0)),
-    "delays of radii that descend": become(schema.RADIUS_RANGE, lambda v: v[::-1]),
-    "half a product": without(schema.CELL_VERDICT),
+    "a code beyond": put("verdict", 4),
+    "a negative code": put("cell_verdict", -1),
+    "a kind of radii beyond": put("radius_kind", 5),
+    "cells of radii of no kind": put("radius_kind", 0),
+    "more functions of radii than there are": put("radius_kind", 4),
+    "terms of radii of NaN": put("radius_terms", np.nan),
+    "negative errors of radii": put("radius_terms", -1e-9, (-1, 0)),
+    "delays of radii that descend": become("radius_range", lambda v: v[::-1]),
+    "half a product": without("cell_verdict"),
     "no products": without(*(set(schema.VARIABLES) - schema.ALWAYS)),
     "no axis": without("gamma", "alpha_node"),
     "another order": lambda arrays: arrays.update(delay=arrays.pop("delay")),
-    "long lines": become(schema.SPEC, lambda v: v.astype("S5000")),
-    "no bytes": become(schema.VERDICT, lambda v: v.astype(np.uint8)),
+    "long lines": become("spec", lambda v: v.astype("S5000")),
+    "no bytes": become("verdict", lambda v: v.astype(np.uint8)),
 }
 """What the readers of limits alone do not look at."""
 
@@ -297,14 +299,14 @@ def bomb(base: Arrays) -> bytes:
     """A megabyte that promises 218 MB of kinds of radii, and has them: zeros."""
     counts = 2048, 2048, 13, 1, 1
     arrays = dict(base)
-    for name in (schema.VERDICT, schema.CELL_VERDICT, *schema.PRODUCTS[schema.ALPHA_LIMITS]):
+    for name in ("verdict", "cell_verdict", *PRODUCTS["alpha_limits"].names):
         del arrays[name]
-    for name, count in zip(schema.RADIUS_CELL, counts, strict=True):
+    for name, count in zip(RADIUS_CELL, counts, strict=True):
         arrays[name] = np.arange(count, dtype=np.int32)
-    first, last = base[schema.RADIUS_RANGE][0], base[schema.RADIUS_RANGE][-1]
-    arrays[schema.RADIUS_RANGE] = np.array([[first[0], last[1], *first[2:]]])
-    arrays[schema.RADIUS_KIND] = np.broadcast_to(np.int32(0), counts)
-    return assembled(arrays, {schema.RADIUS_KIND: (*counts[:2], 1, 1, 1)})
+    first, last = base["radius_range"][0], base["radius_range"][-1]
+    arrays["radius_range"] = np.array([[first[0], last[1], *first[2:]]])
+    arrays["radius_kind"] = np.broadcast_to(np.int32(0), counts)
+    return assembled(arrays, {"radius_kind": (*counts[:2], 1, 1, 1)})
 
 
 def wrong_content(data: bytes) -> bytes:
@@ -335,7 +337,7 @@ def hostile_files(base: Arrays) -> dict[str, tuple[bytes, bool]]:
 
 def mutants(base: Arrays, rng: np.random.Generator, count: int) -> Iterator[bytes]:
     """Files with some bytes of table or chunks changed; digests are right again, but some."""
-    whole = assembled(base, chunks={schema.ALPHA_LIMITS: (3, 1, 2, 1, 20)})
+    whole = assembled(base, chunks={"alpha_limits": (3, 1, 2, 1, 20)})
     for _ in range(count):
         if rng.random() < 0.7:
             yield retold(whole, lambda text: _mutated_text(text, rng))

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from jaxstab import write_atlas
+from jaxstab import build_atlas
 from jaxstab.atlas.write import build
 
 FORMER = b"the former file"
@@ -29,7 +29,7 @@ def tile_images(_: Any, tiles: Any, *__: Any) -> Iterator[Any]:
 
 build.build_key, build.tile_images = (lambda *_: key), tile_images
 start = time.perf_counter()
-write_atlas(spec, path)
+build_atlas(spec, path)
 takes = time.perf_counter() - start
 chance = random.Random(20120412)
 found = {FORMER: 0, whole: 0}
@@ -37,7 +37,7 @@ path.write_bytes(FORMER)
 for _ in range(kills):
     child = os.fork()
     if child == 0:
-        write_atlas(spec, path)
+        build_atlas(spec, path)
         os._exit(0)
     time.sleep(chance.uniform(0.0, 1.5 * takes))
     os.kill(child, 9)
@@ -45,7 +45,7 @@ for _ in range(kills):
     found[path.read_bytes()] += 1
     if path.read_bytes() == whole:
         path.write_bytes(FORMER)
-write_atlas(spec, path)
+build_atlas(spec, path)
 assert path.read_bytes() == whole
 assert os.listdir(path.parent) == [path.name], os.listdir(path.parent)
 sys.stdout.write(" ".join(map(str, found.values())))

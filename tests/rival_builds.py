@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from jaxstab import write_atlas
+from jaxstab import build_atlas
 from jaxstab.atlas.write import build
 
 FORMER = b"the former file"
@@ -35,7 +35,7 @@ build.build_key, build.tile_images = (lambda *_: key), tile_images
 def built() -> int:
     """0 where this process built the atlas, 1 where another one did, 2 for what should not be."""
     try:
-        write_atlas(spec, path)
+        build_atlas(spec, path)
     except BlockingIOError:
         return 1
     except (OSError, KeyError, ValueError, RuntimeError) as error:

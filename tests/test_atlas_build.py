@@ -24,10 +24,10 @@ from counts import note
 from hostile import retold, sub
 
 import jaxstab
-from jaxstab import durable, open_atlas, write_atlas
-from jaxstab.atlas.compute import products
+from jaxstab import build_atlas, durable, open_atlas
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.write import build
 from jaxstab.atlas.write.build import tile_image
 from jaxstab.atlas.write.tiles import shards_of
@@ -65,7 +65,7 @@ def computed(images: dict[Tile, bytes], monkeypatch: pytest.MonkeyPatch) -> list
 def whole(computed: list[Tile], tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The bytes of the atlas when nothing goes wrong."""
     path = tmp_path_factory.mktemp("whole") / "a.h5"
-    write_atlas(TINY, path)
+    build_atlas(TINY, path)
     computed.clear()
     return path.read_bytes()
 
@@ -90,11 +90,11 @@ def test_an_interrupted_build_goes_on_where_it_ended(
     path, told = tmp_path / "a.h5", []
     path.write_bytes(FORMER)
     with pytest.raises(KeyboardInterrupt):
-        write_atlas(TINY, path, stop_after(done))
+        build_atlas(TINY, path, stop_after(done))
     assert path.read_bytes() == FORMER
     assert len(entries(tmp_path)) == (2 if done else 1)
     computed.clear()
-    write_atlas(TINY, path, lambda *progress: told.append(progress))
+    build_atlas(TINY, path, lambda *progress: told.append(progress))
     assert computed == plan.tiles[done:]
     assert told == [(count, 4) for count in range(done, 5)]
     assert path.read_bytes() == whole
@@ -117,12 +117,12 @@ def test_a_damaged_tile_is_computed_again(
 ) -> None:
     path = tmp_path / "a.h5"
     with pytest.raises(KeyboardInterrupt):
-        write_atlas(TINY, path, stop_after(4))
+        build_atlas(TINY, path, stop_after(4))
     (folder,) = tmp_path.iterdir()
     shard = next(folder.glob("1-0-*.tile"))
     shard.write_bytes(damage(shard.read_bytes()))
     computed.clear()
-    write_atlas(TINY, path)
+    build_atlas(TINY, path)
     assert [tile[::2] for tile in computed] == [(0, 1)]
     assert path.read_bytes() == whole
 
@@ -136,7 +136,7 @@ def test_a_tile_of_another_place_or_build_is_not_taken(
         shards.put(first, images[second])
         shards.put(second, images[second])
         shards.put(third, tile_image(plan, third, "1" * 64))
-    write_atlas(TINY, path)
+    build_atlas(TINY, path)
     assert computed == [first, *plan.tiles[2:]]
     assert path.read_bytes() == whole
 
@@ -163,9 +163,8 @@ def test_the_digest_of_the_content_is_that_of_its_description(whole: bytes) -> N
 def test_what_is_not_in_float64_is_refused_in_the_worker(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(
-        products._COMPUTED_BY, "verdict", lambda *_: {"verdict": np.zeros((3, 2, 1, 1, 1))}
-    )
+    wrong = {"verdict": np.zeros((3, 2, 1, 1, 1))}
+    monkeypatch.setattr(PRODUCTS["verdict"], "compute", lambda *_: wrong)
     with pytest.raises(RuntimeError, match=r"verdict was computed as float64 .*, not as int8"):
         tile_image(plan, plan.tiles[0], KEY)
 
@@ -210,7 +209,7 @@ def test_a_full_disk_leaves_the_former_file_and_the_tiles_that_are_done(
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(os, "write", failing_write(error, after))
             try:
-                write_atlas(TINY, path)
+                build_atlas(TINY, path)
                 break
             except OSError as caught:
                 told.append((caught.errno, str(caught).count("cannot write")))
@@ -235,7 +234,7 @@ def test_a_failure_of_any_step_is_a_sentence_and_leaves_no_file(
 
     monkeypatch.setattr(os, step, fail)
     with pytest.raises(OSError, match=r"cannot write .*\.$"):
-        write_atlas(TINY, tmp_path / "new.h5")
+        build_atlas(TINY, tmp_path / "new.h5")
     assert not (tmp_path / "new.h5").exists()
 
 
@@ -251,7 +250,7 @@ def test_a_place_that_cannot_be_written_is_known_before_the_work(
         (NotADirectoryError, tmp_path / "file" / "new.h5"),
     ):
         with pytest.raises(error, match=f"cannot write {place}: .*\\.$"):
-            write_atlas(TINY, place)
+            build_atlas(TINY, place)
     assert entries(tmp_path) == ["file", "folder"]
 
 
@@ -301,9 +300,9 @@ def test_after_a_death_at_any_call_there_is_the_old_file_or_the_new_one_and_a_bu
         with pytest.MonkeyPatch.context() as patch:
             death = Death(patch, after)
             with suppress(DeadError, OSError, ValueError):  # the dead find what they did not write
-                write_atlas(TINY, path)
+                build_atlas(TINY, path)
         found.add(path.read_bytes())
-        write_atlas(TINY, path)
+        build_atlas(TINY, path)
         assert path.read_bytes() == whole
         assert entries(tmp_path) == ["a.h5"]
         if death.calls <= after:
@@ -360,10 +359,10 @@ def test_on_a_full_disk_the_build_is_refused_and_goes_on_when_there_is_room(
     path.write_bytes(FORMER)
     (disk / "other").write_bytes(bytes(max(0, 64 * 1024 - 8192 - free)))
     with pytest.raises(OSError, match=rf"cannot write .*: {os.strerror(errno.ENOSPC)}\.$"):
-        write_atlas(TINY, path)
+        build_atlas(TINY, path)
     assert path.read_bytes() == FORMER
     remount(disk, "size=1m")
-    write_atlas(TINY, path)
+    build_atlas(TINY, path)
     assert path.read_bytes() == whole
     assert entries(disk) == ["a.h5", "other"]
 
@@ -373,7 +372,7 @@ def test_in_a_read_only_folder_the_build_is_refused_before_the_work(disk: Path) 
     (disk / "a.h5").write_bytes(FORMER)
     remount(disk, "ro")
     with pytest.raises(OSError, match=rf"cannot write .*: {os.strerror(errno.EROFS)}\.$"):
-        write_atlas(TINY, disk / "a.h5")
+        build_atlas(TINY, disk / "a.h5")
     assert entries(disk) == ["a.h5"]
 
 

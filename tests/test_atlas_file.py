@@ -26,9 +26,11 @@ from hostile_images import IMAGES, with_another_image
 
 import jaxstab
 from jaxstab import open_atlas, plan_atlas
-from jaxstab.atlas.compute.products import compute_tile
+from jaxstab.atlas.compute.plan import compute_tile
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format import schema as footer
+from jaxstab.atlas.products.radii import RADIUS_CELL
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read import file
 from jaxstab.atlas.write.verify import verify_atlas
 from jaxstab.model import by_name
@@ -58,7 +60,7 @@ def refusal(path: Path, ask: Callable[[Path], object] = open_atlas) -> str:
 
 
 def variables_of_small() -> list[str]:
-    chosen = [name for product in SMALL.products for name in schema.PRODUCTS[product]]
+    chosen = [name for product in SMALL.products for name in PRODUCTS[product].names]
     return [name for name in schema.VARIABLES if name in schema.ALWAYS.union(chosen)]
 
 
@@ -69,12 +71,12 @@ def test_what_is_computed_is_read(tmp_path: Path) -> None:
     strung = []
     for tile in plan.tiles:
         parts = compute_tile(plan, tile)
-        strung.append(parts.pop(schema.RADIUS_TERMS))
+        strung.append(parts.pop("radius_terms"))
         for name, values in parts.items():
             places = (plan.numbers(d, tile) for d in schema.VARIABLES[name].dimensions)
             assert contents.arrays[name].dtype == values.dtype
             np.testing.assert_array_equal(contents.arrays[name][np.ix_(*places)], values)
-    terms = contents.arrays[schema.RADIUS_TERMS]
+    terms = contents.arrays["radius_terms"]
     np.testing.assert_array_equal(terms, np.concatenate(strung, axis=1))
 
 
@@ -265,13 +267,13 @@ def test_what_is_too_large_is_refused_and_the_rest_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_small(tmp_path)
-    monkeypatch.setattr(schema, "LARGEST_ARRAY", path.stat().st_size - 1)
+    monkeypatch.setattr(file, "LARGEST_ARRAY", path.stat().st_size - 1)
     assert "read into memory" in refusal(path)
     monkeypatch.undo()
-    monkeypatch.setattr(schema, "LARGEST_UNASKED", 0)
+    monkeypatch.setattr(file, "LARGEST_UNASKED", 0)
     monkeypatch.setattr(schema, "LARGEST_EXPANSION", 1)
     atlas = open_atlas(path)
-    size = 4 * prod(atlas.arrays[name].size for name in schema.RADIUS_CELL)
+    size = 4 * prod(atlas.arrays[name].size for name in RADIUS_CELL)
     assert f"has {size} bytes of radius_kind" in refusal(
         path, lambda _: atlas.query(0.1, 0.5, gamma=0.0005, delta=0.01, delay=0.0)
     )

@@ -179,6 +179,6 @@ def test_every_product_of_a_window_of_twenty(tmp_path: Path) -> None:
         velocity=Velocity.difference(samples=20),
         products=("verdict", "alpha_limits", "spectral_radius", "outline", "summary"),
     )
-    jaxstab.write_atlas(spec, path)
+    jaxstab.build_atlas(spec, path)
     result = CliRunner().invoke(main, ["atlas", "verify", str(path), "--sample", "100"])
     assert result.exit_code == 0, result.output

@@ -22,7 +22,7 @@ from jaxstab import (
     stable_region,
     verdict,
 )
-from jaxstab.atlas.format.schema import PRODUCTS
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read import file
 from jaxstab.atlas.read.points import checked_range
 from jaxstab.model import by_name
@@ -277,7 +277,7 @@ def test_what_is_no_number_is_refused_by_its_name(atlas: Atlas, ask, words: str)
 
 def test_without_the_product_there_are_verdicts_but_no_limits() -> None:
     contents = small_contents()
-    names = set(PRODUCTS["alpha_limits"])
+    names = set(PRODUCTS["alpha_limits"].names)
     arrays = {name: array for name, array in contents.arrays.items() if name not in names}
     atlas = Atlas(file.Contents(arrays, contents.created_by, contents.filters))
     point = dict(zip(AXES, (0.1, 0.3, 0.0005, 0.004, 0.0), strict=True))

@@ -11,7 +11,7 @@ from atlases import edited
 from click.testing import CliRunner
 from hostile import parted, retold, sub
 
-from jaxstab import AtlasSpec, FittedAxis, open_atlas, spectral_radius, write_atlas
+from jaxstab import AtlasSpec, FittedAxis, build_atlas, open_atlas, spectral_radius
 from jaxstab.atlas.format import schema as footer
 from jaxstab.atlas.format.schema import VARIABLES, content_digest, digest_of
 from jaxstab.cli.main import main
@@ -29,7 +29,7 @@ NAMES = [
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("verify") / "a.h5"
-    write_atlas(SPEC, path)
+    build_atlas(SPEC, path)
     return path.read_bytes()
 
 
@@ -157,7 +157,7 @@ def test_a_radius_that_cannot_be_computed_is_not_taken_for_right(
         radius = spectral_radius(**asked)
         return radius._replace(value=np.full_like(radius.value, np.nan))
 
-    monkeypatch.setattr("jaxstab.atlas.write.verify.spectral_radius", lost)
+    monkeypatch.setattr("jaxstab.point.spectral_radius", lost)
     assert verified(whole, tmp_path) == (1, ["spectral_radius"])
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxstab import AtlasSpec, Velocity, write_atlas
+from jaxstab import AtlasSpec, Velocity, build_atlas
 from jaxstab.atlas.write import tiles
 from jaxstab.atlas.write.build import dask_cluster, processes
 
@@ -41,7 +41,7 @@ COMMAND = [sys.executable, "-c", SCRIPT, "atlas", "build"]
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("serial") / "a.h5"
-    write_atlas(SPEC, path)
+    build_atlas(SPEC, path)
     return path.read_bytes()
 
 
@@ -87,7 +87,7 @@ def test_the_bytes_do_not_depend_on_who_computed_the_tiles_and_when(
 ) -> None:
     path, found = tmp_path / "a.h5", set[bytes]()
     for executor in (LastFirst(), ThreadPoolExecutor(3)):
-        write_atlas(SPEC, path, executor=executor)
+        build_atlas(SPEC, path, executor=executor)
         found.add(path.read_bytes())
     assert found == {serial}
 
@@ -98,11 +98,11 @@ def test_a_worker_process_that_dies_is_told_and_the_next_build_goes_on(
     path = tmp_path / "a.h5"
     kill_one = when_done(1, lambda: kill(multiprocessing.active_children()[0].pid))
     with processes(2) as executor, pytest.raises(RuntimeError, match=r"a worker died; \d of 6"):
-        write_atlas(SPEC, path, kill_one, executor)
+        build_atlas(SPEC, path, kill_one, executor)
     assert not path.exists()
     told: list[tuple[int, int]] = []
     with processes(2) as executor:
-        write_atlas(SPEC, path, lambda *progress: told.append(progress), executor)
+        build_atlas(SPEC, path, lambda *progress: told.append(progress), executor)
     assert told[0][0] >= 1
     assert path.read_bytes() == serial
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.h5"]
@@ -135,7 +135,7 @@ def test_ctrl_c_ends_workers_and_command_in_one_sentence(tmp_path: Path) -> None
     assert "Traceback" not in told
     assert not output.exists()
     told_progress: list[tuple[int, int]] = []
-    write_atlas(long, output, lambda *progress: told_progress.append(progress))
+    build_atlas(long, output, lambda *progress: told_progress.append(progress))
     assert told_progress[0][0] >= 1
     assert [entry.name for entry in tmp_path.iterdir() if entry.name != "a.toml"] == ["a.h5"]
 
@@ -179,7 +179,7 @@ def test_a_dask_cluster_builds_the_serial_atlas_though_a_worker_is_killed(
 ) -> None:
     path = tmp_path / "a.h5"
     with dask_cluster(cluster.address) as executor:
-        write_atlas(SPEC, path, when_done(1, cluster.running[-1].kill), executor)
+        build_atlas(SPEC, path, when_done(1, cluster.running[-1].kill), executor)
     assert path.read_bytes() == serial
 
 
@@ -202,13 +202,13 @@ def test_31_25_workers_of_a_local_cluster_are_believed_if_their_code_is_that_of_
         local.get_client() as client,
         dask_cluster(local.scheduler_address) as executor,
     ):
-        write_atlas(SPEC, path, executor=executor)
+        build_atlas(SPEC, path, executor=executor)
         assert path.read_bytes() == serial
         assert len(client.run(as_of_another_code)) == 2
         with pytest.raises(
             RuntimeError, match=r"a worker computes with .*\(code 1.*install the same"
         ):
-            write_atlas(replace(SPEC, delay=[1.0]), path, executor=executor)
+            build_atlas(replace(SPEC, delay=[1.0]), path, executor=executor)
     assert path.read_bytes() == serial
 
 

@@ -228,7 +228,6 @@ OUTPUTS = [
     ["region", "--gamma", "0", "--delta", "0", "-o", "none/a.png"],
     ["atlas", "build", "--spec", "spec.toml", "-o", "none/a.h5"],
     ["atlas", "plan", "spec.toml", "--accuracy", "0.1", "-o", "none/a.toml"],
-    ["atlas", "plan", "spec.toml", "--accuracy", "0.1", "--plot", "none/a.png"],
     ["atlas", "plot", "small.h5", "-o", "none/a.png"],
 ]
 

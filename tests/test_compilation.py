@@ -103,7 +103,7 @@ PROGRAMS = {
     "verdict of a grid": (3, 0),
     "verdict of hands": (4, 0),
     "radius of a large grid": (10, 0),
-    "write_atlas": (2, 0),
+    "build_atlas": (2, 0),
 }
 
 COUNT_PROGRAMS = """
@@ -130,7 +130,7 @@ def write(size):
     axes = {"alpha": FittedAxis(size), "beta": FittedAxis(size)}
     spec = AtlasSpec(**axes, gamma=[0.0, 1e-3], delta=[0.0, 0.015], delay=[0.0])
     with tempfile.TemporaryDirectory() as folder:
-        jaxstab.write_atlas(spec, folder + "/a.h5")
+        jaxstab.build_atlas(spec, folder + "/a.h5")
 
 CALLS = {
     "verdict": (
@@ -158,7 +158,7 @@ CALLS = {
         (100_000, 131_000),
     ),
     "trace_boundary": (trace, (10, 11, 12)),
-    "write_atlas": (write, (100, 101, 110)),
+    "build_atlas": (write, (100, 101, 110)),
 }
 compiled = []
 jax.monitoring.register_event_duration_secs_listener(

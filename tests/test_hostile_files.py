@@ -19,8 +19,9 @@ from hostile_images import IMAGES, with_another_image
 from programs_in_c import compiled
 
 from jaxstab import Atlas, AtlasSpec, FittedAxis, build_atlas, open_atlas
-from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.schema import PRODUCTS
+from jaxstab.atlas.format.variables import NODE
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.read import file
 from jaxstab.model import by_name
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,7 +74,7 @@ def codes_of(atlas: Atlas, points: np.ndarray) -> np.ndarray:
     They read nothing else; where there are no limits Python may know a radius.
     """
     answer = atlas.query(**by_name(*points.T), outside="undecided")
-    early, late = atlas.arrays[schema.LIMIT_RANGE][:, :2].T
+    early, late = atlas.arrays["limit_range"][:, :2].T
     has_limits = ((points[:, 4:] >= early) & (points[:, 4:] <= late)).any(axis=1)
     return np.where(has_limits & (answer.status < 4), answer.verdict, OUTSIDE)
 
@@ -194,9 +195,9 @@ def test_no_reader_takes_a_hostile_file_for_an_atlas(
 def test_28_many_codes_in_a_small_file_do_not_fill_the_memory(base: Base, tmp_path: Path) -> None:
     """252 MB of codes, unpacked from 4.2 MB at the first question."""
     counts, arrays = (2048, 2048, 1, 1, 60), dict(base.arrays)
-    chosen = {name for product in ("alpha_limits", "spectral_radius") for name in PRODUCTS[product]}
+    chosen = {*PRODUCTS["alpha_limits"].names, *PRODUCTS["spectral_radius"].names}
     arrays = {name: values for name, values in arrays.items() if name not in chosen}
-    for name, count in zip(schema.NODE[:2], counts, strict=False):
+    for name, count in zip(NODE[:2], counts, strict=False):
         cells = name.replace("node", "cell")
         arrays[name], arrays[cells] = (np.arange(n, dtype=np.int32) for n in (count, count - 1))
         nodes = np.linspace(0.0, 1.0, count)[:, None] * np.ones((1, 60))
@@ -205,9 +206,9 @@ def test_28_many_codes_in_a_small_file_do_not_fill_the_memory(base: Base, tmp_pa
         arrays |= {name: np.zeros(1), f"{name}_cell": np.zeros(1, np.int32)}
     arrays["delay"] = np.arange(60.0)
     cells = 2047, 2047, 1, 1, 60
-    arrays[schema.VERDICT] = np.broadcast_to(np.int8(0), counts)
-    arrays[schema.CELL_VERDICT] = np.broadcast_to(np.int8(0), cells)
-    chunks = {schema.VERDICT: (*counts[:4], 1), schema.CELL_VERDICT: (*cells[:4], 1)}
+    arrays["verdict"] = np.broadcast_to(np.int8(0), counts)
+    arrays["cell_verdict"] = np.broadcast_to(np.int8(0), cells)
+    chunks = {"verdict": (*counts[:4], 1), "cell_verdict": (*cells[:4], 1)}
     path = tmp_path / "codes.h5"
     path.write_bytes(assembled(arrays, chunks))
     assert path.stat().st_size < 5 * 10**6
@@ -235,7 +236,7 @@ def test_28_codes_are_the_same_chunk_by_chunk(
     codes = atlas.query(**by_name(*points, 1.5)).verdict
     shares = [atlas.decided_fraction(number) for number in (0, 1)]
     assert set(codes) == {1, 2, 3}
-    monkeypatch.setattr(schema, "LARGEST_UNASKED", 0)
+    monkeypatch.setattr(file, "LARGEST_UNASKED", 0)
     chunked = open_atlas(tmp_path / "a.h5")
     np.testing.assert_array_equal(chunked.query(**by_name(*points, 1.5)).verdict, codes)
     assert [chunked.decided_fraction(number) for number in (0, 1)] == pytest.approx(shares)

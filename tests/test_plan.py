@@ -23,16 +23,14 @@ from jaxstab import (
     plan_atlas,
     stable_region,
     verdict,
-    write_atlas,
 )
 from jaxstab.atlas.compute import layout as tolerance
-from jaxstab.atlas.compute import products
-from jaxstab.atlas.compute.products import compute_tile
-from jaxstab.atlas.format import schema
+from jaxstab.atlas.compute.plan import compute_tile
 from jaxstab.atlas.format.schema import VARIABLES
-from jaxstab.atlas.write.estimate import estimate_build
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.write.resolution import estimate_build
 
-RADII = (schema.RADIUS_KIND, schema.RADIUS_TERMS)
+RADII = ("radius_kind", "radius_terms")
 ONE_SLICE = {"gamma": [0.001], "delta": [0.015], "products": ["verdict"]}
 
 
@@ -77,11 +75,11 @@ def test_a_tile_is_the_same_alone_and_in_an_atlas_of_any_tiles(
     strung = []
     for tile in plan.tiles[::-1]:
         parts = compute_tile(plan, tile)
-        strung.append(parts.pop(schema.RADIUS_TERMS))
+        strung.append(parts.pop("radius_terms"))
         for name, values in parts.items():
             places = (plan.numbers(dimension, tile) for dimension in VARIABLES[name].dimensions)
             np.testing.assert_array_equal(values, whole[name][np.ix_(*places)])
-    np.testing.assert_array_equal(np.concatenate(strung[::-1], axis=1), whole[schema.RADIUS_TERMS])
+    np.testing.assert_array_equal(np.concatenate(strung[::-1], axis=1), whole["radius_terms"])
 
 
 @pytest.mark.parametrize("product", ["verdict", "spectral_radius"])
@@ -94,8 +92,8 @@ def test_what_is_not_asked_for_is_not_computed(
     )  # fmt: skip
     plan = plan_atlas(spec)
     other = {"verdict": "spectral_radius", "spectral_radius": "verdict"}[product]
-    monkeypatch.setattr(products, "radii" if product == "verdict" else "node_verdicts", 0)
-    computed = {"verdict": schema.PRODUCTS["verdict"], "spectral_radius": RADII}[product]
+    monkeypatch.setattr(PRODUCTS[other], "compute", None)
+    computed = {"verdict": PRODUCTS["verdict"].names, "spectral_radius": RADII}[product]
     assert set(compute_tile(plan, plan.tiles[0])) == set(computed)
     assert f"{other}: not asked for" in str(plan)
 
@@ -202,7 +200,7 @@ def test_a_build_takes_about_the_time_and_the_size_that_were_estimated(
     spec = replace(SMALL, products=products)
     estimate = estimate_build(plan_atlas(spec))
     begin = process_time()
-    write_atlas(spec, tmp_path / "atlas.h5")
+    build_atlas(spec, tmp_path / "atlas.h5")
     seconds, size = process_time() - begin, (tmp_path / "atlas.h5").stat().st_size
     assert 1 / 3 < estimate.seconds / seconds < 3
     assert 1 / 2 < estimate.size / size < 2

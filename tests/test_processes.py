@@ -115,7 +115,7 @@ def test_a_worker_process_that_sets_nothing_writes_the_same_atlas(tmp_path: Path
     spec = jaxstab.AtlasSpec(
         alpha=[0.0, 0.1], beta=[0.1, 0.2], gamma=[0.0, 0.001], delta=[0.0, 0.015], delay=[0.0]
     )
-    jaxstab.write_atlas(spec, tmp_path / "here.h5")
+    jaxstab.build_atlas(spec, tmp_path / "here.h5")
     with processes(1) as executor:
-        executor.submit(jaxstab.write_atlas, spec, tmp_path / "there.h5").result()
+        executor.submit(jaxstab.build_atlas, spec, tmp_path / "there.h5").result()
     assert (tmp_path / "there.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks import truth
 from jaxstab import AtlasSpec, FittedAxis, QueryStatus, build_atlas, spectral_radius
-from jaxstab.atlas.read.limits import radius_bounds
+from jaxstab.atlas.products.radii import radius_bounds
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import Velocity, as_keywords, known_filters
 from jaxstab.proofs.plant import HandBoxes

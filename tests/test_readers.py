@@ -20,13 +20,13 @@ from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import STABLE, UNDECIDED, UNSTABLE, Atlas, AtlasSpec, QueryStatus, open_atlas
 from jaxstab.atlas.format import schema as footer
 from jaxstab.atlas.format.schema import (
-    PRODUCTS,
     SCHEMA_VERSION,
-    SLICE,
     VARIABLES,
     content_digest,
     digest_of,
 )
+from jaxstab.atlas.format.variables import SLICE
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read.file import table_of
 from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
 from jaxstab.model import by_name
@@ -220,7 +220,7 @@ def refused_files(folder: Path) -> Iterator[tuple[Path, str]]:
         ("without-footer", whole[:-48], damage),
         ("older", footer.sealed(bytes(1000)), "has another schema version than 3, or none"),
         ("newer", retold(whole, sub("atlas 3", "atlas 4")), "has another schema version than 3"),
-        ("without-limits", edited(*PRODUCTS["alpha_limits"]), "holds no limits"),
+        ("without-limits", edited(*PRODUCTS["alpha_limits"].names), "holds no limits"),
         ("without-gamma", edited("gamma"), damage),
     ):
         path = folder / f"{name}.h5"

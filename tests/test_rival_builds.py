@@ -13,7 +13,7 @@ from builds import FORMER, KEY, TINY, entries, tiny_images
 from campaign import many
 from counts import note
 
-from jaxstab import durable, write_atlas
+from jaxstab import build_atlas, durable
 from jaxstab.atlas.write.tiles import shards_of
 
 LONG = pytest.mark.campaign
@@ -43,7 +43,7 @@ def test_where_nothing_can_be_locked_the_build_is_refused(
     with pytest.raises(
         OSError, match=r"cannot write .*cannot be locked .*elsewhere and copy it\.$"
     ):
-        write_atlas(TINY, tmp_path / "a.h5")
+        build_atlas(TINY, tmp_path / "a.h5")
     assert entries(tmp_path) == []
 
 
@@ -85,7 +85,7 @@ def test_a_temporary_file_that_was_taken_away_is_not_published(tmp_path: Path) -
 
 def rivals(folder: Path, *words: str) -> list[int]:
     """Rounds, successes, refusals, and whatever else there was, of builders that meet."""
-    write_atlas(TINY, folder / "a.h5")
+    build_atlas(TINY, folder / "a.h5")
     whole = (folder / "a.h5").read_bytes()
     done = subprocess.run(
         [sys.executable, str(RIVALS), str(folder / "a.h5"), *words],

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from builds import FORMER, KEY, TINY, entries, tiny_images, tiny_plan
 
-from jaxstab import write_atlas
+from jaxstab import build_atlas
 from jaxstab.atlas.format.schema import image_of, sealed
 from jaxstab.atlas.write import build, tiles
 from jaxstab.atlas.write.tiles import VALUES_DIGEST, build_key, shards_of
@@ -32,7 +32,7 @@ def test_24_a_link_in_place_of_the_folder_is_not_followed(is_tile: bool, tmp_pat
     (elsewhere / ("0-0-0.tile" if is_tile else "thesis.tex")).write_text("precious")
     folder_of(path).symlink_to(elsewhere)
     with pytest.raises(PermissionError, match=r"cannot write .*\.tiles.*is no folder; remove it"):
-        write_atlas(TINY, path)
+        build_atlas(TINY, path)
     assert len(entries(elsewhere)) == 1
 
 
@@ -41,11 +41,11 @@ def test_24_a_folder_of_others_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
     folder_of(path).mkdir(mode=0o700)
     folder_of(path).chmod(0o770)
     with pytest.raises(PermissionError, match="is open to other users; remove it"):
-        write_atlas(TINY, path)
+        build_atlas(TINY, path)
     folder_of(path).chmod(0o700)
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
     with pytest.raises(PermissionError, match="belongs to another user; remove it"):
-        write_atlas(TINY, path)
+        build_atlas(TINY, path)
     assert not path.exists()
 
 
@@ -57,7 +57,7 @@ def test_24_the_folder_is_this_users_alone_and_what_is_not_a_tile_stays(tmp_path
         if done == 1:
             (folder_of(path) / "thesis.tex").write_text("precious")
 
-    write_atlas(TINY, path, look)
+    build_atlas(TINY, path, look)
     assert set(modes) == {0o700}
     assert entries(folder_of(path)) == ["thesis.tex"]
 
@@ -73,7 +73,7 @@ def test_24_the_folder_is_meant_though_its_path_becomes_a_link(tmp_path: Path) -
             folder_of(path).rename(tmp_path / "moved")
             folder_of(path).symlink_to(elsewhere)
 
-    write_atlas(TINY, path, swap)
+    build_atlas(TINY, path, swap)
     assert (elsewhere / "1-0-0.tile").read_text() == "precious"
     assert entries(tmp_path / "moved") == []
 
@@ -138,7 +138,7 @@ def test_24_a_pipe_in_place_of_a_tile_is_not_waited_for(tmp_path: Path) -> None:
     folder_of(path).mkdir(mode=0o700)
     os.mkfifo(folder_of(path) / "0-0-0.tile")
     (folder_of(path) / "1-0-0.tile").symlink_to(path)
-    write_atlas(TINY, path)
+    build_atlas(TINY, path)
     assert entries(tmp_path) == ["a.h5"]
 
 
@@ -156,9 +156,9 @@ def test_24_a_merged_file_that_cannot_be_opened_leaves_the_former_one(
     """As when a variable is merged wrong, whatever the reason."""
     path = tmp_path / "a.h5"
     path.write_bytes(FORMER)
-    monkeypatch.setattr("jaxstab.atlas.write.merge.table_text", lambda *_: b"no table\n")
+    monkeypatch.setattr("jaxstab.atlas.write.tiles.table_text", lambda *_: b"no table\n")
     with pytest.raises(ValueError, match=r"a\.h5 make no sound atlas; remove .*build again\.$"):
-        write_atlas(TINY, path)
+        build_atlas(TINY, path)
     assert path.read_bytes() == FORMER
 
 
@@ -199,10 +199,10 @@ def test_25_tiles_of_workers_of_another_jaxstab_are_refused(
         (lambda: None, "cannot compute tiles of this build"),
     ):
         with pytest.raises(RuntimeError) as refusal:
-            write_atlas(TINY, path, executor=Worker(answer))
+            build_atlas(TINY, path, executor=Worker(answer))
         assert words in str(refusal.value)
         assert maker in str(refusal.value)
         assert str(refusal.value).count(". ") == 0
     with pytest.raises(ValueError, match=r"tile \d-\d-\d is (damaged|none of this build);"):
-        write_atlas(TINY, path, executor=Worker(lambda: image[:-1]))
+        build_atlas(TINY, path, executor=Worker(lambda: image[:-1]))
     assert entries(tmp_path) == []

@@ -3,19 +3,18 @@ from .compute.plan import plan_atlas as plan_atlas
 from .format.spec import AtlasSpec as AtlasSpec
 from .format.spec import FittedAxis as FittedAxis
 from .format.spec import ToleranceAxis as ToleranceAxis
+from .products.limits import AlphaLimits as AlphaLimits
+from .products.limits import MaxAlpha as MaxAlpha
+from .products.slices import AtlasOutline as AtlasOutline
 from .read.atlas import Atlas as Atlas
 from .read.atlas import LargestStiffness as LargestStiffness
 from .read.atlas import LoopAtlas as LoopAtlas
 from .read.atlas import open_atlas as open_atlas
-from .read.limits import AlphaLimits as AlphaLimits
-from .read.limits import MaxAlpha as MaxAlpha
-from .read.outline import AtlasOutline as AtlasOutline
 from .read.points import AtlasAnswer as AtlasAnswer
 from .read.points import QueryStatus as QueryStatus
 from .write.build import build_atlas as build_atlas
-from .write.build import write_atlas as write_atlas
-from .write.estimate import plan_resolution as plan_resolution
 from .write.resolution import Resolution as Resolution
 from .write.resolution import ResolutionPlan as ResolutionPlan
+from .write.resolution import plan_resolution as plan_resolution
 
 __all__: list[str]

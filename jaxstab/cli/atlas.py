@@ -16,9 +16,7 @@ from jaxstab.cli.options import (
     at_work,
     keep_programs,
     output_file,
-    picture_file,
     spec_file,
-    write_beside,
 )
 from jaxstab.cli.scene import scene_of, warn
 from jaxstab.cli.untrusted import careful
@@ -49,9 +47,9 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
 
     What was interrupted goes on where it ended when the same command is given again.
     """
-    from jaxstab.atlas import AtlasSpec, write_atlas
+    from jaxstab.atlas import AtlasSpec
     from jaxstab.atlas.read.file import node_count
-    from jaxstab.atlas.write.build import dask_cluster, processes
+    from jaxstab.atlas.write.build import dask_cluster, processes, write_atlas
 
     if workers and scheduler is not None:
         raise click.UsageError("--workers and --scheduler are given; give one of them.")
@@ -197,8 +195,6 @@ def _example(opened: "Atlas") -> dict[str, float]:
     return point | {"delay": delay}
 
 
-# The command that plans atlases: what a build would take, and which resolution a wish needs.
-
 _UNITS = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9}
 
 
@@ -223,9 +219,7 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
     type=float,
     help="Wish: error of 95 % of the limits of alpha, as a share of the largest alpha.",
 )
-@click.option("--decided", type=float, help="Wish: share of the range that is decided.")
 @click.option("--size", callback=_bytes, help="Wish: largest size of the file, such as 10MB.")
-@click.option("--time", type=float, help="Wish: most seconds of CPU for the build.")
 @click.option(
     "-o",
     "--output",
@@ -233,16 +227,7 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
     callback=spec_file,
     help="TOML file to write, which meets the wish.",
 )
-@click.option(
-    "--plot", type=Path, callback=picture_file, help="PNG or SVG file of the resolutions."
-)
-def plan(
-    file: Path | None,
-    spec: Path | None,
-    output: Path | None,
-    plot: Path | None,
-    **wishes: float | None,
-) -> None:
+def plan(file: Path | None, spec: Path | None, output: Path | None, **wishes: float | None) -> None:
     """Print what a build would compute, why it need not compute the rest, and what it will take.
 
     With a wish, print instead what resolutions of the same range give and take, by samples, and
@@ -250,13 +235,13 @@ def plan(
     0.01 -o mine-0.01.toml
     """
     from jaxstab.atlas import AtlasSpec, plan_atlas, plan_resolution
-    from jaxstab.atlas.write.estimate import estimate_build
+    from jaxstab.atlas.write.resolution import estimate_build
 
     if file and spec:
         raise click.UsageError("SPEC and --spec are given; give one of them.")
     given = {name: wish for name, wish in wishes.items() if wish is not None}
-    if not given and (output or plot):
-        raise click.UsageError("-o and --plot need a wish, such as --accuracy 0.01.")
+    if not given and output:
+        raise click.UsageError("-o needs a wish, such as --accuracy 0.01.")
     keep_programs()
     source = file or spec
     asked = AtlasSpec.from_file(source) if source else AtlasSpec()
@@ -275,8 +260,3 @@ def plan(
 
         publish(resolutions.spec.to_toml().encode(), output)
         click.echo(f"\nBuild it with\n  jaxstab atlas build --spec {output}")
-    if plot:
-        from jaxstab.pictures.resolution import resolution_figure
-        from jaxstab.pictures.style import picture
-
-        write_beside(picture(resolution_figure(resolutions), plot.suffix[1:]), plot)

@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
 from jaxstab.atlas.compute.layout import Grid
-from jaxstab.atlas.format.schema import WHOLE_ALPHA, WHOLE_BOTH
-from jaxstab.atlas.read.limits import surface
+from jaxstab.atlas.products.limits import WHOLE_ALPHA, WHOLE_BOTH, surface
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.columns import StableColumns, stable_columns
 from jaxstab.proofs.enclosures import Domain
@@ -27,7 +26,6 @@ _HALVINGS = 1  # of a cell of delays
 _ABOVE = 1.0 + 1e-9  # times what is rounded
 _LEAST_NUMERATOR = 0.25  # |N| below which no bound is tried
 _LARGEST_BOUND = 1e6
-
 Ends = tuple[float, float]
 Floats = Float64[np.ndarray, " edge"]
 
@@ -40,7 +38,7 @@ class Bounds(NamedTuple):
 
 
 def whole_axes(grid: Grid, filters: Filters | None) -> Int32[np.ndarray, " delay_cell"]:
-    """Return for each cell of delays which axes hold the whole stable set, by ``schema.WHOLE``.
+    """Return for each cell of delays which axes hold the whole stable set, by ``LIMIT_WHOLE``.
 
     Source: lemma B22 of docs/proofs.md.
     """

@@ -1,4 +1,18 @@
-"""What a specification means in numbers: the nodes along each axis, for each delay."""
+"""Where the nodes and cells of an atlas lie: the specification in numbers.
+
+Axes of gamma, delta and delay are given as nodes, or, for gamma and delta, as a range and a
+tolerance: then as many nodes as keep the motion of the stable set's boundary between two of them
+below it, few where little changes (``tolerant_nodes``). Axes of alpha and beta may be fitted: laid
+around the stable regions of the atlas's hands at each delay, with a margin, and with nodes close to
+the line alpha = -gamma, where stability ends and no cell can be decided (``_fitted_alpha``).
+
+Limits of alpha and radii also answer between the delays, in cells of delays. Whole samples are
+edges of cells, for there the degree of the polynomial changes. A cell of limits is longer as the
+delay grows, for the boundary bends less; those of radii are even, and wider after some samples.
+The ends of alpha and beta of a cell follow from the regions at some edges (``_delay_cells``).
+
+At the end of this file a specification gets other counts along its axes, for plans of resolutions.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,15 +23,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.atlas.format.schema import (
-    ALPHA_LIMITS,
-    CELL,
-    LIMIT_TERMS,
-    NODE,
-    RADIUS_CELL,
-    SPECTRAL_RADIUS,
-    TERMS_OF_RADIUS,
-)
 from jaxstab.atlas.format.spec import (
     FEWEST_FITTED,
     AtlasSpec,
@@ -26,16 +31,16 @@ from jaxstab.atlas.format.spec import (
     ToleranceAxis,
     check_size,
 )
+from jaxstab.atlas.format.variables import CELL, NODE
+from jaxstab.atlas.products.limits import ALPHA_LIMITS
+from jaxstab.atlas.products.radii import RADIUS_CELL, SPECTRAL_RADIUS
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.region import Branch, RegionStatus, StableRegion, stable_region
 from jaxstab.region.curve import curve_point, minus_offset, minus_slope, plus_offset, plus_slope
 
-# As many nodes along gamma or delta as a tolerance needs: where little changes, few.
-
 _PROBES = 17  # values along the axis at which the boundary is looked at
-
 _FINENESS = 1e-3  # of outlines, whose extremes are exact
-
 Slice = tuple[float, float, float]
 
 
@@ -128,17 +133,11 @@ def _motion(region: StableRegion, other: StableRegion, extent: Float64[np.ndarra
 
 
 _MARGIN = 0.03  # around the stable region, of its size
-
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
-
 _STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
-
 _COARSE = 32  # cells to a sample, at some of whose edges regions are looked at beforehand
-
 _RADII = 0.8  # cells of radii along the delay for each of limits around a delay of 1/2
-
 _LATE = 3.0  # samples: from here on they are wider
-
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 
 
@@ -176,11 +175,10 @@ class Grid:
     def lengths(self) -> dict[str, int]:
         """The lengths of the dimensions of nodes and cells, by the names of the schema."""
         lengths = dict(zip((*NODE, *CELL), (*self.shape, *self.cell_shape), strict=True))
-        cells, ends = self.limit_range.shape
-        of_limits = {"limit_cell": self.limit_cells, "delay_cell": cells, "limit_end": ends}
+        lengths |= {"limit_cell": self.limit_cells, "delay_cell": len(self.limit_range)}
         of_radii = zip(RADIUS_CELL, (*self.radius_cells, len(self.radius_range)), strict=True)
-        terms = {"limit_term": 2 * LIMIT_TERMS, "radius_term": TERMS_OF_RADIUS, "radius_end": ends}
-        return lengths | of_limits | dict(of_radii) | terms
+        fixed = (pair for product in PRODUCTS.values() for pair in product.lengths.items())
+        return lengths | dict(of_radii) | dict(fixed)
 
     def delay_cells(self, delay: int, cells: Float64[np.ndarray, "delay_cell 6"]) -> range:
         """Return which cells of delays begin from the delay of this index to the next one."""
@@ -199,6 +197,64 @@ class Grid:
         """Return the ends of the cells along gamma or delta; one node alone is both of them."""
         nodes = getattr(self, axis)
         return np.stack([nodes, nodes] if nodes.size == 1 else [nodes[:-1], nodes[1:]], axis=-1)
+
+    def slice_at(self, delay: float, gamma: float, delta: float, boxes: int = 1) -> "Grid":
+        """Return the part with one delay and one box of hands, or its first hand alone.
+
+        Args:
+            delay: where it is among the delays, from 0 to 1.
+            gamma: where the box is along gamma, likewise.
+            delta: where it is along delta.
+            boxes: 1, or 0 for one hand.
+        """
+        first, second = (
+            _index(np.diff(nodes), share)
+            for nodes, share in ((self.gamma, gamma), (self.delta, delta))
+        )
+        one = slice(int(delay * self.delay.size), int(delay * self.delay.size) + 1)
+        return replace(
+            self,
+            alpha=self.alpha[:, one],
+            beta=self.beta[:, one],
+            gamma=self.gamma[first : first + 1 + boxes],
+            delta=self.delta[second : second + 1 + boxes],
+            delay=self.delay[one],
+        )
+
+    def row_at(
+        self,
+        rows: Float64[np.ndarray, "delay_cell 6"],
+        delay: float,
+        cells: int,
+        most: int,
+        beta: float,
+    ) -> tuple[int, Float64[np.ndarray, "1 6"]]:
+        """Return how many cells along beta a part has, and its row of delays, alpha and beta.
+
+        Args:
+            rows: of all cells of delays.
+            delay: where the row is among them, from 0 to 1.
+            cells: along beta, in each row.
+            most: of these in a part.
+            beta: where the part is along beta, from 0 to 1.
+        """
+        row = rows[_index(np.diff(rows[:, :2])[:, 0], delay)]
+        runs = -(-cells // most)
+        ends = (np.array([0, 1]) + int(beta * runs)) * cells // runs
+        low, high = row[4] + (row[5] - row[4]) * ends / cells
+        return int(ends[1] - ends[0]), np.array([[*row[:4], low, high]])
+
+    def without_walls(self, row: Float64[np.ndarray, "1 6"]) -> "Grid":
+        """Return this grid with one node of alpha and of beta, at the delay where a row begins."""
+        return replace(self, alpha=self.alpha[:1, :1], beta=self.beta[:1, :1], delay=row[0, :1])
+
+
+def _index(widths: Float64[np.ndarray, " cell"], share: float) -> int:
+    """Return the cell at a share of the way through all of them."""
+    if not widths.any():
+        return min(int(share * widths.size), max(widths.size - 1, 0))
+    ends = np.cumsum(widths)
+    return min(int(np.searchsorted(ends, share * ends[-1], "right")), widths.size - 1)
 
 
 @dataclass(frozen=True)

@@ -2,31 +2,27 @@
 
 from dataclasses import dataclass
 from math import prod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import NDArray
 
 from jaxstab.atlas.compute.layout import Grid, lay_out
-from jaxstab.atlas.compute.verdicts import undecided_nodes
 from jaxstab.atlas.format.schema import (
-    ALPHA_LIMITS,
-    CELL_VERDICT,
-    LARGEST_ARRAY,
-    PRODUCTS,
-    RADIUS_CELL,
-    RADIUS_KIND,
     VARIABLES,
-    VERDICT,
 )
 from jaxstab.atlas.format.spec import AtlasSpec, ToleranceAxis
+from jaxstab.atlas.format.variables import LARGEST_ARRAY
+from jaxstab.atlas.products.limits import ALPHA_LIMITS
+from jaxstab.atlas.products.radii import RADIUS_CELL
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import as_keywords
+from jaxstab.proofs.plant import HandBoxes
 
 TILE_NODES = 2**18  # at most, where a tile holds more than one slice
-
-_IN_GRID = (VERDICT, CELL_VERDICT, ALPHA_LIMITS, RADIUS_KIND)
-_BY_SLICES = ("outline", "summary")
+_BEYOND = 1e-9  # of a cell: boxes overlap, so that rounding finds no gap between them
 
 
 class Tile(NamedTuple):
@@ -46,18 +42,19 @@ class Share(NamedTuple):
     Attributes:
         variable: the requested variable, by its name in the file.
         asked: number of requested points.
-        evaluated: number of evaluated points; for nodes of verdicts an estimate from two slices of
-            each delay.
+        evaluated: number of evaluated points.
         reason: why the others are not evaluated.
+        is_estimated: whether the number of evaluated points is an estimate.
     """
 
     variable: str
     asked: int
     evaluated: int
     reason: str = ""
+    is_estimated: bool = False
 
     def __str__(self) -> str:
-        about = "about " if self.variable == VERDICT and self.evaluated else ""
+        about = "about " if self.is_estimated and self.evaluated else ""
         words = (
             f"{self.variable}: {_points(self.asked)} asked for, {about}{self.evaluated} evaluated"
         )
@@ -88,8 +85,8 @@ class Plan:
     @property
     def variables(self) -> tuple[str, ...]:
         """The variables of which each value is asked for in a grid; errors come with values."""
-        chosen = (name for product in self.spec.products for name in PRODUCTS[product])
-        return tuple(name for name in chosen if name in _IN_GRID)
+        chosen = (PRODUCTS[product] for product in self.spec.products)
+        return tuple(name for product in chosen for name in product.gridded)
 
     @property
     def deltas_of_a_tile(self) -> int:
@@ -147,6 +144,17 @@ class Plan:
         deltas = self.grid.delta[tile.delta.start : tile.delta.stop]
         return np.stack([np.full_like(deltas, self.grid.gamma[tile.gamma]), deltas], axis=-1)
 
+    def boxes(self, tile: Tile) -> HandBoxes:
+        """Return the cells of hands that begin in a tile."""
+        sides = [
+            (self.grid.sides("gamma")[gamma], self.grid.sides("delta")[delta])
+            for gamma in self.numbers("gamma_cell", tile)
+            for delta in self.numbers("delta_cell", tile)
+        ]
+        ends = np.array(sides).reshape(-1, 2, 2)
+        half = 0.5 * np.diff(ends, axis=-1)[..., 0] * (1.0 + _BEYOND)
+        return HandBoxes(*ends.mean(axis=-1).T, *half.T)
+
     def shares(self) -> list[Share]:
         """Return for each variable how much of it is evaluated.
 
@@ -157,7 +165,12 @@ class Plan:
             >>> [share.variable for share in jaxstab.plan_atlas(spec).shares()]
             ['alpha_limits']
         """
-        return [self._share(name) for name in self.variables]
+        chosen = (PRODUCTS[product] for product in self.spec.products)
+        return [product.share(self, name) for product in chosen for name in product.gridded]
+
+    def points(self, variable: str) -> int:
+        """Return how many values of a gridded variable there are."""
+        return prod(self.grid.lengths[dimension] for dimension in VARIABLES[variable].dimensions)
 
     def __str__(self) -> str:
         lines = [_axis_line(self, name) for name in ("gamma", "delta")]
@@ -170,32 +183,11 @@ class Plan:
         lines += [
             f"{name}: {slices} slices, each from the closed form, without a grid"
             for name in self.spec.products
-            if name in _BY_SLICES
+            if not PRODUCTS[name].gridded
         ]
         left_out = [product for product in PRODUCTS if product not in self.spec.products]
         lines += [f"{product}: not asked for, nothing evaluated" for product in left_out]
         return "\n".join(lines)
-
-    def _share(self, variable: str) -> Share:
-        counts = [self.grid.lengths[dimension] for dimension in VARIABLES[variable].dimensions]
-        asked = prod(counts) if variable != ALPHA_LIMITS else prod(counts[:-1])
-        if variable == VERDICT:
-            why = "between two pieces of the boundary, with one proved verdict for a whole column"
-            return Share(variable, asked, self._undecided_nodes(), why)
-        if variable == CELL_VERDICT:
-            why = f"proved, or left undecided, in {asked // counts[0]} columns of cells as a whole"
-            return Share(variable, asked, 0, why)
-        return Share(variable, asked, asked)
-
-    def _undecided_nodes(self) -> int:
-        """Estimate how many nodes no column decides, from the first and the last hand."""
-        grid = self.grid
-        hands = grid.gamma[[0, -1]], grid.delta[[0, -1]]
-        total = 0.0
-        for index in range(grid.delay.size):
-            alpha, beta, delay = grid.walls(index)
-            total += float(undecided_nodes(alpha, beta, *hands, delay, self.spec.filters).mean())
-        return round(total * grid.gamma.size * grid.delta.size)
 
 
 def plan_atlas(spec: AtlasSpec) -> Plan:
@@ -216,6 +208,18 @@ def plan_atlas(spec: AtlasSpec) -> Plan:
         if size > LARGEST_ARRAY:
             raise ValueError(f"{name} takes {size} bytes in a tile; give fewer limit_cells.")
     return plan
+
+
+def compute_tile(plan: Plan, tile: Tile) -> dict[str, NDArray[Any]]:
+    """Return what the chosen products hold in a tile, each array of the shape ``plan.shape``.
+
+    Raises:
+        ValueError: a parameter is too large for the model.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    for product in plan.spec.products:
+        arrays |= PRODUCTS[product].compute(plan, tile)
+    return arrays
 
 
 def _degree(delay: float, spec: AtlasSpec) -> int:

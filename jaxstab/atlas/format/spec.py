@@ -11,17 +11,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxstab.atlas.format.schema import (
-    ALPHA_LIMITS,
+from jaxstab.atlas.format.variables import (
     LARGEST_ATLAS,
     LARGEST_DELAY,
     LARGEST_SLICE,
     LEAST_SHARE,
     LEAST_SPAN,
-    PRODUCTS,
-    SPECTRAL_RADIUS,
-    VERDICT,
 )
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.conventions import AXES
 from jaxstab.model.filters import (
     Filter,
@@ -121,21 +118,13 @@ def _inline(section: Any) -> str:
 
 
 Nodes: TypeAlias = ArrayLike | tuple[float, ...]
-
 FEWEST_FITTED = 8
-
 _DELAY_CELLS, _MOST_DELAY_CELLS = 32, 2**16  # to a sample around 1/2
-
 _LIMIT_CELLS = 256, 128  # at delays alone, and between them
-
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
-
 _RANGE = ("start", "stop", "count", "spacing")
-
 _TOLERANT = ("start", "stop", "tolerance")
-
 _REACH = ("least", "most")
-
 _LINE_LENGTH = 90
 
 
@@ -239,7 +228,7 @@ class AtlasSpec:
     gamma: Nodes | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
     delta: Nodes | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
     delay: Nodes = (0.0, 1.0, 2.0, 3.0)
-    products: Sequence[str] = (VERDICT, ALPHA_LIMITS, SPECTRAL_RADIUS)
+    products: Sequence[str] = ("verdict", "alpha_limits", "spectral_radius")
     limit_cells: int = 0
     delay_cells: int | None = None
     velocity: Velocity | None = None

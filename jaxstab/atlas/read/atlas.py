@@ -1,11 +1,17 @@
 """Answers from an atlas in memory: at a node what it holds, elsewhere only what is proved.
 
-NumPy alone: no JAX, no HDF5, and nothing else that takes time to import.
+``Atlas`` answers in dimensionless numbers, ``LoopAtlas`` in SI units for the walls of one loop. A
+query marks the points outside first. Inside, the limits of alpha decide most points, then nodes and
+their cells (``read.points``); functions of cells bound the spectral radius. What is left undecided
+stays so, or is computed where that is asked for.
+
+A verdict alone goes the short way: if all points are inside of the limits of alpha, one lookup in
+their table answers, and nothing else is touched. NumPy alone: no JAX, no HDF5, and nothing else
+that takes time to import.
 """
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from importlib import import_module
 from math import ulp
 from os import PathLike
 from pathlib import Path
@@ -14,11 +20,22 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format import schema
+from jaxstab.atlas.format.schema import VARIABLES, attributes_of, head_attributes
+from jaxstab.atlas.format.variables import SPEC
+from jaxstab.atlas.products.limits import (
+    ALPHA_LIMITS,
+    LIMIT_RANGE,
+    LIMIT_WHOLE,
+    AlphaLimits,
+    LimitTable,
+    MaxAlpha,
+    OutsideError,
+)
+from jaxstab.atlas.products.radii import SPECTRAL_RADIUS, RadiusTable
+from jaxstab.atlas.products.slices import AtlasOutline, outline_at
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT, decided_share
 from jaxstab.atlas.read import file
-from jaxstab.atlas.read.file import decided_share
-from jaxstab.atlas.read.limits import AlphaLimits, LimitTable, MaxAlpha, OutsideError, RadiusTable
-from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.read.points import (
     AtlasAnswer,
     Floats,
@@ -35,24 +52,18 @@ from jaxstab.atlas.read.points import (
     nodes_of,
     settle,
 )
-from jaxstab.atlas.read.xarray_view import to_xarray
 from jaxstab.conventions import AXES, UNDECIDED
 from jaxstab.numbers import checked_number, checked_word, real_numbers
 from jaxstab.shown import table_text
-
-# How an atlas shows itself: six lines of words, and a picture.
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# An atlas asked in SI units, about the walls of one loop. No JAX.
-
 Outside = Literal["error", "undecided"]
 
 # There and back between K and alpha are six roundings of half an ulp each, at most.
 _ROUNDINGS = 4.0 * float(np.finfo(np.float64).eps)
-
 _ULPS_ASIDE = 4  # of numbers that the roundings of SI units move
 
 
@@ -135,8 +146,8 @@ class LoopAtlas:
         Args:
             stiffness: K in N/m, any shape; broadcasts with the damping.
             damping: B in N s/m.
-            outside: "error" to refuse walls outside of the atlas, "undecided" to answer so.
-            exact: settle UNDECIDED walls inside by computation.
+            outside: as ``Atlas.query``.
+            exact: as ``Atlas.query``.
 
         Raises:
             TypeError: a gain is not made of real numbers.
@@ -277,8 +288,9 @@ class LoopAtlas:
 
 def _checked_loop(loop: Any) -> Any:
     """Return a loop of plain numbers, by whose properties all is converted."""
-    # By name at run time: who reads an atlas without a loop does not wait for this import.
-    if not isinstance(loop, import_module("jaxstab.model.loop").LoopParameters):
+    from jaxstab.model.loop import LoopParameters
+
+    if not isinstance(loop, LoopParameters):
         raise TypeError(f"loop is {loop!r}; give a jaxstab.HapticLoop.")
     plain = loop.in_floats()
     if plain.body is None:
@@ -297,20 +309,21 @@ def _node_or(nodes: Floats, value: float) -> float:
 
 def _check_filters(atlas: "Atlas", loop: Any) -> None:
     """Refuse a loop of another estimator or filter, written per sample as an atlas writes it."""
-    own = import_module("jaxstab.atlas.format.spec").AtlasSpec(**loop.filters).filters
+    from jaxstab.atlas.format.spec import AtlasSpec, words_of
+
+    own = AtlasSpec(**loop.filters).filters
     if own != atlas.filters:
-        words = import_module("jaxstab.atlas.format.spec").words_of(own)
         raise ValueError(
-            f"the loop has {words}, and this atlas is of {atlas.filters_in_words}; ask another "
-            "atlas, or build one."
+            f"the loop has {words_of(own)}, and this atlas is of {atlas.filters_in_words}; ask "
+            "another atlas, or build one."
         )
 
 
 def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the ends of alpha and of beta at a delay, of which the atlas must say something."""
     arrays = atlas.arrays
-    if schema.ALPHA_LIMITS in arrays:
-        rows = arrays[schema.LIMIT_RANGE]
+    if ALPHA_LIMITS in arrays:
+        rows = arrays[LIMIT_RANGE]
         row = rows[np.searchsorted(rows[:, 0], delay, "right") - 1]
         if delay <= row[1]:
             return (float(row[2]), float(row[3])), (float(row[4]), float(row[5]))
@@ -325,16 +338,7 @@ def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[floa
     )
 
 
-# What an atlas in memory holds: its arrays, products, delays, nodes and outlines. No JAX.
-
-
-def of_filters(name: str) -> Any:
-    """Return a function around filters, by name at run time: few questions are about them."""
-    return getattr(import_module("jaxstab.atlas.format.spec"), name)
-
-
 Range = tuple[float, float]
-
 _MOST = 1e300  # of numbers that are answered without a check: floats hold them
 
 
@@ -361,6 +365,61 @@ class Atlas:
         <Verdict.STABLE: 1>
     """
 
+    arrays: Mapping[str, NDArray[Any]]
+    spec: str
+    created_by: str
+    filters_in_words: str
+
+    def __init__(self, contents: file.Contents) -> None:
+        self.arrays = contents.arrays
+        self.spec = b"\n".join(self.arrays[SPEC].tolist()).decode("utf-8") + "\n"
+        self.created_by = contents.created_by
+        self.filters_in_words = contents.filters
+
+    @property
+    def products(self) -> tuple[str, ...]:
+        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> atlas.products
+            ('verdict', 'alpha_limits', 'spectral_radius')
+        """
+        return tuple(name for name, one in PRODUCTS.items() if one.names[0] in self.arrays)
+
+    @property
+    def delays(self) -> Floats:
+        """The delays t_d/T of the atlas, ascending.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> atlas.delays.tolist()
+            [0.0, 1.0, 1.5]
+        """
+        return self.arrays["delay"]
+
+    @cached_property
+    def filters(self) -> tuple[Any, Any] | None:
+        """The Velocity and the Filter, per sample; None for the one-sample difference alone.
+
+        Example:
+            >>> str(jaxstab.open_atlas("data/golden/atlas-v3-window.h5").filters[0])
+            'the difference over a window of 5 samples'
+        """
+        from jaxstab.atlas.format.spec import filters_of
+
+        return filters_of(self.spec)
+
+    def nodes(self, delay_number: int) -> dict[str, Floats]:
+        """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``.
+
+        Example:
+            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+            >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
+            {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
+        """
+        return nodes_of(self.arrays, delay_number)
+
     def decided_fraction(self, delay_number: int) -> float:
         """Return the share of the volume at one delay in which a query between nodes is decided.
 
@@ -372,12 +431,12 @@ class Atlas:
         nodes = self.nodes(delay_number)
         if self._table is not None:
             return self._table.decided_share(float(self.delays[delay_number]))
-        if schema.CELL_VERDICT not in self.arrays:
+        if CELL_VERDICT not in self.arrays:
             return 0.0
         if isinstance(self.arrays, file.PackedArrays):
-            blocks = self.arrays.blocks(schema.CELL_VERDICT, delay_number)
+            blocks = self.arrays.blocks(CELL_VERDICT, delay_number)
             return decided_share(blocks, [*nodes.values()])
-        codes = self.arrays[schema.CELL_VERDICT][..., delay_number : delay_number + 1]
+        codes = self.arrays[CELL_VERDICT][..., delay_number : delay_number + 1]
         return decided_share([((0, 0, 0, 0, 0), codes)], [*nodes.values()])
 
     def query(
@@ -439,7 +498,7 @@ class Atlas:
             here = np.flatnonzero(inside & (where["delay"] == node))
             if here.size:
                 answer_at_delay(self.arrays, number, where, here, answer)
-        if schema.SPECTRAL_RADIUS in self.products:
+        if SPECTRAL_RADIUS in self.products:
             answer_radii(self._radii, where, inside, answer)
         if exact:
             own = self.filters or (None, None)
@@ -488,11 +547,7 @@ class Atlas:
     ) -> AlphaLimits:
         """Return the smallest and largest stable alpha, with proved errors.
 
-        Args:
-            beta: wall damping B T/m; like the others it broadcasts.
-            gamma: physical stiffness k T^2/m.
-            delta: physical damping b T/m.
-            delay: time delay t_d/T in samples.
+        Args: as ``query``.
 
         Raises:
             TypeError: an argument is not made of real numbers.
@@ -519,10 +574,7 @@ class Atlas:
     def max_alpha(self, *, gamma: Numbers, delta: Numbers, delay: Numbers) -> MaxAlpha:
         """Return the largest stable alpha of hands, where it is, and a proved bound.
 
-        Args:
-            gamma: physical stiffness k T^2/m; like the others it broadcasts.
-            delta: physical damping b T/m.
-            delay: time delay t_d/T in samples.
+        Args: as ``query``.
 
         Raises:
             TypeError, ValueError: as ``alpha_limits``.
@@ -544,12 +596,7 @@ class Atlas:
     ) -> np.int8:
         """Return the verdict on one wall for a box of hands.
 
-        Args:
-            alpha: wall stiffness K T^2/m.
-            beta: wall damping B T/m.
-            gamma: lowest and highest physical stiffness k T^2/m.
-            delta: lowest and highest physical damping b T/m.
-            delay: time delay t_d/T in samples.
+        Args: as ``query``, but one wall, and of gamma and delta the lowest and the highest value.
 
         Returns:
             STABLE if proved for every hand of the box, UNSTABLE if proved for one, else UNDECIDED.
@@ -573,11 +620,7 @@ class Atlas:
     ) -> Range:
         """Return the interval of alpha in which every hand of a box is proved stable.
 
-        Args:
-            beta: wall damping B T/m.
-            gamma: lowest and highest physical stiffness k T^2/m.
-            delta: lowest and highest physical damping b T/m.
-            delay: time delay t_d/T in samples.
+        Args: as ``worst_verdict``.
 
         Returns:
             The lowest and the highest alpha, an open interval; empty where the first is not less.
@@ -602,10 +645,13 @@ class Atlas:
         """Refuse a question about loops with others than those of the atlas."""
         if velocity is None and position is None:
             return
-        asked = import_module("jaxstab.model.filters").known_filters(velocity, position)
+        from jaxstab.atlas.format.spec import words_of
+        from jaxstab.model.filters import known_filters
+
+        asked = known_filters(velocity, position)
         if asked != self.filters:
             raise ValueError(
-                f"the question is about {of_filters('words_of')(asked)}, and this atlas is of "
+                f"the question is about {words_of(asked)}, and this atlas is of "
                 f"{self.filters_in_words}; ask another atlas, or build one."
             )
 
@@ -627,7 +673,7 @@ class Atlas:
 
     @property
     def _has_verdicts(self) -> bool:
-        return schema.VERDICT in self.arrays or schema.ALPHA_LIMITS in self.arrays
+        return VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
 
     @cached_property
     def _radii(self) -> RadiusTable:
@@ -637,9 +683,9 @@ class Atlas:
     @cached_property
     def _table(self) -> LimitTable | None:
         """The limits of alpha, where the atlas has them."""
-        if schema.ALPHA_LIMITS not in self.arrays:
+        if ALPHA_LIMITS not in self.arrays:
             return None
-        names = schema.ALPHA_LIMITS, schema.LIMIT_RANGE, schema.LIMIT_WHOLE
+        names = ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
         hands = {name: self.arrays[name] for name in ("gamma", "delta")}
         return LimitTable(*(self.arrays[name] for name in names), **hands)
 
@@ -648,8 +694,7 @@ class Atlas:
         table = self._table
         if table is None:
             raise ValueError(
-                "this atlas holds no limits of alpha; build one with the product "
-                f"{schema.ALPHA_LIMITS!r}."
+                f"this atlas holds no limits of alpha; build one with the product {ALPHA_LIMITS!r}."
             )
         names = [*given, "delay"]
         points = np.broadcast_arrays(*all_checked((*given.values(), delay), names))
@@ -676,60 +721,6 @@ class Atlas:
         numbers = {name: checked_number(name, value) for name, value in walls.items()}
         return self._asked(checked_number("delay", delay), **ranges, **numbers)[0]
 
-    arrays: Mapping[str, NDArray[Any]]
-    spec: str
-    created_by: str
-    filters_in_words: str
-
-    def __init__(self, contents: file.Contents) -> None:
-        self.arrays = contents.arrays
-        self.spec = b"\n".join(self.arrays[schema.SPEC].tolist()).decode("utf-8") + "\n"
-        self.created_by = contents.created_by
-        self.filters_in_words = contents.filters
-
-    @property
-    def products(self) -> tuple[str, ...]:
-        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.products
-            ('verdict', 'alpha_limits', 'spectral_radius')
-        """
-        return tuple(name for name, held in schema.PRODUCTS.items() if held[0] in self.arrays)
-
-    @property
-    def delays(self) -> Floats:
-        """The delays t_d/T of the atlas, ascending.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.delays.tolist()
-            [0.0, 1.0, 1.5]
-        """
-        return self.arrays["delay"]
-
-    @cached_property
-    def filters(self) -> tuple[Any, Any] | None:
-        """The Velocity and the Filter, per sample; None for the one-sample difference alone.
-
-        Example:
-            >>> str(jaxstab.open_atlas("data/golden/atlas-v3-window.h5").filters[0])
-            'the difference over a window of 5 samples'
-        """
-        found: tuple[Any, Any] | None = of_filters("filters_of")(self.spec)
-        return found
-
-    def nodes(self, delay_number: int) -> dict[str, Floats]:
-        """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
-            {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
-        """
-        return nodes_of(self.arrays, delay_number)
-
     def to_xarray(self) -> Any:
         """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed.
 
@@ -738,7 +729,19 @@ class Atlas:
             >>> atlas.to_xarray()["verdict"].dims
             ('alpha_node', 'beta_node', 'gamma', 'delta', 'delay')
         """
-        return to_xarray(self.arrays, self.created_by, self.filters_in_words)
+        try:
+            import xarray
+        except ImportError as error:
+            raise RuntimeError(
+                "an xarray.Dataset needs xarray: python -m pip install 'jaxstab[xarray]'."
+            ) from error
+        variables = {}
+        for name, values in self.arrays.items():
+            said = attributes_of(VARIABLES[name])
+            said.pop("coordinates", None)  # xarray takes it for its own
+            variables[name] = VARIABLES[name].dimensions, values, said
+        head = head_attributes(self.created_by, self.filters_in_words)
+        return xarray.Dataset(variables, attrs=head).set_coords(["alpha", "beta"])
 
     def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
         """Return the boundary of the stable region at a node, with its corners.

@@ -9,7 +9,7 @@ memory, and the arrays are unpacked from them: what becomes of the file later ch
 
 import io
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
@@ -21,9 +21,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.schema import FOOTER, VARIABLES, Variable, image_size, values_digest
+from jaxstab.atlas.format.schema import (
+    FOOTER,
+    VARIABLES,
+    image_size,
+    values_digest,
+)
 from jaxstab.atlas.format.table import RefusalError, Stored, Table, check, read_table
-from jaxstab.conventions import AXES, STABLE, UNSTABLE
+from jaxstab.atlas.format.variables import (
+    LARGEST_ARRAY,
+    LARGEST_UNASKED,
+    LEAST_SHARE,
+    LEAST_SPAN,
+    NODE,
+    SPEC,
+    Variable,
+)
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.conventions import AXES
 from jaxstab.durable import named_errors, target_of
 
 # Arrays out of the chunks of a file, and whether their values may be. No JAX, and no HDF5.
@@ -53,11 +68,7 @@ def unpacked(data: bytes, stored: Stored) -> Array:
 
 
 def unpacked_chunk(data: bytes, stored: Stored, number: int) -> tuple[tuple[int, ...], Array]:
-    """Return where a chunk begins, and its values inside of the array.
-
-    Raises:
-        RefusalError: as ``unpacked``.
-    """
+    """Return where a chunk begins, and its values inside of the array."""
     start = next(islice(stored.starts(), number, None))
     values = _inside(data, stored, number, start)
     check_values(stored.variable, values)
@@ -75,10 +86,10 @@ def _inside(data: bytes, stored: Stored, number: int, start: tuple[int, ...]) ->
 
 def _check_size(stored: Stored) -> None:
     """Refuse what is not read whole, and numbers that hardly anything in the file stands for."""
-    most = schema.LARGEST_ARRAY
+    most = LARGEST_ARRAY
     if not stored.variable.holds_verdicts:
         expanded = schema.LARGEST_EXPANSION * stored.stored_size
-        most = min(most, max(schema.LARGEST_UNASKED, expanded))
+        most = min(most, max(LARGEST_UNASKED, expanded))
     if stored.size > most:
         raise TooLargeError(too_large(stored.size, stored.variable.name, most))
 
@@ -110,11 +121,7 @@ def _chunk(stored_bytes: memoryview, stored: Stored) -> Array:
 
 
 def check_values(variable: Variable, values: Array) -> None:
-    """Refuse values out of the range of their variable.
-
-    Raises:
-        RefusalError: as it says.
-    """
+    """Refuse values out of the range of their variable."""
     if variable.dtype == "S":
         return
     if variable.has_nan:
@@ -122,20 +129,11 @@ def check_values(variable: Variable, values: Array) -> None:
     else:
         low, high = values.min(), values.max()  # NaN where one is
     check(variable.lowest <= low and high <= variable.highest)
-    if variable.name == schema.ALPHA_LIMITS:
-        for limit in np.split(values, 2, axis=-1):
-            slopes, error = limit[..., 1:-1], limit[..., -1]
-            check(np.all(np.isfinite(slopes)) and error.min() >= 0.0)
-    if variable.name == schema.RADIUS_TERMS:
-        check(np.all(np.isfinite(values[:-1])) and values[-1].min() >= 0.0)
+    check(all(product.are_values(variable.name, values) for product in PRODUCTS.values()))
 
 
 def check_axes(arrays: Mapping[str, Array]) -> None:
-    """Refuse axes that do not ascend, or so little or so far that cells have no width.
-
-    Raises:
-        RefusalError: as it says.
-    """
+    """Refuse axes that do not ascend, or so little or so far that cells have no width."""
     for name, values in arrays.items():
         if name in AXES:
             with np.errstate(all="ignore"):
@@ -143,9 +141,9 @@ def check_axes(arrays: Mapping[str, Array]) -> None:
             check(np.all(np.isfinite(values)) and np.all(widths > 0))
         elif VARIABLES[name].is_axis:
             check(np.array_equal(values, np.arange(values.size)))
-    for name in (schema.LIMIT_RANGE, schema.RADIUS_RANGE):
-        if name in arrays:
-            _check_range(arrays[name], arrays["delay"])
+    for product in PRODUCTS.values():
+        if product.rows in arrays:
+            _check_range(arrays[product.rows], arrays["delay"])
     for name in ("alpha", "beta"):
         _check_spans(arrays[name][0], arrays[name][-1])
 
@@ -162,50 +160,29 @@ def _check_spans(low: Array, high: Array) -> None:
     """Refuse spans that overflow, and those so narrow that rounding swallows their cells."""
     with np.errstate(all="ignore"):
         spans, largest = high - low, np.maximum(np.abs(low), np.abs(high))
-    check(np.all(spans >= np.maximum(schema.LEAST_SPAN, schema.LEAST_SHARE * largest)))
+    check(np.all(spans >= np.maximum(LEAST_SPAN, LEAST_SHARE * largest)))
     check(spans.max() < np.inf)
 
 
 def check_text(lines: Array) -> None:
-    """Refuse lines of a specification that are no text.
-
-    Raises:
-        RefusalError: as it says.
-    """
+    """Refuse lines of a specification that are no text."""
     try:
         b"\n".join(lines.tolist()).decode("utf-8")
     except UnicodeDecodeError:
         check(condition=False)
 
 
-def check_counts(arrays: Mapping[str, Array], table: Table) -> None:
-    """Refuse lists that are not as long as their parts together.
-
-    Raises:
-        RefusalError: as it says.
-    """
-    for counts, dimension in schema.STRUNG.items():
-        if counts in arrays:
-            check(int(arrays[counts].sum(dtype=np.int64)) == table.variables[dimension].shape[0])
-
-
-def check_functions(kinds: Array, table: Table) -> None:
-    """Refuse other numbers of functions of radii than the kinds of the cells say.
-
-    Raises:
-        RefusalError: as it says.
-    """
-    counts = np.bincount(kinds.reshape(-1), minlength=len(schema.RADIUS_FUNCTIONS))
-    functions = int(counts @ np.array(schema.RADIUS_FUNCTIONS))
-    check(functions == table.variables[schema.RADIUS_TERMS].shape[-1])
+def check_together(arrays: Mapping[str, Array], table: Table) -> None:
+    """Refuse arrays of a product that do not fit to each other."""
+    lengths = table.lengths
+    for product in PRODUCTS.values():
+        check(product.fit_together(arrays, lengths))
 
 
 # Where points are in a grid: the cells that they are in, and the nodes that they are. No JAX.
 
 Floats = NDArray[np.float64]
-
 Integers = NDArray[np.intp]
-
 Mask = NDArray[np.bool_]
 
 
@@ -229,26 +206,6 @@ class Place:
             node.append(cell + ((points == upper) & (upper > lower)))
             at_node &= (points == lower) | (points == upper)
         return cls(tuple(cells), tuple(node), at_node)
-
-
-def decided_share(
-    blocks: Iterable[tuple[tuple[int, ...], NDArray[np.int8]]], axes: Sequence[Floats]
-) -> float:
-    """Return the share of the volume of a grid in which the verdicts of cells are decided.
-
-    Args:
-        blocks: where blocks of cells begin along alpha, beta, gamma, delta and delay, and their
-            codes.
-        axes: the nodes along the first four.
-    """
-    widths = [np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1) for nodes in axes]
-    total = 0.0
-    for start, codes in blocks:
-        share = ((codes == STABLE) | (codes == UNSTABLE)).astype(np.float64)[..., 0]
-        for first, along in zip(start, widths, strict=False):
-            share = np.tensordot(along[first : first + share.shape[0]], share, 1)
-        total += float(share)
-    return total
 
 
 @dataclass(frozen=True)
@@ -286,15 +243,14 @@ class PackedArrays(Mapping[str, Array]):
             with _told_of(self._path):
                 # Threads that meet here unpack the same values, and go on with one of them.
                 values = unpacked(self._data, stored)
-                if name == schema.RADIUS_KIND:
-                    check_functions(values, self._table)
+                check_together({name: values}, self._table)
                 self._unpacked.setdefault(name, values)
         return self._unpacked[name]
 
     def codes_at(self, name: str, place: Sequence[Integers]) -> Array:
         """Return the verdict codes at points, given as index arrays along all axes."""
         stored = self._table.variables[name]
-        if stored.size <= schema.LARGEST_UNASKED:
+        if stored.size <= LARGEST_UNASKED:
             codes: Array = self[name][tuple(place)]
             return codes
         along = [index // step for index, step in zip(place, stored.chunk, strict=True)]
@@ -351,12 +307,12 @@ def contents_of(path: Path, data: bytes) -> Contents:
     plain = {
         name: arrays[name]
         for name, stored in table.variables.items()
-        if not stored.variable.is_packed and stored.size <= schema.LARGEST_ARRAY
+        if not stored.variable.is_packed and stored.size <= LARGEST_ARRAY
     }
     with _told_of(path):
         check_axes(plain)
-        check_counts(plain, table)
-        check_text(plain[schema.SPEC])
+        check_together(plain, table)
+        check_text(plain[SPEC])
     return Contents(arrays, table.created_by, table.filters)
 
 
@@ -382,14 +338,14 @@ def node_count(path: Path) -> int:
         OSError, ValueError: as ``table_of``.
     """
     variables = table_of(path).variables
-    return prod(variables[dimension].shape[0] for dimension in schema.NODE)
+    return prod(variables[dimension].shape[0] for dimension in NODE)
 
 
 def _bytes_of(path: Path) -> bytes:
     with named_errors("read", path), _opened(path) as stream:
         size = stream.seek(0, io.SEEK_END)
-        if size > schema.LARGEST_ARRAY:
-            raise TooLargeError(f"{path} {too_large(size, 'file', schema.LARGEST_ARRAY)}")
+        if size > LARGEST_ARRAY:
+            raise TooLargeError(f"{path} {too_large(size, 'file', LARGEST_ARRAY)}")
         stream.seek(0)
         return stream.readall()
 
@@ -401,11 +357,7 @@ def _opened(path: Path) -> io.FileIO:
 
 
 def table_in(stream: io.FileIO | io.BytesIO) -> Table:
-    """Return the table of a whole file, all bytes of which are checked.
-
-    Raises:
-        RefusalError: as ``table_of`` refuses with a ValueError.
-    """
+    """Return the table of a whole file, all bytes of which are checked."""
     size = image_size(stream)
     check(size is not None)
     stream.seek(size or 0)

@@ -1,23 +1,26 @@
-"""What the arrays of an atlas say about points: at nodes, in cells, and outside. NumPy alone."""
+"""What the arrays of an atlas say about points: at nodes, in cells, and outside. NumPy alone.
 
-from collections.abc import Callable, Mapping, Sequence
+A query fills in one ``AtlasAnswer``. ``find_outside`` marks points beyond the atlas; axes that hold
+the whole stable set have no end. ``answer_by_limits`` gives the verdicts of columns,
+``answer_at_delay`` those of nodes and their cells at the delays of the atlas, ``answer_radii``
+intervals of the spectral radius, which a verdict narrows; ``settle`` computes what is left open.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxstab.atlas.format import schema
+from jaxstab.atlas.products.limits import ALPHA_LIMITS, LimitTable
+from jaxstab.atlas.products.radii import RadiusTable
+from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT
 from jaxstab.atlas.read.file import Integers, Mask, PackedArrays, Place
-from jaxstab.atlas.read.limits import LimitTable, RadiusTable
 from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE, Status
 from jaxstab.numbers import checked
 
-# Questions to an atlas, checked, and its answers. No JAX.
-
 Floats = NDArray[np.float64]
-
 Numbers = ArrayLike | float | int
 
 
@@ -117,19 +120,16 @@ def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[st
     is_open = (answer.verdict == UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
     left = np.flatnonzero(is_open)
     if left.size:
-        # By name at run time, so that reading an atlas imports no JAX.
-        verdict: Callable[..., NDArray[np.int8]] = import_module("jaxstab.point").verdict
-        points = {name: where[name][left] for name in AXES}
+        from jaxstab.point import verdict
+
+        points: dict[str, Any] = {name: where[name][left] for name in AXES}
         answer.verdict[left] = np.asarray(verdict(**points, resolve="exact", **filters))
         answer.status[left] = QueryStatus.EXACT
 
 
 Arrays = Mapping[str, NDArray[Any]]
-
 Points = Mapping[str, Floats]
-
 _WALLS = ("alpha", "beta", "gamma", "delta")
-
 _ROUNDING = 1e-15
 
 
@@ -219,15 +219,15 @@ def answer_at_delay(
     points = {name: where[name][here] for name in _WALLS}
     place = Place.of([(along, points[name]) for name, along in nodes.items()])
     codes, status = answer.verdict[here], answer.status[here]
-    if schema.ALPHA_LIMITS not in arrays:
+    if ALPHA_LIMITS not in arrays:
         status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
-        if schema.CELL_VERDICT in arrays:
-            codes = _codes_at(arrays, schema.CELL_VERDICT, place.cell, number)
+        if CELL_VERDICT in arrays:
+            codes = _codes_at(arrays, CELL_VERDICT, place.cell, number)
             status[(codes == STABLE) | (codes == UNSTABLE)] = QueryStatus.CELL
     left = place.at_node & (codes == UNDECIDED)
-    if schema.VERDICT in arrays and left.any():
+    if VERDICT in arrays and left.any():
         nodes_left = [along[left] for along in place.node]
-        codes[left] = _codes_at(arrays, schema.VERDICT, nodes_left, number)
+        codes[left] = _codes_at(arrays, VERDICT, nodes_left, number)
     status[place.at_node] = QueryStatus.NODE
     answer.verdict[here], answer.status[here] = codes, status
 

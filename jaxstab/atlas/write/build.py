@@ -19,17 +19,21 @@ from os import PathLike
 from pathlib import Path
 
 import jaxstab
-from jaxstab.atlas.compute.plan import Plan, Tile, plan_atlas
-from jaxstab.atlas.compute.products import compute_tile
+from jaxstab.atlas.compute.plan import Plan, Tile, compute_tile, plan_atlas
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.read.atlas import Atlas, open_atlas
-from jaxstab.atlas.write.merge import merge
-from jaxstab.atlas.write.tiles import build_key, computed_by, encode_tile, opened_tile, shards_of
+from jaxstab.atlas.write.tiles import (
+    build_key,
+    computed_by,
+    encode_tile,
+    merge,
+    opened_tile,
+    shards_of,
+)
 
 # Where tiles are computed: in this process, in processes of this machine, or on a dask cluster.
 
 _NODES_IN_FLIGHT = 2**26
-
 _SECONDS_TO_CONNECT = 10
 
 
@@ -56,7 +60,8 @@ def tile_images(
                 running[executor.submit(tile_image, plan, tile, key)] = tile
             if not running:
                 return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            wait(running, return_when=FIRST_COMPLETED)
+            for future in [future for future in running if future.done()]:
                 tile, image = running.pop(future), _result(future)
                 with opened_tile(plan, tile, key, image):
                     yield tile, image
@@ -154,34 +159,13 @@ def build_atlas(
     progress: Progress | None = None,
     executor: Executor | None = None,
 ) -> Atlas:
-    """Build an atlas as ``write_atlas`` does, and open it.
-
-    Raises:
-        ValueError: as ``write_atlas``; or the atlas is larger than can be opened in memory.
-        OSError, RuntimeError: as ``write_atlas``.
-
-    Source: the verdicts, the radii and the proofs for cells name theirs.
-
-    Example:
-        >>> spec = jaxstab.AtlasSpec(delay=(1.0,), gamma=(0.0,), delta=(0.0, 0.015))
-        >>> atlas = jaxstab.build_atlas(spec, "atlas.h5")  # doctest: +SKIP
-    """
-    write_atlas(spec, path, progress, executor)
-    return open_atlas(path)
-
-
-def write_atlas(
-    spec: AtlasSpec,
-    path: str | PathLike[str],
-    progress: Progress | None = None,
-    executor: Executor | None = None,
-) -> None:
-    """Compute an atlas and publish it as one file, with a few tiles of it in memory at a time.
+    """Compute an atlas, publish it as one file, and open it.
 
     The file appears whole and durably, or not at all; a former one of this name is replaced. Until
-    then each tile that is done is kept in a hidden folder beside it, and when a build was ended,
-    in whatever way, the next one of an equal specification goes on from there. One machine makes
-    equal bytes of equal specifications, however the work was done.
+    then each tile that is done is kept in a hidden folder beside it. When a build is interrupted,
+    in whatever way, the next one of an equal specification goes on from there. On one machine,
+    equal specifications give equal bytes, however the work was done. A few tiles are in memory at
+    a time.
 
     Args:
         spec: the specification of the atlas.
@@ -194,15 +178,24 @@ def write_atlas(
     Raises:
         OSError: the folder is missing, read-only or full, or another process builds this atlas; a
             former file is still there.
-        ValueError: a parameter is too large for the model, or an axis cannot be fitted.
+        ValueError: a parameter is too large for the model, or an axis cannot be fitted; or the
+            atlas is larger than can be opened in memory.
         RuntimeError: a worker computed what the schema does not allow, or workers died.
 
     Source: the verdicts, the radii and the proofs for cells name theirs.
 
     Example:
-        >>> jaxstab.write_atlas(jaxstab.AtlasSpec(), "atlas.h5")  # doctest: +SKIP
+        >>> spec = jaxstab.AtlasSpec(delay=(1.0,), gamma=(0.0,), delta=(0.0, 0.015))
+        >>> atlas = jaxstab.build_atlas(spec, "atlas.h5")  # doctest: +SKIP
     """
-    path = Path(path)
+    write_atlas(spec, Path(path), progress, executor)
+    return open_atlas(path)
+
+
+def write_atlas(
+    spec: AtlasSpec, path: Path, progress: Progress | None, executor: Executor | None
+) -> None:
+    """Build an atlas of any size; see ``build_atlas``, which opens it."""
     created_by = f"jaxstab {jaxstab.__version__}"
     with shards_of(path, build_key(spec)) as shards:
         plan = plan_atlas(spec)

@@ -1,306 +1,102 @@
-"""Resolutions of one range beside each other: what each gives and what it takes, as a table."""
+"""What a build takes, and which resolution a wish needs: both from small parts that are computed.
+
+A plan must cost less than the build it plans, so no tile is computed here. Each product of an atlas
+has parts that need no others: some columns of limits of alpha over one box of hands and one cell of
+delays, some cells of radii, the verdicts of two hands. Such parts are computed at places that one
+additive sequence spreads evenly over the range of delays, hands and beta. A part says three things:
+
+- the CPU time and the compressed bytes of a unit (a column, a cell, a hand), which times the units
+  of the whole atlas are its cost; limits of alpha also take a time for each call, which a part of
+  one column shows;
+- the proved errors, and the undecided share, that an atlas of this resolution has there;
+- by its spread over the places, how well these are known.
+
+A resolution is a scale: all counts grow in proportion to it, each in the measure in which it takes
+part in the error (``_Range.steps`` doubles each count alone to see that). Bounds of limits are
+second differences over a cell, so errors fall with the square of the scale; those of radii fall
+with its cube, and the undecided share of cells of verdicts with the scale itself. So an accuracy is
+reached in two or three steps from an error to a scale to the next error, and a size by bisection,
+for which nothing is computed. What is said of a resolution is an estimate; every answer of an atlas
+is proved.
+"""
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isnan, prod
+from functools import cached_property
+from math import inf, isnan, prod
 from time import process_time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
+from numpy.typing import NDArray
 
-from jaxstab.atlas.compute.layout import Grid, Reach
-from jaxstab.atlas.compute.plan import Plan
-from jaxstab.atlas.compute.products import compute_tile
+from jaxstab.atlas.compute.layout import (
+    HANDS,
+    OF_LIMITS,
+    WALLS,
+    Grid,
+    Reach,
+    counts_of,
+    is_fixed,
+    known_region,
+    lay_out,
+    least_count,
+    reach_of,
+    regions_around,
+    with_counts,
+    with_known_nodes,
+)
+from jaxstab.atlas.compute.plan import Plan, compute_tile
 from jaxstab.atlas.format.schema import (
-    ALPHA_LIMITS,
-    LIMIT_RANGE,
-    LIMIT_TERMS,
-    LIMIT_WHOLE,
-    LIMITS,
-    RADIUS_RANGE,
-    SPEC,
-    SPECTRAL_RADIUS,
-    VARIABLES,
-    VERDICT,
+    image_of,
 )
 from jaxstab.atlas.format.spec import AtlasSpec
-from jaxstab.atlas.read.atlas import Atlas
-from jaxstab.atlas.read.file import Contents
-from jaxstab.atlas.read.limits import AlphaLimits, RadiusTable, limits_at, undecided_share
-from jaxstab.atlas.read.points import QueryStatus
-from jaxstab.conventions import UNDECIDED
-from jaxstab.model import by_name
-
-# Parts of an atlas that is not built yet: some of its cells, computed and asked.
-#
-# Cells are spread evenly over the range of hands and delays, by one sequence for all resolutions.
+from jaxstab.atlas.format.variables import LARGEST_ARRAY
+from jaxstab.atlas.products.limits import ALPHA_LIMITS
+from jaxstab.atlas.products.radii import SPECTRAL_RADIUS
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.products.verdicts import VERDICT
+from jaxstab.atlas.write.tiles import encode_tile
+from jaxstab.numbers import checked_number
 
 Floats = Float64[np.ndarray, "..."]
-
-_COLUMNS, _BOXES = 256, 2  # of limits that are computed at once, at most
-
-_OF_EACH = 10  # places to a part that is computed, at most
-
-_PLACES = 2  # in a column at which limits are asked
-
-_POINTS = 2**13  # that a part of an atlas is asked about
-
-_BETAS = 16  # cells along beta of a part that is computed for its radii
-
+Arrays = Mapping[str, NDArray[Any]]
 _PLASTIC = 1.1673039782614187  # the root of x^5 = x + 1: its powers spread four numbers evenly
-
-_STEPS = _PLASTIC**-1, _PLASTIC**-2, _PLASTIC**-3, _PLASTIC**-4
-
-
-class LimitPart(NamedTuple):
-    """Limits of alpha in some columns of a few boxes of hands and one cell of delays.
-
-    Attributes:
-        undecided: the share of the alphas at random places that is undecided.
-        error: of the upper limit, at those of them where some alpha is stable; infinite: unknown.
-        terms: of the columns, as a file has them.
-        seconds: of CPU time that these took, 0 if they were known.
-    """
-
-    undecided: Floats
-    error: Floats
-    terms: Float32[np.ndarray, "column term"]
-    seconds: float
-
-
-class CellPart(NamedTuple):
-    """What cells of verdicts say between nodes, at one of the delays of an atlas.
-
-    Attributes:
-        undecided: the share of random points without a verdict.
-        query_seconds: of CPU time that a point took.
-    """
-
-    undecided: float
-    query_seconds: float
-
-
-def limit_parts(plan: Plan, reach: Reach, count: int) -> Iterator[LimitPart]:
-    """Yield limits of alpha at places of the range; those of one part of it are computed once.
-
-    Args:
-        plan: of an atlas with limits of alpha.
-        reach: of its regions; errors are relative to the largest alpha at their delay.
-        count: how many parts are computed, at most.
-    """
-    rng = np.random.default_rng(count)
-    known: dict[tuple[float, ...], Float32[np.ndarray, "column term"]] = {}
-    for number in itertools.count():
-        grid = _limit_grid(plan.grid, *_place(number))
-        seconds = 0.0
-        part = *grid.limit_range[0].tolist(), float(grid.gamma[0]), float(grid.delta[0])
-        if part not in known:
-            if len(known) == count:
-                return
-            alone = Plan(replace(plan.spec, products=(ALPHA_LIMITS,)), grid)
-            begin = process_time()
-            terms = compute_tile(alone, alone.tiles[0])[ALPHA_LIMITS]
-            seconds = process_time() - begin
-            known[part] = terms.reshape(-1, 2 * LIMIT_TERMS)
-        answers = _asked_limits(grid, reach, known[part], rng)
-        yield LimitPart(*answers, known[part], seconds)
-        if number + 1 >= _OF_EACH * len(known):
-            return
-
-
-def _place(number: int) -> tuple[float, ...]:
-    """Return where delay, gamma, delta and beta of a place are in their ranges, from 0 to 1."""
-    return tuple((0.5 + number * step) % 1.0 for step in _STEPS)
-
-
-def _limit_grid(grid: Grid, delay: float, gamma: float, delta: float, beta: float) -> Grid:
-    """Return cells of hands and delays at a place, with some of their columns along beta."""
-    row = grid.limit_range[_along(np.diff(grid.limit_range[:, :2])[:, 0], delay)]
-    runs = -(-grid.limit_cells // _COLUMNS)
-    run = int(beta * runs)
-    cells = (np.array([run, run + 1]) * grid.limit_cells) // runs
-    low, high = row[4] + (row[5] - row[4]) * cells / grid.limit_cells
-    ends = np.array([[*row[:4], low, high]])
-    return replace(
-        _hands_at(grid, gamma, delta, _BOXES),
-        alpha=grid.alpha[:1, :1],
-        beta=grid.beta[:1, :1],
-        delay=ends[0, :1],
-        limit_cells=int(np.diff(cells)[0]),
-        limit_range=ends,
-    )
-
-
-def _hands_at(grid: Grid, gamma: float, delta: float, boxes: int) -> Grid:
-    """Return the cell of hands at a place; up to so many of them along delta."""
-    of_gamma = _along(np.diff(grid.gamma), gamma)
-    of_delta = _along(np.diff(grid.delta), delta) // boxes * boxes
-    return replace(
-        grid,
-        gamma=grid.gamma[of_gamma : of_gamma + 2],
-        delta=grid.delta[of_delta : of_delta + boxes + 1],
-    )
-
-
-def _along(widths: Floats, share: float) -> int:
-    """Return the number of the cell at a share of the way through all of them."""
-    if not widths.any():
-        return min(int(share * widths.size), max(widths.size - 1, 0))
-    ends = np.cumsum(widths)
-    return min(int(np.searchsorted(ends, share * ends[-1], "right")), widths.size - 1)
-
-
-def _asked_limits(
-    grid: Grid, reach: Reach, terms: Float32[np.ndarray, "column term"], rng: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Return the undecided shares and the errors of limits at random places of columns."""
-    early, late, least, most, low, high = grid.limit_range[0].tolist()
-    shape = (_PLACES * _BOXES, grid.limit_cells)
-    cell = np.broadcast_to(np.arange(shape[1]), shape)
-    beta = low + (cell + rng.random(shape)) / shape[1] * (high - low)
-    ends = (*((nodes[0], nodes[-1]) for nodes in (grid.gamma, grid.delta)), (early, late))
-    others = [np.broadcast_to(rng.uniform(*pair, shape), shape).ravel() for pair in ends]
-    inner = grid.delta[1:-1]
-    column = cell.ravel() * (inner.size + 1) + np.searchsorted(inner, others[1])
-    limits = limits_at(terms[column].T, beta.ravel(), *others)
-    undecided = undecided_share(limits, least, most)
-    return undecided, _relative_errors(limits, reach, others[-1])
-
-
-def _relative_errors(limits: AlphaLimits, reach: Reach, delay: Floats) -> Floats:
-    """Return the errors of upper limits, where some alpha is stable, over the largest alphas.
-
-    Args:
-        limits: at some places.
-        reach: of the regions, by which the largest alpha at a delay is known.
-        delay: of the places.
-    """
-    stable = (limits.lower < np.inf) & ((limits.upper < np.inf) | (limits.upper_error == np.inf))
-    largest = reach.along(delay[stable])[:, 0]
-    return np.asarray(limits.upper_error[stable] / largest)
-
-
-def cell_parts(plan: Plan, count: int) -> Iterator[CellPart]:
-    """Yield what parts of an atlas answer by nodes and cells; each part is computed once.
-
-    Args:
-        plan: of an atlas with verdicts and without limits of alpha.
-        count: how many places.
-    """
-    rng = np.random.default_rng(count)
-    known: dict[tuple[float, ...], Atlas] = {}
-    for number in range(count):
-        share, gamma, delta, _ = _place(number)
-        delay = int(share * plan.grid.delay.size)
-        one = slice(delay, delay + 1)
-        grid = replace(
-            _hands_at(plan.grid, gamma, delta, 1),
-            alpha=plan.grid.alpha[:, one],
-            beta=plan.grid.beta[:, one],
-            delay=plan.grid.delay[one],
-            limit_range=plan.grid.limit_range[:0],
-        )
-        part = delay, float(grid.gamma[0]), float(grid.delta[0])
-        if part not in known:
-            known[part] = _atlas_of(Plan(replace(plan.spec, products=[VERDICT]), grid))
-        yield _asked_cells(known[part], rng)
-
-
-def radius_errors(plan: Plan, count: int) -> Iterator[Floats]:
-    """Yield the bounds of the radii of stable points in some cells, at some places of the range.
-
-    Args:
-        plan: of an atlas with spectral radii.
-        count: how many places.
-    """
-    rng = np.random.default_rng(count)
-    for number in range(count):
-        grid = _radius_grid(plan.grid, *_place(number))
-        part = Plan(replace(plan.spec, products=[SPECTRAL_RADIUS]), grid)
-        arrays = compute_tile(part, part.tiles[0])
-        hands = {"gamma": grid.gamma, "delta": grid.delta}
-        table = RadiusTable(arrays | hands | {RADIUS_RANGE: grid.radius_range})
-        early, late, *walls = grid.radius_range[0].tolist()
-        ends = *np.reshape(walls, (2, 2)), *hands.values(), (early, late)
-        low, high = table.bounds([rng.uniform(side[0], side[-1], _POINTS) for side in ends])
-        stable = low + high < 2.0
-        yield 0.5 * (np.minimum(high, 1.0) - low)[stable]
-
-
-def _radius_grid(grid: Grid, delay: float, gamma: float, delta: float, beta: float) -> Grid:
-    """Return one cell of radii along gamma, delta and delay at a place, and some along beta."""
-    row = grid.radius_range[_along(np.diff(grid.radius_range[:, :2])[:, 0], delay)]
-    alphas, betas, *hands = grid.radius_cells
-    runs = -(-betas // _BETAS)
-    count = -(-betas // runs)
-    start = row[4] + (row[5] - row[4]) * int(beta * runs) / runs
-    ends = np.array([[*row[:4], start, start + (row[5] - row[4]) / runs]])
-    gamma_ends, delta_ends = (
-        _part_of(nodes, cells, share)
-        for nodes, cells, share in zip((grid.gamma, grid.delta), hands, (gamma, delta), strict=True)
-    )
-    return replace(
-        grid,
-        alpha=grid.alpha[:, :1],
-        beta=grid.beta[:, :1],
-        gamma=gamma_ends,
-        delta=delta_ends,
-        delay=ends[0, :1],
-        radius_cells=(alphas, count, 1, 1),
-        radius_range=ends,
-    )
-
-
-def _part_of(nodes: Floats, cells: int, share: float) -> Floats:
-    """Return the ends of that of equal cells which is at a share of the way; of one node, it."""
-    cell = int(share * cells) + np.array([0.0, 1.0])
-    return np.unique(nodes[0] + (nodes[-1] - nodes[0]) * cell / cells)
-
-
-def _atlas_of(plan: Plan) -> Atlas:
-    """Compute a small atlas without limits of alpha, in memory alone."""
-    grid = plan.grid
-    arrays = {name: getattr(grid, name) for name in ("alpha", "beta", "gamma", "delta", "delay")}
-    arrays |= {LIMIT_RANGE: grid.limit_range}
-    arrays[SPEC] = np.array(plan.spec.to_toml().encode().splitlines())
-    for tile in plan.tiles:
-        for name, values in compute_tile(plan, tile).items():
-            dimensions = VARIABLES[name].dimensions
-            whole = [grid.lengths[dimension] for dimension in dimensions]
-            part = [plan.numbers(dimension, tile) for dimension in dimensions]
-            arrays.setdefault(name, np.zeros(whole, values.dtype))[np.ix_(*part)] = values
-    return Atlas(Contents(arrays, "", ""))
-
-
-def _asked_cells(atlas: Atlas, rng: np.random.Generator) -> CellPart:
-    nodes = atlas.nodes(0).values()
-    points = [rng.uniform(along[0], along[-1], _POINTS) for along in nodes]
-    begin = process_time()
-    alpha, beta, gamma, delta = points
-    answer = atlas.query(alpha, beta, gamma=gamma, delta=delta, delay=float(atlas.delays[0]))
-    seconds = (process_time() - begin) / _POINTS
-    between = answer.status != QueryStatus.NODE
-    undecided = np.mean(answer.verdict[between] == UNDECIDED)
-    return CellPart(float(undecided), seconds)
-
-
-# What an atlas is like that is not built yet, by a sample of its parts.
-#
-# No more of them are looked at than show what is asked.
-
-_MOST = 0.95  # of the limits keep the error that is said
-
+_JUDGES = ALPHA_LIMITS, VERDICT, SPECTRAL_RADIUS  # by the first of them a resolution is judged
+_FEW, _SOME, _MANY = 3, 6, 24  # parts: of a cost, of a row, of what is promised
+_PER_PART = 4  # cells of delays in tiles for each part
+_AT_ONCE = 6  # parts between looks at the spread
+_ENOUGH = 0.05  # of a value: a spread that needs no more parts
 _DRAWS = 50  # of samples of a sample, for its spread
+_FILE, _CHUNK = 28_000, 90  # bytes of a file whose arrays are empty, and of a chunk beside values
+_NEAR, _AIM = 0.65, 0.85  # of a wish: what is near enough to it, and what is aimed at
+_ROUNDS = 5
+_LEAST_SHARE = 0.02  # of the error, of an axis
+_LEAST_GOAL = 1e-12  # an error
+_SCALES = 2.0**-20, 2.0**20  # in units of the given resolution
+_LADDER = 0.5, 2.0**0.5  # resolutions beside the chosen one, in units of it
+_ALLOWED = {"accuracy": (1e-9, 1.0), "size": (0.0, inf)}
 
-_TABLE = 2**24  # numbers of limits at most, among which queries are timed: 64 MB
 
-_QUERIES, _REPEATS = 2**16, 4
+class Estimate(NamedTuple):
+    """The expected cost of a build, in our experience right to a factor of two.
 
-_ENOUGH = 0.05  # of a value: a spread that needs no more places
+    Attributes:
+        seconds: of CPU time, on this machine.
+        size: of the file in bytes.
+    """
 
-_AT_ONCE = 6  # places between looks at the spread
+    seconds: float
+    size: float
+
+    def __str__(self) -> str:
+        return (
+            f"build: about {_duration(self.seconds)} of CPU time on this machine, and a file of "
+            f"about {_two_digits(self.size / 1e6)} MB, judged by parts of a few tiles"
+        )
 
 
 class Measured(NamedTuple):
@@ -310,159 +106,130 @@ class Measured(NamedTuple):
     spread: float
 
 
-class Timed(NamedTuple):
-    """How many tiles of limits of alpha were computed, with how many columns, in which CPU time."""
-
-    calls: int = 0
-    columns: int = 0
-    seconds: float = 0.0
+_UNKNOWN = Measured(np.nan, np.nan)
 
 
-class Sample(NamedTuple):
-    """What an atlas is like, by a sample of its cells; NaN for what was not asked, or is not held.
+class _Cost(NamedTuple):
+    """Seconds and compressed bytes of a unit of a product, and seconds of each call."""
 
-    Attributes:
-        limit_error: that 95 % of the places with a stable alpha keep.
-        undecided: share of random points.
-        radius_error: that half of the stable points keep.
-        query_seconds: of CPU time of a verdict, of many.
-        timed: what computing its limits of alpha took.
+    seconds: float
+    size: float
+    call: float = 0.0
+
+
+class _Part(NamedTuple):
+    """What one computed part shows: what it took, errors at its points, and its undecided share."""
+
+    seconds: float
+    size: int
+    units: int
+    errors: Floats
+    undecided: float
+
+
+# ------------------------------------------------------------------------------- parts of products
+
+
+def _units(grid: Grid, product: str) -> int:
+    return prod(grid.lengths[name] for name in PRODUCTS[product].unit)
+
+
+def _calls(plan: Plan) -> int:
+    """Return how many times a tile meets a cell of delays."""
+    return len(plan.tiles) * len(plan.grid.limit_range) // plan.grid.delay.size
+
+
+def _parts(plan: Plan, product: str, count: int, reach: Reach | None = None) -> Iterator[_Part]:
+    """Yield parts of a product at so many places, fewer for an atlas of few tiles.
+
+    A part at which two places are comes once.
     """
-
-    limit_error: Measured = Measured(np.nan, np.nan)
-    undecided: Measured = Measured(np.nan, np.nan)
-    radius_error: Measured = Measured(np.nan, np.nan)
-    query_seconds: float = np.nan
-    timed: Timed = Timed()
-
-
-Enough = Callable[[Sample], bool]
-
-"""Says whether a sample shows what is asked."""
-
-
-def has_small_spreads(sample: Sample) -> bool:
-    """Whether the shares and errors of limits of alpha are known well."""
-    known = sample.limit_error, sample.undecided
-    return all(spread <= _ENOUGH * value or not value < np.inf for value, spread in known)
+    rng = np.random.default_rng(count)
+    seen = set()
+    for number in range(max(_FEW, min(count, _calls(plan) // _PER_PART))):
+        place = (0.5 + number * _PLASTIC ** -np.arange(1.0, 5.0)) % 1.0
+        grid = PRODUCTS[product].part(plan.grid, place)
+        key = grid.limit_range.tobytes() + grid.radius_range.tobytes() + grid.delay.tobytes()
+        key += grid.gamma.tobytes() + grid.delta.tobytes()
+        if key not in seen:
+            seen.add(key)
+            seconds, size, arrays = _computed(plan, product, grid)
+            judged = PRODUCTS[product].judged(grid, arrays, reach, rng)
+            yield _Part(seconds, size, _units(grid, product), *judged)
 
 
-def sample_of_limits(
-    plan: Plan, reach: Reach, count: int, enough: Enough = has_small_spreads
-) -> Sample:
-    """Compute some limits of alpha of an atlas and ask them.
+def _computed(plan: Plan, product: str, grid: Grid) -> tuple[float, int, Arrays]:
+    """Return the seconds, the compressed bytes and the arrays of the first tile of a part."""
+    part = Plan(replace(plan.spec, products=(product,)), grid)
+    tile = part.tiles[0]
+    begin = process_time()
+    arrays = compute_tile(part, tile)
+    image = encode_tile(part, tile, "", arrays)
+    seconds = process_time() - begin
+    with h5py.File.in_memory(image_of(image)) as file:
+        size = sum(dataset.id.get_storage_size() for dataset in file.values())
+    return seconds, size, arrays
 
-    Args:
-        plan: of an atlas with limits of alpha.
-        reach: of its regions.
-        count: how many parts of the range are computed, at most.
-        enough: says of fewer whether they will do.
+
+def _cost(plan: Plan, product: str, parts: Sequence[_Part]) -> _Cost:
+    """Return what a unit takes, by parts of it."""
+    units = sum(part.units for part in parts)
+    seconds, size = sum(part.seconds for part in parts), sum(part.size for part in parts)
+    call = 0.0
+    if PRODUCTS[product].has_calls:  # parts have fewer units to a call than builds
+        one = replace(plan.grid, limit_cells=1)
+        grid = PRODUCTS[product].part(one, np.full(4, 0.5))
+        call = min(_computed(plan, product, grid)[0], 0.9 * seconds / len(parts))
+    return _Cost((seconds - call * len(parts)) / units, size / units, call)
+
+
+def estimate_build(plan: Plan) -> Estimate:
+    """Compute parts of some tiles, and say what all of them take.
+
+    Raises:
+        ValueError: as for a build.
     """
-    drawn = limit_parts(plan, reach, count)
-    parts: list[LimitPart] = []
-    sample = Sample()
-    while some := list(itertools.islice(drawn, _AT_ONCE)):
-        parts += some
-        sample = Sample(
-            limit_error=_quantile([part.error for part in parts], _MOST),
-            undecided=_mean([float(part.undecided.mean()) for part in parts]),
-        )
-        if enough(sample):
-            break
-    computed = [part for part in parts if part.seconds]
-    columns, seconds = sum(len(part.terms) for part in computed), sum(p.seconds for p in computed)
-    return sample._replace(
-        query_seconds=_query_seconds(plan.grid, parts),
-        timed=Timed(len(computed), columns, seconds),
-    )
+    costs = {
+        product: _cost(plan, product, list(_parts(plan, product, _FEW)))
+        for product in plan.spec.products
+    }
+    return _estimate(plan, costs, _seconds_of_region(plan))
 
 
-def sample_of_cells(plan: Plan, count: int) -> Sample:
-    """Compute some cells of the verdicts of an atlas and ask them between nodes.
-
-    Args:
-        plan: of an atlas with verdicts and without limits of alpha.
-        count: how many places of the range.
-    """
-    parts = list(cell_parts(plan, count))
-    return Sample(
-        undecided=_mean([part.undecided for part in parts]),
-        query_seconds=float(np.median([part.query_seconds for part in parts])),
-    )
+def _seconds_of_region(plan: Plan) -> float:
+    if not regions_around(plan.spec, plan.grid):
+        return 0.0
+    grid, begin = plan.grid, process_time()
+    delay = float(grid.delay[grid.delay.size // 2])
+    known_region(float(grid.gamma[-1]), float(grid.delta[-1]), delay, plan.spec.filters)
+    return process_time() - begin
 
 
-def sample_of_radii(plan: Plan, count: int) -> Sample:
-    """Compute some cells of radii of an atlas and ask them.
-
-    Args:
-        plan: of an atlas with spectral radii.
-        count: how many places of the range.
-    """
-    return Sample(radius_error=_quantile(list(radius_errors(plan, count)), 0.5))
-
-
-def _query_seconds(grid: Grid, parts: Sequence[LimitPart]) -> float:
-    """Return the time of a verdict: in a table as large as the atlas's, of the columns of parts."""
-    shape = [*(grid.lengths[name] for name in LIMITS)]
-    shape[0] = max(1, min(shape[0], _TABLE // prod(shape[1:])))
-    terms = np.resize(np.concatenate([part.terms for part in parts]), shape)
-    arrays = {"gamma": grid.gamma, "delta": grid.delta, "delay": grid.delay, SPEC: np.array([b""])}
-    arrays |= {ALPHA_LIMITS: terms, LIMIT_RANGE: grid.limit_range}
-    arrays |= {LIMIT_WHOLE: np.zeros(len(grid.limit_range), np.int32)}
-    atlas = Atlas(Contents(arrays, "", ""))
-    rng = np.random.default_rng(shape[0])
-    row = grid.limit_range[rng.integers(len(grid.limit_range), size=_QUERIES)].T
-    hands = (rng.uniform(nodes[0], nodes[-1], _QUERIES) for nodes in (grid.gamma, grid.delta))
-    walls = (rng.uniform(row[2], row[3]), rng.uniform(row[4], row[5]))
-    points = *walls, *hands, rng.uniform(row[0], row[1])
-    taken = []
-    for _ in range(_REPEATS):
-        begin = process_time()
-        atlas.verdict(**by_name(*points))
-        taken.append(process_time() - begin)
-    return min(taken) / _QUERIES
+def _estimate(plan: Plan, costs: Mapping[str, _Cost], region_seconds: float) -> Estimate:
+    grid = plan.grid
+    seconds = region_seconds * regions_around(plan.spec, grid)
+    size = _FILE + len(plan.spec.to_toml()) + 1.5 * (grid.alpha.nbytes + grid.beta.nbytes)
+    size += _CHUNK * len(plan.tiles) * len(plan.variables)
+    for product in plan.spec.products:
+        cost, units = costs[product], _units(grid, product)
+        calls = _calls(plan) if PRODUCTS[product].has_calls else 0
+        seconds += cost.seconds * units + cost.call * calls
+        size += cost.size * units + _CHUNK * calls
+    return Estimate(seconds, size)
 
 
-def _quantile(parts: Sequence[Floats], share: float) -> Measured:
-    """Return a quantile of all values, and its spread by drawing the parts again."""
-    kept = [part for part in parts if part.size]
-    if not kept:
-        return Measured(np.nan, np.nan)
-    rng = np.random.default_rng(len(kept))
-    drawn = rng.integers(len(kept), size=(_DRAWS, len(kept)))
-    values = [_at_share(np.concatenate([kept[i] for i in some]), share) for some in drawn]
-    known = np.isfinite(values)
-    spread = float(np.std(np.array(values)[known])) if known.all() else np.inf
-    return Measured(_at_share(np.concatenate(kept), share), spread)
+def _duration(seconds: float) -> str:
+    for unit, length in (("hours", 3600.0), ("minutes", 60.0)):
+        if seconds > 2.0 * length:
+            return f"{_two_digits(seconds / length)} {unit}"
+    return f"{_two_digits(seconds)} seconds"
 
 
-def _at_share(values: Floats, share: float) -> float:
-    """Return the value that a share of all is not above; it may be infinite."""
-    return float(np.quantile(values, share, method="higher"))
+def _two_digits(value: float) -> str:
+    return f"{float(f'{value:.2g}'):g}"
 
 
-def _mean(values: Sequence[float]) -> Measured:
-    spread = np.std(values, ddof=1) / len(values) ** 0.5 if len(values) > 1 else np.nan
-    return Measured(float(np.mean(values)), float(spread))
-
-
-_COUNTS = {
-    "alpha": "alpha",
-    "beta": "beta",
-    "gamma": "gamma",
-    "delta": "delta",
-    "limit_cells": "limits",
-    "delay_cells": "delays",
-}
-
-_WORDS = (
-    "limits: 95 % of the proved errors of the upper limit of alpha are below this, over the "
-    "largest stable alpha at their delay",
-    "undecided: share of the range without a proved verdict",
-    "radius: half of the proved errors of stable loops are below this",
-    "Counts are nodes along alpha and beta, cells along gamma and delta, limit_cells and "
-    "delay_cells of the limits. +- is the standard error of a sample.",
-)
+# ------------------------------------------------------------------------- resolutions of one range
 
 
 @dataclass(frozen=True)
@@ -477,7 +244,6 @@ class Resolution:
             alpha at their delay; infinite where less than 95 % have one, NaN without limits.
         undecided: share of the range that is undecided; NaN without verdicts.
         radius_error: bound that half of the spectral radii of stable loops keep, NaN without radii.
-        query_seconds: of CPU time of a verdict, asked for many at once.
         seconds: of CPU time of the build on this machine.
         size: of the file in bytes.
 
@@ -496,7 +262,6 @@ class Resolution:
     limit_error: Measured
     undecided: Measured
     radius_error: Measured
-    query_seconds: float
     seconds: float
     size: float
 
@@ -506,7 +271,7 @@ class ResolutionPlan:
     """Resolutions of one range, and the one that a wish needs; ``plan_resolution`` makes it.
 
     Attributes:
-        wish: what was asked for, such as "accuracy 0.01".
+        wish: such as "accuracy 0.01".
         rows: from the smallest file to the largest.
         given: which of them is the specification that was given.
         chosen: which of them meets the wish.
@@ -532,7 +297,7 @@ class ResolutionPlan:
         return self.chosen.spec
 
     def __str__(self) -> str:
-        heading = [*_COUNTS.values(), "limits", "undecided", "radius", "MB", "CPU s", "ns a query"]
+        heading = [*_COUNTS.values(), "limits", "undecided", "radius", "MB", "CPU s"]
         table = [[*heading, ""], *(self._cells(row) for row in self.rows)]
         widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         lines = [
@@ -548,13 +313,259 @@ class ResolutionPlan:
             *map(_words, (row.limit_error, row.undecided, row.radius_error)),
             f"{row.size / 1e6:.3g}",
             f"{row.seconds:.3g}",
-            "-" if isnan(row.query_seconds) else f"{row.query_seconds * 1e9:.0f}",
             notes.get(id(row), ""),
         ]
+
+
+_COUNTS = dict(zip((*WALLS, *HANDS, *OF_LIMITS), (*WALLS, *HANDS, "limits", "delays"), strict=True))
+
+_WORDS = (
+    "limits: 95 % of the proved errors of the upper limit of alpha are below this, over the "
+    "largest stable alpha at their delay",
+    "undecided: share of the range without a proved verdict",
+    "radius: half of the proved errors of stable loops are below this",
+    "Counts are nodes along alpha and beta, cells along gamma and delta, limit_cells and "
+    "delay_cells of the limits. +- is the standard error of a sample.",
+)
 
 
 def _words(measured: Measured) -> str:
     value, spread = measured
     if isnan(value):
         return "-"
-    return f"{value:.2g} +- {spread:.1g}" if value < float("inf") else "no bound"
+    if isnan(spread):
+        return f"{value:.2g}"
+    return f"{value:.2g} +- {spread:.1g}" if value < inf else "no bound"
+
+
+def plan_resolution(
+    spec: AtlasSpec, *, accuracy: float | int | None = None, size: float | int | None = None
+) -> ResolutionPlan:
+    """Return the specification of the same range that a wish needs, beside other resolutions.
+
+    The ends of the range, its delays and its products stay. What is said of a resolution is an
+    estimate from a sample of its cells, while each answer of an atlas is proved.
+
+    Args:
+        spec: the range and the products.
+        accuracy: bound that 95 % of the upper limits of alpha shall keep, over the largest stable
+            alpha at their delay; from 1e-9 to 1.
+        size: of the file in bytes, at most.
+
+    Raises:
+        TypeError: not exactly one wish is given, or it is no number.
+        ValueError: it is out of range, or no resolution meets it; at a delay no loop is stable.
+
+    Example:
+        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
+        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
+        >>> jaxstab.plan_resolution(spec, size=100_000).chosen.size < 100_000
+        True
+    """
+    wishes = {"accuracy": accuracy, "size": size}
+    given = {name: wish for name, wish in wishes.items() if wish is not None}
+    if len(given) != 1:
+        words = " and ".join(given) or "nothing"
+        raise TypeError(f"{words} is wished for; give one of {', '.join(wishes)}.")
+    ((name, wish),) = given.items()
+    value = checked_number(name, wish, *_ALLOWED[name])
+    if name == "accuracy" and ALPHA_LIMITS not in spec.products:
+        raise ValueError(f"accuracy is of limits of alpha; add {ALPHA_LIMITS!r} to the products.")
+    range_ = _Range(spec)
+    scale, chosen = range_.of_error(value) if name == "accuracy" else range_.of_size(value)
+    rows = [range_.given, chosen]
+    for step in _LADDER:
+        plan = range_.plan_or_none(scale * step)
+        if plan and all(plan.spec != row.spec for row in rows):
+            rows.append(range_.judged(plan, _SOME))
+    rows.sort(key=lambda row: row.size)
+    return ResolutionPlan(f"{name} {value:g}", tuple(rows), range_.given, chosen)
+
+
+class _Range:
+    """The resolutions of a range along one line, on which all counts grow in proportion.
+
+    Attributes:
+        given: the resolution as it was given.
+    """
+
+    given: Resolution
+
+    def __init__(self, spec: AtlasSpec) -> None:
+        judge = next((name for name in _JUDGES if name in spec.products), None)
+        if judge is None:
+            raise ValueError(f"size needs verdicts; add {ALPHA_LIMITS!r} to the products.")
+        self._judge = judge
+        self._spec = with_known_nodes(spec)
+        self._knobs = [n for n in PRODUCTS[judge].knobs if not is_fixed(self._spec, n)]
+        begin = process_time()
+        self._reach = reach_of(self._spec)
+        first = Plan(self._spec, lay_out(self._spec, self._reach))
+        regions = max(1, regions_around(self._spec, first.grid))
+        self._region_seconds = (process_time() - begin) / regions
+        self._costs = {
+            product: _cost(first, product, list(_parts(first, product, _FEW)))
+            for product in spec.products
+            if product not in (judge, SPECTRAL_RADIUS)
+        }
+        self.given = self.judged(first, _SOME)
+        self._counts, self._error = counts_of(self._spec), self._error_of(self.given)
+        while self._error == inf:  # where less than 95 % of the limits have a bound
+            self._counts |= {knob: 2 * self._counts[knob] for knob in self._knobs}
+            self._error = self._error_of(self.judged(self._plan({}), _SOME))
+
+    @cached_property
+    def steps(self) -> dict[str, float]:
+        """How many of each count there are at the scale 1: each takes an equal part then.
+
+        A few places show the undecided share well, and an error of a limit is half the height of
+        what it leaves undecided: so parts are judged by this share.
+        """
+        if len(self._knobs) == 1:
+            return {self._knobs[0]: float(self._counts[self._knobs[0]])}
+        whole, power, parts = self._mean_error({}), PRODUCTS[self._judge].power, {}
+        for knob in self._knobs:
+            ratio = self._mean_error({knob: 2 * self._counts[knob]}) / whole
+            parts[knob] = max(_LEAST_SHARE, 2.0 * (1.0 - min(1.0, ratio) ** (1.0 / power)))
+        mean = sum(parts.values()) / len(parts)
+        return {knob: self._counts[knob] * part / mean for knob, part in parts.items()}
+
+    def plan_or_none(self, scale: float) -> Plan | None:
+        """Return the plan of a resolution, None where its file could not be opened."""
+        counts = {
+            knob: max(least_count(self._spec, knob), round(min(step * scale, 2.0**30)))
+            for knob, step in self.steps.items()
+        }
+        try:
+            plan = self._plan(counts)
+        except ValueError:
+            return None
+        return plan if self._estimate(plan).size <= LARGEST_ARRAY else None
+
+    def judged(self, plan: Plan, places: int) -> Resolution:
+        """Return what a resolution is like, by so many places of its range, or as will do."""
+        known = dict.fromkeys(("limit_error", "undecided", "radius_error"), _UNKNOWN)
+        sampled = {self._judge: places}
+        if SPECTRAL_RADIUS in plan.spec.products:
+            sampled.setdefault(SPECTRAL_RADIUS, _SOME)
+        for name, count in sampled.items():
+            parts: list[_Part] = []
+            drawn = _parts(plan, name, count, self._reach)
+            while some := list(itertools.islice(drawn, _AT_ONCE)):
+                parts += some
+                product = PRODUCTS[name]
+                if not isnan(parts[0].undecided):
+                    known["undecided"] = _mean([part.undecided for part in parts])
+                if product.quantile:
+                    errors = [part.errors for part in parts]
+                    known[product.error] = _quantile(errors, product.quantile)
+                if all(s <= _ENOUGH * v or not v < inf for v, s in known.values()):
+                    break
+            self._costs[name] = _cost(plan, name, parts)
+        limit, undecided, radius = known.values()
+        estimate = self._estimate(plan)
+        return Resolution(plan.spec, counts_of(plan.spec), limit, undecided, radius, *estimate)
+
+    def of_error(self, wanted: float | int) -> tuple[float, Resolution]:
+        """Return the scale at which an error is as wished for, and what is there."""
+        if isnan(self._error):
+            raise ValueError("no alpha is stable in a sample of this range; give a smaller range.")
+        scale, error = 1.0, max(self._error, _LEAST_GOAL)
+        met: list[tuple[float, Resolution]] = []
+        for _ in range(_ROUNDS):
+            scale *= (error / (_AIM * wanted)) ** (1.0 / PRODUCTS[self._judge].power)
+            plan = self.plan_or_none(scale)
+            if plan is None:
+                raise ValueError(self._refusal(wanted, scale, error))
+            chosen = self.judged(plan, _MANY)
+            error = max(self._error_of(chosen), _LEAST_GOAL)
+            if error <= wanted:
+                met.append((scale, chosen))
+                least = self.plan_or_none(_SCALES[0])
+                if error >= _NEAR * wanted or (least and plan.spec == least.spec):
+                    break
+        if not met:
+            raise ValueError(
+                f"accuracy is {wanted:g}, and resolutions of this range are too irregular to find "
+                "one that reaches it; give a plainer range, or the size of the file."
+            )
+        return min(met, key=lambda one: one[1].size)
+
+    def of_size(self, size: float | int) -> tuple[float, Resolution]:
+        """Return the finest scale of which the file is not larger than this, and what is there."""
+        for number in range(_ROUNDS):
+            scale = self._scale_within(size, _AIM**number)
+            plan = self.plan_or_none(scale)
+            if plan is None:
+                break
+            chosen = self.judged(plan, _MANY)
+            if chosen.size <= size:
+                return scale, chosen
+        raise ValueError(f"size is {size:g} bytes, and no resolution was found; give more.")
+
+    def _scale_within(self, size: float | int, aim: float = 1.0) -> float:
+        """Return the largest scale of which the file takes a share of a size at most."""
+
+        def cost(scale: float) -> float:
+            plan = self.plan_or_none(scale)
+            return self._estimate(plan).size if plan else inf
+
+        low, high = _SCALES
+        least = cost(low)
+        if least > aim * size:
+            raise ValueError(
+                f"size is {size:g} bytes, and the coarsest atlas of this range takes "
+                f"{float(f'{least:.3g}'):,g} bytes; give more, or fewer products, delays or nodes."
+            )
+        for _ in range(40):
+            middle = (low * high) ** 0.5
+            low, high = (middle, high) if cost(middle) <= aim * size else (low, middle)
+        return low
+
+    def _plan(self, counts: Mapping[str, int]) -> Plan:
+        spec = with_counts(self._spec, {**self._counts, **counts})
+        return Plan(spec, lay_out(spec, self._reach))
+
+    def _estimate(self, plan: Plan) -> Estimate:
+        return _estimate(plan, self._costs, self._region_seconds)
+
+    def _error_of(self, row: Resolution) -> float:
+        error: float = getattr(row, PRODUCTS[self._judge].error).value
+        return error
+
+    def _mean_error(self, counts: Mapping[str, int]) -> float:
+        parts = list(_parts(self._plan(counts), self._judge, _FEW, self._reach))
+        if isnan(parts[0].undecided):
+            share = PRODUCTS[self._judge].quantile
+            return max(_quantile([part.errors for part in parts], share).value, _LEAST_GOAL)
+        return max(_mean([part.undecided for part in parts]).value, _LEAST_GOAL)
+
+    def _refusal(self, accuracy: float | int, scale: float, error: float) -> str:
+        largest = self._scale_within(LARGEST_ARRAY)
+        least = error * (scale / largest) ** PRODUCTS[self._judge].power
+        return (
+            f"accuracy is {accuracy:g}, and an atlas of this range that can be opened, with up to "
+            f"{LARGEST_ARRAY / 1e9:.1f} GB, reaches about {least:.2g}; give that, or less range."
+        )
+
+
+def _quantile(parts: Sequence[Floats], share: float) -> Measured:
+    """Return a quantile of all values, and its spread by drawing the parts again."""
+    kept = [part for part in parts if part.size]
+    if not kept:
+        return _UNKNOWN
+    rng = np.random.default_rng(len(kept))
+    drawn = rng.integers(len(kept), size=(_DRAWS, len(kept)))
+    values = np.array([_at_share([kept[i] for i in some], share) for some in drawn])
+    spread = float(np.std(values)) if np.isfinite(values).all() else inf
+    return Measured(_at_share(kept, share), spread)
+
+
+def _at_share(parts: Sequence[Floats], share: float) -> float:
+    """Return the value that a share of all is not above; it may be infinite."""
+    return float(np.quantile(np.concatenate(parts), share, method="higher"))
+
+
+def _mean(values: Sequence[float]) -> Measured:
+    spread = np.std(values, ddof=1) / len(values) ** 0.5 if len(values) > 1 else np.nan
+    return Measured(float(np.mean(values)), float(spread))

@@ -1,20 +1,30 @@
-"""Tiles on disk: an image for each, in a folder beside the atlas until the atlas is published.
+"""Tiles on disk, and how they become one file.
 
-What is in the folder is what is done: a build that was interrupted goes on from there. The folder
-is its owner's alone, and a tile counts if it is of this build and code, and as the schema says.
+While a build runs, the image of each tile that is done lies in a folder beside the atlas. What is
+in the folder is what is done: a build that was interrupted goes on from there. The folder is its
+owner's alone and locked by one process; a tile counts if it is of this build and this code, and as
+the schema says.
+
+At the end the tiles are merged, with one of them in memory at a time. The chunks of variables over
+a grid are copied as they are, compressed, to their places; lists (outlines, functions of radii) are
+strung together in the order of the tiles. Table and footer follow the image, and the file is opened
+once before it takes the place of a former one.
 """
 
 import errno
 import hashlib
+import io
 import os
 import platform
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
+from math import prod
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -24,21 +34,43 @@ from numpy.typing import NDArray
 
 import jaxstab
 from jaxstab.atlas.compute.plan import Plan, Tile
-from jaxstab.atlas.compute.products import Arrays
 from jaxstab.atlas.format.schema import (
-    KNOWN_BEFORE,
-    PRODUCTS,
+    ALWAYS,
     SCHEMA_VERSION,
     VARIABLES,
+    Chunked,
+    content_digest,
+    digest_of,
+    footer_of,
+    head_attributes,
     image_of,
     sealed,
     values_digest,
 )
-from jaxstab.atlas.format.spec import AtlasSpec
-from jaxstab.atlas.format.table import check
-from jaxstab.atlas.read.file import check_values
-from jaxstab.atlas.write.variables import FORMAT_VERSIONS, TROUBLES, checked_layout, filters_of
-from jaxstab.durable import Folder, named_errors, own_folder, target_of
+from jaxstab.atlas.format.spec import AtlasSpec, words_of
+from jaxstab.atlas.format.table import RefusalError, check, table_text
+from jaxstab.atlas.format.variables import LARGEST_UNASKED, SPEC
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.read.file import TooLargeError, check_values, contents_of, table_in
+from jaxstab.atlas.write.variables import (
+    FORMAT_VERSIONS,
+    TROUBLES,
+    checked_layout,
+    create_variable,
+    filters_of,
+    places_of,
+    write_attributes,
+    write_variable,
+)
+from jaxstab.durable import (
+    Folder,
+    PatientStream,
+    named_errors,
+    own_folder,
+    replacing,
+    target_of,
+    write_all,
+)
 
 VALUES_DIGEST = "values_sha256"
 _TILE = "tile"
@@ -68,7 +100,7 @@ def build_key(spec: AtlasSpec) -> str:
     return hashlib.sha256(words.encode()).hexdigest()
 
 
-def encode_tile(plan: Plan, tile: Tile, key: str, arrays: Arrays) -> bytes:
+def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]]) -> bytes:
     """Return the sealed image of a tile; its chunks are those of the atlas.
 
     Raises:
@@ -117,8 +149,8 @@ def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py
 
 def _check_datasets(file: h5py.File, plan: Plan, tile: Tile) -> None:
     """Refuse other variables than those of a tile, and others than its values in their chunks."""
-    held = [name for product in plan.spec.products for name in PRODUCTS[product]]
-    held = [n for n in held if not VARIABLES[n].is_axis and n not in KNOWN_BEFORE]
+    chosen = [PRODUCTS[product] for product in plan.spec.products]
+    held = [v.name for p in chosen for v in p.variables if not v.is_axis and v.name not in p.known]
     gridded = {n for n in held if plan.is_gridded(n) and 0 not in plan.shape(n, tile)}
     flat = {name for name in held if not plan.is_gridded(name)}
     check(gridded <= set(file) <= gridded | flat)
@@ -309,3 +341,148 @@ def _lock(descriptor: int) -> None:
     except OSError as error:
         words = f"its folder cannot be locked ({error.strerror}), so build it elsewhere and copy it"
         raise OSError(error.errno, words) from error
+
+
+# ------------------------------------------------------------------------------ tiles to one file
+
+_FLAT_CHUNK = 2**16  # values of what is strung together
+
+
+def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
+    """Publish the atlas of which all tiles are done.
+
+    Raises:
+        OSError: the folder is read-only or full; a former file is still there.
+        ValueError: a tile was damaged since it was looked at, or the tiles make no atlas that
+            could be opened; a former file is still there.
+    """
+    filters = words_of(plan.spec.filters)
+    with replacing(path, shards.folder) as descriptor:
+        stream = PatientStream(descriptor)
+        with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
+            write_attributes(file, head_attributes(created_by, filters))
+            datasets = _create_variables(file, plan, shards)
+            variables = list(_chunked(datasets, _copy_tiles(datasets, plan, shards, stream)))
+            write_attributes(file, {"content_sha256": content_digest(variables)})
+            file.flush()
+            places = {name: places_of(dataset) for name, dataset in datasets.items()}
+        stream.check()
+        os.ftruncate(descriptor, stream.size)
+        os.lseek(descriptor, stream.size, os.SEEK_SET)
+        table = table_text(created_by, filters, variables, places)
+        write_all(descriptor, table)
+        with open(descriptor, "rb", buffering=0, closefd=False) as written:
+            write_all(descriptor, footer_of(written, stream.size + len(table), stream.size))
+            _check_whole(path, written)
+
+
+def _check_whole(path: Path, written: io.FileIO) -> None:
+    """Refuse what could not be opened, before it takes the place of a former file."""
+    try:
+        if written.seek(0, io.SEEK_END) <= LARGEST_UNASKED:
+            written.seek(0)
+            dict(contents_of(path, written.readall()).arrays)
+        else:
+            table_in(written)
+    except TooLargeError:
+        pass
+    except (RefusalError, ValueError) as error:
+        raise ValueError(
+            f"the tiles of {path} make no sound atlas; remove .{path.name}.*.tiles beside it and "
+            "build again."
+        ) from error
+
+
+def _create_variables(file: h5py.File, plan: Plan, shards: Shards) -> dict[str, h5py.Dataset]:
+    """Write what is known without the tiles, and make room for the rest."""
+    names = ALWAYS.union(*(PRODUCTS[product].names for product in plan.spec.products))
+    lengths = plan.grid.lengths | _flat_lengths(plan, shards, names)
+    known = _known_variables(plan, lengths)
+    datasets = {}
+    for name, variable in VARIABLES.items():
+        if name in known and name in names:
+            datasets[name] = write_variable(file, variable, known[name])
+        elif name in names:
+            shape = [lengths[dimension] for dimension in variable.dimensions]
+            chunk = plan.chunk(name) if plan.is_gridded(name) else _flat_chunk(shape)
+            datasets[name] = create_variable(file, variable, shape, chunk, np.dtype(variable.dtype))
+    return datasets
+
+
+def _flat_chunk(shape: Sequence[int]) -> list[int]:
+    *others, length = shape
+    return [*others, max(1, min(length, _FLAT_CHUNK // prod(others)))]
+
+
+def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArray[Any]]:
+    """Return the axes and the specification."""
+    grid = plan.grid
+    lines = np.array([line.encode("utf-8") for line in plan.spec.to_toml().splitlines()])
+    known: dict[str, NDArray[Any]] = {
+        "alpha": grid.alpha,
+        "beta": grid.beta,
+        "gamma": grid.gamma,
+        "delta": grid.delta,
+        "delay": grid.delay,
+        SPEC: lines,
+    }
+    for chosen in plan.spec.products:
+        known |= PRODUCTS[chosen].known_before(grid, plan.spec.filters)
+    counted = {**lengths, "spec_line": lines.size}
+    numbers = {name: np.arange(count, dtype=np.int32) for name, count in counted.items()}
+    return numbers | known
+
+
+def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str, int]:
+    """Return the total length of all tiles along each dimension that is not one of the grid."""
+    flat = [n for n in names if not (plan.is_gridded(n) or VARIABLES[n].is_axis or n == SPEC)]
+    lengths = {VARIABLES[name].dimensions[-1]: 0 for name in flat}
+    for tile in plan.tiles if flat else ():
+        with shards.opened(plan, tile) as image:
+            sizes = {
+                VARIABLES[name].dimensions[-1]: image[name].shape[-1]
+                for name in flat
+                if name in image
+            }
+        lengths |= {dimension: lengths[dimension] + size for dimension, size in sizes.items()}
+    return lengths
+
+
+_Digests = dict[str, dict[tuple[int, ...], str]]
+
+
+def _copy_tiles(
+    datasets: Mapping[str, h5py.Dataset], plan: Plan, shards: Shards, stream: PatientStream
+) -> _Digests:
+    """Copy the chunks of gridded variables, and string the others together in the tiles' order."""
+    digests: _Digests = {}
+    filled = dict.fromkeys(datasets, 0)
+    for tile in plan.tiles:
+        with shards.opened(plan, tile) as image:
+            for name, part in image.items():
+                if plan.is_gridded(name):
+                    first = _place(plan, name, tile)
+                    starts = product(*map(range, [0] * part.ndim, part.shape, part.chunks))
+                    of_chunks = part.attrs[VALUES_DIGEST].decode().split(" ")
+                    for start, digest in zip(starts, of_chunks, strict=True):
+                        mask, chunk = part.id.read_direct_chunk(start)
+                        place = tuple(map(add, first, start))
+                        datasets[name].id.write_direct_chunk(place, chunk, mask)
+                        digests.setdefault(name, {})[place] = digest
+                else:
+                    length = part.shape[-1]
+                    datasets[name][..., filled[name] : filled[name] + length] = part[()]
+                    filled[name] += length
+        stream.check()
+    return digests
+
+
+def _place(plan: Plan, name: str, tile: Tile) -> tuple[int, ...]:
+    return tuple(plan.numbers(dimension, tile).start for dimension in VARIABLES[name].dimensions)
+
+
+def _chunked(datasets: Mapping[str, h5py.Dataset], digests: _Digests) -> Iterator[Chunked]:
+    for name, dataset in datasets.items():
+        whole = digest_of(name, dataset)
+        copied = [digest for _, digest in sorted(digests.get(name, {}).items())]
+        yield whole._replace(digests=copied or list(whole.digests))

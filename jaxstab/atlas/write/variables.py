@@ -10,26 +10,16 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.schema import Variable, attributes_of, head_attributes
+from jaxstab.atlas.format.schema import attributes_of
 from jaxstab.atlas.format.table import DAMAGED, Place, RefusalError, Stored, Table, check
+from jaxstab.atlas.format.variables import Variable
 
 FORMAT_VERSIONS: Final = ("v110", "v110")
 
 """Of HDF5: checksums of its own structures, and the other readers know it."""
 
 _PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": 6}
-
 _LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
-
-
-def write_head(file: h5py.File, created_by: str, filters: str) -> None:
-    """Write what the file says of itself."""
-    _write_attributes(file, head_attributes(created_by, filters))
-
-
-def write_content_digest(file: h5py.File, digest: str) -> None:
-    """Write the digest of all values, for those who compare files of two machines."""
-    _write_attributes(file, {"content_sha256": digest})
 
 
 def write_variable(file: h5py.File, variable: Variable, values: NDArray[Any]) -> h5py.Dataset:
@@ -69,7 +59,7 @@ def create_variable(
         chunks=tuple(chunk),
         **filters_of(variable),
     )
-    _write_attributes(dataset, attributes_of(variable))
+    write_attributes(dataset, attributes_of(variable))
     if variable.is_axis:
         dataset.make_scale(variable.name)
     else:
@@ -78,7 +68,8 @@ def create_variable(
     return dataset
 
 
-def _write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]) -> None:
+def write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]) -> None:
+    """Write attributes; texts as UTF-8 of a fixed length."""
     for name, value in attributes.items():
         to.attrs[name] = np.bytes_(value.encode("utf-8")) if isinstance(value, str) else value
 
@@ -101,9 +92,7 @@ def places_of(dataset: h5py.Dataset) -> list[Place]:
 # libhdf5 was not made for hostile files: a reader that only asks uses ``read.file``.
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
-
 _LONGEST_ATTRIBUTE = 2**16  # bytes
-
 _ROOM = 2**28  # bytes
 
 TROUBLES = (
@@ -145,11 +134,7 @@ def _has_room() -> bool:
 
 
 def checked_datasets(file: h5py.File, table: Table) -> dict[str, h5py.Dataset]:
-    """Return the variables by name; they, and nothing else, are stored as the table says.
-
-    Raises:
-        RefusalError: as it says.
-    """
+    """Return the variables by name; they, and nothing else, are stored as the table says."""
     check(set(file) == set(table.variables))
     return {name: _checked_dataset(file, stored) for name, stored in table.variables.items()}
 

@@ -1,30 +1,201 @@
-"""Lookups in the limits of alpha: one column of the table decides a point. NumPy alone.
+"""Limits of the stable alpha, from which most verdicts of an atlas follow.
 
 A column is a cell along beta, gamma, delta and delay. It holds two surfaces over these, the lower
-and the upper limit of the stable alphas, and the error of each (``schema.ALPHA_LIMITS``). For one
-delay they are planes.
+and the upper limit of the stable alphas, and the error of each; for one delay they are planes.
+``proofs.columns`` proves them in double precision. A file has them in single precision: what that
+changes is added to the error (``in_float32``). One column decides a point: below lower - error and
+above upper + error it is unstable, between lower + error and upper - error stable, elsewhere the
+atlas leaves it undecided. Many points are answered by one of the two surfaces, where that one alone
+decides (``deciding_alphas``).
+
+Some axes hold the whole stable set: ``compute.beyond`` proves of which cells of delays, and a wall
+beyond such an axis is unstable.
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from math import inf
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.schema import LIMIT_TERMS, WHOLE_ALPHA, WHOLE_BOTH
+from jaxstab.atlas.format.variables import Variable, numbers
+from jaxstab.atlas.products.product import Array, Arrays, Floats, Product
 from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+
+if TYPE_CHECKING:
+    from jaxstab.atlas.compute.layout import Grid, Reach
+    from jaxstab.atlas.compute.plan import Plan, Share, Tile
+    from jaxstab.model.filters import Filters
+
+ALPHA_LIMITS = "alpha_limits"
+LIMIT_RANGE = "limit_range"
+LIMIT_WHOLE = "limit_whole"
+LIMITS = ("limit_cell", "gamma_cell", "delta_cell", "delay_cell", "limit_term")
+LIMIT_TERMS = 10  # of each of the two limits
+WHOLE_ALPHA = 1
+WHOLE_BOTH = 2
+
+_VARIABLES = (
+    numbers("limit_cell", "cell i of n is the i-th of n equal parts of the range of beta"),
+    numbers("delay_cell", "cell i holds the delays limit_range[i, 0] to limit_range[i, 1]"),
+    numbers(
+        "limit_end",
+        "0 and 1: lowest and highest delay of a cell; 2 and 3: likewise alpha; 4 and 5: beta",
+    ),
+    Variable(
+        LIMIT_RANGE,
+        "float64",
+        ("delay_cell", "limit_end"),
+        "delays, alpha and beta for which limits of alpha are given",
+        "one row for each cell of delays, ascending; of two cells that share a delay the "
+        "second answers for it",
+    ),
+    Variable(
+        LIMIT_WHOLE,
+        "int32",
+        ("delay_cell",),
+        "axes that hold the whole stable set",
+        "for all gamma and delta of the atlas and all delays of the cell: 1, a wall beyond the "
+        "alphas of limit_range, at one of its betas, is unstable; 2, and so is one beyond its "
+        "betas; 0, nothing is known. Proved: columns between the axes and bounds of all stable "
+        "gains are empty",
+        0,
+        WHOLE_BOTH,
+    ),
+    numbers(
+        "limit_term",
+        "0 to 9: constant, slopes along beta, gamma, delta, delay, the square of the delay and "
+        "the delay times beta, gamma and delta, and error of the lower limit; 10 to 19: of the "
+        "upper limit",
+    ),
+    Variable(
+        ALPHA_LIMITS,
+        "float32",
+        LIMITS,
+        "limits of the stable alpha",
+        "limit = constant + slopes (beta, gamma, delta, delay, delay^2, delay beta, delay "
+        "gamma, delay delta). Proved for each point of the closed cell, and alpha in the range "
+        "of limit_range: unstable below the lower "
+        "limit - error and above the upper limit + error, stable between lower + error and "
+        "upper - error (the boundary in closed form is enclosed, and a verdict computed in "
+        "each gap). Constants "
+        "of infinity: lower, no alpha is stable; upper, the limit is beyond the atlas",
+    ),
+)
+
+
+class Limits(Product):
+    """Limits of alpha in columns."""
+
+    name = ALPHA_LIMITS
+    variables = _VARIABLES
+    gridded = (ALPHA_LIMITS,)
+    known = LIMIT_RANGE, LIMIT_WHOLE
+    rows = LIMIT_RANGE
+    lengths = {"limit_term": 2 * LIMIT_TERMS, "limit_end": 6}  # noqa: RUF012
+    unit = LIMITS[:4]
+    knobs = "gamma", "delta", "limit_cells", "delay_cells"
+    power = 2.0
+    error = "limit_error"
+    quantile = 0.95
+    has_calls = True
+
+    def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
+        from jaxstab.proofs.columns import stable_columns
+        from jaxstab.proofs.enclosures import Domain
+
+        shape, hands = plan.shape(ALPHA_LIMITS, tile), plan.boxes(tile)
+        limits = np.zeros((shape[0], hands.gamma.size, *shape[3:]), np.float32)
+        for number, cell in enumerate(plan.numbers("delay_cell", tile) if limits.size else ()):
+            early, late, *walls = plan.grid.limit_range[cell].tolist()
+            domain = Domain((walls[0], walls[1]), (walls[2], walls[3]))
+            edges = np.linspace(*domain.beta, plan.grid.limit_cells + 1)
+            middle = 0.5 * (early + late)
+            half = np.nextafter(max(middle - early, late - middle), np.inf) if late > early else 0.0
+            columns = stable_columns(edges, hands, middle, domain, plan.spec.filters, float(half))
+            beta = max(map(abs, domain.beta))
+            hand = plan.grid.gamma[-1], plan.grid.delta[-1]
+            limits[:, :, number] = np.concatenate(
+                [in_float32(terms, (beta, *hand, late)) for terms in columns], axis=-1
+            ).swapaxes(0, 1)
+        return {ALPHA_LIMITS: limits.reshape(shape)}
+
+    def known_before(self, grid: "Grid", filters: "Filters | None") -> dict[str, Array]:
+        from jaxstab.atlas.compute.beyond import whole_axes
+
+        return {LIMIT_RANGE: grid.limit_range, LIMIT_WHOLE: whole_axes(grid, filters)}
+
+    def are_values(self, name: str, values: Array) -> bool:
+        if name != ALPHA_LIMITS:
+            return True
+        limits = np.split(values, 2, axis=-1)
+        return all(np.all(np.isfinite(v[..., 1:-1])) and v[..., -1].min() >= 0.0 for v in limits)
+
+    def share(self, plan: "Plan", variable: str) -> "Share":
+        from jaxstab.atlas.compute.plan import Share
+
+        asked = plan.points(variable) // (2 * LIMIT_TERMS)
+        return Share(variable, asked, asked)
+
+    def part(self, grid: "Grid", place: Floats) -> "Grid":
+        delay, gamma, delta, beta = place
+        columns, ends = grid.row_at(grid.limit_range, delay, grid.limit_cells, _COLUMNS, beta)
+        part = grid.slice_at(0.0, gamma, delta).without_walls(ends)
+        return replace(part, limit_cells=columns, limit_range=ends)
+
+    def judged(
+        self, grid: "Grid", arrays: Arrays, reach: "Reach | None", chance: np.random.Generator
+    ) -> tuple[Floats, float]:
+        early, late, least, most, low, high = grid.limit_range[0].tolist()
+        terms = arrays[ALPHA_LIMITS].reshape(-1, 2 * LIMIT_TERMS)
+        column = np.repeat(np.arange(len(terms)), _PER_COLUMN)
+        beta = low + (column + chance.random(column.size)) / len(terms) * (high - low)
+        ends = *((nodes[0], nodes[-1]) for nodes in (grid.gamma, grid.delta)), (early, late)
+        others = [chance.uniform(*pair, column.size) for pair in ends]
+        limits = limits_at(terms[column].T, beta, *others)
+        undecided = float(undecided_share(limits, least, most).mean())
+        if reach is None:
+            return np.zeros(0), undecided
+        stable = (limits.lower < inf) & ((limits.upper < inf) | (limits.upper_error == inf))
+        return limits.upper_error[stable] / reach.along(others[-1][stable])[:, 0], undecided
+
+
+_COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is judged
+_EVALUATION = 1e-14  # of the terms of a limit, for those who add them up
+
+
+def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDArray[np.float32]:
+    """Round the terms of limits to float32, and their errors up by what that changes.
+
+    Args:
+        terms: of one limit, as ``jaxstab.proofs.columns.TERMS`` has them.
+        largest: the largest |beta|, gamma, delta and delay for which they are asked.
+    """
+    exact, error = terms[..., :-1], terms[..., -1]
+    *others, delay = largest
+    sizes = np.array([1.0, *largest, *(delay * size for size in (delay, *others))])
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        rounded = exact.astype(np.float32).astype(np.float64)
+        moved = np.where(rounded == exact, 0.0, np.abs(rounded - exact)) * sizes
+        lost = _EVALUATION * np.where(np.isfinite(exact), np.abs(exact), 0.0) * sizes
+        raised = (error + moved.sum(axis=-1) + lost.sum(axis=-1)) * (1.0 + 1e-12)
+        above = raised.astype(np.float32)
+        above = np.where(above < raised, np.nextafter(above, np.float32(np.inf)), above)
+    is_known = np.all(np.isfinite(rounded) | (rounded == exact), axis=-1) & ~np.isnan(above)
+    limits = np.concatenate([rounded, above[..., None]], axis=-1).astype(np.float32)
+    unknown = np.append(np.zeros(sizes.size), np.inf).astype(np.float32)
+    chosen: np.ndarray = np.where(is_known[..., None], limits, unknown)
+    return chosen
+
 
 # The cells of delays of an atlas: which one holds a delay, and how far it reaches. NumPy alone.
 
-Floats = NDArray[np.float64]
-
 Integers = NDArray[np.intp]
-
 Range = tuple[float, float]
-
 _MOST_STEPS = 2**12
 
 
@@ -33,7 +204,7 @@ class DelayCells:
 
     Args:
         ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells.
-        whole: (delay_cell,), which axes hold the whole stable set (``schema.LIMIT_WHOLE``).
+        whole: (delay_cell,), which axes hold the whole stable set (``LIMIT_WHOLE``).
     """
 
     def __init__(self, ends: Floats, whole: NDArray[np.int32]) -> None:
@@ -114,8 +285,6 @@ def _steps(early: Floats) -> tuple[float, Integers]:
 
 # Questions about many points, answered part by part. NumPy alone.
 
-Array = NDArray[Any]
-
 _PART = 2**16  # points: enough for what a call of NumPy costs, and few for the memory
 
 
@@ -152,11 +321,8 @@ def in_parts(
 # What the limits of a column say about an alpha, and which of the two says it. NumPy alone.
 
 Codes = NDArray[np.int8]
-
 Mask = NDArray[np.bool_]
-
 ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
-
 _ROUNDING = 1e-6  # of what is added up: far more than is lost, also where cells begin
 
 
@@ -588,188 +754,3 @@ def within(at: AlphaLimits, least: Floats | float, most: Floats | float) -> Alph
         np.where(is_above, np.inf, at.upper),
         np.where(is_above, 0.0, at.upper_error),
     )
-
-
-# Spectral radii from a few functions of a cell, with proved bounds (lemma B19). NumPy alone.
-
-ONE, LARGER, PAIR, CLUSTER = 1, 2, 3, 4
-
-"""What a radius is made of: ``schema.RADIUS_KIND``."""
-
-_SURFACE_ROUNDING = 1e-13  # more than is lost below, of numbers around 1
-
-_ROUNDING_OF_ROOTS = 1e-14
-
-
-def radius_bounds(kind: NDArray[Any], values: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    """Return the lowest and the highest radius of points.
-
-    Args:
-        kind: of the cell of each point.
-        values: of the functions of the cell, (3, point).
-        errors: of the first two functions, (2, point).
-    """
-    low, high = np.zeros(kind.size), np.full(kind.size, np.inf)
-    below, above = values[:2] - errors, values[:2] + errors
-    is_larger = kind == LARGER
-    for number, known in ((0, (kind == ONE) | is_larger), (1, is_larger)):
-        low = np.where(known, np.fmax(low, below[number]), low)
-        high = np.where(known, above[number] if number == 0 else np.fmax(high, above[1]), high)
-    for of_kind, bounds in ((PAIR, _of_pairs), (CLUSTER, _of_clusters)):
-        some = np.flatnonzero(kind == of_kind)
-        if some.size:
-            of_some = [of_function[some] for of_function in values]
-            found = bounds(of_some, errors[0, some])
-            low[some], high[some] = found[0] - errors[1, some], found[1] + errors[1, some]
-    return np.maximum(low - _SURFACE_ROUNDING, 0.0), high + _SURFACE_ROUNDING
-
-
-def _of_pairs(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats]:
-    """Bound the larger |mean + w| of two w with |w^2 + constant| <= bound."""
-    mean, constant, _ = functions
-    half = np.sqrt(np.abs(constant))
-    radius = np.where(constant > 0.0, np.hypot(mean, half), np.abs(mean) + half)
-    distance, loss = 2.0 * half, bound + _ROUNDING_OF_ROOTS
-    with np.errstate(invalid="ignore"):
-        alone = 2.0 * loss / (distance + np.sqrt(distance**2 - 4.0 * loss))
-    reach = np.where(distance**2 > 4.0 * loss, alone, np.inf)
-    farthest = np.sqrt(np.abs(constant) + loss)
-    low, high = np.abs(mean) - farthest, np.abs(mean) + farthest
-    return np.maximum(radius - reach, low), np.minimum(radius + reach, high)
-
-
-def _of_clusters(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats]:
-    """Bound the largest |mean + w| of three w with |w^3 + slope w + constant| <= bound."""
-    mean, slope, constant = functions
-    roots = _cubic_roots(slope, constant)
-    one, two, three = roots
-    products = one * two + one * three + two * three, one * two * three
-    size = np.abs(roots).max(axis=0) + 5.0 * np.cbrt(bound)
-    lost = np.abs(one + two + three) * size**2 + np.abs(products[0] - slope) * size
-    loss = bound + lost + np.abs(products[1] + constant) + _ROUNDING_OF_ROOTS
-    farthest = _farthest(np.abs(slope), np.abs(constant) + bound + _ROUNDING_OF_ROOTS)
-    lowest, highest = np.abs(mean) - farthest, np.abs(mean) + farthest
-    low, high = lowest, np.zeros(mean.size)
-    for first, second, third in ((one, two, three), (two, one, three), (three, one, two)):
-        near, far = np.sort([np.abs(first - second), np.abs(first - third)], axis=0)
-        reach = _component(near, far, loss)
-        radius = np.abs(mean + first)
-        low, high = np.maximum(low, radius - reach), np.maximum(high, radius + reach)
-    return low, np.minimum(high, highest)
-
-
-def _farthest(slope: Floats, constant: Floats) -> Floats:
-    """Bound s with s^3 <= slope s + constant, by Newton's method from above."""
-    size = np.maximum(np.sqrt(2.0 * slope), np.cbrt(2.0 * constant))
-    for _ in range(3):
-        size = (2.0 * size**3 + constant) / (3.0 * size**2 - slope)
-    return size * (1.0 + 1e-12)
-
-
-def _component(near: Floats, far: Floats, loss: Floats) -> Floats:
-    """Bound the distance from a root of a cubic within its component of |cubic| <= loss.
-
-    Args:
-        near: distance to the nearest of the other two roots.
-        far: to the other one.
-        loss: more than 0.
-    """
-    with np.errstate(all="ignore"):
-        alone = 1.2 * loss / (near * far)
-        is_alone = (alone < near) & (alone * (near - alone) * (far - alone) > loss)
-        with_one = 0.5 * near + np.sqrt(0.25 * near**2 + 1.5 * loss / far)
-        is_apart = (with_one < far) & (with_one * (with_one - near) * (far - with_one) > loss)
-    return np.where(is_alone, alone, np.where(is_apart, with_one, np.inf))
-
-
-def _cubic_roots(slope: Floats, constant: Floats) -> NDArray[np.complex128]:
-    """Return the roots of w^3 + slope w + constant, good to about a rounding of the largest."""
-    third, half = slope / 3.0, 0.5 * constant
-    inside = half**2 + third**3
-    sign = np.where(half > 0.0, -1.0, 1.0)
-    first = sign * np.cbrt(np.abs(half) + np.sqrt(np.maximum(inside, 0.0)))
-    second = -third / np.where(first == 0.0, 1.0, first)
-    real = first + second
-    pair = -0.5 * real + 0.5j * np.sqrt(3.0) * (first - second)
-    radius = np.sqrt(np.maximum(-third, 0.0))
-    cosine = -half / np.where(radius == 0.0, 1.0, radius) ** 3
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0)) / 3.0
-    turned = [2.0 * radius * np.cos(angle - 2.0 * np.pi * k / 3.0) for k in range(3)]
-    is_real = inside < 0.0
-    alone = (real, pair, pair.conj())
-    return np.stack([np.where(is_real, a, b) for a, b in zip(turned, alone, strict=True)])
-
-
-# Lookups of spectral radii: a few functions of a cell bound the radius of a point. NumPy alone.
-#
-# A cell is one along alpha, beta, gamma, delta and delay (``schema.RADIUS_KIND``).
-
-_VARIABLES = 5
-
-_FIRST, _SECOND = np.triu_indices(_VARIABLES)
-
-
-class RadiusTable:
-    """Spectral radii of an atlas at any point.
-
-    Args:
-        arrays: of the atlas.
-    """
-
-    def __init__(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        kinds, terms = arrays[schema.RADIUS_KIND], arrays[schema.RADIUS_TERMS]
-        self._counts = kinds.shape
-        self._kinds = np.moveaxis(kinds, -1, 0).reshape(-1).astype(np.int8)
-        functions = np.array(schema.RADIUS_FUNCTIONS)[self._kinds]
-        self._rows = np.cumsum(functions, dtype=np.int64) - functions
-        self._terms = np.ascontiguousarray(terms.T)
-        self._ends = arrays[schema.RADIUS_RANGE]
-        hands = (arrays[name] for name in ("gamma", "delta"))
-        self._hands = [(float(nodes[0]), float(nodes[-1])) for nodes in hands]
-
-    def bounds(self, points: list[Floats]) -> tuple[Floats, Floats]:
-        """Return the lowest and the highest radius of points; 0 and infinity where none is known.
-
-        Args:
-            points: alpha, beta, gamma, delta and delay of each, inside of gamma and delta.
-        """
-        low, high = in_parts(self._bounds, points, float, float)
-        return low, high
-
-    def _bounds(self, *points: Floats) -> tuple[Floats, Floats]:
-        number = np.searchsorted(self._ends[:, 0], points[-1], side="right") - 1
-        ends = self._ends[number].T
-        inside = points[-1] <= ends[1]
-        cell = number
-        beside = np.empty((_VARIABLES, number.size))
-        for axis, values in enumerate(points[:-1]):
-            walls = ends[2 + 2 * axis : 4 + 2 * axis]
-            lowest, highest = walls if axis < 2 else self._hands[axis - 2]
-            inside &= (values >= lowest) & (values <= highest)
-            count = self._counts[axis]
-            width = np.asarray((highest - lowest) / count)
-            with np.errstate(all="ignore"):
-                part = np.where(width > 0.0, (values - lowest) / width, 0.5)
-            along = np.clip(np.nan_to_num(part), 0, count - 1).astype(np.intp)
-            beside[axis] = 2.0 * (part - along) - 1.0
-            cell = cell * count + along
-        middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
-        beside[-1] = (points[-1] - middle) / np.where(half > 0.0, half, 1.0)
-        beside[:, ~inside] = 0.0  # what is far outside would overflow
-        low, high = self._of_cells(cell, beside)
-        return np.where(inside, low, 0.0), np.where(inside, high, np.inf)
-
-    def _of_cells(self, cell: Integers, beside: Floats) -> tuple[Floats, Floats]:
-        kind, first = self._kinds[cell], self._rows[cell]
-        functions = np.array(schema.RADIUS_FUNCTIONS)[kind]
-        powers = np.concatenate(
-            [np.ones((1, cell.size)), beside, beside[_FIRST] * beside[_SECOND]]
-        ).T
-        values, errors = np.zeros((3, cell.size)), np.zeros((2, cell.size))
-        for number in range(3):
-            has = np.flatnonzero(functions > number)
-            terms = self._terms[first[has] + number]
-            values[number, has] = np.einsum("pt,pt->p", terms[:, :-1], powers[has])
-            if number < 2:
-                errors[number, has] = terms[:, -1]
-        return radius_bounds(kind, values, errors)
