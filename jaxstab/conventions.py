@@ -48,16 +48,10 @@ class RadiusStatus(Status):
     """How far the error of a spectral radius can be trusted.
 
     Example:
-        >>> jaxstab.RadiusStatus(1).words
+        >>> jaxstab.results.RadiusStatus(1).words
         'the error bound is proved'
     """
 
     NOT_COMPUTED = 0, "not computed"
     PROVED = 1, "the error bound is proved"
     NO_BOUND = 2, "no error bound could be proved: the error is infinite"
-
-
-NOT_COMPUTED: Final = Verdict.NOT_COMPUTED
-STABLE: Final = Verdict.STABLE
-UNSTABLE: Final = Verdict.UNSTABLE
-UNDECIDED: Final = Verdict.UNDECIDED

@@ -19,7 +19,7 @@ import benchmarks.loops
 import jaxstab
 from benchmarks.truth import filtered as truth
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, hostile_walls
-from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
+from jaxstab import Filter, Velocity, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
@@ -145,12 +145,12 @@ def test_the_largest_stiffness_of_known_estimators(
     assert jaxstab.verdict(
         walls, beta, gamma=0.0, delta=0.0, delay=delay, velocity=velocity
     ).tolist() == [
-        STABLE,
-        UNSTABLE,
+        Verdict.STABLE,
+        Verdict.UNSTABLE,
     ]
     around = beta * (1.0 + np.linspace(-1e-2, 1e-2, 21))
     codes = jaxstab.verdict(walls[1], around, gamma=0.0, delta=0.0, delay=delay, velocity=velocity)
-    assert np.all(codes == UNSTABLE)
+    assert np.all(codes == Verdict.UNSTABLE)
 
 
 @pytest.mark.parametrize(("samples", "delay", "alpha", "beta"), ISLANDS)
@@ -162,15 +162,15 @@ def test_islands_are_stable_and_cut_off_from_small_gains(
     codes = jaxstab.verdict(
         alpha * shares, beta * shares, gamma=0.0, delta=0.0, delay=delay, velocity=window
     )
-    assert codes[-1] == STABLE
-    assert UNSTABLE in codes
+    assert codes[-1] == Verdict.STABLE
+    assert Verdict.UNSTABLE in codes
 
 
 def bisected(function: Callable[[float], int], low: float, high: float) -> float:
     """Where codes change from STABLE to another."""
     while high - low > 1e-15 * high:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if function(middle) == STABLE else (low, middle)
+        low, high = (middle, high) if function(middle) == Verdict.STABLE else (low, middle)
     return low
 
 
@@ -188,7 +188,7 @@ def test_only_walls_next_to_the_boundary_are_undecided(estimator: str) -> None:
     codes = jaxstab.verdict(walls, beta, **by_name(*plant), velocity=velocity)
     loop = truth.FilteredLoop(*plant, v, truth.average(1))
     assert codes.tolist() == [loop.code(alpha, beta) for alpha in walls]
-    assert UNDECIDED not in codes
+    assert Verdict.UNDECIDED not in codes
 
 
 @pytest.mark.parametrize("kind", [MassLoop, DeviceLoop])
@@ -199,8 +199,8 @@ def test_hostile_walls_of_random_loops_against_balls(kind: type[MassLoop | Devic
         walls = hostile_walls(rng, loop.balls, 30)
         for wall, code in zip(walls.tolist(), loop.verdict(*walls.T).tolist(), strict=True):
             is_stable = loop.balls.is_stable(*wall)
-            if is_stable is not None and code != UNDECIDED:
-                assert is_stable == (code == STABLE), (loop, wall)
+            if is_stable is not None and code != Verdict.UNDECIDED:
+                assert is_stable == (code == Verdict.STABLE), (loop, wall)
 
 
 @pytest.mark.parametrize(("samples", "delay"), [(20, 1.0), (12, 2.5), (2, 12.0), (30, 0.0)])
@@ -216,7 +216,7 @@ def test_zeros_left_out_change_no_verdict(samples: int, delay: float) -> None:
         for one in (loop, short)
     ]
     np.testing.assert_array_equal(*codes)
-    assert set(codes[0].tolist()) == {STABLE, UNSTABLE}
+    assert set(codes[0].tolist()) == {Verdict.STABLE, Verdict.UNSTABLE}
 
 
 def test_a_window_of_one_sample_is_the_loop_of_the_paper() -> None:
@@ -450,7 +450,7 @@ def test_regions_agree_with_certified_verdicts(
         "position": FILTERS[position][0],
     }
     region = jaxstab.stable_region(**by_name(*plant), **filters)
-    assert region.status == jaxstab.RegionStatus.COMPLETE
+    assert region.status == jaxstab.results.RegionStatus.COMPLETE
     rng = np.random.default_rng(7)
     low, high = region.points.min(axis=0), region.points.max(axis=0)
     size = high - low
@@ -464,9 +464,9 @@ def test_regions_agree_with_certified_verdicts(
     alpha, beta = np.concatenate([near, far]).T
     codes = jaxstab.verdict(alpha, beta, **by_name(*plant), **filters)
     inside = region.contains(alpha, beta)
-    assert not np.any(inside & (codes == UNSTABLE))
-    assert not np.any(~inside & (codes == STABLE))
-    assert np.sum(codes == UNDECIDED) == 0
+    assert not np.any(inside & (codes == Verdict.UNSTABLE))
+    assert not np.any(~inside & (codes == Verdict.STABLE))
+    assert np.sum(codes == Verdict.UNDECIDED) == 0
 
 
 @pytest.mark.parametrize("samples", [2, 4])
@@ -477,12 +477,12 @@ def test_regions_where_the_position_filter_is_zero_at_the_nyquist_frequency(
     # The line of a real root at -1 is one of constant beta then.
     filters: dict[str, Any] = {"position": Filter.average(samples)}
     region = jaxstab.stable_region(**by_name(*plant), **filters)
-    assert region.status == jaxstab.RegionStatus.COMPLETE
+    assert region.status == jaxstab.results.RegionStatus.COMPLETE
     rng = np.random.default_rng(1)
     alpha, beta = rng.uniform(-0.5, 2.0, 2000), rng.uniform(-1.0, 4.0, 2000)
     codes = jaxstab.verdict(alpha, beta, **by_name(*plant), **filters)
-    np.testing.assert_array_equal(region.contains(alpha, beta), codes == STABLE)
-    assert STABLE in codes
+    np.testing.assert_array_equal(region.contains(alpha, beta), codes == Verdict.STABLE)
+    assert Verdict.STABLE in codes
 
 
 def test_corners_of_filtered_regions_have_roots_on_the_circle_and_none_outside() -> None:
@@ -511,16 +511,16 @@ def test_a_window_of_one_sample_has_the_region_of_the_paper() -> None:
 def test_regions_of_filters_whose_poles_float64_does_not_tell_apart() -> None:
     velocity = Velocity.butterworth(0.02, order=8)
     region = jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
-    assert region.status == jaxstab.RegionStatus.COMPLETE
+    assert region.status == jaxstab.results.RegionStatus.COMPLETE
     rng = np.random.default_rng(8)
     vertices = region.points[rng.integers(0, len(region.points), 400)]
     away = np.repeat([[1e-4], [1e-1]], 200, axis=0) * np.ptp(region.points, axis=0)
     walls = (vertices + rng.normal(size=(400, 2)) * away).T
     codes = jaxstab.verdict(*walls, gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
     inside = region.contains(*walls)
-    is_decided = codes != UNDECIDED
+    is_decided = codes != Verdict.UNDECIDED
     assert np.mean(is_decided) > 0.95
-    assert np.array_equal(inside[is_decided], codes[is_decided] == STABLE)
+    assert np.array_equal(inside[is_decided], codes[is_decided] == Verdict.STABLE)
 
 
 @pytest.mark.campaign
@@ -529,16 +529,16 @@ def test_a_hand_far_above_a_cut_off_has_a_region() -> None:
     place = (0.5316505894594178, 8.394132253328545e-05, 2.0)
     velocity = Velocity.butterworth(0.017358, order=10)
     region = jaxstab.stable_region(**by_name(*place), velocity=velocity)
-    assert region.status == jaxstab.RegionStatus.COMPLETE
+    assert region.status == jaxstab.results.RegionStatus.COMPLETE
     rng = np.random.default_rng(3)
     edges = rng.integers(len(region.points), size=400)
     away = rng.normal(size=(400, 2)) * 10.0 ** rng.uniform(-6.0, 0.0, (400, 1))
     walls = (region.points[edges] + np.ptp(region.points, axis=0) * away).T
     codes = jaxstab.verdict(*walls, **by_name(*place), velocity=velocity)
     inside = region.contains(*walls)
-    assert not np.any(inside & (codes == UNSTABLE))
-    assert not np.any(~inside & (codes == STABLE))
-    assert np.sum(codes == STABLE) > 50
+    assert not np.any(inside & (codes == Verdict.UNSTABLE))
+    assert not np.any(~inside & (codes == Verdict.STABLE))
+    assert np.sum(codes == Verdict.STABLE) > 50
 
 
 def test_a_filter_whose_gain_is_lost_in_float64_has_no_region() -> None:
@@ -569,9 +569,11 @@ def test_a_region_that_proofs_contradict_claims_nothing() -> None:
     velocity = Velocity.transfer_function([1.0, -1.1875, 0.1875], [1.0, 0.3125, -0.2578125, 0.0])
     filters = {"velocity": velocity, "position": Filter.butterworth(0.005355365513565198, order=7)}
     plant = 0.6185486656816983, 0.0, 1.3859936203430451e-09
-    assert jaxstab.verdict(1.5e-5, 5.6e-6, **by_name(*plant), **filters) == STABLE
+    assert jaxstab.verdict(1.5e-5, 5.6e-6, **by_name(*plant), **filters) == Verdict.STABLE
     region = jaxstab.stable_region(**by_name(*plant), **filters)
-    assert region.contains(1.5e-5, 5.6e-6) or region.status == jaxstab.RegionStatus.UNRESOLVED
+    assert (
+        region.contains(1.5e-5, 5.6e-6) or region.status == jaxstab.results.RegionStatus.UNRESOLVED
+    )
 
 
 @pytest.mark.parametrize("number", [7, 13, 30, 45, 72, 111])
@@ -644,7 +646,7 @@ def test_a_line_at_a_pole_is_part_of_the_boundary() -> None:
             delta=0.0,
             delay=0.0,
             position=Filter.average(samples=4),
-        ).tolist() == [STABLE, UNSTABLE]
+        ).tolist() == [Verdict.STABLE, Verdict.UNSTABLE]
 
 
 @pytest.mark.parametrize(
@@ -669,10 +671,10 @@ def test_audits_ask_no_wall_on_a_corner() -> None:
         delay=0.0,
         velocity=Velocity(filter=window),
     )
-    assert loop.region().status == jaxstab.RegionStatus.COMPLETE
+    assert loop.region().status == jaxstab.results.RegionStatus.COMPLETE
     largest = loop.damping_limits(0.0)[1]
-    assert loop.verdict(0.0, 0.99 * largest) == STABLE
-    assert loop.verdict(0.0, 1.01 * largest) == UNSTABLE
+    assert loop.verdict(0.0, 0.99 * largest) == Verdict.STABLE
+    assert loop.verdict(0.0, 1.01 * largest) == Verdict.UNSTABLE
 
 
 def test_a_cut_off_may_be_an_array_of_jax() -> None:
@@ -696,6 +698,6 @@ def test_long_windows_are_answered(count: int) -> None:
     region = jaxstab.stable_region(**by_name(*place), velocity=window)
     balls = truth.FilteredLoop(*place, truth.difference(count), truth.average(1)).balls()
     alpha, beta = map(float, region.main.max_alpha)
-    for factor, code in ((1.0 - 1e-6, STABLE), (1.0 + 1e-6, UNSTABLE)):
+    for factor, code in ((1.0 - 1e-6, Verdict.STABLE), (1.0 + 1e-6, Verdict.UNSTABLE)):
         assert jaxstab.verdict(factor * alpha, beta, **by_name(*place), velocity=window) == code
-        assert balls.is_stable(factor * alpha, beta) == (code == STABLE)
+        assert balls.is_stable(factor * alpha, beta) == (code == Verdict.STABLE)

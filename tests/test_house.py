@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import jaxstab
-from benchmarks.calls import COMPUTING_CALLS
+from benchmarks.calls import COMPUTING_CALLS, PUBLIC
 
 ROOT = Path(__file__).resolve().parents[1]
 LONGEST_FILE = 1000  # lines
@@ -23,6 +23,7 @@ FLOORS_THAT_COMPUTE = tuple(
         "model", "point", "region", "ranges", "paper", "motion", "tuning", "trace", "loop"
     )
 )  # fmt: skip
+MOST_NAMES = 65  # that a program finds at the top
 CONVERSIONS = {  # of a loop: nothing is asked of it
     "alpha", "beta", "stiffness", "damping", "in_floats", "plot", "to_control", "tree_flatten",
     "tree_unflatten",
@@ -84,7 +85,8 @@ def test_imports_keep_their_contracts() -> None:
 
 
 @pytest.mark.parametrize(
-    "package", ["", ".model", ".point", ".region", ".ranges", ".tuning", ".trace", ".atlas"]
+    "package",
+    ["", ".model", ".point", ".region", ".ranges", ".tuning", ".paper", ".atlas", ".results"],
 )
 def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
     loads = loaded_by(f"jaxstab{package}")
@@ -96,12 +98,21 @@ def test_the_reader_of_an_atlas_loads_no_jax(module: str) -> None:
     assert loaded_by(f"jaxstab.atlas.{module}").isdisjoint({"jax", "jaxlib", "matplotlib"})
 
 
-@pytest.mark.parametrize("name", jaxstab.__all__)
+@pytest.mark.parametrize("name", PUBLIC)
 def test_every_public_name_can_be_imported(name: str) -> None:
-    assert getattr(jaxstab, name) is not None
+    assert attrgetter(name)(jaxstab) is not None
 
 
-@pytest.mark.parametrize("name", [*jaxstab.__all__, *sorted(computing_methods())])
+def test_the_public_names_are_few_and_each_has_one_place() -> None:
+    assert len(jaxstab.__all__) <= MOST_NAMES
+    own_names = [name.rpartition(".")[2] for name in PUBLIC]
+    assert len(set(own_names)) == len(own_names)
+    for name in (*jaxstab.results.__all__, *jaxstab.paper.__all__):
+        with pytest.raises(AttributeError):
+            getattr(jaxstab, name)
+
+
+@pytest.mark.parametrize("name", [*PUBLIC, *sorted(computing_methods())])
 def test_every_public_callable_says_what_it_is_refuses_and_shows_and_where_it_is_from(
     name: str,
 ) -> None:
@@ -111,7 +122,7 @@ def test_every_public_callable_says_what_it_is_refuses_and_shows_and_where_it_is
     # A dataclass or a named tuple without a docstring gets its signature for one.
     text = value.__doc__ or ""
     assert text
-    assert not text.startswith(f"{name}(")
+    assert not text.startswith(f"{name.rpartition('.')[2]}(")
     assert ">>> " in text, "shows no example"
     if is_function(value):
         assert re.search(r"\bRaises:", text), "says nothing about errors"
@@ -128,9 +139,9 @@ NUMBERS = {
 NO_NUMBERS = {"C", "about", "executor", "function", "outside", "progress", "self", "units"}
 
 
-@pytest.mark.parametrize("name", jaxstab.__all__)
+@pytest.mark.parametrize("name", PUBLIC)
 def test_but_for_walls_no_two_numbers_go_without_a_name(name: str) -> None:
-    value = getattr(jaxstab, name)
+    value = attrgetter(name)(jaxstab)
     functions = [value] if is_function(value) else public_methods(value)
     for function in functions:
         named = [p.name for p in signature(function).parameters.values() if p.kind in POSITIONAL]
@@ -148,7 +159,7 @@ def public_methods(value: object) -> list[Callable[..., Any]]:
 
 
 def test_every_computing_function_is_in_the_table_of_calls() -> None:
-    computing = {name for name in jaxstab.__all__ if computes(getattr(jaxstab, name))}
+    computing = {name for name in PUBLIC if computes(attrgetter(name)(jaxstab))}
     assert computing | computing_methods() == set(COMPUTING_CALLS)
 
 

@@ -22,7 +22,7 @@ from jaxstab.cli.options import (
 )
 from jaxstab.cli.query import careful
 from jaxstab.cli.scene import refused, scene_of, warn
-from jaxstab.conventions import STABLE
+from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas
@@ -191,7 +191,7 @@ def _example(opened: "Atlas") -> dict[str, float]:
     )
     gamma, delta = point["gamma"], point["delta"]
     codes = opened.verdict(alpha[:, None], beta, gamma=gamma, delta=delta, delay=delay)
-    i, j = (codes == STABLE).nonzero()
+    i, j = (codes == Verdict.STABLE).nonzero()
     if i.size:
         centre = i.size // 2
         point |= {"alpha": float(alpha[i[centre]]), "beta": float(beta[j[centre]])}

@@ -20,7 +20,7 @@ import click
 
 import jaxstab
 from jaxstab.cli.options import keep_programs, png_file
-from jaxstab.conventions import AXES, STABLE, Verdict
+from jaxstab.conventions import AXES, Verdict
 from jaxstab.durable import named_errors, target_of
 from jaxstab.tables import parsed, text_of
 
@@ -204,7 +204,7 @@ def query(
         position=None if position is None else position_of(parsed(position, "--position: ")),
     )
     _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form)
-    return 0 if (answer.verdict == STABLE).all() else 1
+    return 0 if (answer.verdict == Verdict.STABLE).all() else 1
 
 
 @click.command()

@@ -48,7 +48,7 @@ def region(
     gamma: float, delta: float, delay: float, radius: float, output: Path | None, as_json: bool
 ) -> None:
     """Measure the stable region in the (alpha, beta) plane, and draw it."""
-    from jaxstab.paper import region_facts
+    from jaxstab.paper.facts import region_facts
 
     with at_work(f"region of a loop with {delay:g} samples of delay"):
         facts = region_facts(gamma=gamma, delta=delta, delay=delay, radius=radius)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Complex128, Float64, Int8
+from jaxtyping import Complex128, Float64, Int8
 
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
@@ -43,7 +43,7 @@ class HapticLoop(LoopParameters):
 
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
     there is a filter, and B times the estimated velocity. The loop answers questions by methods:
-    about a wall (K, B) ``verdict``, ``is_stable``, ``spectral_radius``, ``poles``, ``margins``,
+    about a wall (K, B) ``verdict``, ``spectral_radius``, ``poles``, ``margins``,
     ``settling_time``, ``oscillation``, ``simulate``; about all walls ``region``, ``limits``,
     ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; about all hands
     ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
@@ -446,26 +446,6 @@ class HapticLoop(LoopParameters):
             checked_word("resolve", resolve or "exact", ("exact",))
             return named(linear_verdict(*wall, self.linear), Verdict)
         return point.verdict(*wall, **self.slice, resolve=resolve, **self.filters)
-
-    def is_stable(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """Return True where ``verdict`` proves that a wall is stable.
-
-        Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
-
-        Raises:
-            ValueError: a gain is infinite or NaN.
-            RuntimeError: JAX arrays are given without x64.
-
-        Source: sec. V of Hulin, Preusche, Hirzinger (2008).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.is_stable([1000.0, 1e6], 10.0).tolist()
-            [True, False]
-        """
-        return self.verdict(stiffness, damping) == Verdict.STABLE
 
     def spectral_radius(self, stiffness: Numbers, damping: Numbers) -> SpectralRadius:
         """Return the largest modulus of the loop's poles at walls, with a proved error bound.

@@ -368,7 +368,7 @@ class AmplitudeStatus(Status):
     """What is known about amplitudes; small integers, so that arrays store int8.
 
     Example:
-        >>> jaxstab.AmplitudeStatus(1).words
+        >>> jaxstab.results.AmplitudeStatus(1).words
         'proved: no such disturbance drives the loop further'
     """
 

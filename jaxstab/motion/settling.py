@@ -125,7 +125,7 @@ class SettlingStatus(Status):
     """What is known about the settling of a loop; small integers, so that arrays store int8.
 
     Example:
-        >>> jaxstab.SettlingStatus(1).words
+        >>> jaxstab.results.SettlingStatus(1).words
         'settled, and proved to stay so'
     """
 

@@ -32,7 +32,7 @@ def resolved_region(
     Source: sec. V of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> jaxstab.resolved_region(gamma=0.0, delta=0.015, delay=1.0).loops
+        >>> resolved_region(gamma=0.0, delta=0.015, delay=1.0).loops
         1
     """
     require_x64(gamma, delta, delay, radius)
@@ -68,7 +68,7 @@ def region_facts(
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> facts = jaxstab.region_facts(gamma=0.0, delta=0.015, delay=1.0)
+        >>> facts = region_facts(gamma=0.0, delta=0.015, delay=1.0)
         >>> [round(float(number), 4) for number in facts["largest_alpha"]]
         [0.1522, 0.4233]
     """

@@ -26,7 +26,7 @@ def linear_alpha_limit(beta: Numbers, *, delta: Numbers, delay: Numbers) -> Floa
     Source: eqs. (22) and (23) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> round(float(jaxstab.linear_alpha_limit(0.2, delta=0.015, delay=1.0)), 9)
+        >>> round(float(jaxstab.paper.linear_alpha_limit(0.2, delta=0.015, delay=1.0)), 9)
         0.143333333
     """
     _, beta, _, delta, lag = checked_loop(0.0, beta, 0.0, delta, delay)
@@ -55,7 +55,7 @@ def linear_condition(
     Source: eqs. (19), (22) and (23) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> bool(jaxstab.linear_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
+        >>> bool(jaxstab.paper.linear_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
         True
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
@@ -86,7 +86,8 @@ def linear_error(
 
     Example:
         >>> alpha, beta = jaxstab.boundary_curve(0.2, gamma=0.0, delta=0.0, delay=0.0)
-        >>> round(float(jaxstab.linear_error(alpha, beta, gamma=0.0, delta=0.0, delay=0.0)), 4)
+        >>> error = jaxstab.paper.linear_error(alpha, beta, gamma=0.0, delta=0.0, delay=0.0)
+        >>> round(float(error), 4)
         0.0203
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
@@ -133,7 +134,7 @@ def routh_hurwitz_condition(
     Source: eqs. (17)-(21) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> bool(jaxstab.routh_hurwitz_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
+        >>> bool(jaxstab.paper.routh_hurwitz_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
         True
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)

@@ -307,7 +307,7 @@ class ValidityStatus(Status):
     """What is known about the point where the linear condition loses its validity.
 
     Example:
-        >>> jaxstab.ValidityStatus(1).words
+        >>> jaxstab.paper.ValidityStatus(1).words
         "a point of the stable region's boundary"
     """
 
@@ -322,7 +322,7 @@ class LinearValidity(NamedTuple):
     """A point (alpha, beta) of the boundary, its angle on the curve, and a ValidityStatus.
 
     Example:
-        >>> found = jaxstab.linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)
+        >>> found = jaxstab.paper.linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)
         >>> round(float(found.alpha), 9)
         0.038827412
     """

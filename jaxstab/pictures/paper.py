@@ -16,7 +16,8 @@ from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from jaxstab.numbers import without_noise
-from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region, resolved_region
+from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region
+from jaxstab.paper.facts import resolved_region
 from jaxstab.pictures.style import (
     BLACK,
     BLUE,

@@ -1,8 +1,8 @@
 """Broadcast grids of points in chunks of one shape, each point at the degree of its own delay.
 
 The grid itself is never formed: a chunk is a list of flat indices, looked up in the arguments as
-they were given. A grid of five axes needs memory for its axes, one chunk and its results; ``sweep``
-does without the results.
+they were given. A grid of five axes needs memory for its axes, one chunk and its results;
+``evaluate_grid`` does without the results.
 """
 
 import math
@@ -25,7 +25,7 @@ MANY = 2**14  # points of one degree whose companion matrices go through XLA
 Result = TypeVar("Result")
 
 
-def sweep(
+def evaluate_grid(
     function: Callable[..., Result],
     alpha: Numbers,
     beta: Numbers,
@@ -35,7 +35,7 @@ def sweep(
     delay: Numbers,
     chunk: int = CHUNK,
 ) -> Iterator[tuple[slice, Result]]:
-    """Go through a grid that is larger than memory.
+    """Evaluate a function on a grid that is larger than memory, chunk by chunk.
 
     Args:
         function: called with five arrays of at most ``chunk`` points, by their names:
@@ -59,10 +59,10 @@ def sweep(
 
     Example:
         >>> alpha = np.linspace(0.0, 0.2, 1000)
-        >>> parts = jaxstab.sweep(
+        >>> parts = jaxstab.evaluate_grid(
         ...     jaxstab.verdict, alpha, 0.2, gamma=0.0, delta=0.015, delay=1.0, chunk=400
         ... )
-        >>> sum(int((codes == jaxstab.STABLE).sum()) for _, codes in parts)
+        >>> sum(int((codes == jaxstab.Verdict.STABLE).sum()) for _, codes in parts)
         558
     """
     require_x64(alpha, beta, gamma, delta, delay)

@@ -23,7 +23,7 @@ from jaxstab.arrays import (
     tree_map,
 )
 from jaxstab.batches import compiled, over_tiles
-from jaxstab.conventions import STABLE, UNSTABLE, RadiusStatus
+from jaxstab.conventions import RadiusStatus, Verdict
 from jaxstab.model import (
     DoubleDouble,
     characteristic_polynomial,
@@ -94,7 +94,9 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
     xp = namespace(radius)
     steps = xp.asarray(_STEPS)
     sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
-    wanted = xp.stack([xp.full_like(radius, STABLE), xp.full_like(radius, UNSTABLE)])
+    wanted = xp.stack(
+        [xp.full_like(radius, Verdict.STABLE), xp.full_like(radius, Verdict.UNSTABLE)]
+    )
 
     def prove(state: tuple[Array, Array]) -> tuple[Array, Array]:
         step, error = state

@@ -29,7 +29,7 @@ class RegionStatus(Status):
     points are unstable.
 
     Example:
-        >>> jaxstab.RegionStatus(2).words
+        >>> jaxstab.results.RegionStatus(2).words
         'the boundary was not resolved: nothing is claimed'
     """
 

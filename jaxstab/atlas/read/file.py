@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format.schema import FOOTER, VARIABLES, Variable, image_size, values_digest
 from jaxstab.atlas.format.table import RefusalError, Stored, Table, check, read_table
-from jaxstab.conventions import AXES, STABLE, UNSTABLE
+from jaxstab.conventions import AXES, Verdict
 from jaxstab.durable import named_errors, target_of
 
 # Arrays out of the chunks of a file, and whether their values may be. No JAX, and no HDF5.
@@ -244,7 +244,7 @@ def decided_share(
     widths = [np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1) for nodes in axes]
     total = 0.0
     for start, codes in blocks:
-        share = ((codes == STABLE) | (codes == UNSTABLE)).astype(np.float64)[..., 0]
+        share = ((codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)).astype(np.float64)[..., 0]
         for first, along in zip(start, widths, strict=False):
             share = np.tensordot(along[first : first + share.shape[0]], share, 1)
         total += float(share)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.read.file import Integers, Mask, PackedArrays, Place
 from jaxstab.atlas.read.limits import LimitTable, RadiusTable
-from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE, Status
+from jaxstab.conventions import AXES, Status, Verdict
 from jaxstab.numbers import checked
 
 # Questions to an atlas, checked, and its answers. No JAX.
@@ -25,7 +25,7 @@ class QueryStatus(Status):
     """How an atlas knows what it answers for a point.
 
     Example:
-        >>> [status.name for status in jaxstab.QueryStatus]
+        >>> [status.name for status in jaxstab.results.QueryStatus]
         ['NODE', 'CELL', 'UNDECIDED_CELL', 'BETWEEN_DELAYS', 'OUTSIDE', 'EXACT']
     """
 
@@ -52,7 +52,7 @@ class AtlasAnswer:
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> answer = atlas.query([0.05, 0.18], 0.3, gamma=0.0005, delta=0.01, delay=1.0)
-        >>> [jaxstab.QueryStatus(int(code)).name for code in answer.status]
+        >>> [jaxstab.results.QueryStatus(int(code)).name for code in answer.status]
         ['CELL', 'CELL']
     """
 
@@ -74,7 +74,7 @@ class AtlasAnswer:
 def no_answer(size: int, *, has_verdicts: bool) -> AtlasAnswer:
     """Return an answer that says nothing yet."""
     return AtlasAnswer(
-        verdict=np.full(size, UNDECIDED if has_verdicts else NOT_COMPUTED, np.int8),
+        verdict=np.full(size, Verdict.UNDECIDED if has_verdicts else Verdict.NOT_COMPUTED, np.int8),
         spectral_radius=np.full(size, np.nan),
         radius_error=np.full(size, np.inf),
         status=np.full(size, QueryStatus.BETWEEN_DELAYS, np.int8),
@@ -114,7 +114,7 @@ def checked_range(name: str, ends: Any) -> Floats:
 
 def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[str, Any]) -> None:
     """Compute what the atlas left open inside of it; the filters are keywords of ``verdict``."""
-    is_open = (answer.verdict == UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
+    is_open = (answer.verdict == Verdict.UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
     left = np.flatnonzero(is_open)
     if left.size:
         # By name at run time, so that reading an atlas imports no JAX.
@@ -191,10 +191,10 @@ def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: Atl
     here = np.flatnonzero(inside & table.delays.covers(where["delay"]))
     walls = (where[name][here] for name in ("alpha", "beta"))
     beyond = table.delays.beyond(table.delays.of(where["delay"][here]), *walls)
-    codes = np.full(here.size, UNSTABLE, np.int8)
+    codes = np.full(here.size, Verdict.UNSTABLE, np.int8)
     codes[~beyond] = table.verdicts([where[name][here[~beyond]] for name in AXES])
     answer.verdict[here] = codes
-    proved = (codes == STABLE) | (codes == UNSTABLE)
+    proved = (codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)
     answer.status[here] = np.where(proved, QueryStatus.CELL, QueryStatus.UNDECIDED_CELL)
 
 
@@ -223,8 +223,8 @@ def answer_at_delay(
         status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
         if schema.CELL_VERDICT in arrays:
             codes = _codes_at(arrays, schema.CELL_VERDICT, place.cell, number)
-            status[(codes == STABLE) | (codes == UNSTABLE)] = QueryStatus.CELL
-    left = place.at_node & (codes == UNDECIDED)
+            status[(codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)] = QueryStatus.CELL
+    left = place.at_node & (codes == Verdict.UNDECIDED)
     if schema.VERDICT in arrays and left.any():
         nodes_left = [along[left] for along in place.node]
         codes[left] = _codes_at(arrays, schema.VERDICT, nodes_left, number)
@@ -246,8 +246,8 @@ def answer_radii(table: RadiusTable, where: Points, inside: Mask, answer: AtlasA
     here = np.flatnonzero(inside)
     low, high = table.bounds([where[name][here] for name in AXES])
     codes = answer.verdict[here]
-    low = np.where(codes == UNSTABLE, np.maximum(low, 1.0), low)
-    high = np.where(codes == STABLE, np.minimum(high, 1.0), high)
+    low = np.where(codes == Verdict.UNSTABLE, np.maximum(low, 1.0), low)
+    high = np.where(codes == Verdict.STABLE, np.minimum(high, 1.0), high)
     high = np.maximum(high, low)
     is_known = np.isfinite(high)
     members, low, high = here[is_known], low[is_known], high[is_known]

@@ -30,7 +30,7 @@ from jaxstab.atlas.read.atlas import Atlas
 from jaxstab.atlas.read.file import Contents
 from jaxstab.atlas.read.limits import AlphaLimits, RadiusTable, limits_at, undecided_share
 from jaxstab.atlas.read.points import QueryStatus
-from jaxstab.conventions import UNDECIDED
+from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 
 # Parts of an atlas that is not built yet: some of its cells, computed and asked.
@@ -282,7 +282,7 @@ def _asked_cells(atlas: Atlas, rng: np.random.Generator) -> CellPart:
     answer = atlas.query(alpha, beta, gamma=gamma, delta=delta, delay=float(atlas.delays[0]))
     seconds = (process_time() - begin) / _POINTS
     between = answer.status != QueryStatus.NODE
-    undecided = np.mean(answer.verdict[between] == UNDECIDED)
+    undecided = np.mean(answer.verdict[between] == Verdict.UNDECIDED)
     return CellPart(float(undecided), seconds)
 
 

@@ -34,7 +34,7 @@ from jaxstab.atlas.read.atlas import Atlas, open_atlas
 from jaxstab.atlas.read.file import TooLargeError, table_of
 from jaxstab.atlas.read.outline import AtlasOutline, outline_at
 from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
-from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import as_keywords, known_filters
 from jaxstab.point import spectral_radius, verdict
@@ -253,8 +253,10 @@ def _wrong_codes(
 ) -> int:
     """Count codes that are none, and those that say the opposite of a verdict for the point."""
     exact = np.asarray(verdict(**by_name(*point), resolve="exact", **filters))
-    both = np.isin(codes, (STABLE, UNSTABLE)) & np.isin(exact, (STABLE, UNSTABLE))
-    return int(np.sum((both & (codes != exact)) | (codes == NOT_COMPUTED)))
+    both = np.isin(codes, (Verdict.STABLE, Verdict.UNSTABLE)) & np.isin(
+        exact, (Verdict.STABLE, Verdict.UNSTABLE)
+    )
+    return int(np.sum((both & (codes != exact)) | (codes == Verdict.NOT_COMPUTED)))
 
 
 def _radii(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
@@ -283,7 +285,9 @@ def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
         ends = [(nodes[0], nodes[-1]) for nodes in atlas.nodes(number).values()]
         point = (*(chance.uniform(*side, each) for side in ends), delay)
         answer = atlas.query(**by_name(*point))
-        codes = np.where(answer.verdict == NOT_COMPUTED, np.int8(UNDECIDED), answer.verdict)
+        codes = np.where(
+            answer.verdict == Verdict.NOT_COMPUTED, np.int8(Verdict.UNDECIDED), answer.verdict
+        )
         wrong += _wrong_codes(codes, point, filters)
     points = each * atlas.delays.size
     return Check("answers", wrong == 0, f"{wrong} of {points} points are wrong")
