@@ -4,7 +4,11 @@ The truth: ``scipy.signal`` for filters, certified roots of a polynomial that py
 the filters' difference equations, and a loop that is simulated sample by sample.
 """
 
+import re
 from collections.abc import Callable
+from dataclasses import fields
+from inspect import isclass
+from pathlib import Path
 from typing import Any
 
 import flint
@@ -20,11 +24,14 @@ import jaxstab
 from benchmarks.truth import filtered as truth
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, hostile_walls
 from jaxstab import Filter, Velocity, Verdict
-from jaxstab.model import by_name
+from jaxstab.atlas.format.spec import position_of, toml_of, velocity_of
+from jaxstab.model import by_name, sections
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
+from jaxstab.model.sections import Section
 from jaxstab.point.schur_cohn import FLOAT_UNIT, dense_codes, rounded_loop, without_zeros
 from jaxstab.region.curve import curve_and_lift, mass_coefficients
+from jaxstab.tables import parsed
 
 # Each estimator beside T V(z), each filter beside P(z), by the truth.
 ESTIMATORS: dict[str, tuple[Velocity, truth.Rational]] = {
@@ -701,3 +708,42 @@ def test_long_windows_are_answered(count: int) -> None:
     for factor, code in ((1.0 - 1e-6, Verdict.STABLE), (1.0 + 1e-6, Verdict.UNSTABLE)):
         assert jaxstab.verdict(factor * alpha, beta, **by_name(*place), velocity=window) == code
         assert balls.is_stable(factor * alpha, beta) == (code == Verdict.STABLE)
+
+
+KINDS = [kind for kind in vars(sections).values() if isclass(kind) and issubclass(kind, Section)]
+
+
+def test_files_outside_of_two_do_not_name_a_kind_of_filter() -> None:
+    names = {kind.__name__ for kind in KINDS} - {"Section", "Rational"}  # a device has a Rational
+    words = {repr(kind.kind).replace("'", '"') for kind in sections.LOW_PASSES}
+    pattern = re.compile("|".join([*(rf"\b{name}\b" for name in sorted(names)), *sorted(words)]))
+    package = Path(jaxstab.__file__).parent
+    naming = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if any(
+            pattern.search(line.partition("#")[0])
+            for line in path.read_text(encoding="utf-8").splitlines()
+        )
+    }
+    assert naming == {"model/filters.py", "model/sections.py", "model/loop.py"}  # counts windows
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind is not Section])
+def test_every_kind_of_section_has_makers_a_text_and_keys(kind: type[Section]) -> None:
+    given = {
+        "samples": 3, "window": None, "cutoff": 0.1, "order": 2, "factor": 0.5,
+        "numerator": (0.5, -0.5), "denominator": (1.0, 0.25), "period": 1.0,
+    }  # fmt: skip
+    section = kind(**{field.name: given[field.name] for field in fields(kind)})
+    assert "object at" not in str(section)
+    assert callable(getattr(Filter, section.maker))
+    chain = Filter((section,))
+    if section.estimator:
+        velocity = Velocity(chain)
+        assert callable(getattr(Velocity, section.estimator))
+        assert eval(repr(velocity), {"Velocity": Velocity, "Filter": Filter}) == velocity
+        assert velocity_of(parsed(f"velocity = {toml_of(velocity)}")["velocity"]) == velocity
+    if kind is not sections.Differentiator:
+        assert eval(repr(chain), {"Filter": Filter}) == chain
+        assert position_of(parsed(f"position = {toml_of(chain)}")["position"]) == chain
