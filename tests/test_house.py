@@ -1,5 +1,6 @@
 """The rules of the house that a machine can check (CONTRIBUTING.md)."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -128,6 +129,45 @@ def test_every_public_callable_says_what_it_is_refuses_and_shows_and_where_it_is
         assert re.search(r"\bRaises:", text), "says nothing about errors"
     if computes(value):
         assert re.search(r"(?i)\b(paper|eqs?\.|theorem|criterion|table|sec\.)", text), "no source"
+
+
+SHARED = dict(re.findall(r"(?m)^    (\w+): (.+)$", jaxstab.conventions.__doc__ or ""))
+
+
+def undocumented(function: ast.FunctionDef) -> set[str]:
+    """The arguments that a docstring with a section of arguments neither has nor links to.
+
+    A line such as "alpha, beta: see ``jaxstab.conventions``." links to the shared arguments.
+    """
+    text = ast.get_docstring(function) or ""
+    section = re.search(r"(?m)^Args:\n((?:    .*\n?|\n)*)", text)
+    if section is None:
+        return set()
+    given = function.args
+    arguments = {one.arg for one in (*given.posonlyargs, *given.args, *given.kwonlyargs)}
+    own_lines = set(re.findall(r"(?m)^    (\w+)(?: \(.*\))?:", section[1]))
+    links = re.findall(r"(?m)^    ([\w, ]+): see ``jaxstab\.conventions``\.$", section[1])
+    linked = {name for names in links for name in names.split(", ")}
+    wrong = linked - (arguments & SHARED.keys())
+    public = {name for name in arguments if name not in ("self", "cls") and name[0] != "_"}
+    return wrong | (public - own_lines - linked)
+
+
+def test_arguments_are_documented_where_they_are_or_among_the_shared_ones() -> None:
+    missing = {}
+    for path in (ROOT / "jaxstab").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and (names := undocumented(node)):
+                missing[f"{path.relative_to(ROOT)}: {node.name}"] = names
+    assert missing == {}
+
+
+def test_an_argument_that_is_not_documented_is_named() -> None:
+    line = "alpha, radius: see ``jaxstab.conventions``."
+    code = f'def f(alpha, radius, other):\n    """Say.\n\n    Args:\n        {line}\n    """'
+    (function,) = ast.parse(code).body
+    assert isinstance(function, ast.FunctionDef)
+    assert undocumented(function) == {"radius", "other"}
 
 
 POSITIONAL = Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD

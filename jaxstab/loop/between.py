@@ -136,8 +136,7 @@ class LoopsBetween:
         """Return proved codes of ``Verdict`` for walls and all of the loops.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             STABLE where a wall is proved stable in every loop between the two, UNSTABLE where one
@@ -162,8 +161,7 @@ class LoopsBetween:
         """Return whether a wall is stable in all of the loops, and the worst that was found.
 
         Args:
-            stiffness: K in N/m.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             WorstLoop; UNDECIDED where all loops that were tried are stable, but not all others

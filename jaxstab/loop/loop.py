@@ -194,8 +194,7 @@ class HapticLoop(LoopParameters):
         """Return how far walls are from the edge of the stable set, in the (alpha, beta) plane.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             The Euclidean distance to the edge of the stable set in units of alpha and beta,
@@ -286,8 +285,7 @@ class HapticLoop(LoopParameters):
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
-            stiffness: K in N/m.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
             mass: the device's lowest and highest mass in kg over its postures; None for its own.
 
         Returns:
@@ -376,8 +374,7 @@ class HapticLoop(LoopParameters):
         plot.
 
         Args:
-            stiffness: K in N/m.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             ``control.TransferFunction`` with dt = T; coefficients rounded to float64.
@@ -418,8 +415,7 @@ class HapticLoop(LoopParameters):
         """Prove whether walls are stable: all roots of p(z) inside the unit circle.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
             resolve: "exact" decides more of the walls next to the boundary; see
                 ``jaxstab.verdict``.
 
@@ -451,8 +447,7 @@ class HapticLoop(LoopParameters):
         """Return the largest modulus of the loop's poles at walls, with a proved error bound.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             SpectralRadius per sample, with its bound and status; see ``jaxstab.spectral_radius``.
@@ -477,8 +472,7 @@ class HapticLoop(LoopParameters):
         """Return the poles z of the loop at walls, the one of the largest modulus first.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             Array of shape (*grid, degree); see ``jaxstab.closed_loop_poles``.
@@ -503,8 +497,7 @@ class HapticLoop(LoopParameters):
         """Return how far stiffness, damping and delay of the loop at walls may change, each alone.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, for JAX too. No extra
@@ -551,8 +544,7 @@ class HapticLoop(LoopParameters):
         """Return damping ratio and frequency in Hz of the slowest mode of the loop at walls.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             Oscillation of arrays of the broadcast shape, the frequency in Hz.
@@ -588,8 +580,7 @@ class HapticLoop(LoopParameters):
         behind the actuators of a device.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
             level: the tolerance, between 0 and 1; 0.02 is the usual one.
             excitation: "force", a constant push, or "impact", a velocity at the wall.
             horizon: samples after which a loop that is not proved to have settled is given up.

@@ -57,9 +57,7 @@ def region_facts(
     along the boundary from alpha = -gamma; None where the region has no such point.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        gamma, delta, delay: see ``jaxstab.conventions``.
         radius: modulus in (0, 1] below which all roots lie; 1 is stability.
 
     Raises:

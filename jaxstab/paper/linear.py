@@ -15,9 +15,7 @@ def linear_alpha_limit(beta: Numbers, *, delta: Numbers, delay: Numbers) -> Floa
     """Return the alpha below which the linear condition promises stability.
 
     Args:
-        beta: wall damping B T/m, any shape; like all arguments it broadcasts.
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        beta, delta, delay: see ``jaxstab.conventions``.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
@@ -42,11 +40,7 @@ def linear_condition(
     ``linear_validity`` says up to which stiffness it is close to the exact boundary.
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
@@ -74,9 +68,7 @@ def linear_error(
     Args:
         alpha: wall stiffness K T^2/m on the exact boundary, any shape; all arguments broadcast.
         beta: wall damping B T/m of the same point.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        gamma, delta, delay: see ``jaxstab.conventions``.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
@@ -121,11 +113,7 @@ def routh_hurwitz_condition(
     lag. The linear condition is this one without the term delta t_r (beta + delta + gamma t_r).
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.

@@ -20,10 +20,7 @@ def plus_line(
     """Return the alpha that puts a real root at z = +radius; for radius 1 it is -gamma.
 
     Args:
-        beta: wall damping B T/m, any shape; like all arguments it broadcasts.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        beta, gamma, delta, delay: see ``jaxstab.conventions``.
         radius: modulus of the root in (0, 1].
 
     Returns:
@@ -51,12 +48,16 @@ def minus_line(
 ) -> Float64[Array, "*grid"]:
     """Return the alpha that puts a real root at z = -radius.
 
-    Args: those of ``plus_line``.
+    Args:
+        beta, gamma, delta, delay: see ``jaxstab.conventions``.
+        radius: modulus of the root in (0, 1].
 
     Returns:
         alpha of the broadcast shape; infinite where N(-radius) = 0 (delta = 0 and a whole delay).
 
-    Raises: as ``plus_line``.
+    Raises:
+        ValueError: a concrete argument is outside its range, infinite or NaN.
+        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = -radius.
 

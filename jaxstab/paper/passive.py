@@ -98,8 +98,7 @@ def passive_region(
     stable region of this damping and delay.
 
     Args:
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        delta, delay: see ``jaxstab.conventions``.
         tolerance: how far the region may bulge beyond the chords of its outline, times delta; at
             least 1e-8.
 

@@ -368,9 +368,7 @@ def linear_validity(
     Args:
         level: relative error in (0, 1e3], any shape; like all arguments it broadcasts. None of
             them may be traced.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        gamma, delta, delay: see ``jaxstab.conventions``.
 
     Returns:
         LinearValidity of the broadcast shape; NaN where no point was found.

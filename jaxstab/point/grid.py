@@ -40,11 +40,7 @@ def evaluate_grid(
     Args:
         function: called with five arrays of at most ``chunk`` points, by their names:
             spectral_radius, verdict ...
-        alpha: wall stiffness K T^2/m, any shape; like the four others it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m.
-        delta: physical damping b T/m.
-        delay: time delay t_d/T in samples.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
         chunk: points per call.
 
     Returns:

@@ -395,17 +395,12 @@ def spectral_radius(
     """Return the largest modulus of a closed-loop pole with a proved error bound.
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, concrete.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
         method: "fast" finds and proves the dominant root, without eigenvalues for many points of
             one delay up to 64, by XLA; "companion" takes the companion matrix and a ladder of
             verdicts for all. Inside jit, vmap and grad, and with filters, it is always the
             companion matrix.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
+        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         SpectralRadius of arrays of the broadcast shape, in JAX if an argument is: ``value``;

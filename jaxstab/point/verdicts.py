@@ -415,11 +415,7 @@ def verdict(
     alpha = -gamma. UNSTABLE means at least one root outside or on the circle.
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional, concrete.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
         resolve: "exact" repeats the recursion in double-double where float64 leaves a point
             UNDECIDED, and then looks for a root that is certainly outside; all arguments must be
             concrete, as for an array of delays.

@@ -146,9 +146,7 @@ def boundary_curve(
         theta: angle of the roots in [0, pi]; like all arguments it broadcasts. At 0 and pi the
             result is the limit of the curve, a point of the line of a real root there; it is
             infinite at pi where N(-radius) = 0 (delta = 0 and a whole delay).
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        gamma, delta, delay: see ``jaxstab.conventions``.
         radius: modulus of the roots in (0, 1]; 1 is the limit of stability, a smaller one the limit
             of a decay rate.
 
