@@ -46,7 +46,7 @@ def commands() -> None:
 def answers() -> None:
     """Numbers in, NumPy out; and the same by JAX."""
     loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1e-3)
-    assert loop.verdict(2000.0, 20.0) == jaxstab.STABLE
+    assert loop.verdict(2000.0, 20.0) == jaxstab.Verdict.STABLE
     assert "N/m" in repr(loop.region())
     assert "<img" in loop.region()._repr_html_()
     device = jaxstab.Device.mass_spring_damper(0.1, damping=1.5).with_actuator(500.0)
@@ -72,7 +72,7 @@ def atlas() -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         built = jaxstab.build_atlas(spec, Path(folder) / "atlas.h5")
-        assert built.verdict(0.05, 0.3, gamma=0.0, delta=0.015, delay=1.0) == jaxstab.STABLE
+        assert built.verdict(0.05, 0.3, gamma=0.0, delta=0.015, delay=1.0) == jaxstab.Verdict.STABLE
 
 
 commands()

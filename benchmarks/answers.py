@@ -21,7 +21,7 @@ import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
 from jaxstab.atlas.products.limits import undecided_share
-from jaxstab.conventions import AXES, UNDECIDED
+from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name
 
 MEASURE = "share of random points without a right verdict: undecided or wrong"
@@ -265,8 +265,8 @@ def _row(
 ) -> Row:
     codes = np.concatenate(said)
     true = np.concatenate([some[: s.size] for some, s in zip(exact, said, strict=False)])
-    undecided = codes == UNDECIDED
-    wrong = ~undecided & (codes != true) & (true != UNDECIDED)
+    undecided = codes == Verdict.UNDECIDED
+    wrong = ~undecided & (codes != true) & (true != Verdict.UNDECIDED)
     return {
         "section": section,
         "method": method,
@@ -279,5 +279,5 @@ def _row(
         "error_measure": MEASURE,
         "undecided": float(np.mean(undecided)),
         "wrong": int(wrong.sum()),
-        "unjudged": int(np.sum(true == UNDECIDED)),
+        "unjudged": int(np.sum(true == Verdict.UNDECIDED)),
     }

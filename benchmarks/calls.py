@@ -1,8 +1,8 @@
 """One good call of each public function or method that computes, and what it answers as a text.
 
 A call is a list of arguments, with a dict of keywords at its end where there are some; "loop" is
-for a HapticLoop, "loops" for several, "hands" for a HandRange, "function" for one that a sweep
-calls.
+for a HapticLoop, "loops" for several, "hands" for a HandRange, "function" for one that is
+evaluated on a grid.
 """
 
 import sys
@@ -15,10 +15,17 @@ import numpy as np
 import jaxstab
 from jaxstab.arrays import leaves
 
+PUBLIC = (
+    *jaxstab.__all__,
+    *(f"paper.{name}" for name in jaxstab.paper.__all__),
+    *(f"results.{name}" for name in jaxstab.results.__all__),
+)
+"""Every public name, as an attribute of the package."""
+
 COMPUTING_CALLS: dict[str, list[Any]] = {
     "boundary_curve": [1.0, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "minus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "plus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "paper.minus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "paper.plus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "region_outline": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "stable_region": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "plant_coefficients": [{"gamma": 0.001, "delta": 0.015}],
@@ -26,8 +33,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "companion_matrix": [[1.0, -0.5, 0.25]],
     "closed_loop_poles": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "spectral_radius": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "is_stable": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "sweep": ["function", 0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "evaluate_grid": ["function", 0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "verdict": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "settling_samples": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "amplitude": [
@@ -40,22 +46,19 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "minimize_radius_damping": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "minimize_settling": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "margins": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "linear_alpha_limit": [0.2, {"delta": 0.015, "delay": 1.0}],
-    "linear_condition": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "linear_error": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "linear_validity": [0.02, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "passive_region": [{"delta": 0.015, "delay": 1.0}],
-    "region_facts": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "resolved_region": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "paper.linear_alpha_limit": [0.2, {"delta": 0.015, "delay": 1.0}],
+    "paper.linear_condition": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "paper.linear_error": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "paper.linear_validity": [0.02, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "paper.passive_region": [{"delta": 0.015, "delay": 1.0}],
     "robust_region": [{"gamma": (0.0, 0.001), "delta": (0.0, 0.015), "delay": 1.0}],
-    "routh_hurwitz_condition": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
+    "paper.routh_hurwitz_condition": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "trace_boundary": [
         ("gamma", "delta"),
         ((0.0, 1.0), (0.0, 1.0)),
         {"alpha": 0.1, "beta": 0.2, "delay": 1.0},
     ],
     "HapticLoop.verdict": ["loop", 1000.0, 10.0],
-    "HapticLoop.is_stable": ["loop", 1000.0, 10.0],
     "HapticLoop.spectral_radius": ["loop", 1000.0, 10.0],
     "HapticLoop.poles": ["loop", 1000.0, 10.0],
     "HapticLoop.margins": ["loop", 1000.0, 10.0],

@@ -29,7 +29,7 @@ from benchmarks.truth.filtered import (
     times,
 )
 from jaxstab import Velocity
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 
 MEASURE = "largest distance from the boundary with a wrong or no verdict, as a share of the gains"
 GAMMA, DELTA, DELAY = 1e-3, 0.015, 1.0
@@ -120,8 +120,8 @@ def _judged(balls: BallLoop, border: np.ndarray) -> Judged:
 
 
 def _errors(judged: Judged, codes: np.ndarray) -> Row:
-    right = codes == np.where(judged.stable, STABLE, UNSTABLE)
-    open_ = codes == UNDECIDED
+    right = codes == np.where(judged.stable, Verdict.STABLE, Verdict.UNSTABLE)
+    open_ = codes == Verdict.UNDECIDED
     return {
         "error": float(judged.distance[judged.known & ~right].max(initial=0.0)),
         "error_measure": MEASURE,
@@ -136,7 +136,9 @@ def _of_slice(timings: dict[str, Timing], points: dict[str, int]) -> Row:
     cpu = {name: np.median(one.cpu_seconds) / points[name] for name, one in timings.items()}
     rivals = ("numpy eigvals", "jax eigvals")
     return {
-        "undecided_of_slice": float(np.mean(np.asarray(timings["verdict"].answer) == UNDECIDED)),
+        "undecided_of_slice": float(
+            np.mean(np.asarray(timings["verdict"].answer) == Verdict.UNDECIDED)
+        ),
         **{
             f"cpu_times_{name.replace(' ', '_')}": float(cpu[name] / cpu["verdict"])
             for name in rivals
@@ -149,4 +151,4 @@ def _verdict(velocity: Velocity, alpha: np.ndarray, beta: np.ndarray) -> Any:
 
 
 def _codes(poles: Any) -> np.ndarray:
-    return np.where(largest_modulus(poles) < 1.0, STABLE, UNSTABLE)
+    return np.where(largest_modulus(poles) < 1.0, Verdict.STABLE, Verdict.UNSTABLE)

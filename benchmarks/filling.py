@@ -19,7 +19,7 @@ from benchmarks.record import Row
 from benchmarks.timing import interleaved
 from jaxstab import verdict
 from jaxstab.atlas.compute.verdicts import node_verdicts, undecided_nodes
-from jaxstab.conventions import STABLE, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 
 GAMMA, DELTA = 1e-3, 0.015
@@ -102,13 +102,13 @@ def _filled(of: Slice) -> np.ndarray:
 def _rotating(of: Slice) -> Call:
     """Write arrays in turns: when one is written again, it has left the cache."""
     arrays = cycle([np.zeros(of.shape, np.int8) for _ in range(min(_BEYOND_CACHE // of.size, 64))])
-    return lambda: next(arrays).fill(STABLE)
+    return lambda: next(arrays).fill(Verdict.STABLE)
 
 
 def _written(of: Slice) -> None:
     memory = mmap(-1, of.size)
     memory.madvise(MADV_HUGEPAGE)
-    np.frombuffer(memory, np.int8).fill(STABLE)
+    np.frombuffer(memory, np.int8).fill(Verdict.STABLE)
 
 
 def _judged(of: Slice, codes: np.ndarray, count: int) -> dict[tuple[int, int], int]:
@@ -118,5 +118,5 @@ def _judged(of: Slice, codes: np.ndarray, count: int) -> dict[tuple[int, int], i
     judged = {}
     for i, j in rng.choice(changes, min(count, len(changes)), replace=False).tolist():
         point = float(of.alpha[i]), float(of.beta[j]), of.gamma, of.delta, of.delay
-        judged[i, j] = UNSTABLE if truth.unstable_count(*point) else STABLE
+        judged[i, j] = Verdict.UNSTABLE if truth.unstable_count(*point) else Verdict.STABLE
     return judged

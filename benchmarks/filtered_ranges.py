@@ -18,14 +18,14 @@ import numpy as np
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.filtered import FilteredLoop
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
-from jaxstab import StableRegion
-from jaxstab.conventions import STABLE, UNSTABLE, Verdict
+from jaxstab.conventions import Verdict
 from jaxstab.model.filters import given_filters
 from jaxstab.proofs.columns import column_gaps
 from jaxstab.proofs.enclosures import Domain
 from jaxstab.proofs.plant import HandBoxes
 from jaxstab.ranges.device_margins import device_ends, extra_delays
 from jaxstab.ranges.margins import WAYS, first_crossings
+from jaxstab.results import StableRegion
 
 _PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged
 _DELAY_PARTS = (0.1, 0.37, 0.71, 0.93, 1.0 - 1e-9)
@@ -105,7 +105,9 @@ def gaps(rng: np.random.Generator, count: int) -> Campaign:
         found = column_gaps(beta, hands, delay, domain, filters)
         seconds.append(process_time() - start)
         low, high, code = (part[0] for part in found)
-        column, gap = np.nonzero((low < high) & ((code == STABLE) | (code == UNSTABLE)))
+        column, gap = np.nonzero(
+            (low < high) & ((code == Verdict.STABLE) | (code == Verdict.UNSTABLE))
+        )
         for number in rng.permutation(column.size)[:_POINTS]:
             k, n = column[number], gap[number]
             part = rng.choice([1e-9, 1.0 - 1e-9, rng.uniform()])
@@ -114,7 +116,7 @@ def gaps(rng: np.random.Generator, count: int) -> Campaign:
             one = FilteredLoop(*map(float, hand), delay, *loop.filters.truths).balls()
             is_stable = one.is_stable(*map(float, wall))
             if is_stable is not None:
-                tally += Tally(1, int(is_stable != (code[k, n] == STABLE)))
+                tally += Tally(1, int(is_stable != (code[k, n] == Verdict.STABLE)))
     return Campaign(tally, seconds)
 
 

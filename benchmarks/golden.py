@@ -6,8 +6,9 @@
 Every public function that computes is called as ``benchmarks.calls`` calls it, with its numbers
 drawn at random: hands from none to the stiffest, whole and fractional delays, walls in and around
 the stable set, estimators, filters, devices with modes, ranges of hands. A question is one call.
-Its seed is its name, its form (plain numbers, NumPy arrays or JAX arrays) and its number. The
-record has a short hash of each answer: of its floats (every NaN the same), integers and texts.
+Its seed is the name of the function, its form (plain numbers, NumPy arrays or JAX arrays) and its
+number. The record has a short hash of each answer: of its floats (every NaN the same), integers
+and texts.
 
 For the first changed question of a function, the recorded commit is taken from git and asked in a
 process of its own, so that both answers can be shown. Bits also depend on the machine: BLAS and XLA
@@ -80,15 +81,13 @@ COUNTS = dict.fromkeys(COMPUTING_CALLS, _OF_WALLS) | {
     "HapticLoop.worst_hand": Counts(60),
     "amplitude": Counts(200, 2),
     "common_region": Counts(20),
-    "linear_validity": Counts(100, 20),
+    "paper.linear_validity": Counts(100, 20),
     "margins": Counts(200, 8),
     "minimize_radius": Counts(60, 1),
     "minimize_radius_damping": Counts(20),
     "minimize_settling": Counts(6),
-    "passive_region": Counts(100),
-    "region_facts": Counts(8),
+    "paper.passive_region": Counts(100),
     "region_outline": Counts(100),
-    "resolved_region": Counts(100),
     "robust_region": Counts(2),
     "settling_samples": Counts(200, 100),
     "stable_region": Counts(200),
@@ -108,7 +107,6 @@ SLOW = {  # a question takes a second or so: a quick run leaves them out
     "minimize_radius",
     "minimize_radius_damping",
     "minimize_settling",
-    "region_facts",
     "robust_region",
     "trace_boundary",
     "tune_for_all",
@@ -157,7 +155,8 @@ class _Drawn:
     """What is drawn for a question: one loop, and numbers that suit it."""
 
     def __init__(self, question: Question) -> None:
-        key = crc32(f"{question.name} {question.form}".encode())
+        name = question.name.removeprefix("paper.")
+        key = crc32(f"{name} {question.form}".encode())
         self.rng = np.random.default_rng([_SEED, key, question.number])
         self.form = question.form
         self.delay = self._delay()

@@ -28,7 +28,7 @@ from benchmarks.regions import DISTANCES
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, long_window
-from jaxstab.conventions import STABLE, UNDECIDED
+from jaxstab.conventions import Verdict
 from jaxstab.region import RegionStatus, StableRegion
 
 LOOPS = 10_000
@@ -174,11 +174,11 @@ def walls(loop: Loop, rng: np.random.Generator) -> Tally:
     truths = [balls.is_stable(*point) for point in points.tolist()]
     known = np.array([one is not None for one in truths])
     stable = np.array([bool(one) for one in truths])
-    wrong = known & (codes != UNDECIDED) & ((codes == STABLE) != stable)
+    wrong = known & (codes != Verdict.UNDECIDED) & ((codes == Verdict.STABLE) != stable)
     return Tally(
         asked=len(points),
         wrong=int(wrong.sum()),
-        open=int(np.sum(codes == UNDECIDED)),
+        open=int(np.sum(codes == Verdict.UNDECIDED)),
         unjudged=int(np.sum(~known)),
         seconds=middle - start,
         rival_wrong=int(np.sum(known & ((radii < 1.0) != stable))),

@@ -20,7 +20,7 @@ from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.rivals import largest_modulus
 from benchmarks.timing import interleaved
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 
 MEASURE = "share of random points without a right verdict: undecided or wrong"
@@ -91,10 +91,10 @@ def _asked(atlas: jaxstab.Atlas, delay: float, count: int) -> Asked:
     rng = np.random.default_rng(20120412)
     axes = tuple(rng.uniform(nodes[0], nodes[-1], count) for nodes in atlas.nodes(0).values())
     radius = _eigenvalue_radius(axes, delay)
-    codes = np.where(radius < 1.0, STABLE, UNSTABLE)
+    codes = np.where(radius < 1.0, Verdict.STABLE, Verdict.UNSTABLE)
     for place in np.flatnonzero(np.abs(radius - 1.0) < _CLEAR):
         _, upper = truth.spectral_radius(*(float(axis[place]) for axis in axes), delay)
-        codes[place] = STABLE if upper < 1 else UNSTABLE
+        codes[place] = Verdict.STABLE if upper < 1 else Verdict.UNSTABLE
     return Asked(axes, delay, radius, codes)
 
 
@@ -104,9 +104,9 @@ def _rows(section: str, built: Built, asked: Asked, small: bool) -> Iterator[Row
     timings = interleaved(calls, budget=0.1 if small else 2.0, most=20)
     for name, timing in timings.items():
         answer: Answer = timing.answer
-        undecided = answer.codes == UNDECIDED
+        undecided = answer.codes == Verdict.UNDECIDED
         wrong = ~undecided & (answer.codes != asked.codes)
-        falsely_stable = wrong & (answer.codes == STABLE)
+        falsely_stable = wrong & (answer.codes == Verdict.STABLE)
         off = np.abs(answer.radius - asked.radius)
         off = off[np.isfinite(off)]
         yield {
@@ -175,8 +175,8 @@ def _of_eigenvalues(asked: Asked) -> Answer:
 
 
 def _codes(radius: np.ndarray) -> np.ndarray:
-    decided = np.where(radius < 1.0, STABLE, UNSTABLE)
-    return np.where(np.isnan(radius), UNDECIDED, decided).astype(np.int8)
+    decided = np.where(radius < 1.0, Verdict.STABLE, Verdict.UNSTABLE)
+    return np.where(np.isnan(radius), Verdict.UNDECIDED, decided).astype(np.int8)
 
 
 def _eigenvalue_radius(axes: tuple[np.ndarray, ...], delay: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from scipy.interpolate import RegularGridInterpolator
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 
 MEASURE = "share of random points without a right verdict: undecided or wrong"
@@ -99,7 +99,7 @@ def _nearest(nodes: list[np.ndarray], codes: np.ndarray, asked: list[np.ndarray]
 
 
 def _by_radius(linear: RegularGridInterpolator, asked: list[np.ndarray]) -> np.ndarray:
-    return np.where(linear(np.stack(asked, axis=-1)) < 1.0, STABLE, UNSTABLE)
+    return np.where(linear(np.stack(asked, axis=-1)) < 1.0, Verdict.STABLE, Verdict.UNSTABLE)
 
 
 def _by_cells(nodes: list[np.ndarray], cells: np.ndarray, asked: list[np.ndarray]) -> np.ndarray:
@@ -112,7 +112,7 @@ def _rows(count: int, rivals: dict[str, Rival], true: np.ndarray, small: bool) -
     calls: dict[str, Callable[[], Any]] = {name: rival.answer for name, rival in rivals.items()}
     timings = interleaved(calls, budget=0.1 if small else 0.5, most=20)
     for name, timing in timings.items():
-        undecided = timing.answer == UNDECIDED
+        undecided = timing.answer == Verdict.UNDECIDED
         wrong = ~undecided & (timing.answer != true)
         yield {
             "section": f"{count} nodes",
@@ -128,5 +128,5 @@ def _rows(count: int, rivals: dict[str, Rival], true: np.ndarray, small: bool) -
             "error_measure": MEASURE,
             "undecided": float(np.mean(undecided)),
             "wrong": float(np.mean(wrong)),
-            "falsely_stable": float(np.mean(wrong & (timing.answer == STABLE))),
+            "falsely_stable": float(np.mean(wrong & (timing.answer == Verdict.STABLE))),
         }

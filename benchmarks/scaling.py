@@ -19,7 +19,7 @@ from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily
 from benchmarks.timing import Timing, interleaved
-from jaxstab.conventions import STABLE, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.region import boundary_curve
 
@@ -95,10 +95,10 @@ def delay_rows(delay: float, side: int, judged: int) -> list[Row]:
 
 def _streamed(axes: Axes) -> int:
     """Return how many points are stable, chunk after chunk."""
-    chunks = jaxstab.sweep(
+    chunks = jaxstab.evaluate_grid(
         jaxstab.verdict, **by_name(*axes, GAMMA, DELTA, _STREAM_DELAY), chunk=_CHUNK
     )
-    return sum(int(np.count_nonzero(np.asarray(codes) == STABLE)) for _, codes in chunks)
+    return sum(int(np.count_nonzero(np.asarray(codes) == Verdict.STABLE)) for _, codes in chunks)
 
 
 def _axes(delay: float, side: int) -> Axes:
@@ -133,7 +133,7 @@ def _row(section: str, method: str, delay: float, points: int, timing: Timing) -
 
 def _wrong_share(codes: np.ndarray, points: Axes, delay: float) -> dict[str, Any]:
     exact = np.array([_true_radius(*point, delay) for point in zip(*points, strict=True)])
-    right = codes == np.where(exact < 1.0, STABLE, UNSTABLE)
+    right = codes == np.where(exact < 1.0, Verdict.STABLE, Verdict.UNSTABLE)
     return {"error": float(np.mean(~right)), "error_measure": WRONG}
 
 

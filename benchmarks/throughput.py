@@ -23,7 +23,7 @@ from benchmarks.rivals import LAPACK_WORK, LoopFamily, jax_eigenvalues, largest_
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth.slices import ExactSlice
 from jaxstab.batches import compiled
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 
 GAMMA, DELTA = 1e-3, 0.015
 BAND = "largest distance from the boundary with a wrong or no verdict, relative to the region"
@@ -170,7 +170,7 @@ def _verdict(delay: float, alpha: np.ndarray, beta: np.ndarray) -> jax.Array:
 
 def _radius(
     delay: float, alpha: np.ndarray, beta: np.ndarray, method: str = "fast"
-) -> jaxstab.SpectralRadius:
+) -> jaxstab.results.SpectralRadius:
     return jaxstab.spectral_radius(
         alpha, beta, gamma=GAMMA, delta=DELTA, delay=delay, method=method
     )
@@ -201,9 +201,11 @@ def _judged(delay: float, boundary_points: int) -> Judged:
 
 def _errors(method: Method, judged: Judged) -> dict[str, Any]:
     answer = np.asarray(method.answer(judged.alpha, judged.beta))
-    codes = answer if method.is_verdict else np.where(answer < 1.0, STABLE, UNSTABLE)
-    right = codes == np.where(judged.stable, STABLE, UNSTABLE)
-    undecided = codes == UNDECIDED
+    codes = (
+        answer if method.is_verdict else np.where(answer < 1.0, Verdict.STABLE, Verdict.UNSTABLE)
+    )
+    right = codes == np.where(judged.stable, Verdict.STABLE, Verdict.UNSTABLE)
+    undecided = codes == Verdict.UNDECIDED
     band = float(judged.distance[~right].max(initial=0.0))
     common = {
         "judged": len(right),

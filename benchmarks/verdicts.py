@@ -17,7 +17,7 @@ from benchmarks.record import Row
 from benchmarks.timing import Timing
 from benchmarks.truth.balls import ExactPlant, true_code
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
-from jaxstab.conventions import UNDECIDED
+from jaxstab.conventions import Verdict
 
 MEASURE = "share of verdicts that certified roots contradict"
 DECADES = tuple(range(16, 5, -1))
@@ -61,7 +61,7 @@ def _delay_rows(delay: float, plants: int, per_plant: int) -> Iterator[Row]:
     distance = np.concatenate(distances)
     for name, answer in answers.items():
         codes = np.concatenate(answer.codes)
-        undecided = codes == UNDECIDED
+        undecided = codes == Verdict.UNDECIDED
         wrong = ~undecided & (codes != true)
         seconds = Timing(codes, answer.seconds, answer.seconds, answer.cpu_seconds)
         yield {

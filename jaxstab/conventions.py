@@ -1,6 +1,19 @@
-"""Facts that every floor shares: the order of the parameters and the codes of a verdict.
+"""Facts that every floor shares: common arguments, their order, and the codes of a verdict.
 
 Standard library only, so that a reader of an atlas can use it without JAX.
+
+Arguments that many functions have. T is the sampling period and m the mass that moves, the hand's
+included. Where numbers or arrays are accepted, arrays have any shape and broadcast with each other.
+
+    alpha: wall stiffness K T^2/m.
+    beta: wall damping B T/m.
+    gamma: physical stiffness k T^2/m, in [0, 1e4].
+    delta: physical damping b T/m, in [0, 1e3].
+    delay: time delay t_d/T in samples, >= 0, whole or fractional; concrete under JAX.
+    velocity: velocity estimator in units of one sample; None for the difference over one sample.
+    position: position filter in units of one sample; None for none.
+    stiffness: wall stiffness K in N/m, or in N m/rad for a loop that turns.
+    damping: wall damping B in N s/m, or in N m s/rad for a loop that turns.
 """
 
 from enum import IntEnum
@@ -48,16 +61,10 @@ class RadiusStatus(Status):
     """How far the error of a spectral radius can be trusted.
 
     Example:
-        >>> jaxstab.RadiusStatus(1).words
+        >>> jaxstab.results.RadiusStatus(1).words
         'the error bound is proved'
     """
 
     NOT_COMPUTED = 0, "not computed"
     PROVED = 1, "the error bound is proved"
     NO_BOUND = 2, "no error bound could be proved: the error is infinite"
-
-
-NOT_COMPUTED: Final = Verdict.NOT_COMPUTED
-STABLE: Final = Verdict.STABLE
-UNSTABLE: Final = Verdict.UNSTABLE
-UNDECIDED: Final = Verdict.UNDECIDED

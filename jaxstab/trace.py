@@ -379,7 +379,7 @@ class TraceStatus(Status):
     """What is known about one point of a trace.
 
     Example:
-        >>> [status.name for status in jaxstab.TraceStatus]
+        >>> [status.name for status in jaxstab.results.TraceStatus]
         ['NOT_COMPUTED', 'CONVERGED', 'STALLED']
     """
 

@@ -101,7 +101,7 @@ def setups_with_walls(
     while len(found) < loops:
         setup = random_setup(rng)
         loop = loop_of(setup)
-        if loop.region().status != jaxstab.RegionStatus.COMPLETE:
+        if loop.region().status != jaxstab.results.RegionStatus.COMPLETE:
             continue
         stiffness, damping = random_walls(loop, rng, walls // 2)
         pairs = zip(stiffness.tolist(), damping.tolist(), strict=True)

@@ -13,9 +13,10 @@ from mpmath import mp, mpf
 import jaxstab
 from benchmarks.amplitudes import excess_of_runs, excess_of_signals, random_case
 from benchmarks.truth import impulse
-from jaxstab import AmplitudeStatus, Filter, HapticLoop, Velocity, amplitude
+from jaxstab import Filter, HapticLoop, Velocity, amplitude
 from jaxstab.model import by_name
 from jaxstab.pictures.scene import scene_figure
+from jaxstab.results import AmplitudeStatus
 from jaxstab.scene import Scene, check_walls, tune_walls
 from jaxstab.tuning import TuningStatus
 

@@ -9,7 +9,8 @@ from benchmarks.truth import devices
 from benchmarks.truth.disturbed import Disturbance, Disturbed, largest, worst_signals
 from benchmarks.truth.march import Plant, Taps, difference_taps, low_pass_taps
 from benchmarks.truth.random_loops import device_of
-from jaxstab import AmplitudeStatus, Filter, HapticLoop, Velocity
+from jaxstab import Filter, HapticLoop, Velocity
+from jaxstab.results import AmplitudeStatus
 
 PERIOD = 1e-3
 ARM = (1.0, 5.0, 300.0, (4.0, 2000.0))  # mass, damping, stiffness, grip

@@ -10,20 +10,10 @@ import pytest
 from atlases import SMALL, small_atlas, write_small
 
 from benchmarks import truth
-from jaxstab import (
-    AXES,
-    NOT_COMPUTED,
-    STABLE,
-    UNDECIDED,
-    UNSTABLE,
-    Atlas,
-    AtlasSpec,
-    FittedAxis,
-    QueryStatus,
-    build_atlas,
-    open_atlas,
-)
+from jaxstab import Atlas, AtlasSpec, FittedAxis, Verdict, build_atlas, open_atlas
 from jaxstab.atlas.compute.layout import Grid, lay_out
+from jaxstab.conventions import AXES
+from jaxstab.results import QueryStatus
 
 TRIANGLE = AtlasSpec(
     alpha=FittedAxis(16),
@@ -55,7 +45,7 @@ def node_points(
 
 def true_verdict(point: tuple[float, ...]) -> int | None:
     unstable = truth.unstable_count(*point)
-    return unstable if unstable is None else (UNSTABLE if unstable else STABLE)
+    return unstable if unstable is None else (Verdict.UNSTABLE if unstable else Verdict.STABLE)
 
 
 # --------------------------------------------------------------------------------------------- axes
@@ -117,10 +107,10 @@ def test_no_answer_between_nodes_is_wrong(
     points = random_points(atlas, number, 400, rng)
     delay = float(atlas.delays[number])
     answer = atlas.query(**points, delay=delay)
-    decided = answer.verdict != UNDECIDED
+    decided = answer.verdict != Verdict.UNDECIDED
     assert decided.mean() > 0.5
     assert abs(decided.mean() - atlas.decided_fraction(number)) < 0.1
-    assert set(answer.verdict[decided]) == {STABLE, UNSTABLE}
+    assert set(answer.verdict[decided]) == {Verdict.STABLE, Verdict.UNSTABLE}
     for index in np.flatnonzero(decided):
         point = tuple(float(points[name][index]) for name in points)
         assert answer.verdict[index] == true_verdict((*point, delay))
@@ -145,7 +135,7 @@ def test_a_node_answers_what_is_true_there(
     assert set(answer.status) == {QueryStatus.NODE}
     for index, point in enumerate(zip(*points.values(), strict=True)):
         exact = tuple(map(float, point))
-        if answer.verdict[index] != UNDECIDED:
+        if answer.verdict[index] != Verdict.UNDECIDED:
             assert answer.verdict[index] == true_verdict((*exact, delay))
         lower, upper = truth.spectral_radius(*exact, delay)
         error = answer.radius_error[index]
@@ -157,8 +147,8 @@ def test_the_resonant_case_is_honest_too(tmp_path: Path, rng: np.random.Generato
     atlas = build_atlas(TRIANGLE, tmp_path / "triangle.h5")
     points = random_points(atlas, 0, 200, rng)
     verdict = atlas.query(**points, delay=0.0).verdict
-    assert {STABLE, UNSTABLE} < set(verdict)
-    for index in np.flatnonzero(verdict != UNDECIDED):
+    assert {Verdict.STABLE, Verdict.UNSTABLE} < set(verdict)
+    for index in np.flatnonzero(verdict != Verdict.UNDECIDED):
         point = tuple(float(points[name][index]) for name in points)
         assert verdict[index] == true_verdict((*point, 0.0))
 
@@ -178,12 +168,12 @@ def test_a_point_outside_is_refused_by_name_value_and_range_or_undecided(
 ) -> None:
     point = inner_point(atlas) | {name: 1e3}
     if name in ("alpha", "beta"):  # beyond axes that hold the whole stable set
-        assert atlas.query(**point).verdict == UNSTABLE
+        assert atlas.query(**point).verdict == Verdict.UNSTABLE
         return
     with pytest.raises(ValueError, match=rf"^{name} is 1000\.0, and this atlas reaches from .* to"):
         atlas.query(**point)
     answer = atlas.query(**point, outside="undecided")
-    assert answer.verdict == UNDECIDED
+    assert answer.verdict == Verdict.UNDECIDED
     assert answer.status == QueryStatus.OUTSIDE
     assert np.isnan(answer.spectral_radius)
 
@@ -208,14 +198,14 @@ def test_the_ends_of_an_axis_belong_to_the_atlas(name: str, atlas: Atlas) -> Non
     beyond = [np.nextafter(ends[0], -np.inf), np.nextafter(ends[-1], np.inf)]
     answer = atlas.query(**(point | {name: beyond}), outside="undecided")
     if name in ("alpha", "beta"):  # these axes hold the whole stable set
-        assert set(answer.verdict) == {UNSTABLE}
+        assert set(answer.verdict) == {Verdict.UNSTABLE}
     else:
         assert set(answer.status) == {QueryStatus.OUTSIDE}
 
 
 def test_between_two_delays_the_atlas_says_nothing(atlas: Atlas) -> None:
     answer = atlas.query(**(inner_point(atlas) | {"delay": 0.75}))
-    assert answer.verdict == UNDECIDED
+    assert answer.verdict == Verdict.UNDECIDED
     assert answer.status == QueryStatus.BETWEEN_DELAYS
     assert np.isnan(answer.spectral_radius)
     assert np.isinf(answer.radius_error)
@@ -244,7 +234,7 @@ def test_only_the_chosen_product_is_there(product: str, tmp_path: Path) -> None:
     atlas = build_atlas(spec, tmp_path / "one.h5")
     assert atlas.products == (product,)
     answer = atlas.query(**inner_point(atlas))
-    assert (answer.verdict == NOT_COMPUTED) == (product == "spectral_radius")
+    assert (answer.verdict == Verdict.NOT_COMPUTED) == (product == "spectral_radius")
     assert np.isnan(answer.spectral_radius) == (product == "verdict")
 
 
@@ -275,10 +265,10 @@ def test_an_answer_needs_no_jax(tmp_path: Path) -> None:
     completed = subprocess.run(
         [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=False
     )
-    assert (completed.stdout, completed.stderr) == (f"{int(STABLE)}\n", "")
+    assert (completed.stdout, completed.stderr) == (f"{int(Verdict.STABLE)}\n", "")
 
 
 def test_an_opened_atlas_cannot_be_changed(tmp_path: Path) -> None:
     atlas = open_atlas(write_small(tmp_path))
     with pytest.raises(ValueError, match="read-only"):
-        atlas.arrays["verdict"][0] = STABLE
+        atlas.arrays["verdict"][0] = Verdict.STABLE

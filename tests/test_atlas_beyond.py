@@ -10,7 +10,6 @@ from commands import run
 
 from benchmarks import truth
 from jaxstab import (
-    UNSTABLE,
     Atlas,
     AtlasSpec,
     FittedAxis,
@@ -72,11 +71,11 @@ def test_20_walls_beyond_the_axes_are_unstable_in_truth(atlas: Atlas) -> None:
             answer = atlas.query(**point, outside="undecided")
             if code >= (1 if kind < 2 else 2):
                 tried += 1
-                assert answer.verdict == UNSTABLE
+                assert answer.verdict == Verdict.UNSTABLE
                 assert truth.spectral_radius(*point.values())[0] >= 1.0
-                assert atlas.verdict(**point) == UNSTABLE
+                assert atlas.verdict(**point) == Verdict.UNSTABLE
             else:
-                assert answer.verdict != UNSTABLE
+                assert answer.verdict != Verdict.UNSTABLE
                 with pytest.raises(ValueError, match="this atlas reaches from"):
                     atlas.query(**point)
     assert tried > 50
@@ -123,7 +122,7 @@ def test_20_islands_beyond_the_betas_are_not_called_unstable(tmp_path: Path) -> 
     )  # fmt: skip
     atlas = build_atlas(spec, tmp_path / "a.h5")
     island = by_name(0.2734, -0.704, 0.0, 0.0, 0.0)
-    assert atlas.query(**island, outside="undecided").verdict != UNSTABLE
+    assert atlas.query(**island, outside="undecided").verdict != Verdict.UNSTABLE
     assert atlas.query(**island, outside="undecided", exact=False).status == 5
 
 

@@ -277,6 +277,6 @@ def test_what_is_too_large_is_refused_and_the_rest_answers(
     assert f"has {size} bytes of radius_kind" in refusal(
         path, lambda _: atlas.query(0.1, 0.5, gamma=0.0005, delta=0.01, delay=0.0)
     )
-    assert atlas.verdict(0.1, 0.5, gamma=0.0005, delta=0.01, delay=0.0) == jaxstab.STABLE
+    assert atlas.verdict(0.1, 0.5, gamma=0.0005, delta=0.01, delay=0.0) == jaxstab.Verdict.STABLE
     with pytest.raises(KeyError):
         atlas.arrays["passengers"]

@@ -97,9 +97,11 @@ def test_an_atlas_answers_for_its_estimator(atlas: jaxstab.Atlas, rng: np.random
         points = [rng.uniform(axis[0], axis[-1], 4000) for axis in atlas.nodes(number).values()]
         answer = atlas.query(**by_name(*points, delay))
         exact = jaxstab.verdict(**by_name(*points, delay), velocity=FIVE)
-        is_decided = np.isin(answer.verdict, (jaxstab.STABLE, jaxstab.UNSTABLE))
+        is_decided = np.isin(answer.verdict, (jaxstab.Verdict.STABLE, jaxstab.Verdict.UNSTABLE))
         assert np.mean(is_decided) > 0.97
-        assert not np.any(is_decided & (answer.verdict != exact) & (exact != jaxstab.UNDECIDED))
+        assert not np.any(
+            is_decided & (answer.verdict != exact) & (exact != jaxstab.Verdict.UNDECIDED)
+        )
         assert np.any(
             exact != jaxstab.verdict(**by_name(*points, delay))
         )  # for the other loop it were wrong
@@ -117,7 +119,7 @@ def test_answers_hold_against_certified_roots(
         alpha, beta, gamma, delta = (rng.uniform(axis[0], axis[-1]) for axis in nodes.values())
         code = atlas.verdict(alpha, beta, gamma=gamma, delta=delta, delay=1.0)
         true = FilteredLoop(gamma, delta, 1.0, difference(5), average(1)).code(alpha, beta)
-        if code != jaxstab.UNDECIDED and true != jaxstab.UNDECIDED:
+        if code != jaxstab.Verdict.UNDECIDED and true != jaxstab.Verdict.UNDECIDED:
             assert code == true
             judged += 1
     assert judged > 50
@@ -142,9 +144,9 @@ def test_what_it_leaves_open_is_computed_for_its_estimator(atlas: jaxstab.Atlas)
     delay, hand = 1.0, (0.0002, 0.003)
     limits = atlas.alpha_limits(0.1, **by_name(*hand, delay))
     point = (float(limits.upper), 0.1, *hand, delay)
-    assert atlas.query(**by_name(*point)).verdict == jaxstab.UNDECIDED
+    assert atlas.query(**by_name(*point)).verdict == jaxstab.Verdict.UNDECIDED
     exact = jaxstab.verdict(**by_name(*point), velocity=FIVE)
-    assert atlas.query(**by_name(*point), exact=True).verdict == exact != jaxstab.UNDECIDED
+    assert atlas.query(**by_name(*point), exact=True).verdict == exact != jaxstab.Verdict.UNDECIDED
 
 
 def test_the_file_says_its_estimator_in_words_and_numbers(atlas: jaxstab.Atlas) -> None:

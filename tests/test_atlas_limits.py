@@ -8,15 +8,11 @@ from atlases import moving_atlas, small_atlas, small_contents, write_cut
 
 from benchmarks import truth
 from jaxstab import (
-    AXES,
-    STABLE,
-    UNDECIDED,
-    UNSTABLE,
     Atlas,
     AtlasSpec,
     FittedAxis,
-    QueryStatus,
     Velocity,
+    Verdict,
     build_atlas,
     open_atlas,
     stable_region,
@@ -25,7 +21,9 @@ from jaxstab import (
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read import file
 from jaxstab.atlas.read.points import checked_range
+from jaxstab.conventions import AXES
 from jaxstab.model import by_name
+from jaxstab.results import QueryStatus
 
 DELAYS = (0.0, 1.5)
 FEW = 20_000  # points that NumPy computes
@@ -47,10 +45,10 @@ def test_verdicts_by_limits_are_those_of_the_certified_recursion(
 ) -> None:
     points = random_points(atlas, delay, 100_000, rng)
     answered = atlas.verdict(**by_name(*points, delay))
-    assert np.mean(answered != UNDECIDED) > 0.9965  # 0.99704 of the box at delay 1.5
+    assert np.mean(answered != Verdict.UNDECIDED) > 0.9965  # 0.99704 of the box at delay 1.5
     some = [values[:FEW] for values in points]
     answered, computed = answered[:FEW], verdict(**by_name(*some, delay), resolve="exact")
-    decided = answered != UNDECIDED
+    decided = answered != Verdict.UNDECIDED
     np.testing.assert_array_equal(answered[decided], computed[decided])
 
 
@@ -70,23 +68,23 @@ def test_every_edge_of_a_cell_belongs_to_it(atlas: Atlas) -> None:
     beta = np.linspace(nodes["beta"][0], nodes["beta"][-1], 193)
     points = np.meshgrid(nodes["alpha"], beta, nodes["gamma"], nodes["delta"])
     answered = atlas.verdict(**by_name(*points, 0.0))
-    assert np.mean(answered == UNDECIDED) < 0.05  # alpha = -gamma is an edge of the region
+    assert np.mean(answered == Verdict.UNDECIDED) < 0.05  # alpha = -gamma is an edge of the region
     computed = np.asarray(verdict(**by_name(*points, 0.0), resolve="exact"))
-    decided = answered != UNDECIDED
+    decided = answered != Verdict.UNDECIDED
     np.testing.assert_array_equal(answered[decided], computed[decided])
 
 
 def test_what_is_left_open_can_be_settled(atlas: Atlas) -> None:
     region = stable_region(gamma=0.0005, delta=0.004, delay=0.0)
     alpha, beta = (float(gain) for gain in region.max_alpha)
-    for factor, code in ((1 - 1e-9, STABLE), (1 + 1e-9, UNSTABLE)):
+    for factor, code in ((1 - 1e-9, Verdict.STABLE), (1 + 1e-9, Verdict.UNSTABLE)):
         point = (alpha * factor, beta, 0.0005, 0.004, 0.0)
-        assert atlas.verdict(**by_name(*point)) == UNDECIDED
+        assert atlas.verdict(**by_name(*point)) == Verdict.UNDECIDED
         assert atlas.verdict(**by_name(*point), exact=True) == code
         answer = atlas.query(**by_name(*point), exact=True)
         assert (answer.verdict, answer.status) == (code, QueryStatus.EXACT)
     between = atlas.query(0.05, 0.3, gamma=0.0005, delta=0.004, delay=0.75, exact=True)
-    assert (between.verdict, between.status) == (STABLE, QueryStatus.EXACT)
+    assert (between.verdict, between.status) == (Verdict.STABLE, QueryStatus.EXACT)
 
 
 @pytest.mark.parametrize("delay", DELAYS)
@@ -131,11 +129,11 @@ def test_nothing_is_said_of_alphas_beyond_the_atlas(
     stable_up_to = np.minimum(proved, most) - 1e-9
     holds = np.maximum(limits.lower + limits.lower_error, least) < stable_up_to
     codes = verdict(stable_up_to, beta, **hands, resolve="exact")
-    assert np.all(codes[holds] == STABLE)
+    assert np.all(codes[holds] == Verdict.STABLE)
     largest = atlas.max_alpha(**hands)
     early = hands["delay"] < 1.2
     assert np.all((largest.alpha[early] == most) & np.isinf(largest.bound[early]))
-    assert np.all(verdict(largest.alpha * (1.0 - 1e-9), largest.beta, **hands) == STABLE)
+    assert np.all(verdict(largest.alpha * (1.0 - 1e-9), largest.beta, **hands) == Verdict.STABLE)
     _, high = atlas.common_alpha_limits(0.4, gamma=(0.0, 0.001), delta=(0.0, 0.015), delay=0.7)
     assert high == most
 
@@ -186,19 +184,19 @@ def test_what_random_atlases_say_of_limits_is_true(tmp_path: Path, seed: int) ->
         start, width = np.where(exists, start, 0.0), np.where(exists, stop - start, 0.0)
         for share in (1e-6, 0.5, 1.0 - 1e-6):
             codes = verdict(start + share * width, beta, **hands, velocity=velocity)
-            assert not np.any((codes == UNSTABLE) & exists)
+            assert not np.any((codes == Verdict.UNSTABLE) & exists)
         lowest, highest = atlas.common_alpha_limits(beta, **box)
         alpha = lowest + (1.0 - 1e-6) * (highest - lowest) if lowest < highest else 0.0
         codes = verdict(alpha, beta, **hands, velocity=velocity)
-        assert lowest >= highest or not np.any(codes == UNSTABLE)
+        assert lowest >= highest or not np.any(codes == Verdict.UNSTABLE)
     largest = atlas.max_alpha(**hands)
     known = np.isfinite(largest.alpha)
     alpha, beta = (np.where(known, part, 0.0) for part in largest[:2])
     codes = verdict(alpha - 1e-6 * np.abs(alpha), beta, **hands, velocity=velocity)
-    assert not np.any((codes == UNSTABLE) & known)
+    assert not np.any((codes == Verdict.UNSTABLE) & known)
     walls = rng.uniform(least, most, 500), rng.uniform(low, high, 500)
     one = {"gamma": gamma[0], "delta": delta[0], "delay": delay, "velocity": velocity}
-    stable = walls[0][verdict(*walls, **one) == STABLE]
+    stable = walls[0][verdict(*walls, **one) == Verdict.STABLE]
     assert not known[0] or np.all(stable <= largest.bound[0])
 
 
@@ -208,9 +206,14 @@ def test_the_worst_of_many_hands_decides(atlas: Atlas, rng: np.random.Generator)
     hands = rng.uniform(*gamma, 2000), rng.uniform(*delta, 2000)
     for alpha in (low + 1e-12, high - 1e-12):
         codes = np.asarray(verdict(alpha, 0.3, **by_name(*hands, 1.5)))
-        assert np.all(codes == STABLE)
-        assert atlas.worst_verdict(alpha, 0.3, gamma=gamma, delta=delta, delay=1.5) == STABLE
-    assert atlas.worst_verdict(high * 1.05, 0.3, gamma=gamma, delta=delta, delay=1.5) == UNSTABLE
+        assert np.all(codes == Verdict.STABLE)
+        assert (
+            atlas.worst_verdict(alpha, 0.3, gamma=gamma, delta=delta, delay=1.5) == Verdict.STABLE
+        )
+    assert (
+        atlas.worst_verdict(high * 1.05, 0.3, gamma=gamma, delta=delta, delay=1.5)
+        == Verdict.UNSTABLE
+    )
     worst = min(
         float(stable_region(gamma=g, delta=d, delay=1.5).alpha_limits(0.3)[1])
         for g in gamma
@@ -281,7 +284,7 @@ def test_without_the_product_there_are_verdicts_but_no_limits() -> None:
     arrays = {name: array for name, array in contents.arrays.items() if name not in names}
     atlas = Atlas(file.Contents(arrays, contents.created_by, contents.filters))
     point = dict(zip(AXES, (0.1, 0.3, 0.0005, 0.004, 0.0), strict=True))
-    assert atlas.verdict(**point) == STABLE
+    assert atlas.verdict(**point) == Verdict.STABLE
     with pytest.raises(ValueError, match="holds no limits of alpha"):
         atlas.max_alpha(gamma=0.0, delta=0.0, delay=0.0)
 
@@ -311,14 +314,14 @@ def test_verdicts_between_delays_are_those_of_the_recursion(
     moving: Atlas, rng: np.random.Generator
 ) -> None:
     points = points_between(moving, 6000, rng)
-    assert np.mean(moving.verdict(**by_name(*points)) != UNDECIDED) > 0.99
+    assert np.mean(moving.verdict(**by_name(*points)) != Verdict.UNDECIDED) > 0.99
     at = moving.alpha_limits(**by_name(*(values[:3000] for values in points[1:])))
     with np.errstate(invalid="ignore"):
         beside = rng.choice([at.lower + 1.01 * at.lower_error, at.upper - 1.01 * at.upper_error])
     points[0][:3000] = np.where(np.isfinite(beside), beside, points[0][:3000])
     answered = moving.query(**by_name(*points), outside="undecided").verdict
     exact = np.asarray(verdict(**by_name(*points), resolve="exact"))
-    decided = answered != UNDECIDED
+    decided = answered != Verdict.UNDECIDED
     np.testing.assert_array_equal(answered[decided], exact[decided])
 
 
@@ -344,9 +347,11 @@ def test_a_delay_is_a_number_or_an_array(moving: Atlas, rng: np.random.Generator
     assert set(status.tolist()) <= {QueryStatus.CELL, QueryStatus.UNDECIDED_CELL}
     assert (
         moving.worst_verdict(0.05, 0.3, gamma=(0.0, 0.001), delta=(0.001, 0.01), delay=1.37)
-        == STABLE
+        == Verdict.STABLE
     )
-    assert moving.verdict(0.5, 0.3, gamma=0.0, delta=0.0, delay=1.37) == UNSTABLE  # lemma B21
+    assert (
+        moving.verdict(0.5, 0.3, gamma=0.0, delta=0.0, delay=1.37) == Verdict.UNSTABLE
+    )  # lemma B21
     assert truth.spectral_radius(0.5, 0.3, 0.0, 0.0, 1.37)[0] > 1.0
     with pytest.raises(ValueError, match=r"^alpha is 0.5, and this atlas .*; ask inside"):
         moving.worst_verdict(0.5, 0.3, gamma=(0.0, 0.0), delta=(0.0, 0.0), delay=1.37)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import truth
-from jaxstab import STABLE, UNDECIDED, UNSTABLE, characteristic_polynomial, verdict
+from jaxstab import Verdict, characteristic_polynomial, verdict
 from jaxstab.atlas.compute import verdicts
 from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts, undecided_nodes
 from jaxstab.proofs.columns import ColumnGaps, column_gaps
@@ -137,13 +137,13 @@ def test_a_slice_has_the_roots_of_the_truth(delay: float, rng: np.random.Generat
     alpha = np.linspace(-0.05 * scale**2, 1.1 * scale**2, 300)
     beta = np.linspace(-0.1 * scale, 1.7 * scale, 300)
     codes = Slice(alpha, beta, gamma, delta, delay).codes()
-    assert set(np.unique(codes)) == {STABLE, UNSTABLE}
+    assert set(np.unique(codes)) == {Verdict.STABLE, Verdict.UNSTABLE}
     changes = np.argwhere(codes[:, 1:] != codes[:, :-1])
     for i, j in rng.choice(changes, 12, axis=0):
         for beside in (j, j + 1):
             point = float(alpha[i]), float(beta[beside]), gamma, delta, delay
             unstable = truth.unstable_count(*point)
-            assert codes[i, beside] == (UNSTABLE if unstable else STABLE)
+            assert codes[i, beside] == (Verdict.UNSTABLE if unstable else Verdict.STABLE)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,7 @@ def test_without_a_gap_each_node_is_computed(monkeypatch: pytest.MonkeyPatch) ->
 
     def nothing_known(*arguments: object) -> ColumnGaps:
         gaps = column_gaps(*arguments)
-        return gaps._replace(verdict=np.full_like(gaps.verdict, UNDECIDED))
+        return gaps._replace(verdict=np.full_like(gaps.verdict, Verdict.UNDECIDED))
 
     monkeypatch.setattr(verdicts, "column_gaps", nothing_known)
     recorder.points.clear()
@@ -196,7 +196,7 @@ def test_nodes_on_the_line_of_a_root_at_one_are_computed(monkeypatch: pytest.Mon
     of = Slice(np.linspace(-1.0, 1.0, 21), np.linspace(0.1, 1.0, 10), 0.0, 0.0, 0.0)
     assert of.alpha[10] == 0.0
     recorder = Recorder(monkeypatch)
-    assert np.all(of.codes()[10] == UNDECIDED)
+    assert np.all(of.codes()[10] == Verdict.UNDECIDED)
     assert {(0.0, beta) for beta in of.beta.tolist()} <= set(recorder.points)
 
 
@@ -219,13 +219,13 @@ def test_unstable_loops_of_a_long_delay_are_decided_by_a_root_where_the_recursio
     at = {"gamma": 69.9, "delta": 0.015, "delay": 100.0}
     quick = np.asarray(verdict(alpha, beta, **at))
     exact = np.asarray(verdict(alpha, beta, **at, resolve="exact"))
-    assert np.mean(quick == UNDECIDED) > 0.2
-    assert np.all(exact != UNDECIDED)
+    assert np.mean(quick == Verdict.UNDECIDED) > 0.2
+    assert np.all(exact != Verdict.UNDECIDED)
     coefficients = np.asarray(characteristic_polynomial(alpha, beta, **at))
-    for index in rng.choice(np.flatnonzero(quick == UNDECIDED), 10):
+    for index in rng.choice(np.flatnonzero(quick == Verdict.UNDECIDED), 10):
         with flint.ctx.workprec(300):
             balls = flint.acb_poly(coefficients[index, ::-1].tolist()).roots()
-            assert exact[index] == UNSTABLE
+            assert exact[index] == Verdict.UNSTABLE
             assert any(abs(ball) > 1 for ball in balls)
 
 
@@ -234,7 +234,7 @@ def test_a_recursion_that_breaks_down_leaves_unstable_loops_decided() -> None:
     codes = verdict(
         np.array([0.1, 0.5, 1.5]), 2.0, gamma=0.0, delta=0.0, delay=0.0, resolve="exact"
     )
-    assert np.all(codes == UNSTABLE)
+    assert np.all(codes == Verdict.UNSTABLE)
 
 
 # -------------------------------------------------------------------------------------------- cells
@@ -273,11 +273,11 @@ def test_a_proved_cell_has_its_verdict_at_each_of_its_points(
         start = np.array([alpha, beta]) - width * rng.uniform(-2.0, 3.0, 2)
         ends = np.stack([start, start + width])
         (code,) = cells_of(*ends.T, gamma, delta, delay).ravel()
-        if code != UNDECIDED:
+        if code != Verdict.UNDECIDED:
             proved += 1
             for point in points_of_cell(ends, gamma, delta, rng):
                 unstable = truth.unstable_count(*point, delay)
-                assert code == (UNSTABLE if unstable else STABLE)
+                assert code == (Verdict.UNSTABLE if unstable else Verdict.STABLE)
     assert proved >= (3 if count >= 40 else 1)
 
 
@@ -312,14 +312,19 @@ def test_a_cell_that_holds_a_point_of_the_boundary_is_never_proved_stable(
         ]
         alpha, beta, *hands = sides
         (code,) = cells_of(alpha, beta, *(np.maximum(side, 0.0) for side in hands), delay).ravel()
-        assert code != STABLE
-        assert code == UNDECIDED or alpha[1] < -max(hands[0][0], 0.0)
+        assert code != Verdict.STABLE
+        assert code == Verdict.UNDECIDED or alpha[1] < -max(hands[0][0], 0.0)
 
 
 def test_cells_beside_the_line_of_a_real_root_at_one_are_proved_and_those_on_it_not() -> None:
     alpha = np.array([-0.002, -0.00101, -0.00099, 0.00001, 0.002])
     codes = cells_of(alpha, np.array([0.4, 0.41]), (0.0, 0.001), (0.005, 0.0051), 0.0)
-    assert codes[:, 0].tolist() == [UNSTABLE, UNDECIDED, UNDECIDED, STABLE]
+    assert codes[:, 0].tolist() == [
+        Verdict.UNSTABLE,
+        Verdict.UNDECIDED,
+        Verdict.UNDECIDED,
+        Verdict.STABLE,
+    ]
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.5, 12.0])
@@ -331,7 +336,7 @@ def test_all_cells_but_those_at_the_boundary_are_proved(
     alpha = np.linspace(-0.05 * scale**2, 1.1 * scale**2, 131)
     beta = np.linspace(-0.1 * scale, 1.7 * scale, 104)
     codes = cells_of(alpha, beta, (1e-3, 1e-3), delta, delay)
-    assert np.mean(codes != UNDECIDED) > 0.85
+    assert np.mean(codes != Verdict.UNDECIDED) > 0.85
     i, j = rng.integers(0, 130, 2000), rng.integers(0, 103, 2000)
     part = rng.choice([0.0, 0.5, 1.0], (3, 2000))
     gains = (
@@ -345,4 +350,4 @@ def test_all_cells_but_those_at_the_boundary_are_proved(
         delay=delay,
         resolve="exact",
     )
-    assert not np.any((codes[i, j] != UNDECIDED) & (codes[i, j] != exact))
+    assert not np.any((codes[i, j] != Verdict.UNDECIDED) & (codes[i, j] != exact))

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import truth
 from benchmarks.truth import filtered
-from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity, boundary_curve, verdict
+from jaxstab import Filter, Velocity, Verdict, boundary_curve, verdict
 from jaxstab.model.filters import known_filters
 from jaxstab.proofs.columns import StableColumns, column_gaps, stable_columns
 from jaxstab.proofs.enclosures import Domain, Intervals, curve_patches
@@ -89,8 +89,8 @@ def test_what_is_said_of_a_column_is_true_of_every_point(
 
     is_stable, is_unstable, _ = answers(columns, box, cell, (alpha, beta, gamma, delta, delay))
     codes = np.asarray(verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, resolve="exact"))
-    assert np.all(codes[is_stable] == STABLE)
-    assert not np.any(codes[is_unstable] == STABLE)
+    assert np.all(codes[is_stable] == Verdict.STABLE)
+    assert not np.any(codes[is_unstable] == Verdict.STABLE)
     assert np.mean(is_stable | is_unstable) > (0.6 if delay_width < 0.1 else -1.0)
     known = np.flatnonzero(is_stable | is_unstable)
     for k in rng.choice(known, 8) if known.size else ():
@@ -115,8 +115,8 @@ def test_what_is_said_of_a_gap_is_true_of_every_point(
     if edges == "uneven":
         beta[1:-1] = np.sort(rng.uniform(*domain.beta, CELLS - 1))
     gaps = column_gaps(beta, hands, delay, domain)
-    is_gap = (gaps.low < gaps.high) & np.isin(gaps.verdict, (STABLE, UNSTABLE))
-    assert {STABLE, UNSTABLE} <= set(gaps.verdict[is_gap].tolist())
+    is_gap = (gaps.low < gaps.high) & np.isin(gaps.verdict, (Verdict.STABLE, Verdict.UNSTABLE))
+    assert {Verdict.STABLE, Verdict.UNSTABLE} <= set(gaps.verdict[is_gap].tolist())
     some = rng.choice(np.argwhere(is_gap), 2**12)
     low, high, code = (part[tuple(some.T)] for part in gaps)
     share = rng.choice([1e-9, 1e-6, 0.5, 1 - 1e-6, 1 - 1e-9], len(some))
@@ -127,7 +127,7 @@ def test_what_is_said_of_a_gap_is_true_of_every_point(
     gamma = np.maximum(hands.gamma[box] + within[0] * hands.half_gamma[box], 0.0)
     delta = np.maximum(hands.delta[box] + within[1] * hands.half_delta[box], 0.0)
     exact = np.asarray(verdict(alpha, at, gamma=gamma, delta=delta, delay=delay, resolve="exact"))
-    assert not np.any((exact != code) & (exact != UNDECIDED))
+    assert not np.any((exact != code) & (exact != Verdict.UNDECIDED))
     widths = np.where(
         is_gap, np.clip(gaps.high, *domain.alpha) - np.clip(gaps.low, *domain.alpha), 0
     )
@@ -269,12 +269,12 @@ def test_gaps_of_columns_with_filters_have_the_verdicts_of_certified_roots(
     hands = HandBoxes(*(np.array([value]) for value in box))
     gaps = column_gaps(beta, hands, delay, domain, filters)
     low, high, verdict = (part[0] for part in gaps)
-    known = (low < high) & (verdict != UNDECIDED)
+    known = (low < high) & (verdict != Verdict.UNDECIDED)
     share = np.sum(
         np.where(known, np.minimum(high, domain.alpha[1]) - np.maximum(low, domain.alpha[0]), 0.0)
     )
     assert share > 0.8 * 16 * np.ptp(domain.alpha)
-    assert (verdict[known] == STABLE).any()
+    assert (verdict[known] == Verdict.STABLE).any()
     column, gap = np.nonzero(known)
     for number in rng.choice(column.size, 24):
         k, n = column[number], gap[number]

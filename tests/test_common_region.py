@@ -7,7 +7,8 @@ from matplotlib.path import Path
 
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
-from jaxstab import HapticLoop, RobustStatus, Velocity, common_region
+from jaxstab import HapticLoop, Velocity, common_region
+from jaxstab.results import RobustStatus
 
 PERIOD = 1e-3
 ARM = (1.0, 5.0, 300.0, (4.0, 2000.0))  # mass, damping, stiffness, grip

@@ -10,7 +10,8 @@ from mpmath import mp, mpf
 
 from benchmarks import truth
 from jaxstab.model import by_name
-from jaxstab.region import boundary_curve, minus_line, plus_line
+from jaxstab.paper import minus_line, plus_line
+from jaxstab.region import boundary_curve
 from jaxstab.region.curve import curve_point, poles, slice_coefficients
 from jaxstab.region.roots import with_slope
 

@@ -205,7 +205,7 @@ def test_item_14_the_masses_of_a_device_are_proved_with_its_hands() -> None:
     assert found.stiffness < 0.9 * one.stiffness
     worst = LOOP.worst_hand(HANDS, one.stiffness, one.damping, mass=(0.2, 0.3))
     assert worst.verdict == Verdict.UNSTABLE
-    assert not worst.loop.is_stable(one.stiffness, one.damping)
+    assert worst.loop.verdict(one.stiffness, one.damping) != Verdict.STABLE
 
 
 def test_item_14_the_masses_of_one_mass_are_proved_with_its_hands() -> None:
@@ -226,7 +226,7 @@ def test_item_14_the_masses_of_one_mass_are_proved_with_its_hands() -> None:
         assert 0.2 <= worst.loop.device_mass <= 0.3
         assert 0.0 <= worst.loop.hand_mass <= 0.5
     assert worst.verdict == Verdict.UNSTABLE
-    assert not worst.loop.is_stable(*wall)
+    assert worst.loop.verdict(*wall) != Verdict.STABLE
 
 
 def test_what_nothing_damps_is_tried_and_not_proved() -> None:

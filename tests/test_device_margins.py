@@ -8,7 +8,7 @@ import jaxstab
 from benchmarks import filtered_ranges
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
-from jaxstab import STABLE, UNSTABLE, Filter, HapticLoop, Velocity, Verdict
+from jaxstab import Filter, HapticLoop, Velocity, Verdict
 from jaxstab.model.device import Device, Hand, Mode, sampled_device
 from jaxstab.ranges import device_margins, is_stable_along
 
@@ -48,7 +48,12 @@ def test_an_extra_delay_ends_where_the_equations_of_motion_do(delay: float) -> N
     wall = 300.0, 3.0
     extra = float(loop.margins(*wall).extra_delay) / PERIOD
     rest = filtered.difference(1), filtered.average(1)
-    for part, code in ((0.3, STABLE), (0.8, STABLE), (1 - 1e-8, STABLE), (1 + 1e-8, UNSTABLE)):
+    for part, code in (
+        (0.3, Verdict.STABLE),
+        (0.8, Verdict.STABLE),
+        (1 - 1e-8, Verdict.STABLE),
+        (1 + 1e-8, Verdict.UNSTABLE),
+    ):
         later = delay + part * extra
         balls = devices.DeviceLoop(drawn.mechanism.system(), PERIOD, later, *rest)
         assert balls.code(*wall) == code

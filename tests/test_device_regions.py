@@ -6,7 +6,7 @@ import pytest
 import benchmarks.loops
 import jaxstab
 from benchmarks.truth.random_loops import DeviceLoop
-from jaxstab import STABLE, UNSTABLE, Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
+from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters
@@ -64,8 +64,8 @@ def assert_region_holds(sampled: SampledDevice, filters: Filters, region: Stable
     points = points_around(region, np.random.default_rng(len(region.points)))
     codes = linear_verdict(*points.T, sampled.loop(filters))
     inside = region.contains(*points.T)
-    assert not np.any((codes == STABLE) & ~inside)
-    assert not np.any((codes == UNSTABLE) & inside)
+    assert not np.any((codes == Verdict.STABLE) & ~inside)
+    assert not np.any((codes == Verdict.UNSTABLE) & inside)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.5])

@@ -20,7 +20,7 @@ import jaxstab
 from benchmarks.truth import devices as truth
 from benchmarks.truth import filtered
 from benchmarks.truth.random_loops import device_of
-from jaxstab import STABLE, UNDECIDED, UNSTABLE, Device, Filter, Hand, Mode, Velocity
+from jaxstab import Device, Filter, Hand, Mode, Velocity, Verdict
 from jaxstab.model import DoubleDouble, by_name
 from jaxstab.model.device import SampledDevice, sampled_device, sampling
 from jaxstab.model.device import device as device_module
@@ -113,7 +113,7 @@ def test_a_mass_has_the_verdicts_of_five_numbers() -> None:
         factors = sampled.stiffness_unit / period**2, sampled.damping_unit / period
         codes = linear_verdict(alpha * factors[0], beta * factors[1], sampled.loop())
         np.testing.assert_array_equal(codes, jaxstab.verdict(alpha, beta, **by_name(*slice_)))
-        assert {STABLE, UNSTABLE} <= set(codes.tolist())
+        assert {Verdict.STABLE, Verdict.UNSTABLE} <= set(codes.tolist())
 
 
 def largest_stable(device: Device, damping: float = 4.0) -> float:
@@ -123,7 +123,7 @@ def largest_stable(device: Device, damping: float = 4.0) -> float:
     low, high = 1.0, 1e6
     for _ in range(60):
         middle = np.sqrt(low * high)
-        is_stable = linear_verdict(middle * sampled.stiffness_unit, beta, loop) == STABLE
+        is_stable = linear_verdict(middle * sampled.stiffness_unit, beta, loop) == Verdict.STABLE
         low, high = (middle, high) if is_stable else (low, middle)
     return low
 
@@ -319,11 +319,11 @@ def test_few_walls_are_undecided_next_to_the_boundary() -> None:
     low, high = 0.0, 0.2
     for _ in range(60):
         middle = 0.5 * (low + high)
-        is_stable = linear_verdict(middle, beta, loop) == STABLE
+        is_stable = linear_verdict(middle, beta, loop) == Verdict.STABLE
         low, high = (middle, high) if is_stable else (low, middle)
     walls = low * (1.0 + np.array([-1e-9, -1e-11, 1e-11, 1e-9]))
     codes = linear_verdict(walls, beta, loop)
-    assert UNDECIDED not in codes
+    assert Verdict.UNDECIDED not in codes
     mechanism = truth.Mechanism(
         [(mpf(0.25), mpf(0.1), mpf(0)), truth.mode(80.0, 0.01, 0.5)],
         [(1.0, 5.0, 300.0, (4.0, 2000.0))],

@@ -213,7 +213,7 @@ def assert_regions_are_right(setups: list[Any], answers: list[Any]) -> int:
     unresolved = 0
     for setup, answer in zip(setups, answers, strict=True):
         region = loop_of(setup).region()
-        if region.status == jaxstab.RegionStatus.UNRESOLVED or not answer["isClosed"]:
+        if region.status == jaxstab.results.RegionStatus.UNRESOLVED or not answer["isClosed"]:
             unresolved += 1
             continue
         components = region.components
@@ -282,7 +282,7 @@ def test_passive_walls_are_those_of_python(rng: np.random.Generator) -> None:
         loop = loop_of(setup)
         alpha, beta = loop.alpha(1.0), loop.beta(1.0)
         own = setup["damping"] * float(beta)
-        region = jaxstab.passive_region(delta=own, delay=setup["delay"])
+        region = jaxstab.paper.passive_region(delta=own, delay=setup["delay"])
         points = np.array(outline[:-1]) * [alpha, beta]
         assert np.all(region.contains(*(0.995 * points).T))
         assert not np.any(region.contains(*(1.005 * points).T))
@@ -294,7 +294,7 @@ def test_the_linear_rule_is_that_of_python(rng: np.random.Generator) -> None:
     for setup, line in zip(setups, asked_of_node("rules", setups), strict=True):
         loop = loop_of(setup)
         for stiffness, damping in line:
-            limit = jaxstab.linear_alpha_limit(
+            limit = jaxstab.paper.linear_alpha_limit(
                 loop.beta(damping), delta=loop.delta, delay=loop.delay_samples
             )
             size = abs(loop.delta) + loop.beta(abs(damping))

@@ -50,7 +50,7 @@ def gains_around_the_stable_set(
     return alpha, rng.uniform(-0.2, 2.2, count) / (1.0 + 2.0 * delay)
 
 
-def assert_honest(radius: jaxstab.SpectralRadius, scenes: np.ndarray) -> None:
+def assert_honest(radius: jaxstab.results.SpectralRadius, scenes: np.ndarray) -> None:
     for scene, value, error in zip(scenes.T.tolist(), radius.value, radius.error, strict=True):
         lower, upper = truth.spectral_radius(*scene)
         assert upper - mpf(float(error)) <= mpf(float(value)) <= lower + mpf(float(error)), scene

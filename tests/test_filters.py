@@ -4,7 +4,11 @@ The truth: ``scipy.signal`` for filters, certified roots of a polynomial that py
 the filters' difference equations, and a loop that is simulated sample by sample.
 """
 
+import re
 from collections.abc import Callable
+from dataclasses import fields
+from inspect import isclass
+from pathlib import Path
 from typing import Any
 
 import flint
@@ -19,13 +23,16 @@ import benchmarks.loops
 import jaxstab
 from benchmarks.truth import filtered as truth
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, hostile_walls
-from jaxstab import STABLE, UNDECIDED, UNSTABLE, Filter, Velocity
-from jaxstab.model import by_name
+from jaxstab import Filter, Velocity, Verdict
+from jaxstab.atlas.format.spec import position_of, toml_of, velocity_of
+from jaxstab.model import by_name, sections
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
+from jaxstab.model.sections import Section
 from jaxstab.point.schur_cohn import dense_codes, rounded_loop, without_zeros
 from jaxstab.region.curve import curve_and_lift, mass_coefficients
 from jaxstab.rounding import UNIT
+from jaxstab.tables import parsed
 
 # Each estimator beside T V(z), each filter beside P(z), by the truth.
 ESTIMATORS: dict[str, tuple[Velocity, truth.Rational]] = {
@@ -146,12 +153,12 @@ def test_the_largest_stiffness_of_known_estimators(
     assert jaxstab.verdict(
         walls, beta, gamma=0.0, delta=0.0, delay=delay, velocity=velocity
     ).tolist() == [
-        STABLE,
-        UNSTABLE,
+        Verdict.STABLE,
+        Verdict.UNSTABLE,
     ]
     around = beta * (1.0 + np.linspace(-1e-2, 1e-2, 21))
     codes = jaxstab.verdict(walls[1], around, gamma=0.0, delta=0.0, delay=delay, velocity=velocity)
-    assert np.all(codes == UNSTABLE)
+    assert np.all(codes == Verdict.UNSTABLE)
 
 
 @pytest.mark.parametrize(("samples", "delay", "alpha", "beta"), ISLANDS)
@@ -163,15 +170,15 @@ def test_islands_are_stable_and_cut_off_from_small_gains(
     codes = jaxstab.verdict(
         alpha * shares, beta * shares, gamma=0.0, delta=0.0, delay=delay, velocity=window
     )
-    assert codes[-1] == STABLE
-    assert UNSTABLE in codes
+    assert codes[-1] == Verdict.STABLE
+    assert Verdict.UNSTABLE in codes
 
 
 def bisected(function: Callable[[float], int], low: float, high: float) -> float:
     """Where codes change from STABLE to another."""
     while high - low > 1e-15 * high:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if function(middle) == STABLE else (low, middle)
+        low, high = (middle, high) if function(middle) == Verdict.STABLE else (low, middle)
     return low
 
 
@@ -189,7 +196,7 @@ def test_only_walls_next_to_the_boundary_are_undecided(estimator: str) -> None:
     codes = jaxstab.verdict(walls, beta, **by_name(*plant), velocity=velocity)
     loop = truth.FilteredLoop(*plant, v, truth.average(1))
     assert codes.tolist() == [loop.code(alpha, beta) for alpha in walls]
-    assert UNDECIDED not in codes
+    assert Verdict.UNDECIDED not in codes
 
 
 @pytest.mark.parametrize("kind", [MassLoop, DeviceLoop])
@@ -200,8 +207,8 @@ def test_hostile_walls_of_random_loops_against_balls(kind: type[MassLoop | Devic
         walls = hostile_walls(rng, loop.balls, 30)
         for wall, code in zip(walls.tolist(), loop.verdict(*walls.T).tolist(), strict=True):
             is_stable = loop.balls.is_stable(*wall)
-            if is_stable is not None and code != UNDECIDED:
-                assert is_stable == (code == STABLE), (loop, wall)
+            if is_stable is not None and code != Verdict.UNDECIDED:
+                assert is_stable == (code == Verdict.STABLE), (loop, wall)
 
 
 @pytest.mark.parametrize(("samples", "delay"), [(20, 1.0), (12, 2.5), (2, 12.0), (30, 0.0)])
@@ -217,7 +224,7 @@ def test_zeros_left_out_change_no_verdict(samples: int, delay: float) -> None:
         for one in (loop, short)
     ]
     np.testing.assert_array_equal(*codes)
-    assert set(codes[0].tolist()) == {STABLE, UNSTABLE}
+    assert set(codes[0].tolist()) == {Verdict.STABLE, Verdict.UNSTABLE}
 
 
 def test_a_window_of_one_sample_is_the_loop_of_the_paper() -> None:
@@ -451,7 +458,7 @@ def test_regions_agree_with_certified_verdicts(
         "position": FILTERS[position][0],
     }
     region = jaxstab.stable_region(**by_name(*plant), **filters)
-    assert region.status == jaxstab.RegionStatus.COMPLETE
+    assert region.status == jaxstab.results.RegionStatus.COMPLETE
     rng = np.random.default_rng(7)
     low, high = region.points.min(axis=0), region.points.max(axis=0)
     size = high - low
@@ -465,9 +472,9 @@ def test_regions_agree_with_certified_verdicts(
     alpha, beta = np.concatenate([near, far]).T
     codes = jaxstab.verdict(alpha, beta, **by_name(*plant), **filters)
     inside = region.contains(alpha, beta)
-    assert not np.any(inside & (codes == UNSTABLE))
-    assert not np.any(~inside & (codes == STABLE))
-    assert np.sum(codes == UNDECIDED) == 0
+    assert not np.any(inside & (codes == Verdict.UNSTABLE))
+    assert not np.any(~inside & (codes == Verdict.STABLE))
+    assert np.sum(codes == Verdict.UNDECIDED) == 0
 
 
 @pytest.mark.parametrize("samples", [2, 4])
@@ -478,12 +485,12 @@ def test_regions_where_the_position_filter_is_zero_at_the_nyquist_frequency(
     # The line of a real root at -1 is one of constant beta then.
     filters: dict[str, Any] = {"position": Filter.average(samples)}
     region = jaxstab.stable_region(**by_name(*plant), **filters)
-    assert region.status == jaxstab.RegionStatus.COMPLETE
+    assert region.status == jaxstab.results.RegionStatus.COMPLETE
     rng = np.random.default_rng(1)
     alpha, beta = rng.uniform(-0.5, 2.0, 2000), rng.uniform(-1.0, 4.0, 2000)
     codes = jaxstab.verdict(alpha, beta, **by_name(*plant), **filters)
-    np.testing.assert_array_equal(region.contains(alpha, beta), codes == STABLE)
-    assert STABLE in codes
+    np.testing.assert_array_equal(region.contains(alpha, beta), codes == Verdict.STABLE)
+    assert Verdict.STABLE in codes
 
 
 def test_corners_of_filtered_regions_have_roots_on_the_circle_and_none_outside() -> None:
@@ -512,16 +519,16 @@ def test_a_window_of_one_sample_has_the_region_of_the_paper() -> None:
 def test_regions_of_filters_whose_poles_float64_does_not_tell_apart() -> None:
     velocity = Velocity.butterworth(0.02, order=8)
     region = jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
-    assert region.status == jaxstab.RegionStatus.COMPLETE
+    assert region.status == jaxstab.results.RegionStatus.COMPLETE
     rng = np.random.default_rng(8)
     vertices = region.points[rng.integers(0, len(region.points), 400)]
     away = np.repeat([[1e-4], [1e-1]], 200, axis=0) * np.ptp(region.points, axis=0)
     walls = (vertices + rng.normal(size=(400, 2)) * away).T
     codes = jaxstab.verdict(*walls, gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
     inside = region.contains(*walls)
-    is_decided = codes != UNDECIDED
+    is_decided = codes != Verdict.UNDECIDED
     assert np.mean(is_decided) > 0.95
-    assert np.array_equal(inside[is_decided], codes[is_decided] == STABLE)
+    assert np.array_equal(inside[is_decided], codes[is_decided] == Verdict.STABLE)
 
 
 @pytest.mark.campaign
@@ -530,16 +537,16 @@ def test_a_hand_far_above_a_cut_off_has_a_region() -> None:
     place = (0.5316505894594178, 8.394132253328545e-05, 2.0)
     velocity = Velocity.butterworth(0.017358, order=10)
     region = jaxstab.stable_region(**by_name(*place), velocity=velocity)
-    assert region.status == jaxstab.RegionStatus.COMPLETE
+    assert region.status == jaxstab.results.RegionStatus.COMPLETE
     rng = np.random.default_rng(3)
     edges = rng.integers(len(region.points), size=400)
     away = rng.normal(size=(400, 2)) * 10.0 ** rng.uniform(-6.0, 0.0, (400, 1))
     walls = (region.points[edges] + np.ptp(region.points, axis=0) * away).T
     codes = jaxstab.verdict(*walls, **by_name(*place), velocity=velocity)
     inside = region.contains(*walls)
-    assert not np.any(inside & (codes == UNSTABLE))
-    assert not np.any(~inside & (codes == STABLE))
-    assert np.sum(codes == STABLE) > 50
+    assert not np.any(inside & (codes == Verdict.UNSTABLE))
+    assert not np.any(~inside & (codes == Verdict.STABLE))
+    assert np.sum(codes == Verdict.STABLE) > 50
 
 
 def test_a_filter_whose_gain_is_lost_in_float64_has_no_region() -> None:
@@ -570,9 +577,11 @@ def test_a_region_that_proofs_contradict_claims_nothing() -> None:
     velocity = Velocity.transfer_function([1.0, -1.1875, 0.1875], [1.0, 0.3125, -0.2578125, 0.0])
     filters = {"velocity": velocity, "position": Filter.butterworth(0.005355365513565198, order=7)}
     plant = 0.6185486656816983, 0.0, 1.3859936203430451e-09
-    assert jaxstab.verdict(1.5e-5, 5.6e-6, **by_name(*plant), **filters) == STABLE
+    assert jaxstab.verdict(1.5e-5, 5.6e-6, **by_name(*plant), **filters) == Verdict.STABLE
     region = jaxstab.stable_region(**by_name(*plant), **filters)
-    assert region.contains(1.5e-5, 5.6e-6) or region.status == jaxstab.RegionStatus.UNRESOLVED
+    assert (
+        region.contains(1.5e-5, 5.6e-6) or region.status == jaxstab.results.RegionStatus.UNRESOLVED
+    )
 
 
 @pytest.mark.parametrize("number", [7, 13, 30, 45, 72, 111])
@@ -645,7 +654,7 @@ def test_a_line_at_a_pole_is_part_of_the_boundary() -> None:
             delta=0.0,
             delay=0.0,
             position=Filter.average(samples=4),
-        ).tolist() == [STABLE, UNSTABLE]
+        ).tolist() == [Verdict.STABLE, Verdict.UNSTABLE]
 
 
 @pytest.mark.parametrize(
@@ -670,10 +679,10 @@ def test_audits_ask_no_wall_on_a_corner() -> None:
         delay=0.0,
         velocity=Velocity(filter=window),
     )
-    assert loop.region().status == jaxstab.RegionStatus.COMPLETE
+    assert loop.region().status == jaxstab.results.RegionStatus.COMPLETE
     largest = loop.damping_limits(0.0)[1]
-    assert loop.verdict(0.0, 0.99 * largest) == STABLE
-    assert loop.verdict(0.0, 1.01 * largest) == UNSTABLE
+    assert loop.verdict(0.0, 0.99 * largest) == Verdict.STABLE
+    assert loop.verdict(0.0, 1.01 * largest) == Verdict.UNSTABLE
 
 
 def test_a_cut_off_may_be_an_array_of_jax() -> None:
@@ -697,6 +706,45 @@ def test_long_windows_are_answered(count: int) -> None:
     region = jaxstab.stable_region(**by_name(*place), velocity=window)
     balls = truth.FilteredLoop(*place, truth.difference(count), truth.average(1)).balls()
     alpha, beta = map(float, region.main.max_alpha)
-    for factor, code in ((1.0 - 1e-6, STABLE), (1.0 + 1e-6, UNSTABLE)):
+    for factor, code in ((1.0 - 1e-6, Verdict.STABLE), (1.0 + 1e-6, Verdict.UNSTABLE)):
         assert jaxstab.verdict(factor * alpha, beta, **by_name(*place), velocity=window) == code
-        assert balls.is_stable(factor * alpha, beta) == (code == STABLE)
+        assert balls.is_stable(factor * alpha, beta) == (code == Verdict.STABLE)
+
+
+KINDS = [kind for kind in vars(sections).values() if isclass(kind) and issubclass(kind, Section)]
+
+
+def test_files_outside_of_two_do_not_name_a_kind_of_filter() -> None:
+    names = {kind.__name__ for kind in KINDS} - {"Section", "Rational"}  # a device has a Rational
+    words = {repr(kind.kind).replace("'", '"') for kind in sections.LOW_PASSES}
+    pattern = re.compile("|".join([*(rf"\b{name}\b" for name in sorted(names)), *sorted(words)]))
+    package = Path(jaxstab.__file__).parent
+    naming = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if any(
+            pattern.search(line.partition("#")[0])
+            for line in path.read_text(encoding="utf-8").splitlines()
+        )
+    }
+    assert naming == {"model/filters.py", "model/sections.py", "model/loop.py"}  # counts windows
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind is not Section])
+def test_every_kind_of_section_has_makers_a_text_and_keys(kind: type[Section]) -> None:
+    given = {
+        "samples": 3, "window": None, "cutoff": 0.1, "order": 2, "factor": 0.5,
+        "numerator": (0.5, -0.5), "denominator": (1.0, 0.25), "period": 1.0,
+    }  # fmt: skip
+    section = kind(**{field.name: given[field.name] for field in fields(kind)})
+    assert "object at" not in str(section)
+    assert callable(getattr(Filter, section.maker))
+    chain = Filter((section,))
+    if section.estimator:
+        velocity = Velocity(chain)
+        assert callable(getattr(Velocity, section.estimator))
+        assert eval(repr(velocity), {"Velocity": Velocity, "Filter": Filter}) == velocity
+        assert velocity_of(parsed(f"velocity = {toml_of(velocity)}")["velocity"]) == velocity
+    if kind is not sections.Differentiator:
+        assert eval(repr(chain), {"Filter": Filter}) == chain
+        assert position_of(parsed(f"position = {toml_of(chain)}")["position"]) == chain

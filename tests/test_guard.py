@@ -13,7 +13,7 @@ from programs_in_c import STRICT, compiled, rows_of
 
 import jaxstab
 from benchmarks.truth.filtered import FilteredLoop, average, difference
-from jaxstab import STABLE, Guard, HandRange, HapticLoop, Velocity, build_guard, guard_header
+from jaxstab import Guard, HandRange, HapticLoop, Velocity, Verdict, build_guard
 from jaxstab.guard.limits import boundary_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,7 +37,7 @@ def guard() -> Guard:
 @pytest.fixture(scope="module")
 def folder(guard: Guard, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("guard")
-    (folder / "test_guard.h").write_text(guard_header(guard, "test_guard", "of a test"))
+    (folder / "test_guard.h").write_text(guard.header("test_guard", "of a test"))
     return folder
 
 
@@ -94,15 +94,15 @@ def unstable(guard: Guard, program: Path, count: int, seed: int) -> int:
     """How many of some calls left a wall that is not proved stable."""
     rows = judged(guard, program, "judge", count, seed)
     assert np.all(rows[:, 7] == 1.0)
-    return int(np.sum(codes_of(guard, rows) != STABLE)) if len(rows) else 0
+    return int(np.sum(codes_of(guard, rows) != Verdict.STABLE)) if len(rows) else 0
 
 
 def test_the_judge_in_c_is_as_strict_as_certified_verdicts(guard: Guard, program: Path) -> None:
     rows = judged(guard, program, "raw", 3_000, 2)
     codes, is_clear = codes_of(guard, rows), rows[:, 8] == 1.0
     assert 0.2 < np.mean(is_clear) < 0.8
-    assert np.all(codes[is_clear] == STABLE)
-    assert np.mean(is_clear[codes == STABLE]) > 0.999
+    assert np.all(codes[is_clear] == Verdict.STABLE)
+    assert np.mean(is_clear[codes == Verdict.STABLE]) > 0.999
 
 
 def test_what_the_header_lets_through_is_stable(guard: Guard, program: Path) -> None:
@@ -129,7 +129,7 @@ def test_certified_roots_agree(guard: Guard, program: Path) -> None:
     loops = held(guard, rows, np.random.default_rng(7), corners=True)
     for alpha, beta, gamma, delta, delay in zip(*loops.values(), strict=True):
         loop = FilteredLoop(gamma, delta, delay, difference(4), average(1))
-        assert loop.code(alpha, beta) == STABLE
+        assert loop.code(alpha, beta) == Verdict.STABLE
 
 
 def test_the_header_is_of_the_same_numbers_as_python(guard: Guard, program: Path) -> None:
@@ -216,7 +216,7 @@ def test_numbers_that_are_none_and_numbers_out_of_range_leave_no_gains(
 def test_examples_compile_against_stubs(example: str, guard: Guard, tmp_path: Path) -> None:
     if shutil.which("g++") is None:
         pytest.skip("there is no g++")
-    (tmp_path / "omega_guard.h").write_text(guard_header(guard, "omega_guard"))
+    (tmp_path / "omega_guard.h").write_text(guard.header("omega_guard"))
     words = ["g++", "-std=c++17", *STRICT, f"-I{tmp_path}", f"-I{ROOT / 'tests' / 'stubs'}"]
     source = ROOT / "docs" / "examples" / example
     subprocess.run([*words, "-c", source, "-o", tmp_path / "example.o"], check=True)
@@ -248,7 +248,7 @@ def test_bad_ranges_are_refused(change: dict[str, Any], words: str) -> None:
 def test_bad_names_are_refused(guard: Guard) -> None:
     for name in ("", "9lives", "a-b", "a b", "ä"):
         with pytest.raises(ValueError, match="name is"):
-            guard_header(guard, name)
+            guard.header(name)
 
 
 def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:

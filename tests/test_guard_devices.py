@@ -18,7 +18,6 @@ from benchmarks.truth.devices import DeviceLoop, Mechanism
 from benchmarks.truth.devices import mode as true_mode
 from benchmarks.truth.filtered import average, difference
 from jaxstab import (
-    STABLE,
     Device,
     Guard,
     Hand,
@@ -26,8 +25,8 @@ from jaxstab import (
     HapticLoop,
     Mode,
     Velocity,
+    Verdict,
     build_guard,
-    guard_header,
 )
 from jaxstab.guard.grid import Grid, interpolated
 from jaxstab.guard.grid_boxes import grid_boxes
@@ -252,7 +251,7 @@ def guard() -> Guard:
 @pytest.fixture(scope="module")
 def program(guard: Guard, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("guard_of_device")
-    (folder / "test_guard.h").write_text(guard_header(guard, "test_guard"))
+    (folder / "test_guard.h").write_text(guard.header("test_guard"))
     source = ROOT / "tests" / "guard.c"
     return compiled(source, folder, ["-O2", "-D_POSIX_C_SOURCE=200809L", f"-I{folder}", *STRICT])
 
@@ -276,13 +275,13 @@ def codes_of(guard: Guard, rows: np.ndarray, seed: int) -> list[int]:
 
 def test_what_the_header_lets_through_is_stable(guard: Guard, program: Path) -> None:
     rows = rows_of(program, 100, 1)
-    assert set(codes_of(guard, rows, 1)) == {STABLE}
+    assert set(codes_of(guard, rows, 1)) == {Verdict.STABLE}
 
 
 @pytest.mark.campaign
 def test_what_the_header_lets_through_is_stable_in_many_calls(guard: Guard, program: Path) -> None:
     rows = rows_of(program, CALLS, 2)
-    assert set(codes_of(guard, rows, 2)) == {STABLE}
+    assert set(codes_of(guard, rows, 2)) == {Verdict.STABLE}
 
 
 def test_certified_roots_of_the_equations_of_motion_agree(guard: Guard, program: Path) -> None:
@@ -295,7 +294,7 @@ def test_certified_roots_of_the_equations_of_motion_agree(guard: Guard, program:
         hand = arm.mass, arm.damping, arm.stiffness, GRIP[::-1]
         system = Mechanism(modes, [hand], [300.0]).system()
         loop = DeviceLoop(system, PERIOD, delay / PERIOD, difference(4), average(1))
-        assert loop.code(max(stiffness, 1e-3), damping) == STABLE
+        assert loop.code(max(stiffness, 1e-3), damping) == Verdict.STABLE
 
 
 def test_filters_are_those_of_the_loop() -> None:
@@ -306,7 +305,7 @@ def test_filters_are_those_of_the_loop() -> None:
     damping = np.linspace(0.05, 0.95, 19) * guard.grid.top.min()
     limits = guard.largest_stiffness(damping, mass=0.25, delay=1e-3)
     rows = np.column_stack([*np.broadcast_arrays(0.0, 0.0, 0.25, 1e-3, limits, damping)])
-    assert set(codes_of(guard, rows[limits > 0.0], 4)) == {STABLE}
+    assert set(codes_of(guard, rows[limits > 0.0], 4)) == {Verdict.STABLE}
     assert (
         0.0
         < limits.max()
@@ -335,8 +334,8 @@ def test_walls_a_little_beyond_the_exact_limit_are_not_stable(guard: Guard) -> N
             [int(with_hand(LOOP, 0.25, 1e-3, arm).verdict(share * k, b)) for arm in arms]
             for share in (1.02, 0.97)
         )
-        assert set(below) == {STABLE}
-        assert set(above) != {STABLE}
+        assert set(below) == {Verdict.STABLE}
+        assert set(above) != {Verdict.STABLE}
 
 
 def guard_of(seed: int) -> Guard | None:
@@ -366,7 +365,7 @@ def test_guards_of_random_devices_let_nothing_unstable_through() -> None:
         damping = rng.random(300) * float(guard.grid.top.max())
         limits = guard.largest_stiffness(damping, mass=places[:, 0], delay=places[:, 1])
         rows = np.column_stack([0.0 * places, places, limits, damping])[limits > 0.0]
-        assert set(codes_of(guard, rows, seed)) <= {STABLE}, seed
+        assert set(codes_of(guard, rows, seed)) <= {Verdict.STABLE}, seed
 
 
 # -------------------------------------------------------------------------------------- refusals

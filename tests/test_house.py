@@ -1,5 +1,6 @@
 """The rules of the house that a machine can check (CONTRIBUTING.md)."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 import jaxstab
-from benchmarks.calls import COMPUTING_CALLS
+from benchmarks.calls import COMPUTING_CALLS, PUBLIC
 
 ROOT = Path(__file__).resolve().parents[1]
 LONGEST_FILE = 1000  # lines
@@ -23,6 +24,7 @@ FLOORS_THAT_COMPUTE = tuple(
         "model", "point", "region", "ranges", "paper", "motion", "tuning", "trace", "loop"
     )
 )  # fmt: skip
+MOST_NAMES = 65  # that a program finds at the top
 CONVERSIONS = {  # of a loop: nothing is asked of it
     "alpha", "beta", "stiffness", "damping", "in_floats", "plot", "to_control", "tree_flatten",
     "tree_unflatten",
@@ -84,7 +86,8 @@ def test_imports_keep_their_contracts() -> None:
 
 
 @pytest.mark.parametrize(
-    "package", ["", ".model", ".point", ".region", ".ranges", ".tuning", ".atlas"]
+    "package",
+    ["", ".model", ".point", ".region", ".ranges", ".tuning", ".paper", ".atlas", ".results"],
 )
 def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
     loads = loaded_by(f"jaxstab{package}")
@@ -96,12 +99,21 @@ def test_the_reader_of_an_atlas_loads_no_jax(module: str) -> None:
     assert loaded_by(f"jaxstab.atlas.{module}").isdisjoint({"jax", "jaxlib", "matplotlib"})
 
 
-@pytest.mark.parametrize("name", jaxstab.__all__)
+@pytest.mark.parametrize("name", PUBLIC)
 def test_every_public_name_can_be_imported(name: str) -> None:
-    assert getattr(jaxstab, name) is not None
+    assert attrgetter(name)(jaxstab) is not None
 
 
-@pytest.mark.parametrize("name", [*jaxstab.__all__, *sorted(computing_methods())])
+def test_the_public_names_are_few_and_each_has_one_place() -> None:
+    assert len(jaxstab.__all__) <= MOST_NAMES
+    own_names = [name.rpartition(".")[2] for name in PUBLIC]
+    assert len(set(own_names)) == len(own_names)
+    for name in (*jaxstab.results.__all__, *jaxstab.paper.__all__):
+        with pytest.raises(AttributeError):
+            getattr(jaxstab, name)
+
+
+@pytest.mark.parametrize("name", [*PUBLIC, *sorted(computing_methods())])
 def test_every_public_callable_says_what_it_is_refuses_and_shows_and_where_it_is_from(
     name: str,
 ) -> None:
@@ -111,12 +123,51 @@ def test_every_public_callable_says_what_it_is_refuses_and_shows_and_where_it_is
     # A dataclass or a named tuple without a docstring gets its signature for one.
     text = value.__doc__ or ""
     assert text
-    assert not text.startswith(f"{name}(")
+    assert not text.startswith(f"{name.rpartition('.')[2]}(")
     assert ">>> " in text, "shows no example"
     if is_function(value):
         assert re.search(r"\bRaises:", text), "says nothing about errors"
     if computes(value):
         assert re.search(r"(?i)\b(paper|eqs?\.|theorem|criterion|table|sec\.)", text), "no source"
+
+
+SHARED = dict(re.findall(r"(?m)^    (\w+): (.+)$", jaxstab.conventions.__doc__ or ""))
+
+
+def undocumented(function: ast.FunctionDef) -> set[str]:
+    """The arguments that a docstring with a section of arguments neither has nor links to.
+
+    A line such as "alpha, beta: see ``jaxstab.conventions``." links to the shared arguments.
+    """
+    text = ast.get_docstring(function) or ""
+    section = re.search(r"(?m)^Args:\n((?:    .*\n?|\n)*)", text)
+    if section is None:
+        return set()
+    given = function.args
+    arguments = {one.arg for one in (*given.posonlyargs, *given.args, *given.kwonlyargs)}
+    own_lines = set(re.findall(r"(?m)^    (\w+)(?: \(.*\))?:", section[1]))
+    links = re.findall(r"(?m)^    ([\w, ]+): see ``jaxstab\.conventions``\.$", section[1])
+    linked = {name for names in links for name in names.split(", ")}
+    wrong = linked - (arguments & SHARED.keys())
+    public = {name for name in arguments if name not in ("self", "cls") and name[0] != "_"}
+    return wrong | (public - own_lines - linked)
+
+
+def test_arguments_are_documented_where_they_are_or_among_the_shared_ones() -> None:
+    missing = {}
+    for path in (ROOT / "jaxstab").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and (names := undocumented(node)):
+                missing[f"{path.relative_to(ROOT)}: {node.name}"] = names
+    assert missing == {}
+
+
+def test_an_argument_that_is_not_documented_is_named() -> None:
+    line = "alpha, radius: see ``jaxstab.conventions``."
+    code = f'def f(alpha, radius, other):\n    """Say.\n\n    Args:\n        {line}\n    """'
+    (function,) = ast.parse(code).body
+    assert isinstance(function, ast.FunctionDef)
+    assert undocumented(function) == {"radius", "other"}
 
 
 POSITIONAL = Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD
@@ -128,9 +179,9 @@ NUMBERS = {
 NO_NUMBERS = {"C", "about", "executor", "function", "outside", "progress", "self", "units"}
 
 
-@pytest.mark.parametrize("name", jaxstab.__all__)
+@pytest.mark.parametrize("name", PUBLIC)
 def test_but_for_walls_no_two_numbers_go_without_a_name(name: str) -> None:
-    value = getattr(jaxstab, name)
+    value = attrgetter(name)(jaxstab)
     functions = [value] if is_function(value) else public_methods(value)
     for function in functions:
         named = [p.name for p in signature(function).parameters.values() if p.kind in POSITIONAL]
@@ -148,7 +199,7 @@ def public_methods(value: object) -> list[Callable[..., Any]]:
 
 
 def test_every_computing_function_is_in_the_table_of_calls() -> None:
-    computing = {name for name in jaxstab.__all__ if computes(getattr(jaxstab, name))}
+    computing = {name for name in PUBLIC if computes(attrgetter(name)(jaxstab))}
     assert computing | computing_methods() == set(COMPUTING_CALLS)
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxstab
-from jaxstab import STABLE, UNDECIDED, UNSTABLE, HapticLoop
+from jaxstab import HapticLoop, Verdict
 from jaxstab.model import by_name
 
 DELAYS = (0.0, 0.5, 2.0)  # few, for each is compiled
@@ -40,7 +40,7 @@ def test_resolving_or_refining_never_flips_a_verdict(
 ) -> None:
     alpha, beta = walls(seed, plant[2])
     quick, exact = codes_of(alpha, beta, *plant), codes_of(alpha, beta, *plant, resolve="exact")
-    decided = quick != UNDECIDED
+    decided = quick != Verdict.UNDECIDED
     np.testing.assert_array_equal(exact[decided], quick[decided])
 
 
@@ -56,8 +56,8 @@ def test_the_two_ways_to_a_radius_agree_within_their_bounds_and_with_the_verdict
     assert np.all(np.abs(np.asarray(fast.value) - np.asarray(companion.value)) <= both)
     codes = codes_of(alpha, beta, *plant)
     low, high = np.asarray(fast.value - fast.error), np.asarray(fast.value + fast.error)
-    assert not np.any((codes == STABLE) & (low >= 1.0))
-    assert not np.any((codes == UNSTABLE) & (high < 1.0))
+    assert not np.any((codes == Verdict.STABLE) & (low >= 1.0))
+    assert not np.any((codes == Verdict.UNSTABLE) & (high < 1.0))
 
 
 @few
@@ -73,7 +73,9 @@ def test_an_answer_does_not_depend_on_the_shape_of_the_question(
         turned = jaxstab.spectral_radius(alpha[form], beta[form], **by_name(*plant))
         np.testing.assert_array_equal(turned.value, np.asarray(whole.value)[form])
         np.testing.assert_array_equal(codes_of(alpha[form], beta[form], *plant), codes[form])
-    pieces = jaxstab.sweep(jaxstab.verdict, alpha, beta, **by_name(*plant), chunk=WALLS // 2)
+    pieces = jaxstab.evaluate_grid(
+        jaxstab.verdict, alpha, beta, **by_name(*plant), chunk=WALLS // 2
+    )
     for place, part in pieces:
         np.testing.assert_array_equal(part, codes[place])
 
@@ -129,14 +131,14 @@ def test_a_verdict_is_constant_along_a_segment_that_the_boundary_does_not_cross(
     point = np.stack([alpha, beta])
     to_curve = (np.hypot(*(point[:, :, None] - curve[:, None, :])) - gap).min(axis=1)
     room = np.minimum(to_curve, np.abs(alpha + gamma))
-    offset = float(jaxstab.minus_line(0.0, **by_name(*plant)))
+    offset = float(jaxstab.paper.minus_line(0.0, **by_name(*plant)))
     if np.isfinite(offset):
         room = np.minimum(room, np.abs(alpha + 2.0 * beta - offset) / np.sqrt(5.0))
     angle = np.random.default_rng(seed).uniform(0, 2 * np.pi, WALLS)
-    usable = (room > 0.0) & (codes != UNDECIDED)
+    usable = (room > 0.0) & (codes != Verdict.UNDECIDED)
     moved = point + 0.99 * np.maximum(room, 0.0) * np.stack([np.cos(angle), np.sin(angle)])
     there = codes_of(*moved, *plant)
-    assert not np.any(usable & (there != codes) & (there != UNDECIDED))
+    assert not np.any(usable & (there != codes) & (there != Verdict.UNDECIDED))
 
 
 @few
@@ -149,4 +151,4 @@ def test_the_region_of_a_free_device_shrinks_with_a_longer_delay(
     alpha, beta = np.abs(walls(seed, float(delay)))
     shorter = codes_of(alpha, beta, 0.0, damping, float(delay))
     longer = codes_of(alpha, beta, 0.0, damping, float(delay + 1))
-    assert not np.any((longer == STABLE) & (shorter == UNSTABLE))
+    assert not np.any((longer == Verdict.STABLE) & (shorter == Verdict.UNSTABLE))

@@ -74,7 +74,7 @@ def test_region_verdicts_and_radii_agree_at_the_edge(device: Device) -> None:
         assert region.contains(*wall) == (code == Verdict.STABLE)
         assert (float(loop.spectral_radius(*wall).value) < 1.0) == (code == Verdict.STABLE)
     low, high = loop.stiffness_limits(0.5 * limits.at_damping)
-    assert loop.is_stable(0.5 * (low + high), 0.5 * limits.at_damping)
+    assert loop.verdict(0.5 * (low + high), 0.5 * limits.at_damping) == Verdict.STABLE
     mode = loop.oscillation(0.999 * limits.stiffness, limits.at_damping)
     assert 0.0 < float(mode.damping_ratio) < 0.05
 
@@ -144,8 +144,8 @@ def test_margins_of_a_general_device_end_at_its_region() -> None:
     np.testing.assert_allclose(found.damping, loop.damping_limits(1000.0), rtol=1e-6, atol=1e-6)
     assert found.stiffness_gain == pytest.approx(found.stiffness[1] / 1000.0)
     late = loop.delay + found.extra_delay
-    assert replace(loop, delay=float(late * (1.0 - 1e-8))).is_stable(1000.0, 10.0)
-    assert not replace(loop, delay=float(late * (1.0 + 1e-8))).is_stable(1000.0, 10.0)
+    assert replace(loop, delay=float(late * (1.0 - 1e-8))).verdict(1000.0, 10.0) == Verdict.STABLE
+    assert replace(loop, delay=float(late * (1.0 + 1e-8))).verdict(1000.0, 10.0) != Verdict.STABLE
     with pytest.raises(TypeError, match="outside of jit"):
         jax.jit(lambda gain: loop.margins(gain, 10.0).damping)(1000.0)
 

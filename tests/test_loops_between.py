@@ -20,13 +20,13 @@ from jaxstab import (
     HapticLoop,
     LoopsBetween,
     Mode,
-    RobustStatus,
     Velocity,
     Verdict,
     common_region,
 )
 from jaxstab.proofs.linear_circle import FamilyBoxes, PieceBoxes, family_cells
 from jaxstab.proofs.linear_circle import family_models as models
+from jaxstab.results import RobustStatus
 
 PERIOD = 2.0**-10
 DRAWN = devices.Drawn(
@@ -190,7 +190,7 @@ def test_what_is_unstable_has_a_loop_that_is(name: str, is_inner: bool) -> None:
     found = loops.robust_limit()
     assert found.is_proved
     dense = [loops.loop(share) for share in np.linspace(0.0, 1.0, 41)]
-    assert all(loop.is_stable(found.stiffness, found.damping) for loop in dense)
+    assert all(loop.verdict(found.stiffness, found.damping) == Verdict.STABLE for loop in dense)
     worst = loops.worst_loop(1.001 * found.limit, found.damping)
     assert worst.verdict == Verdict.UNSTABLE
     assert not truth_at(name, worst.share).is_stable(1.001 * found.limit, found.damping)
@@ -211,7 +211,9 @@ def test_the_polygon_is_that_of_a_dense_list(name: str, rng: np.random.Generator
     walls = rng.uniform(low - 0.1 * (high - low), high + 0.1 * (high - low), (400, 2))
     inside = Path(common.outline).contains_points(walls)
     dense = [loops.loop(share) for share in np.linspace(0.0, 1.0, 33)]
-    stable = np.all([np.asarray(loop.is_stable(*walls.T)) for loop in dense], axis=0)
+    stable = np.all(
+        [np.asarray(loop.verdict(*walls.T) == Verdict.STABLE) for loop in dense], axis=0
+    )
     assert not np.any(inside & ~stable)
     assert np.sum(inside) > (1.0 - 5.0 * common.tolerance) * np.sum(stable)
     codes = common.verdict(*walls.T)
@@ -252,7 +254,7 @@ def test_a_cut_off_of_a_position_filter_may_differ() -> None:
     found = between_both.robust_limit()
     assert found.is_proved
     dense = [between_both.loop(share) for share in np.linspace(0.0, 1.0, 21)]
-    assert all(loop.is_stable(found.stiffness, found.damping) for loop in dense)
+    assert all(loop.verdict(found.stiffness, found.damping) == Verdict.STABLE for loop in dense)
 
 
 # ------------------------------------------------------------------------------------------ hands
@@ -274,7 +276,7 @@ def test_a_hand_of_a_device_is_replaced_by_those_of_an_interval(rng: np.random.G
             stiffness=2000.0, damping=4.0
         )
         other = replace(loop, device=replace(loop.device, hands=(arm,)))
-        assert other.is_stable(found.stiffness, found.damping)
+        assert other.verdict(found.stiffness, found.damping) == Verdict.STABLE
     assert loop.worst_hand(hands, 1.01 * found.limit, found.damping).verdict == Verdict.UNSTABLE
 
 

@@ -18,7 +18,7 @@ from benchmarks import truth
 from jaxstab.model import DoubleDouble, by_name, polynomial_degree
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
-FIELDS = jaxstab.PlantCoefficients._fields
+FIELDS = jaxstab.results.PlantCoefficients._fields
 SMALLEST_KEPT = 1e-300  # below, XLA flushes to zero
 PI = np.pi
 
@@ -28,7 +28,7 @@ def ulps(values: jax.Array, exact: list[mpf]) -> float:
     return max(truth.ulps(value, x) for value, x in pairs if not 0 < abs(x) < SMALLEST_KEPT)
 
 
-def assert_right(computed: jaxstab.PlantCoefficients, exact: list[truth.Plant]) -> None:
+def assert_right(computed: jaxstab.results.PlantCoefficients, exact: list[truth.Plant]) -> None:
     """Every coefficient within 3 ulp, or within the last pair digits of the gain N(1).
 
     The second is needed where a coefficient vanishes for no reason of its own: N(-1) of a

@@ -17,10 +17,11 @@ from benchmarks.truth.march import (
     march_of_plant,
 )
 from benchmarks.truth.random_loops import device_of
-from jaxstab import Device, Filter, HapticLoop, SettlingStatus, Velocity
+from jaxstab import Device, Filter, HapticLoop, Velocity
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.motion.response import simulate_device
 from jaxstab.motion.settling import device_settling_samples
+from jaxstab.results import SettlingStatus
 
 PERIOD = 1e-3
 LONG = 3000  # samples

@@ -15,8 +15,9 @@ from benchmarks.truth.march import (
     low_pass_taps,
     march_through_filters,
 )
-from jaxstab import Filter, SettlingStatus, Velocity
+from jaxstab import Filter, Velocity
 from jaxstab.model import by_name
+from jaxstab.results import SettlingStatus
 
 WALL = (0.004, 0.04)
 PLANTS = [(1e-3, 0.015, delay) for delay in (0.0, 1.0, 2.5)]

@@ -11,7 +11,7 @@ import pytest
 from atlases import write_small
 from commands import POINT, START, assert_one_sentence, run, run_process
 
-from jaxstab import STABLE, AtlasSpec, build_atlas, durable
+from jaxstab import AtlasSpec, Verdict, build_atlas, durable
 
 CSV = "alpha,beta,gamma,delta,delay\n"
 
@@ -63,7 +63,7 @@ def test_axes_without_width_are_refused_and_hands_next_to_each_other_are_not(
     )
     assert (
         build_atlas(spec, tmp_path / "a.h5").verdict(0.1, 0.15, gamma=5e-324, delta=0.0, delay=0.0)
-        == STABLE
+        == Verdict.STABLE
     )
     # At one delay: at all of the default ones it is 45 s of the same.
     few = "delay = [0.0]\nproducts = ['alpha_limits']\n"

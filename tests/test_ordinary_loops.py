@@ -21,8 +21,9 @@ from benchmarks.truth.march import (
     march_of_plant,
 )
 from benchmarks.truth.random_loops import device_of
-from jaxstab import Filter, HandRange, HapticLoop, SettlingStatus, Velocity
+from jaxstab import Filter, HandRange, HapticLoop, Velocity
 from jaxstab.conventions import Verdict
+from jaxstab.results import SettlingStatus
 
 pytestmark = pytest.mark.campaign
 

@@ -11,14 +11,11 @@ from atlases import SMALL, small_contents
 
 from benchmarks import truth
 from jaxstab import (
-    STABLE,
-    UNSTABLE,
     AtlasSpec,
     FittedAxis,
-    QueryStatus,
-    RegionStatus,
     ToleranceAxis,
     Velocity,
+    Verdict,
     build_atlas,
     plan_atlas,
     stable_region,
@@ -29,6 +26,7 @@ from jaxstab.atlas.compute.plan import compute_tile
 from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.write.resolution import estimate_build
+from jaxstab.results import QueryStatus, RegionStatus
 
 RADII = ("radius_kind", "radius_terms")
 ONE_SLICE = {"gamma": [0.001], "delta": [0.015], "products": ["verdict"]}
@@ -119,7 +117,9 @@ def test_fixed_parameters_are_not_gridded_and_the_atlas_answers_at_them(
     assert atlas.decided_fraction(1) > 0.9
     for index in np.flatnonzero(decided)[:60]:
         point = float(alpha[index]), float(beta[index]), 0.001, 0.015, 2.0
-        assert answer.verdict[index] == (UNSTABLE if truth.unstable_count(*point) else STABLE)
+        assert answer.verdict[index] == (
+            Verdict.UNSTABLE if truth.unstable_count(*point) else Verdict.STABLE
+        )
     with pytest.raises(ValueError, match="gamma is"):
         atlas.query(0.01, 0.1, gamma=0.0011, delta=0.015, delay=2.0)
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks import truth
-from jaxstab import AtlasSpec, FittedAxis, QueryStatus, build_atlas, spectral_radius
+from jaxstab import AtlasSpec, FittedAxis, build_atlas, spectral_radius
 from jaxstab.atlas.products.radii import radius_bounds
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import Velocity, as_keywords, known_filters
@@ -22,6 +22,7 @@ from jaxstab.proofs.radius_cells import (
     cell_polynomial,
     radius_surfaces,
 )
+from jaxstab.results import QueryStatus
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from campaign import many
 import jaxstab
 from benchmarks.truth import filtered
 from benchmarks.truth.filtered import FilteredLoop, Rational
-from jaxstab import STABLE, Guard, HandRange, HapticLoop, Velocity, build_guard
+from jaxstab import Guard, HandRange, HapticLoop, Velocity, Verdict, build_guard
 from jaxstab.guard.build import plan_guard
 
 Range = tuple[float, float]
@@ -132,12 +132,12 @@ def assert_nothing_unstable(scene: Scene, guard: Guard, seed: int, count: int) -
     numbers, granted = loops_at_limits(scene, guard, places)
     assert granted.any()
     codes = np.asarray(jaxstab.verdict(**numbers, **scene.loop.filters))[granted]
-    assert np.all(codes == STABLE)
+    assert np.all(codes == Verdict.STABLE)
     radius = np.asarray(jaxstab.spectral_radius(**numbers, **scene.loop.filters).value)
     for worst in np.argsort(np.where(granted, radius, 0.0))[-3:]:
         alpha, beta, gamma, delta, delay = (float(part[worst]) for part in numbers.values())
         truth = FilteredLoop(gamma, delta, delay, scene.velocity, filtered.average(1))
-        assert truth.code(alpha, beta) == STABLE
+        assert truth.code(alpha, beta) == Verdict.STABLE
 
 
 def test_31_10_a_steering_wheel_has_a_guard() -> None:

@@ -17,7 +17,7 @@ from programs_in_c import READER, compiled
 
 from benchmarks import truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
-from jaxstab import STABLE, UNDECIDED, UNSTABLE, Atlas, AtlasSpec, QueryStatus, open_atlas
+from jaxstab import Atlas, AtlasSpec, Verdict, open_atlas
 from jaxstab.atlas.format import schema as footer
 from jaxstab.atlas.format.schema import (
     SCHEMA_VERSION,
@@ -30,6 +30,7 @@ from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read.file import table_of
 from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
 from jaxstab.model import by_name
+from jaxstab.results import QueryStatus
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 GOLDEN = DATA / "golden" / "atlas-v3.h5"
@@ -117,7 +118,7 @@ def expected(atlas: Atlas, points: np.ndarray) -> Answers:
             code = atlas.verdict(**by_name(alpha, *hand))
         except ValueError:
             continue
-        if code == UNSTABLE or not np.isinf(answers.limits[place, [1, 3]]).all():
+        if code == Verdict.UNSTABLE or not np.isinf(answers.limits[place, [1, 3]]).all():
             answers.codes[place] = code  # elsewhere Python says that it does not know
     return answers
 
@@ -127,7 +128,7 @@ def test_the_points_are_of_all_kinds(expected: Answers) -> None:
     lower, _, upper, _ = expected.limits[expected.codes != OUTSIDE].T
     assert np.isnan(lower).sum() > 50  # no alpha is stable
     assert np.isinf(upper).sum() > 50  # the limit is beyond the atlas
-    for code in (OUTSIDE, STABLE, UNSTABLE, UNDECIDED):
+    for code in (OUTSIDE, Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNDECIDED):
         assert np.mean(expected.codes == code) > 0.04
 
 
@@ -147,8 +148,8 @@ def test_the_golden_atlas_is_read_today(
             answer = atlas.query(**by_name(*point))
             radius = _true_radius(point, is_windowed=golden == WINDOW)
             assert abs(answer.spectral_radius - radius) <= answer.radius_error
-            if answer.verdict != UNDECIDED:
-                assert (answer.verdict == STABLE) == (radius < 1)
+            if answer.verdict != Verdict.UNDECIDED:
+                assert (answer.verdict == Verdict.STABLE) == (radius < 1)
 
 
 def _true_radius(point: tuple[float, ...], *, is_windowed: bool) -> float:
@@ -296,9 +297,9 @@ def test_xarray_finds_named_coordinates(golden: Path, atlas: Atlas) -> None:
             gains = np.broadcast_arrays(*xarray.broadcast(plane.alpha, plane.beta))
             answer = atlas.query(*gains, gamma=gamma, delta=delta, delay=delay)
             assert np.all(answer.status == QueryStatus.NODE)
-            decided = np.asarray(plane.verdict != UNDECIDED)
+            decided = np.asarray(plane.verdict != Verdict.UNDECIDED)
             np.testing.assert_array_equal(answer.verdict[decided], plane.verdict.data[decided])
-        assert dataset.verdict.attrs["flag_meanings"].split()[STABLE] == "stable"
+        assert dataset.verdict.attrs["flag_meanings"].split()[Verdict.STABLE] == "stable"
 
 
 def test_an_atlas_in_memory_is_the_same_dataset(golden: Path, atlas: Atlas) -> None:

@@ -12,7 +12,7 @@ import pytest
 from commands import START, assert_one_sentence, run, run_process
 
 import jaxstab
-from jaxstab.guard.header import checked_name
+from jaxstab.guard.guard import checked_name
 from jaxstab.scene import Scene
 from jaxstab.tables import MOST_BYTES, MOST_LETTERS, checked_label
 
@@ -191,10 +191,10 @@ def test_issue_31_30_what_a_guard_is_about_stays_in_its_comment(
     about: str, guard: jaxstab.Guard
 ) -> None:
     with pytest.raises(ValueError, match="about is "):
-        jaxstab.guard_header(guard, "g", about)
+        guard.header("g", about)
     with pytest.raises(ValueError, match="units is "):
-        jaxstab.guard_header(guard, "g", "", ("kg", "N/m */ int injected; /*", "N s/m"))
-    header = jaxstab.guard_header(guard, "g", "two\nlines: /* and //")
+        guard.header("g", "", ("kg", "N/m */ int injected; /*", "N s/m"))
+    header = guard.header("g", "two\nlines: /* and //")
     assert " * two\n * lines: /* and //\n" in header
 
 

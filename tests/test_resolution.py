@@ -10,14 +10,12 @@ from campaign import many
 from click.testing import CliRunner
 
 from jaxstab import (
-    STABLE,
-    UNDECIDED,
     Atlas,
     AtlasSpec,
     FittedAxis,
-    ResolutionPlan,
     ToleranceAxis,
     Velocity,
+    Verdict,
     build_atlas,
     plan_atlas,
     plan_resolution,
@@ -30,6 +28,7 @@ from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.write import resolution
 from jaxstab.cli.main import main
 from jaxstab.model import by_name
+from jaxstab.results import ResolutionPlan
 
 SLICE = AtlasSpec(
     gamma=[0.0005], delta=[0.01], delay=[1.0], products=["alpha_limits"], limit_cells=64
@@ -107,7 +106,7 @@ def undecided_share(atlas: Atlas) -> float:
     """Return the undecided share of random points: at any delay, or where there are no limits at
     the delays of the atlas."""
     points = places(atlas)
-    return float(np.mean(atlas.verdict(**by_name(*points)) == UNDECIDED))
+    return float(np.mean(atlas.verdict(**by_name(*points)) == Verdict.UNDECIDED))
 
 
 def places(atlas: Atlas, count: int = 200_000) -> list[np.ndarray]:
@@ -160,7 +159,7 @@ def radius_error(atlas: Atlas) -> float:
     """Return what half of the bounds keep at points that are stable, by exact verdicts."""
     points = places(atlas, 40_000)
     errors = atlas.query(**by_name(*points)).radius_error
-    return float(np.median(errors[np.asarray(verdict(**by_name(*points))) == STABLE]))
+    return float(np.median(errors[np.asarray(verdict(**by_name(*points))) == Verdict.STABLE]))
 
 
 @pytest.fixture(scope="module")

@@ -19,10 +19,11 @@ from benchmarks.truth.march import (
     march_on_a_fine_grid,
     march_through_filters,
 )
-from jaxstab import HapticLoop, SettlingStatus, Velocity
+from jaxstab import HapticLoop, Velocity
 from jaxstab.model import by_name
 from jaxstab.motion.response import Loops
 from jaxstab.motion.settling import positions
+from jaxstab.results import SettlingStatus
 
 LONG = 4000  # samples, enough for every loop below to come to rest
 
@@ -92,7 +93,7 @@ class TestSettling:
         found = jaxstab.settling_samples(alpha, beta, gamma=0.0, delta=0.0, delay=1.0)
         stable = (
             np.asarray(jaxstab.verdict(alpha, beta, gamma=0.0, delta=0.0, delay=1.0))
-            == jaxstab.STABLE
+            == jaxstab.Verdict.STABLE
         )
         alpha, beta = np.broadcast_arrays(alpha, beta)
         alpha, beta = alpha[stable], beta[stable]

@@ -280,7 +280,7 @@ def test_issue_31_22_the_code_of_one_wall_prints_its_name(
         assert repr(verdict + 0) == f"np.int8({int(expected)})"
         assert jnp.asarray(verdict).dtype == jnp.int8
     radius = PLAIN.spectral_radius(*wall)
-    assert repr(radius.status) == repr(jaxstab.RadiusStatus.PROVED)
+    assert repr(radius.status) == repr(jaxstab.results.RadiusStatus.PROVED)
     many = PLAIN.verdict(np.array([wall[0]]), wall[1])
     assert repr(many) == f"array([{int(expected)}], dtype=int8)"
 
@@ -291,8 +291,8 @@ def test_issue_31_22_settling_times_print_in_ms_and_samples() -> None:
     samples = jaxstab.settling_samples(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)
     assert repr(samples) == f"Settling: {samples.value:g} samples (settled)"
     never = WINDOW.settling_time(1e6, 10.0)
-    assert repr(never) == f"Settling: {jaxstab.SettlingStatus.UNSTABLE.words}"
-    assert repr(never.status) == repr(jaxstab.SettlingStatus.UNSTABLE)
+    assert repr(never) == f"Settling: {jaxstab.results.SettlingStatus.UNSTABLE.words}"
+    assert repr(never.status) == repr(jaxstab.results.SettlingStatus.UNSTABLE)
     many = WINDOW.settling_time([1000.0, 1500.0, 1e6], 10.0)
     low, high = 1e3 * np.array(many.value[:2])
     assert repr(many) == f"Settling of 3 loops: {low:g} to {high:g} ms (2 settled, 1 unstable)"

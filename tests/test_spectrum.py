@@ -11,7 +11,7 @@ from mpmath import mp, mpf
 
 import jaxstab
 from benchmarks import truth
-from jaxstab.conventions import RadiusStatus
+from jaxstab.conventions import AXES, RadiusStatus, Verdict
 from jaxstab.model import by_name
 from jaxstab.point import grid
 
@@ -25,7 +25,7 @@ def reference_scenes() -> dict[tuple[float, ...], list[mpf]]:
     lines = (REFERENCE / "roots.tsv").read_text().splitlines()
     scenes: dict[tuple[float, ...], list[mpf]] = {}
     for row in csv.DictReader((x for x in lines if x[0] != "#"), delimiter="\t"):
-        key = tuple(float(row[axis]) for axis in jaxstab.AXES)
+        key = tuple(float(row[axis]) for axis in AXES)
         scenes.setdefault(key, []).append(mpf(row["modulus"]))
     return scenes
 
@@ -135,20 +135,20 @@ class TestSpectralRadius:
             )
 
 
-class TestIsStable:
+class TestStableSet:
     def test_knows_the_exact_set_of_the_undamped_mass(self, rng: np.random.Generator) -> None:
         beta = rng.uniform(0.01, 1.99, 500)
         alpha = rng.uniform(-0.2, 1.0, 500)
         inside = (alpha > 0) & (alpha < 2 * beta * (2 - beta) / (beta + 2))
         np.testing.assert_array_equal(
-            jaxstab.is_stable(alpha, beta, gamma=0.0, delta=0.0, delay=0), inside
+            jaxstab.verdict(alpha, beta, gamma=0.0, delta=0.0, delay=0) == Verdict.STABLE, inside
         )
 
     def test_a_marginal_loop_is_not_stable(self) -> None:
-        assert not jaxstab.is_stable(0.0, 0.5, gamma=0.0, delta=0.0, delay=0)
+        assert jaxstab.verdict(0.0, 0.5, gamma=0.0, delta=0.0, delay=0) != Verdict.STABLE
 
 
-class TestSweep:
+class TestEvaluateGrid:
     def test_a_grid_larger_than_its_chunks_gives_the_same_numbers(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -161,7 +161,9 @@ class TestSweep:
         axes = np.ix_([0.01, 0.1], [0.1, 0.3, 0.5], [1e-3], [0.0, 0.01], [1.0])
         whole = np.ravel(jaxstab.spectral_radius(**by_name(*axes)).value)
         seen = np.zeros_like(whole)
-        for points, part in jaxstab.sweep(jaxstab.spectral_radius, **by_name(*axes), chunk=5):
+        for points, part in jaxstab.evaluate_grid(
+            jaxstab.spectral_radius, **by_name(*axes), chunk=5
+        ):
             assert points.stop - points.start <= 5
             seen[points] = part.value
         np.testing.assert_array_equal(seen, whole)
@@ -169,7 +171,7 @@ class TestSweep:
     def test_a_billion_points_need_no_memory_before_they_are_asked_for(self) -> None:
         axis = np.linspace(0.01, 0.1, 1000)
         axes = np.ix_(axis, axis, axis, [0.0], [0.0])
-        points, part = next(jaxstab.sweep(jaxstab.is_stable, **by_name(*axes), chunk=100))
+        points, part = next(jaxstab.evaluate_grid(jaxstab.verdict, **by_name(*axes), chunk=100))
         assert (points, part.shape) == (slice(0, 100), (100,))
 
     @pytest.mark.campaign
@@ -188,7 +190,9 @@ class TestSweep:
     @pytest.mark.parametrize("chunk", [0, -3])
     def test_refuses_an_empty_chunk(self, chunk: int) -> None:
         with pytest.raises(ValueError, match="chunk is"):
-            jaxstab.sweep(jaxstab.is_stable, 0.1, 0.1, gamma=0.0, delta=0.0, delay=0, chunk=chunk)
+            jaxstab.evaluate_grid(
+                jaxstab.verdict, 0.1, 0.1, gamma=0.0, delta=0.0, delay=0, chunk=chunk
+            )
 
 
 @pytest.mark.parametrize("method", ["fast", "companion"])

@@ -8,8 +8,9 @@ from mpmath import mp
 
 from benchmarks import truth
 from jaxstab import HapticLoop
+from jaxstab.paper import minus_line
 from jaxstab.proofs.exclusion import Loops, exclude
-from jaxstab.region import boundary_curve, minus_line
+from jaxstab.region import boundary_curve
 from jaxstab.region.corners import Branch
 from jaxstab.trace import TraceStatus, trace_boundary
 

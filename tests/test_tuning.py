@@ -13,8 +13,8 @@ from mpmath import mp, mpf
 import jaxstab
 from benchmarks import truth
 from benchmarks.truth.march import HELD, PHANTOM
-from jaxstab import TuningStatus
 from jaxstab.model import by_name
+from jaxstab.results import TuningStatus
 
 LEAST_RADII = (0.587401, 0.752114, 0.824656, 0.864687, 0.889931, 0.907271)  # gamma = delta = 0
 LARGEST_ALPHAS = (12 - 8 * math.sqrt(2), 0.14447, 0.06243, 0.03478)
@@ -40,7 +40,7 @@ def radii(plant: Plant, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     return np.abs(np.linalg.eigvals(companion)).max(-1)
 
 
-def multiple_root(plant: Plant, near: jaxstab.OptimalGains, angle: float) -> list[mpf]:
+def multiple_root(plant: Plant, near: jaxstab.results.OptimalGains, angle: float) -> list[mpf]:
     """alpha, beta and the radius of the triple real root or the double pair, to 40 digits."""
     with mp.workdps(60):
         base, stiff, damp = exact_family(plant)
@@ -264,7 +264,7 @@ def settled_mass(alpha: np.ndarray, beta: np.ndarray, delay: int, length: int) -
 
 
 @pytest.fixture(scope="module")
-def best() -> list[jaxstab.OptimalGains]:
+def best() -> list[jaxstab.results.OptimalGains]:
     """The gains of least settling for the undamped mass, by delay."""
     return [jaxstab.minimize_settling(gamma=0.0, delta=0.0, delay=delay) for delay in range(4)]
 
@@ -272,20 +272,20 @@ def best() -> list[jaxstab.OptimalGains]:
 class TestMinimizeSettling:
     @pytest.mark.campaign
     def test_grows_by_about_5_samples_per_sample_of_delay(
-        self, best: list[jaxstab.OptimalGains]
+        self, best: list[jaxstab.results.OptimalGains]
     ) -> None:
         samples = [float(gains.value) for gains in best]
         assert all(4 <= b - a <= 6 for a, b in itertools.pairwise(samples))
         assert (samples[-1] - samples[0]) / 3 == pytest.approx(5, abs=0.5)
 
     def test_needs_less_than_half_of_the_largest_stable_stiffness(
-        self, best: list[jaxstab.OptimalGains]
+        self, best: list[jaxstab.results.OptimalGains]
     ) -> None:
         for gains, largest in zip(best, LARGEST_ALPHAS, strict=True):
             assert 0 < float(gains.alpha) < largest / 2
 
     def test_is_reached_and_not_beaten_by_brute_force(
-        self, best: list[jaxstab.OptimalGains]
+        self, best: list[jaxstab.results.OptimalGains]
     ) -> None:
         for delay, gains in enumerate(best):
             alpha, beta, samples = (np.asarray(x) for x in gains[:3])
@@ -300,7 +300,9 @@ class TestMinimizeSettling:
         assert float(gains.alpha) == 0.3
         assert float(gains.value) == brute.min()
 
-    def test_of_an_impact_is_slower_than_of_a_push(self, best: list[jaxstab.OptimalGains]) -> None:
+    def test_of_an_impact_is_slower_than_of_a_push(
+        self, best: list[jaxstab.results.OptimalGains]
+    ) -> None:
         gains = jaxstab.minimize_settling(gamma=0.0, delta=0.0, delay=1, excitation="impact")
         proved = jaxstab.settling_samples(
             *gains[:2], gamma=0.0, delta=0.0, delay=1, excitation="impact"

@@ -8,7 +8,8 @@ import pytest
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
 from benchmarks.tuning import radii
-from jaxstab import Device, HapticLoop, TuningStatus, Velocity
+from jaxstab import Device, HapticLoop, Velocity
+from jaxstab.results import TuningStatus
 
 PERIOD = 1e-3
 WINDOW = Velocity.difference(samples=5)

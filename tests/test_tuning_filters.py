@@ -12,8 +12,9 @@ from matplotlib.path import Path
 import jaxstab
 from benchmarks.truth import filtered as truth
 from benchmarks.tuning import descent, radii
-from jaxstab import Filter, TuningStatus, Velocity
+from jaxstab import Filter, Velocity
 from jaxstab.model import by_name
+from jaxstab.results import TuningStatus
 
 WINDOW = {"velocity": Velocity.difference(samples=20)}
 LOW_PASS = {"velocity": Velocity.low_pass(0.05, order=2)}
@@ -96,7 +97,7 @@ class TestMinimizeRadius:
         best = jaxstab.minimize_radius(**by_name(*plant), **filters)
         assert int(best.status) == TuningStatus.ISLAND
         wall = float(best.alpha), float(best.beta)
-        assert int(jaxstab.verdict(*wall, **by_name(*plant), **filters)) == jaxstab.STABLE
+        assert int(jaxstab.verdict(*wall, **by_name(*plant), **filters)) == jaxstab.Verdict.STABLE
 
     def test_a_window_of_one_sample_is_the_loop_of_the_paper(self) -> None:
         plain = jaxstab.minimize_radius(gamma=1e-3, delta=0.015, delay=1.5)

@@ -12,7 +12,7 @@ from mpmath import mp
 from benchmarks import truth
 from benchmarks.truth.balls import ExactPlant, moduli, true_code
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
-from jaxstab import STABLE, UNDECIDED, UNSTABLE, characteristic_polynomial, verdict
+from jaxstab import Verdict, characteristic_polynomial, verdict
 from jaxstab.point.radius import radius_error
 
 DELAYS = (0.0, 0.25, 1.0, 1.5, 2.0, 2.75, 5.0, 7.3, 8.0, 20.0, 33.0, 59.5, 60.0)
@@ -38,7 +38,7 @@ def test_no_verdict_is_wrong_however_close_to_the_boundary(
         )
         for a, b, *codes in zip(alpha, beta, quick, exact, strict=True):
             true = true_code(plant.polynomial(a, b, delay))
-            assert set(codes) <= {true, UNDECIDED}, (a, b, gamma, delta, delay, codes, true)
+            assert set(codes) <= {true, Verdict.UNDECIDED}, (a, b, gamma, delta, delay, codes, true)
 
 
 @pytest.mark.parametrize(("delay", "band"), [(0.0, 1e-13), (1.0, 1e-12), (5.0, 1e-11)])
@@ -52,7 +52,7 @@ def test_the_undecided_band_is_narrow_and_closes_when_resolved(
     for distance, resolve, share in ((band, None, 0.1), (1e-14, "exact", 0.0)):
         both = np.stack([alpha * (1 - distance), alpha * (1 + distance)])
         codes = np.asarray(verdict(both, beta, **HAPTIC, delay=delay, resolve=resolve))
-        assert np.mean(codes == UNDECIDED) <= share
+        assert np.mean(codes == Verdict.UNDECIDED) <= share
     assert np.all(codes[0] != codes[1])
 
 
@@ -67,7 +67,9 @@ def test_the_undamped_free_device_without_delay_has_the_known_stable_set(
     for a, b, code in zip(alpha, beta, codes, strict=True):
         a, b = Fraction(a), Fraction(b)
         limit = 2 * b * (2 - b) / (b + 2)
-        assert code == (UNDECIDED if a == limit else STABLE if a < limit else UNSTABLE)
+        assert code == (
+            Verdict.UNDECIDED if a == limit else Verdict.STABLE if a < limit else Verdict.UNSTABLE
+        )
 
 
 @pytest.mark.parametrize("resolve", [None, "exact"])
@@ -75,14 +77,17 @@ def test_a_root_at_one_stays_undecided(resolve: str | None) -> None:
     codes = verdict(
         -1e-3, np.linspace(0.1, 0.5, 9), gamma=1e-3, delta=0.015, delay=DELAY_OF_MANY[:, None]
     )
-    assert np.all((codes == UNDECIDED) | (codes == UNSTABLE))
-    assert verdict(-1e-3, 0.1, gamma=1e-3, delta=0.015, delay=0.0, resolve=resolve) == UNDECIDED
+    assert np.all((codes == Verdict.UNDECIDED) | (codes == Verdict.UNSTABLE))
+    assert (
+        verdict(-1e-3, 0.1, gamma=1e-3, delta=0.015, delay=0.0, resolve=resolve)
+        == Verdict.UNDECIDED
+    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.5, 40.0])
 @pytest.mark.parametrize("gains", [(1e150, 0.1), (-1e150, 0.1), (0.1, 1e150), (1e150, -1e150)])
 def test_enormous_gains_are_unstable(gains: tuple[float, float], delay: float) -> None:
-    assert verdict(*gains, gamma=1e-3, delta=0.015, delay=delay) == UNSTABLE
+    assert verdict(*gains, gamma=1e-3, delta=0.015, delay=delay) == Verdict.UNSTABLE
 
 
 def test_every_delay_of_an_array_gets_the_verdict_of_its_own(rng: np.random.Generator) -> None:
@@ -107,11 +112,13 @@ def test_the_verdict_of_a_large_grid_is_that_of_its_points(rng: np.random.Genera
 def test_the_verdict_goes_through_jit_and_vmap(transform: Callable[..., Callable]) -> None:
     alpha, beta = jnp.array([0.02, 0.3]), jnp.array([0.2, 0.2])
     codes = transform(lambda a, b: verdict(a, b, gamma=1e-3, delta=0.015, delay=1.0))(alpha, beta)
-    np.testing.assert_array_equal(codes, [STABLE, UNSTABLE])
+    np.testing.assert_array_equal(codes, [Verdict.STABLE, Verdict.UNSTABLE])
 
 
 def test_the_verdict_of_numbers_may_be_asked_for_inside_of_jit() -> None:
-    assert jax.jit(lambda: verdict(0.02, 0.2, gamma=1e-3, delta=0.015, delay=1.0))() == STABLE
+    assert (
+        jax.jit(lambda: verdict(0.02, 0.2, gamma=1e-3, delta=0.015, delay=1.0))() == Verdict.STABLE
+    )
 
 
 def test_an_unknown_way_to_resolve_is_refused() -> None:

@@ -5,7 +5,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxstab import Device, Filter, HandRange, HapticLoop, Mode, Velocity, Verdict, common_region
+from jaxstab import (
+    Device,
+    Filter,
+    HandRange,
+    HapticLoop,
+    Mode,
+    Velocity,
+    Verdict,
+    common_region,
+)
 
 WASHED = HapticLoop(
     device=Device.transfer_function([1.0, 0.0], [1.0, 20.0, 500.0]), sample_time=1e-3, delay=1e-3
@@ -37,13 +46,13 @@ def test_its_walls_have_verdicts_radii_and_margins() -> None:
     margins = WASHED.margins(60.0, 0.0)
     assert margins.verdict == Verdict.STABLE
     least, most = margins.stiffness
-    assert WASHED.is_stable(least + 1e-6 * abs(least), 0.0)
+    assert WASHED.verdict(least + 1e-6 * abs(least), 0.0) == Verdict.STABLE
     for gain in (least - 1e-4 * abs(least), most * (1.0 + 1e-4)):
         assert WASHED.verdict(gain, 0.0) == Verdict.UNSTABLE
     later = HapticLoop(
         device=WASHED.device, sample_time=1e-3, delay=1e-3 + 0.999 * float(margins.extra_delay)
     )
-    assert later.is_stable(60.0, 0.0)
+    assert later.verdict(60.0, 0.0) == Verdict.STABLE
     assert np.isinf(WASHED.margins(10.0, 0.0).extra_delay)  # |K G| < 1 at all frequencies
     mode = WASHED.oscillation(60.0, 0.0)
     radius = float(WASHED.spectral_radius(60.0, 0.0).value)

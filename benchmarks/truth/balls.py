@@ -5,7 +5,7 @@ from typing import NamedTuple
 import flint
 
 from benchmarks import truth
-from jaxstab import STABLE, UNDECIDED, UNSTABLE
+from jaxstab import Verdict
 
 
 class ExactPlant(NamedTuple):
@@ -74,17 +74,17 @@ def true_code(coefficients: list[flint.arb]) -> int:
     """UNDECIDED where a root is on the circle, as far as 360 digits can tell."""
     for bits in (160, 400, 1200):
         balls = moduli(coefficients, bits)
-        code = UNDECIDED if balls is None else code_of(balls)
-        if code != UNDECIDED:
+        code = Verdict.UNDECIDED if balls is None else code_of(balls)
+        if code != Verdict.UNDECIDED:
             return code
-    return UNDECIDED
+    return Verdict.UNDECIDED
 
 
 def code_of(moduli: list[flint.arb]) -> int:
     """The verdict that follows from the moduli of all roots."""
     if any(modulus > 1 for modulus in moduli):
-        return UNSTABLE
-    return STABLE if all(modulus < 1 for modulus in moduli) else UNDECIDED
+        return Verdict.UNSTABLE
+    return Verdict.STABLE if all(modulus < 1 for modulus in moduli) else Verdict.UNDECIDED
 
 
 def are_roots_inside(coefficients: list[flint.arb]) -> bool | None:

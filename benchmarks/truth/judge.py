@@ -12,7 +12,7 @@ import numpy as np
 import jaxstab
 from benchmarks import eigenvalues, truth
 from benchmarks.truth.balls import ExactPlant, code_of
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 
 CERTIFIED = ("verdict", "verdict, exact", "spectral_radius", "spectral_radius, companion")
@@ -93,7 +93,11 @@ def answers_of(loops: Loops) -> dict[str, Answer]:
     for name, method in (("spectral_radius", "fast"), ("spectral_radius, companion", "companion")):
         radius = jaxstab.spectral_radius(**by_name(*points[:4], loops.delay), method=method)
         value, bound = np.asarray(radius.value), np.asarray(radius.error)
-        code = np.where(value + bound < 1, STABLE, np.where(value - bound > 1, UNSTABLE, UNDECIDED))
+        code = np.where(
+            value + bound < 1,
+            Verdict.STABLE,
+            np.where(value - bound > 1, Verdict.UNSTABLE, Verdict.UNDECIDED),
+        )
         found[name] = Answer(code, value, bound)
     exact = jaxstab.characteristic_polynomial(
         alpha, beta, gamma=gamma, delta=delta, delay=loops.delay
@@ -107,9 +111,11 @@ def answers_of(loops: Loops) -> dict[str, Answer]:
 
 
 def judged(answer: Answer, truth: Truth) -> Judgement:
-    undecided = answer.code == UNDECIDED
+    undecided = answer.code == Verdict.UNDECIDED
     # UNSTABLE also holds with a root on the circle, which leaves the truth undecided.
-    fits = (answer.code == truth.code) | ((answer.code == UNSTABLE) & (truth.code == UNDECIDED))
+    fits = (answer.code == truth.code) | (
+        (answer.code == Verdict.UNSTABLE) & (truth.code == Verdict.UNDECIDED)
+    )
     wrong = ~undecided & ~fits & np.isfinite(truth.distance)
     claims = np.isfinite(answer.bound) & np.isfinite(truth.radius)
     with np.errstate(all="ignore"):
@@ -135,7 +141,7 @@ class _Plants(dict[int, ExactPlant]):
 def _true(plants: _Plants, alpha: float, beta: float) -> tuple[int, float, float, float]:
     moduli = _moduli(plants, alpha, beta)
     if not moduli:
-        return UNDECIDED, np.nan, np.nan, np.nan
+        return Verdict.UNDECIDED, np.nan, np.nan, np.nan
     largest = _largest(moduli)
     with flint.ctx.workprec(max(_BITS)):
         radius, rest = np.nan, np.nan
@@ -144,7 +150,7 @@ def _true(plants: _Plants, alpha: float, beta: float) -> tuple[int, float, float
             rest = float((largest - radius).mid())
         distance = min(abs(float((modulus - 1).mid())) for modulus in moduli)
     code = code_of(moduli)
-    if code == UNDECIDED and alpha != -plants.plant[0]:
+    if code == Verdict.UNDECIDED and alpha != -plants.plant[0]:
         distance = np.nan  # by too few digits: whether a root is on the circle is not known
     return code, radius, rest, distance
 
@@ -174,4 +180,6 @@ def _largest(moduli: list[flint.arb]) -> flint.arb:
 
 def _by_roots(coefficients: np.ndarray) -> Answer:
     radius = eigenvalues.radius(coefficients)
-    return Answer(np.where(radius < 1, STABLE, UNSTABLE), radius, np.full(radius.size, np.nan))
+    return Answer(
+        np.where(radius < 1, Verdict.STABLE, Verdict.UNSTABLE), radius, np.full(radius.size, np.nan)
+    )

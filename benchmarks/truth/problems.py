@@ -15,7 +15,7 @@ from mpmath import mp, mpc, mpf
 
 from benchmarks import truth
 from benchmarks.truth.balls import ExactPlant, true_code
-from jaxstab import STABLE, UNDECIDED, UNSTABLE
+from jaxstab import Verdict
 
 Point = tuple[float, float, float, float, float]
 
@@ -182,12 +182,12 @@ def _multiple_roots() -> Iterator[Problem]:
         gains = float(6 * r**2 - 2), float(2 * r**3)
     tags = frozenset({"multiple", "triple"})
     name = "triple root, the smallest radius of a free device"
-    yield Problem(name, why, tags, (*gains, 0.0, 0.0, 0.0), mpc(r), 3, STABLE)
+    yield Problem(name, why, tags, (*gains, 0.0, 0.0, 0.0), mpc(r), 3, Verdict.STABLE)
     # Gains of a double root so near to the triple one that all three move like it.
     for delay, radius in ((1.0, 0.752114), (2.0, 0.824656), (5.0, 0.907271)):
         point = (*gains_of_root(mpc(radius), 0.0, 0.0, delay, 2), 0.0, 0.0, delay)
         name = f"nearly triple root, delay {delay:g}"
-        yield Problem(name, why, frozenset({"multiple"}), point, mpc(radius), 3, STABLE)
+        yield Problem(name, why, frozenset({"multiple"}), point, mpc(radius), 3, Verdict.STABLE)
     for delay, plant in ((0.0, (1e-3, 0.015)), (0.5, (1e-3, 0.015)), (1.0, (0.5, 0.1))):
         for radius in (0.9, -0.8, 1.0 - 1e-9):
             gains = gains_of_root(mpc(radius), *plant, delay, 2)
@@ -202,7 +202,7 @@ def _without_wall() -> Iterator[Problem]:
         point = (0.0, 0.0, 0.5, 0.2, delay)
         root = mp.exp(-mpf(0.1) + mpc(0, 1) * mp.sqrt(mpf(0.5) - mpf(0.2) ** 2 / 4))
         tags = frozenset({"no wall"})
-        yield Problem(f"no wall, delay {delay:g}", why, tags, point, root, code=STABLE)
+        yield Problem(f"no wall, delay {delay:g}", why, tags, point, root, code=Verdict.STABLE)
     why = "alpha or beta alone is 0: coefficients vanish, roots at zero"
     tags = frozenset({"no wall"})
     yield Problem("stiffness alone, delay 2", why, tags, (0.01, 0.0, 1e-3, 0.5, 2.0))
@@ -215,15 +215,15 @@ def _on_circle() -> Iterator[Problem]:
     for gamma, delay in ((1e-3, 0.0), (1e-3, 1.0), (0.5, 2.0), (0.0, 0.5)):
         name = f"root at z = 1, gamma {gamma:g}, delay {delay:g}"
         point = (-gamma, 0.3, gamma, 0.015, delay)
-        yield Problem(name, why, tags, point, mpc(1), code=UNDECIDED)
+        yield Problem(name, why, tags, point, mpc(1), code=Verdict.UNDECIDED)
     # gamma = delta = 0, delay 1/2: alpha + 2 beta = w(-1) = -8, in exact numbers.
     point = (-9.0, 0.5, 0.0, 0.0, 0.5)
-    yield Problem("root at z = -1", why, tags, point, mpc(-1), code=UNSTABLE)
+    yield Problem("root at z = -1", why, tags, point, mpc(-1), code=Verdict.UNSTABLE)
     name = "undamped plant without wall"
     point = (0.0, 0.0, 0.5, 0.0, 1.0)
-    yield Problem(name, why, tags, point, mp.expj(mp.sqrt(mpf(0.5))), code=UNDECIDED)
+    yield Problem(name, why, tags, point, mp.expj(mp.sqrt(mpf(0.5))), code=Verdict.UNDECIDED)
     name = "free device without wall: a double root at 1"
-    yield Problem(name, why, tags | {"multiple"}, (0.0,) * 5, mpc(1), 2, UNDECIDED)
+    yield Problem(name, why, tags | {"multiple"}, (0.0,) * 5, mpc(1), 2, Verdict.UNDECIDED)
 
 
 def _near_circle() -> Iterator[Problem]:
@@ -236,7 +236,7 @@ def _near_circle() -> Iterator[Problem]:
             point = (_up(alpha, ulps), beta, *haptic, delay)
             yield Problem(name, why, frozenset({"boundary"}), point, mp.expj(mpf(theta)))
     why = "one ulp beside the line of a root at z = 1"
-    for side, code in ((1, STABLE), (-1, UNSTABLE)):
+    for side, code in ((1, Verdict.STABLE), (-1, Verdict.UNSTABLE)):
         point = (_up(-1e-3, side), 0.3, *haptic, 0.0)
         yield Problem(f"line z = 1, {side:+d} ulp", why, frozenset({"boundary"}), point, code=code)
 
@@ -258,7 +258,7 @@ def _gains() -> Iterator[Problem]:
     for alpha, beta in ((1e150, 0.1), (-1e150, 0.1), (0.1, 1e150), (1e150, -1e150), (1e100, 1e-3)):
         point = (alpha, beta, *plant, 1.0)
         name = f"gains {alpha:g}, {beta:g}"
-        yield Problem(name, why, frozenset({"huge"}), point, code=UNSTABLE)
+        yield Problem(name, why, frozenset({"huge"}), point, code=Verdict.UNSTABLE)
     for alpha, beta in ((5e-324, 5e-324), (1e-300, 0.1), (0.05, 1e-300)):
         name = f"gains {alpha:g}, {beta:g}"
         yield Problem(name, why, frozenset({"denormal"}), (alpha, beta, *plant, 0.0))

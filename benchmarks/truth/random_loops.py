@@ -66,7 +66,7 @@ class MassLoop:
     def spectral_radius(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
         return jaxstab.spectral_radius(alpha, beta, **by_name(*self.plant), **self._named)
 
-    def region(self) -> jaxstab.StableRegion:
+    def region(self) -> jaxstab.results.StableRegion:
         return jaxstab.stable_region(**by_name(*self.plant), **self._named)
 
     @property
@@ -112,7 +112,7 @@ class DeviceLoop:
     def spectral_radius(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
         return linear_spectral_radius(alpha, beta, self._loop)
 
-    def region(self) -> jaxstab.StableRegion:
+    def region(self) -> jaxstab.results.StableRegion:
         transfers = self.sampled.transfers(self.filters[:2])
         return linear_region(self.sampled.plant, *transfers, tolerance=1e-6)
 

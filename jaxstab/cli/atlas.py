@@ -20,7 +20,7 @@ from jaxstab.cli.options import (
 )
 from jaxstab.cli.scene import scene_of, warn
 from jaxstab.cli.untrusted import careful
-from jaxstab.conventions import STABLE
+from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas
@@ -188,7 +188,7 @@ def _example(opened: "Atlas") -> dict[str, float]:
     )
     gamma, delta = point["gamma"], point["delta"]
     codes = opened.verdict(alpha[:, None], beta, gamma=gamma, delta=delta, delay=delay)
-    i, j = (codes == STABLE).nonzero()
+    i, j = (codes == Verdict.STABLE).nonzero()
     if i.size:
         centre = i.size // 2
         point |= {"alpha": float(alpha[i[centre]]), "beta": float(beta[j[centre]])}

@@ -64,7 +64,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     scene = scene_of(given)
     warn(*scene.unusual())
     from jaxstab.durable import publish
-    from jaxstab.guard.header import checked_name
+    from jaxstab.guard.guard import checked_name
     from jaxstab.scene.guard import guard_about, guard_plan, header_of, scene_guard
 
     name = checked_name(output.stem)  # before the proof, which takes long

@@ -13,7 +13,7 @@ import click
 import jaxstab
 from jaxstab.cli.options import keep_programs, png_file
 from jaxstab.cli.untrusted import careful
-from jaxstab.conventions import AXES, STABLE, Verdict
+from jaxstab.conventions import AXES, Verdict
 from jaxstab.tables import parsed, text_of
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def query(
     )
     stated = {"inputs": _made_of(opened), "units": dict.fromkeys([*AXES, *_RADIUS], "1")}
     _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form, stated)
-    return 0 if (answer.verdict == STABLE).all() else 1
+    return 0 if (answer.verdict == Verdict.STABLE).all() else 1
 
 
 @click.command()

@@ -50,7 +50,7 @@ def region(
 ) -> None:
     """Measure the stable region in the (alpha, beta) plane, and draw it."""
     from jaxstab.model import Velocity
-    from jaxstab.paper import region_facts
+    from jaxstab.paper.facts import region_facts
 
     with at_work(f"region of a loop with {delay:g} samples of delay"):
         facts = region_facts(gamma=gamma, delta=delta, delay=delay, radius=radius)

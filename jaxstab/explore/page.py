@@ -5,6 +5,7 @@ from importlib.resources import files
 from math import isfinite
 from typing import Any
 
+from jaxstab.model.filters import NO_FILTER
 from jaxstab.scene import Scene
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import Hand, Units, VelocityTable, software_presets
@@ -145,15 +146,9 @@ def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
     """Return the estimator of a scene, or of a software, by the page's own names."""
     window = None if table is None else table.window
     samples = None if table is None else table.window_samples
-    return {
-        "window": samples or (1 if window is None else max(1, round(window / period))),
-        "cutoff": (table and table.cutoff) or 0.0,
-        "order": (table and table.order) or 1,
-        "kind": (table and table.kind) or "low-pass",
-        "factor": (table and table.factor) or 1.0,
-        "numerator": table and table.numerator,
-        "denominator": table and table.denominator,
-    }
+    length = samples or (1 if window is None else max(1, round(window / period)))
+    given = {key: getattr(table, key, None) or usual for key, usual in NO_FILTER.items()}
+    return {"window": length, **given}
 
 
 def _index_of(table: VelocityTable | None) -> int | None:
@@ -164,7 +159,7 @@ def _index_of(table: VelocityTable | None) -> int | None:
 
 def _software() -> list[dict[str, Any]]:
     """Return the velocity estimators of software, as far as their makers document them."""
-    keys = ("window", "cutoff", "order", "kind", "factor", "numerator", "denominator")
+    keys = ("window", *NO_FILTER)
     known = {name: preset.values(keys) for name, preset in software_presets().items()}
     plain: list[dict[str, Any]] = [{"title": "the difference over one sample, as in the paper"}]
     return plain + [{"title": name, **values} for name, values in known.items() if values]

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Numbers
-from jaxstab.conventions import UNDECIDED, Verdict
+from jaxstab.conventions import Verdict
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import TOLERANCE, Gains, WallRegion, wall_region
 from jaxstab.model import Device, Hand, checked_gain
@@ -136,8 +136,7 @@ class LoopsBetween:
         """Return proved codes of ``Verdict`` for walls and all of the loops.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             STABLE where a wall is proved stable in every loop between the two, UNSTABLE where one
@@ -162,8 +161,7 @@ class LoopsBetween:
         """Return whether a wall is stable in all of the loops, and the worst that was found.
 
         Args:
-            stiffness: K in N/m.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             WorstLoop; UNDECIDED where all loops that were tried are stable, but not all others
@@ -200,7 +198,7 @@ class LoopsBetween:
         loop = self.loop(share)
         if code != Verdict.STABLE:
             own = int(loop.verdict(*wall))
-            code = own if own == Verdict.UNSTABLE else UNDECIDED
+            code = own if own == Verdict.UNSTABLE else Verdict.UNDECIDED
         return WorstLoop(Verdict(code), loop, share, radii[share])
 
     def robust_limit(self) -> RobustLimit:
@@ -398,7 +396,7 @@ def robust_limit(between: "LoopsBetween") -> RobustLimit:
         if roots is None:
             break
         if np.isinf(roots.low[0]):
-            is_stable = bool(between.first.is_stable(*wall[0]))
+            is_stable = bool(between.first.verdict(*wall[0]) == Verdict.STABLE)
             return found._replace(is_proved=is_stable)
         if not tried.refine(roots.low):
             pulls.pop(0)
@@ -498,7 +496,7 @@ class LoopsWithHands:
         left = self._unproved(wall)
         if left is None:
             if self._between is None:
-                return worst._replace(verdict=UNDECIDED)
+                return worst._replace(verdict=Verdict.UNDECIDED)
             code, loop, _, radius = self._between.worst_loop(*wall)
             return WorstHand(code, loop, radius)
         if not len(left):
@@ -507,7 +505,7 @@ class LoopsWithHands:
         some = left[np.arange(count) * len(left) // count]
         found = _worst_of([self._held(row) for row in some], wall)
         is_known = found.verdict == Verdict.UNSTABLE
-        return found if is_known else worst._replace(verdict=UNDECIDED)
+        return found if is_known else worst._replace(verdict=Verdict.UNDECIDED)
 
     def robust_limit(self) -> RobustLimit:
         """Return the stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""

@@ -76,8 +76,7 @@ class CommonRegion:
         """Return proved codes of ``Verdict`` for walls in all of the loops together.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             STABLE where a wall is proved stable in every loop, outside the outline too; UNSTABLE
@@ -105,8 +104,7 @@ class CommonRegion:
         """Return where walls are proved stable in every loop; see ``verdict``.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Raises:
             ValueError: a gain is infinite or NaN.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Complex128, Float64, Int8
+from jaxtyping import Complex128, Float64, Int8
 
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
@@ -37,7 +37,7 @@ class HapticLoop(LoopParameters):
 
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
     there is a filter, and B times the estimated velocity. The loop answers questions by methods:
-    about a wall (K, B) ``verdict``, ``is_stable``, ``spectral_radius``, ``poles``, ``margins``,
+    about a wall (K, B) ``verdict``, ``spectral_radius``, ``poles``, ``margins``,
     ``settling_time``, ``oscillation``, ``simulate``; about all walls ``region``, ``limits``,
     ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; about all hands
     ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
@@ -188,8 +188,7 @@ class HapticLoop(LoopParameters):
         """Return how far walls are from the edge of the stable set, in the (alpha, beta) plane.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             The Euclidean distance to the edge of the stable set in units of alpha and beta,
@@ -280,8 +279,7 @@ class HapticLoop(LoopParameters):
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
-            stiffness: K in N/m.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
             mass: the device's lowest and highest mass in kg over its postures; None for its own.
 
         Returns:
@@ -370,8 +368,7 @@ class HapticLoop(LoopParameters):
         plot.
 
         Args:
-            stiffness: K in N/m.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             ``control.TransferFunction`` with dt = T; coefficients rounded to float64.
@@ -412,8 +409,7 @@ class HapticLoop(LoopParameters):
         """Prove whether walls are stable: all roots of p(z) inside the unit circle.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
             resolve: "exact" decides more of the walls next to the boundary; see
                 ``jaxstab.verdict``.
 
@@ -441,32 +437,11 @@ class HapticLoop(LoopParameters):
             return named(linear_verdict(*wall, self.linear), Verdict)
         return point.verdict(*wall, **self.slice, resolve=resolve, **self.filters)
 
-    def is_stable(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """Return True where ``verdict`` proves that a wall is stable.
-
-        Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
-
-        Raises:
-            ValueError: a gain is infinite or NaN.
-            RuntimeError: JAX arrays are given without x64.
-
-        Source: sec. V of Hulin, Preusche, Hirzinger (2008).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.is_stable([1000.0, 1e6], 10.0).tolist()
-            [True, False]
-        """
-        return self.verdict(stiffness, damping) == Verdict.STABLE
-
     def spectral_radius(self, stiffness: Numbers, damping: Numbers) -> SpectralRadius:
         """Return the largest modulus of the loop's poles at walls, with a proved error bound.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             SpectralRadius per sample, with its bound and status; see ``jaxstab.spectral_radius``.
@@ -491,8 +466,7 @@ class HapticLoop(LoopParameters):
         """Return the poles z of the loop at walls, the one of the largest modulus first.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             Array of shape (*grid, degree); see ``jaxstab.closed_loop_poles``.
@@ -517,8 +491,7 @@ class HapticLoop(LoopParameters):
         """Return how far stiffness, damping and delay of the loop at walls may change, each alone.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, for JAX too. No extra
@@ -565,8 +538,7 @@ class HapticLoop(LoopParameters):
         """Return damping ratio and frequency in Hz of the slowest mode of the loop at walls.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
 
         Returns:
             Oscillation of arrays of the broadcast shape, the frequency in Hz.
@@ -602,8 +574,7 @@ class HapticLoop(LoopParameters):
         behind the actuators of a device.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
             level: the tolerance, between 0 and 1; 0.02 is the usual one.
             excitation: "force", a constant push, or "impact", a velocity at the wall.
             horizon: samples after which a loop that is not proved to have settled is given up.

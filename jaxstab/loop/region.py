@@ -30,7 +30,7 @@ class Gains(NamedTuple):
     """A wall: stiffness K in N/m and damping B in N s/m.
 
     Example:
-        >>> wall = jaxstab.Gains(stiffness=1000.0, damping=10.0)
+        >>> wall = jaxstab.results.Gains(stiffness=1000.0, damping=10.0)
         >>> wall.damping
         10.0
     """

@@ -11,6 +11,7 @@ from jaxstab.arrays import Numbers, is_any_traced, is_jax, pytree, tree_map
 from jaxstab.model.sections import (
     HIGHEST_ORDER,
     LONGEST_WINDOW,
+    LOW_PASSES,
     MOST_STAGES,
     Average,
     Butterworth,
@@ -314,7 +315,7 @@ class Velocity:
 
     def __repr__(self) -> str:
         sections = self.filter.sections
-        maker = _ESTIMATORS.get(type(sections[0])) if sections else None
+        maker = sections[0].estimator if sections else None
         if maker is None:  # the difference over one sample
             return " * ".join(["Velocity()", *_filter_calls(sections)])
         first = _call(f"Velocity.{maker}", sections[0])
@@ -370,15 +371,8 @@ def as_keywords(filters: Filters | None) -> dict[str, Any]:
 
 
 # --------------------------------------------------------------------------------------- checks
-_MAKERS = {LowPass: "low_pass", Butterworth: "butterworth", Exponential: "exponential"}
-
-_FILTERS = {**_MAKERS, Average: "average", Rational: "transfer_function"}
-
-_ESTIMATORS = {**_MAKERS, Average: "difference", Differentiator: "transfer_function"}
-
-
 def _filter_calls(sections: Sequence[Section]) -> list[str]:
-    return [_call(f"Filter.{_FILTERS[type(section)]}", section) for section in sections]
+    return [_call(f"Filter.{section.maker}", section) for section in sections]
 
 
 def _call(maker: str, section: Section) -> str:
@@ -447,9 +441,18 @@ def _has_roots_inside(denominator: tuple[float, ...]) -> bool:
 #     cutoff = 100.0              then a low pass at 100 Hz (an atlas: at a share of the rate)
 
 _LOW_PASSES: Mapping[str, Callable[..., Filter]] = {
-    "low-pass": Filter.low_pass,
-    "butterworth": Filter.butterworth,
+    section.kind: getattr(Filter, section.maker) for section in LOW_PASSES
 }
+
+NO_FILTER: Mapping[str, Any] = {
+    "cutoff": 0.0,
+    "order": 1,
+    "kind": LowPass.kind,
+    "factor": 1.0,
+    "numerator": None,
+    "denominator": None,
+}
+"""The keys of a table but for the window, with values that filter nothing."""
 
 _BESIDE = ("order", "kind")  # keys of a low pass that need its cut-off
 
@@ -514,7 +517,7 @@ class FilterTable(Table):
         """What follows after the window."""
         chain = Filter()
         if self.cutoff is not None:
-            chain *= _LOW_PASSES[self.kind or "low-pass"](self.cutoff, order=self.order or 1)
+            chain *= _LOW_PASSES[self.kind or LowPass.kind](self.cutoff, order=self.order or 1)
         return chain if self.factor is None else chain * Filter.exponential(self.factor)
 
     def _given(self) -> list[str]:

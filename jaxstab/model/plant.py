@@ -134,8 +134,7 @@ def plant_transition(gamma: Numbers, delta: Numbers, time: Numbers) -> Float64[A
     (columns) at its beginning: upper rows of expm(t [[0, 1, 0], [-gamma, -delta, 1], [0, 0, 0]]).
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], any shape; like all arguments it broadcasts.
-        delta: physical damping b T/m in [0, 1e3].
+        gamma, delta: see ``jaxstab.conventions``.
         time: in [0, 1], in samples.
 
     Raises:

@@ -59,10 +59,7 @@ def characteristic_polynomial(
     rounded once, so cancellation between wall and plant costs no digits.
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
+        alpha, beta, gamma, delta: see ``jaxstab.conventions``.
         delay: time delay t_d/T >= 0 in samples, concrete. Polynomials of unlike degree in one array
             are multiplied by powers of z (zeros at the end): their other roots stay.
         velocity: the velocity estimator in units of one sample; None for the difference over one

@@ -7,12 +7,17 @@ digits to poles close to each other.
 
 The numbers that a section computes from its parameters, such as exp(-2 pi f T), are rounded to
 float64 first: what is proved holds for the filter that software with these numbers runs.
+
+A new kind of section is a class here, with its transfer functions, its text and its keys of TOML,
+and a maker beside the others in ``filters.py``. Files, pictures, proofs between two loops and
+explorers take all kinds from the class.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from math import floor, pi
-from typing import Any
+from math import floor, inf, pi
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,16 +29,68 @@ from jaxstab.numbers import checked_count
 HIGHEST_ORDER = 40  # poles of a filter, but for those at z = 0
 LONGEST_WINDOW = 200  # samples
 MOST_STAGES = 80  # factors of a filter's transfer function: lemma V8 counts them
+_NYQUIST = 0.499  # of the sampling rate: a Butterworth filter ends at 0.5
+_FASTEST = 100.0  # of the sampling rate: a pole that is 0 in float64 is refused
 _WHOLE = 1e-9  # of a sample: windows closer to a whole number of samples are that number
+
+
+Factor = tuple[list[Any], list[Any], int]
+"""Numerator and denominator, lowest power of z first, and how often they are multiplied."""
+
+
+class Section:
+    """A kind of section: what all kinds have in common."""
+
+    maker: ClassVar[str]
+    """The method of ``Filter`` that makes one."""
+
+    estimator: ClassVar[str | None] = None
+    """The method of ``Velocity``, where a difference that begins with this section has one."""
+
+    varies: ClassVar[bool] = True
+    """Whether a number of it may run over an interval, as between two loops."""
+
+    def per_sample(self, sample_time: Numbers) -> "Section":
+        """Return the section in units of a sampling period in s; here one without units."""
+        del sample_time
+        return self
+
+    def stages(self) -> list[Transfer]:
+        """Return the transfer functions, in units of one sample, whose product this is."""
+        raise NotImplementedError
+
+    @property
+    def longest_sample_time(self) -> float:
+        """The longest sampling period in s with which the section is a filter in float64."""
+        return inf
+
+    @property
+    def toml(self) -> dict[str, Any]:
+        """The keys and values of TOML of a section in units of one sample."""
+        return dict(vars(self))
+
+    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
+        """Return the factors of the transfer function in balls.
+
+        Args:
+            ball: returns the ball of a parameter.
+            period: the sampling period in s, a ball.
+            pi: the ball of pi.
+        """
+        raise NotImplementedError
 
 
 @pytree
 @dataclass(frozen=True)
-class Average:
+class Average(Section):
     """The mean of the last samples of a window, given in samples or in seconds."""
 
     samples: int | None = fixed()
     window: float | None = fixed()
+
+    maker: ClassVar[str] = "average"
+    estimator: ClassVar[str] = "difference"
+    varies: ClassVar[bool] = False
 
     def __str__(self) -> str:
         samples = f"{self.samples} sample{'' if self.samples == 1 else 's'}"
@@ -49,6 +106,11 @@ class Average:
         """The window of a section in units of one sample."""
         return self.samples or _whole_samples(self.window, 1.0)
 
+    @property
+    def toml(self) -> dict[str, Any]:
+        """The keys and values of TOML."""
+        return {"window_samples": self.length}
+
     def stages(self) -> list[Transfer]:
         """Return the transfer functions, in units of one sample, whose product this is."""
         count = self.length
@@ -58,11 +120,15 @@ class Average:
 
 @pytree
 @dataclass(frozen=True)
-class LowPass:
+class LowPass(Section):
     """First-order low passes in a row, each with its pole at exp(-2 pi f T)."""
 
     cutoff: Numbers
     order: int = fixed()
+
+    kind: ClassVar[str] = "low-pass"
+    maker: ClassVar[str] = "low_pass"
+    estimator: ClassVar[str] = "low_pass"
 
     def __str__(self) -> str:
         return f"a low pass at {shown(self.cutoff)} Hz of order {self.order}"
@@ -91,21 +157,29 @@ class LowPass:
         one = Transfer.of((gain,), (DoubleDouble.of(1.0), -DoubleDouble.of(pole)), -1)
         return [one] * self.order
 
+    @property
+    def longest_sample_time(self) -> float:
+        """The longest sampling period in s: the pole is not 0 in float64."""
+        return _FASTEST / float(self.cutoff)
+
+    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
+        """Return the factors of the transfer function in balls."""
+        factor = 1 - (-2 * pi * (ball(self.cutoff) * period)).exp()
+        return [(*_lag(factor), self.order)]
+
 
 @pytree
 @dataclass(frozen=True)
-class Exponential:
+class Exponential(Section):
     """y_k = y_(k-1) + factor (x_k - y_(k-1))."""
 
     factor: Numbers
 
+    maker: ClassVar[str] = "exponential"
+    estimator: ClassVar[str] = "exponential"
+
     def __str__(self) -> str:
         return f"exponential smoothing by {shown(self.factor)}"
-
-    def per_sample(self, sample_time: Numbers) -> "Exponential":
-        """Return the section, which has no units."""
-        del sample_time
-        return self
 
     def stages(self) -> list[Transfer]:
         """Return the transfer functions, in units of one sample, whose product this is."""
@@ -113,14 +187,23 @@ class Exponential:
         pole = DoubleDouble.of(1.0) - factor
         return [Transfer.of((factor,), (DoubleDouble.of(1.0), -pole), -1)]
 
+    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
+        """Return the factors of the transfer function in balls."""
+        del period, pi
+        return [(*_lag(ball(self.factor)), 1)]
+
 
 @pytree
 @dataclass(frozen=True)
-class Butterworth:
+class Butterworth(Section):
     """The bilinear transform of Butterworth's low pass, with its cut-off prewarped."""
 
     cutoff: Numbers
     order: int = fixed()
+
+    kind: ClassVar[str] = "butterworth"
+    maker: ClassVar[str] = "butterworth"
+    estimator: ClassVar[str] = "butterworth"
 
     def __str__(self) -> str:
         return f"a Butterworth filter at {shown(self.cutoff)} Hz of order {self.order}"
@@ -146,26 +229,51 @@ class Butterworth:
             sections.append(_bilinear_lag(warped))
         return sections
 
+    @property
+    def toml(self) -> dict[str, Any]:
+        """The keys and values of TOML."""
+        return {**vars(self), "kind": self.kind}
+
+    @property
+    def longest_sample_time(self) -> float:
+        """The longest sampling period in s: the cut-off is below half of the sampling rate."""
+        return _NYQUIST / float(self.cutoff)
+
+    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
+        """Return the factors of the transfer function in balls."""
+        w = (pi * (ball(self.cutoff) * period)).tan()
+        factors: list[Factor] = []
+        for k in range(self.order // 2):
+            gain, turn = w * w, 2 * w * butterworth_sine(k, self.order)
+            below = [gain + 1 - turn, 2 * (gain - 1), gain + 1 + turn]
+            factors.append(([gain, 2 * gain, gain], below, 1))
+        if self.order % 2:
+            factors.append(([w, w], [w - 1, w + 1], 1))
+        return factors
+
 
 @pytree
 @dataclass(frozen=True)
-class Rational:
+class Rational(Section):
     """A transfer function in z by its coefficients, highest power first."""
 
     numerator: tuple[float, ...] = fixed()
     denominator: tuple[float, ...] = fixed()
 
+    maker: ClassVar[str] = "transfer_function"
+    varies: ClassVar[bool] = False
+
     def __str__(self) -> str:
         return f"a transfer function of order {len(self.denominator) - 1}"
-
-    def per_sample(self, sample_time: Numbers) -> "Rational":
-        """Return the section, which has no units."""
-        del sample_time
-        return self
 
     def stages(self) -> list[Transfer]:
         """Return the transfer functions, in units of one sample, whose product this is."""
         return [_monic(tuple(map(DoubleDouble.of, self.numerator)), self.denominator)]
+
+    @property
+    def toml(self) -> dict[str, Any]:
+        """The keys and values of TOML."""
+        return {"numerator": list(self.numerator), "denominator": list(self.denominator)}
 
 
 @pytree
@@ -174,6 +282,8 @@ class Differentiator(Rational):
     """A transfer function V(z) with V(1) = 0, less one difference: period V(z) z / (z - 1)."""
 
     period: Numbers = 1.0
+
+    estimator: ClassVar[str] = "transfer_function"
 
     def per_sample(self, sample_time: Numbers) -> "Differentiator":
         """Return the section of V(z) in 1/s in units of a sampling period in s."""
@@ -185,8 +295,19 @@ class Differentiator(Rational):
         numerator = tuple(step * _float(self.period) for step in steps)
         return [_delayed(_monic(numerator, self.denominator), -1)]
 
+    @property
+    def toml(self) -> dict[str, Any]:
+        """The keys and values of TOML."""
+        numerator = [number * self.period for number in self.numerator]
+        return {"numerator": numerator, "denominator": list(self.denominator)}
 
-Section = Any  # one of the classes above
+
+LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside the cut-off
+
+
+def _lag(factor: Any) -> tuple[list[Any], list[Any]]:
+    """Return y_k = y_(k-1) + factor (x_k - y_(k-1)) in powers of z, the lowest first."""
+    return [0, factor], [factor - 1, 1]
 
 
 def _quadratic(warped: Array, sine: float) -> Transfer:

@@ -4,9 +4,8 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from jaxstab.model.device.parts import Span, StateSpace
-from jaxstab.model.sections import Average, Rational
+from jaxstab.model.sections import Section
 
-_WHOLE = (StateSpace, Average, Rational)  # nothing between two of them is known
 _REMEDY = "give two loops that differ in numbers alone: masses, springs, cut-offs, the delay"
 
 
@@ -16,7 +15,7 @@ def merged(first: Any, last: Any) -> Any:
     Raises:
         ValueError: the two differ in more than numbers.
     """
-    if type(first) is not type(last) or (isinstance(first, _WHOLE) and first != last):
+    if type(first) is not type(last) or (_is_whole(first) and first != last):
         raise ValueError(
             f"one loop has {first}, the other {last}: nothing is known between; {_REMEDY}."
         )
@@ -40,6 +39,11 @@ def merged(first: Any, last: Any) -> Any:
             f"one loop has {first!r}, the other {last!r}: nothing is known between; {_REMEDY}."
         )
     return first
+
+
+def _is_whole(value: Any) -> bool:
+    """Whether nothing is known between this value and another one of its kind."""
+    return isinstance(value, StateSpace) or (isinstance(value, Section) and not value.varies)
 
 
 def value_at(value: Any, share: float) -> Any:

@@ -357,7 +357,7 @@ class AmplitudeStatus(Status):
     """What is known about amplitudes; small integers, so that arrays store int8.
 
     Example:
-        >>> jaxstab.AmplitudeStatus(1).words
+        >>> jaxstab.results.AmplitudeStatus(1).words
         'proved: no such disturbance drives the loop further'
     """
 
@@ -448,11 +448,7 @@ def amplitude(
     not used.
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like the next four arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, concrete.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
         encoder: resolution of the encoder, which rounds to the nearest multiple, >= 0, in any
             unit of length U.
         force_step: resolution of the force, which is rounded to the nearest multiple, >= 0, in
@@ -460,8 +456,7 @@ def amplitude(
         friction: largest Coulomb friction of the device, >= 0, in m U/T^2; it may change at any
             time, between samples too.
         noise: largest error of the sampled position, beside that of the resolution, >= 0, in U.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
+        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         Amplitude in U, U/T and m U/T^2. The proof holds for the gains, the plant and the filter

@@ -123,7 +123,7 @@ class SettlingStatus(Status):
     """What is known about the settling of a loop; small integers, so that arrays store int8.
 
     Example:
-        >>> jaxstab.SettlingStatus(1).words
+        >>> jaxstab.results.SettlingStatus(1).words
         'settled, and proved to stay so'
     """
 
@@ -197,17 +197,12 @@ def settling_samples(
       blow moves it at once, and the estimator sees that jump.
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like the next four arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, concrete.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
         level: the tolerance, between 0 and 1; 0.02 is the usual one.
         excitation: "force" or "impact".
         horizon: samples, rounded up to a power of two, after which a loop that is not proved to
             have settled is given up.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
+        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         Settling with ``value`` in samples and ``status``, a SettlingStatus. That the loop stays
@@ -290,8 +285,7 @@ def device_settling_samples(
         sample_time: T in s.
         delay: in samples.
         filters: estimator and filter in SI units.
-        stiffness: K in N/m, any shape; broadcasts with the damping.
-        damping: B in N s/m.
+        stiffness, damping: see ``jaxstab.conventions``.
         level: the tolerance, between 0 and 1.
         excitation: "force" or "impact".
         horizon: samples after which a loop that is not proved to have settled is given up.

@@ -32,7 +32,7 @@ def resolved_region(
     Source: sec. V of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> jaxstab.resolved_region(gamma=0.0, delta=0.015, delay=1.0).loops
+        >>> resolved_region(gamma=0.0, delta=0.015, delay=1.0).loops
         1
     """
     require_x64(gamma, delta, delay, radius)
@@ -57,9 +57,7 @@ def region_facts(
     along the boundary from alpha = -gamma; None where the region has no such point.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        gamma, delta, delay: see ``jaxstab.conventions``.
         radius: modulus in (0, 1] below which all roots lie; 1 is stability.
 
     Raises:
@@ -68,7 +66,7 @@ def region_facts(
     Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> facts = jaxstab.region_facts(gamma=0.0, delta=0.015, delay=1.0)
+        >>> facts = region_facts(gamma=0.0, delta=0.015, delay=1.0)
         >>> [round(float(number), 4) for number in facts["largest_alpha"]]
         [0.1522, 0.4233]
     """

@@ -15,9 +15,7 @@ def linear_alpha_limit(beta: Numbers, *, delta: Numbers, delay: Numbers) -> Floa
     """Return the alpha below which the linear condition promises stability.
 
     Args:
-        beta: wall damping B T/m, any shape; like all arguments it broadcasts.
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        beta, delta, delay: see ``jaxstab.conventions``.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
@@ -26,7 +24,7 @@ def linear_alpha_limit(beta: Numbers, *, delta: Numbers, delay: Numbers) -> Floa
     Source: eqs. (22) and (23) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> round(float(jaxstab.linear_alpha_limit(0.2, delta=0.015, delay=1.0)), 9)
+        >>> round(float(jaxstab.paper.linear_alpha_limit(0.2, delta=0.015, delay=1.0)), 9)
         0.143333333
     """
     _, beta, _, delta, lag = checked_loop(0.0, beta, 0.0, delta, delay)
@@ -42,11 +40,7 @@ def linear_condition(
     ``linear_validity`` says up to which stiffness it is close to the exact boundary.
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
@@ -55,7 +49,7 @@ def linear_condition(
     Source: eqs. (19), (22) and (23) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> bool(jaxstab.linear_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
+        >>> bool(jaxstab.paper.linear_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
         True
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
@@ -74,9 +68,7 @@ def linear_error(
     Args:
         alpha: wall stiffness K T^2/m on the exact boundary, any shape; all arguments broadcast.
         beta: wall damping B T/m of the same point.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        gamma, delta, delay: see ``jaxstab.conventions``.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
@@ -86,7 +78,8 @@ def linear_error(
 
     Example:
         >>> alpha, beta = jaxstab.boundary_curve(0.2, gamma=0.0, delta=0.0, delay=0.0)
-        >>> round(float(jaxstab.linear_error(alpha, beta, gamma=0.0, delta=0.0, delay=0.0)), 4)
+        >>> error = jaxstab.paper.linear_error(alpha, beta, gamma=0.0, delta=0.0, delay=0.0)
+        >>> round(float(error), 4)
         0.0203
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
@@ -120,11 +113,7 @@ def routh_hurwitz_condition(
     lag. The linear condition is this one without the term delta t_r (beta + delta + gamma t_r).
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
 
     Raises:
         ValueError: a concrete argument is outside its range, infinite or NaN.
@@ -133,7 +122,7 @@ def routh_hurwitz_condition(
     Source: eqs. (17)-(21) of Hulin, Preusche, Hirzinger (2008).
 
     Example:
-        >>> bool(jaxstab.routh_hurwitz_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
+        >>> bool(jaxstab.paper.routh_hurwitz_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
         True
     """
     alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)

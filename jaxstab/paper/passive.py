@@ -48,7 +48,7 @@ class PassiveRegion:
     of their size); the region reaches at most about ``tolerance`` times delta beyond it.
 
     Example:
-        >>> jaxstab.passive_region(delta=1.0).max_alpha.round(9).tolist()
+        >>> jaxstab.paper.passive_region(delta=1.0).max_alpha.round(9).tolist()
         [2.0, 0.0]
     """
 
@@ -62,7 +62,7 @@ class PassiveRegion:
         """The vertex (alpha, beta) of the largest stiffness; (0, 0) for an empty region.
 
         Example:
-            >>> jaxstab.passive_region(delta=0.015, delay=0.0).max_alpha.round(6).tolist()
+            >>> jaxstab.paper.passive_region(delta=0.015, delay=0.0).max_alpha.round(6).tolist()
             [0.03, 0.0]
         """
         if not len(self.outline):
@@ -74,7 +74,7 @@ class PassiveRegion:
         """Return True where (alpha, beta) is proved passive; each wall is tested anew.
 
         Example:
-            >>> jaxstab.passive_region(delta=1.0).contains([1.0, 2.5], 0.1).tolist()
+            >>> jaxstab.paper.passive_region(delta=1.0).contains([1.0, 2.5], 0.1).tolist()
             [True, False]
         """
         gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
@@ -98,8 +98,7 @@ def passive_region(
     stable region of this damping and delay.
 
     Args:
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        delta, delay: see ``jaxstab.conventions``.
         tolerance: how far the region may bulge beyond the chords of its outline, times delta; at
             least 1e-8.
 

@@ -307,7 +307,7 @@ class ValidityStatus(Status):
     """What is known about the point where the linear condition loses its validity.
 
     Example:
-        >>> jaxstab.ValidityStatus(1).words
+        >>> jaxstab.paper.ValidityStatus(1).words
         "a point of the stable region's boundary"
     """
 
@@ -322,7 +322,7 @@ class LinearValidity(NamedTuple):
     """A point (alpha, beta) of the boundary, its angle on the curve, and a ValidityStatus.
 
     Example:
-        >>> found = jaxstab.linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)
+        >>> found = jaxstab.paper.linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)
         >>> round(float(found.alpha), 9)
         0.038827412
     """
@@ -368,9 +368,7 @@ def linear_validity(
     Args:
         level: relative error in (0, 1e3], any shape; like all arguments it broadcasts. None of
             them may be traced.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        gamma, delta, delay: see ``jaxstab.conventions``.
 
     Returns:
         LinearValidity of the broadcast shape; NaN where no point was found.

@@ -16,7 +16,8 @@ from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from jaxstab.numbers import without_noise
-from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region, resolved_region
+from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region
+from jaxstab.paper.facts import resolved_region
 from jaxstab.pictures.style import (
     BLACK,
     BLUE,
@@ -227,9 +228,7 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
     """Draw a stable region with its corners, extremes, linear condition and passive region.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        gamma, delta, delay: see ``jaxstab.conventions``.
         radius: modulus in (0, 1] below which all roots lie; 1 is stability.
 
     Returns:

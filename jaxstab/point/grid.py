@@ -1,8 +1,8 @@
 """Broadcast grids of points in chunks of one shape, each point at the degree of p for its delay.
 
 The grid itself is never formed: a chunk is a list of flat indices, looked up in the arguments as
-they were given. A grid of five axes needs memory for its axes, one chunk and its results; ``sweep``
-does without the results.
+they were given. A grid of five axes needs memory for its axes, one chunk and its results;
+``evaluate_grid`` does without the results.
 """
 
 import math
@@ -24,7 +24,7 @@ CHUNK = 2**15
 Result = TypeVar("Result")
 
 
-def sweep(
+def evaluate_grid(
     function: Callable[..., Result],
     alpha: Numbers,
     beta: Numbers,
@@ -34,16 +34,12 @@ def sweep(
     delay: Numbers,
     chunk: int = CHUNK,
 ) -> Iterator[tuple[slice, Result]]:
-    """Go through a grid that is larger than memory.
+    """Evaluate a function on a grid that is larger than memory, chunk by chunk.
 
     Args:
         function: called with five arrays of at most ``chunk`` points, by their names:
             spectral_radius, verdict ...
-        alpha: wall stiffness K T^2/m, any shape; like the four others it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m.
-        delta: physical damping b T/m.
-        delay: time delay t_d/T in samples.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
         chunk: points per call.
 
     Returns:
@@ -58,10 +54,10 @@ def sweep(
 
     Example:
         >>> alpha = np.linspace(0.0, 0.2, 1000)
-        >>> parts = jaxstab.sweep(
+        >>> parts = jaxstab.evaluate_grid(
         ...     jaxstab.verdict, alpha, 0.2, gamma=0.0, delta=0.015, delay=1.0, chunk=400
         ... )
-        >>> sum(int((codes == jaxstab.STABLE).sum()) for _, codes in parts)
+        >>> sum(int((codes == jaxstab.Verdict.STABLE).sum()) for _, codes in parts)
         558
     """
     require_x64(alpha, beta, gamma, delta, delay)

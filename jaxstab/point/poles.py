@@ -30,13 +30,7 @@ def closed_loop_poles(
     """Return the poles of the closed loop, the eigenvalues of the companion matrix of p(z).
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, concrete.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
+        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         Array of shape (*grid, degree), the largest modulus first. For an array of delays, a loop of

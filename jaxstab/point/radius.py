@@ -37,7 +37,7 @@ from jaxstab.arrays import (
     tree_map,
 )
 from jaxstab.batches import MANY, compiled, over_tiles
-from jaxstab.conventions import STABLE, UNSTABLE, RadiusStatus
+from jaxstab.conventions import RadiusStatus, Verdict
 from jaxstab.model import (
     DoubleDouble,
     characteristic_polynomial,
@@ -107,7 +107,9 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
     xp = namespace(radius)
     steps = xp.asarray(_STEPS)
     sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
-    wanted = xp.stack([xp.full_like(radius, STABLE), xp.full_like(radius, UNSTABLE)])
+    wanted = xp.stack(
+        [xp.full_like(radius, Verdict.STABLE), xp.full_like(radius, Verdict.UNSTABLE)]
+    )
 
     def prove(state: tuple[Array, Array]) -> tuple[Array, Array]:
         step, error = state
@@ -402,17 +404,12 @@ def spectral_radius(
     """Return the largest modulus of a closed-loop pole with a proved error bound.
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, concrete.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
         method: "fast" finds and proves the dominant root, without eigenvalues for many points of
             one delay up to 64, by XLA; "companion" takes the companion matrix and a ladder of
             verdicts for all. Inside jit, vmap and grad, and with filters, it is always the
             companion matrix.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
+        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         SpectralRadius of arrays of the broadcast shape, in JAX if an argument is: ``value``;

@@ -27,7 +27,7 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 import numpy as np
 
 from jaxstab.arrays import Array, is_any_traced, kept, namespace, pytree, repeat, tree_map
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model import DoubleDouble
 from jaxstab.model.linear_loop import Affine, LinearLoop
 
@@ -84,9 +84,9 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
         ends.at_minus_one < -ends.at_minus_one_error
     )
     no_real = (ends.at_one > ends.at_one_error) & (ends.at_minus_one > ends.at_minus_one_error)
-    counted = xp.where(is_inside, STABLE, UNSTABLE)
-    codes = xp.where(no_real & is_clear, counted, UNDECIDED)
-    return xp.where(real_outside | chain.outside, UNSTABLE, codes).astype(np.int8)
+    counted = xp.where(is_inside, Verdict.STABLE, Verdict.UNSTABLE)
+    codes = xp.where(no_real & is_clear, counted, Verdict.UNDECIDED)
+    return xp.where(real_outside | chain.outside, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
 def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Array]:
@@ -292,9 +292,9 @@ def polynomial_codes(
     for value, bound in ends:
         real_outside = real_outside | (value < -bound)
         no_real = no_real & (value > bound)
-    counted = xp.where(state.inside & (gap > 0.0), STABLE, UNSTABLE)
-    codes = xp.where(no_real, counted, UNDECIDED)
-    return xp.where(real_outside | state.outside, UNSTABLE, codes).astype(np.int8)
+    counted = xp.where(state.inside & (gap > 0.0), Verdict.STABLE, Verdict.UNSTABLE)
+    codes = xp.where(no_real, counted, Verdict.UNDECIDED)
+    return xp.where(real_outside | state.outside, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
 def rounded_loop(loop: Any) -> Any:

@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace, pytree, tree_map
 from jaxstab.batches import MANY, compiled, lists, over_tiles
-from jaxstab.conventions import UNDECIDED, UNSTABLE, Verdict
+from jaxstab.conventions import Verdict
 from jaxstab.model import (
     DoubleDouble,
     PlantPairs,
@@ -134,7 +134,7 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
     if xp is not np:
         alpha, beta, loop = tree_map(np.asarray, (alpha, beta, loop))
     codes = np.array(_loop_float_codes(alpha, beta, rounded_loop(loop), degree=degree))
-    still_open = np.flatnonzero(codes == UNDECIDED)
+    still_open = np.flatnonzero(codes == Verdict.UNDECIDED)
     for start in range(0, still_open.size, _LOOP_PAIRS):
         part = still_open[start : start + _LOOP_PAIRS]
         chosen = gathered((alpha, beta, loop), codes.shape, part)
@@ -353,7 +353,7 @@ def loop_codes(
     if not isinstance(degree, int) or degree > HIGHEST_UNROLLED:
         chain = replace(chain, drift=chain.error + chain.head_error + 4.0 * unit)
     codes = decide(chain, ends, unit, degree)
-    return namespace(large, codes).where(large, UNSTABLE, codes).astype(np.int8)
+    return namespace(large, codes).where(large, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
 def _closed_loop(alpha: Number, beta: Number, plant: Plant[Number], unit: float) -> Chain[Number]:
@@ -417,11 +417,7 @@ def verdict(
     alpha = -gamma. UNSTABLE means at least one root outside or on the circle.
 
     Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional, concrete.
+        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
         resolve: "exact" repeats the recursion in double-double where float64 leaves a point
             UNDECIDED, and then looks for a root that is certainly outside; all arguments must be
             concrete, as for an array of delays.
@@ -474,45 +470,6 @@ def verdict(
     return named(xp.asarray(codes if resolve is None else _resolved(codes, points)), Verdict)
 
 
-def is_stable(
-    alpha: Numbers,
-    beta: Numbers,
-    *,
-    gamma: Numbers,
-    delta: Numbers,
-    delay: Numbers,
-    velocity: Velocity | None = None,
-    position: Filter | None = None,
-) -> Bool[Array, "*grid"]:
-    """Return True where all poles are proved to lie inside the unit circle.
-
-    False where the loop is unstable, marginal, or closer to the boundary than can be decided. Of
-    these ``verdict`` tells those that are proved unstable from all others, which are UNDECIDED.
-
-    Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, concrete.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: sec. V of the paper.
-
-    Example:
-        >>> jaxstab.is_stable([0.1, 1.5], 0.2, gamma=0.0, delta=0.015, delay=1.0).tolist()
-        [True, False]
-    """
-    point = alpha, beta, gamma, delta, delay
-    return verdict(**by_name(*point), velocity=velocity, position=position) == Verdict.STABLE
-
-
 def _float_verdict(point: list[Array], fraction: Array, form: Form) -> Array:
     alpha, beta, gamma, delta = point
     plant = float_plant(gamma, delta, fraction, is_fractional=form.is_fractional)
@@ -553,15 +510,15 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
 
 def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarray, "*grid"]:
     """Repeat UNDECIDED points in double-double; of what is left, look for a root outside."""
-    for form, indices in points.groups(np.asarray(codes == UNDECIDED)):
+    for form, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
         for start in range(0, indices.size, _PAIRS):
             part = indices[start : start + _PAIRS]
             codes.flat[part] = _pair_codes(gathered(points, points.shape, part), form)
-    for _, indices in points.groups(np.asarray(codes == UNDECIDED)):
+    for _, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
         values = looked_up(list(points), points.shape, indices)
         proved = have_outer_root(characteristic_polynomial(**by_name(*values)))
         proved &= ~is_plant_lost(*values[2:4])
-        codes.flat[indices[proved]] = UNSTABLE
+        codes.flat[indices[proved]] = Verdict.UNSTABLE
     return codes
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.conventions import NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
@@ -712,7 +712,7 @@ def _gap_verdicts(
     alpha = 0.5 * (begins + ends)[chosen, column, gap]
     deviation = points[chosen, column]
     beta, gamma, delta = (columns.centre[column] + deviation)[:, :3].T
-    codes = np.full(exists.shape, NOT_COMPUTED, np.int8)
+    codes = np.full(exists.shape, Verdict.NOT_COMPUTED, np.int8)
     resolve = "exact" if filters is None else None
     some = np.empty(alpha.size, np.int8)
     shares = np.sign(deviation[:, T]) if columns.half_delay else np.zeros_like(alpha)
@@ -722,10 +722,12 @@ def _gap_verdicts(
         walls = alpha[here], beta[here], np.maximum(gamma[here], 0.0), np.maximum(delta[here], 0.0)
         some[here] = verdict(**by_name(*walls, delay), resolve=resolve, **as_keywords(filters))
     codes[exists] = some
-    codes[(codes == NOT_COMPUTED) & _may_be(strips, columns, domain)] = UNDECIDED
+    codes[(codes == Verdict.NOT_COMPUTED) & _may_be(strips, columns, domain)] = Verdict.UNDECIDED
     low, high = strips.ends(columns)
     crosses = np.any(low[..., 1:] <= high[..., :1], axis=0)
-    codes[:, 2:][crosses & (codes[:, 2:] == STABLE)] = UNDECIDED  # its lower limit has a corner
+    codes[:, 2:][crosses & (codes[:, 2:] == Verdict.STABLE)] = (
+        Verdict.UNDECIDED
+    )  # its lower limit has a corner
     return codes
 
 
@@ -779,7 +781,7 @@ def _limits(
 
     Where others hide what is in them, both limits are the flat span of all that may be stable.
     """
-    is_stable = codes == STABLE
+    is_stable = codes == Verdict.STABLE
     first, count = np.argmax(is_stable, axis=1), is_stable.sum(axis=1)
     last = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
     low, high = strips.ends(columns)
@@ -794,7 +796,7 @@ def _limits(
     low = np.min(low, axis=(0, 2), where=some, initial=np.inf)
     high = np.max(high, axis=(0, 2), where=some, initial=-np.inf)
     is_open = (count > 0) & ((first == 0) | np.isnan(_of_strip(strips.centre, last)))
-    lost = np.any(codes == UNDECIDED, axis=1) | np.any(strips.error == np.inf, axis=1)
+    lost = np.any(codes == Verdict.UNDECIDED, axis=1) | np.any(strips.error == np.inf, axis=1)
     lost |= hides & is_open
     low, high = (np.where(hides & ~lost, end, 0.0) for end in (low, high))
     variables = columns.centre.shape[1]
@@ -812,7 +814,7 @@ def _may_hide(
     strips: Strips, codes: Int8[np.ndarray, "column gap"]
 ) -> Bool[np.ndarray, "column strip"]:
     """Say which strips may hide stable alphas: not those between unstable gaps that do not fold."""
-    between_unstable = (codes[:, :-1] == UNSTABLE) & (codes[:, 1:] == UNSTABLE)
+    between_unstable = (codes[:, :-1] == Verdict.UNSTABLE) & (codes[:, 1:] == Verdict.UNSTABLE)
     hides: Bool[np.ndarray, "column strip"] = strips.folds | ~between_unstable
     return hides
 

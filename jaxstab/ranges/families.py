@@ -6,7 +6,7 @@ from math import inf, pi
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model.device.family import LoopFamily
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.exclusion import (
@@ -81,13 +81,13 @@ def family_verdicts(family: LoopFamily, walls: Walls) -> Int8[np.ndarray, " wall
     Source: lemmas B4, B5 and B17 of docs/proofs.md.
     """
     ends = np.stack([_end_verdicts(family, share, walls) for share in (0, 1)])
-    codes = np.full(len(walls), UNDECIDED, np.int8)
-    codes[np.any(ends == UNSTABLE, axis=0)] = UNSTABLE
-    likely = np.flatnonzero(np.any(ends == STABLE, axis=0) & (codes != UNSTABLE))
+    codes = np.full(len(walls), Verdict.UNDECIDED, np.int8)
+    codes[np.any(ends == Verdict.UNSTABLE, axis=0)] = Verdict.UNSTABLE
+    likely = np.flatnonzero(np.any(ends == Verdict.STABLE, axis=0) & (codes != Verdict.UNSTABLE))
     roots = first_roots(family, walls[likely])
     if roots is not None:
-        codes[likely[roots.low == inf]] = STABLE
-        codes[likely[roots.high < inf]] = UNSTABLE
+        codes[likely[roots.low == inf]] = Verdict.STABLE
+        codes[likely[roots.high < inf]] = Verdict.UNSTABLE
     return codes
 
 
@@ -130,7 +130,9 @@ def failures(family: LoopFamily, outline: Outline) -> Float64[np.ndarray, " t"] 
     size = [zero + 1.0, 0.5 * (ends[1] - ends[0]), zero + 2.0 / _ANGLES, zero, zero]
     boxes = Boxes(np.stack(center, axis=-1), np.stack(size, axis=-1))
     left = pave_by(boxes, _SMALLEST, prove, _MOST).boxes
-    if not len(left.center) and not np.all(_end_verdicts(family, 0, vertices[:1]) == STABLE):
+    if not len(left.center) and not np.all(
+        _end_verdicts(family, 0, vertices[:1]) == Verdict.STABLE
+    ):
         return np.zeros(1)
     return left.center[:, 1]
 

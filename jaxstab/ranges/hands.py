@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from jaxstab.batches import by_kind
-from jaxstab.conventions import UNDECIDED, Verdict
+from jaxstab.conventions import Verdict
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
 from jaxstab.model.linear_loop import filtered_loop
@@ -151,7 +151,7 @@ def _worst_at_once(walls: Sequence[HeldWall]) -> list[WorstHand]:
         some = left[np.arange(count) * len(left) // count]  # of too many, some
         (found,) = _worst_of([walls[wall]], [some])
         is_known = found.verdict == Verdict.UNSTABLE
-        answers[wall] = found if is_known else found._replace(verdict=UNDECIDED)
+        answers[wall] = found if is_known else found._replace(verdict=Verdict.UNDECIDED)
     return answers
 
 

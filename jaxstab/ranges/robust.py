@@ -77,7 +77,7 @@ class RobustStatus(Status):
     """What is known of a robust region.
 
     Example:
-        >>> jaxstab.RobustStatus(1).words
+        >>> jaxstab.results.RobustStatus(1).words
         'every wall of the outline is proved stable for every hand or loop'
     """
 

@@ -22,7 +22,7 @@ class Branch(IntEnum):
     """Which root lies on the circle along a piece of the boundary.
 
     Example:
-        >>> [branch.name for branch in jaxstab.Branch]
+        >>> [branch.name for branch in jaxstab.results.Branch]
         ['CURVE', 'Z_PLUS_ONE', 'Z_MINUS_ONE']
     """
 

@@ -32,7 +32,7 @@ from jaxstab.arrays import (
     tree_map,
 )
 from jaxstab.batches import MANY_ANGLES, compiled
-from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
+from jaxstab.model import checked_delta, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import SampledPlant
@@ -141,9 +141,7 @@ def boundary_curve(
         theta: angle of the roots in [0, pi]; like all arguments it broadcasts. At 0 and pi the
             result is the limit of the curve, a point of the line of a real root there; it is
             infinite at pi where N(-radius) = 0 (delta = 0 and a whole delay).
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        gamma, delta, delay: see ``jaxstab.conventions``.
         radius: modulus of the roots in (0, 1]; 1 is the limit of stability, a smaller one the limit
             of a decay rate.
 
@@ -165,63 +163,6 @@ def boundary_curve(
     require_x64(theta, gamma, delta, radius)
     angle = float_arrays(checked("theta", theta, 0.0, pi))[0]
     return curve_point(slice_coefficients(gamma, delta, delay, radius), angle)
-
-
-def plus_line(
-    beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
-) -> Float64[Array, "*grid"]:
-    """Return the alpha that puts a real root at z = +radius; for radius 1 it is -gamma.
-
-    Args:
-        beta: wall damping B T/m, any shape; like all arguments it broadcasts.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
-        radius: modulus of the root in (0, 1].
-
-    Returns:
-        alpha of the broadcast shape; infinite where N(radius) = 0.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = radius.
-
-    Example:
-        >>> float(jaxstab.plus_line(0.5, gamma=0.001, delta=0.015, delay=0.0))
-        -0.001
-    """
-    require_x64(beta, gamma, delta, radius)
-    coefficients = slice_coefficients(gamma, delta, delay, radius)
-    damping = float_arrays(checked_gain("beta", beta))[0]
-    with np.errstate(all="ignore"):
-        return plus_offset(coefficients) - damping * plus_slope(coefficients)
-
-
-def minus_line(
-    beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
-) -> Float64[Array, "*grid"]:
-    """Return the alpha that puts a real root at z = -radius.
-
-    Args: those of ``plus_line``.
-
-    Returns:
-        alpha of the broadcast shape; infinite where N(-radius) = 0 (delta = 0 and a whole delay).
-
-    Raises: as ``plus_line``.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = -radius.
-
-    Example:
-        >>> round(float(jaxstab.minus_line(0.5, gamma=0.0, delta=0.015, delay=0.0)), 4)
-        1599.036
-    """
-    require_x64(beta, gamma, delta, radius)
-    coefficients = slice_coefficients(gamma, delta, delay, radius)
-    damping = float_arrays(checked_gain("beta", beta))[0]
-    with np.errstate(all="ignore"):
-        return minus_offset(coefficients) - damping * minus_slope(coefficients)
 
 
 def slice_coefficients(

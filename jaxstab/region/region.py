@@ -7,7 +7,7 @@ from jaxtyping import Float64, Int
 
 from jaxstab.arrays import Numbers, is_traced, namespace, stored
 from jaxstab.batches import compiled
-from jaxstab.conventions import STABLE, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model import require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
@@ -80,15 +80,15 @@ def fails_audit(c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviat
     size = int(outline.size)
     if size == 0:
         alpha, beta = _walls_of_all_sizes()
-        return bool(np.any(linear_verdict(alpha, beta, loop) == STABLE))
+        return bool(np.any(linear_verdict(alpha, beta, loop) == Verdict.STABLE))
     if deviation > _ROUGH:
         return True
     vertices = outline.vertices[:size]
     edges, extent = edges_of(vertices, outline.branches[: size - 1]), np.ptp(vertices, axis=0)
     walls = _beside(edges, extent)
     codes = linear_verdict(walls[0], walls[1], loop)
-    is_any_proved = bool(np.any(codes == STABLE))
-    doubtful = codes == np.where(are_inside(edges, walls), UNSTABLE, STABLE)
+    is_any_proved = bool(np.any(codes == Verdict.STABLE))
+    doubtful = codes == np.where(are_inside(edges, walls), Verdict.UNSTABLE, Verdict.STABLE)
     walls, codes = walls[:, doubtful], codes[doubtful]  # a polygon is not exact
     assert c.filtered is not None
     angles, distances = c.filtered.resonances
@@ -101,7 +101,7 @@ def fails_audit(c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviat
     if not codes.size:
         return False
     is_inside = measures.contains(c, outline, walls[0], walls[1])
-    return bool(np.any(codes == np.where(is_inside, UNSTABLE, STABLE)))
+    return bool(np.any(codes == np.where(is_inside, Verdict.UNSTABLE, Verdict.STABLE)))
 
 
 def _beside(edges: Edges, extent: Float64[np.ndarray, "2"], *, is_near: bool = False) -> Walls:

@@ -29,7 +29,7 @@ class RegionStatus(Status):
     and ``contains`` is False everywhere, which does not mean that the points are unstable.
 
     Example:
-        >>> jaxstab.RegionStatus(2).words
+        >>> jaxstab.results.RegionStatus(2).words
         'the boundary was not resolved: nothing is claimed'
     """
 
@@ -299,8 +299,7 @@ class StableRegion(ShownRegion):
         """Return whether points lie inside the exact boundary.
 
         Args:
-            alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
-            beta: wall damping B T/m.
+            alpha, beta: see ``jaxstab.conventions``.
 
         Returns:
             A boolean array of the broadcast shape; all False for UNRESOLVED, which claims nothing.
@@ -320,8 +319,7 @@ class StableRegion(ShownRegion):
         """Return the Euclidean distance to the boundary, positive inside and negative outside.
 
         Args:
-            alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
-            beta: wall damping B T/m.
+            alpha, beta: see ``jaxstab.conventions``.
 
         Returns:
             Array of the broadcast shape; -inf for an empty region, NaN for UNRESOLVED.

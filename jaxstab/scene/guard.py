@@ -6,9 +6,9 @@ from math import prod
 
 import numpy as np
 
-from jaxstab.guard import Guard, build_guard, guard_header
+from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, plan_guard
-from jaxstab.guard.header import LARGEST
+from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import basis_of
@@ -84,7 +84,7 @@ def _check_size(
             f"delays are {delays[0]:g} to {delays[1]:g} s; give at most {LONGEST_DELAY:g} samples, "
             f"{longest:g} s."
         )
-    most = LARGEST // _LETTERS
+    most = LARGEST_HEADER // _LETTERS
     if cells and prod(count + 1 for count in cells) > most:
         raise ValueError(
             f"cells are {','.join(map(str, cells))}; give fewer: the table may have {most} numbers."
@@ -139,10 +139,10 @@ def _granted(scene: Scene, guard: Guard) -> list[str]:
 
 
 def header_of(scene: Scene, guard: Guard, name: str) -> str:
-    """Return the header of a scene's guard, with what it is of: ``jaxstab.guard_header``."""
+    """Return the header of a scene's guard, with what it is of: ``Guard.header``."""
     units = scene.units
     words = units.kilogram, units.stiffness, units.damping
-    return guard_header(guard, name, guard_about(scene, guard), words)
+    return guard.header(name, guard_about(scene, guard), words)
 
 
 def _beside_a_mass(scene: Scene) -> list[str]:

@@ -307,9 +307,6 @@ class Hand(Table):
 
 # The velocity estimator and the position filter of a scene, as tables of a file.
 
-_NYQUIST = 0.499  # of the sampling rate: a Butterworth filter ends at 0.5
-_FASTEST = 100.0  # of the sampling rate: a pole that is 0 in float64 is refused
-
 
 @dataclass(frozen=True, kw_only=True)
 class _TimedTable(FilterTable):
@@ -367,9 +364,8 @@ class VelocityTable(_TimedTable):
     @property
     def longest_sample_time(self) -> float:
         """The sample time in s up to which the low pass is one; infinite where there is none."""
-        if self.cutoff is None:
-            return inf
-        return (_NYQUIST if self.kind == "butterworth" else _FASTEST) / self.cutoff
+        sections = self.as_velocity().filter.sections
+        return min((section.longest_sample_time for section in sections), default=inf)
 
     @property
     def usual_sample_time(self) -> float | None:

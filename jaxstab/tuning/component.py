@@ -24,7 +24,7 @@ class TuningStatus(Status):
     turning gains up from 0, and other components only where the status says so.
 
     Example:
-        >>> jaxstab.TuningStatus(1).words
+        >>> jaxstab.results.TuningStatus(1).words
         'the best found: a triple real pole, solved for to full precision'
     """
 

@@ -108,11 +108,7 @@ def minimize_radius_damping(
 
     Args:
         alpha: wall stiffness K T^2/m, one number, like all arguments.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
+        gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         OptimalGains of single numbers, ``value`` the radius.
@@ -173,13 +169,11 @@ def minimize_settling(
 
     Args:
         gamma: physical stiffness k T^2/m in [0, 1e4], one number, like all arguments.
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples.
+        delta, delay: see ``jaxstab.conventions``.
         level: half width of the band, between 0 and 1.
         alpha: wall stiffness K T^2/m if it is given; only beta is then chosen.
         excitation: "force" or "impact", see ``settling_samples``.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
+        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         OptimalGains of single numbers, ``value`` in samples, as ``settling_samples`` proves it.

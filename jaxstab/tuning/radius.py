@@ -512,11 +512,9 @@ def minimize_radius(
     islands, and the status says so.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], any shape; broadcasts with delta.
-        delta: physical damping b T/m in [0, 1e3].
+        gamma, delta: see ``jaxstab.conventions``.
         delay: time delay t_d/T >= 0 in samples, one number.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
+        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         OptimalGains of the broadcast shape. ``value`` is the radius at the exact multiple root: at

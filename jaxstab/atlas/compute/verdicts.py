@@ -9,7 +9,7 @@ The few nodes in no gap are computed one by one.
 import numpy as np
 from jaxtyping import Float64, Int8, Int64
 
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
@@ -44,7 +44,7 @@ def node_verdicts(
         ValueError: a parameter is outside the range of the model.
     """
     codes = _proved_nodes(alpha, beta, gamma, delta, delay, filters)
-    hand, j, i = np.nonzero(codes == UNDECIDED)
+    hand, j, i = np.nonzero(codes == Verdict.UNDECIDED)
     if hand.size:
         point = alpha[i], beta[j], gamma[hand], delta[hand]
         codes[hand, j, i] = verdict(
@@ -63,7 +63,7 @@ def undecided_nodes(
 ) -> Int64[np.ndarray, " hand"]:
     """Count for each hand the nodes that are in no gap; arguments and errors of node_verdicts."""
     codes = _proved_nodes(alpha, beta, gamma, delta, delay, filters)
-    counts: np.ndarray = np.sum(codes == UNDECIDED, axis=(1, 2))
+    counts: np.ndarray = np.sum(codes == Verdict.UNDECIDED, axis=(1, 2))
     return counts
 
 
@@ -111,7 +111,7 @@ def _codes(
     gaps = column_gaps(beta, hands, delay, domain, filters)
     first = np.searchsorted(alpha, gaps.low, "right")
     stop = np.searchsorted(alpha, gaps.high, "left") + 1 - nodes
-    known = (first < stop) & np.isin(gaps.verdict, (STABLE, UNSTABLE))
+    known = (first < stop) & np.isin(gaps.verdict, (Verdict.STABLE, Verdict.UNSTABLE))
     ends = np.stack([first, stop], axis=-1) * known[..., None]
     shape = hands.gamma.size, beta.size - 1, alpha.size + 1 - nodes
     return _filled(ends.reshape(*shape[:2], -1), gaps.verdict, shape[-1])
@@ -123,6 +123,6 @@ def _filled(
     """Return the code of each gap from its first index to its last; between gaps UNDECIDED."""
     ends = np.maximum.accumulate(ends, axis=-1)  # a gap that holds nothing begins where it ends
     lengths = np.diff(ends, axis=-1, prepend=0, append=count)
-    runs = np.full(lengths.shape, UNDECIDED, np.int8)
+    runs = np.full(lengths.shape, Verdict.UNDECIDED, np.int8)
     runs[..., 1::2] = codes
     return np.repeat(runs.ravel(), lengths.ravel()).reshape(*ends.shape[:-1], count)

@@ -28,7 +28,7 @@ from jaxstab.model.filters import (
     as_keywords,
     known_filters,
 )
-from jaxstab.model.sections import Average, Butterworth, Exponential, LowPass
+from jaxstab.model.sections import Section
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.tables import check_keys, parsed, read_table
 
@@ -104,17 +104,9 @@ def _chain(tables: list[SampledTable]) -> Filter:
     return reduce(Filter.__mul__, (table.as_filter() for table in tables), Filter())
 
 
-def _inline(section: Any) -> str:
-    if isinstance(section, Average):
-        return f"{{ window_samples = {section.length} }}"
-    if isinstance(section, LowPass):
-        return f"{{ cutoff = {section.cutoff!r}, order = {section.order} }}"
-    if isinstance(section, Butterworth):
-        return f'{{ cutoff = {section.cutoff!r}, order = {section.order}, kind = "butterworth" }}'
-    if isinstance(section, Exponential):
-        return f"{{ factor = {section.factor!r} }}"
-    numerator = [number * getattr(section, "period", 1.0) for number in section.numerator]
-    return f"{{ numerator = {numerator}, denominator = {list(section.denominator)} }}"
+def _inline(section: Section) -> str:
+    values = (f'"{v}"' if isinstance(v, str) else repr(v) for v in section.toml.values())
+    return f"{{ {', '.join(map(' = '.join, zip(section.toml, values, strict=True)))} }}"
 
 
 Nodes: TypeAlias = ArrayLike | tuple[float, ...]

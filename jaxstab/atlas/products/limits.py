@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas.format.variables import Variable, numbers
 from jaxstab.atlas.products.product import Array, Arrays, Floats, Product
-from jaxstab.conventions import STABLE, UNDECIDED, UNSTABLE
+from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
     from jaxstab.atlas.compute.layout import Grid, Reach
@@ -364,7 +364,7 @@ def codes_by_one(
 
 def _codes(is_decided: Mask, is_stable: Mask) -> Codes:
     """Return UNDECIDED, UNSTABLE or STABLE: codes that follow each other downwards."""
-    codes: Codes = np.int8(UNDECIDED) - is_decided.view(np.int8)
+    codes: Codes = np.int8(Verdict.UNDECIDED) - is_decided.view(np.int8)
     codes -= is_stable.view(np.int8)
     return codes
 
@@ -596,8 +596,10 @@ class LimitTable:
         error, upper_error = low[-1], high[-1]
         lower, upper = (surface(terms, beta, gamma, delta, delay) for terms in (low, high))
         if alpha < lower - error or alpha > upper + upper_error:
-            return int(UNSTABLE)
-        return int(STABLE if lower + error < alpha < upper - upper_error else UNDECIDED)
+            return int(Verdict.UNSTABLE)
+        return int(
+            Verdict.STABLE if lower + error < alpha < upper - upper_error else Verdict.UNDECIDED
+        )
 
     def known_limits(
         self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
@@ -690,9 +692,9 @@ class LimitTable:
     ) -> int:
         """Return STABLE for all hands of a box, UNSTABLE for one, or UNDECIDED."""
         codes = codes_by_limits(np.array(alpha), *self._limits_over(beta, gamma, delta, delay))
-        if np.any(codes == UNSTABLE):
-            return int(UNSTABLE)
-        return int(STABLE if np.all(codes == STABLE) else UNDECIDED)
+        if np.any(codes == Verdict.UNSTABLE):
+            return int(Verdict.UNSTABLE)
+        return int(Verdict.STABLE if np.all(codes == Verdict.STABLE) else Verdict.UNDECIDED)
 
     def _limits_over(self, beta: float, gamma: Range, delta: Range, delay: float) -> AlphaLimits:
         """Return the limits at the corners of all cells of a box of hands: planes bend nowhere."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas.format.variables import CELL, CODES, NODE, SLICE, Variable
 from jaxstab.atlas.products.product import Array, Arrays, Check, Floats, Place, Product, Stored
-from jaxstab.conventions import NOT_COMPUTED, STABLE, UNSTABLE
+from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
     from jaxstab.atlas.compute.layout import Grid, Reach
@@ -157,8 +157,10 @@ def wrong_codes(codes: Array, point: tuple[Any, ...], filters: Mapping[str, Any]
     from jaxstab.point import verdict
 
     exact = np.asarray(verdict(**by_name(*point), resolve="exact", **filters))
-    both = np.isin(codes, (STABLE, UNSTABLE)) & np.isin(exact, (STABLE, UNSTABLE))
-    return int(np.sum((both & (codes != exact)) | (codes == NOT_COMPUTED)))
+    both = np.isin(codes, (Verdict.STABLE, Verdict.UNSTABLE)) & np.isin(
+        exact, (Verdict.STABLE, Verdict.UNSTABLE)
+    )
+    return int(np.sum((both & (codes != exact)) | (codes == Verdict.NOT_COMPUTED)))
 
 
 def decided_share(
@@ -174,7 +176,7 @@ def decided_share(
     widths = [np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1) for nodes in axes]
     total = 0.0
     for start, codes in blocks:
-        share = ((codes == STABLE) | (codes == UNSTABLE)).astype(np.float64)[..., 0]
+        share = ((codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)).astype(np.float64)[..., 0]
         for first, along in zip(start, widths, strict=False):
             share = np.tensordot(along[first : first + share.shape[0]], share, 1)
         total += float(share)

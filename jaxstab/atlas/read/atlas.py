@@ -52,7 +52,7 @@ from jaxstab.atlas.read.points import (
     nodes_of,
     settle,
 )
-from jaxstab.conventions import AXES, UNDECIDED
+from jaxstab.conventions import AXES, Verdict
 from jaxstab.numbers import checked_number, checked_word, real_numbers
 from jaxstab.shown import table_text
 
@@ -162,7 +162,8 @@ class LoopAtlas:
             ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
             ... )
             >>> answer = atlas.for_loop(loop).query(5000.0, 30.0)
-            >>> jaxstab.QueryStatus(int(answer.status)).name, jaxstab.Verdict(answer.verdict).name
+            >>> status = jaxstab.results.QueryStatus(int(answer.status))
+            >>> status.name, jaxstab.Verdict(answer.verdict).name
             ('CELL', 'STABLE')
         """
         wall = self._asked(stiffness, damping, outside)
@@ -481,7 +482,8 @@ class Atlas:
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
             >>> answer = atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0)
-            >>> answer.verdict.tolist(), [jaxstab.QueryStatus(int(s)).name for s in answer.status]
+            >>> statuses = map(jaxstab.results.QueryStatus, answer.status.tolist())
+            >>> answer.verdict.tolist(), [status.name for status in statuses]
             ([1, 2], ['CELL', 'CELL'])
         """
         checked_word("outside", outside, ("error", "undecided"))
@@ -536,7 +538,7 @@ class Atlas:
         given = (alpha, beta, gamma, delta, delay)
         if outside == "error":
             codes = self._verdict_by_limits(given)
-            if codes is not None and not (exact and np.any(codes == UNDECIDED)):
+            if codes is not None and not (exact and np.any(codes == Verdict.UNDECIDED)):
                 return codes
         return self.query(
             **dict(zip(AXES, given, strict=True)), outside=outside, exact=exact

@@ -17,7 +17,7 @@ from jaxstab.atlas.products.limits import ALPHA_LIMITS, LimitTable
 from jaxstab.atlas.products.radii import RadiusTable
 from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT
 from jaxstab.atlas.read.file import Integers, Mask, PackedArrays, Place
-from jaxstab.conventions import AXES, NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE, Status
+from jaxstab.conventions import AXES, Status, Verdict
 from jaxstab.numbers import checked
 
 Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ class QueryStatus(Status):
     """How an atlas knows what it answers for a point.
 
     Example:
-        >>> [status.name for status in jaxstab.QueryStatus]
+        >>> [status.name for status in jaxstab.results.QueryStatus]
         ['NODE', 'CELL', 'UNDECIDED_CELL', 'BETWEEN_DELAYS', 'OUTSIDE', 'EXACT']
     """
 
@@ -55,7 +55,7 @@ class AtlasAnswer:
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> answer = atlas.query([0.05, 0.18], 0.3, gamma=0.0005, delta=0.01, delay=1.0)
-        >>> [jaxstab.QueryStatus(int(code)).name for code in answer.status]
+        >>> [jaxstab.results.QueryStatus(int(code)).name for code in answer.status]
         ['CELL', 'CELL']
     """
 
@@ -77,7 +77,7 @@ class AtlasAnswer:
 def no_answer(size: int, *, has_verdicts: bool) -> AtlasAnswer:
     """Return an answer that says nothing yet."""
     return AtlasAnswer(
-        verdict=np.full(size, UNDECIDED if has_verdicts else NOT_COMPUTED, np.int8),
+        verdict=np.full(size, Verdict.UNDECIDED if has_verdicts else Verdict.NOT_COMPUTED, np.int8),
         spectral_radius=np.full(size, np.nan),
         radius_error=np.full(size, np.inf),
         status=np.full(size, QueryStatus.BETWEEN_DELAYS, np.int8),
@@ -117,7 +117,7 @@ def checked_range(name: str, ends: Any) -> Floats:
 
 def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[str, Any]) -> None:
     """Compute what the atlas left open inside of it; the filters are keywords of ``verdict``."""
-    is_open = (answer.verdict == UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
+    is_open = (answer.verdict == Verdict.UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
     left = np.flatnonzero(is_open)
     if left.size:
         from jaxstab.point import verdict
@@ -191,10 +191,10 @@ def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: Atl
     here = np.flatnonzero(inside & table.delays.covers(where["delay"]))
     walls = (where[name][here] for name in ("alpha", "beta"))
     beyond = table.delays.beyond(table.delays.of(where["delay"][here]), *walls)
-    codes = np.full(here.size, UNSTABLE, np.int8)
+    codes = np.full(here.size, Verdict.UNSTABLE, np.int8)
     codes[~beyond] = table.verdicts([where[name][here[~beyond]] for name in AXES])
     answer.verdict[here] = codes
-    proved = (codes == STABLE) | (codes == UNSTABLE)
+    proved = (codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)
     answer.status[here] = np.where(proved, QueryStatus.CELL, QueryStatus.UNDECIDED_CELL)
 
 
@@ -223,8 +223,8 @@ def answer_at_delay(
         status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
         if CELL_VERDICT in arrays:
             codes = _codes_at(arrays, CELL_VERDICT, place.cell, number)
-            status[(codes == STABLE) | (codes == UNSTABLE)] = QueryStatus.CELL
-    left = place.at_node & (codes == UNDECIDED)
+            status[(codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)] = QueryStatus.CELL
+    left = place.at_node & (codes == Verdict.UNDECIDED)
     if VERDICT in arrays and left.any():
         nodes_left = [along[left] for along in place.node]
         codes[left] = _codes_at(arrays, VERDICT, nodes_left, number)
@@ -246,8 +246,8 @@ def answer_radii(table: RadiusTable, where: Points, inside: Mask, answer: AtlasA
     here = np.flatnonzero(inside)
     low, high = table.bounds([where[name][here] for name in AXES])
     codes = answer.verdict[here]
-    low = np.where(codes == UNSTABLE, np.maximum(low, 1.0), low)
-    high = np.where(codes == STABLE, np.minimum(high, 1.0), high)
+    low = np.where(codes == Verdict.UNSTABLE, np.maximum(low, 1.0), low)
+    high = np.where(codes == Verdict.STABLE, np.minimum(high, 1.0), high)
     high = np.maximum(high, low)
     is_known = np.isfinite(high)
     members, low, high = here[is_known], low[is_known], high[is_known]

@@ -26,7 +26,7 @@ from jaxstab.atlas.products.verdicts import wrong_codes
 from jaxstab.atlas.read.atlas import Atlas, open_atlas
 from jaxstab.atlas.read.file import TooLargeError, table_of
 from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
-from jaxstab.conventions import AXES, NOT_COMPUTED, UNDECIDED
+from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import as_keywords
 
@@ -85,7 +85,9 @@ def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
         ends = [(nodes[0], nodes[-1]) for nodes in atlas.nodes(number).values()]
         point = (*(chance.uniform(*side, each) for side in ends), delay)
         answer = atlas.query(**by_name(*point))
-        codes = np.where(answer.verdict == NOT_COMPUTED, np.int8(UNDECIDED), answer.verdict)
+        codes = np.where(
+            answer.verdict == Verdict.NOT_COMPUTED, np.int8(Verdict.UNDECIDED), answer.verdict
+        )
         wrong += wrong_codes(codes, point, filters)
     points = each * atlas.delays.size
     return Check("answers", wrong == 0, f"{wrong} of {points} points are wrong")

@@ -10,7 +10,7 @@ Chebyshev's points are right (lemma B17 of docs/proofs.md).
 """
 
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import lru_cache, partial, reduce
 from math import ceil, cos, factorial, floor, inf, nextafter, pi
 from operator import mul
 from typing import TYPE_CHECKING, NamedTuple
@@ -34,7 +34,7 @@ from jaxstab.model.device.sampling import (
 )
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.loop import LoopParameters
-from jaxstab.model.sections import Exponential, LowPass, Section, butterworth_sine
+from jaxstab.model.sections import Section
 from jaxstab.model.spans import has_spans, merged, value_at
 from jaxstab.rounding import RAISED_FEW
 
@@ -518,30 +518,11 @@ def _changing(chain: Filter, t: "acb", period: float) -> "tuple[acb_poly, acb_po
 def _section(section: Section, t: "acb", period: float) -> "tuple[acb_poly, acb_poly]":
     import flint
 
-    if isinstance(section, Exponential):
-        return _lag(_value(section.factor, t))
-    cycles = _value(section.cutoff, t) * flint.arb(exact(period))
-    if isinstance(section, LowPass):
-        above, below = _lag(1 - (-2 * flint.arb.pi() * cycles).exp())
-        return above**section.order, below**section.order
-    w = (flint.arb.pi() * cycles).tan()
-    parts = [flint.acb_poly([1])] * 2
-    for k in range(section.order // 2):
-        sine = flint.arb(butterworth_sine(k, section.order))
-        gain, turn = w * w, 2 * w * sine
-        parts[0] *= flint.acb_poly([gain, 2 * gain, gain])
-        parts[1] *= flint.acb_poly([gain + 1 - turn, 2 * (gain - 1), gain + 1 + turn])
-    if section.order % 2:
-        parts[0] *= flint.acb_poly([w, w])
-        parts[1] *= flint.acb_poly([w - 1, w + 1])
-    return parts[0], parts[1]
-
-
-def _lag(factor: "acb") -> "tuple[acb_poly, acb_poly]":
-    """Return y_k = y_(k-1) + factor (x_k - y_(k-1))."""
-    import flint
-
-    return flint.acb_poly([0, factor]), flint.acb_poly([factor - 1, 1])
+    of_t = partial(_value, t=t)
+    factors = section.ball_factors(of_t, flint.arb(exact(period)), flint.arb.pi())
+    above = [flint.acb_poly(top) ** power for top, _, power in factors]
+    below = [flint.acb_poly(bottom) ** power for _, bottom, power in factors]
+    return reduce(mul, above), reduce(mul, below)
 
 
 def _value(span: float | Span, t: "acb") -> "acb":
