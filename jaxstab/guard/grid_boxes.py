@@ -16,7 +16,7 @@ from jaxstab.proofs.device_boxes import (
     FirstRow,
     along,
 )
-from jaxstab.proofs.plant import LinearModel
+from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.ranges import HandRange
 
 _ROUNDED_UP = 1.0 + 1e-9

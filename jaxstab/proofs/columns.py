@@ -19,9 +19,10 @@ from jaxstab.conventions import NOT_COMPUTED, STABLE, UNDECIDED, UNSTABLE
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
-from jaxstab.proofs.enclosures import Domain, Patches, curve_patches, minus_line_models
+from jaxstab.proofs.curve_patches import Domain, Patches, curve_patches, minus_line_models
+from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.proofs.filters import Ends, filter_ends
-from jaxstab.proofs.plant import HandBoxes, LinearModel
+from jaxstab.proofs.plant import HandBoxes
 
 # Runs of patches of the curve through columns, and the surfaces that follow them.
 #

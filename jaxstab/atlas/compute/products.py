@@ -23,7 +23,7 @@ from jaxstab.atlas.format.schema import (
 )
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.proofs.columns import stable_columns
-from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import HandBoxes
 from jaxstab.proofs.radius_cells import (
     WIDEST_CLUSTER,
