@@ -29,8 +29,7 @@ from jaxstab import (
     build_guard,
     guard_header,
 )
-from jaxstab.guard.grid import Grid, interpolated
-from jaxstab.guard.grid_boxes import grid_boxes
+from jaxstab.guard.grid import Grid, grid_boxes, interpolated
 from jaxstab.model.device import sampled_device
 from jaxstab.model.filters import given_filters
 from jaxstab.proofs.device_boxes import Arms, HeldDevice, with_parts

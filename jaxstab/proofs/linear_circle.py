@@ -231,8 +231,15 @@ def _in_piece(
 ) -> np.ndarray:
     """Return N, its moves along the number and the angle, the rest and the rounding, as rows.
 
-    It is known by the coefficients of powers of z - 1: with s = 1 - x and order n those of
-    s^k x^(n - k). All derivatives of s but itself are at most 1.
+    With u the number less the middle of the piece, x = 1/z, s = 1 - x and order n,
+
+        N = sum_i sum_k c_ik u^i s^k x^(n - k),
+
+    c the coefficients. ``here`` are sum_i c_ik u^i and its derivatives by u in the middle, for
+    each k; ``bounds`` are the same of the moduli at the largest |u|. ``waves`` are s^k x^(n - k)
+    there and ``turned`` their derivatives by theta; ``most``, ``slopes`` and ``bends`` bound them
+    and their first two derivatives in the box, for all derivatives of s but itself are at most 1
+    (lemma B14).
     """
     reach = np.abs(offset) + by_number
     count, size = coefficients.shape
