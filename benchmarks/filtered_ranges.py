@@ -21,7 +21,7 @@ from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab.conventions import Verdict
 from jaxstab.model.filters import given_filters
 from jaxstab.proofs.columns import column_gaps
-from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import HandBoxes
 from jaxstab.ranges.device_margins import device_ends, extra_delays
 from jaxstab.ranges.margins import WAYS, first_crossings

@@ -11,8 +11,9 @@ from benchmarks.truth import filtered
 from jaxstab import Filter, Velocity, Verdict, boundary_curve, verdict
 from jaxstab.model.filters import known_filters
 from jaxstab.proofs.columns import StableColumns, column_gaps, stable_columns
-from jaxstab.proofs.enclosures import Domain, Intervals, curve_patches
-from jaxstab.proofs.plant import HandBoxes, LinearModel, plant_models
+from jaxstab.proofs.curve_patches import Domain, Intervals, curve_patches
+from jaxstab.proofs.enclosures import LinearModel
+from jaxstab.proofs.plant import HandBoxes, plant_models
 
 HAPTIC = (1e-3, 0.015)
 SCENES = [  # delay, gamma, delta, widths of the boxes, domain in units of the delay's stable set

@@ -28,8 +28,7 @@ from jaxstab import (
     Verdict,
     build_guard,
 )
-from jaxstab.guard.grid import Grid, interpolated
-from jaxstab.guard.grid_boxes import grid_boxes
+from jaxstab.guard.grid import Grid, grid_boxes, interpolated
 from jaxstab.model.device import sampled_device
 from jaxstab.model.filters import given_filters
 from jaxstab.proofs.device_boxes import Arms, HeldDevice, with_parts

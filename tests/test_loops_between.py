@@ -24,7 +24,19 @@ from jaxstab import (
     Verdict,
     common_region,
 )
-from jaxstab.proofs.linear_circle import FamilyBoxes, PieceBoxes, family_cells
+from jaxstab.model.filters import known_filters
+from jaxstab.proofs.exclusion import Models, Parts
+from jaxstab.proofs.linear_circle import (
+    DelayBoxes,
+    FamilyBoxes,
+    GainLines,
+    PieceBoxes,
+    delay_models,
+    delayed_device,
+    family_cells,
+    line_models,
+    loop_cells,
+)
 from jaxstab.proofs.linear_circle import family_models as models
 from jaxstab.results import RobustStatus
 
@@ -136,6 +148,81 @@ def test_boxes_hold_the_polynomials_of_all_loops(name: str, rng: np.random.Gener
                 g = free + z ** -(whole + 1) * (alpha * stiff + beta * velocity * damp)
                 linear = found.value[number] + found.moves[:, number] @ x
                 assert abs(complex(g) - linear) <= found.rest[number]
+
+
+def check_boxes(
+    found: Models, delay: np.ndarray, gains: np.ndarray, theta: np.ndarray, sides: np.ndarray
+) -> None:
+    """Compare g over boxes of one loop with its equations of motion, at points of the boxes.
+
+    ``gains`` are alpha, beta; all have shape (..., point, box), ``sides`` the place in the box.
+    """
+    sampled = loop_of().sampled
+    assert sampled is not None
+    units = sampled.stiffness_unit, sampled.damping_unit
+    velocity = filtered.times(filtered.difference(1), filtered.low_pass(CUTOFF, order=1))
+    system = DRAWN.mechanism.system()
+    for point, box in np.ndindex(theta.shape):
+        late = float(delay[point, box])
+        balls = devices.DeviceLoop(system, PERIOD, late, velocity, filtered.average(1)).balls()
+        with flint.ctx.workprec(400):
+            z = flint.acb(0, flint.arb(theta[point, box])).exp()
+            walls = [
+                flint.arb(gain) / flint.arb(unit)
+                for gain, unit in zip(gains[:, point, box], units, strict=True)
+            ]
+            p = balls.base + balls.stiffness * walls[0] + balls.damping * walls[1]
+            # Over the power of z and the filter's denominator, as g.
+            g = p(z) / z ** p.degree() / (1 - flint.arb(-2.0 * np.pi * CUTOFF).exp() / z)
+        linear = found.value[box] + found.moves[:, box] @ sides[:, point, box]
+        assert abs(complex(g) - linear) <= found.rest[box]
+
+
+def random_boxes(rng: np.random.Generator, count: int) -> tuple[np.ndarray, ...]:
+    """Angles, their half-widths, gains, and places in boxes of two axes."""
+    by_theta = 0.5 * np.pi * 10.0 ** rng.uniform(-7, -0.5, count)
+    theta = by_theta + (np.pi - 2.0 * by_theta) * rng.random(count)
+    return (
+        theta,
+        by_theta,
+        10.0 ** rng.uniform(-4, 0, (2, count)),
+        rng.uniform(-1, 1, (2, 3, count)),
+    )
+
+
+def test_boxes_of_lines_hold_the_polynomial(rng: np.random.Generator) -> None:
+    """g of a sampled device over boxes of gains and angles, against its equations of motion."""
+    count, loop = 12, loop_of()
+    assert loop.sampled is not None
+    cells = loop_cells(loop.sampled, known_filters(loop.velocity, loop.position))
+    theta, by_theta, start, sides = random_boxes(rng, count)
+    change = start * rng.choice([-1.0, 1.0], start.shape)
+    by_t = 0.5 * 10.0 ** rng.uniform(-6, 0, count)
+    t = by_t + (1.0 - 2.0 * by_t) * rng.random(count)
+    ends = np.stack([t - by_t, theta - by_theta]), np.stack([t + by_t, theta + by_theta])
+    found = line_models(cells, GainLines(start, change), Parts(np.arange(count), *ends))
+    gains = start[:, None] + change[:, None] * (t + by_t * sides[0])
+    delay = np.full(sides.shape[1:], DRAWN.delay)
+    check_boxes(found, delay, gains, theta + by_theta * sides[1], sides)
+
+
+def test_boxes_of_delays_hold_the_polynomial(rng: np.random.Generator) -> None:
+    """The same over boxes of delays and angles; D and F are apart where the bound is positive."""
+    count, loop = 12, loop_of()
+    assert loop.sampled is not None
+    device = delayed_device(loop.sampled, known_filters(loop.velocity, loop.position))
+    assert device is not None
+    theta, by_theta, gains, sides = random_boxes(rng, count)
+    piece = rng.integers(len(device.pieces), size=count)
+    low, high = device.ends[piece], device.ends[piece + 1]
+    by_delay = 0.5 * (high - low) * 10.0 ** rng.uniform(-6, -0.5, count)
+    part = low + by_delay + (high - low - 2.0 * by_delay) * rng.random(count)
+    delay = rng.integers(4, size=count) + part
+    found, apart = delay_models(device, DelayBoxes(gains, delay, theta, by_delay, by_theta))
+    gains = np.repeat(gains[:, None], 3, axis=1)
+    check_boxes(found, delay + by_delay * sides[0], gains, theta + by_theta * sides[1], sides)
+    values = found.value + np.sum(found.moves[:, None] * sides, axis=0)
+    assert np.all(np.abs(values) + found.rest >= apart)
 
 
 @pytest.mark.parametrize("name", quickly("mass", "cutoff"))

@@ -1,13 +1,29 @@
-"""The grid of a guard: limits at its nodes, and their largest and smallest values over boxes."""
+"""The grid of a guard: limits at its nodes, and its loops over boxes in cells."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
-Reals = Float64[np.ndarray, " box"]
+from jaxstab.model import Device, LoopParameters
+from jaxstab.proofs.device_boxes import (
+    AXES,
+    DAMPING,
+    DELAY,
+    MASS,
+    Boxes,
+    DeviceBoxes,
+    Extent,
+    FirstRow,
+    along,
+)
+from jaxstab.proofs.enclosures import LinearModel
+from jaxstab.ranges import HandRange
+
 Ends = Float64[np.ndarray, "axis box"]  # in cells
 
+_ROUNDED_UP = 1.0 + 1e-9
 _SLACK = 1e-9  # of the largest value: more than the arithmetic of the header rounds
 
 
@@ -34,25 +50,61 @@ class Grid(NamedTuple):
         return first, second, third
 
 
-class Models(NamedTuple):
-    """Functions over boxes: centres, moves along the axes, and bounds of what these leave."""
+def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Grid) -> DeviceBoxes:
+    """Return the loops of boxes, each in a cell of a grid, whose walls are those up to its limits.
 
-    centre: Reals
-    moves: Float64[np.ndarray, "axis box"]
-    rest: Reals
+    The first three axes are in cells; lemma B20 of docs/proofs.md.
+
+    Raises:
+        NotImplementedError: as ``DeviceBoxes``.
+    """
+    count = grid.cells[2]
+    corners = grid.limit[:, :, 0]
+    begins = np.maximum.reduce(
+        [corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]]
+    )
+
+    def limits(center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
+        low, high = (center - half)[:3], (center + half)[:3]
+        return _limits_over(grid, low, high), _tops_over(grid, low[:2], high[:2])
+
+    def extent(center: Boxes, half: Boxes) -> Extent:
+        mass, delay = (
+            along(axis, nodes[0] + center[axis] * step, half[axis] * step * _ROUNDED_UP)
+            for axis, nodes in ((MASS, grid.mass), (DELAY, grid.delay))
+            for step in [step_of(nodes)]
+        )
+        share = along(DAMPING, center[DAMPING] / count, half[DAMPING] / count)
+        limit, top = limits(center, half)
+        return Extent(mass, delay, limit, share * top)
+
+    def is_first(center: Boxes) -> Bool[np.ndarray, " box"]:
+        column = tuple(np.floor(center[:2]).astype(int))
+        is_at_0: Bool[np.ndarray, " box"] = (center[DAMPING] < 1.0) & (begins[column] == 0.0)
+        return is_at_0
+
+    def whole_walls(center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
+        end, none = center.copy(), half.copy()
+        end[DAMPING], none[DAMPING] = 1.0, 0.0
+        limit, top = limits(end, none)
+        return limit, top * (1.0 / count)
+
+    mass = float(grid.mass[0]), float(grid.mass[-1])
+    arm = hands.stiffness[1], hands.damping[0]
+    return DeviceBoxes(device, loop, mass, arm, extent, FirstRow(is_first, whole_walls))
 
 
-def limits_over(grid: Grid, low: Ends, high: Ends) -> Models:
+def _limits_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
     """Bound the limit from above, by models without a rest, over boxes within a cell."""
     known = _model(grid.limit, low, high)
     slack = _SLACK * float(np.max(grid.limit))
-    return Models(known.centre + known.rest + slack, known.moves, np.zeros_like(known.rest))
+    return replace(known, centre=known.centre + known.rest + slack, rest=np.zeros_like(known.rest))
 
 
-def tops_over(grid: Grid, low: Ends, high: Ends) -> Models:
+def _tops_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
     """Enclose the largest damping over boxes of mass and delay within a cell."""
     known = _model(grid.top, low, high)
-    return known._replace(rest=known.rest + _SLACK * known.centre)
+    return replace(known, rest=known.rest + _SLACK * known.centre)
 
 
 def step_of(nodes: Float64[np.ndarray, " node"]) -> float:
@@ -65,7 +117,7 @@ def interpolated(nodes: np.ndarray, index: np.ndarray) -> np.ndarray:
     return _at_corners(nodes, (index, index))[0]
 
 
-def _model(nodes: np.ndarray, low: np.ndarray, high: np.ndarray) -> Models:
+def _model(nodes: np.ndarray, low: np.ndarray, high: np.ndarray) -> LinearModel:
     """Return the model of the interpolation over boxes within one cell."""
     corners = _at_corners(nodes, (low, high))
     signs = np.indices((2,) * len(low)).reshape(len(low), -1) * 2.0 - 1.0
@@ -73,7 +125,9 @@ def _model(nodes: np.ndarray, low: np.ndarray, high: np.ndarray) -> Models:
     centre = corners.mean(axis=0)
     # Linear in each variable, it is farthest from its model at a corner.
     rest = np.max(np.abs(corners - centre - signs.T @ moves), axis=0)
-    return Models(centre, moves, rest)
+    slope = np.zeros((AXES, centre.size))
+    slope[: len(moves)] = moves
+    return LinearModel(centre, slope, rest, np.ones((AXES, 1)))
 
 
 def _at_corners(nodes: np.ndarray, ends: tuple[Ends, Ends]) -> np.ndarray:

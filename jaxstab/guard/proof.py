@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.conventions import Verdict
-from jaxstab.guard.grid import Grid, interpolated, step_of
-from jaxstab.guard.grid_boxes import grid_boxes
+from jaxstab.guard.grid import Grid, grid_boxes, interpolated, step_of
 from jaxstab.model import LoopParameters
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.device_boxes import BEYOND, Arms, device_of, with_parts

@@ -19,9 +19,10 @@ from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
-from jaxstab.proofs.enclosures import Domain, Patches, curve_patches, minus_line_models
+from jaxstab.proofs.curve_patches import Domain, Patches, curve_patches, minus_line_models
+from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.proofs.filters import Ends, filter_ends
-from jaxstab.proofs.plant import HandBoxes, LinearModel
+from jaxstab.proofs.plant import HandBoxes
 
 # Runs of patches of the curve through columns, and the surfaces that follow them.
 #
@@ -779,7 +780,14 @@ def _limits(
 ) -> tuple[Planes, Planes]:
     """Return the strips below and above the stable gap of each column.
 
-    Where others hide what is in them, both limits are the flat span of all that may be stable.
+    The strips of a column part its gaps: gap k is between the strips k - 1 and k. There are three
+    cases. (1) One gap is stable, and no strip but the two beside it may hide stable walls: these
+    are the limits. (2) Several gaps are stable, or a strip elsewhere, within what was asked for,
+    may hide stable walls: both limits are the flat span from the lowest to the highest of all
+    these strips, its error half of its length, so that nothing in it is called stable or unstable.
+    (3) A gap is undecided, a strip has no bound, or a span is open at one end: the limits are 0
+    with an infinite error, and nothing is said. Where nothing is stable and nothing hides, they
+    are infinite.
     """
     is_stable = codes == Verdict.STABLE
     first, count = np.argmax(is_stable, axis=1), is_stable.sum(axis=1)

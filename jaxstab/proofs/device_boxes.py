@@ -20,8 +20,18 @@ from jaxstab.model import Device, LoopParameters
 from jaxstab.model import Hand as Arm
 from jaxstab.model.device.parts import MassSpringDamper, Mode, Modes
 from jaxstab.model.filters import known_filters
-from jaxstab.proofs.filters import filter_cells, largest_within, responses
-from jaxstab.proofs.plant import LinearModel, Moving
+from jaxstab.proofs.enclosures import (
+    LinearModel,
+    Moving,
+    conjugate,
+    disc,
+    on_axes_of,
+    phasor,
+    sinc,
+    sine,
+    variable,
+)
+from jaxstab.proofs.filters import OverCells, filter_cells
 
 # A device with its vibration modes, actuators and a held grip, of any mass, for any hand.
 #
@@ -279,8 +289,6 @@ _AT_ONCE = 2048
 
 _FAST = 1.0  # up to this angle all aliases are small
 
-_HINT = 0.1  # of the size of a function of which nothing else is known
-
 _FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
 
 _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
@@ -290,8 +298,6 @@ _FAR = 2.0  # times how far it moves: a value that is far from 0
 _ROUNDED_UP = 1.0 + 1e-9
 
 _ROUNDING = 1e-14  # of a number
-
-_EPS = 4.0 * np.finfo(np.float64).eps
 
 
 class Extent(NamedTuple):
@@ -333,8 +339,8 @@ class _Place(NamedTuple):
 
     def as_discs(self) -> "_Place":
         """Return the same without moves along the axes."""
-        arm = Arms(*map(_disc, self.arm))
-        return _Place(_disc(self.mass), _disc(self.delay), arm, _disc(self.theta))
+        arm = Arms(*map(disc, self.arm))
+        return _Place(disc(self.mass), disc(self.delay), arm, disc(self.theta))
 
 
 class DeviceBoxes:
@@ -409,8 +415,8 @@ class DeviceBoxes:
         place, alpha, beta = self._parts(center, half)
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
         others = self._others(place, aliases)
-        force = _sinc(place.theta).value * above + _sine(place.theta) * below * others
-        force = _turned(place.theta * (place.delay + 0.5)) * force
+        force = sinc(place.theta).value * above + sine(place.theta) * below * others
+        force = phasor(place.theta * (place.delay + 0.5)) * force
         position, velocity = self._filters(place.theta)
         none = below + beta * velocity.value * force
         most = none + alpha * position.value * force
@@ -440,10 +446,10 @@ class DeviceBoxes:
         place, aliases = self._parts(center, half)[0], self._slow
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
         one = _known(np.ones_like(center[0]))
-        turned = _conjugate(one * above * self._device.lag(place.theta * 1j))
+        turned = conjugate(one * above * self._device.lag(place.theta * 1j))
         others = self._others(place, aliases)
-        force = _sinc(place.theta).value * above + _sine(place.theta) * below * others
-        force = _turned(place.theta * (place.delay + 0.5)) * force * turned
+        force = sinc(place.theta).value * above + sine(place.theta) * below * others
+        force = phasor(place.theta * (place.delay + 0.5)) * force * turned
         walls = self._walls(place.theta, *self._wall_of_first_row(center, half))
         return _rising([(wall.value * force, 0.0) for wall in walls], below)
 
@@ -454,7 +460,7 @@ class DeviceBoxes:
         above, below = self._device.parts(s, place.mass, place.arm)
         one = Moving(_known(np.ones_like(center[0])), _known(np.zeros_like(center[0])))
         turned = one * above * self._device.lag(s)
-        turned = Moving(_conjugate(turned.value), _conjugate(turned.rate))
+        turned = Moving(conjugate(turned.value), conjugate(turned.rate))
         force = self._force(place, above) * turned
         others = below.value.size * turned.value.size * self._others(place, self._slow).size
         walls = self._walls(place.theta, *self._wall_of_first_row(center, half))
@@ -464,8 +470,8 @@ class DeviceBoxes:
     def _force(self, place: _Place, above: Any) -> Moving:
         """Return the held force behind the delay times N, without aliases."""
         lag = place.delay + 0.5
-        wave = _turned(place.theta * lag)
-        return _sinc(place.theta) * above * Moving(wave, wave * lag * -1j)
+        wave = phasor(place.theta * lag)
+        return sinc(place.theta) * above * Moving(wave, wave * lag * -1j)
 
     def _walls(
         self, theta: LinearModel, alpha: LinearModel, beta: LinearModel
@@ -496,22 +502,13 @@ class DeviceBoxes:
     def _filters(self, theta: LinearModel) -> tuple[Moving, Moving]:
         """Return P and V in units of one sample, with their derivatives by theta."""
         at, by = theta.centre, theta.slope[_THETA]
-        if self._cells is None:
-            back, none = np.exp(-1j * at), np.zeros_like(at)
-            value = np.stack([none + 1.0, 1.0 - back])
-            slope = np.stack([0j * none, 1j * back])
-            lost, bend = np.full((4, at.size), _EPS), np.stack([none, none + 1.0])
-        else:
-            value, slope, lost = responses(self._cells, at)
-            bend = largest_within(self._cells.steepness, self._cells, at, by)[2:]
-        made = []
-        for k in range(2):
-            moves = np.zeros((AXES, at.size), complex)
-            moves[_THETA] = slope[k] * by
-            rest = 0.5 * bend[k] * by**2 + lost[k] + by * lost[2 + k]
-            rate = LinearModel(slope[k], 0.0 * moves, bend[k] * by + lost[2 + k], theta.half)
-            made.append(Moving(LinearModel(value[k], moves, rest, theta.half), rate))
-        return made[0], made[1]
+        if self._cells is not None:
+            over = OverCells.of(self._cells, at, by)
+            position, velocity = map(Moving, over.values_along(AXES), over.rates_along(AXES))
+            return position, velocity
+        one, none = _known(np.ones_like(at)), _known(np.zeros_like(at))
+        back = phasor(theta)
+        return Moving(one, none), Moving(1.0 - back, back * 1j)
 
     def _others(self, place: _Place, aliases: "_Aliases") -> LinearModel:
         """Return R."""
@@ -525,13 +522,13 @@ class DeviceBoxes:
             centre = np.where(is_known, one.centre, 0.0)
             slope = np.where(is_known, one.slope, 0.0)
             one = LinearModel(centre, slope, np.where(is_known, one.rest, most), one.half)
-            total = total + _like(one, total)
+            total = total + on_axes_of(one, total)
         return total
 
     def _alias(self, place: _Place, turns: int) -> LinearModel:
         angle = place.theta + 2.0 * pi * turns
         above, below = self._device.parts(angle * 1j, place.mass, place.arm)
-        wave = _turned(place.delay * (2.0 * pi * turns))
+        wave = phasor(place.delay * (2.0 * pi * turns))
         return above * wave * (below * angle).reciprocal()
 
 
@@ -602,66 +599,13 @@ def _moving_s(theta: LinearModel) -> Moving:
     return Moving(theta * 1j, _known(1j * np.ones_like(theta.centre)))
 
 
-def _conjugate(model: LinearModel) -> LinearModel:
-    return LinearModel(model.centre.conj(), model.slope.conj(), model.rest, model.half)
-
-
 def along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:
     """Return a variable that runs along an axis."""
-    slope = np.zeros((AXES, centre.size))
-    slope[axis] = half
-    return LinearModel(centre, slope, _ROUNDING * np.abs(centre), np.ones((AXES, 1)))
+    exact = variable(axis, AXES, centre, half)
+    return replace(exact, rest=_ROUNDING * np.abs(centre))
 
 
 def _known(centre: np.ndarray) -> LinearModel:
     """Return numbers as functions."""
     slope = np.zeros((AXES, centre.size))
     return LinearModel(centre, slope, np.zeros(centre.size), np.ones((AXES, 1)))
-
-
-def _disc(model: LinearModel) -> LinearModel:
-    """Return a function without moves along the axes."""
-    return LinearModel(model.centre, model.slope[:0], model.swing, model.half[:0])
-
-
-def _like(model: LinearModel, other: LinearModel) -> LinearModel:
-    """Return a function with the axes of another."""
-    if len(model.half) == len(other.half):
-        return model
-    slope = np.zeros((len(other.half), model.centre.size))
-    return LinearModel(model.centre, slope, model.rest, other.half)
-
-
-def _turned(phase: LinearModel) -> LinearModel:
-    """Return e^(-i phase); where the phase is hardly known, its size, and what would tell it.
-
-    The slopes there are none of the function's: they say what to halve, and the rest pays for them.
-    """
-    centre = np.exp(-1j * phase.centre)
-    rest = 0.5 * (phase.swing - phase.rest) ** 2 + phase.rest + _EPS * (1.0 + np.abs(phase.centre))
-    is_known = phase.swing < 1.0
-    hint = _HINT * phase.slope / np.maximum(phase.swing, 1.0)
-    slope = np.where(is_known, -1j * centre * phase.slope, hint)
-    return LinearModel(
-        np.where(is_known, centre, 0.0), slope, np.where(is_known, rest, 1.0 + _HINT), phase.half
-    )
-
-
-def _sine(theta: LinearModel) -> LinearModel:
-    """Return 2 sin(theta/2)."""
-    half = 0.5 * theta.centre
-    rest = 0.25 * theta.swing**2 + theta.rest + _EPS
-    return LinearModel(2.0 * np.sin(half), np.cos(half) * theta.slope, rest, theta.half)
-
-
-def _sinc(theta: LinearModel) -> Moving:
-    """Return sin(theta/2)/(theta/2) and its derivative, which has one of at most 1/12."""
-    at = theta.centre
-    value, is_small = np.sinc(at / (2.0 * pi)), np.abs(at) < 1e-3
-    slope = np.where(is_small, -at / 12.0, (np.cos(0.5 * at) - value) / np.where(is_small, 1.0, at))
-    by = theta.swing
-    still = np.zeros_like(theta.slope)
-    return Moving(
-        LinearModel(value, slope * theta.slope, by**2 / 24.0 + 1e-11 * by + _EPS, theta.half),
-        LinearModel(slope, still, by / 12.0 + 1e-11, theta.half),
-    )

@@ -1,425 +1,283 @@
-"""The boundary over whole boxes of hands, enclosed: where roots can lie on the unit circle.
+"""Functions over whole boxes, enclosed: value, slope along each axis, and a bound of the rest.
 
-The closed form (``curve``), evaluated in linear models of theta, gamma and delta, gives patches of
-the curve with a proved error. Patches that meet a domain of (alpha, beta) are halved in theta until
-they are short. With h = 1 - cos(theta) and the line of a root at 1 written out by hand,
+Proofs over boxes of loops and angles rest on one expansion. The polynomial of any loop, over a
+power of z, is on the unit circle
 
-    alpha = -gamma + h lift,
+    g = D + F (alpha P + beta V),
 
-so that curve and line stay apart wherever h does.
+D and F the plant's, P and V the filters'. A plant gives D and F as linear models over boxes, cells
+of the angle give P and V (``jaxstab.proofs.filters``), and the gains are variables or numbers. Sums
+and products of models then enclose g: its value in the middle of each box, its slope along each
+axis, and a bound of what these leave (lemma B13 of docs/proofs.md). The sampled devices of
+``jaxstab.proofs.linear_circle``, the devices in hands of ``jaxstab.proofs.device_boxes`` and the
+curves of ``jaxstab.proofs.curve_patches`` are expanded in this way, that is as Taylor models of
+first order (Makino, Berz 1996); ``jaxstab.proofs.quadratics`` has those of second order. One mass
+in closed form, without curves, is the exception: ``jaxstab.proofs.exclusion`` writes the same
+products out, for speed (lemma B3).
+
+Axes are rows of the slopes, which the functions that make models name. Rounding is counted with
+the rest. In batches, real or complex. NumPy only.
 """
 
-from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property
 from math import pi
-from typing import NamedTuple, TypeVar
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.model.filters import Filters
-from jaxstab.proofs.filters import (
-    filter_cells,
-    filter_ends,
-    filter_models,
-    largest_within,
-    responses,
-)
-from jaxstab.proofs.plant import CurveParts, HandBoxes, LinearModel, Moving, plant_models
+Floats = Any  # real or complex arrays
 
-# Intervals of theta, each for a box of hands, and parts of them.
+Number = Any  # the same, or one number
 
-Patch = Float64[np.ndarray, " patch"]
+_ROUNDING = 32 * np.finfo(np.float64).eps  # of the largest term: no operation below has 32
 
-Box = Int64[np.ndarray, " patch"]
+_EPS = 4.0 * np.finfo(np.float64).eps  # more than an elementary function loses
+
+_HINT = 0.1  # of the size of a function of which nothing else is known
 
 
-class Intervals(NamedTuple):
-    """Intervals of theta, each for a box of hands."""
+@dataclass(frozen=True)
+class LinearModel:
+    """A function over boxes of half-widths ``half``; where no bound is known, ``rest`` is infinite.
 
-    box: Box
-    first: Patch
-    last: Patch
+    It stands for every function f with
 
-    def some(self, which: Bool[np.ndarray, " patch"] | Box | slice) -> "Intervals":
-        """Return some of them."""
-        return Intervals(self.box[which], self.first[which], self.last[which])
+        |f(x) - centre - sum_k slope_k dx_k| <= rest        for all |dx_k| <= half_k.
 
-    def parts(self, halvings: Box) -> tuple[Box, "Intervals"]:
-        """Return the equal parts after so many halvings, but none for 0, and whose part each is."""
-        count = np.where(halvings > 0, 1 << halvings, 0)
-        owner = np.repeat(np.arange(count.size), count)
-        number = np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count)
-        whole, counts = self.some(owner), count[owner]
-
-        def edge(number: Box) -> Patch:  # neighbours have the same one
-            inside = whole.first + (whole.last - whole.first) * (number / counts)
-            return np.where(number == counts, whole.last, inside)
-
-        return owner, Intervals(whole.box, edge(number), edge(number + 1))
-
-
-_ROUNDING = 16 * np.finfo(np.float64).eps  # more than cosines have
-
-_FIRST_PATCHES = 64
-
-_PER_TURN = 8  # of z^(delay + 1)
-
-_MOST_HALVINGS = 10
-
-_AT_ONCE = 4  # of them: where most of a patch is outside, its parts are better looked at before
-
-_BLOCK = 2**13  # intervals whose models are in memory at once
-
-_TOLERATED = 8.0  # widths of what is not known of a patch, if halving it helps
-
-_CLEAR = 0.25  # of what the gains are divided by: how far from 0 it is
-
-_HELPS = 0.5  # times what was not known of the whole
-
-Model = TypeVar("Model", LinearModel, Moving)
-
-
-class Domain(NamedTuple):
-    """The lowest and the highest gains that matter."""
-
-    alpha: tuple[float, float]
-    beta: tuple[float, float]
-
-
-class Patches(NamedTuple):
-    """Parts of the curve over boxes of hands, in the order of the boxes and then of theta.
-
-    They are linear models in theta and the variables of the plant; where their rest is infinite,
-    the curve may be anywhere.
+    Attributes:
+        centre: value in the middle of each box, shape (*box).
+        slope: derivatives there, (variable, *box).
+        rest: bound of what these leave, (*box).
+        half: half-widths of the boxes, (variable, *box).
+        has_products: whether the variables are x_1 ... x_n, t, the square of t less half of its
+            largest value, and t x_1 ... t x_n. If so, arithmetic keeps these products; otherwise
+            they count as remainder.
     """
 
-    box: Box
-    first: Patch  # theta
-    last: Patch
-    alpha: LinearModel
-    beta: LinearModel
-    may_turn: Bool[np.ndarray, " patch"]  # for one hand, beta is not proved monotonic in theta
-
-    def some(self, which: Bool[np.ndarray, " patch"] | Int64[np.ndarray, " some"]) -> "Patches":
-        """Return chosen patches."""
-        box, first, last, may_turn = (
-            part[which] for part in (self.box, self.first, self.last, self.may_turn)
-        )
-        return Patches(box, first, last, self.alpha.some(which), self.beta.some(which), may_turn)
-
-    @staticmethod
-    def joined(parts: "list[Patches]") -> "Patches":
-        """Return all patches of some lists, in order."""
-        *intervals, alphas, betas, may_turn = zip(*parts, strict=True)
-        box, first, last = map(np.concatenate, intervals)
-        alpha, beta = (LinearModel.joined(list(models)) for models in (alphas, betas))
-        every = Patches(box, first, last, alpha, beta, np.concatenate(may_turn))
-        return every.some(np.lexsort((first, box)))
-
-
-def curve_patches(
-    hands: HandBoxes,
-    delay: float,
-    domain: Domain,
-    width: tuple[float, float],
-    filters: Filters | None = None,
-    half_delay: float = 0.0,
-) -> Patches:
-    """Enclose the curve of a pair of roots on the unit circle where it may meet a domain.
-
-    It is left out beyond the line of a root at 1: p(1) < 0 there, so a real root is always outside.
-
-    Args:
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples.
-        domain: of the gains.
-        width: patches are halved until theta moves alpha and beta by no more than this.
-        filters: velocity estimator and position filter, in units of one sample.
-        half_delay: largest distance of the delay from this one, between whole samples.
-    """
-    parts = CurveParts.of(plant_models(hands, delay, half_delay))
-    turns = int(np.floor(delay)) + 1
-    count = max(_FIRST_PATCHES, _PER_TURN * (turns + _order_of(filters)))
-    angles = pi * (np.arange(count + 1) / count) ** 1.5
-    boxes = np.arange(hands.gamma.size)
-    intervals = Intervals(
-        np.repeat(boxes, count), np.tile(angles[:-1], boxes.size), np.tile(angles[1:], boxes.size)
-    )
-    curve_of = partial(_curve, parts, turns, filters)
-    left = np.full(intervals.box.size, _MOST_HALVINGS)
-    rests = np.full((2, intervals.box.size), np.inf)  # of what the intervals are parts of
-    found: list[Patches] = []
-    while intervals.box.size or not found:
-        halvings = np.zeros_like(left)
-        for start in range(0, max(intervals.box.size, 1), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            some = intervals.some(block)
-            curve = curve_of(some)
-            most = np.minimum(left[block], _AT_ONCE)
-            wanted = np.minimum(curve.halvings(width, rests[:, block]), most)
-            is_inside = ~curve.is_outside(domain)
-            found.append(curve.patches(some).some(is_inside & (wanted == 0)))
-            halvings[block] = np.where(is_inside, wanted, 0)
-            rests[:, block] = curve.rests
-        whole, intervals = intervals.parts(halvings)
-        rests, left = rests[:, whole], (left - halvings)[whole]
-    return _with_unknown_joined(Patches.joined(found), angles, curve_of)
-
-
-def _with_unknown_joined(
-    patches: Patches,
-    angles: Float64[np.ndarray, " angle"],
-    curve_of: Callable[["Intervals"], "_Curve"],
-) -> Patches:
-    """Join neighbours between two angles of which nothing is known: they say no more apart."""
-    box, first, last = patches[:3]
-    is_known = np.all(np.isfinite([patches.alpha.rest, patches.beta.rest]), axis=0)
-    between = np.searchsorted(angles, first, side="right")
-    follows = ~(is_known[1:] | is_known[:-1]) & (first[1:] == last[:-1])
-    follows &= (box[1:] == box[:-1]) & (between[1:] == between[:-1])
-    if not follows.any():
-        return patches
-    follows_one, has_one_behind = np.append(False, follows), np.append(follows, False)
-    begins, ends = has_one_behind & ~follows_one, follows_one & ~has_one_behind
-    wide = Intervals(box[begins], first[begins], last[ends])
-    alone = patches.some(~(follows_one | has_one_behind))
-    return Patches.joined([alone, curve_of(wide).patches(wide)])
-
-
-def minus_line_models(
-    hands: HandBoxes, delay: float, half_delay: float = 0.0
-) -> tuple[LinearModel, LinearModel]:
-    """Enclose value and weight of the line of a root at -1: weight (alpha + 2 beta) = value.
-
-    With filters it is weight (alpha P(-1) + beta V(-1)) = value.
-    """
-    plant = plant_models(hands, delay, half_delay)
-    sign = -1.0 if int(np.floor(delay)) % 2 == 0 else 1.0
-    return (1.0 - plant.d1 + plant.d0) * -sign, plant.difference
-
-
-def _order_of(filters: Filters | None) -> int:
-    """Return how many samples back filters reach at most, or how many poles they have."""
-    if filters is None:
-        return 0
-    return max(filters[0].filter.transfer().order, filters[1].transfer().order)
-
-
-class _Curve(NamedTuple):
-    """alpha and beta of patches, and both times ``square``, which may vanish.
-
-    Without filters the square is |N|^2. ``lift`` is how far alpha is from the line of a root at 1,
-    in units of h, to the side where p(1) > 0. ``forces`` bound |P N| and |V N| from above and |D|
-    from below: where the walls' force is too small there is no root.
-    """
-
-    alpha: LinearModel
-    beta: Moving
-    square_gains: tuple[LinearModel, ...]  # beta; with filters alpha, too
-    square: LinearModel
-    lift: LinearModel
-    forces: Float64[np.ndarray, "3 patch"]
+    centre: Floats
+    slope: Floats
+    rest: Floats
+    half: Floats
+    has_products: bool = False
 
     @property
-    def rests(self) -> Float64[np.ndarray, "2 patch"]:
-        """The bounds of what the models leave unknown of alpha and beta."""
-        return np.stack([self.alpha.rest, self.beta.value.rest])
+    def swing(self) -> Floats:
+        """How far the function can be from its centre."""
+        return self._sloped + self.rest
 
-    def patches(self, intervals: Intervals) -> Patches:
-        """Return what is kept of the curve over these intervals."""
-        rate = self.beta.rate
-        may_turn = ~((rate.low > 0.0) | (rate.high < 0.0))
-        return Patches(*intervals, self.alpha, self.beta.value, may_turn)
+    @property
+    def size(self) -> Floats:
+        """A bound of its absolute value."""
+        return abs(self.centre) + self.swing
 
-    def halvings(
-        self, width: tuple[float, float], before: Float64[np.ndarray, "2 patch"]
-    ) -> Float64[np.ndarray, " patch"]:
-        """Return how often to halve patches until theta moves them no farther than it should.
+    @property
+    def low(self) -> Floats:
+        """A lower bound of a real function."""
+        return self.centre - self.swing
 
-        That is a width, or what is unknown; a large unknown is halved, too, unless it is more than
-        half of that ``before`` the last halvings.
-        """
-        most, square = np.zeros(self.lift.rest.shape), self.square
-        for gain, wanted, former in zip((self.alpha, self.beta.value), width, before, strict=True):
-            moves = 2.0 * np.abs(gain.slope[0]) * gain.half[0]
-            is_vain = gain.rest > _HELPS * former
-            # Next to a pole halving helps later.
-            is_vain &= square.swing < _CLEAR * np.abs(square.centre)
-            is_short = (moves <= np.maximum(wanted, gain.rest)) & np.isfinite(gain.rest)
-            is_short &= (gain.rest <= _TOLERATED * wanted) | is_vain
-            with np.errstate(all="ignore"):
-                halvings = np.ceil(np.log2(moves / np.maximum(wanted, gain.rest)))
-            most = np.maximum(most, np.where(is_short, 0.0, np.fmax(halvings, 1.0)))
-        return most
+    @property
+    def high(self) -> Floats:
+        """An upper bound of a real function."""
+        return self.centre + self.swing
 
-    def is_outside(self, domain: Domain) -> Bool[np.ndarray, " patch"]:
-        """Return which patches lie wholly outside, or beyond the line of a root at 1."""
-        outside: np.ndarray = (
-            self.alpha.is_off(*domain.alpha)
-            | self.beta.value.is_off(*domain.beta)
-            | (self.lift.high < 0.0)
+    def some(self, boxes: Any) -> "LinearModel":
+        """Return the models of chosen boxes: an index of numbers, of truth values, or a slice."""
+        parts = self.centre[boxes], self.slope[:, boxes], self.rest[boxes], self.half[:, boxes]
+        return LinearModel(*parts, self.has_products)
+
+    @staticmethod
+    def joined(models: "list[LinearModel]") -> "LinearModel":
+        """Return the models of the boxes of one, then of the next, all in the same variables."""
+        centre, slope, rest, half = (
+            np.concatenate([getattr(model, name) for model in models], axis=-1)
+            for name in ("centre", "slope", "rest", "half")
         )
-        square = np.stack([self.square.low, self.square.high])
-        if len(self.square_gains) == 1:  # |N|^2
-            square[0] = 0.0
-        for gain, limits in zip(self.square_gains, (domain.beta, domain.alpha), strict=False):
-            ends = np.stack([square * end for end in limits]).reshape(4, -1)
-            outside |= gain.is_off(ends.min(axis=0), ends.max(axis=0))
-        by_position, by_velocity, least = self.forces
-        most = [np.max(np.abs(limits)) for limits in domain]
-        outside |= most[0] * by_position + most[1] * by_velocity < least * (1.0 - _ROUNDING)
-        return outside
+        return LinearModel(centre, slope, rest, half, models[0].has_products)
+
+    def __add__(self, other: "LinearModel | Number") -> "LinearModel":
+        if not isinstance(other, LinearModel):
+            return self._with(self.centre + other, self.slope, self.rest)
+        rest = self.rest + other.rest
+        return self._like(other)._with(self.centre + other.centre, self.slope + other.slope, rest)
+
+    def __neg__(self) -> "LinearModel":
+        return self._of(-self.centre, -self.slope, self.rest)
+
+    def __sub__(self, other: "LinearModel | Number") -> "LinearModel":
+        return self.__add__(-other)
+
+    def __rsub__(self, other: Number) -> "LinearModel":
+        return (-self).__add__(other)
+
+    def __mul__(self, other: "LinearModel | Number") -> "LinearModel":
+        if not isinstance(other, LinearModel):
+            return self._with(self.centre * other, self.slope * other, self.rest * abs(other))
+        slope = self.centre * other.slope + other.centre * self.slope
+        with np.errstate(invalid="ignore"):  # what has no bound has none when it is taken 0 times
+            rest = abs(self.centre) * other.rest + self.rest * other.size
+            rest = rest + self._sloped * other.swing
+            product, like = self.centre * other.centre, self._like(other)
+            if like.has_products:
+                products = _products(self.slope, other.slope)
+                product, slope, rest = like._with_products(products, product, slope, rest)
+        rest = np.where(rest >= 0.0, rest, np.inf)
+        return like._with(product, slope, rest)
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def reciprocal(self) -> "LinearModel":
+        """Return 1/f; unbounded where f may vanish."""
+        clear = abs(self.centre) - self.swing
+        is_known = clear > 0.0
+        clear, centre = np.where(is_known, clear, 1.0), np.where(is_known, self.centre, 1.0)
+        square, size = centre**2, abs(centre) ** 2
+        inverse, slope = 1.0 / centre, -self.slope / square
+        if self.has_products:
+            products = (part * inverse**3 for part in _products(self.slope, self.slope))
+            rest = self.swing**2 / (size * abs(centre))
+            inverse, slope, rest = self._with_products(tuple(products), inverse, slope, rest)
+            rest = rest + self.swing**3 / (size * abs(centre) * clear)
+        else:
+            rest = self.swing**2 / (size * clear)
+        known = self._with(inverse, slope, rest + self.rest / size)
+        return self._of(known.centre, known.slope, np.where(is_known, known.rest, np.inf))
+
+    def is_off(self, low: Number, high: Number) -> Floats:
+        """Return where a real function is proved to be outside an interval."""
+        return (self.high < low) | (self.low > high)
+
+    @cached_property
+    def _sloped(self) -> Floats:
+        return (abs(self.slope) * self.half).sum(axis=0)
+
+    def _with(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
+        """Return a result of arithmetic on the same boxes, with its rounding."""
+        exact = self._of(centre, slope, rest)
+        rounded = self._of(centre, slope, rest + _ROUNDING * exact.size)
+        vars(rounded)["_sloped"] = exact._sloped  # the slopes are the same
+        return rounded
+
+    def _of(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
+        return LinearModel(centre, slope, rest, self.half, self.has_products)
+
+    def _like(self, other: "LinearModel") -> "LinearModel":
+        """Return one of two models of the same boxes, if possible one that keeps products."""
+        return other if other.has_products else self
+
+    def _with_products(
+        self, products: tuple[Floats, Floats, Floats], centre: Floats, slope: Floats, rest: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Put products of t with the variables from what is left into their own variables.
+
+        The slope is changed in place.
+        """
+        square, *parts = products
+        t = len(self.half) // 2 - 1
+        half, halves = self.half[t + 1], self.half[t + 2 :]
+        slope[t + 1] += square
+        for part in parts:
+            slope[t + 2 :] += part
+        taken = 2.0 * abs(square) * half + ((abs(parts[0]) + abs(parts[1])) * halves).sum(axis=0)
+        rest = rest * (1.0 + _ROUNDING) - taken
+        return centre + square * half, slope, rest
 
 
-def _curve(
-    of_boxes: CurveParts, turns: int, filters: Filters | None, intervals: Intervals
-) -> _Curve:
-    """Evaluate the closed form, as in ``jaxstab.region.curve`` for radius 1."""
-    first, last = intervals.first, intervals.last
-    theta, half_theta = 0.5 * (first + last), 0.5 * (last - first) * (1.0 + _ROUNDING)
-    plant = of_boxes.over_patches(intervals.box, half_theta)
-    waves = _waves(theta, turns, plant.gamma.half)
-    eps, nu = plant.eps, plant.nu
-    h, rest = waves.h, 2.0 - waves.h
-    d, q = h * -plant.kappa + plant.gamma_sum, h * -plant.sigma + plant.sum
-    sine_square = h * rest
-    real, slope = d * q + sine_square * plant.eps_nu, q * eps - d * nu
-    square = q * q + sine_square * plant.nu_square
-    square_beta = -(waves.sine_ratio * real + waves.cos_turns * slope)
-    sizes = _least(d.value), np.sin(theta) * _least(eps), np.sqrt(square.value.high)
-    forces = _forces(filters, theta, half_theta, sizes)
-
-    moving = q, rest, real, slope, waves.sine_ratio, waves.lag_ratio
-
-    def rise(q: Model, rest: Model, real: Model, slope: Model, sine: Model, lag: Model) -> Model:
-        return q * plant.by_q + rest * (sine * slope + plant.by_rest) + lag * real
-
-    if filters is not None:
-        plain = _Plain(h, plant.gamma, square, square_beta, rise(*moving) - square_beta)
-        return _filtered(plain, theta, filters, forces)
-    over_square = square.reciprocal()
-    beta = square_beta * over_square
-    lift = over_square.value * rise(*(part.value for part in moving)) - beta.value
-    alpha = h.value * lift - plant.gamma
-    return _Curve(alpha, beta, (square_beta.value,), square.value, lift, forces)
+def _products(one: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return coefficients of the square of t in a product, and twice those of t and the others."""
+    t = len(one) // 2 - 1
+    return one[t] * other[t], one[t] * other[:t], one[:t] * other[t]
 
 
-class _Plain(NamedTuple):
-    """The curve without filters, alpha = h lift - gamma and beta, the last two times |N|^2."""
+@dataclass(frozen=True)
+class Moving:
+    """A function of boxes, and its derivative by one of the variables."""
 
-    h: Moving
-    gamma: LinearModel
-    square: Moving
-    square_beta: Moving
-    square_lift: Moving
+    value: LinearModel
+    rate: LinearModel
 
+    def __add__(self, other: "Moving | LinearModel | Number") -> "Moving":
+        if isinstance(other, Moving):
+            return Moving(self.value + other.value, self.rate + other.rate)
+        return Moving(self.value + other, self.rate)
 
-def _filtered(
-    plain: _Plain, theta: Patch, filters: Filters, forces: Float64[np.ndarray, "3 patch"]
-) -> _Curve:
-    """Return the curve with filters: a linear map of the one without, see lemma B12."""
-    h, gamma, square, square_beta, square_lift = plain
-    parts = p_rise, p_slope, v_rise, v_slope = filter_models(filters, theta, gamma.half)
-    at_one = filter_ends(filters).position_at_one
-    p_zero = h * p_rise + at_one
-    square_alpha = h * square_lift - square * gamma
-    determinant = p_zero * v_slope - h * (p_slope * v_rise)
-    both_beta = p_zero * square_beta - p_slope * square_alpha
-    both = determinant * square
-    over_both = both.reciprocal()
-    beta = both_beta * over_both
-    values = [p.value for p in (*parts, h, square, square_alpha, square_beta, square_lift)]
-    both_alpha, both_lift = _alpha_and_lift(values, gamma, 1.0 / at_one)
-    lift = both_lift * over_both.value
-    alpha = h.value * lift - gamma * (1.0 / at_one)
-    gains = both_beta.value, both_alpha
-    return _Curve(alpha, beta, gains, both.value, lift * at_one, forces)
+    def __neg__(self) -> "Moving":
+        return Moving(-self.value, -self.rate)
 
+    def __sub__(self, other: "Moving | LinearModel | Number") -> "Moving":
+        return self + -other
 
-def _alpha_and_lift(
-    parts: list[LinearModel], gamma: LinearModel, over_one: float
-) -> tuple[LinearModel, LinearModel]:
-    """Return both of the curve with filters, times the determinant and |N|^2."""
-    p_rise, p_slope, v_rise, v_slope, h, square, square_alpha, square_beta, square_lift = parts
-    alpha = v_slope * square_alpha - h * (v_rise * square_beta)
-    tilt = (v_slope * p_rise - p_slope * v_rise) * (square * gamma)
-    return alpha, v_slope * square_lift - v_rise * square_beta + tilt * over_one
+    def __rsub__(self, other: LinearModel | Number) -> "Moving":
+        return -self + other
+
+    def __mul__(self, other: "Moving | LinearModel") -> "Moving":
+        if isinstance(other, Moving):
+            rate = self.value * other.rate + other.value * self.rate
+            return Moving(self.value * other.value, rate)
+        return Moving(self.value * other, self.rate * other)
+
+    def reciprocal(self) -> "Moving":
+        """Return 1/f; unbounded where f may vanish."""
+        inverse = self.value.reciprocal()
+        return Moving(inverse, -(self.rate * inverse * inverse))
 
 
-def _forces(
-    filters: Filters | None, theta: Patch, half: Patch, sizes: tuple[Patch, Patch, Patch]
-) -> Float64[np.ndarray, "3 patch"]:
-    """Bound |P N| and |V N| from above and |D| from below; ``sizes`` are of D and of N."""
-    real, imaginary, numerator = sizes
-    if filters is None:  # P = 1 and V = 1 - 1/z
-        most = np.stack([np.ones_like(theta), 2.0 * np.sin(0.5 * theta) + half])
-    else:
-        cells = filter_cells(filters)
-        values, _, lost = responses(cells, theta)
-        steep = largest_within(cells.steepness, cells, theta, half)
-        most = np.abs(values) + lost[:2] + half * steep[:2]
-    most = most * (1.0 + _ROUNDING)
-    least = np.hypot(real, np.maximum(imaginary - 2.0 * half, 0.0))  # |eps| <= 1
-    return np.stack([*(most * numerator), least])
+def variable(axis: int, axes: int, centre: Floats, half: Floats) -> LinearModel:
+    """Return a variable that runs along one of some axes, in units of its half-width."""
+    slope = np.zeros((axes, centre.size))
+    slope[axis] = half
+    return LinearModel(centre, slope, np.zeros(centre.size), np.ones((axes, 1)))
 
 
-def _least(function: LinearModel) -> Patch:
-    """Bound the absolute value of a function from below."""
-    least: Patch = np.maximum(np.abs(function.centre) - function.swing, 0.0)
-    return least
+def conjugate(model: LinearModel) -> LinearModel:
+    """Return the conjugate of a function."""
+    return LinearModel(model.centre.conj(), model.slope.conj(), model.rest, model.half)
 
 
-class _Waves(NamedTuple):
-    """Functions of theta alone, for m turns of z^m."""
-
-    h: Moving  # 1 - cos(theta)
-    cos_turns: Moving  # cos(m theta)
-    sine_ratio: Moving  # sin(m theta) / sin(theta)
-    lag_ratio: Moving  # (1 - cos(m theta)) / (1 - cos(theta))
+def disc(model: LinearModel) -> LinearModel:
+    """Return a function without moves along the axes."""
+    return LinearModel(model.centre, model.slope[:0], model.swing, model.half[:0])
 
 
-def _waves(theta: Patch, turns: int, half: Float64[np.ndarray, "variable patch"]) -> _Waves:
-    lag = np.arange(turns)
-    sines = np.arange(turns - 1, -turns, -2)
-    sine = np.sin(theta)
-    return _Waves(
-        Moving(
-            _of_theta(2.0 * np.sin(0.5 * theta) ** 2, sine, 1.0, 1.0, half),
-            _of_theta(sine, np.cos(theta), 1.0, 1.0, half),
-        ),
-        _cosines(theta, np.array([turns]), np.array([1]), half),
-        _cosines(theta, sines, np.ones_like(sines), half),
-        _cosines(theta, lag, np.where(lag > 0, 2, 1) * (turns - lag), half),
+def on_axes_of(model: LinearModel, other: LinearModel) -> LinearModel:
+    """Return a function with the axes of another."""
+    if len(model.half) == len(other.half):
+        return model
+    slope = np.zeros((len(other.half), model.centre.size))
+    return LinearModel(model.centre, slope, model.rest, other.half)
+
+
+def phasor(phase: LinearModel) -> LinearModel:
+    """Return e^(-i phase); where the phase is hardly known, its size, and what would tell it.
+
+    The slopes there are none of the function's: they say what to halve, and the rest pays for them.
+    """
+    centre = np.exp(-1j * phase.centre)
+    rest = 0.5 * (phase.swing - phase.rest) ** 2 + phase.rest + _EPS * (1.0 + np.abs(phase.centre))
+    is_known = phase.swing < 1.0
+    hint = _HINT * phase.slope / np.maximum(phase.swing, 1.0)
+    slope = np.where(is_known, -1j * centre * phase.slope, hint)
+    return LinearModel(
+        np.where(is_known, centre, 0.0), slope, np.where(is_known, rest, 1.0 + _HINT), phase.half
     )
 
 
-def _cosines(
-    theta: Patch,
-    order: Int64[np.ndarray, " term"],
-    weight: Int64[np.ndarray, " term"],
-    half: Float64[np.ndarray, "variable patch"],
-) -> Moving:
-    """Return the sum of weight cos(order theta)."""
-    phase, factor = np.multiply.outer(theta, order), weight.astype(float)
-    cosine, sine = np.cos(phase), np.sin(phase)
-    value, slope, bend = cosine @ factor, sine @ (factor * order), cosine @ (factor * order**2)
-    bends = [float(np.sum(np.abs(factor) * np.abs(order) ** k)) for k in range(4)]
-    lost = pi * (bends[0] + bends[1] + bends[2])
+def sine(theta: LinearModel) -> LinearModel:
+    """Return 2 sin(theta/2)."""
+    half = 0.5 * theta.centre
+    rest = 0.25 * theta.swing**2 + theta.rest + _EPS
+    return LinearModel(2.0 * np.sin(half), np.cos(half) * theta.slope, rest, theta.half)
+
+
+def sinc(theta: LinearModel) -> Moving:
+    """Return sin(theta/2)/(theta/2) and its derivative, which has one of at most 1/12."""
+    at = theta.centre
+    value, is_small = np.sinc(at / (2.0 * pi)), np.abs(at) < 1e-3
+    slope = np.where(is_small, -at / 12.0, (np.cos(0.5 * at) - value) / np.where(is_small, 1.0, at))
+    by = theta.swing
+    still = np.zeros_like(theta.slope)
     return Moving(
-        _of_theta(value, -slope, bends[2], lost, half),
-        _of_theta(-slope, -bend, bends[3], lost, half),
+        LinearModel(value, slope * theta.slope, by**2 / 24.0 + 1e-11 * by + _EPS, theta.half),
+        LinearModel(slope, still, by / 12.0 + 1e-11, theta.half),
     )
-
-
-def _of_theta(
-    value: Patch,
-    slope: Patch,
-    bend: float,
-    size: float,
-    half: Float64[np.ndarray, "variable patch"],
-) -> LinearModel:
-    """Return the model of a function of theta alone, from a bound of its second derivative."""
-    still = np.zeros_like(half[1:])
-    rest = 0.5 * bend * half[0] ** 2 + _ROUNDING * size
-    return LinearModel(value, np.concatenate([slope[None], still]), rest, half)

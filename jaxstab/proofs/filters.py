@@ -21,7 +21,7 @@ from jaxstab.arrays import PI_REST, Array
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.transfer import ONE, Polynomial, Transfer, size_of
-from jaxstab.proofs.plant import LinearModel, Moving
+from jaxstab.proofs.enclosures import LinearModel, Moving
 
 # Taylor series of functions of one angle over many cells, each coefficient with its error.
 #
@@ -508,6 +508,46 @@ def largest_within(
     is_inside = (low >= cells.first[0]) & (high <= cells.middle[-1] + cells.half[-1])
     bounds: np.ndarray = np.where(is_inside, largest.T, np.inf)
     return bounds
+
+
+class OverCells(NamedTuple):
+    """Functions of cells over boxes of the angle: in the middle with derivatives, and bounds."""
+
+    values: np.ndarray
+    slopes: np.ndarray
+    bends: np.ndarray  # of the second derivatives in the boxes
+    lost: np.ndarray  # of the values, then of the derivatives
+    by_theta: Reals
+
+    @classmethod
+    def of(cls, cells: FilterCells, theta: Reals, by_theta: Reals) -> "OverCells":
+        """Return the functions of cells over boxes."""
+        values, slopes, lost = responses(cells, theta)
+        steep = largest_within(cells.steepness, cells, theta, by_theta)
+        return cls(values, slopes, steep[len(values) :], lost, by_theta)
+
+    def values_along(self, axes: int) -> list[LinearModel]:
+        """Return models of the functions; the angle is the last of some axes."""
+        lost, slopes_lost = np.split(self.lost, 2)
+        rests = 0.5 * self.bends * self.by_theta**2 + lost + self.by_theta * slopes_lost
+        return [
+            LinearModel(value, self._along(axes, slope * self.by_theta), rest, np.ones((axes, 1)))
+            for value, slope, rest in zip(self.values, self.slopes, rests, strict=True)
+        ]
+
+    def rates_along(self, axes: int) -> list[LinearModel]:
+        """Return models of the derivatives by the angle, without slopes."""
+        rests = self.bends * self.by_theta + np.split(self.lost, 2)[1]
+        return [
+            LinearModel(slope, self._along(axes, 0.0 * slope), rest, np.ones((axes, 1)))
+            for slope, rest in zip(self.slopes, rests, strict=True)
+        ]
+
+    @staticmethod
+    def _along(axes: int, moves: np.ndarray) -> np.ndarray:
+        slope = np.zeros((axes, moves.size), complex)
+        slope[-1] = moves
+        return slope
 
 
 # Estimator and position filter on the circle in real parts, as models over patches.

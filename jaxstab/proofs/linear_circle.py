@@ -5,10 +5,13 @@ With x = 1/z the polynomial of a loop, divided by a power of z and by the filter
     g = D(x) + alpha F_K(x) + beta F_B(x),      F_K = x^lag N P,      F_B = x^lag N V,
 
 three functions of the angle alone. Taylor series of each over cells of it, with bounds (lemma B10
-of docs/proofs.md), give what lemma B4 needs of g over boxes of gains and angles (lemma B13).
+of docs/proofs.md), give models of them over boxes, whose sums and products are one of g
+(``jaxstab.proofs.enclosures``, lemma B13). Below follow plants that depend on one more number: for
+any delay, and for all loops between two (lemmas B14, B17).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from math import factorial
 from typing import NamedTuple
@@ -22,6 +25,7 @@ from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, pieces_of,
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.transfer import ONE, Polynomial
+from jaxstab.proofs.enclosures import LinearModel, phasor, variable
 from jaxstab.proofs.exclusion import Models, Parts
 from jaxstab.proofs.filters import (
     ORDERS,
@@ -29,18 +33,25 @@ from jaxstab.proofs.filters import (
     Circle,
     Factor,
     FilterCells,
+    OverCells,
     Series,
     cells_of,
     constant,
     factors_of,
-    largest_within,
     over_halves,
-    responses,
 )
+
+Reals = Float64[np.ndarray, " box"]
 
 _EPS = np.finfo(np.float64).eps
 
-_SUMS = 16 * _EPS  # of the terms of g
+_SUMS = 16 * _EPS  # of a delay
+
+_FLOOR = 256 * _EPS  # of the terms of g, and of turns: about what the arithmetic of models adds
+
+_EDGE, _NUMBER, _THETA = 0, -2, -1
+
+"""The axes: along a line of gains, if any; along t or the delay, if any; along the angle."""
 
 
 class GainLines(NamedTuple):
@@ -144,31 +155,32 @@ def line_models(cells: FilterCells, lines: GainLines, parts: Parts) -> Models:
     half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * _EPS)
     change = lines.change[:, parts.line]
     gains = lines.start[:, parts.line] + change * t
-    moved = np.abs(change) * half[0]
-    (free, *forces), (free_theta, *forces_theta), lost = responses(cells, theta)
-    steep = largest_within(cells.steepness, cells, theta, half[1])
-    most = np.abs(gains) + moved
-    slopes, bends = steep[:3], steep[3:]
-    value = free + gains[0] * forces[0] + gains[1] * forces[1]
-    by_t = change[0] * forces[0] + change[1] * forces[1]
-    by_theta = free_theta + gains[0] * forces_theta[0] + gains[1] * forces_theta[1]
-    bend = 0.5 * half[1] ** 2 * (bends[0] + most[0] * bends[1] + most[1] * bends[2])
-    turned_by = half[1] * (moved[0] * slopes[1] + moved[1] * slopes[2])
-    terms = np.abs(free) + most[0] * np.abs(forces[0]) + most[1] * np.abs(forces[1])
-    rounding = _SUMS * terms
-    for weight, k in ((1.0, 0), (most[0], 1), (most[1], 2)):
-        rounding = rounding + weight * (lost[k] + half[1] * lost[3 + k])
-    moves = np.stack([by_t, by_theta]) * half
-    by_axis = np.stack([np.zeros_like(bend), 2.0 * bend]) + np.abs(moves)
-    return Models(value, moves, bend + turned_by + rounding, by_axis, rounding)
+    over = OverCells.of(cells, theta, half[1])
+    free, *forces = over.values_along(2)
+    alpha, beta = (variable(_EDGE, 2, *ends) for ends in zip(gains, change * half[0], strict=True))
+    rounding = over.lost[0] + np.sum(np.abs(gains) * over.lost[1:3], axis=0)
+    return _expanded(free, alpha * forces[0] + beta * forces[1], rounding)
+
+
+def _expanded(
+    free: LinearModel, force: LinearModel, lost: Reals, turns: Reals | float = 0.0
+) -> Models:
+    """Return g = D + F (alpha P + beta V), from D and the rest of it, behind so many turns.
+
+    How much each axis moves g, with its part of the rest, says which one to halve. Values have
+    ``lost`` about so much: where the rest is little more, halving is in vain.
+    """
+    g = free + force
+    reach = np.abs(free.slope) + np.abs(force.slope)
+    share = reach / np.maximum(reach.sum(axis=0), 1e-300)
+    floor = lost + _FLOOR * (np.abs(free.centre) + (1.0 + turns) * np.abs(force.centre))
+    return Models(g.centre, g.slope, g.rest, np.abs(g.slope) + 2.0 * g.rest * share, floor)
 
 
 # Polynomials in z whose coefficients are polynomials in one more number, over boxes of angles.
 #
 # They are known by pieces (``jaxstab.model.device.family.Piece``), over a power of z; what lemma
 # B14 of docs/proofs.md says of one bounds it in boxes of the number and the angle.
-
-Reals = Float64[np.ndarray, " box"]
 
 _BEYOND = 1e-7  # of a piece, beyond which its polynomial may not hold
 
@@ -183,26 +195,13 @@ class PieceBoxes(NamedTuple):
     by_theta: Reals
 
 
-class PieceSums(NamedTuple):
-    """N over boxes: in the middle with its derivatives, and bounds in all of the box."""
+def over_pieces(pieces: Sequence[Piece], boxes: PieceBoxes, axes: int) -> tuple[LinearModel, Reals]:
+    """Return N of pieces over boxes, and how much of its rest is rounding.
 
-    value: np.ndarray
-    by_theta: np.ndarray
-    by_offset: np.ndarray
-    size: Reals
-    slope: Reals  # |dN/dtheta|
-    bend: Reals  # |d^2 N/dtheta^2|
-    change: Reals  # |dN/du|
-    curve: Reals  # |d^2 N/du^2|
-    twist: Reals  # |d^2 N/(du dtheta)|
-    lost: Reals
-    slope_lost: Reals
-
-
-def over_pieces(pieces: Sequence[Piece], boxes: PieceBoxes) -> PieceSums:
-    """Return N of pieces over boxes."""
+    The number and the angle are the last two of some axes.
+    """
     is_far = boxes.theta > 0.5 * np.pi
-    columns = np.empty((len(PieceSums._fields), boxes.theta.size), complex)
+    columns = np.empty((5, boxes.theta.size), complex)
     keys = 2 * boxes.piece + is_far
     for key in np.unique(keys):
         some = np.flatnonzero(keys == key)
@@ -212,11 +211,14 @@ def over_pieces(pieces: Sequence[Piece], boxes: PieceBoxes) -> PieceSums:
         if key % 2:
             rows = _in_piece(piece, piece.far, offset, (np.pi - theta) + PI_REST, *sides)
             rows[:3] = rows[:3].conj() * (-1.0) ** (piece.far.shape[1] - 1)
-            rows[1] *= -1.0
+            rows[2] *= -1.0
         else:
             rows = _in_piece(piece, piece.near, offset, theta, *sides)
         columns[:, some] = rows
-    return PieceSums(*columns[:3], *columns[3:].real)
+    slope = np.zeros((axes, boxes.theta.size), complex)
+    slope[_NUMBER], slope[_THETA] = columns[1:3]
+    rest, lost = columns[3:].real
+    return LinearModel(columns[0], slope, rest, np.ones((axes, 1))), lost
 
 
 def _in_piece(
@@ -227,10 +229,17 @@ def _in_piece(
     by_number: Reals,
     by_theta: Reals,
 ) -> np.ndarray:
-    """Return the rows of ``PieceSums`` from the coefficients of powers of z - 1.
+    """Return N, its moves along the number and the angle, the rest and the rounding, as rows.
 
-    With s = 1 - x and order n they are those of s^k x^(n - k); s and all its derivatives but itself
-    are at most 1.
+    With u the number less the middle of the piece, x = 1/z, s = 1 - x and order n,
+
+        N = sum_i sum_k c_ik u^i s^k x^(n - k),
+
+    c the coefficients. ``here`` are sum_i c_ik u^i and its derivatives by u in the middle, for
+    each k; ``bounds`` are the same of the moduli at the largest |u|. ``waves`` are s^k x^(n - k)
+    there and ``turned`` their derivatives by theta; ``most``, ``slopes`` and ``bends`` bound them
+    and their first two derivatives in the box, for all derivatives of s but itself are at most 1
+    (lemma B14).
     """
     reach = np.abs(offset) + by_number
     count, size = coefficients.shape
@@ -258,16 +267,12 @@ def _in_piece(
         np.sum(one * other, axis=1)
         for one, other in ((bounds[0], bends), (bounds[2], most), (bounds[1], slopes))
     )
-    lost = (size + count + 8) * _EPS
-    missed = np.sum((bounds[0] + by_number[:, None] * bounds[1]) * most, axis=1)
-    missed = piece.remainder + lost * missed
-    missed = np.where(reach <= piece.half * (1.0 + _BEYOND), missed, np.inf)
-    slope = np.abs(by_angle) + by_theta * bend + by_number * twist
-    change = np.abs(by_offset) + by_theta * twist + by_number * curve
-    reached = np.abs(value) + by_theta * slope + by_number * change + missed
-    slope_missed = lost * np.sum(bounds[0] * slopes, axis=1)
-    rows = [value, by_angle, by_offset, reached, slope + slope_missed, bend, change, curve, twist]
-    return np.stack([*rows, missed, slope_missed])
+    rest = 0.5 * (by_theta**2 * bend + by_number**2 * curve) + by_number * by_theta * twist
+    lost = (bounds[0] + by_number[:, None] * bounds[1]) * most
+    lost = np.sum(lost + by_theta[:, None] * bounds[0] * slopes, axis=1)
+    lost = piece.remainder + (size + count + 8) * _EPS * lost
+    rest = np.where(reach <= piece.half * (1.0 + _BEYOND), rest + lost, np.inf)
+    return np.stack([value, by_offset * by_number, by_angle * by_theta, rest, lost])
 
 
 def _derivative(value: Reals, count: int, order: int) -> Float64[np.ndarray, "box power"]:
@@ -349,41 +354,22 @@ def delay_models(device: DelayedDevice, boxes: DelayBoxes) -> tuple[Models, Real
     whole = np.floor(delay)
     numbers = np.searchsorted(device.ends, delay - whole, "right") - 1
     numbers = np.clip(numbers, 0, len(device.pieces) - 1)
-    sides = PieceBoxes(numbers, delay - whole, theta, by_delay, by_theta)
-    force = over_pieces(device.pieces, sides)
-    (free, *walls), (free_theta, *walls_theta), lost = responses(device.plain, theta)
-    slopes = largest_within(device.plain.steepness, device.plain, theta, by_theta)
-    most = np.abs(gains)
-    wall = gains[0] * walls[0] + gains[1] * walls[1]
-    wall_theta = gains[0] * walls_theta[0] + gains[1] * walls_theta[1]
-    slope = most[0] * slopes[1] + most[1] * slopes[2]
-    bend = most[0] * slopes[4] + most[1] * slopes[5]
-    size = np.abs(wall) + by_theta * slope
+    # The delay of a box is rounded: it may be farther away.
+    reach = by_delay + _SUMS * (1.0 + delay)
+    sides = PieceBoxes(numbers, delay - whole, theta, reach, by_theta)
+    over = OverCells.of(device.plain, theta, by_theta)
+    free, *filters = over.values_along(2)
+    numerator, lost = over_pieces(device.pieces, sides, 2)
+    wall = filters[0] * gains[0] + filters[1] * gains[1]
+    force = numerator * wall
+    beyond = (reach - by_delay) / reach * np.abs(force.slope[_NUMBER])
+    slope = force.slope * np.stack([by_delay / reach, np.ones_like(reach)])
+    force = replace(force, slope=slope, rest=force.rest + beyond)
+    apart = np.abs(np.abs(free.centre) - np.abs(force.centre)) - free.swing - force.swing
     turns = whole + 1.0
-    behind = np.exp(-1j * turns * theta)
-    delayed = behind * force.value * wall
-    turned = behind * (force.by_theta * wall + force.value * wall_theta)
-    moved = behind * force.by_offset * wall
-    curved = force.bend * size + 2.0 * force.slope * slope + force.size * bend
-    mixed = force.twist * size + force.change * slope
-    twice = 0.5 * by_delay**2 * force.curve * size
-    rest = 0.5 * by_theta**2 * (slopes[3] + curved) + by_theta * by_delay * mixed + twice
-    by_turns = turns * force.size * size + 2.0 * (force.slope * size + force.size * slope)
-    by_phase = 0.5 * by_theta**2 * turns * by_turns
-    by_phase += by_theta * by_delay * turns * force.change * size
-    terms = np.abs(walls[0]) * most[0] + np.abs(walls[1]) * most[1]
-    walls_lost = most[0] * (lost[1] + by_theta * lost[4]) + most[1] * (lost[2] + by_theta * lost[5])
-    rounding = lost[0] + by_theta * lost[3] + (force.size + by_delay * force.change) * walls_lost
-    rounding += (size + terms) * (force.lost + by_theta * force.slope_lost)
-    rounding += _SUMS * (1.0 + turns) * (np.abs(free) + force.size * terms)
-    rounding += _SUMS * (1.0 + delay) * force.change * terms
-    moves = np.stack([moved * by_delay, by_theta * (free_theta + turned - 1j * turns * delayed)])
-    rounding += _SUMS * np.sum(np.abs(moves), axis=0)
-    apart = np.abs(np.abs(free) - np.abs(delayed)) - rest - rounding
-    apart -= by_theta * (np.abs(free_theta) + np.abs(turned)) + by_delay * np.abs(moved)
-    by_axis = np.stack([2.0 * twice, by_theta**2 * (slopes[3] + curved) + 2.0 * by_phase])
-    bends = by_axis + np.abs(moves)
-    return Models(free + delayed, moves, rest + by_phase + rounding, bends, rounding), apart
+    behind = phasor(variable(_THETA, 2, theta, by_theta) * turns)
+    lost = over.lost[0] + lost * np.abs(wall.centre)
+    return _expanded(free, behind * force, lost, turns), apart
 
 
 # Roots on the unit circle of all loops between two, for walls along edges.
@@ -446,20 +432,6 @@ def family_cells(family: LoopFamily) -> FamilyCells | None:
     return FamilyCells(cells_of(plain), pieces, lags, np.array([piece.ends for piece in pieces]))
 
 
-class _Force(NamedTuple):
-    """F_K or F_B over boxes: in the middle with its derivatives, and bounds in all of the box."""
-
-    value: np.ndarray
-    by_theta: np.ndarray
-    by_t: np.ndarray
-    slope: Reals  # |dF/dtheta|
-    bend: Reals  # |d^2 F/dtheta^2|
-    change: Reals  # |dF/dt|
-    curve: Reals  # |d^2 F/dt^2|
-    twist: Reals  # |d^2 F/(dt dtheta)|
-    rounding: Reals
-
-
 def family_models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
     """Return g over boxes; the axes are the edge, t and theta."""
     count = boxes.place.theta.size
@@ -478,82 +450,18 @@ def family_models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
 
 def _models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
     place = boxes.place
-    by_t, by_theta = place.by_number, place.by_theta
-    free = over_pieces([piece.free for piece in cells.pieces], place)
-    forces = _forces(cells, place)
-    gains, most = boxes.gains, np.abs(boxes.gains)
-    edges = np.abs(boxes.edge)
-
-    def summed(start: np.ndarray, name: str) -> np.ndarray:
-        return start + gains[0] * getattr(forces[0], name) + gains[1] * getattr(forces[1], name)
-
-    def bounded(start: Reals, name: str, weights: Walls) -> Reals:
-        return start + weights[0] * getattr(forces[0], name) + weights[1] * getattr(forces[1], name)
-
-    moves = np.stack(
-        [
-            boxes.edge[0] * forces[0].value + boxes.edge[1] * forces[1].value,
-            by_t * summed(free.by_offset, "by_t"),
-            by_theta * summed(free.by_theta, "by_theta"),
-        ]
+    (free, lost), stiffness = (
+        over_pieces([getattr(piece, name) for piece in cells.pieces], place, 3)
+        for name in ("free", "stiffness")
     )
-    in_t = 0.5 * by_t**2 * bounded(free.curve, "curve", most)
-    in_theta = 0.5 * by_theta**2 * bounded(free.bend, "bend", most)
-    mixed = by_t * by_theta * bounded(free.twist, "twist", most)
-    along_t = by_t * bounded(np.zeros_like(by_t), "change", edges)
-    along_theta = by_theta * bounded(np.zeros_like(by_t), "slope", edges)
-    terms = np.abs(free.value) + np.sum(np.abs(moves), axis=0)
-    rounding = free.lost + by_theta * free.slope_lost + _SUMS * terms
-    rounding = rounding + bounded(np.zeros_like(by_t), "rounding", most + edges)
-    bends = np.stack(
-        [along_t + along_theta, 2.0 * in_t + mixed + along_t, 2.0 * in_theta + mixed + along_theta]
-    )
-    rest = in_t + in_theta + mixed + along_t + along_theta + rounding
-    return Models(summed(free.value, "value"), moves, rest, bends + np.abs(moves), rounding)
-
-
-def _forces(cells: FamilyCells, place: PieceBoxes) -> list[_Force]:
-    by_theta = place.by_theta
-    above = [over_pieces([piece.stiffness for piece in cells.pieces], place)]
+    damping = stiffness
     if any(piece.damping is not piece.stiffness for piece in cells.pieces):
-        above.append(over_pieces([piece.damping for piece in cells.pieces], place))
-    waves, turned, lost = responses(cells.filters, place.theta)
-    steep = largest_within(cells.filters.steepness, cells.filters, place.theta, by_theta)
-    lag = cells.lags[place.piece]
-    behind = np.exp(-1j * lag * place.theta)
-    forces = []
-    for k in range(2):
-        filtered = waves[k], turned[k], steep[k], steep[2 + k], lost[k] + by_theta * lost[2 + k]
-        forces.append(_filtered(above[min(k, len(above) - 1)], filtered, behind, lag, by_theta))
-    return forces
-
-
-def _filtered(
-    above: PieceSums,
-    filtered: tuple[np.ndarray, np.ndarray, Reals, Reals, Reals],
-    behind: np.ndarray,
-    lag: np.ndarray,
-    by_theta: Reals,
-) -> _Force:
-    """Return x^lag times S times P, the latter by value, derivative, bounds and what it lost."""
-    value, turned, steep, bent, lost = filtered
-    size = np.abs(value) + by_theta * steep
-    slope = above.slope * size + above.size * steep
-    product = above.value * value
-    by_angle = above.by_theta * value + above.value * turned - 1j * lag * product
-    missed = 2.0 * size * (above.lost + by_theta * above.slope_lost) + 2.0 * above.size * lost
-    return _Force(
-        value=behind * product,
-        by_theta=behind * by_angle,
-        by_t=behind * above.by_offset * value,
-        slope=slope + lag * above.size * size,
-        bend=above.bend * size
-        + 2.0 * above.slope * steep
-        + above.size * bent
-        + 2.0 * lag * slope
-        + lag**2 * above.size * size,
-        change=above.change * size,
-        curve=above.curve * size,
-        twist=above.twist * size + above.change * (steep + lag * size),
-        rounding=(1.0 + lag * by_theta) * (missed + _SUMS * (1.0 + lag) * above.size * size),
-    )
+        damping = over_pieces([piece.damping for piece in cells.pieces], place, 3)
+    filters = OverCells.of(cells.filters, place.theta, place.by_theta).values_along(3)
+    forces, gains = [], zip(boxes.gains, boxes.edge, strict=True)
+    for (numerator, of_it), one, gain in zip((stiffness, damping), filters, gains, strict=True):
+        forces.append(variable(_EDGE, 3, *gain) * (numerator * one))
+        lost = lost + np.abs(gain[0] * one.centre) * of_it
+    lag = cells.lags[place.piece].astype(np.float64)
+    behind = phasor(variable(_THETA, 3, place.theta, place.by_theta) * lag)
+    return _expanded(free, behind * (forces[0] + forces[1]), lost, lag)

@@ -478,7 +478,15 @@ def _shifted(factor: list[Quadratic], to: Quadratic) -> list[Quadratic]:
 def _newton(
     p: CellPolynomial, start: list[Array]
 ) -> tuple[list[Quadratic], list[Quadratic], list[Quadratic]]:
-    """Return f, p modulo f, and (p - that)/f modulo f, each highest power first."""
+    """Return f, p modulo f, and (p - that)/f modulo f, each highest power first.
+
+    f_0 is the factor in the middle of the cell. With p = c_0 + c_1 f_0 + c_2 f_0^2 + ..., deg c_j
+    less than that of f, and f_0 = f + e, p modulo f is c_0 + c_1 e + ..., as small as e is. A step
+    of Newton's method adds to f what makes that 0 to first order: ``inverse`` is the inverse of
+    f -> c_1 f modulo f_0, taken in the middle alone. The first step makes it small of second order,
+    the next one of third, which quadratics do not resolve. Nothing rests on how good f is: its
+    rests are dropped on the way, and what is returned of p is that of the f which is returned.
+    """
     parts = p.by_powers_of(start)
     factor = [Quadratic.constant(value) for value in start]
     inverse = _inverse([part.middle for part in parts[1]], start)
@@ -790,7 +798,17 @@ def _enclose_meeting(
 def _enclose_two(
     p: CellPolynomial, roots: Roots, count: int, cells: Cells, known: RadiusSurfaces
 ) -> None:
-    """Follow a real root and a conjugate pair, or two such pairs, of which either may be outer."""
+    """Follow a real root and a conjugate pair, or two such pairs, of which either may be outer.
+
+    With p = f (f_2 g + r_2) + r, f of the pair above the axis with the larger modulus and f_2 of
+    the others, a cell is proved where on one circle inside of all these roots (lemma B19)
+
+        |f_2| |g| > |r_2|   and   |f| (|f_2| |g| - |r_2|) > |r|,
+
+    and g has no root beyond it: then p has ``count`` roots beyond, which belong to f and f_2. The
+    radius is the larger of the two moduli where the discs around the roots of f and of f_2, in
+    which those of p are, stay apart.
+    """
     everywhere = np.arange(cells.size)
     upper = np.argsort(
         roots[:count].imag <= 0.0, axis=0, kind="stable"

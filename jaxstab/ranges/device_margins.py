@@ -27,7 +27,7 @@ from jaxstab.proofs.linear_circle import (
     loop_cells,
 )
 from jaxstab.proofs.linear_circle import delay_models as models
-from jaxstab.ranges.margins import MOST_DELAY, Margins, WallMargins, joined_angles
+from jaxstab.ranges.margins import SAFE, Margins, WallMargins, first_delays, joined_angles
 
 # How much longer the delay of a loop with any linear device may become: proved.
 #
@@ -46,10 +46,6 @@ _MOST_ANGLES = 4000  # such boxes of a wall at once
 
 _MOST_PARTS = 20_000  # of a stretch of delay
 
-_LONGER = 4.0  # each stretch of delay than the one before
-
-_SAFE = 1.0 - 2.0**-48  # a step loses less when it is computed
-
 
 def extra_delays(
     device: SampledDevice, walls: Walls, filters: Filters | None
@@ -64,29 +60,21 @@ def extra_delays(
     delayed = delayed_device(device, filters)
     if delayed is None:
         return np.full(len(walls), nan)
-    begin, step = np.zeros(len(walls)), np.full(len(walls), inf)
-    angles = _critical_angles(delayed, walls, np.arange(len(walls)), _COARSE)
-    # Within one turn of the phase at a critical angle a root meets the circle: about so long.
-    highest = np.full(len(walls), -inf)
-    np.maximum.at(highest, angles.line, angles.high[1])
-    stretch = np.where(highest > 0.0, 2.0 * pi / np.where(highest > 0.0, highest, 1.0), MOST_DELAY)
-    is_open = highest > -inf
-    while is_open.any():
-        length = np.minimum(stretch, MOST_DELAY - begin)
-        some = angles.some(is_open[angles.line])
-        length = np.minimum(length, _longest(delayed, some, len(walls)))
+
+    def critical(numbers: np.ndarray, is_fine: bool) -> Parts:
+        return _critical_angles(delayed, walls, numbers, _FINE if is_fine else _COARSE)
+
+    def roots(angles: Parts, begin: np.ndarray, length: np.ndarray) -> FirstRoots:
         start = device.delay + begin
-        parts = _in_pieces(delayed, some, start, length)
-        line = partial(_models, delayed, walls, start, length)
-        found = search(len(walls), parts, line).low
-        is_found = np.isfinite(found)
-        step = np.where(is_found, begin + length * np.where(is_found, found, 0.0) * _SAFE, step)
-        is_open &= ~is_found & (begin + length < MOST_DELAY)
-        if not begin.any() and is_open.any():
-            angles = _critical_angles(delayed, walls, np.flatnonzero(is_open), _FINE)
-            is_open &= np.isin(np.arange(len(walls)), angles.line)
-        begin, stretch = begin + length, _LONGER * stretch
-    return step
+        parts = _in_pieces(delayed, angles, start, length)
+        return search(len(walls), parts, partial(_models, delayed, walls, start, length))
+
+    def longest(angles: Parts) -> np.ndarray:
+        """Return stretches that are not cut into more parts than are looked at together."""
+        parts = np.bincount(angles.line, minlength=len(walls)) * len(delayed.pieces)
+        return np.maximum(1.0, _MOST_PARTS / np.maximum(parts, 1))
+
+    return first_delays(len(walls), critical, roots, longest).step
 
 
 def _critical_angles(
@@ -113,12 +101,6 @@ def _critical_angles(
     boxes = Boxes(np.stack([wall, pieces[0], angle], axis=-1), np.stack(halves, axis=-1))
     most = _MOST_ANGLES * len(device.pieces)
     return joined_angles(pave_by(boxes, smallest, prove, most, is_numbered=True).boxes)
-
-
-def _longest(device: DelayedDevice, angles: Parts, walls: int) -> np.ndarray:
-    """Return stretches of delay that are not cut into more parts than are looked at together."""
-    count = np.bincount(angles.line, minlength=walls) * len(device.pieces)
-    return np.maximum(1.0, _MOST_PARTS / np.maximum(count, 1))
 
 
 def _in_pieces(
@@ -287,7 +269,7 @@ def device_ends(
     change[axes, range(4)] = signs[:, None] * reach
     lines = GainLines(np.tile(stable.T, 4), change.reshape(2, -1))
     roots = _first_roots(device, lines, filters)
-    step = signs[:, None] * np.minimum(roots.low.reshape(reach.shape), 1.0) * reach * _SAFE
+    step = signs[:, None] * np.minimum(roots.low.reshape(reach.shape), 1.0) * reach * SAFE
     gain = stable.T[axes] + step
     gain -= np.sign(step) * 2.0**-50 * np.abs(gain)
     ends[codes == Verdict.STABLE] = gain.T

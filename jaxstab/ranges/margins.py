@@ -5,6 +5,7 @@ the unit circle no root can have crossed it, so the loop is proved stable that f
 docs/proofs.md). The delay is changed continuously, through all fractions of a sample.
 """
 
+from collections.abc import Callable
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
 from math import ceil, inf, nan, pi
@@ -24,6 +25,7 @@ from jaxstab.point import verdict
 from jaxstab.proofs.exclusion import (
     Boxes,
     Extent,
+    FirstRoots,
     Lines,
     Loops,
     Parts,
@@ -75,10 +77,10 @@ _TOUCHING = 1e-9
 
 _LONGER = 4.0  # each stretch of delay than the one before
 
-_SAFE = 1.0 - 2.0**-50  # a step loses less when it is computed
+SAFE = 1.0 - 2.0**-48  # a step loses less when it is computed
 
 
-class _Crossings(NamedTuple):
+class Crossings(NamedTuple):
     """Steps within which no root reaches the circle, and the angles of the roots that then do."""
 
     step: Column
@@ -122,7 +124,7 @@ def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
     return plants[:, 0] if np.all(plants == plants[:, :1]) else plants
 
 
-def _along_gains(walls: Walls, filters: Filters | None) -> list[_Crossings]:
+def _along_gains(walls: Walls, filters: Filters | None) -> list[Crossings]:
     reach = _reach(walls, filters)
     change = np.zeros((len(AXES), *reach.shape))
     for way, (axis, sign) in enumerate(GAIN_WAYS):
@@ -130,9 +132,9 @@ def _along_gains(walls: Walls, filters: Filters | None) -> list[_Crossings]:
     lines = Lines(np.tile(walls.T, len(GAIN_WAYS)), change.reshape(len(AXES), -1))
     roots = first_roots(lines, _all_angles(walls, len(GAIN_WAYS)), filters)
     low, angle = (part.reshape(reach.shape) for part in (roots.low, roots.theta / pi))
-    step = np.minimum(low, 1.0) * reach * _SAFE
+    step = np.minimum(low, 1.0) * reach * SAFE
     signs = [sign for _, sign in GAIN_WAYS]
-    return [_Crossings(signs[way] * step[way], angle[way]) for way in range(len(GAIN_WAYS))]
+    return [Crossings(signs[way] * step[way], angle[way]) for way in range(len(GAIN_WAYS))]
 
 
 def _reach(walls: Walls, filters: Filters | None) -> Float64[np.ndarray, "way wall"]:
@@ -166,33 +168,58 @@ def _angle_counts(walls: Walls) -> Int64[np.ndarray, " wall"]:
     return _ANGLES + _ANGLES_PER_TURN * (1 + np.floor(walls[:, _DELAY]).astype(np.int64))
 
 
-def _along_delay(walls: Walls, filters: Filters | None) -> _Crossings:
-    angles = _critical_angles(walls, np.arange(len(walls)), _COARSE, filters)
-    begin, angle = np.zeros(len(walls)), np.full(len(walls), nan)
-    # Within one turn of the phase at a critical angle a root meets the circle: about so long.
-    highest = np.full(len(walls), -inf)
-    np.maximum.at(highest, angles.line, angles.high[1])
-    stretch = np.where(highest > 0.0, 2.0 * pi / np.where(highest > 0.0, highest, 1.0), MOST_DELAY)
-    step = np.full(len(walls), inf)
-    is_open = highest > -inf
-    while is_open.any():
-        length = np.minimum(stretch, MOST_DELAY - begin)
+def _along_delay(walls: Walls, filters: Filters | None) -> Crossings:
+    def roots(angles: Parts, begin: Column, length: Column) -> FirstRoots:
         change = np.zeros((len(AXES), len(walls)))
         change[_DELAY] = length
         start = walls.T.copy()
         start[_DELAY] += begin
-        parts = _in_pieces(angles.some(is_open[angles.line]), length)
-        roots = first_roots(Lines(start, change), parts, filters)
-        is_found = np.isfinite(roots.low)
-        part = np.where(is_found, roots.low, 0.0)
-        step = np.where(is_found, begin + length * part * _SAFE, step)
-        angle = np.where(is_found, roots.theta / pi, angle)
+        return first_roots(Lines(start, change), _in_pieces(angles, length), filters)
+
+    def critical(numbers: Int64[np.ndarray, " some"], is_fine: bool) -> Parts:
+        return _critical_angles(walls, numbers, _FINE if is_fine else _COARSE, filters)
+
+    return first_delays(len(walls), critical, roots)
+
+
+def first_delays(
+    count: int,
+    critical: Callable[[Int64[np.ndarray, " some"], bool], Parts],
+    roots: Callable[[Parts, Column, Column], FirstRoots],
+    longest: Callable[[Parts], Column | float] = lambda angles: inf,
+) -> Crossings:
+    """Return how much longer the delay of stable walls may become, up to ``MOST_DELAY``.
+
+    Args:
+        count: the number of walls.
+        critical: returns the angles at which some delay may put a root of chosen walls on the
+            circle, coarse or fine.
+        roots: returns the first roots at such angles along stretches of more delay, from where
+            each begins, and how long it is.
+        longest: returns how long a stretch may be at most.
+    """
+    angles = critical(np.arange(count), False)
+    begin, angle = np.zeros(count), np.full(count, nan)
+    # Within one turn of the phase at a critical angle a root meets the circle: about so long.
+    highest = np.full(count, -inf)
+    np.maximum.at(highest, angles.line, angles.high[1])
+    stretch = np.where(highest > 0.0, 2.0 * pi / np.where(highest > 0.0, highest, 1.0), MOST_DELAY)
+    step = np.full(count, inf)
+    is_open = highest > -inf
+    while is_open.any():
+        some = angles.some(is_open[angles.line])
+        length = np.minimum(np.minimum(stretch, MOST_DELAY - begin), longest(some))
+        found = roots(some, begin, length)
+        is_found = np.isfinite(found.low)
+        part = np.where(is_found, found.low, 0.0)
+        step = np.where(is_found, begin + length * part * SAFE, step)
+        angle = np.where(is_found, found.theta / pi, angle)
         is_open &= ~is_found & (begin + length < MOST_DELAY)
         if not begin.any() and is_open.any():
-            angles = _critical_angles(walls, np.flatnonzero(is_open), _FINE, filters)
-            is_open &= np.isin(np.arange(len(walls)), angles.line)
+            angles = critical(np.flatnonzero(is_open), True)
+            is_open &= np.isin(np.arange(count), angles.line)
         begin, stretch = begin + length, _LONGER * stretch
-    return _Crossings(step, angle)
+    return Crossings(step, angle)
 
 
 def _critical_angles(

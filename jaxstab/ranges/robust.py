@@ -24,7 +24,7 @@ from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
 from jaxstab.proofs.columns import column_gaps
-from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.exclusion import Boxes, Extent, Loops, exclude, pave
 from jaxstab.proofs.plant import HandBoxes
 from jaxstab.ranges.hands import (

@@ -17,7 +17,7 @@ from jaxstab.atlas.compute.layout import Grid
 from jaxstab.atlas.products.limits import WHOLE_ALPHA, WHOLE_BOTH, surface
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.columns import StableColumns, stable_columns
-from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import NUMERATOR_SLOPES, HandBoxes
 
 _COLUMNS = 24  # along beta

@@ -14,7 +14,7 @@ from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
 from jaxstab.proofs.columns import column_gaps
-from jaxstab.proofs.enclosures import Domain
+from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import HandBoxes
 
 AlphaNodes = Float64[np.ndarray, " alpha_node"]

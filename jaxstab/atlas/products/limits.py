@@ -106,7 +106,7 @@ class Limits(Product):
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
         from jaxstab.proofs.columns import stable_columns
-        from jaxstab.proofs.enclosures import Domain
+        from jaxstab.proofs.curve_patches import Domain
 
         shape, hands = plan.shape(ALPHA_LIMITS, tile), plan.boxes(tile)
         limits = np.zeros((shape[0], hands.gamma.size, *shape[3:]), np.float32)
