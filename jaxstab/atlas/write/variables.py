@@ -93,7 +93,8 @@ def places_of(dataset: h5py.Dataset) -> list[Place]:
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 _LONGEST_ATTRIBUTE = 2**16  # bytes
-_ROOM = 2**28  # bytes
+_ROOM = 2**28  # bytes that HDF5 takes to read some chunks
+_ROOM_TO_OPEN = 2**20
 
 TROUBLES = (
     RefusalError,
@@ -116,19 +117,21 @@ def opened(path: Path) -> Iterator[h5py.File]:
         ValueError: HDF5, or who uses it, cannot go on.
         MemoryError: it has not the memory to go on.
     """
+    if not _has_room(_ROOM_TO_OPEN):  # without it libhdf5 may crash
+        raise MemoryError(f"there is not enough memory to verify {path}.")
     try:
         with path.open("rb", buffering=0) as stream, h5py.File(stream, "r") as file:
             yield file
     except TROUBLES as error:
-        if "alloc" in str(error) or not _has_room():  # HDF5 raises the same error for both
+        if "alloc" in str(error) or not _has_room(_ROOM):  # HDF5 raises the same error for both
             raise MemoryError(f"there is not enough memory to verify {path}.") from error
         raise ValueError(f"{path} {DAMAGED}") from error
 
 
-def _has_room() -> bool:
-    """Whether there is memory for what HDF5 takes to read some chunks."""
+def _has_room(size: int) -> bool:
+    """Whether there is memory for so many bytes."""
     try:
-        return bool(bytearray(_ROOM))
+        return bool(bytearray(size))
     except MemoryError:
         return False
 
