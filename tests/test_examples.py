@@ -30,7 +30,8 @@ INTERNAL = {
     "LoopsBetween": {"family"},
     "Mode": {"compliance"},
     "Plan": {
-        *("chunk", "deltas_of_a_tile", "hands", "is_gridded", "numbers", "shape", "variables"),
+        *("boxes", "chunk", "deltas_of_a_tile", "hands", "is_gridded", "numbers"),
+        *("points", "shape", "variables"),
     },
     "Velocity": {"stages"},
 }  # fmt: skip

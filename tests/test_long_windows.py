@@ -12,7 +12,8 @@ import pytest
 from benchmarks.truth import filtered
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.march import difference_taps, march_through_filters
-from jaxstab import HandRange, HapticLoop, SettlingStatus, Velocity, Verdict
+from jaxstab import HandRange, HapticLoop, Velocity, Verdict
+from jaxstab.results import SettlingStatus
 
 HANDS = HandRange(mass=(0.0, 0.3), damping=(1.0, 4.0), stiffness=(0.0, 300.0))
 LEVEL = 0.02

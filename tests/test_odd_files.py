@@ -221,9 +221,9 @@ def test_28_the_process_that_reads_a_strangers_file_ends_with_its_parent(tmp_pat
     """The child says who it is and sleeps; its parent is killed."""
     (tmp_path / "sleeper.py").write_text(
         "import os, sys, time\n"
-        "from jaxstab.cli import main, query\n"
+        "from jaxstab.cli import main, untrusted\n"
         "main.main = lambda **_: (print(os.getpid(), flush=True), time.sleep(600))\n"
-        "query.main()\n"
+        "untrusted.main()\n"
     )
     with subprocess.Popen(
         [
