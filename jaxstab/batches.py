@@ -31,7 +31,6 @@ TILE = 4096  # points whose working set stays in the cache of a CPU
 MANY = 1 << 15
 MANY_COEFFICIENTS = 1 << 20
 MANY_ANGLES = 1 << 18
-
 _WIDE: dict[str, Any] = {
     "xla_cpu_prefer_vector_width": 512
 }  # bits; XLA prefers half of what the CPU has

@@ -13,8 +13,8 @@ from jaxstab import AtlasSpec, FittedAxis, build_atlas, spectral_radius
 from jaxstab.atlas.products.radii import radius_bounds
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import Velocity, as_keywords, known_filters
+from jaxstab.proofs.enclosures import FIRST, SECOND, VARIABLES, Quadratic
 from jaxstab.proofs.plant import HandBoxes
-from jaxstab.proofs.quadratics import FIRST, SECOND, VARIABLES, Quadratic
 from jaxstab.proofs.radius_cells import (
     RadiusSurfaces,
     SurfaceKind,

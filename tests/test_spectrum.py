@@ -13,7 +13,7 @@ import jaxstab
 from benchmarks import truth
 from jaxstab.conventions import AXES, RadiusStatus, Verdict
 from jaxstab.model import by_name
-from jaxstab.point import grid
+from jaxstab.point import poles as grid
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 SCENE = (0.05, 0.3, 1e-3, 0.015)

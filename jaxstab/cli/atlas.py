@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from jaxstab.atlas import Atlas
 
 _MOST_DESCRIBED = 2**24  # nodes that are loaded after a build
-
 _MOST_ASKED = 128  # nodes along alpha and beta
 
 

@@ -17,11 +17,9 @@ import click
 
 import jaxstab
 from jaxstab.cli.atlas import build, info, plan, spec, verify
-from jaxstab.cli.explore import explore
-from jaxstab.cli.guard import guard
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
-from jaxstab.cli.scene import check, design, limits, scene, sentence_of, tune, warn
+from jaxstab.cli.scene import check, design, explore, guard, limits, scene, sentence_of, tune, warn
 from jaxstab.shown import printable
 
 

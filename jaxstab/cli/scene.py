@@ -6,17 +6,24 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxstab.cli.options import at_work, number_or_range, output_file, picture_file, write_beside
-from jaxstab.shown import printable
+from jaxstab.cli.options import (
+    at_work,
+    number_or_range,
+    output_file,
+    page_file,
+    picture_file,
+    write_beside,
+)
+from jaxstab.shown import printable, shortened
 
 # Options that describe scenes, and the tables of scenes that files and options make.
-
 if TYPE_CHECKING:
     from jaxstab.scene import Scene
 
@@ -84,7 +91,6 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 _DESCRIBES = ("device", "mass", "inertia", "damping", "sample_time", "wall", "sweep")
-
 _NOTHING = (
     "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an example), "
     "or options, such as --device omega --sample-time 0.001 --delay 0.001."
@@ -179,7 +185,6 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
 
 
 # Many scenes in one process: a table, CSV, JSON, and a picture that compares them.
-
 if TYPE_CHECKING:
     from jaxstab.scene.many import Row, Variant
 
@@ -525,3 +530,132 @@ def _computed(scene: "Scene", name: str) -> Any:
 def _print(scene: "Scene", answer: "Answer", as_json: bool) -> None:
     warn(*scene.unusual())
     click.echo(json.dumps(answer.as_json(), indent=1) if as_json else answer)
+
+
+# The command that writes a page to explore a scene in.
+
+
+@click.command()
+@click.argument("file", type=Path, required=False)
+@click.option(
+    "-o",
+    "--output",
+    type=Path,
+    callback=page_file,
+    default=Path("walls.html"),
+    show_default=True,
+    help="HTML file to write.",
+)
+def explore(file: Path | None, output: Path) -> None:
+    """Write a page that draws the stable walls while sliders move device, hand and controller.
+
+    It begins with the scene of FILE; without one, with an omega-like device and the velocity of its
+    maker's software. The page is one file, and needs a browser, but no network.
+    """
+    from jaxstab.durable import publish
+    from jaxstab.explore import explorer_page
+
+    given = {"files": [file]} if file else _OMEGA
+    scene = scene_of(given)
+    warn(*scene.unusual())
+    title = f"the scene {file.name}" if file else "an omega-like device at 1 kHz"
+    page = explorer_page(scene, title)
+    publish(page.encode(), output)
+    click.echo(output)
+
+
+_OMEGA = {
+    "device": "omega",
+    "sample_time": 0.001,
+    "delay_samples": 1.0,
+    "estimator": "force-dimension-sdk",
+    "wall": [("chai3d", 5000.0, 30.0), ("soft", 1000.0, 15.0)],
+}
+
+
+# The command that writes a guard for C.
+
+
+def _range(context: click.Context, option: click.Parameter, text: str | None) -> Any:
+    ends = number_or_range(context, option, text)
+    if ends is not None and (not isinstance(ends, list) or len(ends) != 2):
+        raise click.BadParameter(f"{text!r} is no range; give LOW:HIGH.", param=option)
+    return ends and tuple(ends)
+
+
+def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
+    if text is None:
+        return None
+    try:
+        counts = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        counts = ()
+    if len(counts) != 3:
+        raise click.BadParameter(f"{shortened(text)} is not MASS,DELAY,DAMPING.", param=option)
+    return counts
+
+
+@click.command()
+@scene_options
+@click.option(
+    "-o",
+    "--output",
+    type=Path,
+    required=True,
+    callback=output_file,
+    help="Header file; its name begins all names in it.",
+)
+@click.option(
+    "--masses",
+    callback=_range,
+    help="LOW:HIGH in kg; default: 0.8 to 1.25 times the mass; 0.96 to 1.04 times that of a device "
+    "with modes, an actuator or a grip.",
+)
+@click.option(
+    "--delays",
+    callback=_range,
+    help="LOW:HIGH in s; default: one sample less and more; a tenth of one for such a device.",
+)
+@click.option(
+    "--cells", callback=_cells, help="Cells along mass, delay and damping: powers of two."
+)
+@click.option("--plot", type=Path, callback=picture_file, help="PNG or SVG file of the limits.")
+def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
+    """Write a C header that clamps K and B to what is proved stable, for a running loop."""
+    if len(given["files"]) > 1 or given["sweep"] or given["csv_file"] or as_json:
+        raise click.UsageError("a guard is of one scene; give one FILE, no --sweep, --csv, --json.")
+    scene = scene_of(given)
+    warn(*scene.unusual())
+    from jaxstab.durable import publish
+    from jaxstab.guard.guard import checked_name
+    from jaxstab.scene.guard import guard_about, guard_plan, header_of, scene_guard
+
+    name = checked_name(output.stem)  # before the proof, which takes long
+    cells = given["cells"]
+    with _progress(guard_plan(scene, cells)) as show:
+        made = scene_guard(scene, given["masses"], given["delays"], progress=show, cells=cells)
+    publish(header_of(scene, made, name).encode(), output)
+    if plot:
+        from jaxstab.pictures.scene import guard_figure
+        from jaxstab.pictures.style import picture
+
+        write_beside(picture(guard_figure(made, scene.units), plot.suffix[1:]), plot)
+    click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{guard_about(scene, made)}")
+
+
+@contextmanager
+def _progress(plan: str) -> Iterator[Callable[[float], None]]:
+    """Yield a function that prints the plan when the work begins, and draws a bar on a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    plans, console = [plan], Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task("proving", total=1.0)
+
+        def show(share: float) -> None:
+            if plans:
+                click.echo(plans.pop(), err=True)
+            bar.update(task, completed=share)
+
+        yield show

@@ -21,14 +21,11 @@ Range = tuple[float, float]
 _SAMPLES = 9  # of mass and of delay
 _DAMPINGS = 64
 _ROUNDED = 1.0 + 1e-12  # the largest damping, however it was summed
-
 LARGEST_HEADER = 1_000_000
 """Bytes of a header at most."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
-
 _WIDTH = 96
-
 _LINE = ("kg", "N/m", "N s/m")
 
 

@@ -1,7 +1,7 @@
 """Where the stable walls of a loop end, for many devices, hands and delays at once.
 
 The closed form of the boundary is taken at some angles and joined by straight lines; the first
-nodes of a guard come from it. Nothing here is a bound; the proof is in ``jaxstab.guard.proof``.
+nodes of a guard come from it. Nothing here is a bound; the proof is in ``jaxstab.guard.build``.
 """
 
 from collections.abc import Callable

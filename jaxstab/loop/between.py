@@ -15,9 +15,8 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import TOLERANCE, Gains, WallRegion, wall_region
 from jaxstab.model import Device, Hand, checked_gain
-from jaxstab.model.device.family import LoopFamily
+from jaxstab.model.device.family import LoopFamily, merged, value_at
 from jaxstab.model.device.parts import MassSpringDamper, Modes
-from jaxstab.model.spans import merged, value_at
 from jaxstab.numbers import checked_number
 from jaxstab.ranges import HandRange, RobustLimit, WorstHand
 from jaxstab.ranges.device_hands import unproved_hands
@@ -232,7 +231,6 @@ class LoopsBetween:
 # Walls that several stable regions share, by rows of the damping.
 
 _ROWS = 33
-
 _ZOOMS = 5
 
 Key = TypeVar("Key")
@@ -323,15 +321,10 @@ if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
 
 WIDER = (1.0, 2.0, 4.0)  # times the tolerance, by which a polygon is pulled in
-
 _FIRST = (0.0, 0.25, 0.5, 0.75, 1.0)
-
 _CLOSEST = 2.0**-10  # of the way: there is no loop tried between two that are so close
-
 _ATTEMPTS = 24
-
 _AT_ONCE = 3  # loops that are added
-
 _PULLS = (0.01, 0.02, 0.04, 0.08)  # of the limit: the wall that is proved lies so far below
 
 Shares = Float64[np.ndarray, " share"]
@@ -445,9 +438,7 @@ if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
 
 _VALUES = 3  # values of each number that varies
-
 _MOST_TRIED = 64  # hands of those that could not be proved
-
 _HAND_ATTEMPTS = 12
 
 

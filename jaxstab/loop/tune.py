@@ -21,7 +21,6 @@ from jaxstab.tuning.loops import DeviceLoop, MassLoop, TunedLoop
 # The fastest wall that an encoder drives no further than a limit: a search on grids.
 
 _POINTS = 25  # on an axis
-
 _ZOOMS = 4
 
 Objective = Callable[[np.ndarray, np.ndarray], Any]  # of alpha and beta; infinite, NaN: no wall

@@ -13,6 +13,7 @@ from jaxstab.model.sections import (
     LONGEST_WINDOW,
     LOW_PASSES,
     MOST_STAGES,
+    UNIT,
     Average,
     Butterworth,
     Differentiator,
@@ -20,14 +21,13 @@ from jaxstab.model.sections import (
     LowPass,
     Rational,
     Section,
+    Transfer,
 )
-from jaxstab.model.transfer import UNIT, Transfer
 from jaxstab.numbers import checked_count, checked_number, require_x64
 from jaxstab.shown import call_text
 from jaxstab.tables import Table, coefficients, key, one_of, quantity, share, whole
 
 _LEAST_FACTOR = 2.0**-53  # of exponential smoothing
-
 _NO_REST = 4.0 * 2.0**-53  # of the numerator's size, per coefficient: V(1) as good as zero
 
 
@@ -455,7 +455,6 @@ NO_FILTER: Mapping[str, Any] = {
 """The keys of a table but for the window, with values that filter nothing."""
 
 _BESIDE = ("order", "kind")  # keys of a low pass that need its cut-off
-
 _FRACTION = ("numerator", "denominator")
 
 

@@ -28,11 +28,8 @@ _LEAST = {  # the least allowed value, and whether it is excluded
 _FOR_COMPUTING = frozenset(
     {"body", "filters", "in_floats", "linear", "sampled", "tree_flatten", "tree_unflatten"}
 )
-
 _OF_DEVICE = ("device_mass", "device_damping")
-
 _OF_HAND = ("hand_mass", "hand_damping", "hand_stiffness")
-
 _REMEMBERED = 64  # loops
 
 Values = TypeVar("Values", bound=Numbers)

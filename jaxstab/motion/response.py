@@ -31,7 +31,7 @@ from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transitio
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
-from jaxstab.model.transfer import Polynomial, Transfer
+from jaxstab.model.sections import Polynomial, Transfer
 from jaxstab.motion.contraction import Matrices, Systems
 from jaxstab.motion.shown import Column, answer_text
 from jaxstab.numbers import checked, checked_count

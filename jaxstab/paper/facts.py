@@ -12,7 +12,6 @@ from jaxstab.region.region import stable_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion
 
 _FINE = 1e-7  # of delta: the tolerance of the passive region
-
 _ROUNDING = 1e-15
 
 _kept_region = lru_cache(8)(stable_region)  # who asks for facts asks for a picture, too

@@ -33,9 +33,7 @@ Points = Float64[np.ndarray, "points 2"]
 Needs = Float64[np.ndarray, " points"]  # dampings
 
 _MARGIN = 1e-12  # by which an outline is pulled in, so that rounding does not spoil its proof
-
 _FIRST_DIRECTIONS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])  # two ends of an edge, beyond
-
 _CHUNK = 4096  # points tested at once
 
 

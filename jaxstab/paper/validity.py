@@ -49,7 +49,6 @@ Coefficients = Float64[np.ndarray, "batch term"]
 Values = Float64[np.ndarray, " batch"]
 
 _LARGEST_GAP = 1e-13  # of the sizes: how far the bound of a largest value may lie above it
-
 _AT_ONCE = 1 << 18  # cells, and terms at angles, that are held in memory
 
 
@@ -144,9 +143,7 @@ Column = Float64[np.ndarray, " cells"]
 
 
 _HALVINGS = 48
-
 _MOST_CELLS = 64  # of a series that are open at once, times its terms: beyond, it is given up
-
 _SHIFT = 0.382  # of the inner ends of cells, so that they miss the roots at rational parts of pi
 
 
@@ -297,9 +294,7 @@ def _unproved(owner: Int64[np.ndarray, " cells"], low: Column, high: Column) -> 
 
 
 _STEP_BACK = 1e-6  # of alpha + gamma: how far inside of a boundary point its side is tested
-
 _CHUNK = 2048  # questions answered at once
-
 _NEWTON_STEPS = 60
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from jaxstab.arrays import Array, is_jax, namespace, repeat
 from jaxstab.batches import MANY, compiled, lists, on_few_sizes, over_tiles
 from jaxstab.model import polynomial_degree
-from jaxstab.point.grid import looked_up
+from jaxstab.point.poles import looked_up
 from jaxstab.point.verdicts import Plant, float_plant
 from jaxstab.rounding import UNIT
 

@@ -62,8 +62,7 @@ from jaxstab.point.dominance import (
     modulus,
     newton,
 )
-from jaxstab.point.grid import looked_up, over_grid
-from jaxstab.point.poles import companion_poles
+from jaxstab.point.poles import companion_poles, looked_up, over_grid
 from jaxstab.point.schur_cohn import (
     SAFETY,
     UNDERFLOW,

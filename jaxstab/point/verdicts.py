@@ -42,7 +42,7 @@ from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import may_cancel, pairs_error
-from jaxstab.point.grid import looked_up
+from jaxstab.point.poles import looked_up
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
     Chain,

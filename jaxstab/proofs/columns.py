@@ -30,17 +30,11 @@ from jaxstab.proofs.plant import HandBoxes
 # of the delay, and its slopes change linearly with it.
 
 T, SQUARE = 3, 4  # the variables of columns that are t and its square; its products follow
-
 EDGE = 1e-9  # of a column: it reaches beyond its edges, so that rounding finds no gap
-
 _T = 3  # the variable of patches that is the delay; the next is its square, then its products
-
 _THETA, _HANDS = 0, slice(1, _T)
-
 _BLOCK = 2**17  # patches in columns
-
 _STEEPEST = 1e3  # of slopes along beta that are tried
-
 _EPS = 16 * np.finfo(np.float64).eps
 
 
@@ -326,11 +320,8 @@ def _at_delay(
 # a column become one flat strip (lemma B8 of docs/proofs.md).
 
 _PATCHES_PER_CELL = 2.0
-
 _PATCHES_PER_MOVING_CELL = 3.0  # of which the delay is an interval
-
 _PATCHES_PER_DOMAIN = 256.0  # along alpha
-
 _MARGIN = 0.1  # of the domain along alpha: a strip that leaves it leaves it for good
 
 
@@ -587,9 +578,7 @@ The last three slopes are those of the products of the delay and beta, gamma, de
 """
 
 _INSIDE = 1.0 - 1e-6  # of the way to a corner of a column
-
 _EVERYWHERE = Domain((-np.inf, np.inf), (-np.inf, np.inf))
-
 _ROUNDING = 1e-14  # of the domain: sums of the terms of a plane
 
 Planes = Float64[np.ndarray, "*column 10"]

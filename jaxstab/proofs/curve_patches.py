@@ -61,21 +61,13 @@ class Intervals(NamedTuple):
 
 
 _ROUNDING = 16 * np.finfo(np.float64).eps  # more than cosines have
-
 _FIRST_PATCHES = 64
-
 _PER_TURN = 8  # of z^(delay + 1)
-
 _MOST_HALVINGS = 10
-
 _AT_ONCE = 4  # of them: where most of a patch is outside, its parts are better looked at before
-
 _BLOCK = 2**13  # intervals whose models are in memory at once
-
 _TOLERATED = 8.0  # widths of what is not known of a patch, if halving it helps
-
 _CLEAR = 0.25  # of what the gains are divided by: how far from 0 it is
-
 _HELPS = 0.5  # times what was not known of the whole
 
 Model = TypeVar("Model", LinearModel, Moving)

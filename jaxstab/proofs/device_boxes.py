@@ -227,11 +227,8 @@ def _mode_in_samples(mode: Mode, period: float) -> tuple[float, float, float]:
 Boxes = Float64[np.ndarray, "axis box"]
 
 AXES = 7  # mass, delay and damping in cells; mass, stiffness, damping of the hand; theta
-
 _HAND = slice(3, 6)
-
 BEYOND = 1e-9  # of the angles and of a hand: boxes go so far beyond
-
 _ANY_WAY = 0.05  # of how far an axis moves g: halving it may help in another direction
 
 
@@ -284,19 +281,12 @@ MASS, DELAY, DAMPING = 0, 1, 2
 """The axes whose meaning is that of an extent; then follow the arm's three, and theta."""
 
 _ARM, _THETA = 3, 6
-
 _AT_ONCE = 2048
-
 _FAST = 1.0  # up to this angle all aliases are small
-
 _FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
-
 _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
-
 _FAR = 2.0  # times how far it moves: a value that is far from 0
-
 _ROUNDED_UP = 1.0 + 1e-9
-
 _ROUNDING = 1e-14  # of a number
 
 

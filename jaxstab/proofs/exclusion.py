@@ -20,7 +20,6 @@ Reals = Float64[np.ndarray, " boxes"]
 Complexes = Complex128[np.ndarray, " boxes"]
 
 _EPS = np.finfo(np.float64).eps
-
 _SUMS = 4 * _EPS  # of each term of g, for each sample that it turns and 8 operations
 
 
@@ -321,11 +320,8 @@ def _joined(parts: list[Boxes]) -> Boxes:
 Ends = Float64[np.ndarray, "2 box"]
 
 _MOST = 100_000  # boxes at once
-
 _NARROW = 1e-12  # of the way from the start: a root bracketed like this is found
-
 _FINEST = np.array([[2.0**-48], [2.0**-30]])  # of t and theta: boxes are not halved beyond
-
 _PROGRESS = 0.6  # a box shrunk to less than this along t or theta is not halved
 
 

@@ -20,7 +20,7 @@ from jaxtyping import Complex128, Float64
 from jaxstab.arrays import PI_REST, Array
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
-from jaxstab.model.transfer import ONE, Polynomial, Transfer, size_of
+from jaxstab.model.sections import ONE, Polynomial, Transfer, size_of
 from jaxstab.proofs.enclosures import LinearModel, Moving
 
 # Taylor series of functions of one angle over many cells, each coefficient with its error.
@@ -35,13 +35,9 @@ Cells = Float64[np.ndarray, " cell"]
 Numbers = Float64[np.ndarray, "order cell"] | Complex128[np.ndarray, "order cell"]
 
 ORDERS = 9  # coefficients that a series has
-
 _BEYOND = 16  # orders by which the change of those of a cosine sum is known
-
 _EPS = np.finfo(np.float64).eps
-
 _ROUNDING = (ORDERS + 4) * _EPS  # of a sum of so many products, complex ones too
-
 _OF_ERRORS = 1.0 + 1e-13
 
 
@@ -134,21 +130,13 @@ def _convolved(one: Numbers, other: Numbers) -> Numbers:
 
 
 _MARGIN = 0.125  # cells reach so far beyond 0 and pi
-
 _FIRST_CELLS = 128
-
 _MOST_HALVINGS = 24
-
 _MOST_CELLS = 1 << 14
-
 _REMAINDER = 2.0**-52  # of the values of a cell, by which the series may miss them
-
 _SMALL = 2.0**-20  # of the largest value: a filter's smaller ones need no digits of their own
-
 _OVERLAP = 1.0 + 1e-9  # what is known of a cell holds a little beyond, for rounded ends
-
 _PAIRS_LOST = 2.0**-94  # of the size of a polynomial, by its coefficients in pairs
-
 _ZERO, _ONE = DoubleDouble(0.0, 0.0), DoubleDouble(1.0, 0.0)
 
 Factor = tuple[Polynomial, Polynomial]  # numerator and denominator in 1/z, lowest power first

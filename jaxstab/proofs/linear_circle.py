@@ -24,7 +24,7 @@ from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, pieces_of, pieces_of_delay
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity
-from jaxstab.model.transfer import ONE, Polynomial
+from jaxstab.model.sections import ONE, Polynomial
 from jaxstab.proofs.enclosures import LinearModel, phasor, variable
 from jaxstab.proofs.exclusion import Models, Parts
 from jaxstab.proofs.filters import (
@@ -44,11 +44,8 @@ from jaxstab.proofs.filters import (
 Reals = Float64[np.ndarray, " box"]
 
 _EPS = np.finfo(np.float64).eps
-
 _SUMS = 16 * _EPS  # of a delay
-
 _FLOOR = 256 * _EPS  # of the terms of g, and of turns: about what the arithmetic of models adds
-
 _EDGE, _NUMBER, _THETA = 0, -2, -1
 
 """The axes: along a line of gains, if any; along t or the delay, if any; along the angle."""

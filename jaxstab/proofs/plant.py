@@ -28,9 +28,7 @@ from jaxstab.region.curve import SliceCoefficients
 # smoothly to theta = 0 and pi, where the pair meets a real root.
 
 _DOUBLINGS = 12  # enough for the stiffest and most damped hands
-
 _TERMS = 12  # enough for a time in which the plant moves by 1/4
-
 _LOST = 16 * np.finfo(np.float64).eps
 
 """More than each of n2, n1, n0 and d0 of a quick plant has lost; d1 loses more for a stiff hand."""
@@ -229,7 +227,6 @@ NUMERATOR_SLOPES = (1 / 12, 1 / 2, 2.0)
 """Bounds of the slopes of N by gamma, delta and delay, as sums over its coefficients."""
 
 ROUNDING = 64 * np.finfo(np.float64).eps  # more than the coefficients have
-
 UNDERFLOW = 1e-290  # more than all that is lost by numbers flushed to zero
 
 Boxes = Float64[np.ndarray, " box"]

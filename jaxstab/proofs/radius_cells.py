@@ -17,10 +17,10 @@ from jaxstab.model import companion_matrix
 from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import loop_factors
 from jaxstab.model.plant import pairs_error, plant_coefficients
-from jaxstab.model.transfer import UNIT
-from jaxstab.model.transfer import product as polynomial_product
+from jaxstab.model.sections import UNIT
+from jaxstab.model.sections import product as polynomial_product
+from jaxstab.proofs.enclosures import PLACES, TERMS, VARIABLES, Array, Quadratic
 from jaxstab.proofs.plant import BENDS, ROUNDING, UNDERFLOW, HandBoxes, motion
-from jaxstab.proofs.quadratics import PLACES, TERMS, VARIABLES, Array, Quadratic
 
 # The characteristic polynomial over cells of (alpha, beta, gamma, delta, delay), to second order.
 #
@@ -29,18 +29,13 @@ from jaxstab.proofs.quadratics import PLACES, TERMS, VARIABLES, Array, Quadratic
 # of p are only added up: in powers of z - c they cancel. Lemma B18 of docs/proofs.md.
 
 _HAND = (2, 3, 4)  # gamma, delta and delay among the variables
-
 _PAIRS = [(i, j) for i in _HAND for j in _HAND if i <= j]
-
 _CUBES = {
     (wall, *pair): TERMS + n
     for n, (wall, pair) in enumerate((wall, pair) for wall in (0, 1) for pair in _PAIRS)
 }
-
 _ALL_TERMS = TERMS + len(_CUBES)
-
 _EPS = np.finfo(np.float64).eps
-
 _CLIPPED = (
     4e-9  # of the slopes: cells reach so much of themselves beyond their ends, but not below 0
 )
@@ -295,15 +290,10 @@ def _delay_moves(gamma: Array, delta: Array, delay: float) -> dict[str, Array]:
 Roots = NDArray[np.complex128]
 
 _STEPS = 2  # of Newton's method: quadratics are exact to second order
-
 _ARCS = 24  # of half of a circle
-
 _FARTHEST = 0.05  # that a root of p may be from the one that is followed
-
 _BEYOND = 1e-9  # of what a root moves: more than the rounding of roots
-
 _HALF_ARC = 0.5 * pi / _ARCS
-
 _TURNS = np.exp(1j * (2.0 * np.arange(_ARCS) + 1.0) * _HALF_ARC)
 
 
@@ -630,15 +620,12 @@ Cells = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 _CELLS = 2**11  # that are computed at once: they stay in the cache of a CPU
-
 _GAP = 0.25  # of the way from the outer to the inner roots: where the circle is
-
 WIDEST_CLUSTER = 2.0
 
 """How far roots that may meet are from their mean at most."""
 
 _LARGEST_BOUND = 1e-2  # of a polynomial whose roots are worth to be told
-
 _OFFSETS = (0.3, 0.2, 0.12, 0.08, 0.05, 0.03, 0.02, 0.012)
 
 """Where circles beside the outermost root are tried."""

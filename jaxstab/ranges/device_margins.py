@@ -37,13 +37,9 @@ from jaxstab.ranges.margins import SAFE, Margins, WallMargins, first_delays, joi
 Walls = Float64[np.ndarray, "wall 2"]
 
 _DELAY_ANGLES = 256  # boxes at first, for half a turn
-
 _COARSE = np.array([0.0, 2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
-
 _FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
-
 _MOST_ANGLES = 4000  # such boxes of a wall at once
-
 _MOST_PARTS = 20_000  # of a stretch of delay
 
 
@@ -138,15 +134,10 @@ def _models(
 
 
 _WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
-
 _AT_ONCE = 32  # walls
-
 _ANGLES, _PER_POLE = 48, 6  # boxes of theta at first
-
 _PIECES = 2  # boxes along a gain at first
-
 _FIRST_STEP = 2.0**-16  # of a gain, in units of the device
-
 _DOUBLINGS = 56
 
 

@@ -46,37 +46,23 @@ Walls = Float64[np.ndarray, "wall 5"]
 Column = Float64[np.ndarray, " wall"]
 
 MOST_DELAY = 1024.0  # samples: further delay is not looked at
-
 _ALPHA, _BETA, _DELAY = (AXES.index(name) for name in ("alpha", "beta", "delay"))
-
 GAIN_WAYS = ((_ALPHA, -1.0), (_ALPHA, 1.0), (_BETA, -1.0), (_BETA, 1.0))
-
 WAYS = (*GAIN_WAYS, (_DELAY, 1.0))
 
 """The axes along which a wall is changed, and the signs."""
 
 _ANGLES_AT_ONCE = 8192  # of walls: their boxes, four for each at first, stay in the cache
-
 _ANGLES, _ANGLES_PER_TURN = 16, 4  # boxes of theta at first, for half a turn of the root
-
 _FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
-
 _DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
-
 _DELAY_ANGLES, _FRACTIONS = 32, 2  # boxes at first, for half a turn and for a sample
-
 _FINER = 8  # boxes of angles where these are not free
-
 _COARSE = np.array([0.0, 2.0**-4, 2.0**-10])  # half the size of boxes of fractions, angles / pi
-
 _FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
-
 _MOST_ANGLES = 2000  # such boxes of a wall at once
-
 _TOUCHING = 1e-9
-
 _LONGER = 4.0  # each stretch of delay than the one before
-
 SAFE = 1.0 - 2.0**-48  # a step loses less when it is computed
 
 
@@ -294,7 +280,6 @@ def _in_pieces(angles: Parts, length: Column) -> Parts:
 # Margins as a table for people: limits rounded inwards, and 0 if they are 0 but for rounding.
 
 _DIGITS = 5
-
 _MOST_ROWS = 8  # of many walls
 
 
@@ -307,7 +292,6 @@ class MarginNames(NamedTuple):
 
 
 DIMENSIONLESS = MarginNames("alpha", "beta", "extra delay (samples)")
-
 IN_SI_UNITS = MarginNames("K (N/m)", "B (N s/m)", "extra delay (s)")
 
 

@@ -61,15 +61,10 @@ Hands = Float64[np.ndarray, "hands 2"]
 Rows = Float64[np.ndarray, " rows"]
 
 _FIRST_FREQUENCIES = 17
-
 _FIRST_DAMPINGS = 3
-
 _ROWS = 129
-
 _REGION_ATTEMPTS = 8
-
 _SMALLEST = 2.0**-12  # of the ranges: boxes are not halved beyond
-
 _OUTLINE_TOLERANCE = 1e-4
 
 
@@ -382,19 +377,12 @@ def _verdicts(
 
 
 _COLUMNS = 64
-
 _AT_ONCE = 16  # columns with the highest bounds are divided
-
 _FINER = 4
-
 _ROUNDS = 16
-
 _NEAR = 2e-3  # of the limit: bounds that differ less are near enough
-
 _PULL = 0.01  # of the limit: the wall that is proved lies so far below, then twice as far
-
 _ATTEMPTS = 4
-
 _BEYOND = 1e-6  # of the span of a region: its polygon is that near to it
 
 Ends = Float64[np.ndarray, "column gap"]

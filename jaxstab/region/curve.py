@@ -38,7 +38,7 @@ from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import PlantPairs, plant_pairs
-from jaxstab.model.transfer import Transfer
+from jaxstab.model.sections import Transfer
 from jaxstab.numbers import checked
 from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve, mass_system
 from jaxstab.region.filtered_points import filtered_point

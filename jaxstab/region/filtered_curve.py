@@ -37,7 +37,7 @@ from jaxstab.model.linear_loop import (
     loop_of,
     sampled_mass,
 )
-from jaxstab.model.transfer import Polynomial, Transfer, product, size_of
+from jaxstab.model.sections import Polynomial, Transfer, product, size_of
 
 # Polynomials in powers of zeta and of zeta - 1, in double-double and as rows of numbers.
 

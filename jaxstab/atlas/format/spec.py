@@ -319,7 +319,6 @@ _FILTERS: Mapping[str, Callable[[Any], Velocity | Filter]] = {
     "velocity": velocity_of,
     "position": position_of,
 }
-
 _ENTRIES: Mapping[type, list[str]] = {
     FittedAxis: [*_REACH, "fitted"],
     ToleranceAxis: ["tolerance"],

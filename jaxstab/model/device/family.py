@@ -9,17 +9,17 @@ analytic in t. Pieces of [0, 1] are halved, in balls, until polynomials through 
 Chebyshev's points are right (lemma B17 of docs/proofs.md).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache, partial, reduce
 from math import ceil, cos, factorial, floor, inf, nextafter, pi
 from operator import mul
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.model.device.device import Device, Hand
-from jaxstab.model.device.parts import Rational, Span, exact, working_precision
+from jaxstab.model.device.parts import Rational, Span, StateSpace, exact, working_precision
 from jaxstab.model.device.sampling import (
     SampledDevice,
     force_of,
@@ -35,8 +35,74 @@ from jaxstab.model.device.sampling import (
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.loop import LoopParameters
 from jaxstab.model.sections import Section
-from jaxstab.model.spans import has_spans, merged, value_at
 from jaxstab.rounding import RAISED_FEW
+
+# Two values of one kind merged into one, whose numbers run from the one to the other.
+
+_REMEDY = "give two loops that differ in numbers alone: masses, springs, cut-offs, the delay"
+
+
+def merged(first: Any, last: Any) -> Any:
+    """Return a value in which each number that differs is the span from the first to the last.
+
+    Raises:
+        ValueError: the two differ in more than numbers.
+    """
+    if type(first) is not type(last) or (_is_whole(first) and first != last):
+        raise ValueError(
+            f"one loop has {first}, the other {last}: nothing is known between; {_REMEDY}."
+        )
+    if isinstance(first, float) and first != last:
+        return Span(first, last)
+    if isinstance(first, tuple):
+        if len(first) != len(last):
+            raise ValueError(
+                f"one loop has {len(first)} and the other {len(last)} parts where only numbers "
+                f"may differ; {_REMEDY}."
+            )
+        return tuple(map(merged, first, last))
+    if is_dataclass(first) and not isinstance(first, type) and first != last:
+        whole = object.__new__(type(first))  # spans are no numbers to be checked
+        for field in fields(first):
+            pair = getattr(first, field.name), getattr(last, field.name)
+            object.__setattr__(whole, field.name, merged(*pair))
+        return whole
+    if first != last:
+        raise ValueError(
+            f"one loop has {first!r}, the other {last!r}: nothing is known between; {_REMEDY}."
+        )
+    return first
+
+
+def _is_whole(value: Any) -> bool:
+    """Whether nothing is known between this value and another one of its kind."""
+    return isinstance(value, StateSpace) or (isinstance(value, Section) and not value.varies)
+
+
+def value_at(value: Any, share: float) -> Any:
+    """Return a value whose spans are numbers, that share of the way from the first to the last."""
+    if isinstance(value, Span):
+        ends = sorted((value.first, value.last))
+        number = value.first + share * (value.last - value.first)
+        return value.last if share == 1.0 else min(max(number, ends[0]), ends[1])
+    if isinstance(value, tuple):
+        return tuple(value_at(part, share) for part in value)
+    if not has_spans(value):
+        return value
+    whole = object.__new__(type(value))
+    for field in fields(value):
+        object.__setattr__(whole, field.name, value_at(getattr(value, field.name), share))
+    return whole
+
+
+def has_spans(value: Any) -> bool:
+    """Return whether a number of a value is a span."""
+    if isinstance(value, Span):
+        return True
+    if is_dataclass(value) and not isinstance(value, type):
+        return any(has_spans(getattr(value, field.name)) for field in fields(value))
+    return isinstance(value, tuple) and any(map(has_spans, value))
+
 
 # N(z) of a device for all fractions of the delay: Taylor polynomials in pieces of a sample.
 #
@@ -46,18 +112,13 @@ from jaxstab.rounding import RAISED_FEW
 #     N_f(z) = (z - 1) n[Gamma(1 - f)](z) + n[Gamma(1)](z),     Gamma' = exp(A t) B
 #
 # (lemma B14 of docs/proofs.md). The pieces are halved, in balls, until the polynomials are right.
-
 if TYPE_CHECKING:
     from flint import acb_poly, arb, arb_mat, arb_poly
 
 _FIRST_BITS, _MOST_BITS = 512, 1 << 12
-
 _ORDER = 14  # of the polynomials, at most
-
 _LEFT_IN_Z = 2.0**-66  # of the size of N, by which a polynomial may miss it
-
 _OVERLAP = 1e-6  # of a piece, beyond its ends
-
 _MOST_DELAY_PIECES = 128
 
 
@@ -231,19 +292,12 @@ if TYPE_CHECKING:
     from flint import acb, acb_mat, acb_poly, arb, arb_mat
 
 _BITS = (256, 1024)
-
 _NODES = 22  # of a piece
-
 _DISC = 6.0  # half-widths: the radius of the disc in which coefficients are bounded
-
 _ARCS = 8  # of half the circle around it
-
 _MISSED_BY = 6e-22  # of their bound there: what polynomials through the nodes miss
-
 _LEFT, _MOST_MISSED = 2.0**-63, 2.0**-60  # of the size of a polynomial in z
-
 _SMALLEST, _MOST_PIECES = 2.0**-12, 128
-
 _BEYOND = 1e-9, 2.0**-50  # of a half-width, and of t, so that pieces meet
 
 

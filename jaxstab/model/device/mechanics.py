@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from flint import arb, arb_mat
 
 _FIRST_BITS, _MOST_BITS = 256, 1 << 14
-
 _WANTED_BITS = 64  # of each entry
-
 _NOTHING = 2.0**-200  # of the largest entry: one that small may be 0
 
 Rows = Float64[np.ndarray, "offset state column"]

@@ -21,7 +21,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_loop
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.model.transfer import Polynomial, Transfer
+from jaxstab.model.sections import Polynomial, Transfer
 from jaxstab.numbers import checked_number
 from jaxstab.rounding import RAISED_FEW
 
