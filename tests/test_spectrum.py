@@ -11,9 +11,10 @@ from mpmath import mp, mpf
 
 import jaxstab
 from benchmarks import truth
+from jaxstab.batches import MANY
 from jaxstab.conventions import AXES, RadiusStatus, Verdict
 from jaxstab.model import by_name
-from jaxstab.point import poles as grid
+from jaxstab.point.poles import CHUNK, over_grid
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 SCENE = (0.05, 0.3, 1e-3, 0.015)
@@ -154,7 +155,7 @@ class TestEvaluateGrid:
     ) -> None:
         axes = np.ix_(np.linspace(0.01, 0.2, 9), np.linspace(0.1, 0.5, 7), [1e-3], [0.0], [0, 0.5])
         whole = jaxstab.spectral_radius(**by_name(*axes)).value
-        monkeypatch.setattr(grid, "CHUNK", 64)
+        monkeypatch.setattr("jaxstab.point.poles.CHUNK", 64)
         np.testing.assert_array_equal(jaxstab.spectral_radius(**by_name(*axes)).value, whole)
 
     def test_streams_a_grid_in_order(self) -> None:
@@ -182,10 +183,10 @@ class TestEvaluateGrid:
             shapes.add(coefficients.shape)
             return coefficients[..., 0]
 
-        alpha = np.linspace(0.0, 0.1, grid.MANY // 3 * 2)
+        alpha = np.linspace(0.0, 0.1, MANY // 3 * 2)
         for gamma in (0.0, 0.1, 0.2):
-            grid.over_grid(kernel, alpha, 0.1, gamma, 0.0, np.array([[0.0], [0.0], [1.0], [0.5]]))
-        assert shapes == {(grid.CHUNK, 4), (grid.CHUNK, 5)}
+            over_grid(kernel, alpha, 0.1, gamma, 0.0, np.array([[0.0], [0.0], [1.0], [0.5]]))
+        assert shapes == {(CHUNK, 4), (CHUNK, 5)}
 
     @pytest.mark.parametrize("chunk", [0, -3])
     def test_refuses_an_empty_chunk(self, chunk: int) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial, reduce
 from itertools import product
-from math import nan
+from math import nan, pi
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -14,16 +14,77 @@ from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import TOLERANCE, Gains, WallRegion, wall_region
-from jaxstab.model import Device, Hand, checked_gain
+from jaxstab.model import Device, Hand, LoopParameters, checked_gain
 from jaxstab.model.device.family import LoopFamily, merged, value_at
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.numbers import checked_number
-from jaxstab.ranges import HandRange, RobustLimit, WorstHand
-from jaxstab.ranges.device_hands import unproved_hands
+from jaxstab.proofs import exclusion as bisection
+from jaxstab.proofs.device_boxes import AXES, BEYOND, DELAY, MASS, Boxes, DeviceBoxes, Extent, along
+from jaxstab.ranges import RobustLimit, WorstHand
 from jaxstab.ranges.families import failures, family_verdicts, first_roots
-from jaxstab.ranges.hands import Hands, Range, checked_range, spread_hands
+from jaxstab.ranges.hands import HandRange, Hands, Range, checked_range, spread_hands
 from jaxstab.ranges.robust import RobustStatus, polygon_of_rows, pulled_in
 from jaxstab.region import RegionStatus
+
+# Hands of a range, and masses of a general device, at which a wall could not be proved.
+#
+# Boxes of the device's mass, the hand and the angle are halved until none has a root on the unit
+# circle (``boxes.device_boxes``). Then all of these loops have the same number of unstable roots,
+# and one proof of stability is enough (lemma B21 of docs/proofs.md).
+
+_SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
+
+_MOST = 40_000  # boxes at once
+
+_ROUNDED_UP = 1.0 + 1e-9
+
+
+def unproved_hands(
+    device: Device,
+    loop: LoopParameters,
+    hands: HandRange,
+    mass: Range,
+    wall: tuple[float, float],
+    most: int = _MOST,
+) -> Hands:
+    """Return hands at which a root on the circle could not be excluded; none is a proof.
+
+    Args:
+        device: the device; its mass and its arm are not used.
+        loop: its loop.
+        hands: the range of hands.
+        mass: the lowest and the highest mass of the device.
+        wall: K in N/m and B in N s/m.
+        most: boxes at once; where there are more, the proof is given up.
+
+    Raises:
+        NotImplementedError: as ``boxes.device_boxes.DeviceBoxes``.
+    """
+    delay = float(loop.delay_samples)
+
+    def extent(center: Boxes, half: Boxes) -> Extent:
+        own, by_own = center[MASS], half[MASS] * _ROUNDED_UP
+        fixed = np.ones_like(own), np.zeros_like(own)
+        values = (delay, *wall)
+        numbers = (along(DELAY, value * fixed[0], fixed[1]) for value in values)
+        return Extent(along(MASS, own, by_own), *numbers)
+
+    arm = hands.stiffness[1], hands.damping[0]
+    loops = DeviceBoxes(device, loop, mass, arm, extent)
+
+    def prove(boxes: bisection.Boxes) -> bisection.Proof:
+        free, shares = loops.judged(boxes.center.T, boxes.half.T)
+        return bisection.Proof(free, shares.T)
+
+    low, high = np.zeros((2, AXES))
+    low[MASS], high[MASS] = mass
+    low[3:6], high[3:6] = np.transpose([hands.mass, hands.stiffness, hands.damping])
+    high[6] = pi * (1.0 + BEYOND)
+    half = 0.5 * (high - low)
+    all_hands = bisection.Boxes((low + half)[None], half[None])
+    left = bisection.pave_by(all_hands, _SMALLEST * half, prove, most).boxes.center
+    return np.clip(left, low, high)[:, [3, 4, 5, MASS]]
+
 
 _TRIED, _FINER = 17, 4  # loops of which the worst is looked for, and rounds around it
 
@@ -229,8 +290,8 @@ class LoopsBetween:
 
 
 # Walls that several stable regions share, by rows of the damping.
-
 _ROWS = 33
+
 _ZOOMS = 5
 
 Key = TypeVar("Key")
@@ -315,16 +376,20 @@ def _shared(one: Intervals, other: Intervals) -> Intervals:
 #
 # The intersection of the regions of some loops is too large. Where the proof of a wall, or of a
 # polygon, fails, the loop half way between the two next to it joins, and it is tried again.
-
 if TYPE_CHECKING:
     from jaxstab.loop.between import LoopsBetween
     from jaxstab.loop.loop import HapticLoop
 
 WIDER = (1.0, 2.0, 4.0)  # times the tolerance, by which a polygon is pulled in
+
 _FIRST = (0.0, 0.25, 0.5, 0.75, 1.0)
+
 _CLOSEST = 2.0**-10  # of the way: there is no loop tried between two that are so close
+
 _ATTEMPTS = 24
+
 _AT_ONCE = 3  # loops that are added
+
 _PULLS = (0.01, 0.02, 0.04, 0.08)  # of the limit: the wall that is proved lies so far below
 
 Shares = Float64[np.ndarray, " share"]
@@ -431,14 +496,15 @@ def common_outline(tried: TriedLoops, tolerance: float) -> tuple[RobustStatus, P
 
 # A loop with any device, held by all hands of a range, its device of any mass of another one.
 #
-# Some hands are tried, and all others are proved in boxes (``ranges.device_hands``). Devices of
+# Some hands are tried, and all others are proved in boxes (``unproved_hands``). Devices of
 # which boxes know nothing are proved where one number varies, as the loops between two.
-
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
 
 _VALUES = 3  # values of each number that varies
+
 _MOST_TRIED = 64  # hands of those that could not be proved
+
 _HAND_ATTEMPTS = 12
 
 

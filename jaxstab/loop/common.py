@@ -1,37 +1,21 @@
-"""Several loops at once: walls that all of them render stably, and walls each in its own loop.
+"""Walls that several loops render stably: the intersection of their exact regions, proved."""
 
-Common walls are the intersection of the loops' exact regions; that a wall lies in all of them is
-proved by verdicts. Walls in different loops are evaluated as one batch where loops of one mass
-share estimator and filter; any other loop is evaluated alone, for all of its walls.
-"""
-
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
-from jaxstab import motion, point, ranges
-from jaxstab.arrays import Numbers, tree_map
-from jaxstab.batches import alike
+from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.loop.between import WIDER, LoopsBetween, TriedLoops, common_outline, common_walls
-from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import TOLERANCE, Gains, wall_region
-from jaxstab.model import LoopParameters, by_name
+from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
-from jaxstab.motion import Amplitude, Oscillation, Settling
-from jaxstab.motion.settling import (
-    Excitation,
-    SettlingTime,
-    checked_level,
-    settling_at_levels,
-    settling_samples,
-)
+from jaxstab.motion.settling import Excitation, checked_level, settling_samples
 from jaxstab.numbers import checked_number
-from jaxstab.point import SpectralRadius, verdict
-from jaxstab.ranges import Margins, WallMargins
+from jaxstab.point import verdict
 from jaxstab.ranges.device_margins import is_stable_along
 from jaxstab.ranges.robust import RobustStatus, failures, pulled_in
 from jaxstab.region import RegionStatus
@@ -210,12 +194,16 @@ def _is_proved(loop: LoopParameters, outline: Points) -> bool:
 
 
 # The wall with the smallest worst settling time over several loops: a search on grids.
+
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
 
 _POINTS = 25  # on an axis of the first grid
+
 _ZOOMS = 4
+
 _FIRST_HORIZON, _MOST = 64, 2**15  # samples within which a wall must have settled
+
 _LONGER = 8
 
 Walls = Float64[np.ndarray, " wall"]
@@ -396,144 +384,3 @@ def _times(
             break
     times[:, ~np.isfinite(times.max(axis=0))] = np.inf
     return times
-
-
-# Walls in loops of their own, asked together.
-#
-# Loops of one mass with the same estimator and filter are points of one array. Any other loop is
-# asked by itself, about all of its walls.
-
-Answer = TypeVar("Answer")
-
-Column = Float64[np.ndarray, " wall"]
-
-
-class Rendered(NamedTuple):
-    """A wall, and the loop that renders it."""
-
-    loop: HapticLoop
-    gains: Gains
-
-
-RenderedWalls = Sequence[Rendered]
-
-
-class _Points(NamedTuple):
-    """Walls of loops of one mass that have the same estimator and filter."""
-
-    numbers: dict[str, Any]  # alpha, beta, gamma, delta, delay, velocity and position
-    mass: Column
-    period: Column
-
-
-def verdicts(walls: RenderedWalls) -> Int8[np.ndarray, " wall"]:
-    """Return ``HapticLoop.verdict`` of each wall."""
-    return _asked(walls, lambda points: point.verdict(**points.numbers), HapticLoop.verdict)
-
-
-def spectral_radii(walls: RenderedWalls) -> SpectralRadius:
-    """Return ``HapticLoop.spectral_radius`` of each wall."""
-
-    def of_points(points: _Points) -> SpectralRadius:
-        return point.spectral_radius(**points.numbers)
-
-    return _asked(walls, of_points, HapticLoop.spectral_radius)
-
-
-def oscillations(walls: RenderedWalls) -> Oscillation:
-    """Return ``HapticLoop.oscillation`` of each wall."""
-
-    def of_points(points: _Points) -> Oscillation:
-        ratio, frequency = motion.dominant_mode(**points.numbers)
-        return Oscillation(ratio, frequency / (2.0 * np.pi * points.period))
-
-    return _asked(walls, of_points, HapticLoop.oscillation)
-
-
-def boundary_distances(walls: RenderedWalls) -> Column:
-    """Return ``HapticLoop.boundary_distance`` of each wall: each loop has a boundary of its own."""
-    return _asked(walls, None, HapticLoop.boundary_distance)
-
-
-def wall_margins(walls: RenderedWalls) -> Margins:
-    """Return ``HapticLoop.margins`` of each wall."""
-
-    def of_points(points: _Points) -> WallMargins:
-        found = ranges.margins(**points.numbers)
-        return WallMargins(
-            found.verdict,
-            found.stiffness * (points.mass / points.period**2)[:, None],
-            found.damping * (points.mass / points.period)[:, None],
-            found.stiffness_gain,
-            found.damping_gain,
-            points.period * found.extra_delay,
-        )
-
-    return _asked(walls, of_points, HapticLoop.margins)
-
-
-def settling_times_of_walls(
-    walls: RenderedWalls, levels: Sequence[float], horizon: int
-) -> list[Settling]:
-    """Return ``HapticLoop.settling_time`` of each wall, for each level."""
-
-    def of_points(points: _Points) -> list[Settling]:
-        found = settling_at_levels(**points.numbers, levels=levels, horizon=horizon)
-        return [SettlingTime(count * points.period, status) for count, status in found]
-
-    def of_loop(loop: HapticLoop, *gains: Column) -> list[Settling]:
-        return [loop.settling_time(*gains, level=level, horizon=horizon) for level in levels]
-
-    return _asked(walls, of_points, of_loop)
-
-
-def amplitudes(walls: RenderedWalls, encoder: Column) -> Amplitude:
-    """Return ``HapticLoop.amplitude`` of each wall, for its own resolution of the position in m."""
-
-    def of_points(points: _Points, encoder: Column) -> Amplitude:
-        found = motion.amplitude(**points.numbers, encoder=encoder)
-        unit = points.mass / points.period**2  # N that are 1 where 1 m is
-        return found._replace(
-            velocity=found.velocity / points.period,
-            force=found.force * unit,
-            force_per_count=found.force_per_count * unit,
-        )
-
-    return _asked(walls, of_points, HapticLoop.amplitude, encoder=encoder)
-
-
-def _asked(
-    walls: RenderedWalls,
-    of_points: Callable[..., Answer] | None,
-    of_loop: Callable[..., Answer],
-    **columns: Column,
-) -> Answer:
-    """Return arrays over the walls, put together from what the functions return for some of them.
-
-    One takes points, the other a loop, stiffnesses and dampings; both take columns of the walls.
-    """
-    groups = alike(
-        loop if of_points is None or loop.body is None else tuple(loop.filters.values())
-        for loop, _ in walls
-    )
-    answers = []
-    for numbers in groups:
-        some = [walls[number] for number in numbers]
-        own = {name: column[numbers] for name, column in columns.items()}
-        loop, gains = some[0].loop, np.array([gains for _, gains in some]).T
-        if of_points is None or loop.body is None:
-            answers.append(of_loop(loop, *gains, **own))
-        else:
-            answers.append(of_points(_points(some, *gains), **own))
-    order = np.argsort(np.concatenate(groups))
-    return tree_map(lambda *parts: np.concatenate(parts)[order], *answers)
-
-
-def _points(walls: RenderedWalls, stiffness: Column, damping: Column) -> _Points:
-    known = {
-        loop: (loop.mass, loop.sample_time, *loop.slice.values())
-        for loop in dict.fromkeys(loop for loop, _ in walls)
-    }
-    mass, period, *plant = np.array([known[loop] for loop, _ in walls]).T
-    alpha, beta = stiffness * (period**2 / mass), damping * (period / mass)
-    return _Points(by_name(alpha, beta, *plant) | walls[0].loop.filters, mass, period)

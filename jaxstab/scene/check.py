@@ -15,12 +15,12 @@ from jaxstab.batches import by_kind
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.loop.between import common_walls
-from jaxstab.loop.common import (
+from jaxstab.loop.together import (
     Rendered,
     amplitudes,
     boundary_distances,
     oscillations,
-    settling_times_of_walls,
+    settling_times,
     spectral_radii,
     verdicts,
     wall_margins,
@@ -474,7 +474,7 @@ def _settlings(walls: Sequence[_Wall]) -> list[Settling]:
     """Return the longest settling times of each wall over its hands."""
 
     def ask(rendered: Sequence[Rendered]) -> list[MotionSettling]:
-        return settling_times_of_walls(rendered, _LEVELS, _HORIZON)
+        return settling_times(rendered, _LEVELS, _HORIZON)
 
     return [_longest(*own) for own in _over_hands(walls, ask)]
 
