@@ -40,7 +40,7 @@ from jaxstab.arrays import (
     repeat,
     tree_map,
 )
-from jaxstab.batches import MANY, compiled
+from jaxstab.batches import MANY_PLANTS, compiled
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma, require_x64
 from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT
@@ -147,7 +147,7 @@ def plant_transition(gamma: Numbers, delta: Numbers, time: Numbers) -> Float64[A
     return _plant_transition(*namespace(arrays).broadcast_arrays(*arrays))
 
 
-@compiled(many=MANY)
+@compiled(many=MANY_PLANTS)
 def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
     length = DoubleDouble.of(time)
     hold = _hold(gamma, delta, length)
@@ -226,7 +226,7 @@ def may_cancel(gamma: Numbers, delta: Numbers) -> Array:
     return (xp.asarray(gamma) > _CANCELLING_GAMMA) & (xp.asarray(delta) <= SOFT_DELTA)
 
 
-@compiled(static=["whole"], many=MANY, pointwise=True)
+@compiled(static=["whole"], many=MANY_PLANTS, pointwise=True)
 def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) -> PlantPairs:
     xp = namespace(gamma, delta, fraction)
     full = DoubleDouble.of(filled(fraction, 1.0))
