@@ -186,7 +186,8 @@ class TestEvaluateGrid:
         alpha = np.linspace(0.0, 0.1, MANY // 3 * 2)
         for gamma in (0.0, 0.1, 0.2):
             over_grid(kernel, alpha, 0.1, gamma, 0.0, np.array([[0.0], [0.0], [1.0], [0.5]]))
-        assert shapes == {(CHUNK, 4), (CHUNK, 5)}
+        # Parts below MANY points are NumPy's: nothing is compiled for their shapes.
+        assert {shape for shape in shapes if shape[0] >= MANY} == {(CHUNK, 4), (CHUNK, 5)}
 
     @pytest.mark.parametrize("chunk", [0, -3])
     def test_refuses_an_empty_chunk(self, chunk: int) -> None:
