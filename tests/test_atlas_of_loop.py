@@ -164,7 +164,7 @@ def test_one_wall_and_arrays_have_the_same_answers() -> None:
     assert (one.shape, many.shape) == ((), (2, 1))
     assert np.all(many == one)
     assert view.stiffness_limits(damping).shape == (2,)
-    assert "asked about HapticLoop" in repr(view)
+    assert "for HapticLoop" in repr(view)
 
 
 MASS = {"device_mass": 0.2, "device_damping": 1.0, "sample_time": 1e-3}

@@ -29,7 +29,7 @@ from jaxstab.region import RegionStatus
 # Hands of a range, and masses of a general device, at which a wall could not be proved.
 #
 # Boxes of the device's mass, the hand and the angle are halved until none has a root on the unit
-# circle (``boxes.device_boxes``). Then all of these loops have the same number of unstable roots,
+# circle (``proofs.device_boxes``). Then all of these loops have the same number of unstable roots,
 # and one proof of stability is enough (lemma B21 of docs/proofs.md).
 
 _SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
@@ -58,7 +58,7 @@ def unproved_hands(
         most: boxes at once; where there are more, the proof is given up.
 
     Raises:
-        NotImplementedError: as ``boxes.device_boxes.DeviceBoxes``.
+        NotImplementedError: as ``proofs.device_boxes.DeviceBoxes``.
     """
     delay = float(loop.delay_samples)
 

@@ -1,7 +1,7 @@
 """Margins, and robust regions, of loops with any linear device.
 
 As for the device of one mass (``first_crossings``, ``robust_region``), with the functions of
-``boxes.linear_circle`` in place of the closed form.
+``proofs.linear_circle`` in place of the closed form.
 """
 
 from collections.abc import Sequence

@@ -2,8 +2,8 @@
 
 The worst hand is found among samples. The proof for all other hands halves boxes of mass,
 stiffness, damping and theta until each of them is proved free of roots on the unit circle
-(``boxes.exclusion``): then the number of unstable roots is the same for all hands, and one proof of
-stability is enough (lemma B6 of docs/proofs.md).
+(``proofs.exclusion``): then the number of unstable roots is the same for all hands, and one proof
+of stability is enough (lemma B6 of docs/proofs.md).
 """
 
 from collections.abc import Iterator, Sequence

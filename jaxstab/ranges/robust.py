@@ -1,7 +1,7 @@
 """The stiffest wall that every hand of a range allows: searched between two proved bounds.
 
 For one hand, columns of the damping are divided into gaps of proved verdicts
-(``boxes.columns.column_gaps``). A stiffness in an unstable gap of one hand is not allowed in that
+(``proofs.columns.column_gaps``). A stiffness in an unstable gap of one hand is not allowed in that
 column; one in stable gaps of all sampled hands is allowed, as far as these hands go. So sampled
 hands bound the limit from both sides, whatever the shapes of their stable sets; columns in which
 the bounds differ are divided again. A wall a little below is then proved for all hands
@@ -45,12 +45,12 @@ from jaxstab.region.stable_set import RegionStatus, StableRegion
 # The intersection over sampled hands is only a guess, and too large. It is pulled in a little and
 # then proved: along the edges of the polygon, for all gamma, delta and theta of the ranges at once,
 # boxes are halved until each of them is proved free of roots on the unit circle
-# (``boxes.exclusion``). This is enough. For any one hand the walls with a root on the circle form a
-# curve that starts on the line z = 1, runs through infinity where it is not connected, and ends on
-# the line z = -1 or at infinity. So no piece of it can lie inside a closed polygon that the curve
-# does not cross. Inside the polygon the number of unstable roots is therefore the same for all
-# walls and, by continuity, for all hands; a verdict on one loop says that it is zero (lemma B7 of
-# docs/proofs.md).
+# (``proofs.exclusion``). This is enough. For any one hand the walls with a root on the circle form
+# a curve that starts on the line z = 1, runs through infinity where it is not connected, and ends
+# on the line z = -1 or at infinity. So no piece of it can lie inside a closed polygon that the
+# curve does not cross. Inside the polygon the number of unstable roots is therefore the same for
+# all walls and, by continuity, for all hands; a verdict on one loop says that it is zero (lemma B7
+# of docs/proofs.md).
 #
 # Where the proof fails, the hand at which it fails joins the sample, and the proof is tried again.
 

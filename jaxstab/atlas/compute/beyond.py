@@ -1,7 +1,7 @@
 """Which axes of an atlas hold the whole stable set, so that walls beyond them are unstable.
 
 Lemma B22 of docs/proofs.md bounds the gains of all stable walls, crudely; between an end of an axis
-and its bound, columns (``boxes.columns``) prove that nothing is stable. One box holds all hands of
+and its bound, columns (``proofs.columns``) prove that nothing is stable. One box holds all hands of
 the atlas and one cell of its delays. Where that proves too little, the delays are halved; at one
 delay alone, the atlas's own cells of hands are tried.
 """

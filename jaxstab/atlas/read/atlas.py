@@ -131,7 +131,7 @@ class LoopAtlas:
 
     def __repr__(self) -> str:
         """Return the atlas, and the loop."""
-        return f"{self.atlas!r}\nasked about {self.loop!r}"
+        return f"{self.atlas!r}\nfor {self.loop!r}"
 
     def query(
         self,
