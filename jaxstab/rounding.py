@@ -28,6 +28,10 @@ PAIR_PRODUCT = 2.0**-100
 SOFT_GAMMA, SOFT_DELTA = 40.0, 10.0
 SOFT_PLANT, STIFF_PLANT, DAMPED_PLANT = 2.0**-89, 2.0**-66, 2.0**-56
 
+# D and N of the quick plant of one mass on the circle: at most 61 + 211 gamma^(1/2) and 822
+# roundings of 1, which is QUICK_D (1 + 4 gamma^(1/2)) and QUICK_N (lemma B23).
+QUICK_D, QUICK_N = 32 * EPS, 416 * EPS
+
 # Coefficients of filters, relative to the product of their stages' sizes, and of the products of
 # filters with each other and with plants (lemma V8).
 FILTERS = 2.0**-90

@@ -13,14 +13,19 @@ from jaxtyping import Bool, Complex128, Float64, Int64
 
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.filters import Gains, Wall, wall_over
-from jaxstab.proofs.plant import BENDS, NUMERATOR_SLOPES, QuickPlant, accurate_plant, quick_plant
+from jaxstab.proofs.plant import (
+    BENDS,
+    NUMERATOR_SLOPES,
+    QuickPlant,
+    accurate_plant,
+    quick_errors,
+    quick_plant,
+)
+from jaxstab.rounding import EPS
 
 Reals = Float64[np.ndarray, " boxes"]
 
 Complexes = Complex128[np.ndarray, " boxes"]
-
-_EPS = np.finfo(np.float64).eps
-_SUMS = 4 * _EPS  # of each term of g, for each sample that it turns and 8 operations
 
 
 class Loops(NamedTuple):
@@ -171,8 +176,11 @@ def _rest(
         + total * (steps * wall.change + wall.turned_change)
     )
     most_force = total + force_change + per_delay * radius.delay
-    rounding = _SUMS * (turns + 8) * (4.0 + most_force * wall.terms)
+    rounding = 4 * EPS * (turns + 8) * (4.0 + most_force * wall.terms)
     rounding += plant.d_error + plant.n_error * wall.size + most_force * wall.lost
+    d_error, n_error = quick_errors(center.gamma)  # of the slopes, which are those of a quick plant
+    rounding += d_error * (radius.gamma + radius.delta + radius.theta)
+    rounding += n_error * wall.size * (radius.delay + steps * radius.theta)
     slopes = np.zeros((6, len(total)))
     slopes[2], slopes[3] = wall.size * per_gamma, wall.size * per_delta
     slopes[4] = wall.size * lag * radius.delay
@@ -412,7 +420,7 @@ def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> Fi
 
 def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | None) -> Models:
     t, theta = 0.5 * (parts.low + parts.high)
-    half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * _EPS)
+    half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * EPS)
     change = lines.change[:, parts.line]
     middle = lines.start[:, parts.line] + change * t
     center = Loops(*np.concatenate([middle, theta[None]]))
@@ -437,13 +445,13 @@ def _shrunk(parts: Parts, models: Models) -> tuple[Parts, Bool[np.ndarray, " box
     determinant = np.where(is_regular, determinant, 1.0)
     middle = np.stack([_turned(by_theta, value), -_turned(by_t, value)]) / determinant
     spread = np.stack([np.abs(by_theta), np.abs(by_t)]) * (rest / np.abs(determinant))
-    spread = np.where(is_regular, spread, np.inf) * (1.0 + 64.0 * _EPS)
-    spread += 64.0 * _EPS * np.abs(middle)
+    spread = np.where(is_regular, spread, np.inf) * (1.0 + 64.0 * EPS)
+    spread += 64.0 * EPS * np.abs(middle)
     # In units of the half-widths
     low, high = middle - spread, middle + spread
     is_proved = np.all((low > -1.0) & (high < 1.0), axis=0)
     center, half = 0.5 * (parts.low + parts.high), 0.5 * (parts.high - parts.low)
-    slack = 2.0 * _EPS * np.abs(center)
+    slack = 2.0 * EPS * np.abs(center)
     low = np.where(low > -1.0, center + half * low - slack, parts.low)
     high = np.where(high < 1.0, center + half * high + slack, parts.high)
     return Parts(parts.line, np.maximum(low, parts.low), np.minimum(high, parts.high)), is_proved

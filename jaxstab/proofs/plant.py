@@ -16,6 +16,7 @@ from jaxstab.model import by_name, plant_coefficients
 from jaxstab.model.plant import pairs_error
 from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.region.curve import SliceCoefficients
+from jaxstab.rounding import EPS, QUICK_D, QUICK_N
 
 # The two real equations for a pair of roots on the unit circle, in a form quick to compute.
 #
@@ -28,10 +29,7 @@ from jaxstab.region.curve import SliceCoefficients
 # smoothly to theta = 0 and pi, where the pair meets a real root.
 
 _DOUBLINGS = 12  # enough for the stiffest and most damped hands
-_TERMS = 12  # enough for a time in which the plant moves by 1/4
-_LOST = 16 * np.finfo(np.float64).eps
-
-"""More than each of n2, n1, n0 and d0 of a quick plant has lost; d1 loses more for a stiff hand."""
+_TERMS = 13  # the last power of a time in which the plant moves by 1/4
 
 
 class Motion(NamedTuple):
@@ -45,16 +43,21 @@ class Motion(NamedTuple):
 
 
 def motion(gamma: Array, delta: Array, time: Array) -> Motion:
-    """Sum a Taylor series for a small time and double that time: sums keep their accuracy."""
+    """Sum a Taylor series for a small time and double that time.
+
+    The smallest terms are added first; lemma B23 of docs/proofs.md bounds the errors.
+    """
     xp = namespace(gamma, delta, time)
     doublings = _doublings(gamma, delta) if xp is np else _DOUBLINGS
     short = time * 2.0**-doublings
-    before, term = xp.zeros_like(short), 0.5 * short**2
-    position, moment = term, 2.0 * term
+    terms = [xp.zeros_like(short), 0.5 * short**2]  # of the position, from the first power on
     for k in range(2, _TERMS):
-        following = -(delta * short * term + gamma * short**2 * before / k) / (k + 1)
-        before, term = term, following
-        position, moment = position + term, moment + (k + 1) * term
+        following = delta * short * terms[-1] + gamma * short**2 * terms[-2] / k
+        terms.append(-following / (k + 1))
+    position = moment = terms[0]
+    for power in range(_TERMS, 1, -1):
+        term = terms[power - 1]
+        position, moment = position + term, moment + power * term
 
     def doubled(half: Motion) -> Motion:
         p, v = half
@@ -117,7 +120,7 @@ def accurate_plant(
 
 
 def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
-    """Return the sampled plant, good to about 1e-14 of one."""
+    """Return the sampled plant, good to about 1e-14 of one (lemma B23)."""
     xp = namespace(gamma, delta, delay)
     rest_of_sample = xp.floor(delay) + 1.0 - delay
     times = xp.stack(xp.broadcast_arrays(xp.ones_like(gamma + delta), rest_of_sample))
@@ -131,8 +134,14 @@ def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
     late = full.velocity * (1.0 - gamma * n2) - early * (1.0 - gamma * full.position)
     d1, d0 = gamma * full.position - 1.0 - kept, xp.exp(-delta)
     slopes = (full.velocity, kept, early, late)
-    errors = (_LOST * (2.0 + xp.sqrt(abs(gamma))), xp.full_like(n1, 4.0 * _LOST))
-    return QuickPlant(d1, d0, n2, n1, n0, total, *slopes, *errors)
+    return QuickPlant(d1, d0, n2, n1, n0, total, *slopes, *quick_errors(gamma))
+
+
+def quick_errors(gamma: Array) -> tuple[Array, Array]:
+    """Bound the errors of D and N of a quick plant on the circle, and of their slopes."""
+    xp = namespace(gamma)
+    stiff = xp.sqrt(abs(gamma))
+    return QUICK_D * (1.0 + 4.0 * stiff), QUICK_N * (1.0 + 0.25 * stiff)
 
 
 def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
@@ -226,7 +235,7 @@ NUMERATOR_SLOPES = (1 / 12, 1 / 2, 2.0)
 
 """Bounds of the slopes of N by gamma, delta and delay, as sums over its coefficients."""
 
-ROUNDING = 64 * np.finfo(np.float64).eps  # more than the coefficients have
+ROUNDING = 64 * EPS  # more than the coefficients have
 UNDERFLOW = 1e-290  # more than all that is lost by numbers flushed to zero
 
 Boxes = Float64[np.ndarray, " box"]
