@@ -12,8 +12,8 @@ A proof computes a number and a bound of its error. Three kinds of constants ent
   less than the exact one for n up to 2^(52-k). ``RAISED_FEW``, ``RAISED`` and ``RAISED_MANY`` are
   three such factors, for at most 4, 2^12 and 2^32 operations.
 
-The rooms ``proofs``, ``ranges``, ``guard`` and ``atlas`` have constants of their arithmetic beside
-it.
+Constants of a search (where it starts or ends, what it calls close) bound nothing and stay where
+they are used.
 """
 
 UNIT = 2.0**-53
@@ -38,3 +38,47 @@ FILTERS = 2.0**-90
 RAISED_FEW = 1.0 + 2.0**-50
 RAISED = 1.0 + 2.0**-40
 RAISED_MANY = 1.0 + 2.0**-20
+RAISED_SERIES = 1.0 + 1e-13  # for 450 operations
+RAISED_MUCH = 1.0 + 1e-9  # for powers and exponentials of bounds, too
+
+# Boxes and cells reach over each other by this share of their width, so that rounding leaves no gap
+# between them: their ends are right to UNIT, so cells wider than 2^-22 of their ends overlap. A gap
+# between narrower ones is of a few UNIT of a parameter, and PLANT_MODEL allows for that.
+OVERLAP = 1e-9
+
+# NumPy's sine, cosine and exponential are right to 4 units in the last place.
+ELEMENTARY = 4 * EPS
+
+# One operation on linear models, of the size |c| + sum |s_k| h_k + rest of its result (lemma B13).
+# A slope of a product is a sum of two products: 4 UNIT of A_k + B_k, A_k = |c s'_k| h_k and B_k =
+# |c' s_k| h_k. They may cancel, but A + B = |A - B| + 2 min(A, B), and the sum of min(A_k, B_k) is
+# at most ((sum A_k)(sum B_k))^(1/2) <= (|c c'| + sum |s_k| h_k sum |s'_k| h_k)/2, which the centre
+# and the rest hold; what moves to products with t stays in the size. Inverses: 12 UNIT. 64 count.
+LINEAR_MODEL = 32 * EPS
+
+# One operation on quadratics, of the sum of the sizes of its terms (lemma B18): a term of a product
+# has 4 products and 5 sums, and the constant is counted twice: at most 18 UNIT. 32 are counted.
+QUADRATIC_MODEL = 16 * EPS
+
+# Coefficients of a plant over a box, of their size: they are right to UNIT, the secants to 6, and
+# gamma and delta at the ends of the box to UNIT: at most 100 of d1, as gamma h(1) <= gamma^(1/2).
+PLANT_MODEL = 64 * EPS
+
+# A sum of n weights times cos(k theta), of their sum times pi (1 + k + k^2): ELEMENTARY for each
+# cosine, UNIT pi k for its angle, n UNIT for the sum. Ten operations on gains in columns as well.
+COSINES = 16 * EPS
+
+# A plane over beta, gamma, delta and the delay, evaluated in its parameters: 20 terms, of the sum
+# of their sizes; and the same of a reader of an atlas, in any order.
+PLANES = 1e-14
+
+# Coefficients in powers of z - 1 of a stage of a filter, of the size of those in z: sums of three
+# pairs, themselves right to FILTERS / 16 (lemma V8).
+SHIFTED = 2.0**-94
+
+# Radii, of 1: from bounds of two of them; by square roots of surfaces; of a cubic's roots, whose
+# own residual is added.
+RADII, ROOTS, SURFACES = 1e-15, 1e-14, 1e-13
+
+# More than any sum of numbers that are flushed to zero.
+UNDERFLOW = 1e-290

@@ -23,6 +23,7 @@ from jaxstab.proofs.curve_patches import Domain, Patches, curve_patches, minus_l
 from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.proofs.filters import Ends, filter_ends
 from jaxstab.proofs.plant import HandBoxes
+from jaxstab.rounding import COSINES, OVERLAP, PLANES
 
 # Runs of patches of the curve through columns, and the surfaces that follow them.
 #
@@ -30,12 +31,10 @@ from jaxstab.proofs.plant import HandBoxes
 # of the delay, and its slopes change linearly with it.
 
 T, SQUARE = 3, 4  # the variables of columns that are t and its square; its products follow
-EDGE = 1e-9  # of a column: it reaches beyond its edges, so that rounding finds no gap
 _T = 3  # the variable of patches that is the delay; the next is its square, then its products
 _THETA, _HANDS = 0, slice(1, _T)
 _BLOCK = 2**17  # patches in columns
 _STEEPEST = 1e3  # of slopes along beta that are tried
-_EPS = 16 * np.finfo(np.float64).eps
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def columns_of(
 ) -> Columns:
     """Return the columns of all boxes, those of one box side by side."""
     cells, boxes = beta.size - 1, hands.gamma.size
-    middle, half = 0.5 * (beta[1:] + beta[:-1]), (0.5 + EDGE) * np.diff(beta)
+    middle, half = 0.5 * (beta[1:] + beta[:-1]), (0.5 + OVERLAP) * np.diff(beta)
     along_beta = np.tile(middle, boxes), np.tile(half, boxes)
     of_hands = [np.repeat(part, cells) for part in hands]
     centre = np.stack([along_beta[0], *of_hands[:2]], axis=-1)
@@ -105,7 +104,7 @@ class Runs(NamedTuple):
 def runs_of(patches: Patches, beta: Float64[np.ndarray, " edge"]) -> Runs:
     """Return the runs of patches through the columns of a cell of delays, of all boxes of hands."""
     cells = beta.size - 1
-    beyond = 2.0 * EDGE * np.max(np.diff(beta))
+    beyond = 2.0 * OVERLAP * np.max(np.diff(beta))
     low, high = patches.beta.low - beyond, patches.beta.high + beyond
     first = np.searchsorted(beta[1:], np.where(np.isnan(low), -np.inf, low))
     last = np.searchsorted(beta[:-1], np.where(np.isnan(high), np.inf, high), "right") - 1
@@ -184,8 +183,8 @@ def _distances_of(
         else:
             half_width += np.sum(np.abs(tilt) * alpha.half[:, patch], axis=0)
         with np.errstate(invalid="ignore"):  # a slope of 0 times no bound
-            half_width += rest + np.abs(per_beta) * gain.rest[patch] + _EPS * np.abs(off)
-            half_width *= 1.0 + _EPS
+            half_width += rest + np.abs(per_beta) * gain.rest[patch] + COSINES * np.abs(off)
+            half_width *= 1.0 + COSINES
         low, high = np.fmax(low, off - half_width), np.fmin(high, off + half_width)
     return low, high
 
@@ -221,8 +220,8 @@ def _surface_in_patches(
     left = np.abs(of_beta[_T + 1]) * half[_T + 1] + gain.rest[patch]
     left += np.sum(np.abs(of_beta[first:last]) * half[first:last], axis=0)
     with np.errstate(invalid="ignore"):
-        rest = np.where(turn == 0.0, 0.0, np.abs(turn) * most * left) * (1.0 + EDGE)
-    return goal, rest + _EPS * np.abs(moved), moved
+        rest = np.where(turn == 0.0, 0.0, np.abs(turn) * most * left) * (1.0 + OVERLAP)
+    return goal, rest + COSINES * np.abs(moved), moved
 
 
 def _tilted_inside(
@@ -238,14 +237,14 @@ def _tilted_inside(
     others = np.arange(len(slope)) != _T
     reach = np.sum(np.abs(slope[others]) * half[others], axis=0)
     rate = slope[_T]
-    room = (columns.half[runs.column, 0] + reach + gain.rest[patch]) * (1.0 + EDGE)
+    room = (columns.half[runs.column, 0] + reach + gain.rest[patch]) * (1.0 + OVERLAP)
     away = gain.centre[patch] - columns.centre[runs.column, 0]
     most = half[_T]
     moves = np.abs(rate) * most > room
     ends = (np.stack([-room, room]) - away) / np.where(moves, rate, 1.0)
     ends = np.where(moves, np.clip(ends, -most, most), np.stack([-most, most]))
     # t = middle + u, |u| <= width, in tilt t + bend (t^2 - most^2 / 2)
-    middle, width = 0.5 * (ends[0] + ends[1]), 0.5 * np.abs(ends[1] - ends[0]) + _EPS * most
+    middle, width = 0.5 * (ends[0] + ends[1]), 0.5 * np.abs(ends[1] - ends[0]) + COSINES * most
     rate, bend = tilt[_T], tilt[_T + 1]
     bulge = 0.5 * bend * width**2
     others[_T + 1] = False
@@ -471,7 +470,7 @@ def _minus_line(
         )
         reach = np.repeat(value.swing, cells) + np.repeat(weight.swing, cells) * gains[0]
         reach += np.repeat(np.abs(weight.centre), cells) * (gains[1] + ends.lost * gains[0])
-        off = np.abs(middle) > reach * (1.0 + ends.lost) + _EPS * np.abs(middle)
+        off = np.abs(middle) > reach * (1.0 + ends.lost) + COSINES * np.abs(middle)
         return value * 0.0, 0.0, np.where(off, np.nan, np.inf)
     lost = ends.lost * (np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1])
     reach = np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1] + lost
@@ -579,7 +578,6 @@ The last three slopes are those of the products of the delay and beta, gamma, de
 
 _INSIDE = 1.0 - 1e-6  # of the way to a corner of a column
 _EVERYWHERE = Domain((-np.inf, np.inf), (-np.inf, np.inf))
-_ROUNDING = 1e-14  # of the domain: sums of the terms of a plane
 
 Planes = Float64[np.ndarray, "*column 10"]
 
@@ -671,7 +669,7 @@ def column_gaps(
     strips = apart(strips_of(beta, columns, hands, domain, filters), columns)
     codes = _gap_verdicts(strips, columns, domain, filters)
     terms = np.sum(np.abs(strips.slope * columns.centre[:, None]), axis=-1)
-    error = strips.error + _ROUNDING * (np.abs(strips.centre) + 2.0 * terms)
+    error = strips.error + PLANES * (np.abs(strips.centre) + 2.0 * terms)
     low, high = _gaps(*strips._replace(error=error).ends(columns), widened(domain))
     shape = (hands.gamma.size, beta.size - 1, codes.shape[1])
     return ColumnGaps(
@@ -880,5 +878,5 @@ def _planes(limits: _Limits, columns: Columns) -> Planes:
         latest = middle + columns.half_delay
         size += 4.0 * (np.abs(rate) + 2.0 * latest * np.abs(bend)) * latest
         size += 8.0 * latest * np.sum(np.abs(turns) * (np.abs(known) + columns.half[:, :T]), axis=1)
-    error = error + _ROUNDING * np.where(np.isfinite(size), size, 0.0)
+    error = error + PLANES * np.where(np.isfinite(size), size, 0.0)
     return np.column_stack([constant, plane, of_delay, error])

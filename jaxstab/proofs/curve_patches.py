@@ -27,6 +27,7 @@ from jaxstab.proofs.filters import (
     responses,
 )
 from jaxstab.proofs.plant import CurveParts, HandBoxes, plant_models
+from jaxstab.rounding import COSINES
 
 # Intervals of theta, each for a box of hands, and parts of them.
 
@@ -60,7 +61,6 @@ class Intervals(NamedTuple):
         return owner, Intervals(whole.box, edge(number), edge(number + 1))
 
 
-_ROUNDING = 16 * np.finfo(np.float64).eps  # more than cosines have
 _FIRST_PATCHES = 64
 _PER_TURN = 8  # of z^(delay + 1)
 _MOST_HALVINGS = 10
@@ -261,7 +261,7 @@ class _Curve(NamedTuple):
             outside |= gain.is_off(ends.min(axis=0), ends.max(axis=0))
         by_position, by_velocity, least = self.forces
         most = [np.max(np.abs(limits)) for limits in domain]
-        outside |= most[0] * by_position + most[1] * by_velocity < least * (1.0 - _ROUNDING)
+        outside |= most[0] * by_position + most[1] * by_velocity < least * (1.0 - COSINES)
         return outside
 
 
@@ -270,7 +270,7 @@ def _curve(
 ) -> _Curve:
     """Evaluate the closed form, as in ``jaxstab.region.curve`` for radius 1."""
     first, last = intervals.first, intervals.last
-    theta, half_theta = 0.5 * (first + last), 0.5 * (last - first) * (1.0 + _ROUNDING)
+    theta, half_theta = 0.5 * (first + last), 0.5 * (last - first) * (1.0 + COSINES)
     plant = of_boxes.over_patches(intervals.box, half_theta)
     waves = _waves(theta, turns, plant.gamma.half)
     eps, nu = plant.eps, plant.nu
@@ -352,7 +352,7 @@ def _forces(
         values, _, lost = responses(cells, theta)
         steep = largest_within(cells.steepness, cells, theta, half)
         most = np.abs(values) + lost[:2] + half * steep[:2]
-    most = most * (1.0 + _ROUNDING)
+    most = most * (1.0 + COSINES)
     least = np.hypot(real, np.maximum(imaginary - 2.0 * half, 0.0))  # |eps| <= 1
     return np.stack([*(most * numerator), least])
 
@@ -414,5 +414,5 @@ def _of_theta(
 ) -> LinearModel:
     """Return the model of a function of theta alone, from a bound of its second derivative."""
     still = np.zeros_like(half[1:])
-    rest = 0.5 * bend * half[0] ** 2 + _ROUNDING * size
+    rest = 0.5 * bend * half[0] ** 2 + COSINES * size
     return LinearModel(value, np.concatenate([slope[None], still]), rest, half)

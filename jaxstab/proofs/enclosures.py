@@ -27,12 +27,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL, QUADRATIC_MODEL
+
 Floats = Any  # real or complex arrays
 
 Number = Any  # the same, or one number
 
-_ROUNDING = 32 * np.finfo(np.float64).eps  # of the largest term: no operation below has 32
-_EPS = 4.0 * np.finfo(np.float64).eps  # more than an elementary function loses
 _HINT = 0.1  # of the size of a function of which nothing else is known
 
 
@@ -154,7 +154,7 @@ class LinearModel:
     def _with(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
         """Return a result of arithmetic on the same boxes, with its rounding."""
         exact = self._of(centre, slope, rest)
-        rounded = self._of(centre, slope, rest + _ROUNDING * exact.size)
+        rounded = self._of(centre, slope, rest + LINEAR_MODEL * exact.size)
         vars(rounded)["_sloped"] = exact._sloped  # the slopes are the same
         return rounded
 
@@ -179,7 +179,7 @@ class LinearModel:
         for part in parts:
             slope[t + 2 :] += part
         taken = 2.0 * abs(square) * half + ((abs(parts[0]) + abs(parts[1])) * halves).sum(axis=0)
-        rest = rest * (1.0 + _ROUNDING) - taken
+        rest = rest * (1.0 + LINEAR_MODEL) - taken
         return centre + square * half, slope, rest
 
 
@@ -253,7 +253,11 @@ def phasor(phase: LinearModel) -> LinearModel:
     The slopes there are none of the function's: they say what to halve, and the rest pays for them.
     """
     centre = np.exp(-1j * phase.centre)
-    rest = 0.5 * (phase.swing - phase.rest) ** 2 + phase.rest + _EPS * (1.0 + np.abs(phase.centre))
+    rest = (
+        0.5 * (phase.swing - phase.rest) ** 2
+        + phase.rest
+        + ELEMENTARY * (1.0 + np.abs(phase.centre))
+    )
     is_known = phase.swing < 1.0
     hint = _HINT * phase.slope / np.maximum(phase.swing, 1.0)
     slope = np.where(is_known, -1j * centre * phase.slope, hint)
@@ -265,7 +269,7 @@ def phasor(phase: LinearModel) -> LinearModel:
 def sine(theta: LinearModel) -> LinearModel:
     """Return 2 sin(theta/2)."""
     half = 0.5 * theta.centre
-    rest = 0.25 * theta.swing**2 + theta.rest + _EPS
+    rest = 0.25 * theta.swing**2 + theta.rest + ELEMENTARY
     return LinearModel(2.0 * np.sin(half), np.cos(half) * theta.slope, rest, theta.half)
 
 
@@ -277,7 +281,7 @@ def sinc(theta: LinearModel) -> Moving:
     by = theta.swing
     still = np.zeros_like(theta.slope)
     return Moving(
-        LinearModel(value, slope * theta.slope, by**2 / 24.0 + 1e-11 * by + _EPS, theta.half),
+        LinearModel(value, slope * theta.slope, by**2 / 24.0 + 1e-11 * by + ELEMENTARY, theta.half),
         LinearModel(slope, still, by / 12.0 + 1e-11, theta.half),
     )
 
@@ -309,7 +313,6 @@ PLACES = {
 _LINES = slice(1, 1 + VARIABLES)
 _CURVES = slice(1 + VARIABLES, TERMS)
 _MIXED = (FIRST != SECOND)[:, None]
-_QUADRATIC_ROUNDING = 16 * np.finfo(np.float64).eps  # of all terms: more than one operation loses
 
 
 @dataclass(frozen=True)
@@ -409,4 +412,4 @@ def _sizes(terms: Array) -> tuple[Array, Array, Array]:
 def _rounded(terms: Array, rest: Array, size: Array | None = None) -> Quadratic:
     """Return a result of arithmetic with what is lost by rounding: a share of ``size``."""
     lost = np.abs(terms).sum(axis=0) if size is None else size
-    return Quadratic(terms, rest * (1.0 + _QUADRATIC_ROUNDING) + _QUADRATIC_ROUNDING * lost)
+    return Quadratic(terms, rest * (1.0 + QUADRATIC_MODEL) + QUADRATIC_MODEL * lost)

@@ -22,6 +22,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.sections import ONE, Polynomial, Transfer, size_of
 from jaxstab.proofs.enclosures import LinearModel, Moving
+from jaxstab.rounding import EPS, OVERLAP, RAISED_SERIES, SHIFTED
 
 # Taylor series of functions of one angle over many cells, each coefficient with its error.
 #
@@ -36,9 +37,7 @@ Numbers = Float64[np.ndarray, "order cell"] | Complex128[np.ndarray, "order cell
 
 ORDERS = 9  # coefficients that a series has
 _BEYOND = 16  # orders by which the change of those of a cosine sum is known
-_EPS = np.finfo(np.float64).eps
-_ROUNDING = (ORDERS + 4) * _EPS  # of a sum of so many products, complex ones too
-_OF_ERRORS = 1.0 + 1e-13
+_ROUNDING = (ORDERS + 4) * EPS  # of a sum of ORDERS products, complex ones too
 
 
 @dataclass(frozen=True)
@@ -50,13 +49,13 @@ class Series:
 
     def __add__(self, other: "Series") -> "Series":
         value = self.value + other.value
-        return Series(value, _OF_ERRORS * (self.error + other.error + _EPS * abs(value)))
+        return Series(value, RAISED_SERIES * (self.error + other.error + EPS * abs(value)))
 
     def __mul__(self, other: "Series") -> "Series":
         size = abs(other.value)
         error = _convolved(self.error, size + other.error)
         error += _convolved(abs(self.value), other.error + _ROUNDING * size)
-        return Series(_convolved(self.value, other.value), _OF_ERRORS * error)
+        return Series(_convolved(self.value, other.value), RAISED_SERIES * error)
 
     def reciprocal(self) -> "Series":
         """Return 1/f; its errors are infinite where f may vanish."""
@@ -77,7 +76,7 @@ class Series:
             total_error = np.sum(lost, axis=0)
             value[k] = -first * total
             error[k] = error[0] * (abs(total) + total_error) + abs(first) * total_error
-            error[k] = _OF_ERRORS * (error[k] + _ROUNDING * abs(value[k]))
+            error[k] = RAISED_SERIES * (error[k] + _ROUNDING * abs(value[k]))
         return Series(value, np.where(is_known, error, np.inf))
 
 
@@ -99,7 +98,7 @@ def power_sum(weights: Sequence[float], middle: Cells, half: Cells) -> tuple[Ser
     terms = powers * np.asarray(weights)
     turns = np.array([(-1j) ** m for m in range(derivatives)])[:, None]
     value = turns * (terms @ np.exp(-1j * np.multiply.outer(order, middle)))
-    lost = _EPS * (abs(terms) @ (len(weights) + 8.0 + 8.0 * order))
+    lost = EPS * (abs(terms) @ (len(weights) + 8.0 + 8.0 * order))
     error = np.broadcast_to(lost[:, None], value.shape)
     sizes = abs(value) + error
     wide = np.zeros((ORDERS, len(middle)))
@@ -109,7 +108,7 @@ def power_sum(weights: Sequence[float], middle: Cells, half: Cells) -> tuple[Ser
         beyond = float(abs(terms[-1]) @ order) * comb(derivatives, m) / derivatives
         wide[m] += beyond * half ** (derivatives - m)
     value, error = value[:ORDERS], error[:ORDERS]
-    return Series(value, error), Series(value, _OF_ERRORS * (error + wide))
+    return Series(value, error), Series(value, RAISED_SERIES * (error + wide))
 
 
 def difference(middle: Cells, half: Cells) -> tuple[Series, Series]:
@@ -118,8 +117,8 @@ def difference(middle: Cells, half: Cells) -> tuple[Series, Series]:
     value = np.stack([-((-1j) ** m) / factorial(m) * turned for m in range(ORDERS)])
     value[0] = 2.0 * np.sin(0.5 * middle) ** 2 + 1j * np.sin(middle)
     sizes = np.array([1.0 / factorial(m) for m in range(ORDERS)])[:, None]
-    error = np.broadcast_to(4.0 * _EPS * sizes, value.shape)
-    return Series(value, error), Series(value, _OF_ERRORS * (error + sizes * half))
+    error = np.broadcast_to(4.0 * EPS * sizes, value.shape)
+    return Series(value, error), Series(value, RAISED_SERIES * (error + sizes * half))
 
 
 def _convolved(one: Numbers, other: Numbers) -> Numbers:
@@ -135,8 +134,6 @@ _MOST_HALVINGS = 24
 _MOST_CELLS = 1 << 14
 _REMAINDER = 2.0**-52  # of the values of a cell, by which the series may miss them
 _SMALL = 2.0**-20  # of the largest value: a filter's smaller ones need no digits of their own
-_OVERLAP = 1.0 + 1e-9  # what is known of a cell holds a little beyond, for rounded ends
-_PAIRS_LOST = 2.0**-94  # of the size of a polynomial, by its coefficients in pairs
 _ZERO, _ONE = DoubleDouble(0.0, 0.0), DoubleDouble(1.0, 0.0)
 
 Factor = tuple[Polynomial, Polynomial]  # numerator and denominator in 1/z, lowest power first
@@ -294,12 +291,12 @@ class Circle(NamedTuple):
     def known(self, number: DoubleDouble, of: Polynomial) -> Series:
         """Return the series of a number that was formed from some coefficients in pairs."""
         exact = constant(float(number.rounded()), len(self.middle))
-        exact.error[0] = _PAIRS_LOST * float(size_of(of)) + _EPS * abs(exact.value[0])
+        exact.error[0] = SHIFTED * float(size_of(of)) + EPS * abs(exact.value[0])
         return exact
 
 
 def _known_of(functions: Functions, middle: Cells, size: Cells) -> _Known:
-    half = size * _OVERLAP
+    half = size * (1.0 + OVERLAP)
     narrow, wide = (functions(middle, half, is_wide) for is_wide in (False, True))
     lost = [lost_of(*both, half, k) for k in range(2) for both in zip(narrow, wide, strict=True)]
     return _Known(
@@ -342,9 +339,9 @@ def bound_of(wide: Series, order: int) -> Cells:
 
 def lost_of(narrow: Series, wide: Series, half: Cells, derivative: int) -> Cells:
     """Bound the error of the sum of a series, or of its derivative."""
-    total = 4.0 * _EPS * factorial(derivative + 1) * bound_of(wide, derivative + 1)  # of theta
+    total = 4.0 * EPS * factorial(derivative + 1) * bound_of(wide, derivative + 1)  # of theta
     for k in range(derivative, ORDERS - 1):
-        error = narrow.error[k] + 2 * ORDERS * _EPS * abs(narrow.value[k])
+        error = narrow.error[k] + 2 * ORDERS * EPS * abs(narrow.value[k])
         total += perm(k, derivative) * error * half ** (k - derivative)
     last = ORDERS - 1
     total += perm(last, derivative) * bound_of(wide, last) * half ** (last - derivative)
@@ -481,7 +478,7 @@ def responses(cells: FilterCells, theta: Reals) -> tuple[np.ndarray, np.ndarray,
     for coefficient in series[-2::-1]:
         slope = slope * offset + value
         value = value * offset + coefficient
-    is_inside = np.abs(offset) <= cells.half[number] * (1.0 + 1e-9)
+    is_inside = np.abs(offset) <= cells.half[number] * (1.0 + OVERLAP)
     return value, slope, np.where(is_inside, cells.lost[number].T, np.inf)
 
 
@@ -598,7 +595,7 @@ def filter_ends(filters: Filters) -> Ends:
         for part in (above, below, turned(above), turned(below)):
             value = float(abs(reduce(DoubleDouble.__add__, part).hi))
             # A value of exactly 0 is one of coefficients that cancel exactly.
-            lost += 2.0**-50 + (2.0**-94 * float(size_of(part)) / value if value else 0.0)
+            lost += 2.0**-50 + (SHIFTED * float(size_of(part)) / value if value else 0.0)
     return Ends(_value(position), (at_minus_one[0], at_minus_one[1]), lost)
 
 
@@ -640,7 +637,7 @@ def _value(chain: list[Factor]) -> float:
 @lru_cache(maxsize=32)
 def _part_cells(filters: Filters) -> _PartCells:
     cells = filter_cells(filters)
-    half = cells.half * _OVERLAP
+    half = cells.half * (1.0 + OVERLAP)
     narrow, wide = (
         [part for chain in factors_of(filters) for part in _parts(chain, cells.middle, half, whole)]
         for whole in (False, True)

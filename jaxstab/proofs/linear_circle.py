@@ -40,12 +40,12 @@ from jaxstab.proofs.filters import (
     factors_of,
     over_halves,
 )
+from jaxstab.rounding import EPS
 
 Reals = Float64[np.ndarray, " box"]
 
-_EPS = np.finfo(np.float64).eps
-_SUMS = 16 * _EPS  # of a delay
-_FLOOR = 256 * _EPS  # of the terms of g, and of turns: about what the arithmetic of models adds
+_SUMS = 16 * EPS  # of a delay
+_FLOOR = 256 * EPS  # of the terms of g, and of turns: about what the arithmetic of models adds
 _EDGE, _NUMBER, _THETA = 0, -2, -1
 
 """The axes: along a line of gains, if any; along t or the delay, if any; along the angle."""
@@ -149,7 +149,7 @@ def _spoilt(series: Series, falling: Polynomial, error: float) -> Series:
 def line_models(cells: FilterCells, lines: GainLines, parts: Parts) -> Models:
     """Return g over boxes of lines and angles."""
     t, theta = 0.5 * (parts.low + parts.high)
-    half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * _EPS)
+    half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * EPS)
     change = lines.change[:, parts.line]
     gains = lines.start[:, parts.line] + change * t
     over = OverCells.of(cells, theta, half[1])
@@ -267,7 +267,7 @@ def _in_piece(
     rest = 0.5 * (by_theta**2 * bend + by_number**2 * curve) + by_number * by_theta * twist
     lost = (bounds[0] + by_number[:, None] * bounds[1]) * most
     lost = np.sum(lost + by_theta[:, None] * bounds[0] * slopes, axis=1)
-    lost = piece.remainder + (size + count + 8) * _EPS * lost
+    lost = piece.remainder + (size + count + 8) * EPS * lost
     rest = np.where(reach <= piece.half * (1.0 + _BEYOND), rest + lost, np.inf)
     return np.stack([value, by_offset * by_number, by_angle * by_theta, rest, lost])
 

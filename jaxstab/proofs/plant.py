@@ -16,7 +16,7 @@ from jaxstab.model import by_name, plant_coefficients
 from jaxstab.model.plant import pairs_error
 from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.region.curve import SliceCoefficients
-from jaxstab.rounding import EPS, QUICK_D, QUICK_N
+from jaxstab.rounding import PLANT_MODEL, QUICK_D, QUICK_N, UNDERFLOW
 
 # The two real equations for a pair of roots on the unit circle, in a form quick to compute.
 #
@@ -235,9 +235,6 @@ NUMERATOR_SLOPES = (1 / 12, 1 / 2, 2.0)
 
 """Bounds of the slopes of N by gamma, delta and delay, as sums over its coefficients."""
 
-ROUNDING = 64 * EPS  # more than the coefficients have
-UNDERFLOW = 1e-290  # more than all that is lost by numbers flushed to zero
-
 Boxes = Float64[np.ndarray, " box"]
 
 
@@ -353,7 +350,7 @@ def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> Pla
         bend = BENDS[name]
         secant = bend.rest(h_gamma, 0.0) + bend.rest(0.0, h_delta)
         rest = bend.rest(h_gamma, h_delta, half_delay) + bend.delay_thrice * third + secant
-        rest += ROUNDING * (np.max(np.abs(at), axis=0) + half_delay)
+        rest += PLANT_MODEL * (np.max(np.abs(at), axis=0) + half_delay)
         centre = at[0]
         if half_delay:
             rate, twice = moves.get(name, (still, still))

@@ -20,7 +20,8 @@ from jaxstab.model.plant import pairs_error, plant_coefficients
 from jaxstab.model.sections import UNIT
 from jaxstab.model.sections import product as polynomial_product
 from jaxstab.proofs.enclosures import PLACES, TERMS, VARIABLES, Array, Quadratic
-from jaxstab.proofs.plant import BENDS, ROUNDING, UNDERFLOW, HandBoxes, motion
+from jaxstab.proofs.plant import BENDS, HandBoxes, motion
+from jaxstab.rounding import EPS, OVERLAP, PLANT_MODEL, UNDERFLOW
 
 # The characteristic polynomial over cells of (alpha, beta, gamma, delta, delay), to second order.
 #
@@ -35,7 +36,6 @@ _CUBES = {
     for n, (wall, pair) in enumerate((wall, pair) for wall in (0, 1) for pair in _PAIRS)
 }
 _ALL_TERMS = TERMS + len(_CUBES)
-_EPS = np.finfo(np.float64).eps
 _CLIPPED = (
     4e-9  # of the slopes: cells reach so much of themselves beyond their ends, but not below 0
 )
@@ -104,7 +104,7 @@ class CellPolynomial(NamedTuple):
                 terms[number] += terms[number - 1] * to
                 rest[number] += rest[number - 1] * np.abs(to)
                 size[number] += size[number - 1] * np.abs(to)
-        return CellPolynomial(terms, rest + 2.0 * self.degree * _EPS * size)
+        return CellPolynomial(terms, rest + 2.0 * self.degree * EPS * size)
 
     def by_powers_of(self, factor: list[Array]) -> list[list[Quadratic]]:
         """Return c_0, c_1 ... of lower degree than a monic f with p = c_0 + c_1 f + c_2 f^2 + ...
@@ -124,16 +124,16 @@ class CellPolynomial(NamedTuple):
         terms, rest = self.terms.copy(), self.rest.copy()
         quotient = self.degree + 1 - len(factor)
         for number in range(quotient):
-            lost = rest[number] + 4.0 * _EPS * np.abs(terms[number]).sum(axis=0)
+            lost = rest[number] + 4.0 * EPS * np.abs(terms[number]).sum(axis=0)
             for step, value in enumerate(factor, number + 1):
                 terms[step] -= terms[number] * value
-                rest[step] += lost * np.abs(value) + 2.0 * _EPS * np.abs(terms[step]).sum(axis=0)
+                rest[step] += lost * np.abs(value) + 2.0 * EPS * np.abs(terms[step]).sum(axis=0)
         low = CellPolynomial(terms[quotient:], rest[quotient:])
         return CellPolynomial(terms[:quotient], rest[:quotient]), low
 
     @staticmethod
     def _quadratic(terms: Array, rest: Array) -> Quadratic:
-        lost = np.abs(terms[TERMS:]).sum(axis=0) + 16.0 * _EPS * np.abs(terms).sum(axis=0)
+        lost = np.abs(terms[TERMS:]).sum(axis=0) + 16.0 * EPS * np.abs(terms).sum(axis=0)
         return Quadratic(terms[:TERMS], rest + lost)
 
 
@@ -178,7 +178,7 @@ def cell_polynomial(
         for step, name in enumerate(("n2", "n1", "n0")):
             _add_product(terms, rest, first + power + step, plant[name], wall, halves)
     size = np.abs(terms).sum(axis=1)
-    return CellPolynomial(terms, rest + 8.0 * length * _EPS * (size + size.max(axis=0)))
+    return CellPolynomial(terms, rest + 8.0 * length * EPS * (size + size.max(axis=0)))
 
 
 def _add_product(
@@ -194,7 +194,7 @@ def _add_product(
         for pair in _PAIRS:
             terms[row, _CUBES[(variable, *pair)]] += part.terms[PLACES[pair]] * half
         size = size + np.abs(half)
-    rest[row] += (part.rest + 8.0 * _EPS * part.size) * size
+    rest[row] += (part.rest + 8.0 * EPS * part.size) * size
 
 
 def _multipliers(lag: int, filters: Filters | None) -> list[Array]:
@@ -241,7 +241,7 @@ def _plant(hands: HandBoxes, delay: float, half_delay: float) -> dict[str, Quadr
         rest = BENDS[name].mixed * h_gamma * h_delta
         rest += 0.0642 * (third_gamma * h_gamma**3 + third_delta * h_delta**3)
         rest += lost * (1.0 if name in ("d1", "d0") else size_n) + UNDERFLOW
-        rest += ROUNDING * (np.max(np.abs(at), axis=0) + half_delay)
+        rest += PLANT_MODEL * (np.max(np.abs(at), axis=0) + half_delay)
         if name in moves:
             _add_moves(terms, moves[name], half_delay)
             rest += _rest_of_delay(name, hands, highest, half_delay)
@@ -292,7 +292,6 @@ Roots = NDArray[np.complex128]
 _STEPS = 2  # of Newton's method: quadratics are exact to second order
 _ARCS = 24  # of half of a circle
 _FARTHEST = 0.05  # that a root of p may be from the one that is followed
-_BEYOND = 1e-9  # of what a root moves: more than the rounding of roots
 _HALF_ARC = 0.5 * pi / _ARCS
 _TURNS = np.exp(1j * (2.0 * np.arange(_ARCS) + 1.0) * _HALF_ARC)
 
@@ -347,7 +346,7 @@ def follow_root(p: CellPolynomial, root: Array) -> Followed:
     (factor,), (left,), (slope,) = _newton(p, [-root])
     position = -factor
     sign = np.where(root >= 0.0, 1.0, -1.0)
-    move = position.swing + _BEYOND
+    move = position.swing + OVERLAP
     bend = _bend(p, root.astype(complex), move)
     error = _distance(left.size, np.abs(slope.middle) - slope.swing, bend)
     error = np.where(np.abs(root) > move + _FARTHEST, error, np.inf)
@@ -366,7 +365,7 @@ def follow_pair(p: CellPolynomial, total: Array, product: Array) -> Followed:
     gap = constant.times(four) - total_moved * total_moved  # (2 Im z)^2
     distance = np.sqrt(np.maximum(gap.low, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        move = 0.5 * total_moved.swing + 0.25 * gap.swing / distance + _BEYOND
+        move = 0.5 * total_moved.swing + 0.25 * gap.swing / distance + OVERLAP
         start = 0.5j * np.sqrt(np.maximum(4.0 * constant.middle, 0.0)) + 0.5 * total_moved.middle
         # p'(z) = f'(z) g(z) + the slope of the remainder, and |g|^2 is the resultant of f and g.
         a, b = slope

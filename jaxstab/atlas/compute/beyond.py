@@ -19,11 +19,11 @@ from jaxstab.model.filters import Filters
 from jaxstab.proofs.columns import StableColumns, stable_columns
 from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import NUMERATOR_SLOPES, HandBoxes
+from jaxstab.rounding import RAISED_MUCH
 
 _COLUMNS = 24  # along beta
 _NEAREST = 0.02  # of the way to a bound of beta: how wide the first column is
 _HALVINGS = 1  # of a cell of delays
-_ABOVE = 1.0 + 1e-9  # times what is rounded
 _LEAST_NUMERATOR = 0.25  # |N| below which no bound is tried
 _LARGEST_BOUND = 1e6
 Ends = tuple[float, float]
@@ -89,7 +89,7 @@ def _bounds(grid: Grid, samples_late: int, window: int) -> Bounds:
     if samples_late >= 1:
         roots = 1.0 + exp(-delta) - gamma * (1.0 + change)
         alpha = min(alpha, max(2.0 - 2.0 * roots / degree, 0.0) ** (0.5 * degree) / at_one)
-    return Bounds(alpha * _ABOVE, (2.0 ** (0.5 * degree) + 4.0) / at_i * _ABOVE)
+    return Bounds(alpha * RAISED_MUCH, (2.0 ** (0.5 * degree) + 4.0) / at_i * RAISED_MUCH)
 
 
 def _proved(
@@ -127,7 +127,7 @@ def _boxes(grid: Grid, *, cells: bool) -> HandBoxes:
         sides = [np.array([[along[0, 0], along[-1, 1]]]) for along in sides]
     pairs = np.array([(one, other) for one in sides[0] for other in sides[1]])
     gamma, delta = pairs[:, 0], pairs[:, 1]
-    halves = (0.5 * (along[:, 1] - along[:, 0]) * _ABOVE for along in (gamma, delta))
+    halves = (0.5 * (along[:, 1] - along[:, 0]) * RAISED_MUCH for along in (gamma, delta))
     return HandBoxes(gamma.mean(axis=1), delta.mean(axis=1), *halves)
 
 

@@ -20,9 +20,9 @@ from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import as_keywords
 from jaxstab.proofs.plant import HandBoxes
+from jaxstab.rounding import OVERLAP
 
 TILE_NODES = 2**18  # at most, where a tile holds more than one slice
-_BEYOND = 1e-9  # of a cell: boxes overlap, so that rounding finds no gap between them
 
 
 class Tile(NamedTuple):
@@ -152,7 +152,7 @@ class Plan:
             for delta in self.numbers("delta_cell", tile)
         ]
         ends = np.array(sides).reshape(-1, 2, 2)
-        half = 0.5 * np.diff(ends, axis=-1)[..., 0] * (1.0 + _BEYOND)
+        half = 0.5 * np.diff(ends, axis=-1)[..., 0] * (1.0 + OVERLAP)
         return HandBoxes(*ends.mean(axis=-1).T, *half.T)
 
     def shares(self) -> list[Share]:

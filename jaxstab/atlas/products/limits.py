@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from jaxstab.atlas.format.variables import Variable, numbers
 from jaxstab.atlas.products.product import Array, Arrays, Floats, Product
 from jaxstab.conventions import Verdict
+from jaxstab.rounding import PLANES
 
 if TYPE_CHECKING:
     from jaxstab.atlas.compute.layout import Grid, Reach
@@ -165,7 +166,6 @@ class Limits(Product):
 
 
 _COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is judged
-_EVALUATION = 1e-14  # of the terms of a limit, for those who add them up
 
 
 def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDArray[np.float32]:
@@ -181,7 +181,7 @@ def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDA
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         rounded = exact.astype(np.float32).astype(np.float64)
         moved = np.where(rounded == exact, 0.0, np.abs(rounded - exact)) * sizes
-        lost = _EVALUATION * np.where(np.isfinite(exact), np.abs(exact), 0.0) * sizes
+        lost = PLANES * np.where(np.isfinite(exact), np.abs(exact), 0.0) * sizes
         raised = (error + moved.sum(axis=-1) + lost.sum(axis=-1)) * (1.0 + 1e-12)
         above = raised.astype(np.float32)
         above = np.where(above < raised, np.nextafter(above, np.float32(np.inf)), above)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from jaxstab.atlas.format.variables import Variable, numbers
 from jaxstab.atlas.products.limits import Integers, in_parts
 from jaxstab.atlas.products.product import Array, Arrays, Check, Floats, Product
+from jaxstab.rounding import OVERLAP, ROOTS, SURFACES
 
 if TYPE_CHECKING:
     from jaxstab.atlas.compute.layout import Grid, Reach
@@ -127,7 +128,7 @@ class Radii(Product):
             halves = [np.full(middles[0].size, half) for _, half in boxes]
             alpha, beta, gamma, delta = (middle.ravel() for middle in middles)
             middle = 0.5 * (early + late)
-            half = (1.0 + _BEYOND) * max(middle - early, late - middle)
+            half = (1.0 + OVERLAP) * max(middle - early, late - middle)
             surfaces = radius_surfaces(
                 WallBoxes(alpha, beta, *halves[:2]),
                 HandBoxes(gamma, delta, *halves[2:]),
@@ -209,7 +210,6 @@ class Radii(Product):
 
 _BETAS, _POINTS = 16, 2**12  # cells along beta of a part, and points at which it is judged
 _ROWS = 16  # cells of delays that are verified
-_BEYOND = 1e-9  # of a cell: cells overlap, so that rounding finds no gap between them
 _STEP = 1 / 64  # of an error: terms are multiples of less than this, which take little room
 _LEAST_ERROR = 1e-9
 _DIGITS = 5  # of an error that are kept, upwards
@@ -220,7 +220,7 @@ def _parts(ends: Floats, count: int) -> tuple[Floats, float]:
     """Return the middles of equal parts of a range, and half of their width."""
     low, high = ends.tolist()
     half = 0.5 * (high - low) / count
-    return low + half * (2.0 * np.arange(count) + 1.0), half * (1.0 + _BEYOND)
+    return low + half * (2.0 * np.arange(count) + 1.0), half * (1.0 + OVERLAP)
 
 
 def _in_float32(known: "RadiusSurfaces") -> tuple[NDArray[np.int32], NDArray[np.float32]]:
@@ -236,7 +236,7 @@ def _in_float32(known: "RadiusSurfaces") -> tuple[NDArray[np.int32], NDArray[np.
     scale = np.where(meets, errors[0], errors)
     step = np.exp2(np.floor(np.log2(_STEP * np.clip(scale, _LEAST_ERROR, 1.0))))
     rounded = (np.round(terms / step[:, None]) * step[:, None]).astype(np.float32)
-    lost = np.abs(rounded - terms).sum(axis=1) + _BEYOND * np.abs(terms[:, 1:]).sum(axis=1)
+    lost = np.abs(rounded - terms).sum(axis=1) + OVERLAP * np.abs(terms[:, 1:]).sum(axis=1)
     # A mean that is moved moves the roots; the others change the polynomial in w.
     of_polynomial = np.where(kind == SurfaceKind.PAIR, lost[1], WIDEST_CLUSTER * lost[1] + lost[2])
     lost = np.where(meets, np.stack([of_polynomial, lost[0], 0.0 * lost[0]]), lost)
@@ -259,8 +259,6 @@ def _raised(errors: Floats) -> NDArray[np.float32]:
 
 
 ONE, LARGER, PAIR, CLUSTER = 1, 2, 3, 4
-_SURFACE_ROUNDING = 1e-13  # more than is lost below, of numbers around 1
-_ROUNDING_OF_ROOTS = 1e-14
 
 
 def radius_bounds(kind: NDArray[Any], values: Floats, errors: Floats) -> tuple[Floats, Floats]:
@@ -283,7 +281,7 @@ def radius_bounds(kind: NDArray[Any], values: Floats, errors: Floats) -> tuple[F
             of_some = [of_function[some] for of_function in values]
             found = bounds(of_some, errors[0, some])
             low[some], high[some] = found[0] - errors[1, some], found[1] + errors[1, some]
-    return np.maximum(low - _SURFACE_ROUNDING, 0.0), high + _SURFACE_ROUNDING
+    return np.maximum(low - SURFACES, 0.0), high + SURFACES
 
 
 def _of_pairs(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats]:
@@ -291,7 +289,7 @@ def _of_pairs(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats]:
     mean, constant, _ = functions
     half = np.sqrt(np.abs(constant))
     radius = np.where(constant > 0.0, np.hypot(mean, half), np.abs(mean) + half)
-    distance, loss = 2.0 * half, bound + _ROUNDING_OF_ROOTS
+    distance, loss = 2.0 * half, bound + ROOTS
     with np.errstate(invalid="ignore"):
         alone = 2.0 * loss / (distance + np.sqrt(distance**2 - 4.0 * loss))
     reach = np.where(distance**2 > 4.0 * loss, alone, np.inf)
@@ -308,8 +306,8 @@ def _of_clusters(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats
     products = one * two + one * three + two * three, one * two * three
     size = np.abs(roots).max(axis=0) + 5.0 * np.cbrt(bound)
     lost = np.abs(one + two + three) * size**2 + np.abs(products[0] - slope) * size
-    loss = bound + lost + np.abs(products[1] + constant) + _ROUNDING_OF_ROOTS
-    farthest = _farthest(np.abs(slope), np.abs(constant) + bound + _ROUNDING_OF_ROOTS)
+    loss = bound + lost + np.abs(products[1] + constant) + ROOTS
+    farthest = _farthest(np.abs(slope), np.abs(constant) + bound + ROOTS)
     lowest, highest = np.abs(mean) - farthest, np.abs(mean) + farthest
     low, high = lowest, np.zeros(mean.size)
     for first, second, third in ((one, two, three), (two, one, three), (three, one, two)):

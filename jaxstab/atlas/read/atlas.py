@@ -54,6 +54,7 @@ from jaxstab.atlas.read.points import (
 )
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.numbers import checked_number, checked_word, real_numbers
+from jaxstab.rounding import EPS
 from jaxstab.shown import table_text
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ if TYPE_CHECKING:
 Outside = Literal["error", "undecided"]
 
 # There and back between K and alpha are six roundings of half an ulp each, at most.
-_ROUNDINGS = 4.0 * float(np.finfo(np.float64).eps)
+_ROUNDINGS = 4.0 * EPS
 _ULPS_ASIDE = 4  # of numbers that the roundings of SI units move
 
 

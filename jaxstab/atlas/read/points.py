@@ -19,6 +19,7 @@ from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT
 from jaxstab.atlas.read.file import Integers, Mask, PackedArrays, Place
 from jaxstab.conventions import AXES, Status, Verdict
 from jaxstab.numbers import checked
+from jaxstab.rounding import RADII
 
 Floats = NDArray[np.float64]
 Numbers = ArrayLike | float | int
@@ -130,7 +131,6 @@ def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[st
 Arrays = Mapping[str, NDArray[Any]]
 Points = Mapping[str, Floats]
 _WALLS = ("alpha", "beta", "gamma", "delta")
-_ROUNDING = 1e-15
 
 
 def nodes_of(arrays: Arrays, delay_number: int) -> dict[str, Floats]:
@@ -252,6 +252,6 @@ def answer_radii(table: RadiusTable, where: Points, inside: Mask, answer: AtlasA
     is_known = np.isfinite(high)
     members, low, high = here[is_known], low[is_known], high[is_known]
     answer.spectral_radius[members] = 0.5 * (low + high)
-    answer.radius_error[members] = 0.5 * (high - low) + _ROUNDING * high
+    answer.radius_error[members] = 0.5 * (high - low) + RADII * high
     is_between = answer.status[members] == QueryStatus.BETWEEN_DELAYS
     answer.status[members[is_between]] = QueryStatus.UNDECIDED_CELL
