@@ -17,7 +17,7 @@ from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.exclusion import Boxes, FirstRoots, Models, Parts, Proof, pave_by, search
+from jaxstab.proofs.exclusion import FirstRoots, Models, Parts, search
 from jaxstab.proofs.linear_circle import (
     DelayBoxes,
     DelayedDevice,
@@ -27,6 +27,7 @@ from jaxstab.proofs.linear_circle import (
     loop_cells,
 )
 from jaxstab.proofs.linear_circle import delay_models as models
+from jaxstab.ranges.box import ParameterBox, Proof
 from jaxstab.ranges.margins import SAFE, Margins, WallMargins, first_delays, joined_angles
 
 # How much longer the delay of a loop with any linear device may become: proved.
@@ -37,8 +38,8 @@ from jaxstab.ranges.margins import SAFE, Margins, WallMargins, first_delays, joi
 Walls = Float64[np.ndarray, "wall 2"]
 
 _DELAY_ANGLES = 256  # boxes at first, for half a turn
-_COARSE = np.array([0.0, 2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
-_FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
+_COARSE = np.array([2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
+_FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 4000  # such boxes of a wall at once
 _MOST_PARTS = 20_000  # of a stretch of delay
 
@@ -77,26 +78,24 @@ def _critical_angles(
     device: DelayedDevice,
     walls: Walls,
     numbers: np.ndarray,
-    smallest: Float64[np.ndarray, "3"],
+    smallest: Float64[np.ndarray, "2"],
 ) -> Parts:
     """Return the angles at which some delay may put a root of some walls on the circle."""
 
-    def prove(boxes: Boxes) -> Proof:
-        wall, fraction, angle = boxes.center.T
-        _, by_fraction, by_angle = boxes.half.T
-        gains = walls[wall.astype(np.int64)].T
+    def prove(boxes: ParameterBox) -> Proof:
+        (fraction, by_fraction), (angle, by_angle) = boxes["fraction"], boxes["angle"]
+        gains = walls[boxes.index].T
         over = DelayBoxes(gains, fraction, pi * angle, by_fraction, pi * by_angle)
         found, apart = models(device, over)
-        return Proof(apart > 0.0, np.stack([np.zeros_like(apart), *found.bends], axis=-1))
+        return Proof(apart > 0.0, found.bends.T)
 
     angles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
     grid = np.meshgrid(numbers, np.arange(len(device.pieces)), angles, indexing="ij")
     wall, number, angle = (part.ravel() for part in grid)
-    pieces = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, number]
-    halves = np.zeros_like(angle), pieces[1], np.full_like(angle, 0.5 / _DELAY_ANGLES)
-    boxes = Boxes(np.stack([wall, pieces[0], angle], axis=-1), np.stack(halves, axis=-1))
+    middle, half = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, number]
+    boxes = ParameterBox.of(wall, fraction=(middle, half), angle=(angle, 0.5 / _DELAY_ANGLES))
     most = _MOST_ANGLES * len(device.pieces)
-    return joined_angles(pave_by(boxes, smallest, prove, most, is_numbered=True).boxes)
+    return joined_angles(boxes.paved(prove, smallest, most_each=most).boxes)
 
 
 def _in_pieces(

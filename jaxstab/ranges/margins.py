@@ -23,16 +23,15 @@ from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked, without_noise
 from jaxstab.point import verdict
 from jaxstab.proofs.exclusion import (
-    Boxes,
-    Extent,
+    Exclusion,
     FirstRoots,
     Lines,
     Loops,
     Parts,
     exclude_any_delay,
     first_roots,
-    pave,
 )
+from jaxstab.ranges.box import ParameterBox, Proof, excluded
 from jaxstab.shown import number_text, table_text
 
 # From stable walls to the first root on the unit circle, when one quantity is changed.
@@ -58,8 +57,8 @@ _FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
 _DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
 _DELAY_ANGLES, _FRACTIONS = 32, 2  # boxes at first, for half a turn and for a sample
 _FINER = 8  # boxes of angles where these are not free
-_COARSE = np.array([0.0, 2.0**-4, 2.0**-10])  # half the size of boxes of fractions, angles / pi
-_FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
+_COARSE = np.array([2.0**-4, 2.0**-10])  # half the size of boxes of fractions, angles / pi
+_FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 2000  # such boxes of a wall at once
 _TOUCHING = 1e-9
 _LONGER = 4.0  # each stretch of delay than the one before
@@ -211,22 +210,20 @@ def first_delays(
 def _critical_angles(
     walls: Walls,
     numbers: Int64[np.ndarray, " some"],
-    smallest: Float64[np.ndarray, "3"],
+    smallest: Float64[np.ndarray, "2"],
     filters: Filters | None,
 ) -> Parts:
     """Return the angles at which some delay may put a root of some walls on the circle."""
-    prove, extent = partial(exclude_any_delay, filters=filters), partial(_at_any_delay, walls)
+    prove = partial(_proof, walls, partial(exclude_any_delay, filters=filters))
     boxes = _angles_and_fractions(numbers)
-    span = extent(boxes)
-    boxes = _finer_angles(boxes.select(~prove(span.center, span.radius).free))
-    left, _ = pave(boxes, smallest, extent, _MOST_ANGLES, prove, is_numbered=True)
-    return joined_angles(left)
+    boxes = _finer_angles(boxes.select(~prove(boxes).free))
+    return joined_angles(boxes.paved(prove, smallest, most_each=_MOST_ANGLES).boxes)
 
 
-def joined_angles(left: Boxes) -> Parts:
-    """Return the angles of boxes of a wall's number, a fraction of the delay, and theta / pi."""
-    wall = left.center[:, 0].astype(np.int64)
-    middle, half = pi * left.center[:, 2], pi * left.half[:, 2]
+def joined_angles(boxes: ParameterBox) -> Parts:
+    """Return the angles of boxes of fractions of the delay and theta / pi, indexed by walls."""
+    wall = boxes.index
+    middle, half = (pi * angle for angle in boxes["angle"])
     low, high = middle - half, middle + half
     order = np.lexsort((low, wall))
     wall, low, high = wall[order], low[order], high[order]
@@ -241,30 +238,31 @@ def joined_angles(left: Boxes) -> Parts:
     return Parts(wall[is_start], *np.stack([whole, ends], axis=1))
 
 
-def _angles_and_fractions(numbers: Int64[np.ndarray, " some"]) -> Boxes:
-    """Return boxes of the number of the wall, the fraction of the delay, and theta / pi."""
+def _angles_and_fractions(numbers: Int64[np.ndarray, " some"]) -> ParameterBox:
+    """Return boxes of the fraction of the delay and theta / pi, indexed by walls."""
     fractions, angles = ((np.arange(n) + 0.5) / n for n in (_FRACTIONS, _DELAY_ANGLES))
-    center = np.stack(np.meshgrid(numbers, fractions, angles, indexing="ij"), axis=-1)
-    center = center.reshape(-1, 3)
-    return Boxes(center, np.full_like(center, [0.0, 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES]))
+    wall, fraction, angle = (
+        part.ravel() for part in np.meshgrid(numbers, fractions, angles, indexing="ij")
+    )
+    halves = 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES
+    return ParameterBox.of(wall, fraction=(fraction, halves[0]), angle=(angle, halves[1]))
 
 
-def _finer_angles(boxes: Boxes) -> Boxes:
+def _finer_angles(boxes: ParameterBox) -> ParameterBox:
     """Divide the angles of boxes at once into as many as most of them need."""
-    half = boxes.half / [1.0, 1.0, _FINER]
-    number = np.repeat(np.arange(len(half)), _FINER)
-    offsets = np.tile(2.0 * np.arange(_FINER) + 1.0 - _FINER, len(half))
-    center = boxes.center[number]
-    center[:, 2] += offsets * half[number, 2]
-    return Boxes(center, half[number])
+    finer = boxes.select(np.repeat(np.arange(boxes.count), _FINER))
+    angle, half = finer["angle"]
+    half = half / _FINER
+    angle = angle + np.tile(2.0 * np.arange(_FINER) + 1.0 - _FINER, boxes.count) * half
+    return ParameterBox.of(finer.index, fraction=finer["fraction"], angle=(angle, half))
 
 
-def _at_any_delay(walls: Walls, boxes: Boxes) -> Extent:
-    wall, fraction, angle = boxes.center.T
-    alpha, beta, gamma, delta, _ = walls[wall.astype(np.int64)].T
-    by_axis = np.zeros((3, 6, wall.size))
-    by_axis[1, 4], by_axis[2, 5] = boxes.half.T[1], pi * boxes.half.T[2]
-    return Extent.of(Loops(alpha, beta, gamma, delta, fraction, pi * angle), by_axis)
+def _proof(walls: Walls, test: Callable[[Loops, Loops], Exclusion], boxes: ParameterBox) -> Proof:
+    (fraction, by_fraction), (angle, by_angle) = boxes["fraction"], boxes["angle"]
+    alpha, beta, gamma, delta, _ = walls[boxes.index].T
+    moves = {("fraction", "delay"): by_fraction, ("angle", "theta"): pi * by_angle}
+    center = Loops(alpha, beta, gamma, delta, fraction, pi * angle)
+    return excluded(test, center, boxes.moved(moves))
 
 
 def _in_pieces(angles: Parts, length: Column) -> Parts:
