@@ -238,7 +238,7 @@ class LoopsBetween:
             (True, 70643)
         """
         tried = TriedLoops(self)
-        found = search(tried.stiffest, tried.unproved, tried.add, PULLS)
+        found = search(partial(stiffest_wall, tried.loops), tried.unproved, tried.add, PULLS)
         return limit_of(found, self.first)
 
 
@@ -361,21 +361,8 @@ class TriedLoops:
     """Loops between two that are tried: where a proof fails, those half way between join."""
 
     def __init__(self, between: LoopsBetween) -> None:
-        self.between = between
-        self.shares = [*_FIRST]
-
-    @property
-    def loops(self) -> tuple[HapticLoop, ...]:
-        """The loops, from the first on."""
-        return tuple(map(self.between.loop, self.shares))
-
-    def stiffest(self, pull: float) -> Guess | None:
-        """Return the stiffest wall of the loops, pulled down by a share of its stiffness."""
-        return stiffest_wall(self.loops, pull)
-
-    def polygon(self, pull: float) -> Guess | None:
-        """Return a polygon of walls that the loops have, pulled in by a share of its size."""
-        return common_polygon(self.loops, pull)
+        self.between, self.shares = between, [*_FIRST]
+        self.loops = [*map(between.loop, self.shares)]
 
     def unproved(self, walls: Points) -> Shares | None:
         """Return shares at which walls could not be proved."""
@@ -392,6 +379,7 @@ class TriedLoops:
         ]
         pairs = [(low, high) for low, high in pairs if high - low > _CLOSEST][:_AT_ONCE]
         self.shares = sorted(self.shares + [0.5 * (low + high) for low, high in pairs])
+        self.loops[:] = map(self.between.loop, self.shares)
         return bool(pairs)
 
 

@@ -1,6 +1,6 @@
 """Walls that several loops render stably: the intersection of their exact regions, proved."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,7 +17,7 @@ from jaxstab.model.filters import given_filters
 from jaxstab.motion.settling import Excitation, checked_level, settling_samples
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
-from jaxstab.ranges.box import NOTHING, Found, Points, RobustStatus, search
+from jaxstab.ranges.box import NOTHING, Points, RobustStatus, Unproved, search
 from jaxstab.ranges.device_margins import is_stable_along
 from jaxstab.ranges.robust import failures
 from jaxstab.tuning import TuningStatus
@@ -156,31 +156,32 @@ def common_region(
         'PROVED'
     """
     tolerance = checked_number("tolerance", tolerance, 1e-3, 0.1)
-    pulls = [times * tolerance for times in _WIDER]
     if isinstance(loops, LoopsBetween):
         tried = TriedLoops(loops)
-        found = search(tried.polygon, tried.unproved, tried.add, pulls)
-        return _region_of(tried.loops, found, tolerance, loops)
-    given = tuple(loops)
+        return _proved_region(tried.loops, tried.unproved, tried.add, tolerance, loops)
+    given = list(loops)
     if not given:
         raise ValueError("loops is empty; give at least one HapticLoop.")
 
     def unproved(walls: Points) -> "list[HapticLoop]":
         return [loop for loop in given if not _is_proved(loop.in_floats(), walls)]
 
-    found = search(partial(common_polygon, given), unproved, lambda _: False, pulls)
-    return _region_of(given, found, tolerance)
+    return _proved_region(given, unproved, lambda _: False, tolerance)
 
 
-def _region_of(
-    loops: "tuple[HapticLoop, ...]",
-    found: Found,
+def _proved_region(
+    loops: "list[HapticLoop]",
+    unproved: Unproved,
+    add: Callable[[Any], bool],
     tolerance: float,
     between: LoopsBetween | None = None,
 ) -> CommonRegion:
-    guess = found.guess if found.is_proved else None
-    pull = found.pull if found.is_proved else tolerance
-    return CommonRegion(loops, found.status, (guess or NOTHING).walls, pull, between)
+    """Return the region that a search finds from some loops, to which it may add others."""
+    pulls = [times * tolerance for times in _WIDER]
+    found = search(partial(common_polygon, loops), unproved, add, pulls)
+    if found.guess is None or not found.is_proved:
+        return CommonRegion(tuple(loops), found.status, NOTHING.walls, tolerance, between)
+    return CommonRegion(tuple(loops), found.status, found.guess.walls, found.pull, between)
 
 
 def _is_proved(loop: LoopParameters, outline: Points) -> bool:

@@ -352,9 +352,12 @@ class Found(NamedTuple):
         return RobustStatus.EMPTY if is_empty else RobustStatus.UNPROVED
 
 
+Unproved = Callable[[Points], Sequence[Any] | np.ndarray | None]
+
+
 def search(
     guess: Callable[[float], Guess | None],
-    unproved: Callable[[Points], Sequence[Any] | np.ndarray | None],
+    unproved: Unproved,
     add: Callable[[Any], bool],
     pulls: Sequence[float],
 ) -> Found:

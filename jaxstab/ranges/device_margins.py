@@ -28,7 +28,14 @@ from jaxstab.proofs.linear_circle import (
 )
 from jaxstab.proofs.linear_circle import delay_models as models
 from jaxstab.ranges.box import ParameterBox, Proof
-from jaxstab.ranges.margins import SAFE, Margins, WallMargins, first_delays, joined_angles
+from jaxstab.ranges.margins import (
+    GAIN_WAYS,
+    Margins,
+    WallMargins,
+    along_gains,
+    first_delays,
+    joined_angles,
+)
 
 # How much longer the delay of a loop with any linear device may become: proved.
 #
@@ -132,7 +139,6 @@ def _models(
     return models(device, boxes)[0]
 
 
-_WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
 _AT_ONCE = 32  # walls
 _ANGLES, _PER_POLE = 48, 6  # boxes of theta at first
 _PIECES = 2  # boxes along a gain at first
@@ -248,21 +254,17 @@ def device_ends(
     stable = walls[codes == Verdict.STABLE]
     if not len(stable):
         return codes, ends
-    axes, signs = (np.array(column) for column in zip(*_WAYS, strict=True))
-    first = np.maximum(_FIRST_STEP, 0.5 * np.abs(stable.T[axes]))  # (way, wall)
-    steps = first[..., None] * 2.0 ** np.arange(_DOUBLINGS)
-    gains = np.repeat(stable.T[:, None, :, None], 4, axis=1) * np.ones(_DOUBLINGS)
-    gains[axes, range(4)] += signs[:, None, None] * steps
-    is_unstable = np.asarray(linear_verdict(gains[0], gains[1], loop)) == Verdict.UNSTABLE
-    reach = np.min(np.where(is_unstable, steps, steps[..., -1:]), axis=-1)
-    change = np.zeros((2, *reach.shape))
-    change[axes, range(4)] = signs[:, None] * reach
-    lines = GainLines(np.tile(stable.T, 4), change.reshape(2, -1))
-    roots = _first_roots(device, lines, filters)
-    step = signs[:, None] * np.minimum(roots.low.reshape(reach.shape), 1.0) * reach * SAFE
-    gain = stable.T[axes] + step
-    gain -= np.sign(step) * 2.0**-50 * np.abs(gain)
-    ends[codes == Verdict.STABLE] = gain.T
+
+    def verdicts(gains: np.ndarray, _: np.ndarray) -> np.ndarray:
+        return np.asarray(linear_verdict(gains[0], gains[1], loop))
+
+    def roots(start: np.ndarray, change: np.ndarray) -> FirstRoots:
+        return _first_roots(device, GainLines(start, change), filters)
+
+    ways = along_gains(stable.T, (_FIRST_STEP, _DOUBLINGS), verdicts, roots)
+    for number, ((axis, _), (step, _)) in enumerate(zip(GAIN_WAYS, ways, strict=True)):
+        gain = stable[:, axis] + step
+        ends[codes == Verdict.STABLE, number] = gain - np.sign(step) * 2.0**-50 * np.abs(gain)
     return codes, ends
 
 

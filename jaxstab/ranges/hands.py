@@ -1,9 +1,7 @@
 """One wall and a range of hands: whether it is stable for all of them, and which hand is worst.
 
-The worst hand is found among samples. The proof for all other hands halves boxes of mass,
-stiffness, damping and theta until each of them is proved free of roots on the unit circle
-(``proofs.exclusion``): then the number of unstable roots is the same for all hands, and one proof
-of stability is enough (lemma B6 of docs/proofs.md).
+The worst hand is found among samples. Boxes of 1/m, k, b and theta prove all others
+(``ranges.box``, lemma B6 of docs/proofs.md).
 """
 
 from collections.abc import Iterator, Sequence

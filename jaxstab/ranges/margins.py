@@ -110,33 +110,51 @@ def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
 
 
 def _along_gains(walls: Walls, filters: Filters | None) -> list[Crossings]:
-    reach = _reach(walls, filters)
-    change = np.zeros((len(AXES), *reach.shape))
-    for way, (axis, sign) in enumerate(GAIN_WAYS):
-        change[axis, way] = sign * reach[way]
-    lines = Lines(np.tile(walls.T, len(GAIN_WAYS)), change.reshape(len(AXES), -1))
-    roots = first_roots(lines, _all_angles(walls, len(GAIN_WAYS)), filters)
-    low, angle = (part.reshape(reach.shape) for part in (roots.low, roots.theta / pi))
-    step = np.minimum(low, 1.0) * reach * SAFE
-    signs = [sign for _, sign in GAIN_WAYS]
-    return [Crossings(signs[way] * step[way], angle[way]) for way in range(len(GAIN_WAYS))]
+    def verdicts(gains: np.ndarray, wall: np.ndarray) -> np.ndarray:
+        return _verdicts(gains, walls[wall], filters)
+
+    def roots(start: np.ndarray, change: np.ndarray) -> FirstRoots:
+        others = np.zeros((3, change.shape[1]))
+        lines = Lines(np.concatenate([start, np.tile(walls.T[2:], 4)]), np.vstack([change, others]))
+        return first_roots(lines, _all_angles(walls, len(GAIN_WAYS)), filters)
+
+    return along_gains(walls.T[:2], (_FIRST_STEP, _DOUBLINGS), verdicts, roots)
 
 
-def _reach(walls: Walls, filters: Filters | None) -> Float64[np.ndarray, "way wall"]:
-    """Return how far away, along the gains, walls are proved unstable, or no less than 2^37."""
+def along_gains(
+    gains: Float64[np.ndarray, "2 wall"],
+    first: tuple[float, int],
+    verdicts: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    roots: Callable[[np.ndarray, np.ndarray], FirstRoots],
+) -> list[Crossings]:
+    """Return how far stable walls may go each way of the gains.
+
+    Args:
+        gains: alpha and beta of the walls.
+        first: the least first step, and into how many it is doubled until a wall is unstable.
+        verdicts: returns codes of other gains of walls, of which the numbers are given.
+        roots: returns the first roots on lines from walls, by their starts and changes.
+    """
     axes, signs = (np.array(column) for column in zip(*GAIN_WAYS, strict=True))
-    first = np.maximum(_FIRST_STEP, 0.5 * np.abs(walls.T[axes]))
-    reach = np.full(first.shape, inf)
-    for doubled in range(0, _DOUBLINGS, _DOUBLINGS_AT_ONCE):
+    least, count = first
+    start = np.maximum(least, 0.5 * np.abs(gains[axes]))
+    reach = np.full(start.shape, inf)
+    for doubled in range(0, count, _DOUBLINGS_AT_ONCE):
         way, wall = np.nonzero(reach == inf)
         if not way.size:
             break
-        steps = np.outer(2.0 ** np.arange(doubled, doubled + _DOUBLINGS_AT_ONCE), first[way, wall])
-        gains = np.repeat(walls[wall, :2].T[:, None], _DOUBLINGS_AT_ONCE, axis=1)
-        gains[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
-        is_unstable = _verdicts(gains, walls[wall], filters) == Verdict.UNSTABLE
+        steps = np.outer(2.0 ** np.arange(doubled, doubled + _DOUBLINGS_AT_ONCE), start[way, wall])
+        others = np.repeat(gains[:, None, wall], _DOUBLINGS_AT_ONCE, axis=1)
+        others[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
+        is_unstable = verdicts(others, wall) == Verdict.UNSTABLE
         reach[way, wall] = np.min(np.where(is_unstable, steps, inf), axis=0)
-    return np.minimum(reach, 2.0 ** (_DOUBLINGS - 1) * first)
+    reach = np.minimum(reach, 2.0 ** (count - 1) * start)
+    change = np.zeros((2, *reach.shape))
+    change[axes, np.arange(len(axes))] = signs[:, None] * reach
+    found = roots(np.tile(gains, len(axes)), change.reshape(2, -1))
+    low, angle = (part.reshape(reach.shape) for part in (found.low, found.theta / pi))
+    step = signs[:, None] * (np.minimum(low, 1.0) * reach * SAFE)
+    return [Crossings(*way) for way in zip(step, angle, strict=True)]
 
 
 def _all_angles(walls: Walls, ways: int) -> Parts:
