@@ -273,6 +273,7 @@ def _proved(
     """Return a grid whose limits are lowered until they are proved, and which cells are.
 
     Each round may take more boxes for a cell than the one before, of limits that are lower by more.
+    A cell keeps the limits with which it was proved, whatever its neighbours were lowered to.
     """
     left, is_proved = _work_of(loop).most, np.zeros(grid.cells, bool)
     each, share = float(max(_FEWEST, left // (_ROUNDS * is_proved.size))), _LOWER
@@ -287,7 +288,6 @@ def _proved(
         grid = _lowered(grid, hopeful, unit, share)
         each, share = each * _MORE, min(share * _MORE, 1.0)
     progress(1.0)
-    # A cell keeps what it was proved for, whatever its neighbours were lowered to.
     return grid._replace(limit=np.where(np.isfinite(limit), limit, grid.limit)), is_proved
 
 
