@@ -203,14 +203,10 @@ def paved_device(
     smallest: float,
     **limits: int,
 ) -> Paving:
-    """Return what paving leaves of boxes of a held device.
+    """Return what paving leaves of boxes of a held device, from the ends along its axes.
 
-    Args:
-        loops: encloses its loops over boxes.
-        index: what each box belongs to.
-        ends: the lower and the upper ends of the boxes along each of the device's axes.
-        smallest: half-widths at or below which axes are not halved, as a share of the first ones.
-        limits: of the work, as of ``ParameterBox.paved``.
+    Axes are not halved at or below ``smallest`` of their first half-width; ``limits`` are those of
+    the work, as of ``ParameterBox.paved``.
     """
     pairs = [(low, 0.5 * (high - low)) for low, high in ends]
     axes = {n: (low + half, half) for n, (low, half) in zip(NAMES, pairs, strict=True)}
@@ -395,19 +391,20 @@ def limit_for_hands(
     """Return the stiffest wall for all hands of a range.
 
     Args:
-        loops: with sampled hands, to which the worst hands of failed proofs are added.
+        loops: with sampled hands, to which those that refute a wall are added.
         guess: returns the stiffest wall that loops allow, pulled down by a share.
         worst: returns the worst hand of a wall (K, B), and whether all hands are proved.
     """
 
     def unproved(walls: Points) -> list[Any]:
         found = worst(*walls[0].tolist())
-        return [] if found.verdict == Verdict.STABLE else [found.loop]
+        return [] if found.verdict == Verdict.STABLE else [found]
 
-    def add(new: list[Any]) -> bool:
-        known = new[0] in loops
-        loops.extend([] if known else new)
-        return not known
+    def add(found: list[Any]) -> bool:
+        new = [one.loop for one in found if one.verdict == Verdict.UNSTABLE]
+        new = [loop for loop in new if loop not in loops]
+        loops.extend(new)
+        return bool(new)
 
     return limit_of(search(partial(guess, loops), unproved, add, PULLS), loops[0])
 
