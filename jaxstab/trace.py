@@ -24,8 +24,9 @@ from jaxtyping import Bool, Float64, Int8, Int64
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import LoopParameters, characteristic_polynomial, companion_matrix
 from jaxstab.numbers import checked_number
-from jaxstab.proofs.exclusion import Boxes, Extent, Loops, pave
+from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.proofs.plant import circle_equations, quick_slice
+from jaxstab.ranges.box import ParameterBox, Proof, excluded
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, slice_coefficients
 
@@ -372,6 +373,7 @@ Cloud = Float64[np.ndarray, "points 3"]
 
 _COVER = 1.0  # resolutions: a box this near to a traced point is explained by it
 _REFINEMENTS = 4  # each to a quarter of the size before
+_MOST_BOXES = 60_000  # at once
 _ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are double roots)
 
 
@@ -491,15 +493,15 @@ class _Tracer:
         self.scene = scene
         self.resolution = resolution
         self.paths: list[tuple[Branch, Path]] = []
-        self.unresolved: list[Boxes] = []
+        self.unresolved: list[ParameterBox] = []
 
     def search(self, branch: Branch, low: float, high: float) -> None:
         """Find all branches of one kind with theta / pi between low and high."""
-        center = np.array([[0.5, 0.5, 0.5 * (low + high)]])
-        open_ = Boxes(center, np.array([[0.5, 0.5, 0.5 * (high - low)]]))
+        angle = 0.5 * (low + high), 0.5 * (high - low)
+        open_ = ParameterBox.of(np.zeros(1, int), u=(0.5, 0.5), v=(0.5, 0.5), angle=angle)
         smallest = 0.25 * self.resolution
         for _ in range(_REFINEMENTS + 1):
-            paving = pave(open_, smallest, self._extent)
+            paving = open_.paved(self._proof, smallest, most=_MOST_BOXES)
             open_ = paving.boxes
             if not paving.finished:
                 break
@@ -510,7 +512,7 @@ class _Tracer:
             smallest /= 4
         self.unresolved.append(open_)
 
-    def _followed(self, branch: Branch, boxes: Boxes) -> Boxes:
+    def _followed(self, branch: Branch, boxes: ParameterBox) -> ParameterBox:
         """Follow the branches that start in boxes; return the boxes that none explains."""
         if not len(boxes.center):
             return boxes
@@ -536,13 +538,13 @@ class _Tracer:
                 explained[rest] = away < _COVER * self.resolution
         return explained
 
-    def _extent(self, boxes: Boxes) -> Extent:
+    def _proof(self, boxes: ParameterBox) -> Proof:
         middle, radius, by_axis = corner_ranges(self.scene, boxes.center[:, :2], boxes.half[:, :2])
         theta, turn = pi * boxes.center[:, 2:].T, pi * boxes.half[:, 2:].T
         parts = np.zeros((3, 6, turn.size))
         parts[:2, :5], parts[2, 5] = by_axis, turn
         center, radius = (np.concatenate(part) for part in ((middle, theta), (radius, turn)))
-        return Extent(Loops(*center), Loops(*radius), parts)
+        return excluded(exclude, Loops(*center), parts, Loops(*radius))
 
 
 def _gathered(plane: tuple[str, str], scene: Monomials, tracer: _Tracer) -> BoundaryTrace:
@@ -571,7 +573,7 @@ def _gathered(plane: tuple[str, str], scene: Monomials, tracer: _Tracer) -> Boun
     )
 
 
-def _merged(unresolved: list[Boxes], resolution: float) -> Float64[np.ndarray, "boxes 2 2"]:
+def _merged(unresolved: list[ParameterBox], resolution: float) -> Float64[np.ndarray, "boxes 2 2"]:
     """Return the corners of boxes in the plane, those in one square of the resolution as one."""
     hulls: dict[tuple[int, int], Float64[np.ndarray, "2 2"]] = {}
     for boxes in unresolved:

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -425,6 +426,27 @@ def test_what_is_not_proved_within_the_boxes_is_not_granted(
     monkeypatch.setattr(jaxstab.guard.build, "_OF_DEVICE", work._replace(most=1))
     with pytest.raises(RuntimeError, match="no wall is proved stable for every hand"):
         build_guard(LOOP, HANDS, mass=MASSES, delay=DELAYS, cells=(1, 1, 8))
+
+
+def test_a_cell_keeps_its_limit_when_the_next_one_is_lowered_in_vain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    work = jaxstab.guard.build._OF_DEVICE._replace(most=150_000)
+    monkeypatch.setattr(jaxstab.guard.build, "_OF_DEVICE", work)
+    mode = replace(MODE, damping_ratio=0.01, modal_mass=0.5)
+    loop = HapticLoop(device=Device.modes([mode], mass=0.25, damping=0.1), sample_time=PERIOD)
+    hands = HandRange(mass=(0.1, 0.3), damping=(2.0, 4.0))
+    masses, delays = (0.24, 0.26), (PERIOD, 1.05 * PERIOD)
+    guard = build_guard(loop, hands, mass=masses, delay=delays, cells=(1, 1, 4))
+    assert guard.rows[0].tolist() == [[0, 3]]  # the last cell of damping is not proved
+    damping = 0.75 * guard.grid.top.min()
+    limits = [
+        with_hand(loop, mass, delay, Arms(moved, 0.0, damper)).stiffness_limits(damping)[1]
+        for mass, delay, moved, damper in product(masses, delays, hands.mass, hands.damping)
+    ]
+    granted = guard.largest_stiffness(damping, mass=np.array(masses)[:, None], delay=delays)
+    share = granted / np.reshape(limits, (2, 2, 4)).min(axis=2)
+    assert np.all((share > 0.7) & (share < 1.0))
 
 
 def test_the_command_writes_a_header_of_a_scene_with_modes(tmp_path: Path) -> None:

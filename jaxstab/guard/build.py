@@ -22,19 +22,20 @@ from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.device_boxes import BEYOND, Arms, device_of, with_parts
 from jaxstab.proofs.filters import responses_at
 from jaxstab.ranges import HandRange
+from jaxstab.ranges.box import paved_device
 from jaxstab.ranges.hands import checked_range
 
 # Proof that every wall which a guard lets through is stable (lemmas B10, B15, B20).
 #
 # Boxes of damping, mass and delay (in cells of the grid), of the hand, and of the angle hold all
-# walls from no stiffness up to the limit of the grid. They are halved until none has a root on the
-# unit circle, or the boxes that a cell may take are used up. All walls of cells that are side by
-# side then have the same number of unstable roots, and one certified verdict says that it is none.
+# walls from no stiffness up to the limit of the grid (``ranges.box``). All walls of cells that are
+# proved and side by side have the same number of unstable roots, and one certified verdict says
+# that it is none.
 
 Cells = Bool[np.ndarray, "mass delay damping"]
 
-_AT_ONCE = 1 << 13
-_NARROWEST = 2.0**-30  # of a cell: what such boxes have not is next to an instability
+_AT_ONCE = 32  # cells
+_NARROWEST = 2.0**-29  # of a cell: what such boxes have not is next to an instability
 _SMALL = 1e-6  # of the largest limit
 
 
@@ -57,42 +58,17 @@ def proved(
         tell: is told, now and then, how many of the cells are proved.
     """
     boxes = grid_boxes(device_of(loop), loop, hands, grid)
-    rest = np.array([*vars(hands).values(), (0.0, pi * (1.0 + BEYOND))])
-    waiting = np.argwhere(cells)
-    taken, open_boxes = np.zeros(cells.shape, int), np.zeros(cells.shape, int)
-    failed = np.zeros(cells.shape, bool)
-    center, half = np.zeros((7, 0)), np.zeros((7, 0))
-    is_proved = np.zeros(cells.shape, bool)
-    count = started = 0
-    while (center.shape[1] or started < len(waiting)) and count < most[1]:
-        if center.shape[1] < _AT_ONCE and started < len(waiting):
-            some = waiting[started : started + _AT_ONCE // 64].T
-            started += some.shape[1]
-            more = np.repeat(0.5 * np.ptp(rest, axis=1)[:, None], some.shape[1], axis=1)
-            at = np.repeat(rest.mean(axis=1)[:, None], some.shape[1], axis=1)
-            center = np.concatenate([np.vstack([some + 0.5, at]), center], axis=1)
-            half = np.concatenate([np.vstack([0.0 * some + 0.5, more]), half], axis=1)
-            open_boxes[tuple(some)] = 1
-        at, by = center[:, -_AT_ONCE:], half[:, -_AT_ONCE:]
-        center, half = center[:, : -at.shape[1]], half[:, : -at.shape[1]]
-        free, shares = boxes.judged(at, by)
-        cell = tuple(np.floor(at[:3]).astype(int))
-        np.add.at(taken, cell, 1)
-        np.add.at(open_boxes, cell, np.where(free, -1, 1))
-        failed |= taken > most[0]
-        failed[tuple(part[by[:3].min(axis=0) < _NARROWEST] for part in cell)] = True
-        count += at.shape[1]
-        going = ~free & ~failed[cell]
-        at, by, axis = at[:, going], by[:, going], np.argmax(shares[:, going], axis=0)
-        box = np.arange(axis.size)
-        by[axis, box] *= 0.5
-        shift = np.zeros_like(at)
-        shift[axis, box] = by[axis, box]
-        center = np.concatenate([center, at - shift, at + shift], axis=1)
-        half = np.concatenate([half, by, by], axis=1)
-        is_proved = (taken > 0) & (open_boxes == 0) & ~failed
+    others = [*vars(hands).values(), (0.0, pi * (1.0 + BEYOND))]
+    waiting, is_proved, count = np.flatnonzero(cells), np.zeros(cells.size, bool), 0
+    while waiting.size and count < most[1]:
+        effort = min(most[0], most[1] - count)
+        some = np.arange(min(waiting.size, _AT_ONCE, (most[1] - count) // effort))
+        places = [(first, first + 1.0) for first in np.unravel_index(waiting[some], cells.shape)]
+        paving = paved_device(boxes, some, [*places, *others], _NARROWEST, effort=effort)
+        is_proved[waiting[some]] = ~np.isin(some, paving.boxes.index)
+        waiting, count = waiting[some.size :], count + int(paving.judged.sum())
         tell(int(is_proved.sum()))
-    return is_proved, count
+    return is_proved.reshape(cells.shape), count
 
 
 def are_stable(
@@ -297,20 +273,22 @@ def _proved(
     """Return a grid whose limits are lowered until they are proved, and which cells are.
 
     Each round may take more boxes for a cell than the one before, of limits that are lower by more.
+    A cell keeps the limits with which it was proved, whatever its neighbours were lowered to.
     """
     left, is_proved = _work_of(loop).most, np.zeros(grid.cells, bool)
     each, share = float(max(_FEWEST, left // (_ROUNDS * is_proved.size))), _LOWER
-    hopeful = ~is_proved
+    hopeful, limit = ~is_proved, np.full(grid.limit.shape, np.inf)
     while left > 0 and hopeful.any():
         tell = partial(_tell, progress, int(is_proved.sum()), is_proved.size)
         found, count = proved(loop, hands, grid, hopeful, (int(each), left), tell)
         is_proved, left = is_proved | found, left - count
+        limit = np.where(_are_corners(grid, found), np.minimum(limit, grid.limit), limit)
         # Where no stiffness was left to take away nothing else would help.
         hopeful = ~is_proved & (np.maximum.reduce(_corners(grid)) > 0.0)
-        grid = _lowered(grid, np.stack(np.nonzero(hopeful)), unit, share)
+        grid = _lowered(grid, hopeful, unit, share)
         each, share = each * _MORE, min(share * _MORE, 1.0)
     progress(1.0)
-    return grid, is_proved
+    return grid._replace(limit=np.where(np.isfinite(limit), limit, grid.limit)), is_proved
 
 
 def _corners(grid: Grid) -> list[np.ndarray]:
@@ -401,16 +379,19 @@ def _coded(values: np.ndarray) -> tuple[np.ndarray, float]:
     return np.floor(values / unit) * unit, unit
 
 
-def _lowered(
-    grid: Grid, cells: Int64[np.ndarray, "3 cell"], unit: float, share: float = _LOWER
-) -> Grid:
-    """Return a grid whose limits at all corners of some cells are lower."""
+def _are_corners(grid: Grid, cells: Cells) -> Bool[np.ndarray, "_ _ _"]:
+    """Say which nodes are corners of some cells."""
     corners = np.zeros(grid.limit.shape, bool)
     for corner in np.ndindex(2, 2, 2):
-        corners[tuple(cells + np.array(corner)[:, None])] = True
+        corners[tuple(np.stack(np.nonzero(cells)) + np.array(corner)[:, None])] = True
+    return corners
+
+
+def _lowered(grid: Grid, cells: Cells, unit: float, share: float = _LOWER) -> Grid:
+    """Return a grid whose limits at all corners of some cells are lower."""
     by = share * (grid.limit + _LOWER_ALL * grid.limit.max(axis=-1, keepdims=True))
-    lower = np.maximum(grid.limit - by, 0.0)
-    return grid._replace(limit=np.where(corners, np.floor(lower / unit) * unit, grid.limit))
+    lower = np.floor(np.maximum(grid.limit - by, 0.0) / unit) * unit
+    return grid._replace(limit=np.where(_are_corners(grid, cells), lower, grid.limit))
 
 
 def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
@@ -436,6 +417,7 @@ def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: floa
         above = places[:, (own > _ENOUGH * exact).ravel()]
         if not above.shape[1]:
             break
-        last = np.array(grid.cells)[:, None] - 1
-        grid = _lowered(grid, np.unique(np.clip(above.astype(int), 0, last), axis=1), unit)
+        is_above = np.zeros(grid.cells, bool)
+        is_above[tuple(np.minimum(above.astype(int), np.array(grid.cells)[:, None] - 1))] = True
+        grid = _lowered(grid, is_above, unit)
     return grid

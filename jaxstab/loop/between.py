@@ -1,11 +1,11 @@
 """All loops between two: walls that each of them renders stably, proved."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial, reduce
 from itertools import product
-from math import nan, pi
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from math import inf, nan, pi
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int8
@@ -13,78 +13,28 @@ from jaxtyping import Float64, Int8
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.loop.loop import HapticLoop
-from jaxstab.loop.region import TOLERANCE, Gains, WallRegion, wall_region
-from jaxstab.model import Device, Hand, LoopParameters, checked_gain
+from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
+from jaxstab.model import Device, Hand, checked_gain
 from jaxstab.model.device.family import LoopFamily, merged, value_at
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.numbers import checked_number
-from jaxstab.proofs import exclusion as bisection
-from jaxstab.proofs.device_boxes import AXES, BEYOND, DELAY, MASS, Boxes, DeviceBoxes, Extent, along
+from jaxstab.proofs.device_boxes import BEYOND, DELAY, MASS, Boxes, DeviceBoxes, Extent, along
 from jaxstab.ranges import RobustLimit, WorstHand
+from jaxstab.ranges.box import (
+    NOTHING,
+    PULLS,
+    Guess,
+    Points,
+    limit_for_hands,
+    limit_of,
+    paved_device,
+    search,
+    worst_of_range,
+)
 from jaxstab.ranges.families import failures, family_verdicts, first_roots
 from jaxstab.ranges.hands import HandRange, Hands, Range, checked_range, spread_hands
-from jaxstab.ranges.robust import RobustStatus, polygon_of_rows, pulled_in
+from jaxstab.ranges.robust import polygon_of_rows, pulled_in
 from jaxstab.region import RegionStatus
-
-# Hands of a range, and masses of a general device, at which a wall could not be proved.
-#
-# Boxes of the device's mass, the hand and the angle are halved until none has a root on the unit
-# circle (``proofs.device_boxes``). Then all of these loops have the same number of unstable roots,
-# and one proof of stability is enough (lemma B21 of docs/proofs.md).
-
-_SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
-
-_MOST = 40_000  # boxes at once
-
-_ROUNDED_UP = 1.0 + 1e-9
-
-
-def unproved_hands(
-    device: Device,
-    loop: LoopParameters,
-    hands: HandRange,
-    mass: Range,
-    wall: tuple[float, float],
-    most: int = _MOST,
-) -> Hands:
-    """Return hands at which a root on the circle could not be excluded; none is a proof.
-
-    Args:
-        device: the device; its mass and its arm are not used.
-        loop: its loop.
-        hands: the range of hands.
-        mass: the lowest and the highest mass of the device.
-        wall: K in N/m and B in N s/m.
-        most: boxes at once; where there are more, the proof is given up.
-
-    Raises:
-        NotImplementedError: as ``proofs.device_boxes.DeviceBoxes``.
-    """
-    delay = float(loop.delay_samples)
-
-    def extent(center: Boxes, half: Boxes) -> Extent:
-        own, by_own = center[MASS], half[MASS] * _ROUNDED_UP
-        fixed = np.ones_like(own), np.zeros_like(own)
-        values = (delay, *wall)
-        numbers = (along(DELAY, value * fixed[0], fixed[1]) for value in values)
-        return Extent(along(MASS, own, by_own), *numbers)
-
-    arm = hands.stiffness[1], hands.damping[0]
-    loops = DeviceBoxes(device, loop, mass, arm, extent)
-
-    def prove(boxes: bisection.Boxes) -> bisection.Proof:
-        free, shares = loops.judged(boxes.center.T, boxes.half.T)
-        return bisection.Proof(free, shares.T)
-
-    low, high = np.zeros((2, AXES))
-    low[MASS], high[MASS] = mass
-    low[3:6], high[3:6] = np.transpose([hands.mass, hands.stiffness, hands.damping])
-    high[6] = pi * (1.0 + BEYOND)
-    half = 0.5 * (high - low)
-    all_hands = bisection.Boxes((low + half)[None], half[None])
-    left = bisection.pave_by(all_hands, _SMALLEST * half, prove, most).boxes.center
-    return np.clip(left, low, high)[:, [3, 4, 5, MASS]]
-
 
 _TRIED, _FINER = 17, 4  # loops of which the worst is looked for, and rounds around it
 
@@ -242,24 +192,33 @@ class LoopsBetween:
         """
         wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
         radii: dict[float, float] = {}
-        self._try(radii, np.linspace(0.0, 1.0, _TRIED), wall)
+
+        def judge(shares: Shares) -> WorstLoop:
+            """Return the worst of the loops at shares and of all that were tried before."""
+            for share in map(float, shares):
+                if share not in radii:
+                    radii[share] = float(self.loop(share).spectral_radius(*wall).value)
+            share = max(radii, key=lambda share: radii[share])
+            loop = self.loop(share)
+            return WorstLoop(Verdict(int(loop.verdict(*wall))), loop, share, radii[share])
+
+        def unproved(numbers: list[int]) -> dict[int, Shares]:
+            """Return shares next to the first one at which a root may be on the circle."""
+            roots = first_roots(self.family, np.array([wall] * len(numbers)).reshape(-1, 2))
+            if roots is None:
+                return {number: np.zeros(0) for number in numbers}
+            after = roots.low[:, None] + np.append(0.0, 2.0 ** -np.arange(4.0, 40.0))
+            return {
+                n: one[one <= 1.0] for n, one in zip(numbers, after, strict=True) if one[0] < inf
+            }
+
+        worst = judge(np.linspace(0.0, 1.0, _TRIED))
         for _ in range(_FINER):
             shares = sorted(radii)
-            best = max(range(len(shares)), key=lambda number: radii[shares[number]])
-            low, high = shares[max(best - 1, 0)], shares[min(best + 1, len(shares) - 1)]
-            self._try(radii, np.linspace(low, high, 5)[1:-1], wall)
-        code = int(self.verdict(*wall))
-        if code == Verdict.UNSTABLE and max(radii.values()) < 1.0:
-            roots = first_roots(self.family, np.array([wall]))
-            if roots is not None:
-                after = roots.low[0] + np.append(0.0, 2.0 ** -np.arange(4.0, 40.0))
-                self._try(radii, after[after <= 1.0], wall)
-        share = max(radii, key=lambda share: radii[share])
-        loop = self.loop(share)
-        if code != Verdict.STABLE:
-            own = int(loop.verdict(*wall))
-            code = own if own == Verdict.UNSTABLE else Verdict.UNDECIDED
-        return WorstLoop(Verdict(code), loop, share, radii[share])
+            number = shares.index(worst.share)
+            low, high = shares[max(number - 1, 0)], shares[min(number + 1, len(shares) - 1)]
+            worst = judge(np.linspace(low, high, 5)[1:-1])
+        return worst_of_range([worst], unproved, lambda _, shares: judge(shares), _MOST_TRIED)[0]
 
     def robust_limit(self) -> RobustLimit:
         """Return the largest stiffness, and its damping, that all of the loops allow.
@@ -278,29 +237,42 @@ class LoopsBetween:
             >>> found.is_proved, round(found.limit)
             (True, 70643)
         """
-        return robust_limit(self)
-
-    def _try(
-        self, radii: dict[float, float], shares: Float64[np.ndarray, " share"], wall: Wall
-    ) -> None:
-        """Add the spectral radii of loops that have none yet."""
-        for share in map(float, shares):
-            if share not in radii:
-                radii[share] = float(self.loop(share).spectral_radius(*wall).value)
+        tried = TriedLoops(self)
+        found = search(partial(stiffest_wall, tried.loops), tried.unproved, tried.add, PULLS)
+        return limit_of(found, self.first)
 
 
-# Walls that several stable regions share, by rows of the damping.
+# Walls that several sampled loops share, by rows of the damping (``ranges.box``).
 _ROWS = 33
 
 _ZOOMS = 5
 
-Key = TypeVar("Key")
-
-Points = Float64[np.ndarray, "vertex 2"]
-
 Rows = Float64[np.ndarray, " row"]
 
 Intervals = Float64[np.ndarray, "row _ 2"]
+
+
+def regions_of(loops: Sequence[HapticLoop]) -> dict[HapticLoop, WallRegion]:
+    """Return the stable walls of loops: those that small gains lead to, if there are any.
+
+    Regions that are UNRESOLVED are left out; a proof for the range covers these loops, too.
+    """
+    regions = {loop: wall_region(loop.in_floats(), TOLERANCE) for loop in loops}
+    return {
+        loop: region if region.is_empty else region.main or region.components[0]
+        for loop, region in regions.items()
+        if region.status != RegionStatus.UNRESOLVED
+    }
+
+
+def common_polygon(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
+    """Return a polygon of walls that all of some loops have, pulled in by a share of its size."""
+    regions = regions_of(loops).values()
+    if not regions:
+        return None
+    if any(region.is_empty for region in regions):
+        return NOTHING
+    return Guess(pulled_in(common_walls([*regions]), pull))
 
 
 def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
@@ -319,31 +291,35 @@ def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
     return polygon_of_rows(partial(common_limits, regions), low, high, count)
 
 
-def stiffest_wall(regions: Sequence[WallRegion]) -> Gains | None:
-    """Return the largest stiffness that regions share, none of them empty, and its damping."""
-    low, high = common_rows(regions)
-    best: Gains | None = None
+def stiffest_wall(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
+    """Return the stiffest wall of some loops, pulled down by a share of its stiffness."""
+    regions = regions_of(loops)
+    if not regions:
+        return None
+    if any(region.is_empty for region in regions.values()):
+        return NOTHING
+    low, high = common_rows([*regions.values()])
+    wall: tuple[float, float, float] | None = None  # both ends of the stiffness, and the damping
     for _ in range(_ZOOMS):
         if not low < high:
             break
         rows = np.linspace(low, high, _ROWS + 2)[1:-1]
-        left, right = common_limits(regions, rows)
+        left, right = common_limits([*regions.values()], rows)
         right = np.where(left < right, right, -np.inf)
         number = int(np.argmax(right))
         if right[number] == -np.inf:
             break
-        if best is None or right[number] >= best.stiffness:
-            best = Gains(float(right[number]), float(rows[number]))
+        if wall is None or right[number] >= wall[1]:
+            wall = float(left[number]), float(right[number]), float(rows[number])
         step = rows[1] - rows[0]
         low, high = rows[number] - step, rows[number] + step
-    return best
-
-
-def setter_of(regions: Mapping[Key, WallRegion], damping: float) -> Key:
-    """Return which of some regions allows least at a damping."""
+    if wall is None:
+        return NOTHING
+    least, limit, damping = wall
+    stiffness = max(limit - pull * abs(limit), 0.5 * (least + limit))
     row = np.array([damping])
-    tops = {key: region.stiffness_limits(row)[0, 1] for key, region in regions.items()}
-    return min(tops, key=lambda key: tops[key])
+    tops = {loop: region.stiffness_limits(row)[0, 1] for loop, region in regions.items()}
+    return Guess(np.array([[stiffness, damping]]), limit, min(tops, key=lambda loop: tops[loop]))
 
 
 def common_rows(regions: Sequence[WallRegion]) -> tuple[float, float]:
@@ -372,140 +348,55 @@ def _shared(one: Intervals, other: Intervals) -> Intervals:
     return shared[:, ~np.isnan(shared[..., 0]).all(axis=0)]
 
 
-# Walls that all loops between two allow: guessed by some of them, and proved for all.
-#
-# The intersection of the regions of some loops is too large. Where the proof of a wall, or of a
-# polygon, fails, the loop half way between the two next to it joins, and it is tried again.
-if TYPE_CHECKING:
-    from jaxstab.loop.between import LoopsBetween
-    from jaxstab.loop.loop import HapticLoop
-
-WIDER = (1.0, 2.0, 4.0)  # times the tolerance, by which a polygon is pulled in
-
 _FIRST = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 _CLOSEST = 2.0**-10  # of the way: there is no loop tried between two that are so close
 
-_ATTEMPTS = 24
-
 _AT_ONCE = 3  # loops that are added
-
-_PULLS = (0.01, 0.02, 0.04, 0.08)  # of the limit: the wall that is proved lies so far below
 
 Shares = Float64[np.ndarray, " share"]
 
 
 class TriedLoops:
-    """Loops between two that are tried, with the walls that small gains lead to in each."""
+    """Loops between two that are tried: where a proof fails, those half way between join."""
 
-    def __init__(self, between: "LoopsBetween") -> None:
-        self.between = between
-        self.shares: list[float] = []
-        self.regions: dict[float, WallRegion] = {}
-        for share in _FIRST:
-            self._add(share)
+    def __init__(self, between: LoopsBetween) -> None:
+        self.between, self.shares = between, [*_FIRST]
+        self.loops = [*map(between.loop, self.shares)]
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether one of the loops has no stable wall."""
-        return any(region.is_empty for region in self.regions.values())
+    def unproved(self, walls: Points) -> Shares | None:
+        """Return shares at which walls could not be proved."""
+        return failures(self.between.family, walls)
 
-    @property
-    def loops(self) -> "tuple[HapticLoop, ...]":
-        """The loops, from the first on."""
-        return tuple(self.between.loop(share) for share in self.shares)
-
-    def refine(self, failed: Shares) -> bool:
-        """Add loops where a proof failed; return whether there are any."""
+    def add(self, shares: Shares) -> bool:
+        """Add the loops in the middle of the gaps in which most of some shares are."""
         last = len(self.shares) - 1
-        numbers = np.clip(np.searchsorted(self.shares, failed, "right"), 1, last)
+        numbers = np.clip(np.searchsorted(self.shares, shares, "right"), 1, last)
         numbers, counts = np.unique(numbers, return_counts=True)
         pairs = [
             (self.shares[number - 1], self.shares[number])
             for number in numbers[np.argsort(-counts, kind="stable")]
         ]
         pairs = [(low, high) for low, high in pairs if high - low > _CLOSEST][:_AT_ONCE]
-        for low, high in pairs:
-            self._add(0.5 * (low + high))
+        self.shares = sorted(self.shares + [0.5 * (low + high) for low, high in pairs])
+        self.loops[:] = map(self.between.loop, self.shares)
         return bool(pairs)
-
-    def _add(self, share: float) -> None:
-        self.shares = sorted([*self.shares, share])
-        region = wall_region(self.between.loop(share), TOLERANCE)
-        if region.status != RegionStatus.UNRESOLVED:  # the proof covers this loop, too
-            self.regions[share] = region if region.is_empty else region.main or region.components[0]
-
-
-def robust_limit(between: "LoopsBetween") -> RobustLimit:
-    """Return the stiffest wall that all loops between two allow: ``LoopsBetween``."""
-    tried, pulls = TriedLoops(between), list(_PULLS)
-    found = RobustLimit(np.nan, np.nan, False, np.nan, between.first)
-    for _ in range(_ATTEMPTS):
-        if not tried.regions or tried.is_empty:
-            break
-        top = stiffest_wall([*tried.regions.values()])
-        if top is None:
-            break
-        stiffness = top.stiffness - pulls[0] * abs(top.stiffness)
-        setter = between.loop(setter_of(tried.regions, top.damping))
-        found = RobustLimit(stiffness, top.damping, False, top.stiffness, setter)
-        wall = np.array([[stiffness, top.damping]])
-        roots = first_roots(between.family, wall)
-        if roots is None:
-            break
-        if np.isinf(roots.low[0]):
-            is_stable = bool(between.first.verdict(*wall[0]) == Verdict.STABLE)
-            return found._replace(is_proved=is_stable)
-        if not tried.refine(roots.low):
-            pulls.pop(0)
-            if not pulls:
-                break
-    return found
-
-
-def common_outline(tried: TriedLoops, tolerance: float) -> tuple[RobustStatus, Points, float]:
-    """Return a polygon that is proved for all loops between two, and by how much it is pulled in.
-
-    Args:
-        tried: the first loops, to which others are added.
-        tolerance: by which part of its size it is pulled in at first.
-    """
-    family, nothing = tried.between.family, np.zeros((0, 2))
-    pulls = [times * tolerance for times in WIDER]
-    for _ in range(_ATTEMPTS):
-        if not tried.regions:
-            break
-        outer = nothing if tried.is_empty else common_walls([*tried.regions.values()])
-        if not len(outer):
-            return RobustStatus.EMPTY, nothing, tolerance
-        outline = pulled_in(outer, pulls[0])
-        roots = first_roots(family, outline)
-        failed = None if roots is None else roots.low[np.isfinite(roots.low)]
-        if failed is not None and not failed.size:
-            failed = failures(family, outline)
-        if failed is None:
-            break
-        if not failed.size:
-            return RobustStatus.PROVED, outline, pulls[0]
-        if not tried.refine(failed):
-            pulls.pop(0)
-            if not pulls:
-                break
-    return RobustStatus.UNPROVED, nothing, tolerance
 
 
 # A loop with any device, held by all hands of a range, its device of any mass of another one.
 #
-# Some hands are tried, and all others are proved in boxes (``unproved_hands``). Devices of
+# Some hands are tried, and all others are proved in boxes (``DeviceBoxes``). Devices of
 # which boxes know nothing are proved where one number varies, as the loops between two.
-if TYPE_CHECKING:
-    from jaxstab.loop.loop import HapticLoop
 
 _VALUES = 3  # values of each number that varies
 
-_MOST_TRIED = 64  # hands of those that could not be proved
+_MOST_TRIED = 64  # loops of those that could not be proved
 
-_HAND_ATTEMPTS = 12
+_SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
+
+_MOST = 40_000  # boxes at once
+
+_ROUNDED_UP = 1.0 + 1e-9
 
 
 @dataclass(frozen=True)
@@ -547,51 +438,27 @@ class LoopsWithHands:
     def worst(self, stiffness: float, damping: float) -> WorstHand:
         """Return whether a wall is stable for all of them, and the worst that was found."""
         wall = stiffness, damping
-        worst = _worst_of([self._held(row) for row in self._spread(_VALUES)], wall)
-        if worst.verdict != Verdict.STABLE:
-            return worst
-        left = self._unproved(wall)
-        if left is None:
-            if self._between is None:
-                return worst._replace(verdict=Verdict.UNDECIDED)
+
+        def judge(_: int, rows: Hands) -> WorstHand:
+            return _worst_of([self._held(row) for row in rows], wall)
+
+        def unproved(numbers: list[int]) -> dict[int, Hands]:
+            try:
+                return {n: left for n in numbers if len(left := self._unproved(wall))}
+            except NotImplementedError:  # boxes know nothing of such a device
+                return {n: np.zeros((0, 4)) for n in numbers}
+
+        sampled = [judge(0, self._spread(_VALUES))]
+        (worst,) = worst_of_range(sampled, unproved, judge, _MOST_TRIED)
+        if worst.verdict == Verdict.UNDECIDED and self._between is not None:
             code, loop, _, radius = self._between.worst_loop(*wall)
             return WorstHand(code, loop, radius)
-        if not len(left):
-            return worst  # one verdict holds for all
-        count = min(len(left), _MOST_TRIED)
-        some = left[np.arange(count) * len(left) // count]
-        found = _worst_of([self._held(row) for row in some], wall)
-        is_known = found.verdict == Verdict.UNSTABLE
-        return found if is_known else worst._replace(verdict=Verdict.UNDECIDED)
+        return worst
 
     def robust_limit(self) -> RobustLimit:
         """Return the stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
         loops = [self._held(row) for row in self._spread(2)]
-        found, pulls = RobustLimit(nan, nan, False, nan, loops[0]), list(_PULLS)
-        regions: dict[HapticLoop, WallRegion] = {}
-        for _ in range(_HAND_ATTEMPTS):
-            regions |= {loop: _reachable(loop) for loop in loops if loop not in regions}
-            known = {
-                loop: region
-                for loop, region in regions.items()
-                if region.status != RegionStatus.UNRESOLVED  # the proof covers this loop, too
-            }
-            is_empty = not known or any(region.is_empty for region in known.values())
-            top = None if is_empty else stiffest_wall([*known.values()])
-            if top is None:
-                break
-            stiffness = top.stiffness - pulls[0] * abs(top.stiffness)
-            setter = setter_of(known, top.damping)
-            found = RobustLimit(stiffness, top.damping, False, top.stiffness, setter)
-            worst = self.worst(stiffness, top.damping)
-            if worst.verdict == Verdict.STABLE:
-                return found._replace(is_proved=True)
-            if worst.loop in regions:
-                pulls.pop(0)
-                if not pulls:
-                    break
-            loops.append(worst.loop)
-        return found
+        return limit_for_hands(loops, stiffest_wall, self.worst)
 
     @cached_property
     def _between(self) -> LoopsBetween | None:
@@ -627,14 +494,31 @@ class LoopsWithHands:
         free = replace(self.device, mechanism=moved, hands=())
         return replace(self.loop, device=free.held_by(replace(hand, grip=grip)))
 
-    def _unproved(self, wall: tuple[float, float]) -> Hands | None:
-        """Return hands that are not proved; None where boxes know nothing of such a device."""
+    def _unproved(self, wall: Wall) -> Hands:
+        """Return hands, and masses of the device, at which a root on the circle is not excluded.
+
+        Boxes of both and of the angle are halved (lemma B21 of docs/proofs.md).
+
+        Raises:
+            NotImplementedError: as ``proofs.device_boxes.DeviceBoxes``.
+        """
+        loop, hands, mass = self.loop, self.hands, self._masses
         device = self._held(self._spread(1)[0]).device
         assert device is not None
-        try:
-            return unproved_hands(device, self.loop, self.hands, self._masses, wall)
-        except NotImplementedError:
-            return None
+
+        def extent(center: Boxes, half: Boxes) -> Extent:
+            own, by_own = center[MASS], half[MASS] * _ROUNDED_UP
+            fixed = np.ones_like(own), np.zeros_like(own)
+            values = (float(loop.delay_samples), *wall)
+            numbers = (along(DELAY, value * fixed[0], fixed[1]) for value in values)
+            return Extent(along(MASS, own, by_own), *numbers)
+
+        arm = hands.stiffness[1], hands.damping[0]
+        loops = DeviceBoxes(device, loop, mass, arm, extent)
+        fixed = (0.0, 0.0)  # the delay and the damping of the wall
+        ends = mass, fixed, fixed, *vars(hands).values(), (0.0, pi * (1.0 + BEYOND))
+        paving = paved_device(loops, np.zeros(1, int), ends, _SMALLEST, most=_MOST)
+        return np.clip(paving.boxes.center, *np.transpose(ends))[:, [3, 4, 5, MASS]]
 
 
 def _worst_of(loops: "list[HapticLoop]", wall: tuple[float, float]) -> WorstHand:
@@ -646,11 +530,3 @@ def _worst_of(loops: "list[HapticLoop]", wall: tuple[float, float]) -> WorstHand
     loop = loops[number]
     radius = float(loop.spectral_radius(*wall).value)
     return WorstHand(Verdict(int(codes[number])), loop, radius)
-
-
-def _reachable(loop: "HapticLoop") -> WallRegion:
-    """Return the walls that small gains lead to, if there are any."""
-    region = wall_region(loop, TOLERANCE)
-    if region.status == RegionStatus.UNRESOLVED or region.is_empty:
-        return region
-    return region.main or region.components[0]

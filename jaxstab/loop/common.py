@@ -1,7 +1,8 @@
 """Walls that several loops render stably: the intersection of their exact regions, proved."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -9,23 +10,23 @@ from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
-from jaxstab.loop.between import WIDER, LoopsBetween, TriedLoops, common_outline, common_walls
-from jaxstab.loop.region import TOLERANCE, Gains, wall_region
+from jaxstab.loop.between import LoopsBetween, TriedLoops, common_polygon
+from jaxstab.loop.region import Gains
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
 from jaxstab.motion.settling import Excitation, checked_level, settling_samples
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
+from jaxstab.ranges.box import NOTHING, Points, RobustStatus, Unproved, search
 from jaxstab.ranges.device_margins import is_stable_along
-from jaxstab.ranges.robust import RobustStatus, failures, pulled_in
-from jaxstab.region import RegionStatus
+from jaxstab.ranges.robust import failures
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.gains import Grid
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
 
-Points = Float64[np.ndarray, "vertex 2"]
+_WIDER = 1.0, 2.0, 4.0  # times the tolerance, by which a polygon is pulled in
 
 
 @dataclass(frozen=True)
@@ -157,25 +158,30 @@ def common_region(
     tolerance = checked_number("tolerance", tolerance, 1e-3, 0.1)
     if isinstance(loops, LoopsBetween):
         tried = TriedLoops(loops)
-        found = common_outline(tried, tolerance)
-        return CommonRegion(tried.loops, *found, between=loops)
-    given = tuple(loops)
+        return _proved_region(tried.loops, tried.unproved, tried.add, tolerance, loops)
+    given = list(loops)
     if not given:
         raise ValueError("loops is empty; give at least one HapticLoop.")
-    regions = [wall_region(loop.in_floats(), TOLERANCE) for loop in given]
-    nothing = np.zeros((0, 2))
-    if any(region.status == RegionStatus.UNRESOLVED for region in regions):
-        return CommonRegion(given, RobustStatus.UNPROVED, nothing, tolerance)
-    if any(region.is_empty for region in regions):
-        return CommonRegion(given, RobustStatus.EMPTY, nothing, tolerance)
-    outer = common_walls([region.main or region.components[0] for region in regions])
-    if not len(outer):
-        return CommonRegion(given, RobustStatus.EMPTY, nothing, tolerance)
-    for times in WIDER:
-        outline = pulled_in(outer, times * tolerance)
-        if all(_is_proved(loop.in_floats(), outline) for loop in given):
-            return CommonRegion(given, RobustStatus.PROVED, outline, times * tolerance)
-    return CommonRegion(given, RobustStatus.UNPROVED, nothing, tolerance)
+
+    def unproved(walls: Points) -> "list[HapticLoop]":
+        return [loop for loop in given if not _is_proved(loop.in_floats(), walls)]
+
+    return _proved_region(given, unproved, lambda _: False, tolerance)
+
+
+def _proved_region(
+    loops: "list[HapticLoop]",
+    unproved: Unproved,
+    add: Callable[[Any], bool],
+    tolerance: float,
+    between: LoopsBetween | None = None,
+) -> CommonRegion:
+    """Return the region that a search finds from some loops, to which it may add others."""
+    pulls = [times * tolerance for times in _WIDER]
+    found = search(partial(common_polygon, loops), unproved, add, pulls)
+    if found.guess is None or not found.is_proved:
+        return CommonRegion(tuple(loops), found.status, NOTHING.walls, tolerance, between)
+    return CommonRegion(tuple(loops), found.status, found.guess.walls, found.pull, between)
 
 
 def _is_proved(loop: LoopParameters, outline: Points) -> bool:
@@ -186,8 +192,8 @@ def _is_proved(loop: LoopParameters, outline: Points) -> bool:
         return bool(proved)
     gamma, delta, delay = loop.slice.values()
     walls = np.stack([loop.alpha(outline[:, 0]), loop.beta(outline[:, 1])], axis=-1)
-    hand, ends = ((gamma, gamma), (delta, delta)), (walls, np.roll(walls, -1, axis=0))
-    is_free = not len(failures(*ends, *hand, delay, filters=given_filters(**loop.filters)))
+    hand, filters = ((gamma, gamma), (delta, delta)), given_filters(**loop.filters)
+    is_free = not len(failures(walls, *hand, delay, filters=filters))
     alpha, beta = walls[0]
     one = verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, **loop.filters)
     return is_free and int(one) == Verdict.STABLE

@@ -226,7 +226,8 @@ def _mode_in_samples(mode: Mode, period: float) -> tuple[float, float, float]:
 
 Boxes = Float64[np.ndarray, "axis box"]
 
-AXES = 7  # mass, delay and damping in cells; mass, stiffness, damping of the hand; theta
+NAMES = "mass", "delay", "damping", "hand_mass", "hand_stiffness", "hand_damping", "theta"
+AXES = len(NAMES)
 _HAND = slice(3, 6)
 BEYOND = 1e-9  # of the angles and of a hand: boxes go so far beyond
 _ANY_WAY = 0.05  # of how far an axis moves g: halving it may help in another direction

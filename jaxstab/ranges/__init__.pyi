@@ -1,3 +1,5 @@
+from .box import RobustLimit as RobustLimit
+from .box import RobustStatus as RobustStatus
 from .device_margins import device_margins as device_margins
 from .device_margins import is_stable_along as is_stable_along
 from .hands import HandRange as HandRange
@@ -6,9 +8,7 @@ from .hands import worst_hand as worst_hand
 from .margins import Margins as Margins
 from .margins import WallMargins as WallMargins
 from .margins import margins as margins
-from .robust import RobustLimit as RobustLimit
 from .robust import RobustRegion as RobustRegion
-from .robust import RobustStatus as RobustStatus
 from .robust import robust_limit as robust_limit
 from .robust import robust_region as robust_region
 

@@ -17,7 +17,7 @@ from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.exclusion import Boxes, FirstRoots, Models, Parts, Proof, pave_by, search
+from jaxstab.proofs.exclusion import FirstRoots, Models, Parts, search
 from jaxstab.proofs.linear_circle import (
     DelayBoxes,
     DelayedDevice,
@@ -27,7 +27,15 @@ from jaxstab.proofs.linear_circle import (
     loop_cells,
 )
 from jaxstab.proofs.linear_circle import delay_models as models
-from jaxstab.ranges.margins import SAFE, Margins, WallMargins, first_delays, joined_angles
+from jaxstab.ranges.box import ParameterBox, Proof
+from jaxstab.ranges.margins import (
+    GAIN_WAYS,
+    Margins,
+    WallMargins,
+    along_gains,
+    first_delays,
+    joined_angles,
+)
 
 # How much longer the delay of a loop with any linear device may become: proved.
 #
@@ -37,8 +45,8 @@ from jaxstab.ranges.margins import SAFE, Margins, WallMargins, first_delays, joi
 Walls = Float64[np.ndarray, "wall 2"]
 
 _DELAY_ANGLES = 256  # boxes at first, for half a turn
-_COARSE = np.array([0.0, 2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
-_FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
+_COARSE = np.array([2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
+_FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 4000  # such boxes of a wall at once
 _MOST_PARTS = 20_000  # of a stretch of delay
 
@@ -77,26 +85,24 @@ def _critical_angles(
     device: DelayedDevice,
     walls: Walls,
     numbers: np.ndarray,
-    smallest: Float64[np.ndarray, "3"],
+    smallest: Float64[np.ndarray, "2"],
 ) -> Parts:
     """Return the angles at which some delay may put a root of some walls on the circle."""
 
-    def prove(boxes: Boxes) -> Proof:
-        wall, fraction, angle = boxes.center.T
-        _, by_fraction, by_angle = boxes.half.T
-        gains = walls[wall.astype(np.int64)].T
+    def prove(boxes: ParameterBox) -> Proof:
+        (fraction, by_fraction), (angle, by_angle) = boxes["fraction"], boxes["angle"]
+        gains = walls[boxes.index].T
         over = DelayBoxes(gains, fraction, pi * angle, by_fraction, pi * by_angle)
         found, apart = models(device, over)
-        return Proof(apart > 0.0, np.stack([np.zeros_like(apart), *found.bends], axis=-1))
+        return Proof(apart > 0.0, found.bends.T)
 
     angles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
     grid = np.meshgrid(numbers, np.arange(len(device.pieces)), angles, indexing="ij")
     wall, number, angle = (part.ravel() for part in grid)
-    pieces = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, number]
-    halves = np.zeros_like(angle), pieces[1], np.full_like(angle, 0.5 / _DELAY_ANGLES)
-    boxes = Boxes(np.stack([wall, pieces[0], angle], axis=-1), np.stack(halves, axis=-1))
+    middle, half = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, number]
+    boxes = ParameterBox.of(wall, fraction=(middle, half), angle=(angle, 0.5 / _DELAY_ANGLES))
     most = _MOST_ANGLES * len(device.pieces)
-    return joined_angles(pave_by(boxes, smallest, prove, most, is_numbered=True).boxes)
+    return joined_angles(boxes.paved(prove, smallest, most_each=most).boxes)
 
 
 def _in_pieces(
@@ -133,7 +139,6 @@ def _models(
     return models(device, boxes)[0]
 
 
-_WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
 _AT_ONCE = 32  # walls
 _ANGLES, _PER_POLE = 48, 6  # boxes of theta at first
 _PIECES = 2  # boxes along a gain at first
@@ -249,21 +254,17 @@ def device_ends(
     stable = walls[codes == Verdict.STABLE]
     if not len(stable):
         return codes, ends
-    axes, signs = (np.array(column) for column in zip(*_WAYS, strict=True))
-    first = np.maximum(_FIRST_STEP, 0.5 * np.abs(stable.T[axes]))  # (way, wall)
-    steps = first[..., None] * 2.0 ** np.arange(_DOUBLINGS)
-    gains = np.repeat(stable.T[:, None, :, None], 4, axis=1) * np.ones(_DOUBLINGS)
-    gains[axes, range(4)] += signs[:, None, None] * steps
-    is_unstable = np.asarray(linear_verdict(gains[0], gains[1], loop)) == Verdict.UNSTABLE
-    reach = np.min(np.where(is_unstable, steps, steps[..., -1:]), axis=-1)
-    change = np.zeros((2, *reach.shape))
-    change[axes, range(4)] = signs[:, None] * reach
-    lines = GainLines(np.tile(stable.T, 4), change.reshape(2, -1))
-    roots = _first_roots(device, lines, filters)
-    step = signs[:, None] * np.minimum(roots.low.reshape(reach.shape), 1.0) * reach * SAFE
-    gain = stable.T[axes] + step
-    gain -= np.sign(step) * 2.0**-50 * np.abs(gain)
-    ends[codes == Verdict.STABLE] = gain.T
+
+    def verdicts(gains: np.ndarray, _: np.ndarray) -> np.ndarray:
+        return np.asarray(linear_verdict(gains[0], gains[1], loop))
+
+    def roots(start: np.ndarray, change: np.ndarray) -> FirstRoots:
+        return _first_roots(device, GainLines(start, change), filters)
+
+    ways = along_gains(stable.T, (_FIRST_STEP, _DOUBLINGS), verdicts, roots)
+    for number, ((axis, _), (step, _)) in enumerate(zip(GAIN_WAYS, ways, strict=True)):
+        gain = stable[:, axis] + step
+        ends[codes == Verdict.STABLE, number] = gain - np.sign(step) * 2.0**-50 * np.abs(gain)
     return codes, ends
 
 

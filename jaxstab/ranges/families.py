@@ -4,30 +4,21 @@ from functools import partial
 from math import inf, pi
 
 import numpy as np
-from jaxtyping import Float64, Int8
+from jaxtyping import Float64, Int8, Int64
 
 from jaxstab.conventions import Verdict
 from jaxstab.model.device.family import LoopFamily
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.exclusion import (
-    Boxes,
-    FirstRoots,
-    Models,
-    Parts,
-    Proof,
-    is_free,
-    pave_by,
-    search,
-)
+from jaxstab.proofs.exclusion import FirstRoots, Models, Parts, is_free, search
 from jaxstab.proofs.linear_circle import FamilyBoxes, FamilyCells, PieceBoxes, family_cells
 from jaxstab.proofs.linear_circle import family_models as models
+from jaxstab.ranges.box import ParameterBox, Proof, verdicts_of_range
 
 Walls = Float64[np.ndarray, "wall 2"]
-Outline = Float64[np.ndarray, "vertex 2"]
 
 _ANGLES = 64  # boxes at first, for half a turn
 _AT_ONCE = 64  # walls
-_SMALLEST = np.array([2.0**-12, 2.0**-14, 2.0**-20, 1.0, 1.0])  # edge, t, theta/pi, edge, piece
+_SMALLEST = np.array([2.0**-12, 2.0**-14, 2.0**-20])  # along the edge, of t, of theta / pi
 _MOST = 100_000
 _SAFE = 1.0 + 2.0**-50
 
@@ -80,15 +71,17 @@ def family_verdicts(family: LoopFamily, walls: Walls) -> Int8[np.ndarray, " wall
 
     Source: lemmas B4, B5 and B17 of docs/proofs.md.
     """
-    ends = np.stack([_end_verdicts(family, share, walls) for share in (0, 1)])
-    codes = np.full(len(walls), Verdict.UNDECIDED, np.int8)
-    codes[np.any(ends == Verdict.UNSTABLE, axis=0)] = Verdict.UNSTABLE
-    likely = np.flatnonzero(np.any(ends == Verdict.STABLE, axis=0) & (codes != Verdict.UNSTABLE))
-    roots = first_roots(family, walls[likely])
-    if roots is not None:
-        codes[likely[roots.low == inf]] = Verdict.STABLE
-        codes[likely[roots.high < inf]] = Verdict.UNSTABLE
-    return codes
+
+    def prove(likely: Int64[np.ndarray, " likely"]) -> Int8[np.ndarray, " likely"]:
+        codes = np.full(len(likely), Verdict.UNDECIDED, np.int8)
+        roots = first_roots(family, walls[likely])
+        if roots is not None:
+            codes[roots.low == inf] = Verdict.STABLE
+            codes[roots.high < inf] = Verdict.UNSTABLE
+        return codes
+
+    ends = np.stack([_end_verdicts(family, share, walls) for share in (0, 1)], axis=-1)
+    return verdicts_of_range(ends, prove)
 
 
 def _end_verdicts(family: LoopFamily, share: int, walls: Walls) -> Int8[np.ndarray, " wall"]:
@@ -97,44 +90,52 @@ def _end_verdicts(family: LoopFamily, share: int, walls: Walls) -> Int8[np.ndarr
     return np.asarray(linear_verdict(alpha, beta, device.loop(filters)))
 
 
-def failures(family: LoopFamily, outline: Outline) -> Float64[np.ndarray, " t"] | None:
+def failures(family: LoopFamily, outline: Walls) -> Float64[np.ndarray, " t"] | None:
     """Return some t at which walls of a closed polygon could not be proved; none is a proof.
 
-    The polygon has vertices (K, B). None for loops that need too many pieces.
+    The polygon has vertices (K, B); a single one is one wall. None for loops that need too many
+    pieces.
 
     Source: lemmas B11 and B17 of docs/proofs.md.
     """
-    cells = family_cells(family)
-    if cells is None:
+    roots = first_roots(family, outline)
+    if roots is None:
         return None
-    vertices, outline = outline, outline * _units(family)
+    failed = roots.low[np.isfinite(roots.low)]
+    if not failed.size and len(outline) > 1:
+        failed = _failures_on_edges(family, outline * _units(family))
+    if not failed.size and not np.all(_end_verdicts(family, 0, outline[:1]) == Verdict.STABLE):
+        return np.zeros(1)
+    return failed
+
+
+def _failures_on_edges(family: LoopFamily, outline: Walls) -> Float64[np.ndarray, " t"]:
+    """Return some t at which walls (alpha, beta) of edges could not be proved free of roots."""
+    cells = family_cells(family)
+    assert cells is not None
     following = np.roll(outline, -1, axis=0)
     middle, half = 0.5 * (outline + following), 0.5 * (following - outline) * _SAFE
 
-    def prove(boxes: Boxes) -> Proof:
-        shift, t, angle, edge, piece = boxes.center.T
-        by_shift, by_t, by_angle = boxes.half.T[:3] * _SAFE
-        edge = edge.astype(np.int64)
-        place = PieceBoxes(piece.astype(np.int64), t, pi * angle, by_t, pi * by_angle)
+    def prove(boxes: ParameterBox) -> Proof:
+        shift, t, angle = boxes.center.T
+        by_shift, by_t, by_angle = boxes.half.T * _SAFE
+        edge, piece = np.divmod(boxes.index, len(cells.pieces))
+        place = PieceBoxes(piece, t, pi * angle, by_t, pi * by_angle)
         along = half[edge].T
         found = models(cells, FamilyBoxes(middle[edge].T + along * shift, along * by_shift, place))
-        zero = np.zeros_like(t)
-        return Proof(is_free(*found[:3]), np.stack([*found.bends, zero, zero], axis=-1))
+        return Proof(is_free(*found[:3]), found.bends.T)
 
-    number, piece, angle = (
-        one.ravel() for one in np.indices((len(outline), len(cells.pieces), _ANGLES // 4))
+    index, angle = (
+        part.ravel() for part in np.indices((len(outline) * len(cells.pieces), _ANGLES // 4))
     )
-    ends = cells.ends[piece].T
-    zero = np.zeros(number.size)
-    center = [zero, 0.5 * (ends[0] + ends[1]), (angle + 0.5) * 4.0 / _ANGLES, number, piece]
-    size = [zero + 1.0, 0.5 * (ends[1] - ends[0]), zero + 2.0 / _ANGLES, zero, zero]
-    boxes = Boxes(np.stack(center, axis=-1), np.stack(size, axis=-1))
-    left = pave_by(boxes, _SMALLEST, prove, _MOST).boxes
-    if not len(left.center) and not np.all(
-        _end_verdicts(family, 0, vertices[:1]) == Verdict.STABLE
-    ):
-        return np.zeros(1)
-    return left.center[:, 1]
+    ends = cells.ends[index % len(cells.pieces)].T
+    boxes = ParameterBox.of(
+        index,
+        shift=(0.0, 1.0),
+        t=(0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])),
+        angle=((angle + 0.5) * 4.0 / _ANGLES, 2.0 / _ANGLES),
+    )
+    return boxes.paved(prove, _SMALLEST, most=_MOST).boxes["t"][0]
 
 
 def _units(family: LoopFamily) -> Float64[np.ndarray, " 2"]:

@@ -1,9 +1,7 @@
 """One wall and a range of hands: whether it is stable for all of them, and which hand is worst.
 
-The worst hand is found among samples. The proof for all other hands halves boxes of mass,
-stiffness, damping and theta until each of them is proved free of roots on the unit circle
-(``proofs.exclusion``): then the number of unstable roots is the same for all hands, and one proof
-of stability is enough (lemma B6 of docs/proofs.md).
+The worst hand is found among samples. Boxes of 1/m, k, b and theta prove all others
+(``ranges.box``, lemma B6 of docs/proofs.md).
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,8 +22,9 @@ from jaxstab.model.linear_loop import filtered_loop
 from jaxstab.numbers import checked_number
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.point.radius import are_inside
-from jaxstab.proofs.exclusion import Boxes, Extent, Loops, exclude, pave
+from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.proofs.plant import quick_plant
+from jaxstab.ranges.box import ParameterBox, Proof, excluded, worst_of_range
 
 Loop = TypeVar("Loop", bound=LoopParameters)
 Range = tuple[float, float]
@@ -143,16 +142,17 @@ def _worst_of_a_kind(walls: Sequence[HeldWall]) -> Iterator[WorstHand]:
 def _worst_at_once(walls: Sequence[HeldWall]) -> list[WorstHand]:
     kinds = [(wall.hands, wall.masses) for wall in walls]
     among = {kind: spread_bodies(*kind, _SAMPLES) for kind in kinds}
-    answers = _worst_of(walls, [among[kind] for kind in kinds])
-    hopeful = [number for number, one in enumerate(answers) if one.verdict == Verdict.STABLE]
-    for number, left in _unproved([walls[number] for number in hopeful]).items():
-        wall = hopeful[number]
-        count = min(len(left), _MOST)
-        some = left[np.arange(count) * len(left) // count]  # of too many, some
-        (found,) = _worst_of([walls[wall]], [some])
-        is_known = found.verdict == Verdict.UNSTABLE
-        answers[wall] = found if is_known else found._replace(verdict=Verdict.UNDECIDED)
-    return answers
+
+    def unproved(numbers: list[int]) -> dict[int, Hands]:
+        """Nearly all walls need few boxes; those that need more are looked at one by one."""
+        hard = _left([walls[number] for number in numbers], _FEW_BOXES)
+        alone = {numbers[one]: _left([walls[numbers[one]]], _MOST_BOXES) for one in hard}
+        return {number: left[0] for number, left in alone.items() if left}
+
+    def judge(number: int, hands: Hands) -> WorstHand:
+        return _worst_of([walls[number]], [hands])[0]
+
+    return worst_of_range(_worst_of(walls, [among[kind] for kind in kinds]), unproved, judge, _MOST)
 
 
 def _worst_of(walls: Sequence[HeldWall], among: Sequence[Hands]) -> list[WorstHand]:
@@ -267,81 +267,57 @@ def _points(loop: LoopParameters, plants: Plants, rows: Rows) -> dict[str, Any]:
     return by_name(alpha, beta, gamma, delta, float(loop.delay_samples))
 
 
-def _unproved(walls: Sequence[HeldWall]) -> dict[int, Hands]:
+def _left(walls: Sequence[HeldWall], most: int) -> dict[int, Hands]:
     """Return hands at which a root on the circle could not be excluded, by the number of the wall.
 
-    Nearly all walls need few boxes; those that need more are looked at one by one.
+    The axes of the boxes are parts of the intervals of 1/m, of k and b of the hand, and of theta
+    from 0 to pi; ``most`` boxes of each wall are open at once.
     """
     if not walls:
         return {}
-    hard = _left(walls, _FEW_BOXES)
-    alone = ((number, _left([walls[number]], _MOST_BOXES)) for number in hard)
-    return {number: left[0] for number, left in alone if left}
+    low, high = np.array([_ends(wall) for wall in walls]).T
+    span = high - low
+    varies = np.where(span > 0.0, 0.5, 0.0)
+    gains = np.array([(wall.stiffness, wall.damping) for wall in walls]).T
+    known = (wall.loop for wall in walls)
+    loops = np.array([(x.sample_time, x.device_damping, x.delay_samples) for x in known]).T
 
-
-def _left(walls: Sequence[HeldWall], most: int) -> dict[int, Hands]:
-    """Return the same with so many boxes of each wall at once.
-
-    The axes of the boxes: the wall, which is not halved, then parts of the intervals of 1/m, of k
-    and b of the hand, and of theta from 0 to pi.
-    """
-    intervals = _Intervals.of(walls)
-    boxes = Boxes(np.full((len(walls), 5), 0.5), np.full((len(walls), 5), 0.5))
-    boxes.center[:, 0], boxes.half[:, 0] = np.arange(len(walls)), 0.0
-    boxes.half[:, 1:4] *= intervals.span.T > 0.0
-    prove = partial(exclude, filters=known_filters(**walls[0].loop.filters))
-    left = pave(boxes, _SMALLEST, intervals.extent, most, prove, is_numbered=True).boxes
-    number, (light, spring, damper), _ = intervals.within(left)
-    hands = {}
-    for wall in np.unique(number).tolist():
-        own, (lightest, heaviest) = number == wall, _moved(walls[wall])
-        share = np.clip((1.0 / light[own] - lightest) / max(heaviest - lightest, 1e-300), 0.0, 1.0)
-        ends = walls[wall].hands.mass, walls[wall].masses
-        masses = [np.interp(share, (0.0, 1.0), pair) for pair in ends]
-        hands[wall] = np.column_stack([masses[0], spring[own], damper[own], masses[1]])
-    return hands
-
-
-class _Intervals(NamedTuple):
-    """The intervals of 1/m and of k and b of the hand, for each wall, and what else is known."""
-
-    low: Float64[np.ndarray, "3 wall"]
-    span: Float64[np.ndarray, "3 wall"]
-    gains: Float64[np.ndarray, "2 wall"]
-    loop: Float64[np.ndarray, "3 wall"]  # sampling period, own damping, delay in samples
-
-    @classmethod
-    def of(cls, walls: Sequence[HeldWall]) -> "_Intervals":
-        """Return those of some walls."""
-        low, high = np.array([_ends(wall) for wall in walls]).T
-        gains = np.array([(wall.stiffness, wall.damping) for wall in walls]).T
-        loops = (wall.loop for wall in walls)
-        numbers = [(one.sample_time, one.device_damping, one.delay_samples) for one in loops]
-        return cls(low, high - low, gains, np.array(numbers).T)
-
-    def within(self, boxes: Boxes) -> tuple[Integers, np.ndarray, np.ndarray]:
-        """Return the walls of boxes, and 1/m, k and b of the hand: middles and half-widths."""
-        wall = boxes.center[:, 0].astype(np.int64)
-        low, span = self.low[:, wall], self.span[:, wall]
-        middle = low + span * boxes.center.T[1:4]
-        return wall, middle, span * boxes.half.T[1:4] + _ROUNDING * middle
-
-    def extent(self, boxes: Boxes) -> Extent:
-        """Return the loops of boxes."""
-        wall, (light, spring, damper), (by_light, by_spring, by_damper) = self.within(boxes)
-        (stiffness, damping), (period, own, delay) = self.gains[:, wall], self.loop[:, wall]
+    def prove(boxes: ParameterBox) -> Proof:
+        wall = boxes.index
+        middle = low[:, wall] + span[:, wall] * boxes.center.T[:3]
+        light, spring, damper = middle
+        by_light, by_spring, by_damper = span[:, wall] * boxes.half.T[:3] + _ROUNDING * middle
+        (stiffness, damping), (period, own, delay) = gains[:, wall], loops[:, wall]
+        theta, by_theta = boxes["theta"]
         per_mass = np.stack(
             [stiffness * period**2, damping * period, spring * period**2, (own + damper) * period]
         )
         alpha, beta, gamma, delta = per_mass * light
-        center = Loops(alpha, beta, gamma, delta, delay, pi * boxes.center[:, 4])
         # Radii cover the product of two intervals.
-        by_axis = np.zeros((5, 6, light.size))
-        by_axis[1, :4] = np.abs(per_mass) * by_light
-        by_axis[2, 2] = (light + by_light) * period**2 * by_spring
-        by_axis[3, 3] = (light + by_light) * period * by_damper
-        by_axis[4, 5] = pi * boxes.half[:, 4]
-        return Extent.of(center, by_axis)
+        names = "alpha", "beta", "gamma", "delta"
+        by_mass = zip(names, np.abs(per_mass) * by_light, strict=True)
+        moves = {("light", name): far for name, far in by_mass}
+        moves["spring", "gamma"] = (light + by_light) * period**2 * by_spring
+        moves["damper", "delta"] = (light + by_light) * period * by_damper
+        moves["theta", "theta"] = pi * by_theta
+        center = Loops(alpha, beta, gamma, delta, delay, pi * theta)
+        return excluded(test, center, boxes.moved(moves))
+
+    test = partial(exclude, filters=known_filters(**walls[0].loop.filters))
+    light, spring, damper = ((0.5, half) for half in varies)
+    boxes = ParameterBox.of(
+        np.arange(len(walls)), light=light, spring=spring, damper=damper, theta=(0.5, 0.5)
+    )
+    left = boxes.paved(prove, _SMALLEST, most_each=most).boxes
+    hands = {}
+    for number in np.unique(left.index).tolist():
+        wall, own = walls[number], left.center[left.index == number].T[:3]
+        light, spring, damper = low[:, number, None] + span[:, number, None] * own
+        lightest, heaviest = _moved(wall)
+        share = np.clip((1.0 / light - lightest) / max(heaviest - lightest, 1e-300), 0.0, 1.0)
+        masses = [np.interp(share, (0.0, 1.0), pair) for pair in (wall.hands.mass, wall.masses)]
+        hands[number] = np.column_stack([masses[0], spring, damper, masses[1]])
+    return hands
 
 
 def _ends(wall: HeldWall) -> tuple[Range, Range, Range]:

@@ -23,16 +23,15 @@ from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked, without_noise
 from jaxstab.point import verdict
 from jaxstab.proofs.exclusion import (
-    Boxes,
-    Extent,
+    Exclusion,
     FirstRoots,
     Lines,
     Loops,
     Parts,
     exclude_any_delay,
     first_roots,
-    pave,
 )
+from jaxstab.ranges.box import ParameterBox, Proof, excluded
 from jaxstab.shown import number_text, table_text
 
 # From stable walls to the first root on the unit circle, when one quantity is changed.
@@ -58,8 +57,8 @@ _FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
 _DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
 _DELAY_ANGLES, _FRACTIONS = 32, 2  # boxes at first, for half a turn and for a sample
 _FINER = 8  # boxes of angles where these are not free
-_COARSE = np.array([0.0, 2.0**-4, 2.0**-10])  # half the size of boxes of fractions, angles / pi
-_FINE = np.array([0.0, 2.0**-12, 2.0**-16])  # where the first stretch of delay was free
+_COARSE = np.array([2.0**-4, 2.0**-10])  # half the size of boxes of fractions, angles / pi
+_FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 2000  # such boxes of a wall at once
 _TOUCHING = 1e-9
 _LONGER = 4.0  # each stretch of delay than the one before
@@ -111,33 +110,51 @@ def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
 
 
 def _along_gains(walls: Walls, filters: Filters | None) -> list[Crossings]:
-    reach = _reach(walls, filters)
-    change = np.zeros((len(AXES), *reach.shape))
-    for way, (axis, sign) in enumerate(GAIN_WAYS):
-        change[axis, way] = sign * reach[way]
-    lines = Lines(np.tile(walls.T, len(GAIN_WAYS)), change.reshape(len(AXES), -1))
-    roots = first_roots(lines, _all_angles(walls, len(GAIN_WAYS)), filters)
-    low, angle = (part.reshape(reach.shape) for part in (roots.low, roots.theta / pi))
-    step = np.minimum(low, 1.0) * reach * SAFE
-    signs = [sign for _, sign in GAIN_WAYS]
-    return [Crossings(signs[way] * step[way], angle[way]) for way in range(len(GAIN_WAYS))]
+    def verdicts(gains: np.ndarray, wall: np.ndarray) -> np.ndarray:
+        return _verdicts(gains, walls[wall], filters)
+
+    def roots(start: np.ndarray, change: np.ndarray) -> FirstRoots:
+        others = np.zeros((3, change.shape[1]))
+        lines = Lines(np.concatenate([start, np.tile(walls.T[2:], 4)]), np.vstack([change, others]))
+        return first_roots(lines, _all_angles(walls, len(GAIN_WAYS)), filters)
+
+    return along_gains(walls.T[:2], (_FIRST_STEP, _DOUBLINGS), verdicts, roots)
 
 
-def _reach(walls: Walls, filters: Filters | None) -> Float64[np.ndarray, "way wall"]:
-    """Return how far away, along the gains, walls are proved unstable, or no less than 2^37."""
+def along_gains(
+    gains: Float64[np.ndarray, "2 wall"],
+    first: tuple[float, int],
+    verdicts: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    roots: Callable[[np.ndarray, np.ndarray], FirstRoots],
+) -> list[Crossings]:
+    """Return how far stable walls may go each way of the gains.
+
+    Args:
+        gains: alpha and beta of the walls.
+        first: the least first step, and into how many it is doubled until a wall is unstable.
+        verdicts: returns codes of other gains of walls, of which the numbers are given.
+        roots: returns the first roots on lines from walls, by their starts and changes.
+    """
     axes, signs = (np.array(column) for column in zip(*GAIN_WAYS, strict=True))
-    first = np.maximum(_FIRST_STEP, 0.5 * np.abs(walls.T[axes]))
-    reach = np.full(first.shape, inf)
-    for doubled in range(0, _DOUBLINGS, _DOUBLINGS_AT_ONCE):
+    least, count = first
+    start = np.maximum(least, 0.5 * np.abs(gains[axes]))
+    reach = np.full(start.shape, inf)
+    for doubled in range(0, count, _DOUBLINGS_AT_ONCE):
         way, wall = np.nonzero(reach == inf)
         if not way.size:
             break
-        steps = np.outer(2.0 ** np.arange(doubled, doubled + _DOUBLINGS_AT_ONCE), first[way, wall])
-        gains = np.repeat(walls[wall, :2].T[:, None], _DOUBLINGS_AT_ONCE, axis=1)
-        gains[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
-        is_unstable = _verdicts(gains, walls[wall], filters) == Verdict.UNSTABLE
+        steps = np.outer(2.0 ** np.arange(doubled, doubled + _DOUBLINGS_AT_ONCE), start[way, wall])
+        others = np.repeat(gains[:, None, wall], _DOUBLINGS_AT_ONCE, axis=1)
+        others[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
+        is_unstable = verdicts(others, wall) == Verdict.UNSTABLE
         reach[way, wall] = np.min(np.where(is_unstable, steps, inf), axis=0)
-    return np.minimum(reach, 2.0 ** (_DOUBLINGS - 1) * first)
+    reach = np.minimum(reach, 2.0 ** (count - 1) * start)
+    change = np.zeros((2, *reach.shape))
+    change[axes, np.arange(len(axes))] = signs[:, None] * reach
+    found = roots(np.tile(gains, len(axes)), change.reshape(2, -1))
+    low, angle = (part.reshape(reach.shape) for part in (found.low, found.theta / pi))
+    step = signs[:, None] * (np.minimum(low, 1.0) * reach * SAFE)
+    return [Crossings(*way) for way in zip(step, angle, strict=True)]
 
 
 def _all_angles(walls: Walls, ways: int) -> Parts:
@@ -211,22 +228,20 @@ def first_delays(
 def _critical_angles(
     walls: Walls,
     numbers: Int64[np.ndarray, " some"],
-    smallest: Float64[np.ndarray, "3"],
+    smallest: Float64[np.ndarray, "2"],
     filters: Filters | None,
 ) -> Parts:
     """Return the angles at which some delay may put a root of some walls on the circle."""
-    prove, extent = partial(exclude_any_delay, filters=filters), partial(_at_any_delay, walls)
+    prove = partial(_proof, walls, partial(exclude_any_delay, filters=filters))
     boxes = _angles_and_fractions(numbers)
-    span = extent(boxes)
-    boxes = _finer_angles(boxes.select(~prove(span.center, span.radius).free))
-    left, _ = pave(boxes, smallest, extent, _MOST_ANGLES, prove, is_numbered=True)
-    return joined_angles(left)
+    boxes = _finer_angles(boxes.select(~prove(boxes).free))
+    return joined_angles(boxes.paved(prove, smallest, most_each=_MOST_ANGLES).boxes)
 
 
-def joined_angles(left: Boxes) -> Parts:
-    """Return the angles of boxes of a wall's number, a fraction of the delay, and theta / pi."""
-    wall = left.center[:, 0].astype(np.int64)
-    middle, half = pi * left.center[:, 2], pi * left.half[:, 2]
+def joined_angles(boxes: ParameterBox) -> Parts:
+    """Return the angles of boxes of fractions of the delay and theta / pi, indexed by walls."""
+    wall = boxes.index
+    middle, half = (pi * angle for angle in boxes["angle"])
     low, high = middle - half, middle + half
     order = np.lexsort((low, wall))
     wall, low, high = wall[order], low[order], high[order]
@@ -241,30 +256,31 @@ def joined_angles(left: Boxes) -> Parts:
     return Parts(wall[is_start], *np.stack([whole, ends], axis=1))
 
 
-def _angles_and_fractions(numbers: Int64[np.ndarray, " some"]) -> Boxes:
-    """Return boxes of the number of the wall, the fraction of the delay, and theta / pi."""
+def _angles_and_fractions(numbers: Int64[np.ndarray, " some"]) -> ParameterBox:
+    """Return boxes of the fraction of the delay and theta / pi, indexed by walls."""
     fractions, angles = ((np.arange(n) + 0.5) / n for n in (_FRACTIONS, _DELAY_ANGLES))
-    center = np.stack(np.meshgrid(numbers, fractions, angles, indexing="ij"), axis=-1)
-    center = center.reshape(-1, 3)
-    return Boxes(center, np.full_like(center, [0.0, 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES]))
+    wall, fraction, angle = (
+        part.ravel() for part in np.meshgrid(numbers, fractions, angles, indexing="ij")
+    )
+    halves = 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES
+    return ParameterBox.of(wall, fraction=(fraction, halves[0]), angle=(angle, halves[1]))
 
 
-def _finer_angles(boxes: Boxes) -> Boxes:
+def _finer_angles(boxes: ParameterBox) -> ParameterBox:
     """Divide the angles of boxes at once into as many as most of them need."""
-    half = boxes.half / [1.0, 1.0, _FINER]
-    number = np.repeat(np.arange(len(half)), _FINER)
-    offsets = np.tile(2.0 * np.arange(_FINER) + 1.0 - _FINER, len(half))
-    center = boxes.center[number]
-    center[:, 2] += offsets * half[number, 2]
-    return Boxes(center, half[number])
+    finer = boxes.select(np.repeat(np.arange(boxes.count), _FINER))
+    angle, half = finer["angle"]
+    half = half / _FINER
+    angle = angle + np.tile(2.0 * np.arange(_FINER) + 1.0 - _FINER, boxes.count) * half
+    return ParameterBox.of(finer.index, fraction=finer["fraction"], angle=(angle, half))
 
 
-def _at_any_delay(walls: Walls, boxes: Boxes) -> Extent:
-    wall, fraction, angle = boxes.center.T
-    alpha, beta, gamma, delta, _ = walls[wall.astype(np.int64)].T
-    by_axis = np.zeros((3, 6, wall.size))
-    by_axis[1, 4], by_axis[2, 5] = boxes.half.T[1], pi * boxes.half.T[2]
-    return Extent.of(Loops(alpha, beta, gamma, delta, fraction, pi * angle), by_axis)
+def _proof(walls: Walls, test: Callable[[Loops, Loops], Exclusion], boxes: ParameterBox) -> Proof:
+    (fraction, by_fraction), (angle, by_angle) = boxes["fraction"], boxes["angle"]
+    alpha, beta, gamma, delta, _ = walls[boxes.index].T
+    moves = {("fraction", "delay"): by_fraction, ("angle", "theta"): pi * by_angle}
+    center = Loops(alpha, beta, gamma, delta, fraction, pi * angle)
+    return excluded(test, center, boxes.moved(moves))
 
 
 def _in_pieces(angles: Parts, length: Column) -> Parts:

@@ -11,22 +11,35 @@ the bounds differ are divided again. A wall a little below is then proved for al
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from math import nan, pi, sqrt
-from typing import Any, NamedTuple
+from math import pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8
+from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Numbers
-from jaxstab.conventions import Status, Verdict
+from jaxstab.conventions import Verdict
 from jaxstab.model import by_name, checked_delay, checked_delta, checked_gain, checked_gamma
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
 from jaxstab.proofs.columns import column_gaps
 from jaxstab.proofs.curve_patches import Domain
-from jaxstab.proofs.exclusion import Boxes, Extent, Loops, exclude, pave
+from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.proofs.plant import HandBoxes
+from jaxstab.ranges.box import (
+    NOTHING,
+    Guess,
+    ParameterBox,
+    Points,
+    Proof,
+    RobustLimit,
+    RobustStatus,
+    excluded,
+    limit_for_hands,
+    search,
+    verdicts_of_range,
+)
 from jaxstab.ranges.hands import (
     HandRange,
     Loop,
@@ -40,21 +53,9 @@ from jaxstab.ranges.hands import (
 from jaxstab.region.region import stable_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion
 
-# Walls that are stable for every hand of a range: the intersection of stable regions, proved.
-#
-# The intersection over sampled hands is only a guess, and too large. It is pulled in a little and
-# then proved: along the edges of the polygon, for all gamma, delta and theta of the ranges at once,
-# boxes are halved until each of them is proved free of roots on the unit circle
-# (``proofs.exclusion``). This is enough. For any one hand the walls with a root on the circle form
-# a curve that starts on the line z = 1, runs through infinity where it is not connected, and ends
-# on the line z = -1 or at infinity. So no piece of it can lie inside a closed polygon that the
-# curve does not cross. Inside the polygon the number of unstable roots is therefore the same for
-# all walls and, by continuity, for all hands; a verdict on one loop says that it is zero (lemma B7
-# of docs/proofs.md).
-#
-# Where the proof fails, the hand at which it fails joins the sample, and the proof is tried again.
-
-Points = Float64[np.ndarray, "points 2"]
+# Walls that are stable for every hand of a range: the intersection of stable regions of sampled
+# hands, pulled in and proved along its edges for all gamma, delta and theta of the ranges at once
+# (``ranges.box``, lemma B7 of docs/proofs.md).
 
 Hands = Float64[np.ndarray, "hands 2"]
 
@@ -63,23 +64,9 @@ Rows = Float64[np.ndarray, " rows"]
 _FIRST_FREQUENCIES = 17
 _FIRST_DAMPINGS = 3
 _ROWS = 129
-_REGION_ATTEMPTS = 8
 _SMALLEST = 2.0**-12  # of the ranges: boxes are not halved beyond
+_MOST_BOXES = 60_000  # at once
 _OUTLINE_TOLERANCE = 1e-4
-
-
-class RobustStatus(Status):
-    """What is known of a robust region.
-
-    Example:
-        >>> jaxstab.results.RobustStatus(1).words
-        'every wall of the outline is proved stable for every hand or loop'
-    """
-
-    NOT_COMPUTED = 0, "not computed"
-    PROVED = 1, "every wall of the outline is proved stable for every hand or loop"
-    EMPTY = 2, "no wall was found that is stable for all of the sampled hands or loops"
-    UNPROVED = 3, "stable for the sampled hands or loops, but not proved between them"
 
 
 @dataclass(frozen=True)
@@ -152,18 +139,15 @@ class RobustRegion:
         gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
         grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
         walls = grid.reshape(-1, 2)
-        single = _verdicts(walls, self.hands, self.delay, self.filters)
-        unstable = np.any(single == Verdict.UNSTABLE, axis=1)
-        # The number of unstable roots is the same for all hands: one proof of stability is enough.
-        likely = np.any(single == Verdict.STABLE, axis=1) & ~unstable
-        proved = np.zeros(len(walls), bool)
-        for number in np.flatnonzero(likely):
-            wall = walls[number : number + 1]
-            failed = failures(wall, wall, self.gamma, self.delta, self.delay, filters=self.filters)
-            proved[number] = not len(failed)
-        codes = np.where(proved, Verdict.STABLE, Verdict.UNDECIDED)
-        codes = np.where(unstable, Verdict.UNSTABLE, codes).astype(np.int8)
-        return codes.reshape(grid.shape[:-1])
+
+        def prove(likely: Int64[np.ndarray, " likely"]) -> Int8[np.ndarray, " likely"]:
+            range_of_hands = self.gamma, self.delta, self.delay
+            left = [failures(walls[[n]], *range_of_hands, filters=self.filters) for n in likely]
+            codes = [Verdict.UNDECIDED if len(one) else Verdict.STABLE for one in left]
+            return np.array(codes, np.int8)
+
+        sampled = _verdicts(walls, self.hands, self.delay, self.filters)
+        return verdicts_of_range(sampled, prove).reshape(grid.shape[:-1])
 
 
 def robust_region(
@@ -212,31 +196,18 @@ def robust_region(
     checked_delay(delay)
     checked_number("tolerance", tolerance, 1e-3, 0.5)
     sample = _Sample(gamma, delta, delay, filters)
-
-    def region(status: RobustStatus, outline: Points) -> RobustRegion:
-        return RobustRegion(gamma, delta, delay, tolerance, status, outline, sample.hands, filters)
-
-    for _ in range(_REGION_ATTEMPTS):
-        outer = sample.intersection() if sample.regions else np.zeros((0, 2))
-        if not len(outer):
-            status = RobustStatus.EMPTY if sample.regions else RobustStatus.UNPROVED
-            return region(status, outer)
-        outline = pulled_in(outer, tolerance)
-        failed = failures(
-            outline, np.roll(outline, -1, axis=0), gamma, delta, delay, filters=filters
-        )
-        if not len(failed):
-            holds = sample.holds(outline)
-            return region(RobustStatus.PROVED if holds else RobustStatus.UNPROVED, outline)
-        sample.add(failed)
-    return region(RobustStatus.UNPROVED, outline)
+    found = search(sample.polygon, sample.unproved, sample.add, [tolerance])
+    outline = (found.guess or NOTHING).walls
+    return RobustRegion(
+        gamma, delta, delay, tolerance, found.status, outline, sample.hands, filters
+    )
 
 
 class _Sample:
     """Sampled hands and their stable regions."""
 
     def __init__(self, gamma: Range, delta: Range, delay: float, filters: Filters | None) -> None:
-        self.delay = delay
+        self.range = gamma, delta, delay
         self.filters = filters
         self.regions: list[StableRegion] = []
         self.hands = np.zeros((0, 2))
@@ -246,8 +217,9 @@ class _Sample:
         damping = np.linspace(*delta, _FIRST_DAMPINGS if delta[0] < delta[1] else 1)
         self.add(np.stack(np.meshgrid(stiffness, damping), axis=-1).reshape(-1, 2))
 
-    def add(self, hands: Hands) -> None:
+    def add(self, hands: Hands) -> bool:
         """Add hands; those already there are passed over."""
+        before = len(self.hands)
         for hand in hands:
             if not np.any(np.all(self.hands == hand, axis=1)):
                 self.hands = np.concatenate([self.hands, hand[None]])
@@ -255,29 +227,33 @@ class _Sample:
                 region = stable_region(
                     gamma=gamma,
                     delta=delta,
-                    delay=self.delay,
+                    delay=self.range[2],
                     tolerance=_OUTLINE_TOLERANCE,
                     **as_keywords(self.filters),
                 )
                 if region.status != RegionStatus.UNRESOLVED:  # the proof covers this hand too
                     self.regions.append(reachable(region, self.filters))
+        return len(self.hands) > before
 
-    def intersection(self) -> Points:
-        """Return a polygon of the spans of some rows of the intersection; no point if none is met.
+    def polygon(self, pull: float) -> Guess | None:
+        """Return a polygon of the spans of some rows of the intersection, pulled in by a share.
 
         Slices of which a row is not one interval are not known; the span would hold unstable walls,
         and the proof would fail. An intersection may be missed that lies between two rows.
         """
+        if not self.regions:
+            return None
         if any(region.is_empty for region in self.regions):
-            return np.zeros((0, 2))
+            return NOTHING
         tops = [region.points[:, 1] for region in self.regions]
         low, high = max(t.min() for t in tops), min(t.max() for t in tops)
-        return polygon_of_rows(self._limits, low, high)
+        return Guess(pulled_in(polygon_of_rows(self._limits, low, high), pull))
 
-    def holds(self, outline: Points) -> bool:
-        """Tell whether one wall of the outline is proved stable for one hand."""
-        one = _verdicts(outline[:1], self.hands[:1], self.delay, self.filters)
-        return bool(np.all(one == Verdict.STABLE))
+    def unproved(self, walls: Points) -> Hands:
+        """Return hands at which walls of the polygon are not proved."""
+        left = failures(walls, *self.range, filters=self.filters)
+        one = _verdicts(walls[:1], self.hands[:1], self.range[2], self.filters)
+        return left if len(left) or np.all(one == Verdict.STABLE) else self.hands[:1]
 
     def _limits(self, rows: Rows) -> tuple[Rows, Rows]:
         limits = np.stack([np.asarray(region.alpha_limits(rows)) for region in self.regions])
@@ -319,6 +295,8 @@ def reachable(region: StableRegion, filters: Filters | None) -> StableRegion:
 
 def pulled_in(outline: Points, tolerance: float) -> Points:
     """Return the outline shrunk towards its centroid."""
+    if not len(outline):
+        return outline
     following = np.roll(outline, -1, axis=0)
     cross = outline[:, 0] * following[:, 1] - following[:, 0] * outline[:, 1]
     centroid = np.sum((outline + following) * cross[:, None], axis=0) / (3 * np.sum(cross))
@@ -327,44 +305,44 @@ def pulled_in(outline: Points, tolerance: float) -> Points:
 
 
 def failures(
-    start: Points,
-    end: Points,
-    gamma: Range,
-    delta: Range,
-    delay: float,
-    *,
-    filters: Filters | None,
+    outline: Points, gamma: Range, delta: Range, delay: float, *, filters: Filters | None
 ) -> Hands:
-    """Return some hands at which walls between start and end could not be proved; none is a proof.
+    """Return some hands at which walls on a closed polygon could not be proved; none is a proof.
 
-    The axes of the boxes: from -1 to 1 along the edge, gamma, delta, theta, then the edge itself
-    (its middle and half its length in alpha and beta), which is not divided.
+    The axes of the boxes are the way along an edge, from -1 to 1, gamma, delta and theta.
     """
-    count = len(start)
-    middle, reach = 0.5 * (start + end), 0.5 * (end - start)
+    following = np.roll(outline, -1, axis=0)
+    middle, reach = 0.5 * (outline + following), 0.5 * (following - outline)
     ranges = np.array([(-1.0, 1.0), gamma, delta, (0.0, pi)])
-    center = np.concatenate([np.tile(ranges.mean(axis=1), (count, 1)), middle, reach], axis=1)
-    half = np.zeros_like(center)
-    half[:, :4] = 0.5 * np.ptp(ranges, axis=1)
-    half[np.all(reach == 0.0, axis=1), 0] = 0.0
+    middles, halves = ranges.mean(axis=1), 0.5 * np.ptp(ranges, axis=1)
+    boxes = ParameterBox.of(
+        np.arange(len(outline)),
+        shift=(middles[0], np.where(np.all(reach == 0.0, axis=1), 0.0, halves[0])),
+        gamma=(middles[1], halves[1]),
+        delta=(middles[2], halves[2]),
+        theta=(middles[3], halves[3]),
+    )
 
-    def extent(boxes: Boxes) -> Extent:
-        shift, stiffness, damping, theta, alpha, beta, along, up = boxes.center.T
-        walls = (alpha + shift * along, beta + shift * up)
-        by_shift, by_gamma, by_delta, by_theta = boxes.half.T[:4]
-        by_axis = np.zeros((8, 6, theta.size))
-        by_axis[0, :2] = np.abs(along) * by_shift, np.abs(up) * by_shift
-        by_axis[1, 2], by_axis[2, 3], by_axis[3, 5] = by_gamma, by_delta, by_theta
+    def prove(boxes: ParameterBox) -> Proof:
+        shift, stiffness, damping, theta = boxes.center.T
+        by_shift, by_gamma, by_delta, by_theta = boxes.half.T
+        (alpha, beta), (along, up) = middle[boxes.index].T, reach[boxes.index].T
+        moves = {
+            ("shift", "alpha"): np.abs(along) * by_shift,
+            ("shift", "beta"): np.abs(up) * by_shift,
+            ("gamma", "gamma"): by_gamma,
+            ("delta", "delta"): by_delta,
+            ("theta", "theta"): by_theta,
+        }
+        walls = alpha + shift * along, beta + shift * up
         center = Loops(*walls, stiffness, damping, np.full_like(theta, delay), theta)
-        return Extent.of(center, by_axis)
+        return excluded(partial(exclude, filters=filters), center, boxes.moved(moves))
 
-    smallest = _SMALLEST * np.concatenate([np.ptp(ranges, axis=1), np.ones(4)])
-    prove = partial(exclude, filters=filters)
-    paving = pave(Boxes(center, half), smallest, extent, prove=prove)
-    left = paving.boxes.center[:, 1:3]
-    if not len(left):
-        return left
-    extremes: Hands = left[[*np.argmin(left, axis=0), *np.argmax(left, axis=0)]]
+    left = boxes.paved(prove, _SMALLEST * np.ptp(ranges, axis=1), most=_MOST_BOXES).boxes
+    if not left.count:
+        return np.zeros((0, 2))
+    hands = left.center[:, 1:3]
+    extremes: Hands = hands[[*np.argmin(hands, axis=0), *np.argmax(hands, axis=0)]]
     return np.unique(extremes, axis=0)
 
 
@@ -381,54 +359,16 @@ _AT_ONCE = 16  # columns with the highest bounds are divided
 _FINER = 4
 _ROUNDS = 16
 _NEAR = 2e-3  # of the limit: bounds that differ less are near enough
-_PULL = 0.01  # of the limit: the wall that is proved lies so far below, then twice as far
-_ATTEMPTS = 4
 _BEYOND = 1e-6  # of the span of a region: its polygon is that near to it
 
 Ends = Float64[np.ndarray, "column gap"]
-
-
-class RobustLimit(NamedTuple):
-    """The stiffest wall for all hands of a range, in SI units; NaN where there is none.
-
-    Attributes:
-        stiffness: K of a wall 1 % below the stiffest one that was found, or up to 8 % below where
-            the proof failed closer to it.
-        damping: B of that wall.
-        is_proved: whether that wall is proved stable for every hand.
-        limit: no stiffer wall is stable for every hand: every wall above it, within the span of the
-            sampled hands' stable regions, is proved unstable for one of these hands. With an
-            estimator or a filter the span is that of the components with small gains.
-        loop: the loop with the hand that sets the limit.
-
-    Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> found = loop.robust_limit(jaxstab.HandRange(mass=(0.0, 1.0)))
-        >>> found.is_proved, found.stiffness < found.limit
-        (True, True)
-    """
-
-    stiffness: float
-    damping: float
-    is_proved: bool
-    limit: float
-    loop: Any  # of the class of the given one
 
 
 def robust_limit(loop: Loop, hands: HandRange, mass: Range | None = None) -> RobustLimit:
     """Return the largest stiffness that every hand of a range allows: ``HapticLoop``."""
     checked_range(hands, mass)
     loops = [held(loop, hand) for hand in spread_bodies(hands, masses_of(loop, mass), 2)]
-    for attempt in range(_ATTEMPTS):
-        found = _common_limit(loops, _PULL * 2.0**attempt)
-        if np.isnan(found.stiffness):
-            break
-        worst = worst_hand(loop, hands, found.stiffness, found.damping, mass)
-        if worst.verdict == Verdict.STABLE:
-            return found._replace(is_proved=True)
-        if attempt < _ATTEMPTS - 1:
-            loops.append(worst.loop)
-    return found
+    return limit_for_hands(loops, _common_limit, lambda k, b: worst_hand(loop, hands, k, b, mass))
 
 
 class _Columns(NamedTuple):
@@ -458,12 +398,11 @@ class _Gaps(NamedTuple):
     hand: np.ndarray  # (gap,)
 
 
-def _common_limit(loops: list[Loop], pull: float) -> RobustLimit:
+def _common_limit(loops: list[Loop], pull: float) -> Guess:
     """Return the stiffest wall that some loops allow, pulled down by a share of its stiffness."""
-    nothing = RobustLimit(nan, nan, False, nan, loops[0])
     span = _common_span(loops)
     if span is None:
-        return nothing
+        return NOTHING
     edges = np.linspace(*span.domain.beta, _COLUMNS + 1)
     columns = _judged(loops, edges, span)
     for _ in range(_ROUNDS):
@@ -491,14 +430,14 @@ def _common_limit(loops: list[Loop], pull: float) -> RobustLimit:
         )
     top, best = int(np.argmax(columns.most)), int(np.argmax(columns.high))
     if columns.most[top] == -np.inf:
-        return nothing
+        return NOTHING
     limit, setter = float(columns.most[top]), loops[int(columns.setter[top])]
     if columns.high[best] == -np.inf:
-        return nothing._replace(limit=limit, loop=setter)
+        return Guess(NOTHING.walls, limit, setter)
     low, high = columns.low[best], columns.high[best]
-    pulled = float(max(high - pull * abs(high), 0.5 * (low + high)))
-    damping = float(0.5 * (columns.begin[best] + columns.end[best]))
-    return RobustLimit(pulled, damping, False, limit, setter)
+    pulled = max(high - pull * abs(high), 0.5 * (low + high))
+    damping = 0.5 * (columns.begin[best] + columns.end[best])
+    return Guess(np.array([[pulled, damping]]), limit, setter)
 
 
 def _common_span(loops: list[Loop]) -> _Span | None:
