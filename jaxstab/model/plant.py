@@ -58,7 +58,7 @@ class PlantCoefficients(NamedTuple):
     """The sampled plant: D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, times m/T^2.
 
     For a whole delay N(z) is z times the zero-order-hold numerator, so n0 = 0. The remaining fields
-    are N(1), N(-1) and D(1) = gamma N(1), each with a relative accuracy of its own.
+    are N(1), N(-1) and D(1) = gamma N(1), each with its own relative accuracy.
 
     Example:
         >>> plant = jaxstab.plant_coefficients(gamma=0.0, delta=0.0)
@@ -95,10 +95,7 @@ def plant_coefficients(
     """Discretise mass, spring and damper behind a zero-order hold and the fraction of a delay.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], any shape.
-        delta: physical damping b T/m in [0, 1e3], any shape.
-        delay: time delay in samples, t_d/T >= 0, whole or fractional, concrete; only its fraction
-            enters here.
+        gamma, delta, delay: see ``jaxstab.conventions``.
 
     Returns:
         PlantCoefficients of float64 arrays of the broadcast shape, differentiable to any order in
@@ -126,20 +123,11 @@ def plant_coefficients(
 
 
 def plant_transition(gamma: Numbers, delta: Numbers, time: Numbers) -> Float64[Array, "*grid 2 3"]:
-    """Return how the plant moves while a force is held for a time of at most one sample.
+    """The motion of the plant while a force is held for a ``time`` of at most one sample.
 
     Position and velocity (rows) at the end, for a unit of position, of velocity and of force
     (columns) at its beginning: upper rows of expm(t [[0, 1, 0], [-gamma, -delta, 1], [0, 0, 0]]).
-
-    Args:
-        gamma, delta: see ``jaxstab.conventions``.
-        time: in [0, 1], in samples.
-
-    Raises:
-        ValueError: a concrete gamma or delta is outside its range or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
-
-    Source: eqs. (1)-(3) of Hulin, Preusche, Hirzinger (2008).
+    Source: eqs. (1)-(3) of Hulin, Preusche, Hirzinger (2008); errors as ``plant_coefficients``.
     """
     require_x64(gamma, delta, time)
     values = (checked_gamma(gamma), checked_delta(delta), time)
@@ -163,7 +151,7 @@ def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
 
 
 def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs:
-    """Return the plant coefficients as double-double pairs, for sums that may still cancel.
+    """The plant coefficients as double-double pairs, for sums that may still cancel.
 
     A concrete ``fraction`` (of the delay, in [0, 1)) that is zero throughout costs a third.
     """

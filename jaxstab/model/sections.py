@@ -143,13 +143,7 @@ class Section:
         return dict(vars(self))
 
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        """Return the factors of the transfer function in balls.
-
-        Args:
-            ball: returns the ball of a parameter.
-            period: the sampling period in s, a ball.
-            pi: the ball of pi.
-        """
+        """The factors of the transfer function in balls; ``ball`` returns that of a parameter."""
         raise NotImplementedError
 
 

@@ -349,29 +349,26 @@ class _Question(NamedTuple):
 def linear_validity(
     level: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> LinearValidity:
-    """Return the boundary point up to which the linear condition errs by at most ``level``.
+    """The boundary point up to which the linear condition errs by at most ``level``.
 
     It is the first one, along the boundary curve from its corner at alpha = -gamma, where the
     signed error (alpha_lin - alpha)/(alpha + gamma) rises through ``level``: the circles (2 %) and
     squares (5 %) of Fig. 7. The absolute value of eq. (24) may reach the level before that, because
-    with damping the linear condition is too careful at small stiffness (by 2.2 % for d = 1,
-    delta = 0.015). Such crossings are not returned.
+    with damping the linear condition is too careful at small stiffness (by 2.2 % for d = 1, delta =
+    0.015). Such crossings are not returned.
 
     It is proved, over the whole curve, that this point is the first. Each point has its own status;
     NOT_PROVED says that float64 cannot tell, as for levels below about 1e-9.
 
     Args:
-        level: relative error in (0, 1e3], any shape; like all arguments it broadcasts. None of
-            them may be traced.
+        level: relative error in (0, 1e3], any shape; like all arguments it broadcasts. None of them
+            may be traced.
         gamma, delta, delay: see ``jaxstab.conventions``.
 
     Returns:
         LinearValidity of the broadcast shape; NaN where no point was found.
 
-    Raises:
-        TypeError: an argument is traced or not made of numbers.
-        ValueError: an argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Example:
         >>> point = linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)

@@ -43,10 +43,9 @@ _REMEDY = "give two loops that differ in numbers alone: masses, springs, cut-off
 
 
 def merged(first: Any, last: Any) -> Any:
-    """Return a value in which each number that differs is the span from the first to the last.
+    """A value in which each number that differs is the span from the first to the last.
 
-    Raises:
-        ValueError: the two differ in more than numbers.
+    ValueError: the two differ in more than numbers.
     """
     if type(first) is not type(last) or (_is_whole(first) and first != last):
         raise ValueError(
@@ -126,13 +125,9 @@ _MOST_DELAY_PIECES = 128
 class Piece:
     """N_f(z) = sum_jk u^j near_jk (z - 1)^k for |u| <= half, a little beyond, u = f - middle.
 
-    Attributes:
-        middle: of the piece.
-        half: half its width.
-        near: the coefficients, in the units of the device.
-        far: the same of N_f(-z).
-        remainder: a bound of what either sum misses of N on the unit circle, but for the rounding
-            of each coefficient to float64.
+    ``near`` are the coefficients in the units of the device, ``far`` those of N_f(-z).
+    ``remainder`` bounds what either sum misses of N on the unit circle, but for the rounding of
+    each coefficient.
     """
 
     middle: float
@@ -237,14 +232,9 @@ class _Family(NamedTuple):
 def rounded_piece(
     middle: float, half: float, terms: list["arb_poly"], missed: "arb", degree: int
 ) -> Piece | None:
-    """Return the piece of sum_j u^j terms_j, None where these are not known well enough.
+    """The piece of sum_j u^j terms_j, polynomials in z; None where these are not known well enough.
 
-    Args:
-        middle: of the piece.
-        half: half its width, at most 1/2.
-        terms: polynomials in z of a degree.
-        missed: what the sum misses on the unit circle.
-        degree: the degree.
+    ``half`` is half its width, at most 1/2; ``missed`` is what the sum misses on the unit circle.
     """
     import flint
 
@@ -322,14 +312,10 @@ class LoopPiece(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopFamily:
-    """All loops between two.
+    """All loops between two: device with hands and actuators, delay (in samples) and filters.
 
-    Attributes:
-        device: with its hands and actuators.
-        delay: in samples.
-        filters: estimator and position filter.
-        first: the device of the first loop, sampled; all gains are in its units.
-        last: that of the last loop.
+    ``first`` and ``last`` are the devices of the two, sampled; all gains are in the units of the
+    first.
     """
 
     device: Device
@@ -340,12 +326,7 @@ class LoopFamily:
 
     @classmethod
     def between(cls, first: LoopParameters, last: LoopParameters) -> "LoopFamily":
-        """Return all loops between two of one sampling period.
-
-        Raises:
-            ValueError: the two differ in more than numbers, or in the sampling period.
-            TypeError: JAX traces one of them.
-        """
+        """All loops between two of one sampling period; ValueError if other than numbers differ."""
         period = first.sample_time
         if period != last.sample_time:
             raise ValueError(
@@ -381,13 +362,10 @@ class LoopFamily:
         return all(one.is_finite() for part in parts for one in part.coeffs())
 
     def polynomials(self, t: "acb", whole: int) -> "list[acb_poly] | None":
-        """Return D, S and R for a ball of t; None where no such loop, or one too fast, may be.
+        """D, S and R for a ball of t; None where no such loop, or one too fast, may be.
 
-        R is left out where it is S, as no filter changes.
-
-        Args:
-            t: the ball.
-            whole: samples of the delay; the others are a fraction.
+        R is left out where it is S, as no filter changes. ``whole`` are samples of the delay, the
+        others are a fraction.
         """
         import flint
 

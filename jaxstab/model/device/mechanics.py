@@ -55,10 +55,9 @@ class Mechanics(NamedTuple):
 def mechanics(
     device: Device, sample_time: float, fraction: float, offsets: tuple[float, ...]
 ) -> Mechanics:
-    """Return how a device moves, for a fraction of the delay, at times in [0, 1] after a sample.
+    """The motion of a device at times in [0, 1] after a sample, for a fraction of the delay.
 
-    Raises:
-        ValueError: the device does not give way to a constant force.
+    ValueError: the device has zero DC gain.
     """
     import flint
 

@@ -27,7 +27,7 @@ _PRECISION = RLock()
 
 @contextmanager
 def working_precision(bits: int) -> Iterator[None]:
-    """Compute with balls of so many bits, one thread at a time, and restore the precision before.
+    """Compute with balls of this precision, one thread at a time, and restore it afterwards.
 
     The precision of python-flint is one number of the whole process. Balls hold the true value at
     any precision: threads of a program that set it meanwhile can cost an answer its digits, or end
@@ -170,8 +170,7 @@ class Mode:
         modal_mass: m in kg; negative where the mode moves motor and encoder against each other.
 
     Raises:
-        TypeError: a value is no real number.
-        ValueError: a value is out of range.
+        TypeError, ValueError: a value is not a real number, or out of range.
 
     Example:
         >>> jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
@@ -324,12 +323,7 @@ def _characteristic(matrix: Any) -> "fmpq_mpoly":
 def checked_transfer_function(
     numerator: Coefficients, denominator: Coefficients, excess: int, what: str
 ) -> TransferFunction:
-    """Return a transfer function whose numerator's degree exceeds the other by ``excess`` at most.
-
-    Raises:
-        TypeError: the coefficients are no numbers.
-        ValueError: one of the polynomials is 0, or the degrees do not fit.
-    """
+    """A transfer function whose numerator's degree exceeds the other by ``excess`` at most."""
     above, below = _coefficients("numerator", numerator), _coefficients("denominator", denominator)
     if len(above) - len(below) > excess:
         raise ValueError(
@@ -362,12 +356,7 @@ def _row(name: str, values: Coefficients) -> list[Any]:
 
 
 def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
-    """Return a state space of one force and one position.
-
-    Raises:
-        TypeError: a matrix is not made of real numbers.
-        ValueError: the shapes do not fit, or there are too many states.
-    """
+    """A state space of one force and one position."""
     matrices = [np.asarray(checked(name, one)) for name, one in zip("ABC", (a, b, c), strict=True)]
     order = matrices[0].shape[0] if matrices[0].ndim == 2 else 0
     shapes = ((order, order),), ((order,), (order, 1)), ((order,), (1, order))
@@ -385,11 +374,7 @@ def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
 
 
 def checked_compliance(function: Rational, what: str) -> Rational:
-    """Return a strictly proper function of s without its common factor.
-
-    Raises:
-        ValueError: it is 0, not strictly proper, of too high an order, or hides what grows.
-    """
+    """A strictly proper function of s without its common factor, which must not be unstable."""
     if degree_of(function.denominator) < 0 or degree_of(function.numerator) < 0:
         raise ValueError(
             f"{what} has the transfer function 0 or no finite one in s; give what a force moves."

@@ -58,7 +58,7 @@ class SampledDevice:
     delay: float
 
     def transfers(self, filters: Filters | None = None) -> tuple[Transfer, Transfer]:
-        """Return what ``linear_loop`` takes: V(z), for beta, less its difference, and P(z).
+        """The arguments of ``linear_loop``: V(z), for beta, less its difference, and P(z).
 
         Without filters that is the difference over one sample.
         """
@@ -75,17 +75,12 @@ class SampledDevice:
 
 
 def sampled_device(device: Device, sample_time: float, delay: float) -> SampledDevice:
-    """Return a device behind a zero-order hold and a delay.
-
-    Args:
-        device: the device with its hands and actuators.
-        sample_time: T in s, > 0.
-        delay: in samples, whole or fractional, in [0, 500].
+    """A device, with its hands and actuators, behind a zero-order hold and a delay in samples.
 
     Raises:
-        TypeError: a number is none.
-        ValueError: a number is out of range, or the device moves by more or less within a sample
-            than float64 can say.
+        TypeError: a number is not a real number.
+        ValueError: a number is out of range, the delay's being [0, 500], or the device moves by
+            more or less within a sample than float64 can say.
 
     Source: the modified z-transform; Van Loan (1978) for the exponential.
     """
@@ -148,12 +143,9 @@ def _balls(compliance: Rational, sample_time: float, fraction: float) -> _Balls:
 
 
 def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], list["arb"]]:
-    """Return numerator and monic denominator, lowest power first, with T as the unit of time.
+    """Numerator and monic denominator, lowest power first, with T as the unit of time.
 
-    A coefficient that is 0 is the exact 0.
-
-    Raises:
-        ValueError: a pole is so fast that nothing of it is left after a sampling period.
+    A coefficient that is 0 is the exact 0. ValueError: a pole vanishes within a sampling period.
     """
     above, below = (balls_of(part) for part in compliance)
     above, below = _monic(above, below, sample_time)
