@@ -369,14 +369,8 @@ class AmplitudeStatus(Status):
 class Amplitude(NamedTuple):
     """The most by which disturbances can drive a loop away from its undisturbed motion.
 
-    All are infinite where nothing is proved.
-
-    Attributes:
-        position: of the device, at all times.
-        velocity: of the device, at all times.
-        force: of the wall, at all times.
-        force_per_count: how much the computed force jumps when the encoder moves on by one count.
-        status: an AmplitudeStatus.
+    All are infinite where nothing is proved. Position, velocity and force (of the wall) hold at all
+    times; ``force_per_count`` is the jump of the computed force at one count of the encoder.
 
     Example:
         >>> found = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
@@ -396,14 +390,7 @@ class Amplitude(NamedTuple):
 
 
 class WallAmplitude(Amplitude):
-    """The same in m, m/s and N.
-
-    Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> loop.amplitude(1000.0, 20.0, encoder=1e-5)
-        Amplitude: position 6.276 um, velocity 2.126 mm/s, force 0.2434 N, force per count 0.21 N
-        (proved)
-    """
+    """The same in m, m/s and N."""
 
     def __repr__(self) -> str:
         """Return the bounds with their units."""
@@ -448,26 +435,22 @@ def amplitude(
     not used.
 
     Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
-        encoder: resolution of the encoder, which rounds to the nearest multiple, >= 0, in any
-            unit of length U.
-        force_step: resolution of the force, which is rounded to the nearest multiple, >= 0, in
-            m U/T^2.
+        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
+        encoder: resolution of the encoder, which rounds to the nearest multiple, >= 0, in any unit
+            of length U.
+        force_step: resolution of the force, which is rounded to the nearest multiple, >= 0, in m
+            U/T^2.
         friction: largest Coulomb friction of the device, >= 0, in m U/T^2; it may change at any
             time, between samples too.
         noise: largest error of the sampled position, beside that of the resolution, >= 0, in U.
-        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         Amplitude in U, U/T and m U/T^2. The proof holds for the gains, the plant and the filter
         coefficients as float64 holds them; rounding and the tails of all sums are bounded. It is
         differentiable in the disturbances only.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or nothing disturbs the loop;
-            or JAX differentiates by gains or plant.
-        TypeError: the delay or a filter is traced.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``; ValueError also if nothing disturbs the loop, or JAX
+    differentiates by gains or plant.
 
     Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5); lemmas M3
     to M8 of docs/proofs.md.
@@ -584,25 +567,8 @@ def device_amplitude(
 ) -> WallAmplitude:
     """Bound what disturbances do to a general device, in SI units; see ``HapticLoop.amplitude``.
 
-    Friction acts at the handle, behind the actuators; an amplifier's steps come before them.
-
-    Args:
-        device: with its hands and actuators.
-        sample_time: T in s.
-        delay: in samples.
-        filters: estimator and filter in SI units.
-        stiffness: K in N/m, any shape; like all others it broadcasts.
-        damping: B in N s/m.
-        encoder: resolution of the position in m.
-        force_step: resolution of the force in N.
-        friction: largest force at the handle in N.
-        noise: largest error of the position in m, beside that of the resolution.
-
-    Raises:
-        ValueError: an argument is negative, infinite or NaN, nothing disturbs the loop, or the
-            device does not give way to a constant force.
-        TypeError: a filter is traced.
-        RuntimeError: JAX arrays are given without x64.
+    ``delay`` is in samples. Friction acts at the handle, behind the actuators; an amplifier's steps
+    come before them. ValueError also if the device has zero DC gain.
     """
     given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
     require_x64(stiffness, damping, *given.values())

@@ -103,13 +103,7 @@ Chain = tuple[Equation, ...]
 @pytree
 @dataclass(frozen=True)
 class Controller:
-    """A velocity estimator, times the sampling period, and a position filter.
-
-    Attributes:
-        velocity: the chain behind the difference.
-        position: the chain of the position filter.
-        window: samples over which the difference is taken.
-    """
+    """A velocity estimator, times T, behind the windowed difference, and a position filter."""
 
     velocity: Chain
     position: Chain
@@ -351,27 +345,10 @@ def simulate_device(
 ) -> Response:
     """Simulate a general device against a virtual wall; see ``HapticLoop.simulate``.
 
-    The hand's force pulls at the handle, behind the actuators. What starts with a velocity was
-    thrown by a blow at the handle; what starts displaced stood there, its actuators without force.
-
-    Args:
-        device: with its hands and actuators.
-        sample_time: T in s.
-        delay: in samples.
-        filters: estimator and filter in SI units.
-        stiffness: K in N/m, any shape; broadcasts with the four other arrays.
-        damping: B in N s/m.
-        samples: how many samples to simulate.
-        force: a step in N.
-        initial_velocity: in m/s.
-        initial_position: in m.
-        between: how many equidistant points to return between two samples.
-        unilateral: whether the wall acts only while the sampled position is positive.
-
-    Raises:
-        ValueError: an argument is infinite or NaN, nothing moves the device, a count is too small,
-            a blow cannot throw the device, or it does not give way to a constant force.
-        RuntimeError: JAX arrays are given without x64.
+    ``delay`` is in samples. The hand's force pulls at the handle, behind the actuators. A device
+    with an initial velocity was thrown by a blow at the handle; one with an initial position was at
+    rest there, its actuators without force. ValueError also if a blow cannot throw the device, or
+    it has zero DC gain.
     """
     require_x64(stiffness, damping, force, initial_velocity, initial_position)
     checked_count("samples", samples, 1)
@@ -414,11 +391,11 @@ def simulate_device(
 def propagator(
     gamma: Numbers, delta: Numbers, fraction: Numbers, offsets: Numbers
 ) -> Float64[Array, "*grid offset 2 5"]:
-    """Return position and velocity (rows) at times in [0, 1] after a sample.
+    """Position and velocity (rows) at times in [0, 1] after a sample.
 
     The columns: position and velocity at the sample, the force that acts up to ``fraction``, the
     force that acts from then on, and a force that acts all the time. Propagators of single loops
-    are remembered, because one loop is evaluated at many walls.
+    are cached, because one loop is evaluated at many walls.
     """
     gamma, delta, fraction, offsets = float_arrays(gamma, delta, fraction, offsets)
     loop = gamma, delta, fraction
@@ -533,11 +510,7 @@ POSITION, DIFFERENCE, VELOCITY, FORCE = range(4)  # the first entries of the sta
 
 
 def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
-    """Return the matrices of an estimator and a filter for a sampling period.
-
-    Raises:
-        TypeError: a filter is traced.
-    """
+    """The matrices of an estimator and a filter, concrete ones, for a sampling period."""
     if filters is None:
         return PLAIN
     if is_any_traced(filters):
@@ -562,14 +535,11 @@ def steps_of(
     remembered: Float64[np.ndarray, "memory known"],
     whole_delay: int,
 ) -> Matrices:
-    """Return the matrix of the next state (rows) from the state and the inputs (columns).
+    """The matrix of the next state (rows) from the state and the inputs (columns).
 
-    Args:
-        wall: the force that is computed, of position, difference, what is remembered, and inputs.
-        rows: the plant's states at the next sample, position first, of those at this one, of the
-            acting force, and of the one that arrives.
-        remembered: the next memory of the filters, from the same columns as the force.
-        whole_delay: of the force, in samples.
+    ``wall`` is the computed force, of position, difference, memory, and inputs; ``remembered`` the
+    next memory of the filters, from the same columns. ``rows`` are the plant's states at the next
+    sample, position first, of those at this one, of the acting force, and of the one that arrives.
     """
     states = rows.shape[1]
     plant = [POSITION, *range(VELOCITY, states + 1)]
@@ -711,21 +681,15 @@ def dominant_mode(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Oscillation:
-    """Return damping ratio and frequency of the slowest pole z = exp(s), in samples.
+    """Damping ratio and frequency of the slowest pole z = exp(s), in samples.
 
     The damping ratio is -Re s / |s|, the frequency |Im s| in rad per sample, at most pi. Near a
     double real pole the companion eigenvalues may split into a pair with a tiny frequency.
 
-    Args:
-        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
+    Args and Raises: see ``jaxstab.conventions``.
 
     Returns:
         Oscillation of arrays of the broadcast shape.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given without x64.
 
     Source: the poles of eq. (9); z = exp(s T).
 

@@ -157,10 +157,8 @@ class SettlingTime(Settling):
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> loop.settling_time(1000.0, 20.0)
-        Settling: 69 ms (settled)
-        >>> loop.settling_time(1e6, 20.0)
-        Settling: the loop is unstable and never settles
+        >>> loop.settling_time([1000.0, 1e6], 20.0).status.tolist()
+        [1, 2]
     """
 
     def __repr__(self) -> str:
@@ -186,7 +184,7 @@ def settling_samples(
 
     The answer is the first sample from which on every sampled position is within the tolerance. It
     is a whole number taken from the motion itself, unlike an estimate from the spectral radius. The
-    motion between samples is not looked at. There are two excitations:
+    motion between samples is not considered. There are two excitations:
 
     - "force": the hand begins to push with a constant force at sample 0, on a device at rest. The
       tolerance is level times the final displacement F/(K + k), with K P(1) for K if a position
@@ -197,22 +195,18 @@ def settling_samples(
       blow moves it at once, and the estimator sees that jump.
 
     Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
         level: the tolerance, between 0 and 1; 0.02 is the usual one.
         excitation: "force" or "impact".
         horizon: samples, rounded up to a power of two, after which a loop that is not proved to
             have settled is given up.
-        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         Settling with ``value`` in samples and ``status``, a SettlingStatus. That the loop stays
         settled is proved for the transition of one sample as float64 holds it; positions within
         about 1e-12 of the tolerance may be counted as inside or outside.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or the excitation is unknown.
-        TypeError: the delay or a filter is traced, or the horizon is not a whole number.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``; filters and the horizon must be concrete.
 
     Source: the loop of eqs. (1)-(5); 2 % settling is what later papers of the same authors use;
     lemmas M1 to M3 of docs/proofs.md.
@@ -278,23 +272,8 @@ def device_settling_samples(
 ) -> Settling:
     """Count the samples until a general device stays within a tolerance; ``settling_samples``.
 
-    The force is the hand's, at the handle, and so is the blow of an impact: behind the actuators.
-
-    Args:
-        device: with its hands and actuators.
-        sample_time: T in s.
-        delay: in samples.
-        filters: estimator and filter in SI units.
-        stiffness, damping: see ``jaxstab.conventions``.
-        level: the tolerance, between 0 and 1.
-        excitation: "force" or "impact".
-        horizon: samples after which a loop that is not proved to have settled is given up.
-
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, the excitation is unknown, or
-            the device does not give way to a constant force.
-        TypeError: a filter is traced, or the horizon is not a whole number.
-        RuntimeError: JAX arrays are given without x64.
+    ``delay`` is in samples, all else in SI units. The hand's force and the blow of an impact act at
+    the handle, behind the actuators. ValueError also if the device has zero DC gain.
     """
     require_x64(stiffness, damping)
     level = checked_level(level, excitation)
@@ -334,11 +313,7 @@ def _settled(first: Array, is_unstable: Array) -> Settling:
 
 
 def checked_level(level: Any, excitation: str) -> float:
-    """Return the level; refuse what is no level or no excitation.
-
-    Raises:
-        ValueError: one of them is not allowed.
-    """
+    """The level; ValueError for a bad level or excitation."""
     checked_word("excitation", excitation, get_args(Excitation))
     level = checked_number("level", level, 0.0, 1.0, is_open=True)
     if level == 1.0:
@@ -378,7 +353,7 @@ class _Search(NamedTuple):
         )
 
     def looked_at(self, level: float, is_impact: bool) -> "_Search":
-        """Return the search after a look at the positions in the second half.
+        """The search after the positions in the second half were examined.
 
         A position outside the tolerance may turn out to be inside after a larger one is found. That
         larger position is itself outside and comes later, so the last position outside stays right.

@@ -283,8 +283,9 @@ def _distance(root: Array, loop: Loop, *, degree: int) -> Array:
 def _distance_to_root(t: Complex, radius: Array, loop: Loop, degree: int) -> Array:
     """Return n |p/p'|, raised by what rounding may have changed.
 
-    Each product of complex numbers loses at most 3 ulp, z^(n-2) therefore 4 (n - 2), and what it is
-    multiplied with and added to less than 30 ulp of the same terms taken without their signs.
+    Each product of complex numbers errs by at most 3 ulp, z^(n-2) therefore by 4 (n - 2), and what
+    it is multiplied with and added to by less than 30 ulp of the same terms taken without their
+    signs.
     """
     xp = namespace(t, loop)
     value, slope = evaluated(t, loop, degree)
@@ -487,12 +488,9 @@ class _Try(NamedTuple):
 
 
 def fast_radius(parameters: list[Values], shape: tuple[int, ...], delay: float) -> Answer:
-    """Return value and error of the spectral radius, by XLA; the error is inf if nothing is proved.
+    """Value and error of the spectral radius, by XLA; the error is inf if nothing is proved.
 
-    Args:
-        parameters: alpha, beta, gamma, delta, checked, of shapes that broadcast to ``shape``.
-        shape: of the grid.
-        delay: in samples, at most LONGEST_DELAY.
+    ``parameters`` are alpha, beta, gamma, delta, checked; the delay is at most LONGEST_DELAY.
     """
     value, error = np.empty(shape), np.empty(shape)
     first, *others = _tries(delay)

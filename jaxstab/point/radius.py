@@ -97,11 +97,9 @@ _STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds tha
 
 
 def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
-    """Return bounds of the errors of radii, infinite where even 2^-6 of the radius is not proved.
+    """Bounds of the errors of radii > 0, infinite where even 2^-6 of the radius is not proved.
 
-    Args:
-        codes: gives the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).
-        radius: the estimates, > 0.
+    ``codes`` returns the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).
     """
     xp = namespace(radius)
     steps = xp.asarray(_STEPS)
@@ -137,16 +135,7 @@ Values = np.ndarray[Any, np.dtype[Any]]
 
 
 def linear_radius(alpha: Values, beta: Values, loop: LinearLoop) -> tuple[Values, Values]:
-    """Return the spectral radii of walls of one loop and bounds of their errors.
-
-    Args:
-        alpha: float64, any shape; it broadcasts with beta and with the loop.
-        beta: likewise.
-        loop: what base + alpha stiffness + beta damping is.
-
-    Returns:
-        Radii and bounds, which are infinite where none holds.
-    """
+    """Spectral radii of walls of one loop and bounds of their errors, infinite where none holds."""
     shape = np.broadcast_shapes(*(np.shape(leaf) for leaf in leaves((alpha, beta, loop))))
     every = np.arange(prod(shape))
     value, error = _listed_radii((alpha, beta, loop), shape, every)
@@ -217,11 +206,8 @@ def _columns(coefficients: DoubleDouble) -> list[DoubleDouble]:
 def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, unit: float) -> Array:
     """Prove how far spectral radii can be from the true ones; infinite where 2^-6 of them is more.
 
-    Args:
-        coefficients: of monic polynomials, on the first axis, highest power first.
-        error: bound of the sum of their errors.
-        radius: the estimate, > 0.
-        unit: roundoff of the coefficients' numbers.
+    ``coefficients`` are those of monic polynomials, on the first axis, highest power first;
+    ``error`` bounds the sum of their errors, and ``unit`` is the roundoff of their numbers.
     """
     xp = namespace(coefficients, error, radius)
     both = tree_map(lambda values: xp.stack([values, values], axis=1), coefficients)
@@ -262,23 +248,15 @@ def radius_error(
     radius: Float64[Array, "*grid"],
     coefficient_error: float = 2.0 * UNIT,
 ) -> Float64[Array, "*grid"]:
-    """Prove how far a spectral radius can be from the true one.
+    """Prove how far a spectral radius > 0 can be from the true one.
 
     Bounds from a ladder of ratio 4 are tried, so the result is up to 4 times larger than the
-    smallest bound that could be proved, and never smaller than the true error.
+    smallest bound that could be proved, and never smaller than the true error. It is inf if even
+    2^-6 radius cannot be proved, as when coefficients other than the first three and the last four
+    are not zero.
 
-    Args:
-        coefficients: monic p(z) of degree >= 3, highest power first, as characteristic_polynomial
-            gives them for one delay.
-        radius: the estimate, > 0.
-        coefficient_error: relative uncertainty of each coefficient.
-
-    Returns:
-        The absolute error; inf if even 2^-6 radius cannot be proved, as when coefficients other
-        than the first three and the last four are not zero.
-
-    Raises:
-        ValueError: the degree is below 3.
+    ``coefficients`` are those of ``characteristic_polynomial`` for one delay, of degree >= 3, and
+    ``coefficient_error`` their relative uncertainty.
     """
     degree = coefficients.shape[-1] - 1
     if degree < 3:
@@ -400,15 +378,14 @@ def spectral_radius(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> SpectralRadius:
-    """Return the largest modulus of a closed-loop pole with a proved error bound.
+    """The largest modulus of a closed-loop pole with a proved error bound.
 
     Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
         method: "fast" finds and proves the dominant root, without eigenvalues for many points of
             one delay up to 64, by XLA; "companion" takes the companion matrix and a ladder of
             verdicts for all. Inside jit, vmap and grad, and with filters, it is always the
             companion matrix.
-        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         SpectralRadius of arrays of the broadcast shape, in JAX if an argument is: ``value``;
@@ -418,11 +395,7 @@ def spectral_radius(
         all digits of N(z) are known. The derivative of ``value`` is that of the dominant root by
         the implicit function theorem; it is infinite or NaN where that root is multiple.
 
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN, or the method is
-            unknown.
-        TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Source: eq. (9); sec. V of the paper for its use.
 
@@ -454,13 +427,7 @@ def spectral_radius(
 
 
 def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
-    """Return the spectral radii of walls of one loop, with any device, estimator and filter.
-
-    Args:
-        alpha: float64, any shape; it broadcasts with beta and with the loop.
-        beta: likewise.
-        loop: what base + alpha stiffness + beta damping is; walls and loops may be traced.
-    """
+    """Spectral radii of walls of one loop, of any device and filters; both may be traced."""
     if is_any_traced(alpha, beta, loop):
         both = _traced_radius_of(loop_polynomial(alpha, beta, loop), traced_radius_error)
     else:
@@ -571,11 +538,7 @@ def _with_status(value: Array, error: Array) -> SpectralRadius:
 def are_inside(
     coefficients: Float64[np.ndarray, "coefficient *grid"], radius: Float64[np.ndarray, "..."]
 ) -> Bool[np.ndarray, "*grid"]:
-    """Return where all roots of monic polynomials seem to be in the circle of a radius.
-
-    Args:
-        coefficients: highest power first.
-        radius: broadcasts with the grid.
+    """Where all roots of monic polynomials, highest power first, seem to be within a radius.
 
     Source: Schur-Cohn criterion (Jury 1964) for p(r z).
     """

@@ -258,7 +258,7 @@ def polynomial_codes(
     unit: float,
     degree: int,
 ) -> Array:
-    """Return the codes of monic polynomials.
+    """The codes of monic polynomials of degree >= 3.
 
     Args:
         coefficients: on the first axis, highest power first; either all of them, or an odd number,
@@ -266,7 +266,7 @@ def polynomial_codes(
         error: bound of the sum of their errors.
         ends: p(1) and (-1)^n p(-1) up to positive factors, each with a bound of its error.
         unit: roundoff of the numbers.
-        degree: of the polynomials, at least 3.
+        degree: of the polynomials.
     """
     xp = namespace(coefficients, error, ends)
     shape = error.shape

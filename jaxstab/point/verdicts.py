@@ -119,14 +119,7 @@ _LOOP_PAIRS = 1 << 11  # points at once in double-double
 
 
 def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "*grid"]:
-    """Return the codes of walls of one loop: float64 before pairs.
-
-    Args:
-        alpha: float64, any shape; it broadcasts with beta and with the loop.
-        beta: likewise.
-        loop: what base + alpha stiffness + beta damping is. Traced walls and loops are answered in
-            float64 alone.
-    """
+    """The codes of walls of one loop: float64 before pairs, or float64 alone if JAX traces them."""
     degree, loop = loop.degree, without_zeros(loop)
     if is_any_traced(alpha, beta, loop):
         return _loop_float_codes(alpha, beta, rounded_loop(loop), degree=degree)
@@ -200,16 +193,10 @@ _PER_DEGREE = 8.0  # roundings of a complex product, of the sum, and of a coeffi
 def have_outer_root(
     coefficients: Float64[np.ndarray, "point coefficient"],
 ) -> Bool[np.ndarray, " point"]:
-    """Prove for polynomials that not all of their roots lie inside the unit circle.
+    """Where not all roots of polynomials are inside the unit circle, proved; False says nothing.
 
+    ``coefficients`` are monic, highest power first, each within two roundings of the true one.
     Polynomials with a root at 1 or -1 up to rounding, as on whole lines of walls, are not tried.
-
-    Args:
-        coefficients: monic, highest power first, each within two roundings of the true one.
-
-    Returns:
-        True where a root is proved to be outside; False says nothing.
-
     Source: Laguerre's bound for the distance to the nearest root.
     """
     alternating = (-1.0) ** np.arange(coefficients.shape[-1])
@@ -413,29 +400,22 @@ def verdict(
     """Prove for every point whether all roots of p(z) lie inside the unit circle.
 
     STABLE and UNSTABLE are proofs: the rounding of plant, coefficients and recursion is bounded.
-    Points too close to the boundary are UNDECIDED, and so are points exactly on it, such as
-    alpha = -gamma. UNSTABLE means at least one root outside or on the circle.
+    Points too close to the boundary are UNDECIDED, and so are points exactly on it, such as alpha =
+    -gamma. UNSTABLE means at least one root outside or on the circle.
 
     Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
         resolve: "exact" repeats the recursion in double-double where float64 leaves a point
             UNDECIDED, and then looks for a root that is certainly outside; all arguments must be
-            concrete, as for an array of delays.
-        velocity: the velocity estimator in units of one sample; None for the difference over one
-            sample, the wall of the paper.
-        position: the position filter in units of one sample; None for none. With an estimator or a
-            filter double-double is tried wherever float64 leaves a point UNDECIDED.
+            concrete, as for an array of delays. With an estimator or a filter double-double is
+            always tried.
 
     Returns:
         int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED; in JAX if an
         argument is. The int8 of one point prints its name. Plants are computed once for
-        each (gamma, delta, delay): give grids as arrays that broadcast. NumPy grids of 32,768
-        points and more go through XLA.
+        each (gamma, delta, delay): give grids as arrays that broadcast.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or resolve is unknown.
-        TypeError: the delay is traced, or an array of delays or ``resolve`` meets traced arguments.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``; ValueError also for an unknown ``resolve``.
 
     Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
 

@@ -98,7 +98,7 @@ def minimize_radius_damping(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
-    """Return the damping beta with the smallest spectral radius for a given stiffness alpha.
+    """The damping beta with the smallest spectral radius for a given stiffness alpha.
 
     It is found by a scan over both signs and nine decades of beta, which zooms in on its best
     point. If two real poles meet there, beta is right to about 1e-14 and the radius to about 1e-8.
@@ -106,17 +106,10 @@ def minimize_radius_damping(
     gains; if that has no gains of this stiffness, the best one of an island, and the status says
     so.
 
-    Args:
-        alpha: wall stiffness K T^2/m, one number, like all arguments.
-        gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
+    Args and Raises: see ``jaxstab.conventions``; all are single numbers.
 
     Returns:
         OptimalGains of single numbers, ``value`` the radius.
-
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN.
-        TypeError: an argument is not one number.
-        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9).
 
@@ -161,27 +154,22 @@ def minimize_settling(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
-    """Return the gains that settle after the fewest samples.
+    """The gains that settle after the fewest samples, for one slice.
 
     Many gains settle equally fast; those with the smallest deviation from then on are returned. The
     search covers all stable gains around those of the smallest radius with a grid and zooms in;
     with an estimator or a filter it stays in the component in which that radius was found.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], one number, like all arguments.
-        delta, delay: see ``jaxstab.conventions``.
+        gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
         level: half width of the band, between 0 and 1.
         alpha: wall stiffness K T^2/m if it is given; only beta is then chosen.
         excitation: "force" or "impact", see ``settling_samples``.
-        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         OptimalGains of single numbers, ``value`` in samples, as ``settling_samples`` proves it.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
-        TypeError: an argument is not one number.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Source: the loop of eqs. (1)-(5); settling as in later papers of the same authors.
 

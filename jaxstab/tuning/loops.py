@@ -94,10 +94,9 @@ class DeviceLoop(NamedTuple):
 
     @classmethod
     def of(cls, device: SampledDevice, filters: Filters | None) -> "DeviceLoop":
-        """Return a loop whose search covers the component of small gains, if there is one.
+        """A loop whose search covers the component of small gains, if there is one.
 
-        Raises:
-            ValueError: the device does not give way to a constant force.
+        ValueError: the device has zero DC gain.
         """
         return cls(device, filters, _device_walls(device, filters).component)
 

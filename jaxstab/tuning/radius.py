@@ -500,7 +500,7 @@ def minimize_radius(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
-    """Return the gains (alpha, beta) with the smallest spectral radius: the fastest decay.
+    """The gains (alpha, beta) with the smallest spectral radius: the fastest decay.
 
     In the haptic range the best gains make a triple real pole; with a stiff hand and a delay, a
     double complex pair. Both are solved for to full precision. The best alpha may be negative if
@@ -512,9 +512,8 @@ def minimize_radius(
     islands, and the status says so.
 
     Args:
-        gamma, delta: see ``jaxstab.conventions``.
-        delay: time delay t_d/T >= 0 in samples, one number.
-        velocity, position: see ``jaxstab.conventions``.
+        gamma, delta, velocity, position: see ``jaxstab.conventions``.
+        delay: time delay t_d/T >= 0 in samples, one concrete number; filters are concrete, too.
 
     Returns:
         OptimalGains of the broadcast shape. ``value`` is the radius at the exact multiple root: at
@@ -522,10 +521,7 @@ def minimize_radius(
         within 1e-2. Differentiable once in gamma and delta where the status is TRIPLE_ROOT or
         DOUBLE_PAIR; elsewhere the derivative is NaN.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced or an array, or a filter is traced.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Source: eq. (9) for the poles; the theorem of Blondel et al. (2012), IEEE TAC 57(12).
 
