@@ -51,22 +51,12 @@ def tolerant_nodes(
     delays: Sequence[float],
     filters: Filters | None,
 ) -> Float64[np.ndarray, " node"]:
-    """Return nodes between which the boundary of the stable set moves by the tolerance at most.
+    """Nodes between which the boundary of the stable set moves by the tolerance at most.
 
     The motion is that of the boundary's points at a fixed angle of the roots on the circle, and for
     a real root at a fixed beta, in units of the set's extents. It is added up over even steps along
-    the axis, and the nodes share it equally.
-
-    Args:
-        axis: its ends and the tolerance.
-        name: "gamma" or "delta".
-        across: values of the other one of the two.
-        delays: time delays t_d/T.
-        filters: velocity estimator and position filter.
-
-    Raises:
-        ValueError: nowhere along the axis a loop is stable, a region is unresolved, or a parameter
-            is too large.
+    the axis, and the nodes share it equally. ``across`` are values of the other one of gamma,
+    delta.
     """
     values = np.linspace(axis.start, axis.stop, _PROBES)
     moved = np.zeros(_PROBES - 1)
@@ -84,11 +74,7 @@ def tolerant_nodes(
 
 
 def known_region(gamma: float, delta: float, delay: float, filters: Filters | None) -> StableRegion:
-    """Return the stable region of a slice, which may be empty.
-
-    Raises:
-        ValueError: it is unresolved, or a parameter is too large for the model.
-    """
+    """The stable region of a slice, which may be empty; ValueError where it is unresolved."""
     region = stable_region(
         gamma=gamma, delta=delta, delay=delay, tolerance=_FINENESS, **as_keywords(filters)
     )
@@ -199,13 +185,9 @@ class Grid:
         return np.stack([nodes, nodes] if nodes.size == 1 else [nodes[:-1], nodes[1:]], axis=-1)
 
     def slice_at(self, delay: float, gamma: float, delta: float, boxes: int = 1) -> "Grid":
-        """Return the part with one delay and one box of hands, or its first hand alone.
+        """The part with one delay and one box of (gamma, delta), or one pair if ``boxes`` is 0.
 
-        Args:
-            delay: where it is among the delays, from 0 to 1.
-            gamma: where the box is along gamma, likewise.
-            delta: where it is along delta.
-            boxes: 1, or 0 for one hand.
+        ``delay``, ``gamma`` and ``delta`` say where the part is along the axes, from 0 to 1.
         """
         first, second = (
             _index(np.diff(nodes), share)
@@ -231,12 +213,7 @@ class Grid:
     ) -> tuple[int, Float64[np.ndarray, "1 6"]]:
         """Return how many cells along beta a part has, and its row of delays, alpha and beta.
 
-        Args:
-            rows: of all cells of delays.
-            delay: where the row is among them, from 0 to 1.
-            cells: along beta, in each row.
-            most: of these in a part.
-            beta: where the part is along beta, from 0 to 1.
+        ``delay`` and ``beta`` say where the part is, from 0 to 1; ``most`` limits its cells.
         """
         row = rows[_index(np.diff(rows[:, :2])[:, 0], delay)]
         runs = -(-cells // most)
@@ -259,12 +236,7 @@ def _index(widths: Float64[np.ndarray, " cell"], share: float) -> int:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far the stable regions of the hands of an atlas reach, at some delays.
-
-    Attributes:
-        delay: ascending.
-        ends: the largest alpha, the lowest and the highest beta at each of them.
-    """
+    """The largest alpha, the lowest and highest beta (``ends``) of the regions, by delay."""
 
     delay: Float64[np.ndarray, " delay"]
     ends: Float64[np.ndarray, "delay 3"]
@@ -275,12 +247,7 @@ class Reach:
 
 
 def reach_of(spec: AtlasSpec) -> Reach:
-    """Return how far the regions of the hands at the corners reach: fewer than an axis looks at.
-
-    Raises:
-        ValueError: at some delay no loop is stable, or a region is unresolved; or a parameter is
-            too large for the model.
-    """
+    """The reach of the regions at the corners of gamma and delta: fewer than an axis looks at."""
     corners = (np.array(ends_of(getattr(spec, name))) for name in ("gamma", "delta"))
     gamma, delta = corners
     delays = np.array(spec.delay)
@@ -296,15 +263,10 @@ def ends_of(axis: Nodes | ToleranceAxis) -> tuple[float, ...]:
 
 
 def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
-    """Return the nodes of a specification, with the fitted axes laid around each stable region.
+    """The nodes of a specification, with the fitted axes laid around each stable region.
 
-    Args:
-        spec: the specification.
-        reach: how far the regions reach, where that is known, so that no region is looked at.
-
-    Raises:
-        ValueError: an axis is fitted to a stable region, or given by a tolerance, and the region is
-            empty or unresolved; a parameter is too large for the model; or the grid is too large.
+    With a ``reach`` no region is computed. ValueError: an axis is fitted to a stable region, or
+    given by a tolerance, and the region is empty or unresolved; or the grid is too large.
     """
     gamma, delta = (plant_axis(spec, name) for name in ("gamma", "delta"))
     delay = np.array(spec.delay)
@@ -544,11 +506,7 @@ WALLS, HANDS, OF_LIMITS = ("alpha", "beta"), ("gamma", "delta"), ("limit_cells",
 
 
 def with_known_nodes(spec: AtlasSpec) -> AtlasSpec:
-    """Return a specification whose axes by tolerance are nodes.
-
-    Raises:
-        ValueError: as ``jaxstab.plan_atlas`` for such an axis.
-    """
+    """A specification whose axes by tolerance are nodes."""
     return replace(spec, **{name: plant_axis(spec, name).tolist() for name in HANDS})
 
 
@@ -568,11 +526,7 @@ def is_fixed(spec: AtlasSpec, name: str) -> bool:
 
 
 def with_counts(spec: AtlasSpec, counts: Counts) -> AtlasSpec:
-    """Return a specification of the same range with other counts; nodes stay as dense as they were.
-
-    Raises:
-        ValueError: the atlas would be too large.
-    """
+    """A specification of the same range with other counts; nodes stay as dense as they were."""
     now = counts_of(spec)
     changed: dict[str, Any] = {}
     for name in (name for name in counts if counts[name] != now[name]):

@@ -37,14 +37,9 @@ class Tile(NamedTuple):
 
 
 class Share(NamedTuple):
-    """How many of the requested points are evaluated, and why the others need not be.
+    """How many of the requested points of a variable are evaluated, and why the others need not be.
 
-    Attributes:
-        variable: the requested variable, by its name in the file.
-        asked: number of requested points.
-        evaluated: number of evaluated points.
-        reason: why the others are not evaluated.
-        is_estimated: whether the number of evaluated points is an estimate.
+    ``is_estimated`` tells whether the number of evaluated points is an estimate.
     """
 
     variable: str
@@ -64,7 +59,7 @@ class Share(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """The work that a specification asks for; printed, it gives the amount and what is left out.
+    """The work that a specification needs; printed, it gives the amount and what is left out.
 
     ``plan_atlas`` makes one. A product is computed variable by variable, on the nodes of the grid
     or in its cells; nothing is computed for a product that was not chosen.
@@ -74,9 +69,9 @@ class Plan:
         grid: the nodes.
 
     Example:
-        >>> plan = jaxstab.plan_atlas(jaxstab.AtlasSpec(delay=(1.0,)))
-        >>> len(plan.tiles)
-        3
+        >>> plan = jaxstab.plan_atlas(jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",)))
+        >>> len(plan.tiles), [share.variable for share in plan.shares()]
+        (3, ['alpha_limits'])
     """
 
     spec: AtlasSpec
@@ -156,15 +151,7 @@ class Plan:
         return HandBoxes(*ends.mean(axis=-1).T, *half.T)
 
     def shares(self) -> list[Share]:
-        """Return for each variable how much of it is evaluated.
-
-        The boundary is looked at in two slices of each delay for this.
-
-        Example:
-            >>> spec = jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",))
-            >>> [share.variable for share in jaxstab.plan_atlas(spec).shares()]
-            ['alpha_limits']
-        """
+        """The evaluated share of each variable, estimated from two slices of each delay."""
         chosen = (PRODUCTS[product] for product in self.spec.products)
         return [product.share(self, name) for product in chosen for name in product.gridded]
 
@@ -191,7 +178,7 @@ class Plan:
 
 
 def plan_atlas(spec: AtlasSpec) -> Plan:
-    """Decide what to compute for a specification; ``print`` it to see.
+    """The work that a specification needs; ``print`` it to see.
 
     Raises:
         ValueError: a parameter is too large for the model, an axis cannot be fitted, or the grid or
@@ -211,11 +198,7 @@ def plan_atlas(spec: AtlasSpec) -> Plan:
 
 
 def compute_tile(plan: Plan, tile: Tile) -> dict[str, NDArray[Any]]:
-    """Return what the chosen products hold in a tile, each array of the shape ``plan.shape``.
-
-    Raises:
-        ValueError: a parameter is too large for the model.
-    """
+    """What the chosen products hold in a tile, each array of the shape ``plan.shape``."""
     arrays: dict[str, NDArray[Any]] = {}
     for product in plan.spec.products:
         arrays |= PRODUCTS[product].compute(plan, tile)

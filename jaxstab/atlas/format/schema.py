@@ -146,16 +146,7 @@ _BLOCK = 2**18  # bytes, which stay in the cache
 
 
 def footer_of(stream: io.FileIO | io.BytesIO, length: int, image_size: int) -> bytes:
-    """Return the footer of what is in the first bytes of a stream.
-
-    Args:
-        stream: of a file.
-        length: how many bytes.
-        image_size: how many of them are the HDF5 image.
-
-    Raises:
-        OSError: the stream is shorter, or cannot be read.
-    """
+    """The footer of the first ``length`` bytes of a stream; OSError if the stream is shorter."""
     stream.seek(0)
     digest, rest, block = hashlib.sha256(), length, memoryview(bytearray(_BLOCK))
     while rest:

@@ -55,11 +55,7 @@ DAMAGED = "is damaged, or no jaxstab atlas; build it again or copy it anew."
 
 
 def check(condition: object) -> None:
-    """Refuse a file that is not as the schema says.
-
-    Raises:
-        RefusalError: the condition does not hold.
-    """
+    """Raise RefusalError, a file is not as the schema says, unless the condition holds."""
     if not condition:
         raise RefusalError(DAMAGED)
 
@@ -92,14 +88,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Table:
-    """What a file holds: its variables by name, and what its head says.
-
-    Attributes:
-        variables: by name.
-        created_by: who made it.
-        filters: velocity estimator and position filter, in words.
-        content_digest: of the values.
-    """
+    """The contents of a file: its variables by name, and what its head says."""
 
     variables: Mapping[str, Stored]
     created_by: str
@@ -133,15 +122,7 @@ def table_text(
 
 
 def read_table(text: bytes, image_size: int) -> Table:
-    """Return the table of a file after a look at all that it promises.
-
-    Args:
-        text: the bytes between image and footer.
-        image_size: in bytes.
-
-    Raises:
-        RefusalError: it is not as the schema says, or of another version of it.
-    """
+    """The table of a file, checked, from the bytes between image and footer."""
     _check_version(text)
     check(text.isascii() and text.endswith(b"\n") and text.count(b"\n") <= _MOST_LINES)
     blocks = text.decode("ascii")[:-1].split("\n\n")

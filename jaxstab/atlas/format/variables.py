@@ -31,13 +31,9 @@ CODES: Final = (min(FLAG_VALUES), max(FLAG_VALUES))
 
 @dataclass(frozen=True)
 class Variable:
-    """One dataset: its type, its dimensions (itself for an axis) and what its numbers mean.
+    """One dataset: its type, its dimensions (itself for an axis), what it means and its range.
 
-    Attributes:
-        lowest: that its values may be.
-        highest: likewise.
-        has_nan: whether NaN has a meaning.
-        packed: whether its chunks are compressed although they are not over nodes or their cells.
+    ``packed`` chunks are compressed although they are not over nodes or their cells.
     """
 
     name: str

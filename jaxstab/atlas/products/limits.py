@@ -169,11 +169,9 @@ _EVALUATION = 1e-14  # of the terms of a limit, for those who add them up
 
 
 def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDArray[np.float32]:
-    """Round the terms of limits to float32, and their errors up by what that changes.
+    """Round the terms of limits (``columns.TERMS``) to float32, and their errors up accordingly.
 
-    Args:
-        terms: of one limit, as ``jaxstab.proofs.columns.TERMS`` has them.
-        largest: the largest |beta|, gamma, delta and delay for which they are asked.
+    ``largest`` are the largest |beta|, gamma, delta and delay at which they are evaluated.
     """
     exact, error = terms[..., :-1], terms[..., -1]
     *others, delay = largest
@@ -200,12 +198,7 @@ _MOST_STEPS = 2**12
 
 
 class DelayCells:
-    """The cells of all delays, ascending.
-
-    Args:
-        ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells.
-        whole: (delay_cell,), which axes hold the whole stable set (``LIMIT_WHOLE``).
-    """
+    """The cells of all delays, ascending; arguments as ``LimitTable``."""
 
     def __init__(self, ends: Floats, whole: NDArray[np.int32]) -> None:
         self._whole = whole
@@ -291,14 +284,10 @@ _PART = 2**16  # points: enough for what a call of NumPy costs, and few for the 
 def in_parts(
     answers: Callable[..., Sequence[Array]], points: Sequence[Array], *dtypes: type
 ) -> list[Array]:
-    """Return what a function answers for points of any broadcast shape.
+    """Values of a function at points of any broadcast shape, computed part by part.
 
-    Args:
-        answers: takes as many arrays of one length as there are in ``points``, as float64, and
-            returns an array for each of ``dtypes``.
-        points: real numbers; what is not float64 is converted, and what is broadcast is repeated,
-            part by part as well.
-        dtypes: of the answers.
+    ``answers`` takes as many float64 arrays of one length as there are ``points``, and returns an
+    array for each of ``dtypes``. Conversion and broadcasting are done part by part as well.
     """
     asked = len(points)
     operands: Any = [*points, *(None for _ in dtypes)]
@@ -376,12 +365,8 @@ def deciding_alphas(
 
     Above the first, which is above all that the lower limit leaves open in the column, that is the
     upper limit; below the second, which is below all that the upper one leaves open, the lower. Of
-    a column without a stable alpha the lower limit says so: there it is infinite.
-
-    Args:
-        columns: (column, 20), those of a grid of cells of beta, gamma, delta and delay.
-        middles: of the cells along the four, broadcast to the grid.
-        halves: half of the widths of the cells, likewise.
+    a column without a stable alpha the lower limit says so: there it is infinite. ``middles`` and
+    ``halves`` are those of the cells along beta, gamma, delta and delay, broadcast to the grid.
     """
     shape = np.broadcast_shapes(*(middle.shape for middle in middles))
     numbers = np.arange(len(columns), dtype=np.float64).reshape(shape)
@@ -431,14 +416,14 @@ class AlphaLimits(NamedTuple):
 
     Of the alphas of the atlas every one from ``lower + lower_error`` to ``upper - upper_error`` is
     stable, and every one below ``lower - lower_error`` or above ``upper + upper_error`` unstable.
-    Where none is stable both are NaN with an error of 0; an infinite limit is beyond the atlas,
-    and with an infinite error nothing is known.
+    Where none is stable both are NaN with an error of 0; an infinite limit is beyond the atlas, and
+    with an infinite error nothing is known.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> limits = atlas.alpha_limits(0.3, gamma=0.0005, delta=0.01, delay=1.0)
-        >>> print(f"up to {limits.upper:.6f}, wrong by less than {limits.upper_error:.0e}")
-        up to 0.136525, wrong by less than 7e-04
+        >>> print(f"up to {limits.upper:.6f} +/- {limits.upper_error:.0e}")
+        up to 0.136525 +/- 7e-04
     """
 
     lower: Floats
@@ -448,9 +433,9 @@ class AlphaLimits(NamedTuple):
 
 
 class MaxAlpha(NamedTuple):
-    """The largest stable alpha of hands, by proofs; NaN where none is proved stable.
+    """The largest stable alpha of a slice, by proofs; NaN where none is proved stable.
 
-    A hand is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha above
+    The loop is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha above
     ``bound`` and no beta of the atlas. Where the stable set may go on beyond the atlas, across its
     largest alpha or an end of beta, ``bound`` is infinite.
 
@@ -475,7 +460,7 @@ class LimitTable:
             of the lower and then of the upper limit.
         ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells; those
             along beta are even.
-        whole: (delay_cell,), which axes hold the whole stable set.
+        whole: (delay_cell,), which axes hold the whole stable set (``LIMIT_WHOLE``).
         gamma: nodes of gamma, one or ascending.
         delta: nodes of delta, one or ascending.
     """
@@ -524,11 +509,7 @@ class LimitTable:
         )
 
     def verdicts(self, points: Sequence[NDArray[Any]]) -> NDArray[np.int8]:
-        """Return the codes of points, real numbers of any kind and any broadcast shape.
-
-        Raises:
-            OutsideError: a point is outside of the table, or NaN.
-        """
+        """The codes of points of any broadcast shape; OutsideError for a point outside, or NaN."""
         is_large = np.broadcast(*points).size >= len(self._columns)
         deciding = self._deciding if is_large else None  # for few it takes longer than they do
         return in_parts(partial(self._verdicts, deciding), points, np.int8)[0]
@@ -609,10 +590,7 @@ class LimitTable:
         return within(self.limits(beta, gamma, delta, delay), *ends)
 
     def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
-        """Return the surfaces at points inside of the table, which hold for its alphas alone.
-
-        Both are infinite where none is stable.
-        """
+        """The limits at points of the table, for its alphas; infinite where none is stable."""
         return AlphaLimits(*in_parts(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
 
     def _limits_of(self, *point: Floats) -> Sequence[Floats]:

@@ -51,13 +51,9 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True)
 class Stored:
-    """A file under verification.
+    """A file under verification: its datasets by name, its filters as keywords, and the sample.
 
-    Attributes:
-        datasets: variables of HDF5 by name, and the axes as arrays.
-        filters: velocity estimator and position filter, as keywords.
-        sample: about how many points are computed again.
-        chance: of the sample.
+    ``sample`` is about how many points are computed again, ``chance`` chooses them.
     """
 
     datasets: Mapping[str, Any]

@@ -264,12 +264,10 @@ _ROUNDING_OF_ROOTS = 1e-14
 
 
 def radius_bounds(kind: NDArray[Any], values: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    """Return the lowest and the highest radius of points.
+    """The lowest and the highest radius of points.
 
-    Args:
-        kind: of the cell of each point.
-        values: of the functions of the cell, (3, point).
-        errors: of the first two functions, (2, point).
+    ``kind`` is that of the cell of each point, ``values`` (3, point) those of its functions, and
+    ``errors`` (2, point) bound the errors of the first two.
     """
     low, high = np.zeros(kind.size), np.full(kind.size, np.inf)
     below, above = values[:2] - errors, values[:2] + errors
@@ -329,12 +327,9 @@ def _farthest(slope: Floats, constant: Floats) -> Floats:
 
 
 def _component(near: Floats, far: Floats, loss: Floats) -> Floats:
-    """Bound the distance from a root of a cubic within its component of |cubic| <= loss.
+    """Bound the distance from a root of a cubic within its component of |cubic| <= loss, loss > 0.
 
-    Args:
-        near: distance to the nearest of the other two roots.
-        far: to the other one.
-        loss: more than 0.
+    ``near`` and ``far`` are the distances to the other two roots.
     """
     with np.errstate(all="ignore"):
         alone = 1.2 * loss / (near * far)
@@ -367,11 +362,7 @@ _FIRST, _SECOND = np.triu_indices(_AXES)
 
 
 class RadiusTable:
-    """Spectral radii of an atlas at any point.
-
-    Args:
-        arrays: of the atlas.
-    """
+    """Spectral radii of an atlas (its ``arrays``) at any point."""
 
     def __init__(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         kinds, terms = arrays[RADIUS_KIND], arrays[RADIUS_TERMS]
@@ -385,10 +376,9 @@ class RadiusTable:
         self._hands = [(float(nodes[0]), float(nodes[-1])) for nodes in hands]
 
     def bounds(self, points: list[Floats]) -> tuple[Floats, Floats]:
-        """Return the lowest and the highest radius of points; 0 and infinity where none is known.
+        """The lowest and the highest radius at points (alpha, beta, gamma, delta, delay).
 
-        Args:
-            points: alpha, beta, gamma, delta and delay of each, inside of gamma and delta.
+        They are 0 and infinity where none is known; gamma and delta are inside of the atlas.
         """
         low, high = in_parts(self._bounds, points, float, float)
         return low, high

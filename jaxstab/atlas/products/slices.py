@@ -204,13 +204,7 @@ class Summaries(_BySlices):
 def slice_summaries(
     hands: Floats, delay: float, filters: "Filters | None" = None
 ) -> dict[str, Floats]:
-    """Return the variables of the product ``summary``.
-
-    Args:
-        hands: gamma and delta of each slice.
-        delay: time delay t_d/T of all of them.
-        filters: velocity estimator and position filter of all of them.
-    """
+    """The variables of the product ``summary`` for slices: ``hands`` are their gamma and delta."""
     from jaxstab.model.filters import as_keywords
     from jaxstab.tuning import minimize_radius
 
@@ -251,16 +245,16 @@ class AtlasOutline(NamedTuple):
 
     Attributes:
         points: (n, 2), alpha and beta counter-clockwise, the last one equal to the first.
-        branch: (n - 1,), what each piece is: 0 a pair of roots on the unit circle, 1 a root at
-            z = 1, 2 a root at z = -1; -1 between two loops.
+        branch: (n - 1,), what each piece is: 0 a pair of roots on the unit circle, 1 a root at z =
+            1, 2 a root at z = -1; -1 between two loops.
         corners: (m, 2), where two branches meet, to full precision.
         status: 0 complete, 1 the region is empty, 2 unresolved: do not use it.
 
     Example:
         >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
-        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
-        >>> spec = jaxstab.AtlasSpec(**hand, products=("outline",))
+        >>> axes = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
+        >>> spec = jaxstab.AtlasSpec(**axes, products=("outline",))
         >>> with TemporaryDirectory() as folder:
         ...     atlas = jaxstab.build_atlas(spec, Path(folder) / "outline.h5")
         >>> outline = atlas.outline(gamma=0.0, delta=0.01, delay=1.0)
@@ -277,11 +271,7 @@ class AtlasOutline(NamedTuple):
 def outline_at(
     arrays: Mapping[str, NDArray[Any]], gamma: float, delta: float, delay: float
 ) -> AtlasOutline:
-    """Return the outline at a node of gamma, delta and delay.
-
-    Raises:
-        ValueError: it is no node, or the atlas holds no outlines.
-    """
+    """The outline at a node of gamma, delta and delay; ValueError if it is no node, or has none."""
     if OUTLINE_SIZE not in arrays:
         raise ValueError("this atlas holds no outlines; build one with the product 'outline'.")
     given = {"gamma": gamma, "delta": delta, "delay": delay}

@@ -76,9 +76,8 @@ class LargestStiffness(NamedTuple):
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> loop = jaxstab.HapticLoop(
-        ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1.5e-3
-        ... )
+        >>> device = {"device_mass": 0.1, "device_damping": 1.0}
+        >>> loop = jaxstab.HapticLoop(**device, sample_time=1e-3, delay=1.5e-3)
         >>> largest = atlas.for_loop(loop).largest_stiffness()
         >>> print(f"{largest.stiffness:.0f} N/m, none above {largest.bound:.0f} N/m")
         9449 N/m, none above 9585 N/m
@@ -90,11 +89,11 @@ class LargestStiffness(NamedTuple):
 
 
 class LoopAtlas:
-    """What an atlas says about the walls of one loop, in SI units; ``Atlas.for_loop`` makes it.
+    """An atlas for the walls of one loop, in SI units; ``Atlas.for_loop`` makes it.
 
-    In all answers K is in N/m and B in N s/m (N m/rad and N m s/rad for a loop that turns). They
-    are proved for the dimensionless numbers of the loop, which are right to some roundings: gamma,
-    delta or a delay that is a node up to four of them is taken for the node.
+    K is in N/m and B in N s/m (N m/rad and N m s/rad for a rotational loop). Answers are proved for
+    the dimensionless numbers of the loop, which are right to some roundings: gamma, delta or a
+    delay that is a node up to four of them is taken for the node.
 
     Attributes:
         atlas: the atlas.
@@ -102,14 +101,17 @@ class LoopAtlas:
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> loop = jaxstab.HapticLoop(
-        ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
-        ... )
+        >>> device = {"device_mass": 0.1, "device_damping": 1.0}
+        >>> loop = jaxstab.HapticLoop(**device, sample_time=1e-3, delay=1e-3)
         >>> walls = atlas.for_loop(loop)
         >>> walls.verdict([5000.0, 18000.0], 30.0).tolist()
         [1, 2]
         >>> walls.stiffness_limits(30.0).round(-1).tolist()
         [0.0, 13600.0]
+        >>> jaxstab.results.QueryStatus(int(walls.query(5000.0, 30.0).status)).name
+        'CELL'
+        >>> round(walls.largest_stiffness().damping)
+        43
     """
 
     def __init__(self, atlas: "Atlas", loop: Any) -> None:
@@ -141,30 +143,9 @@ class LoopAtlas:
         *,
         exact: bool = False,
     ) -> AtlasAnswer:
-        """Answer for walls: verdicts, and radii where the atlas holds them; see ``Atlas.query``.
+        """Verdicts, and radii where the atlas holds them, of walls (K, B) of any broadcast shape.
 
-        Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
-            outside: as ``Atlas.query``.
-            exact: as ``Atlas.query``.
-
-        Raises:
-            TypeError: a gain is not made of real numbers.
-            ValueError: a gain is NaN or infinite or, unless ``outside`` is "undecided", outside of
-                the atlas.
-
-        Source: ``jaxstab.proofs.columns``; Table I.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
-            ... )
-            >>> answer = atlas.for_loop(loop).query(5000.0, 30.0)
-            >>> status = jaxstab.results.QueryStatus(int(answer.status))
-            >>> status.name, jaxstab.Verdict(answer.verdict).name
-            ('CELL', 'STABLE')
+        Other arguments, errors and source: as ``Atlas.query``.
         """
         wall = self._asked(stiffness, damping, outside)
         return self.atlas.query(*wall, **self._slice, outside=outside, exact=exact)
@@ -177,27 +158,25 @@ class LoopAtlas:
         *,
         exact: bool = False,
     ) -> NDArray[np.int8]:
-        """Return the verdicts of ``query`` alone, faster: int8 codes of ``jaxstab.Verdict``.
+        """The verdicts of ``query`` alone, faster: int8 codes of ``jaxstab.Verdict``.
 
-        Args, errors and source: as ``query``.
+        Arguments, errors and source: as ``query``.
         """
         wall = self._asked(stiffness, damping, outside)
         return self.atlas.verdict(*wall, **self._slice, outside=outside, exact=exact)
 
     def stiffness_limits(self, damping: Numbers) -> Floats:
-        """Return the interval of stiffness in which every wall is proved stable, rounded inwards.
+        """The interval of stiffness in which every wall is proved stable, rounded inwards.
 
         Args:
-            damping: B in N s/m, any shape.
+            damping: see ``jaxstab.conventions``.
 
         Returns:
             Array (*grid, 2) in N/m, an open interval within that of ``HapticLoop.stiffness_limits``
             and within the atlas; NaN where no stiffness is proved stable.
 
         Raises:
-            TypeError: a damping is not a real number.
-            ValueError: a damping is NaN, infinite or outside of the atlas, or this holds no limits
-                of alpha.
+            TypeError, ValueError: as ``Atlas.alpha_limits``.
 
         Source: ``jaxstab.proofs.columns``; Table I.
         """
@@ -207,21 +186,12 @@ class LoopAtlas:
         return self._limits(beta)
 
     def largest_stiffness(self) -> LargestStiffness:
-        """Return the largest stable stiffness, where it is, and a proved bound.
+        """The largest stable stiffness, its damping, and a proved bound.
 
         Raises:
-            ValueError: this holds no limits of alpha.
+            ValueError: the atlas holds no limits of alpha.
 
         Source: ``jaxstab.proofs.columns``; Table I.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
-            ... )
-            >>> largest = atlas.for_loop(loop).largest_stiffness()
-            >>> largest.stiffness <= largest.bound, round(largest.damping)
-            (True, 43)
         """
         found = self.atlas.max_alpha(**self._slice)
         if np.isnan(found.alpha):
@@ -348,13 +318,17 @@ class Atlas:
 
     Attributes:
         arrays: the variables of the file by name (``jaxstab.atlas.format.schema`` describes them),
-            each unpacked when it is first asked for; one of more than 2 GiB is refused then.
+            each unpacked at its first use; one of more than 2 GiB is refused then.
         spec: the TOML text from which the atlas was built.
         created_by: the program and version that built it.
         filters_in_words: the velocity estimator and the position filter of its loops.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+        >>> atlas.products, atlas.delays.tolist()
+        (('verdict', 'alpha_limits', 'spectral_radius'), [0.0, 1.0, 1.5])
+        >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
+        {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
         >>> atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
         [1, 2]
         >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, gamma=0.0005, delta=0.01, delay=1.0))
@@ -379,24 +353,12 @@ class Atlas:
 
     @property
     def products(self) -> tuple[str, ...]:
-        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.products
-            ('verdict', 'alpha_limits', 'spectral_radius')
-        """
+        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``."""
         return tuple(name for name, one in PRODUCTS.items() if one.names[0] in self.arrays)
 
     @property
     def delays(self) -> Floats:
-        """The delays t_d/T of the atlas, ascending.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.delays.tolist()
-            [0.0, 1.0, 1.5]
-        """
+        """The delays t_d/T of the atlas, ascending."""
         return self.arrays["delay"]
 
     @cached_property
@@ -412,13 +374,7 @@ class Atlas:
         return filters_of(self.spec)
 
     def nodes(self, delay_number: int) -> dict[str, Floats]:
-        """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
-            {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
-        """
+        """The nodes along alpha, beta, gamma and delta at one delay of ``delays``."""
         return nodes_of(self.arrays, delay_number)
 
     def decided_fraction(self, delay_number: int) -> float:
@@ -453,20 +409,16 @@ class Atlas:
         velocity: Any = None,
         position: Any = None,
     ) -> AtlasAnswer:
-        """Answer for points of any broadcast shape, never with a guess.
+        """Verdicts and radii of points of any broadcast shape, each proved or called undecided.
 
         At a node of the grid the verdict is what was computed there. Between nodes it is given
         where the limits of alpha, or the proof for the whole cell, decide it, and is UNDECIDED
-        elsewhere. So it is at all delays for which limits are held, or else at those of ``delays``.
+        elsewhere: at all delays for which there are limits, or else at those of ``delays``.
         Spectral radii are functions of cells, at nodes and between them, each with a proved bound.
 
         Args:
-            alpha: wall stiffness K T^2/m.
-            beta: wall damping B T/m.
-            gamma: physical stiffness k T^2/m.
-            delta: physical damping b T/m.
-            delay: time delay t_d/T in samples.
-            outside: "error" to refuse points outside of the atlas, "undecided" to answer so.
+            alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
+            outside: "error" to refuse points outside of the atlas, "undecided" to call them so.
             exact: settle UNDECIDED points inside by computation.
             velocity: the velocity estimator that you mean, in units of one sample; an atlas of
                 another one refuses. Without it and ``position`` the atlas answers for its own.
@@ -520,19 +472,9 @@ class Atlas:
         velocity: Any = None,
         position: Any = None,
     ) -> NDArray[np.int8]:
-        """Return the verdicts of ``query`` alone, by the limits of alpha where the atlas has them.
+        """The verdicts of ``query`` alone (int8 codes), faster where limits of alpha decide.
 
-        With limits of alpha, points are answered many times faster.
-
-        Args, errors and source: as ``query``.
-
-        Returns:
-            int8 codes of ``jaxstab.Verdict`` of the broadcast shape.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.verdict([0.05, 0.2], 0.3, gamma=0.0005, delta=0.01, delay=1.0).tolist()
-            [1, 2]
+        Arguments, errors and source: as ``query``.
         """
         self._check_filters(velocity, position)
         given = (alpha, beta, gamma, delta, delay)
@@ -547,16 +489,14 @@ class Atlas:
     def alpha_limits(
         self, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
     ) -> AlphaLimits:
-        """Return the smallest and largest stable alpha, with proved errors.
+        """The smallest and largest stable alpha, with proved errors.
 
-        Args: as ``query``.
+        Arguments and source as ``query``.
 
         Raises:
             TypeError: an argument is not made of real numbers.
-            ValueError: a value is NaN, infinite or outside of the atlas, or this holds no limits of
-                alpha.
-
-        Source: ``jaxstab.proofs.columns``.
+            ValueError: a value is NaN, infinite or outside of the atlas, or the atlas holds no
+                limits of alpha.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -574,14 +514,9 @@ class Atlas:
         return AlphaLimits(*(v.reshape(beta.shape) for pair in parts for v in pair))
 
     def max_alpha(self, *, gamma: Numbers, delta: Numbers, delay: Numbers) -> MaxAlpha:
-        """Return the largest stable alpha of hands, where it is, and a proved bound.
+        """The largest stable alpha, the beta where it is, and a proved bound.
 
-        Args: as ``query``.
-
-        Raises:
-            TypeError, ValueError: as ``alpha_limits``.
-
-        Source: ``jaxstab.proofs.columns``.
+        Arguments, errors and source: as ``alpha_limits``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -596,17 +531,10 @@ class Atlas:
     def worst_verdict(
         self, alpha: float, beta: float, *, gamma: Range, delta: Range, delay: float
     ) -> np.int8:
-        """Return the verdict on one wall for a box of hands.
+        """The verdict on one wall over a box of (gamma, delta), each a (lowest, highest) pair.
 
-        Args: as ``query``, but one wall, and of gamma and delta the lowest and the highest value.
-
-        Returns:
-            STABLE if proved for every hand of the box, UNSTABLE if proved for one, else UNDECIDED.
-
-        Raises:
-            TypeError, ValueError: as ``alpha_limits``; or a range has its ends swapped.
-
-        Source: ``jaxstab.proofs.columns``.
+        STABLE if proved for the whole box, UNSTABLE if proved at one point of it, else UNDECIDED.
+        Source: as ``alpha_limits``; errors too, and ValueError for a range whose ends are swapped.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -620,23 +548,15 @@ class Atlas:
     def common_alpha_limits(
         self, beta: float, *, gamma: Range, delta: Range, delay: float
     ) -> Range:
-        """Return the interval of alpha in which every hand of a box is proved stable.
+        """The open interval of alpha that is proved stable for a whole box of (gamma, delta).
 
-        Args: as ``worst_verdict``.
-
-        Returns:
-            The lowest and the highest alpha, an open interval; empty where the first is not less.
-
-        Raises:
-            TypeError, ValueError: as ``worst_verdict``.
-
-        Source: ``jaxstab.proofs.columns``.
+        It is empty where its first end is not less. Arguments, errors and source: as
+        ``worst_verdict``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> low, high = atlas.common_alpha_limits(
-            ...     0.3, gamma=(0.0, 0.001), delta=(0.0, 0.015), delay=1.0
-            ... )
+            >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
+            >>> low, high = atlas.common_alpha_limits(0.3, **hands, delay=1.0)
             >>> low < high, round(high, 2)
             (True, 0.13)
         """
@@ -746,33 +666,26 @@ class Atlas:
         return xarray.Dataset(variables, attrs=head).set_coords(["alpha", "beta"])
 
     def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
-        """Return the boundary of the stable region at a node, with its corners.
+        """The boundary of the stable region of a slice that is a node, with its corners.
 
         Args:
-            gamma: physical stiffness k T^2/m, a node.
-            delta: physical damping b T/m, a node.
-            delay: time delay t_d/T in samples.
+            gamma, delta, delay: see ``jaxstab.conventions``.
 
         Raises:
-            ValueError: a value is no node, or this holds no outlines.
+            ValueError: a value is no node, or the atlas holds no outlines.
 
         Source: ``jaxstab.stable_region``.
 
         Example:
-            >>> from pathlib import Path
-            >>> from tempfile import TemporaryDirectory
             >>> axes = {"gamma": (0.0,), "delta": (0.015,), "delay": (1.0,)}
             >>> spec = jaxstab.AtlasSpec(**axes, products=("outline",))
-            >>> with TemporaryDirectory() as folder:
-            ...     atlas = jaxstab.build_atlas(spec, Path(folder) / "atlas.h5")
-            >>> outline = atlas.outline(gamma=0.0, delta=0.015, delay=1.0)
-            >>> outline.points.max(axis=0).round(3).tolist()  # alpha, beta
-            [0.152, 0.84]
+            >>> atlas = jaxstab.build_atlas(spec, "outlines.h5")  # doctest: +SKIP
+            >>> atlas.outline(gamma=0.0, delta=0.015, delay=1.0)  # doctest: +SKIP
         """
         return outline_at(self.arrays, gamma, delta, delay)
 
     def for_loop(self, loop: Any) -> LoopAtlas:
-        """Return this atlas for questions about a loop's walls (K, B), in SI units.
+        """This atlas for a loop's walls (K, B), in SI units.
 
         Args:
             loop: a HapticLoop whose device and hand are one mass; gamma, delta, delay and its
@@ -780,8 +693,8 @@ class Atlas:
 
         Raises:
             TypeError: it is no HapticLoop, JAX traces it, or its device is not one mass.
-            ValueError: its gamma, delta or delay is outside of the atlas, its delay is one of which
-                the atlas says nothing, or its estimator or filter is another.
+            ValueError: its gamma, delta or delay is outside of the atlas or between its delays, or
+                its estimator or filter is another.
 
         Source: Table I of Hulin, Preusche, Hirzinger (2008).
 
@@ -843,16 +756,12 @@ class Atlas:
             delta: physical damping b T/m of the plane; None for the node in the middle.
             delay: a delay of the atlas, in samples; None for its first one.
 
-        Returns:
-            The axes.
-
         Raises:
-            ValueError: gamma or delta is outside of the atlas, the delay is none of its own, or it
-                answers with no verdicts.
+            ValueError: gamma or delta is outside of the atlas, the delay is not one of the atlas,
+                or the atlas holds no verdicts.
 
         Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> axes = atlas.plot(delay=1.0)
+            >>> axes = jaxstab.open_atlas("data/golden/atlas-v3.h5").plot(delay=1.0)
         """
         from jaxstab.pictures.atlas import plot_atlas
 

@@ -51,11 +51,10 @@ class TooLargeError(ValueError):
 
 
 def unpacked(data: bytes, stored: Stored) -> Array:
-    """Return an array, read-only; memory is asked for only as far as the file has values.
+    """An array, read-only; memory is allocated only as far as the file has values.
 
-    Raises:
-        RefusalError: a chunk is not what its digest says, or values are out of their range.
-        TooLargeError: the array is larger than is read into memory.
+    RefusalError: a digest or a value is wrong; TooLargeError: it is larger than is read into
+    memory.
     """
     _check_size(stored)
     values = np.empty(stored.shape, stored.dtype)
@@ -218,19 +217,11 @@ class Contents:
 
 
 class PackedArrays(Mapping[str, Array]):
-    """The arrays of a file; those over nodes and cells are unpacked when they are first asked for.
+    """The arrays of a file; those over nodes and cells are unpacked at their first use.
 
     Verdict codes compress a thousandfold, so those that would fill the memory are unpacked chunk by
-    chunk for each question (``codes_at``, ``blocks``).
-
-    Args:
-        path: of the file, for what is said of it.
-        data: all of its bytes, found right.
-        table: of its chunks.
-
-    Raises:
-        ValueError: an array that is asked for is not what its digest says, or out of its range.
-        TooLargeError: it is larger than is read whole.
+    chunk for each query (``codes_at``, ``blocks``). ValueError for an array that is damaged,
+    TooLargeError for one that is larger than is read whole.
     """
 
     def __init__(self, path: Path, data: bytes, table: Table) -> None:
@@ -285,22 +276,16 @@ class PackedArrays(Mapping[str, Array]):
 
 
 def read(path: Path) -> Contents:
-    """Return what the file holds; all of its bytes are checked, and in memory.
+    """The contents of a file; all of its bytes are checked, and in memory.
 
-    Raises:
-        OSError: the file is missing or unreadable.
-        ValueError: it is foreign, truncated, damaged or of another version of the schema.
-        TooLargeError: it is larger than is read whole.
+    OSError: it is missing or unreadable; ValueError: it is foreign, truncated, damaged or of
+    another version of the schema; TooLargeError: it is larger than is read whole.
     """
     return contents_of(path, _bytes_of(path))
 
 
 def contents_of(path: Path, data: bytes) -> Contents:
-    """Return what the bytes of a file hold, after the checks of ``read``.
-
-    Raises:
-        ValueError: as ``read``.
-    """
+    """The contents of the bytes of a file, after the checks of ``read``."""
     with _told_of(path):
         table = table_in(io.BytesIO(data))
     arrays = PackedArrays(path, data, table)
@@ -317,12 +302,7 @@ def contents_of(path: Path, data: bytes) -> Contents:
 
 
 def table_of(path: Path) -> Table:
-    """Return the table of a file that may be larger than the memory; all of its bytes are checked.
-
-    Raises:
-        OSError: the file is missing or unreadable.
-        ValueError: it is foreign, truncated, damaged or of another version of the schema.
-    """
+    """The table of a file that may be larger than the memory; errors as ``read``."""
     with (
         named_errors("read", path),
         _opened(path) as stream,
@@ -332,11 +312,7 @@ def table_of(path: Path) -> Table:
 
 
 def node_count(path: Path) -> int:
-    """Return how many nodes an atlas has, without a look at its values.
-
-    Raises:
-        OSError, ValueError: as ``table_of``.
-    """
+    """The number of nodes of an atlas, without a look at its values; errors as ``table_of``."""
     variables = table_of(path).variables
     return prod(variables[dimension].shape[0] for dimension in NODE)
 

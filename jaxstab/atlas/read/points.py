@@ -45,10 +45,9 @@ class AtlasAnswer:
     """What an atlas says about points; four arrays of the broadcast shape of the query.
 
     Attributes:
-        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved; UNDECIDED where
-            the atlas cannot decide; NOT_COMPUTED if it holds no verdicts.
-        spectral_radius: the middle of the interval in which it is proved to be; NaN where the
-            atlas knows none.
+        verdict: int8 codes of ``jaxstab.Verdict``, proved or UNDECIDED; NOT_COMPUTED if the atlas
+            holds no verdicts.
+        spectral_radius: the middle of the interval in which it is proved to be; NaN if unknown.
         radius_error: proved bound of the error of ``spectral_radius``; infinite without one.
         status: int8 codes of ``QueryStatus``: how this is known.
 
@@ -151,13 +150,10 @@ def find_outside(
     *,
     refuse: bool,
 ) -> None:
-    """Mark points outside of the atlas, or refuse the first.
+    """Mark points outside of the atlas, or raise ValueError for the first.
 
     Alpha and beta end where the limits of alpha do, or else where the nodes of a delay do; axes
     that hold the whole stable set have no end.
-
-    Raises:
-        ValueError: a point is outside, and that is refused.
     """
 
     def check(name: str, low: Floats | float, high: Floats | float, members: Integers) -> None:
@@ -201,14 +197,9 @@ def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: Atl
 def answer_at_delay(
     arrays: Arrays, number: int, where: Points, here: Integers, answer: AtlasAnswer
 ) -> None:
-    """Fill in what nodes and their cells know of points, all at one delay.
+    """Fill in what nodes and their cells know of the points ``here``, all at one delay.
 
-    Args:
-        arrays: of the atlas.
-        number: of the delay.
-        where: the coordinates of all points.
-        here: which of them are at the delay.
-        answer: to fill in; limits of alpha have given the verdicts that they know.
+    Limits of alpha have given the verdicts of ``answer`` that they know.
     """
     nodes = nodes_of(arrays, number)
     for name in ("alpha", "beta"):  # limits of alpha may reach beyond the nodes

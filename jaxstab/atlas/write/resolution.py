@@ -82,12 +82,7 @@ _ALLOWED = {"accuracy": (1e-9, 1.0), "size": (0.0, inf)}
 
 
 class Estimate(NamedTuple):
-    """The expected cost of a build, in our experience right to a factor of two.
-
-    Attributes:
-        seconds: of CPU time, on this machine.
-        size: of the file in bytes.
-    """
+    """The expected CPU seconds of a build here, right to a factor of two, and its size in bytes."""
 
     seconds: float
     size: float
@@ -140,7 +135,7 @@ def _calls(plan: Plan) -> int:
 
 
 def _parts(plan: Plan, product: str, count: int, reach: Reach | None = None) -> Iterator[_Part]:
-    """Yield parts of a product at so many places, fewer for an atlas of few tiles.
+    """Yield parts of a product at ``count`` places, fewer for an atlas of few tiles.
 
     A part at which two places are comes once.
     """
@@ -184,11 +179,7 @@ def _cost(plan: Plan, product: str, parts: Sequence[_Part]) -> _Cost:
 
 
 def estimate_build(plan: Plan) -> Estimate:
-    """Compute parts of some tiles, and say what all of them take.
-
-    Raises:
-        ValueError: as for a build.
-    """
+    """Compute parts of some tiles, and estimate what all of them take."""
     costs = {
         product: _cost(plan, product, list(_parts(plan, product, _FEW)))
         for product in plan.spec.products
@@ -234,12 +225,12 @@ def _two_digits(value: float) -> str:
 
 @dataclass(frozen=True)
 class Resolution:
-    """What one resolution of a range gives and takes, by a sample of its cells.
+    """The accuracy and the cost of one resolution of a range, from a sample of its cells.
 
     Attributes:
         spec: the specification.
-        counts: nodes along alpha and beta, cells along gamma and delta, and the ``limit_cells``
-            and ``delay_cells`` of the limits of alpha.
+        counts: nodes along alpha and beta, cells along gamma and delta, and the ``limit_cells`` and
+            ``delay_cells`` of the limits of alpha.
         limit_error: bound that 95 % of the upper limits of alpha keep, over the largest stable
             alpha at their delay; infinite where less than 95 % have one, NaN without limits.
         undecided: share of the range that is undecided; NaN without verdicts.
@@ -250,10 +241,10 @@ class Resolution:
     Each of the three errors is a pair: the value and its standard error.
 
     Example:
-        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
-        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
-        >>> given = jaxstab.plan_resolution(spec, size=50_000).given
-        >>> given.counts["limit_cells"]
+        >>> spec = jaxstab.AtlasSpec(
+        ...     gamma=(0.0,), delta=(0.01,), delay=(1.0,), products=("alpha_limits",)
+        ... )
+        >>> jaxstab.plan_resolution(spec, size=50_000).given.counts["limit_cells"]
         256
     """
 
@@ -273,17 +264,16 @@ class ResolutionPlan:
     Attributes:
         wish: such as "accuracy 0.01".
         rows: from the smallest file to the largest.
-        given: which of them is the specification that was given.
-        chosen: which of them meets the wish.
+        given: the specification that was given.
+        chosen: the one that meets the wish.
 
     Example:
-        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
-        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
+        >>> spec = jaxstab.AtlasSpec(
+        ...     gamma=(0.0,), delta=(0.01,), delay=(1.0,), products=("alpha_limits",)
+        ... )
         >>> plan = jaxstab.plan_resolution(spec, accuracy=0.01)
-        >>> plan.chosen.limit_error.value < 0.01
-        True
-        >>> plan.spec.limit_cells < spec.limit_cells
-        True
+        >>> plan.chosen.limit_error.value < 0.01, plan.spec.limit_cells < spec.limit_cells
+        (True, True)
     """
 
     wish: str
@@ -341,10 +331,10 @@ def _words(measured: Measured) -> str:
 def plan_resolution(
     spec: AtlasSpec, *, accuracy: float | int | None = None, size: float | int | None = None
 ) -> ResolutionPlan:
-    """Return the specification of the same range that a wish needs, beside other resolutions.
+    """The specification of the same range that a wish needs, beside other resolutions.
 
-    The ends of the range, its delays and its products stay. What is said of a resolution is an
-    estimate from a sample of its cells, while each answer of an atlas is proved.
+    The ends of the range, its delays and its products stay. Errors and costs are estimates from a
+    sample of cells, while each answer of an atlas is proved.
 
     Args:
         spec: the range and the products.
@@ -357,8 +347,9 @@ def plan_resolution(
         ValueError: it is out of range, or no resolution meets it; at a delay no loop is stable.
 
     Example:
-        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
-        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
+        >>> spec = jaxstab.AtlasSpec(
+        ...     gamma=(0.0,), delta=(0.01,), delay=(1.0,), products=("alpha_limits",)
+        ... )
         >>> jaxstab.plan_resolution(spec, size=100_000).chosen.size < 100_000
         True
     """
@@ -383,11 +374,7 @@ def plan_resolution(
 
 
 class _Range:
-    """The resolutions of a range along one line, on which all counts grow in proportion.
-
-    Attributes:
-        given: the resolution as it was given.
-    """
+    """The resolutions of a range, with all counts in proportion to those of ``given``."""
 
     given: Resolution
 

@@ -101,10 +101,9 @@ def build_key(spec: AtlasSpec) -> str:
 
 
 def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]]) -> bytes:
-    """Return the sealed image of a tile; its chunks are those of the atlas.
+    """The sealed image of a tile; its chunks are those of the atlas.
 
-    Raises:
-        RuntimeError: an array is not of the type and shape that the schema says.
+    RuntimeError: an array is not of the type and shape that the schema says.
     """
     with h5py.File.in_memory(libver=FORMAT_VERSIONS) as file:
         file.attrs[_TILE] = np.bytes_(_title(key, tile))
@@ -120,11 +119,10 @@ def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]
 
 @contextmanager
 def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py.File]:
-    """Open the image of a tile in memory, after a look at all of it.
+    """Open the image of a tile in memory, after a check of all of it.
 
-    Raises:
-        ValueError: it is damaged, of another build, or not as the schema says.
-        RuntimeError: another jaxstab, NumPy or Python computed it.
+    ValueError: it is damaged, of another build, or not as the schema says; RuntimeError: another
+    jaxstab, NumPy or Python computed it.
     """
     whole = image_of(image)
     if whole is None:
@@ -205,22 +203,13 @@ def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int
 
 @dataclass(frozen=True)
 class Shards:
-    """The tiles of one build that are done; ``shards_of`` makes it.
-
-    Attributes:
-        folder: where they are.
-        key: of the build.
-    """
+    """The finished tiles of one build (``key``) in its folder; ``shards_of`` makes it."""
 
     folder: Folder
     key: str
 
     def put(self, tile: Tile, image: bytes) -> None:
-        """Keep the image of a tile, durably.
-
-        Raises:
-            OSError: the folder is full or gone.
-        """
+        """Store the image of a tile, durably."""
         with named_errors("write", self.folder.path):
             self.folder.put(f"{_name(tile)}.tile", image)
 
@@ -238,12 +227,7 @@ class Shards:
 
     @contextmanager
     def opened(self, plan: Plan, tile: Tile) -> Iterator[h5py.File]:
-        """Open the image of a tile in memory.
-
-        Raises:
-            OSError: it is not here.
-            ValueError, RuntimeError: as ``opened_tile``.
-        """
+        """Open the image of a stored tile in memory; errors as ``opened_tile``."""
         image = self.folder.read(f"{_name(tile)}.tile")
         with opened_tile(plan, tile, self.key, image) as file:
             yield file
@@ -267,13 +251,11 @@ class Shards:
 
 @contextmanager
 def shards_of(path: Path, key: str) -> Iterator[Shards]:
-    """Open, or make, the folder of a build of the atlas at a path; it is this process's alone.
+    """Open, or make, the folder of a build of the atlas at a path, for this process alone.
 
-    It stays for the next build of the same atlas unless it is empty, or removed.
-
-    Raises:
-        OSError: it cannot be made or locked, it is a link, another user's or open to others, there
-            is no file at the path but something else, or another process builds this atlas.
+    It stays for the next build of the same atlas unless it is empty, or removed. OSError: it cannot
+    be made or locked, it is a link, another user's or open to others, there is something else than
+    a file at the path, or another process builds this atlas.
     """
     with ExitStack() as stack:
         with named_errors("write", path):
@@ -349,12 +331,10 @@ _FLAT_CHUNK = 2**16  # values of what is strung together
 
 
 def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
-    """Publish the atlas of which all tiles are done.
+    """Publish the atlas of which all tiles are done; if that fails, a former file is still there.
 
-    Raises:
-        OSError: the folder is read-only or full; a former file is still there.
-        ValueError: a tile was damaged since it was looked at, or the tiles make no atlas that
-            could be opened; a former file is still there.
+    OSError: the folder is read-only or full; ValueError: a tile was damaged since its check, or the
+    tiles make no atlas that could be opened.
     """
     filters = words_of(plan.spec.filters)
     with replacing(path, shards.folder) as descriptor:

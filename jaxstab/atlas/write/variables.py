@@ -43,15 +43,7 @@ def create_variable(
     chunk: Sequence[int],
     dtype: np.dtype[Any],
 ) -> h5py.Dataset:
-    """Create a dataset that says what it means, without values; its axes are there already.
-
-    Args:
-        file: to write to.
-        variable: what it holds.
-        shape: of all of it.
-        chunk: shape of what is compressed together.
-        dtype: of its values.
-    """
+    """Create a dataset with its attributes, without values; its axes are there already."""
     dataset = file.create_dataset(
         variable.name,
         tuple(shape),
@@ -111,12 +103,7 @@ TROUBLES = (
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
-    """Open the image of a file of which the table was found right.
-
-    Raises:
-        ValueError: HDF5, or who uses it, cannot go on.
-        MemoryError: it has not the memory to go on.
-    """
+    """Open the image of a file whose table was checked; ValueError or MemoryError if HDF5 fails."""
     if not _has_room(_ROOM_TO_OPEN):  # without it libhdf5 may crash
         raise MemoryError(f"there is not enough memory to verify {path}.")
     try:
@@ -143,11 +130,7 @@ def checked_datasets(file: h5py.File, table: Table) -> dict[str, h5py.Dataset]:
 
 
 def text_of(file: h5py.File, name: str) -> str:
-    """Return an attribute of the root group.
-
-    Raises:
-        RefusalError: it is no text of a moderate length.
-    """
+    """An attribute of the root group; RefusalError unless it is text of a moderate length."""
     identifier = file.attrs.get_id(name)
     check(identifier.shape == () and identifier.dtype.kind == "S")
     check(prod(identifier.shape) * identifier.dtype.itemsize <= _LONGEST_ATTRIBUTE)
@@ -167,11 +150,7 @@ def checked_layout(
     shape: tuple[int, ...],
     chunk: tuple[int, ...],
 ) -> h5py.Dataset:
-    """Return the dataset of a variable, which is stored as variables are, with this layout.
-
-    Raises:
-        RefusalError: it is not.
-    """
+    """The dataset of a variable; RefusalError unless it is stored with this layout."""
     check(isinstance(file.get(variable.name, getlink=True), h5py.HardLink))
     dataset = file[variable.name]
     check(isinstance(dataset, h5py.Dataset))

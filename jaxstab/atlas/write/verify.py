@@ -34,17 +34,9 @@ from jaxstab.model.filters import as_keywords
 def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -> Iterator[Check]:
     """Yield one check after the other; the first that fails may be the last.
 
-    Args:
-        path: of the file.
-        sample: about how many nodes, and as many points in cells, are computed again; of outlines
-            and summaries those of at most 16 slices are.
-        seed: of the sample.
-
-    Raises:
-        OSError: the file is missing or unreadable.
-
-    Source: ``jaxstab.verdict`` with resolve="exact", ``jaxstab.spectral_radius``,
-        ``jaxstab.stable_region`` and ``jaxstab.minimize_radius``.
+    About ``sample`` nodes, and as many points in cells, are computed again, by ``jaxstab.verdict``
+    with resolve="exact" and ``jaxstab.spectral_radius``; of outlines and summaries those of at most
+    16 slices. OSError: the file is missing or unreadable.
     """
     chance = np.random.default_rng(seed)
     path = Path(path)
