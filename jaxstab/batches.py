@@ -264,14 +264,14 @@ def on_host(
 ) -> Result:
     """Call a NumPy function of arrays that all have one shape, also from JAX, jit and vmap.
 
-    A search that branches for each loop is not a kernel for XLA, so JAX hands its arrays to NumPy
-    and goes on with the answer. The answer has no derivative: that of a count is 0, any other one
+    A search that branches for each loop is not a kernel for XLA, so JAX gives its arrays to NumPy
+    and continues with the answer. The answer has no derivative: that of a count is 0, any other one
     is refused by JAX.
 
     Args:
         function: takes NumPy arrays, returns a tree of NumPy arrays of the same shape; it must not
             call JAX.
-        arrays: what it is called with, broadcast to the shape.
+        arrays: its arguments, broadcast to the shape.
         shape: of arguments and results.
         like: a tree like the result, with the dtype in place of each array.
         is_count: whether the results jump between constants.

@@ -19,12 +19,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder in which files are named; one that is open is meant whatever becomes of its path.
-
-    Attributes:
-        path: of the folder.
-        descriptor: of the open folder; None to go by its path.
-    """
+    """A folder by its path, or by the descriptor of the open folder, even if its path changes."""
 
     path: Path
     descriptor: int | None = None
@@ -43,11 +38,7 @@ class Folder:
         return os.listdir(self.path if self.descriptor is None else self.descriptor)
 
     def read(self, name: str) -> bytes:
-        """Return the bytes of a file; what is none is refused, not waited for.
-
-        Raises:
-            OSError: it is missing, a link, no file, or unreadable.
-        """
+        """The bytes of a file; OSError, without waiting, for a link or anything but a file."""
         descriptor = self.open(name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
         with open(descriptor, "rb", buffering=0) as stream:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -67,11 +58,7 @@ class Folder:
         return os.path.samestat(os.fstat(descriptor), named)
 
     def put(self, name: str, data: bytes) -> None:
-        """Put a whole file in its place, durably and by one rename, or change nothing.
-
-        Raises:
-            OSError: the folder is gone, read-only or full.
-        """
+        """Put a whole file in its place, durably and by one rename, or change nothing."""
         with _replacing(self, name, self.at(name), None) as descriptor:
             write_all(descriptor, data)
         self.sync()
@@ -90,11 +77,7 @@ class Folder:
 
 @contextmanager
 def own_folder(path: Path) -> Iterator[Folder]:
-    """Open a folder that is this user's alone, and make it where there is none.
-
-    Raises:
-        OSError: it cannot be made, or it is a link, another user's, or open to others.
-    """
+    """Open, or make, a folder of this user alone; OSError for a link or a folder open to others."""
     with suppress(FileExistsError):
         os.mkdir(path, 0o700)
         Folder(path.parent).sync()
@@ -123,26 +106,18 @@ def _not_own(path: Path, what: str) -> str:
 
 
 def publish(data: bytes, path: Path) -> None:
-    """Put a whole file in its place, durably and by one rename, or change nothing.
-
-    Raises:
-        OSError: the folder is missing, read-only or full.
-    """
+    """Put a whole file in its place, durably and by one rename, or change nothing."""
     with replacing(path) as descriptor:
         write_all(descriptor, data)
 
 
 @contextmanager
 def replacing(path: Path, folder: Folder | None = None) -> Iterator[int]:
-    """Yield the descriptor of a new file, which takes its place if no error comes up.
+    """Yield the descriptor of a new file, which takes the place of the old one if no error occurs.
 
-    Args:
-        path: of the file; a former one is replaced.
-        folder: where the new one is until then, on the same file system; without, beside it.
-
-    Raises:
-        OSError: the folder is missing, read-only or full, the path is none of a file, or the new
-            file was removed.
+    ``folder``, on the same file system, is where the new one is until then; without, beside it.
+    OSError: the folder is missing, read-only or full, the path is not that of a file, or the new
+    file was removed.
     """
     with named_errors("write", path):
         target, mode = target_of(path)
@@ -180,11 +155,7 @@ def _replacing(folder: Folder, name: str, target: Path | str, mode: int | None) 
 
 
 def target_of(path: Path) -> tuple[Path, int | None]:
-    """Return where a file is written, behind symbolic links, and the mode of the one that is there.
-
-    Raises:
-        OSError: a folder, or something else that is no file, is there.
-    """
+    """Where a file is written, behind symbolic links, and the mode of the one there, if any."""
     target = Path(os.path.realpath(path))
     try:
         status = target.stat()

@@ -13,21 +13,14 @@ _IMPORT = re.compile(r"^from \.([\w.]*) import (\w+) as \2$", re.MULTILINE)
 def attach_stub(package: str, file: str) -> Any:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, by its ``__init__.pyi``.
 
-    Args:
-        package: its ``__name__``.
-        file: its ``__file__``.
+    The arguments are its ``__name__`` and ``__file__``.
     """
     exported = _exported(package, file)
     return attach(package, submodules=exported.pop("", []), submod_attrs=exported)
 
 
 def attach_siblings(module: str, file: str) -> Any:
-    """Return what ``attach_stub`` does for a module that exports names of packages beside it.
-
-    Args:
-        module: its ``__name__``.
-        file: its ``__file__``; the stub is beside it.
-    """
+    """The same as ``attach_stub`` for a module that exports names of packages beside it."""
     package = module.rpartition(".")[0]
     sources = {name: room for room, names in _exported(module, file).items() for name in names}
 

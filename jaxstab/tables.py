@@ -31,16 +31,10 @@ _LONG_KEY = re.compile(r"(?:\.[^.,=\n]{1,64}){100}")
 
 
 def read_table(path: str | PathLike[str], kind: str = "") -> dict[str, Any]:
-    """Read a TOML file as it is.
+    """Read a TOML file as it is, where a file of another kind may be given for it.
 
-    Args:
-        path: of the file.
-        kind: of the table that is expected, if a file of another kind may be given for it: "scene"
-            or "specification".
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is not TOML, too large, or of another kind.
+    OSError: the file cannot be read; ValueError: it is not TOML, too large, or not of the ``kind``
+    "scene" or "specification".
     """
     table = parsed(text_of(path, MOST_BYTES), f"{path}: ")
     for other, (keys, words) in _KINDS.items():
@@ -65,15 +59,9 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def text_of(path: str | PathLike[str], most: int) -> str:
-    """Return the text of a file, "-" for stdin, without a mark of its byte order.
+    """The text of a file, "-" for stdin, without a byte order mark, of at most ``most`` bytes.
 
-    Args:
-        path: of the file.
-        most: bytes that are read; a device may have no end.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is not UTF-8, or larger.
+    OSError: it cannot be read; ValueError: it is not UTF-8, or larger.
     """
     source = "stdin" if str(path) == "-" else path
     if source == "stdin" and sys.stdin is None:
@@ -101,11 +89,7 @@ def text_of(path: str | PathLike[str], most: int) -> str:
 
 
 def parsed(text: str, source: str = "") -> dict[str, Any]:
-    """Return the tables of a TOML text.
-
-    Raises:
-        ValueError: it is not TOML, or nested too deep; the sentence begins with the source.
-    """
+    """The tables of a TOML text; ValueError, with the source, for bad TOML or too deep nesting."""
     try:
         if _LONG_KEY.search(text):  # tomllib's time is the square of a key's parts
             raise RecursionError
@@ -127,25 +111,16 @@ def key(check: Check, default: Any = MISSING) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """What a table of a file becomes. Values are checked whenever one is made.
-
-    Raises:
-        ValueError: one sentence on the first value that is not allowed.
-    """
+    """What a table of a file becomes; ValueError on the first value that is not allowed."""
 
     def __post_init__(self) -> None:
         _checked_values(type(self), vars(self))
 
     @classmethod
     def from_table(cls: type[Made], table: Any, place: str = "") -> Made:
-        """Check a table of a file, whose keys are unknown.
+        """Check a table of a file; ValueError on the first key that is unknown, missing or bad.
 
-        Args:
-            table: a mapping, or whatever was given instead.
-            place: keys that lead to it, for the sentence.
-
-        Raises:
-            ValueError: one sentence on the first key that is unknown, missing or has a bad value.
+        ``place`` are the keys that lead to it, for the sentence.
         """
         if not isinstance(table, Mapping):
             raise ValueError(f"{place} is {shortened(table)}; give a table.")
@@ -166,11 +141,7 @@ class Table:
 
 
 def check_keys(place: str, keys: Iterable[str], known: list[str]) -> None:
-    """Refuse a key that is not known.
-
-    Raises:
-        ValueError: a key is unknown; the sentence has the most similar one.
-    """
+    """Refuse a key that is not known, with the most similar one in the sentence."""
     for name in keys:
         if name not in known:
             near = _similar(name, known)
@@ -180,11 +151,10 @@ def check_keys(place: str, keys: Iterable[str], known: list[str]) -> None:
 
 
 def checked_label(kind: str, name: str) -> str:
-    """Return a name that tables, pictures and CSV files may hold.
+    """A name that tables, pictures and CSV files may hold.
 
-    Raises:
-        ValueError: it is too long, not printable, or begins with another character than a letter
-            or a digit, as the formulas of spreadsheets do.
+    ValueError: it is too long, not printable, or begins with another character than a letter or a
+    digit, as the formulas of spreadsheets do.
     """
     if not (name[:1].isalnum() and name.isprintable() and len(name) <= MOST_LETTERS):
         raise ValueError(

@@ -21,16 +21,10 @@ _LONGEST_DELAY = 200.0  # samples
 
 
 def explorer_page(scene: Scene, title: str = "") -> str:
-    """Return a page of HTML with all that it needs, which begins with a scene.
+    """A self-contained page of HTML that begins with a scene, at the lowest values of its ranges.
 
-    Args:
-        scene: the scene; of a range of hands the page begins with the lowest values.
-        title: where the scene is from.
-
-    Raises:
-        ValueError: a quantity is out of range, or the page cannot compute the scene: it has a
-            filter of the position, a device that is not one mass, or more than 200 samples of
-            delay.
+    ValueError: a quantity is out of range, or the page cannot compute the scene: it has a filter of
+    the position, a device that is not one mass, or more than 200 samples of delay.
     """
     initial = json.dumps(_initial(scene, title), allow_nan=False)
     parts = {

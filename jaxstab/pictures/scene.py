@@ -166,21 +166,13 @@ Floats = NDArray[np.float64]
 
 
 def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
-    """Draw the stable region in the plane of K and B, in SI units, the scene's walls and an answer.
+    """The stable region in the plane of K and B, in SI units, the scene's walls and an answer.
 
-    What is too small to be seen beside it, of the walls that are passive or stable for all hands,
-    is enlarged in a separate panel.
-
-    Args:
-        scene: the scene.
-        answer: what is drawn of it: of ``check_walls`` the walls' responses to a step of force, in
-            a separate panel; of ``scene_limits`` the bound for all hands; of ``tune_walls`` the
-            best walls; of ``design_loop`` the wanted stiffness and the regions that just allow it.
-
-    Raises:
-        ValueError: no wall is stable, there is nothing to draw.
-
-    Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
+    Passive walls, or walls stable for all hands, that are too small to be seen are enlarged in a
+    separate panel. Of ``check_walls`` the walls' step responses are drawn in a separate panel, of
+    ``scene_limits`` the bound for all hands, of ``tune_walls`` the best walls, and of
+    ``design_loop`` the wanted stiffness and the regions that just allow it. ValueError: no wall is
+    stable.
     """
     checked = answer if isinstance(answer, Check) else None
     loop, walls = loop_of(scene), (checked or _judged(scene)).walls if scene.walls else {}
@@ -430,15 +422,10 @@ _MOST_NAMES = 12  # in a legend
 
 
 def comparison_figure(variants: Sequence[Variant]) -> Figure:
-    """Draw the stable walls of several scenes that gains reach when they are turned up from 0.
+    """The stable walls of several scenes, in the components that contain small gains.
 
     Beside them is the largest stiffness of each: over the values of a key, where one was swept
-    through numbers, else by name.
-
-    Raises:
-        ValueError: there is no scene, or some turn and others move along a line.
-
-    Source: sec. V of Hulin, Preusche, Hirzinger (2008).
+    through numbers, else by name. ValueError: there is no scene, or rotational and linear ones.
     """
     scenes = [variant.scene for variant in variants if variant.scene]
     if not scenes:
@@ -515,12 +502,10 @@ _POINTS = 400
 
 
 def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
-    """Draw the largest stiffness over the damping: exact, and as the guard grants it.
+    """The largest stiffness over the damping: exact, and as granted by the guard.
 
     On the left for delays of the range, at the middle mass, on the right for masses, at the middle
     delay.
-
-    Source: the D-decomposition of eq. (9) of Hulin, Preusche, Hirzinger (2008), and lemma B15.
     """
     figure = Figure(figsize=_SIZE)
     figure.set_layout_engine("constrained")

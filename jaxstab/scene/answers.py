@@ -33,13 +33,9 @@ _HEADINGS = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """How a number is printed.
+    """Format of a number: its unit and significant digits, a rounding mode, words for infinity.
 
-    Args:
-        unit: of the number; one in s is printed in ms, one in m or rad in millionths.
-        digits: significant digits.
-        rounding: in the words of the module ``decimal``.
-        infinite: the words for an infinite number.
+    A number in s is printed in ms, one in m or rad in millionths.
     """
 
     unit: str = ""
@@ -114,11 +110,11 @@ DampingRange = Annotated[tuple[float, float], IntervalQuantity("N s/m")]
 
 
 class Answer:
-    """What a dataclass of quantities, words and further answers has in common.
+    """A dataclass of quantities, descriptions and further answers.
 
     A field is left out where it is None; one that is a dictionary has answers by their names. An
-    answer that ``is_part`` of another one has no heading of its own. An answer with a field
-    ``inputs`` has its units, and so has what is in it.
+    answer that ``is_part`` of another one has no heading. An answer with a field ``inputs`` has its
+    units, and so has what is in it.
     """
 
     is_part: ClassVar[bool] = False
@@ -126,9 +122,9 @@ class Answer:
     """The words for a number that is NaN."""
 
     def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
-        """Return names and values as JSON has them: without NaN and infinity, which are None.
+        """Names and values as JSON has them: NaN and infinity are None.
 
-        Beside the inputs, if there are any, are the units of all keys.
+        The units of all keys are beside the inputs, if there are any.
         """
         units = self._units(units)
         table: dict[str, Any] = {}

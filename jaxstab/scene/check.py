@@ -295,7 +295,7 @@ class Chatter(Answer):
 
 @dataclass(frozen=True)
 class WallCheck(Answer):
-    """What is known of a wall, and the measures that are wanted.
+    """The answers about a wall: the requested measures.
 
     The worst hand is that of the largest radius, which is given for it; every other measure is the
     worst over the hands that are tried.
@@ -348,21 +348,13 @@ class _Wall:
 
 
 def check_walls(scene: Scene) -> Check:
-    """Return for each wall its verdict and the measures that are wanted, at their worst.
-
-    Raises:
-        ValueError: there is no wall, or a quantity is out of range.
-    """
+    """The verdict on each wall and the requested measures, at their worst; at least one wall."""
     (check,) = check_scenes([scene])
     return check
 
 
 def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
-    """Return ``check_walls`` of each scene, evaluated as one batch.
-
-    Raises:
-        ValueError: as ``check_walls`` of one of them.
-    """
+    """``check_walls`` of each scene, evaluated as one batch."""
     walls = _walls_of(scenes)
     measured: list[dict[str, Any]] = [{} for _ in walls]
     for name, measure in _MEASURES.items():

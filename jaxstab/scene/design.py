@@ -75,15 +75,11 @@ class Design(Answer):
 
 
 def design_loop(scene: Scene) -> Design:
-    """Return the largest sample time, and the largest delay, that allow the wanted stiffness.
+    """The largest sample time, and the largest delay, that allow the wanted stiffness.
 
     A delay given in samples grows with the sample time. The damping is the one that allows most.
     The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
     taken over a window in s, only sample times that divide it are tried.
-
-    Raises:
-        ValueError: no stiffness is wanted, a quantity is out of range, or a stable region on the
-            way is not resolved.
     """
     wanted = scene.wanted.stiffness
     if wanted is None:
@@ -131,10 +127,7 @@ def _largest(
     lowest: float,
     highest: float,
 ) -> tuple[float, float | None, DesignStatus]:
-    """Return the largest value of a quantity whose loop allows the wanted stiffness.
-
-    With it come the damping there, and what is known of it.
-    """
+    """The largest value that allows the wanted stiffness, with the damping and the status."""
 
     def spare(value: float) -> float:
         return _stiffest(loop_at(value)).stiffness / wanted - 1.0
@@ -179,10 +172,7 @@ class _Trial(NamedTuple):
 def _bracket(
     spare: Callable[[float], float], start: float, lowest: float, highest: float
 ) -> tuple[_Trial, _Trial]:
-    """Return two values: the lower one meets the requirement, the upper one does not.
-
-    As far as there are such between the lowest and the highest one.
-    """
+    """Two values: the lower one meets the requirement, the upper one does not, if any."""
     low = high = _Trial(start, spare(start))
     while high.spare >= 0.0 and high.value < highest:
         value = min(2.0 * high.value, highest)

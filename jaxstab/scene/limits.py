@@ -121,14 +121,11 @@ class Limits(Answer):
 
 
 def scene_limits(scene: Scene) -> Limits:
-    """Return the largest stiffness and damping, the linear rule, the passive limit, all hands.
+    """The largest stiffness and damping, the linear rule, the passive limit, all hands.
 
     Where a safety is wanted, all limits are multiplied by it, towards small gains, and islands,
     which have no such side, are left out. The linear rule and the passive limit are those of the
     difference over one sample, and left out for others.
-
-    Raises:
-        ValueError: a quantity is out of range, or the stable region is not resolved.
     """
     loop, wanted = loop_of(scene), scene.wanted
     region, safety = wall_region(loop), scene.wanted.safety or 1.0

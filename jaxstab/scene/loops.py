@@ -30,11 +30,7 @@ class OneHand(NamedTuple):
 
 
 def wall_region(loop: HapticLoop) -> WallRegion:
-    """Return the stable walls of a loop.
-
-    Raises:
-        ValueError: the dimensionless parameters are out of range, or the region is not resolved.
-    """
+    """The stable walls of a loop; ValueError where the region is not resolved."""
     region = loop.region()
     if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(
@@ -44,11 +40,7 @@ def wall_region(loop: HapticLoop) -> WallRegion:
 
 
 def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
-    """Return the loop of a scene with a hand; without, the one at the lowest ends of the ranges.
-
-    Raises:
-        ValueError: a quantity is out of range.
-    """
+    """The loop of a scene with a hand; without, the one at the lowest ends of the ranges."""
     if hand is None:
         hand = OneHand(*(low for low, _ in vars(range_of_hands(scene)).values()))
     _check_scale(scene)
@@ -70,10 +62,7 @@ def is_one_mass(scene: Scene) -> bool:
 
 
 def is_plain(loop: HapticLoop) -> bool:
-    """Return whether the loop is that of the simple rules: one mass, and nothing is filtered.
-
-    The velocity is then the difference over one sample.
-    """
+    """Whether the simple rules hold for the loop: one mass, one-sample difference, no filters."""
     return loop.body is not None and given_filters(**loop.filters) is None
 
 
@@ -99,21 +88,14 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
 
 
 def hands_among(scene: Scene, count: int) -> list[OneHand]:
-    """Return a grid over the ranges of the scene's hand; two values each give its corners.
-
-    The mass of the device is one of the quantities.
-    """
+    """A grid over the ranges of the scene's hand and device mass; ``count`` 2 gives the corners."""
     hands, masses = spread_hands(range_of_hands(scene), count).tolist(), masses_of(scene)
     among = [None] if masses is None else np.linspace(*masses, count).tolist()
     return [OneHand(*hand)._replace(device_mass=mass) for hand in hands for mass in among]
 
 
 def corner_loops(scene: Scene) -> list[HapticLoop]:
-    """Return the loop of a scene with each hand and mass at the corners of the ranges.
-
-    Raises:
-        ValueError: a quantity is out of range.
-    """
+    """The loop of a scene with each hand and mass at the corners of the ranges."""
     return [loop_of(scene, hand) for hand in hands_among(scene, 2)]
 
 

@@ -51,11 +51,7 @@ def short(value: float | str) -> str:
 
 
 def sweep_of(text: str) -> tuple[str, list[float | str]]:
-    """Return the key and the values of ``KEY=LOW:HIGH:COUNT`` or ``KEY=VALUE,VALUE,...``.
-
-    Raises:
-        ValueError: the text has neither form.
-    """
+    """The key and the values of ``KEY=LOW:HIGH:COUNT`` or ``KEY=VALUE,VALUE,...``."""
     name, equals, values = text.partition("=")
     parts = values.split(":")
     try:
@@ -77,10 +73,9 @@ def sweep_of(text: str) -> tuple[str, list[float | str]]:
 
 
 def variants_of(tables: Mapping[str, Mapping[str, Any]], sweep: Sweep) -> list[Variant]:
-    """Return the scenes of some tables, each with all combinations of the values that are swept.
+    """The scenes of some tables, each with all combinations of the swept values.
 
-    Raises:
-        ValueError: there are too many, or all are refused for one reason.
+    ValueError: there are too many, or all are refused for one reason.
     """
     count = len(tables)
     for values in sweep.values():

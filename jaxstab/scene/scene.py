@@ -103,12 +103,9 @@ class Sourced(Table):
 
 @dataclass(frozen=True)
 class Preset:
-    """What is known of a device or of a velocity estimator, by the keys of a scene.
+    """Title, remark (may be empty) and SI numbers by key of a device or a velocity estimator.
 
-    Attributes:
-        title: what it is.
-        note: a remark on the numbers; may be empty.
-        numbers: by key, in SI units. Keys that a scene does not have are for comparison.
+    Keys that a scene does not have are for comparison.
     """
 
     title: str
@@ -285,7 +282,8 @@ class Grip(Table):
 class Hand(Table):
     """The hand that holds the device; each quantity a range from lowest to highest.
 
-    With a grip these are of the arm behind it; without one the hand is glued to the device.
+    With a grip these are of the arm behind it; without one the hand is rigidly attached to the
+    device.
     """
 
     mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0))
@@ -514,21 +512,12 @@ class Scene:
 
     @classmethod
     def from_file(cls, path: str | PathLike[str]) -> "Scene":
-        """Read a TOML file.
-
-        Raises:
-            OSError: the file cannot be read.
-            ValueError: as for ``from_table``, with the name of the file.
-        """
+        """Read a TOML file; OSError if it is unreadable, ValueError, with its name, if bad."""
         return cls.from_table(read_table(path, "scene"), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str = "") -> "Scene":
-        """Check a table of tables, as TOML has them.
-
-        Raises:
-            ValueError: one sentence on the first key that is unknown, missing or has a bad value.
-        """
+        """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
         try:
             return cls(**_parts(table))
         except ValueError as error:
@@ -536,11 +525,7 @@ class Scene:
             raise ValueError(f"{source}: {words}" if source else words) from None
 
     def require_walls(self) -> None:
-        """Refuse a scene without a wall.
-
-        Raises:
-            ValueError: there is no wall.
-        """
+        """Refuse a scene without a wall."""
         if not self.walls:
             raise ValueError("walls is empty; give at least one wall with stiffness and damping.")
 

@@ -73,11 +73,9 @@ class WallOverRanges(Answer):
 
 
 def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | None:
-    """Return the wall that is fastest at worst; None where the scene has no range.
+    """The gains minimising the worst-case settling; None where the scene has no range.
 
-    Args:
-        scene: the scene.
-        fastest: the wall that is fastest for the lowest hand, for comparison, if there is one.
+    ``fastest`` are those for the lowest hand, for comparison, if there are any.
     """
     ranges = ranges_of(scene)
     if all(low == high for low, high in ranges):
@@ -208,11 +206,7 @@ class _Encoder(NamedTuple):
 
 
 def tune_walls(scene: Scene) -> Tuned:
-    """Return the walls that come to rest fastest, and the best damping at the stiffnesses given.
-
-    Raises:
-        ValueError: a quantity is out of range, or the stable region is not resolved.
-    """
+    """The walls that settle fastest, and the best damping at the stiffnesses given."""
     loop, hands = loop_of(scene), hands_of(scene)
     best = partial(_best, scene, loop, hands, _Encoder.of(scene))
     given, fastest = scene.wanted.at_stiffness, best("settling")
