@@ -248,7 +248,7 @@ def _write(rows: list["Row"], csv_file: Path | None, as_json: bool) -> None:
 
 
 def _csv(rows: list["Row"]) -> str:
-    columns = [*_heads(rows), *_paths(rows), "refusal"]
+    columns = ["scene", *rows[0].variant.values, *_paths(rows), "refusal"]
     stream = io.StringIO()
     writer = csv.DictWriter(stream, columns, lineterminator="\n", restval="")
     writer.writeheader()
@@ -286,7 +286,8 @@ def _table(rows: list["Row"]) -> str:
     paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]
     first = "scene" if any(row.variant.source for row in rows) else ""
     heads = [first, *rows[0].variant.values]
-    lines = [[*heads, *(_head(path) for path in paths)]]
+    plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
+    lines = [[*heads, *plain]]
     for row in rows:
         own = [row.variant.source, *(short(value) for value in row.variant.values.values())]
         lines.append(list(map(printable, [*own, *(row.words.get(path, "") for path in paths)])))
@@ -304,14 +305,6 @@ def _table(rows: list["Row"]) -> str:
 def _is_of_wall(path: str) -> bool:
     outer, _, name = path.rpartition(".")
     return name in _SHOWN_OF_WALLS and outer.startswith("walls.") and outer.count(".") == 1
-
-
-def _head(path: str) -> str:
-    return path.removeprefix("walls.").replace("_", " ").replace(".", ": ")
-
-
-def _heads(rows: list["Row"]) -> list[str]:
-    return ["scene", *rows[0].variant.values]
 
 
 def _paths(rows: list["Row"]) -> list[str]:

@@ -424,7 +424,7 @@ class FilterTable(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = self._given()
+        given = [name for name in self._known() if getattr(self, name) is not None]
         for name in _BESIDE:
             if name in given and self.cutoff is None:
                 raise ValueError(
@@ -467,9 +467,6 @@ class FilterTable(Table):
         if self.cutoff is not None:
             chain *= _LOW_PASSES[self.kind or LowPass.kind](self.cutoff, order=self.order or 1)
         return chain if self.factor is None else chain * Filter.exponential(self.factor)
-
-    def _given(self) -> list[str]:
-        return [name for name in self._known() if getattr(self, name) is not None]
 
     @classmethod
     def _known(cls) -> list[str]:

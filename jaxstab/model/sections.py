@@ -360,7 +360,8 @@ class Differentiator(Rational):
         """Return the transfer functions, in units of one sample, whose product this is."""
         steps = accumulate(map(DoubleDouble.of, self.numerator[:-1]), DoubleDouble.__add__)
         numerator = tuple(step * _float(self.period) for step in steps)
-        return [_delayed(_monic(numerator, self.denominator), -1)]
+        transfer = _monic(numerator, self.denominator)
+        return [transfer._replace(lag=transfer.lag - 1)]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -411,10 +412,6 @@ def _monic(numerator: Polynomial, denominator: tuple[float, ...]) -> Transfer:
     above = tuple(one / first for one in numerator[: len(numerator) - zeros])
     below = tuple(DoubleDouble.of(one) / first for one in denominator[: len(denominator) - poles])
     return Transfer.of(above, below, poles - zeros)
-
-
-def _delayed(transfer: Transfer, samples: int) -> Transfer:
-    return transfer._replace(lag=transfer.lag + samples)
 
 
 def _float(value: Numbers) -> Array:

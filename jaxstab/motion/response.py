@@ -228,11 +228,7 @@ def _like(memories: tuple[Memory, ...], rows: np.ndarray) -> tuple[Memory, ...]:
 
 def _rounded(polynomial: Polynomial) -> tuple[Array | None, ...]:
     values = (coefficient.rounded() for coefficient in polynomial)
-    return tuple(one if is_traced(one) else _float_or_none(one) for one in values)
-
-
-def _float_or_none(value: Array) -> float | None:
-    return float(value) or None
+    return tuple(value if is_traced(value) else (float(value) or None) for value in values)
 
 
 def _plus(total: Array, coefficient: Array | None, value: Array) -> Array:

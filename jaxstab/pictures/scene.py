@@ -291,12 +291,9 @@ def _passive(scene: Scene, loop: HapticLoop) -> _Part:
         own = loop.device_damping * loop.sample_time / loop.mass
         corners = passive_region(delta=own, delay=loop.delay_samples).outline
         outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
-    label = f"passive: {_up_to(outline, scene.units)}"
+    largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
+    label = f"passive: up to {largest}"
     return _Part(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
-
-
-def _up_to(outline: Floats, units: Units) -> str:
-    return f"up to {_LARGEST.words(np.max(outline[:, 0], initial=0.0), units)}"
 
 
 def _set_window(panel: Axes, points: Floats) -> None:
@@ -443,7 +440,8 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
             outline = closed_outline(region)
             walls.plot(*outline.T, color=colour, lw=1.2, label=_label(variant))
     walls.set_title("stable walls, as far as gains are turned up")
-    _name_axes(walls, scenes[0])
+    walls.set_xlabel(f"stiffness K ({scenes[0].units.stiffness})")
+    walls.set_ylabel(f"damping B ({scenes[0].units.damping})")
     stiffnesses = [region.stiffest.stiffness for region in regions]
     if swept is None:
         _draw_bars(largest, [_label(variant) for variant in variants], stiffnesses, colours)
@@ -481,11 +479,6 @@ def _colours(count: int, *, is_graded: bool) -> list[object]:
     if is_graded or count > len(_COLOURS):
         return list(colormaps["viridis"](np.linspace(0.0, 0.9, count)))
     return list(_COLOURS[:count])
-
-
-def _name_axes(panel: Axes, scene: Scene) -> None:
-    panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
-    panel.set_ylabel(f"damping B ({scene.units.damping})")
 
 
 def _draw_bars(panel: Axes, names: list[str], values: list[float], colours: list[object]) -> None:

@@ -362,7 +362,7 @@ def _error_of_division(
         wall = (abs(stiff) + plant.sum) * abs(loop.alpha)
         terms = terms + power * (wall + (abs(damp) + 2.0 * plant.sum) * abs(loop.beta))
     moved = distance * powers[0] + 8.0 * UNIT
-    once = (2.0 * degree + 16.0) * UNIT * terms + 4.0 * moved * _size_sum(rest)
+    once = (2.0 * degree + 16.0) * UNIT * terms + 4.0 * moved * reduce(add, map(abs, rest))
     xp = namespace(moved)
     return xp.where(degree * moved < 0.5, degree * (degree + 1.0) * once, xp.inf)
 
@@ -455,10 +455,6 @@ def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
 def _lost(error: Array, above: Array, whole: Array, quotients: Array) -> Array:
     """Bound what the polynomial's own error and the rounding of all steps come to at the end."""
     return _SAFETY * (error * whole + 8.0 * UNIT * above * quotients)
-
-
-def _size_sum(columns: list[Array]) -> Array:
-    return reduce(add, (abs(column) for column in columns))
 
 
 # Spectral radius and its error over many points by dominant roots, wherever these can be proved.

@@ -134,14 +134,6 @@ _MATRICES = 1 << 11  # points at once
 Values = np.ndarray[Any, np.dtype[Any]]
 
 
-def linear_radius(alpha: Values, beta: Values, loop: LinearLoop) -> tuple[Values, Values]:
-    """Spectral radii of walls of one loop and bounds of their errors, infinite where none holds."""
-    shape = np.broadcast_shapes(*(np.shape(leaf) for leaf in leaves((alpha, beta, loop))))
-    every = np.arange(prod(shape))
-    value, error = _listed_radii((alpha, beta, loop), shape, every)
-    return value.reshape(shape), error.reshape(shape)
-
-
 def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
     """Return the spectral radii of points and bounds of their errors, infinite where none holds."""
     value, error = np.zeros(points.shape), np.full(points.shape, np.inf)
@@ -433,7 +425,9 @@ def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> Spect
     else:
         xp = namespace(alpha, beta, loop)
         walls = tree_map(np.asarray, (alpha, beta, loop))
-        both = tree_map(xp.asarray, linear_radius(*walls))
+        shape = np.broadcast_shapes(*map(np.shape, leaves(walls)))
+        value, error = _listed_radii(walls, shape, np.arange(prod(shape)))
+        both = xp.asarray(value.reshape(shape)), xp.asarray(error.reshape(shape))
     return _with_status(*both)
 
 

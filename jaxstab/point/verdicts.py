@@ -130,8 +130,10 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
     still_open = np.flatnonzero(codes == Verdict.UNDECIDED)
     for start in range(0, still_open.size, _LOOP_PAIRS):
         part = still_open[start : start + _LOOP_PAIRS]
-        chosen = gathered((alpha, beta, loop), codes.shape, part)
-        codes.flat[part] = _loop_pair_codes(*chosen, degree=degree)
+        *gains, chosen = gathered((alpha, beta, loop), codes.shape, part)
+        pairs = DoubleDouble.of(gains[0]), DoubleDouble.of(gains[1])
+        with np.errstate(all="ignore"):
+            codes.flat[part] = dense_codes(*pairs, chosen, unit=PAIR_UNIT, degree=degree)
     return xp.asarray(codes)
 
 
@@ -170,14 +172,6 @@ def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: in
     loop = tree_map(namespace(alpha, beta, loop).asarray, loop)
     codes = partial(dense_codes, unit=UNIT, degree=degree)
     return over_tiles(codes, (alpha, beta, loop), _TILE)
-
-
-def _loop_pair_codes(
-    alpha: Array, beta: Array, loop: LinearLoop, *, degree: int
-) -> Int8[np.ndarray, " point"]:
-    gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
-    with np.errstate(all="ignore"):
-        return dense_codes(*gains, loop, unit=PAIR_UNIT, degree=degree)
 
 
 # The proof of instability by one root outside, for loops whose recursion loses its digits.
@@ -437,8 +431,10 @@ def verdict(
     if filters and whole.size == 1 and is_any_traced(point, delay, filters):
         return traced_filtered_verdict(point, Form.of(delay), fraction, filters)
     if not filters and resolve is None and whole.size == 1:
-        arrays = [xp.asarray(value, xp.float64) for value in point]
-        codes = _float_verdict(arrays, xp.asarray(fraction), Form.of(delay))
+        arrays, form = [xp.asarray(value, xp.float64) for value in point], Form.of(delay)
+        part, is_fractional = xp.asarray(fraction), form.is_fractional
+        plant = float_plant(arrays[2], arrays[3], part, is_fractional=is_fractional)
+        codes = _float_codes((*arrays[:3], plant), form.degree)
         shape = np.broadcast_shapes(whole.shape, *(array.shape for array in arrays))
         return named(xp.array(xp.broadcast_to(codes, shape)), Verdict)
     if is_any_traced(point, delay, filters):
@@ -448,12 +444,6 @@ def verdict(
         return named(xp.asarray(filtered_verdict(points, filters)), Verdict)
     codes = _grouped_verdict(points)
     return named(xp.asarray(codes if resolve is None else _resolved(codes, points)), Verdict)
-
-
-def _float_verdict(point: list[Array], fraction: Array, form: Form) -> Array:
-    alpha, beta, gamma, delta = point
-    plant = float_plant(gamma, delta, fraction, is_fractional=form.is_fractional)
-    return _float_codes((alpha, beta, gamma, plant), form.degree)
 
 
 def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:

@@ -152,15 +152,11 @@ class Grid:
         return tuple(axis.shape[0] for axis in axes)
 
     @property
-    def cell_shape(self) -> tuple[int, ...]:
-        """The number of cells along alpha, beta, gamma and delta, and of delays."""
-        *nodes, delays = self.shape
-        return (*(max(count - 1, 1) for count in nodes), delays)
-
-    @property
     def lengths(self) -> dict[str, int]:
         """The lengths of the dimensions of nodes and cells, by the names of the schema."""
-        lengths = dict(zip((*NODE, *CELL), (*self.shape, *self.cell_shape), strict=True))
+        *nodes, delays = self.shape
+        cells = *(max(count - 1, 1) for count in nodes), delays
+        lengths = dict(zip((*NODE, *CELL), (*self.shape, *cells), strict=True))
         lengths |= {"limit_cell": self.limit_cells, "delay_cell": len(self.limit_range)}
         of_radii = zip(RADIUS_CELL, (*self.radius_cells, len(self.radius_range)), strict=True)
         fixed = (pair for product in PRODUCTS.values() for pair in product.lengths.items())
@@ -535,8 +531,9 @@ def with_counts(spec: AtlasSpec, counts: Counts) -> AtlasSpec:
         elif isinstance(getattr(spec, name), FittedAxis):
             changed[name] = replace(getattr(spec, name), count=counts[name])
         else:
-            nodes = np.array(getattr(spec, name))
-            changed[name] = _resampled(nodes, counts[name] + (name in HANDS)).tolist()
+            nodes, count = np.array(getattr(spec, name)), counts[name] + (name in HANDS)
+            places = np.linspace(0.0, nodes.size - 1.0, count)
+            changed[name] = np.interp(places, np.arange(nodes.size), nodes).tolist()
     return replace(spec, **changed)
 
 
@@ -545,11 +542,6 @@ def least_count(spec: AtlasSpec, name: str) -> int:
     if name not in WALLS:
         return 1
     return FEWEST_FITTED if isinstance(getattr(spec, name), FittedAxis) else 2
-
-
-def _resampled(nodes: Float64[np.ndarray, " node"], count: int) -> Float64[np.ndarray, " count"]:
-    numbers = np.arange(nodes.size)
-    return np.interp(np.linspace(0.0, nodes.size - 1.0, count), numbers, nodes)
 
 
 def _length(axis: Any) -> int:

@@ -6,7 +6,7 @@ and the upper limit of the stable alphas, and the error of each; for one delay t
 changes is added to the error (``in_float32``). One column decides a point: below lower - error and
 above upper + error it is unstable, between lower + error and upper - error stable, elsewhere the
 atlas leaves it undecided. Many points are answered by one of the two surfaces, where that one alone
-decides (``deciding_alphas``).
+decides (``_deciding``).
 
 Some axes hold the whole stable set: ``compute.beyond`` proves of which cells of delays, and a wall
 beyond such an axis is unstable.
@@ -358,22 +358,6 @@ def _codes(is_decided: Mask, is_stable: Mask) -> Codes:
     return codes
 
 
-def deciding_alphas(
-    columns: NDArray[np.float32], middles: Sequence[Floats], halves: Sequence[Floats]
-) -> Floats:
-    """Return above which alpha, and below which one, one limit decides, in columns (column, 2).
-
-    Above the first, which is above all that the lower limit leaves open in the column, that is the
-    upper limit; below the second, which is below all that the upper one leaves open, the lower. Of
-    a column without a stable alpha the lower limit says so: there it is infinite. ``middles`` and
-    ``halves`` are those of the cells along beta, gamma, delta and delay, broadcast to the grid.
-    """
-    shape = np.broadcast_shapes(*(middle.shape for middle in middles))
-    numbers = np.arange(len(columns), dtype=np.float64).reshape(shape)
-    found = in_parts(partial(_deciding, columns), [numbers, *middles, *halves], float, float)
-    return np.stack(found, axis=-1).reshape(-1, 2)
-
-
 @ignoring
 def _deciding(
     columns: NDArray[np.float32], numbers: Floats, *boxes: Floats
@@ -550,8 +534,19 @@ class LimitTable:
 
     @cached_property
     def _deciding(self) -> Floats:
-        """Above which alpha the upper limit decides, and below which one the lower, in columns."""
-        return deciding_alphas(self._columns, *self._boxes)
+        """Above which alpha, and below which one, one limit decides, in columns (column, 2).
+
+        Above the first, which is above all that the lower limit leaves open in the column, that is
+        the upper limit; below the second, which is below all that the upper one leaves open, the
+        lower. Of a column without a stable alpha the lower limit says so: there it is infinite.
+        """
+        middles, halves = self._boxes
+        shape = np.broadcast_shapes(*(middle.shape for middle in middles))
+        rows = np.arange(len(self._columns), dtype=np.float64).reshape(shape)
+        alphas = in_parts(
+            partial(_deciding, self._columns), [rows, *middles, *halves], float, float
+        )
+        return np.stack(alphas, axis=-1).reshape(-1, 2)
 
     @cached_property
     def _boxes(self) -> tuple[list[Floats], list[Floats]]:

@@ -242,13 +242,8 @@ def _in_float32(known: "RadiusSurfaces") -> tuple[NDArray[np.int32], NDArray[np.
     lost = np.where(meets, np.stack([of_polynomial, lost[0], 0.0 * lost[0]]), lost)
     of_cells = np.concatenate([rounded, _raised(errors + lost + _LEAST_ERROR)[:, None]], axis=1)
     is_used = np.arange(len(terms))[:, None] < np.array(RADIUS_FUNCTIONS)[kind]
-    return kind, _strung(of_cells, is_used)
-
-
-def _strung(of_cells: NDArray[np.float32], is_used: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the functions that are used, those of one cell after those of another: (term, row)."""
     rows = np.moveaxis(of_cells, (0, 1, 2), (1, 2, 0))  # (cell, function, term)
-    return np.ascontiguousarray(rows[is_used.T].T)
+    return kind, np.ascontiguousarray(rows[is_used.T].T)  # (term, row), cell after cell
 
 
 def _raised(errors: Floats) -> NDArray[np.float32]:

@@ -162,7 +162,9 @@ class Outlines(_BySlices):
         size = float(np.hypot(*np.ptp(region.points, axis=0)))
         points = np.resize(outline.points, region.outline.vertices.shape)  # one shape: one program
         aside = np.asarray(region.distance(*points.T))
-        missing = float(region.area) - _enclosed(outline)
+        (x0, y0), (x1, y1) = outline.points[:-1].T, outline.points[1:].T
+        enclosed = 0.5 * float(np.sum(x0 * y1 - x1 * y0, where=outline.branch >= 0))
+        missing = float(region.area) - enclosed
         return not (
             np.all(np.abs(aside) <= _NEAR * size)
             and abs(missing) <= _POLYGON * size**2
@@ -301,9 +303,3 @@ def _number(name: str, nodes: NDArray[np.float64], value: float) -> int:
         listed = ", ".join(map(repr, nodes.tolist()))
         raise ValueError(f"{name} is {value!r}; outlines are at its nodes {listed}.")
     return int(found[0])
-
-
-def _enclosed(outline: AtlasOutline) -> float:
-    """Return the area of the polygon, or of several without the ways between them."""
-    (x0, y0), (x1, y1) = outline.points[:-1].T, outline.points[1:].T
-    return 0.5 * float(np.sum(x0 * y1 - x1 * y0, where=outline.branch >= 0))

@@ -442,7 +442,8 @@ class Atlas:
         self._check_filters(velocity, position)
         points = np.broadcast_arrays(*all_checked((alpha, beta, gamma, delta, delay)))
         shape = points[0].shape
-        answer = no_answer(points[0].size, has_verdicts=self._has_verdicts)
+        has_verdicts = VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
+        answer = no_answer(points[0].size, has_verdicts=has_verdicts)
         where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
         find_outside(self.arrays, self._table, where, answer.status, refuse=outside == "error")
         inside = answer.status != QueryStatus.OUTSIDE
@@ -592,10 +593,6 @@ class Atlas:
             return table.verdicts(points)
         except OutsideError:
             return None
-
-    @property
-    def _has_verdicts(self) -> bool:
-        return VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
 
     @cached_property
     def _radii(self) -> RadiusTable:

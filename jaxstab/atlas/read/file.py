@@ -66,14 +66,6 @@ def unpacked(data: bytes, stored: Stored) -> Array:
     return values
 
 
-def unpacked_chunk(data: bytes, stored: Stored, number: int) -> tuple[tuple[int, ...], Array]:
-    """Return where a chunk begins, and its values inside of the array."""
-    start = next(islice(stored.starts(), number, None))
-    values = _inside(data, stored, number, start)
-    check_values(stored.variable, values)
-    return start, values
-
-
 def _inside(data: bytes, stored: Stored, number: int, start: tuple[int, ...]) -> Array:
     """Return the values of a chunk inside of the array, which are what their digest says."""
     offset, size = stored.places[number]
@@ -262,8 +254,13 @@ class PackedArrays(Mapping[str, Array]):
                 yield self._block(name, number)
 
     def _block(self, name: str, number: int) -> tuple[tuple[int, ...], Array]:
+        """Where a chunk begins, and its values inside of the array."""
         with _told_of(self._path):
-            return unpacked_chunk(self._data, self._table.variables[name], number)
+            stored = self._table.variables[name]
+            start = next(islice(stored.starts(), number, None))
+            values = _inside(self._data, stored, number, start)
+            check_values(stored.variable, values)
+            return start, values
 
     def __contains__(self, name: object) -> bool:
         return name in self._table.variables

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format.schema import attributes_of
-from jaxstab.atlas.format.table import DAMAGED, Place, RefusalError, Stored, Table, check
+from jaxstab.atlas.format.table import DAMAGED, Place, RefusalError, Table, check
 from jaxstab.atlas.format.variables import Variable
 
 FORMAT_VERSIONS: Final = ("v110", "v110")
@@ -126,7 +126,13 @@ def _has_room(size: int) -> bool:
 def checked_datasets(file: h5py.File, table: Table) -> dict[str, h5py.Dataset]:
     """Return the variables by name; they, and nothing else, are stored as the table says."""
     check(set(file) == set(table.variables))
-    return {name: _checked_dataset(file, stored) for name, stored in table.variables.items()}
+    datasets = {}
+    for name, stored in table.variables.items():
+        datasets[name] = checked_layout(
+            file, stored.variable, stored.dtype, stored.shape, stored.chunk
+        )
+        check(places_of(datasets[name]) == list(stored.places))
+    return datasets
 
 
 def text_of(file: h5py.File, name: str) -> str:
@@ -135,12 +141,6 @@ def text_of(file: h5py.File, name: str) -> str:
     check(identifier.shape == () and identifier.dtype.kind == "S")
     check(prod(identifier.shape) * identifier.dtype.itemsize <= _LONGEST_ATTRIBUTE)
     return bytes(file.attrs[name]).decode("utf-8")
-
-
-def _checked_dataset(file: h5py.File, stored: Stored) -> h5py.Dataset:
-    dataset = checked_layout(file, stored.variable, stored.dtype, stored.shape, stored.chunk)
-    check(places_of(dataset) == list(stored.places))
-    return dataset
 
 
 def checked_layout(

@@ -382,7 +382,7 @@ class Device:
         Each is the nearest complex float64, or a neighbour of it.
         """
         balls = [ball for ball, count in _pole_balls(self) for _ in range(count)]
-        numbers = np.array([complex(float(ball.real), _imaginary(ball)) for ball in balls])
+        numbers = np.array([complex(z.real, 0 if z.imag.contains(0) else z.imag) for z in balls])
         return numbers[np.argsort(-numbers.real, kind="stable")]
 
     @property
@@ -433,10 +433,6 @@ def _compliance(device: Device) -> Rational:
         w = turn(bandwidth)
         function = function.times(Rational(w, polynomial([1.0, 0.0]) + w))
     return checked_compliance(function, f"the device ({device})")
-
-
-def _imaginary(ball: Any) -> float:
-    return 0.0 if ball.imag.contains(0) else float(ball.imag)
 
 
 @lru_cache(maxsize=256)

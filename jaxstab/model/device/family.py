@@ -373,7 +373,8 @@ class LoopFamily:
         parts = in_samples_over(self.device.compliance(), period, t)
         if parts is None:
             return None
-        part = _value(self.delay, t) - whole if self.has_fraction else None
+        has_fraction = self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
+        part = _value(self.delay, t) - whole if has_fraction else None
         force, free = _of_samples(*parts, part)
         velocity, position = self.filters
         above_k, below_k = _changing(position, t, period)
@@ -382,11 +383,6 @@ class LoopFamily:
         if not has_spans(self.filters):
             return [free, force]
         return [free * below_k * below_b, force * above_k * below_b, force * above_b * below_k]
-
-    @property
-    def has_fraction(self) -> bool:
-        """Whether the delay is no whole number of samples."""
-        return self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
 
     def samples(self) -> list[tuple[float, float, int]]:
         """Return parts of t in which the delay is between two whole samples, and the lower one.

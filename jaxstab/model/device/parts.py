@@ -306,17 +306,15 @@ class StateSpace(Part):
         closed = [
             [x - y * z for x, z in zip(row, c, strict=True)] for row, y in zip(a, b, strict=True)
         ]
-        without, within = (_characteristic(fmpq_mat(matrix)) for matrix in (a, closed))
+        without, within = (
+            polynomial(fmpq_mat(matrix).charpoly().coeffs()[::-1]) for matrix in (a, closed)
+        )
         return Rational(within - without, without)
 
 
 def _in_words(mass: Number, damping: Number, stiffness: Number) -> str:
     parts = [f"{mass:g} kg", f"{damping:g} N s/m", f"{stiffness:g} N/m"]
     return ", ".join(part for part in parts if not part.startswith("0 ")) or "nothing"
-
-
-def _characteristic(matrix: Any) -> "fmpq_mpoly":
-    return polynomial(matrix.charpoly().coeffs()[::-1])
 
 
 # --------------------------------------------------------------------------------------- checks
