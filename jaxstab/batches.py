@@ -27,7 +27,7 @@ Item = TypeVar("Item")
 TILE = 4096  # points whose working set stays in the cache of a CPU
 
 # Sizes from which on XLA answers for NumPy arrays: it compiles for one to three seconds, in which
-# NumPy answers so many points of any kernel, or plants, coefficients or angles of a boundary.
+# NumPy computes this many points of any kernel, or plants, coefficients or angles of a boundary.
 MANY = 1 << 15
 MANY_PLANTS = 1 << 16
 MANY_COEFFICIENTS = 1 << 20

@@ -46,7 +46,7 @@ class Verdict(IntEnum):
 
 
 class Status(IntEnum):
-    """How far an answer can be trusted, as a small integer and in words.
+    """How far an answer can be trusted: a small integer with a description.
 
     A member is written ``NAME = number, "words"``.
     """

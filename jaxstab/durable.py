@@ -1,8 +1,8 @@
 """Files that appear whole or not at all, whatever happens to the process or the disk. No JAX.
 
 A file is written under a temporary name, synchronised, renamed to its place, and the folder is
-synchronised. HDF5 cannot be trusted with a full disk (it goes on after an error until it reads what
-was never written), so it writes to a stream of ours, which keeps the error for us.
+synchronised. HDF5 cannot be trusted with a full disk (after an error it continues until it reads
+what was never written), so it writes to a stream of ours, which keeps the error for us.
 """
 
 import errno

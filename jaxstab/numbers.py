@@ -1,4 +1,4 @@
-"""The one checker of numbers that users give: what is wrong is said in one sentence.
+"""The one checker of numbers that users give: one sentence says what is wrong.
 
 The sentence has the name, the value and what is allowed. Tracers pass: their values are not known.
 """

@@ -1,6 +1,6 @@
 """Tables of TOML files: read as they are, and checked key by key into frozen dataclasses.
 
-Whatever is wrong is said in one sentence: the key, its value and what is allowed.
+Errors are one sentence: the key, its value and what is allowed.
 """
 
 import re
@@ -19,7 +19,7 @@ from jaxstab.shown import printable, shortened
 
 Made = TypeVar("Made", bound="Table")
 Check = Callable[[Any], Any]
-"""It returns a value as it is kept, or raises a ValueError that says what is allowed."""
+"""It returns the value to store, or raises a ValueError that says what is allowed."""
 
 MOST_BYTES = 4_000_000
 """Of a TOML file: more would take minutes to read."""
@@ -291,7 +291,7 @@ def each(check: Check) -> Check:
 
 
 def _checked_values(kind: type[Table], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of keys as they are kept; defaults are."""
+    """The values of keys to store, with defaults."""
     known = {entry.name: entry for entry in fields(kind)}
     return {
         name: value

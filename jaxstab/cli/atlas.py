@@ -44,7 +44,7 @@ _MOST_ASKED = 128  # nodes along alpha and beta
 def build(spec: Path | None, output: Path, workers: int | None, scheduler: str | None) -> None:
     """Compute an atlas and write it as one HDF5 file.
 
-    What was interrupted goes on where it ended when the same command is given again.
+    An interrupted build continues where it stopped when the command is repeated.
     """
     from jaxstab.atlas import AtlasSpec
     from jaxstab.atlas.read.file import node_count
@@ -66,7 +66,7 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
             write_atlas(chosen, output, show, executor)
     except KeyboardInterrupt:
         click.echo(
-            "jaxstab: interrupted; the tiles that are done are kept, so give the same command "
+            "jaxstab: interrupted; the finished tiles are stored, so give the same command "
             "again to go on.",
             err=True,
         )

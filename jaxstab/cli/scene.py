@@ -179,7 +179,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     walls = {}
     for name, stiffness, damping in options.get("wall", ()):
         if name in walls:
-            raise ValueError(f"wall {name} is given twice; give each wall a name of its own.")
+            raise ValueError(f"wall {name} is given twice; give each wall another name.")
         walls[name] = {"stiffness": stiffness, "damping": damping}
     return merged | ({"walls": merged.get("walls", {}) | walls} if walls else {})
 

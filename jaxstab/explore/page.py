@@ -125,7 +125,7 @@ def _hands(scene: Scene) -> dict[str, dict[str, float]] | None:
 
 
 def _cursor(scene: Scene) -> tuple[float, float]:
-    """Return K and B of the wall that is looked at first: half as stiff as the stiffest."""
+    """K and B of the first wall shown: half as stiff as the stiffest."""
     limits = wall_region(loop_of(scene)).limits()
     if not isfinite(limits.stiffness):  # no wall is stable
         return 0.0, 0.0

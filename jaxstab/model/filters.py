@@ -433,9 +433,9 @@ class FilterTable(Table):
         fraction = [name for name in given if name in _FRACTION]
         others = [name for name in given if name not in _FRACTION]
         if len(fraction) == 1:
-            raise ValueError(f"{fraction[0]} stands alone; give numerator and denominator.")
+            raise ValueError(f"{fraction[0]} is given alone; give numerator and denominator.")
         if fraction and others:
-            raise ValueError(f"{others[0]} stands beside numerator; give one of them.")
+            raise ValueError(f"{others[0]} is given beside numerator; give one of them.")
         if not given:
             first, *rest = (name for name in self._known() if name not in (*_BESIDE, *_FRACTION))
             raise ValueError(

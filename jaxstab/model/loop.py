@@ -92,7 +92,7 @@ class LoopParameters:
                 chain.transfer(self.sample_time)  # refuses what does not go with the period
 
     def __repr__(self) -> str:
-        """Return the call that makes the loop, without what is left to its default."""
+        """The call that makes the loop, without default arguments."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         defaults = {field.name: field.default for field in fields(self)}
         return call_text(

@@ -242,7 +242,7 @@ def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) ->
 
 
 class _Hold(NamedTuple):
-    """The plant while a force is held for a time t <= 1; here a stands for a t, q for q t^2."""
+    """The plant while a force is held for a time t <= 1; with a t as a and q t^2 as q."""
 
     length: DoubleDouble
     decay: DoubleDouble  # e^-a

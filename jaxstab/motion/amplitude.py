@@ -32,8 +32,8 @@ from jaxstab.motion.contraction import (
     contraction,
     decay,
     error_of_square,
-    lost_in,
     norm,
+    rounding_in,
     rows,
     transposed,
 )
@@ -89,7 +89,7 @@ def _parts(new: Contraction, doublings: int) -> list[np.ndarray]:
 
 def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output input"]:
     """Return the bounds of systems whose A was squared equally often."""
-    power, error, lost = new.transition, new.transition_error, lost_in(new.transition)
+    power, error, rounding = new.transition, new.transition_error, rounding_in(new.transition)
     levels: list[tuple[Matrices, PerLoop]] = []
     most = min(doublings + _FURTHER, _SUMMED)
     while len(levels) < most and not (levels and np.all(norm(power) <= _TAIL)):
@@ -106,7 +106,7 @@ def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output 
     sums *= 1.0 + 2.0 ** (len(levels) + 1) * UNIT
     one, two = late.size[:, :, None], early.size[:, None, :]
     one_error, two_error = late.error[:, :, None], early.error[:, None, :]
-    wrong = one_error * (two + two_error) + one * two_error + lost[:, None, None] * one * two
+    wrong = one_error * (two + two_error) + one * two_error + rounding[:, None, None] * one * two
     behind = np.minimum(new.norms, _sum_of_norms(power, error, 2.0 ** len(levels)))
     return sums + RAISED_MANY * (wrong + _tail(new, *levels[-1]) * behind[:, None, None])
 
@@ -114,7 +114,7 @@ def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output 
 def _tail(new: Contraction, power: Matrices, error: PerLoop) -> Float64[np.ndarray, "_ _ _"]:
     """Return bounds of |c A^h| |A^h b| for a power A^h.
 
-    The power is applied from either side, so that only what is slow is left of rows and columns.
+    The power is applied from either side, so that only slow parts of rows and columns are left.
     """
     norms, error = decay(power, error)[:, None], error[:, None]
     late = rows(new.outputs @ power) + norms * new.outputs_error
@@ -153,8 +153,8 @@ class _Family(NamedTuple):
         further = power @ self.vectors
         shape = (*further.shape[:2], -1, self.size.shape[1])
         size = self.size + np.sum(columns(further).reshape(shape[0], *shape[2:]), axis=1)
-        lost = (error + lost_in(power) * norm(power))[:, None]
-        wrong = self.error * (1.0 + decay(power, error)[:, None]) + lost * (self.size + self.error)
+        added = (error + rounding_in(power) * norm(power))[:, None]
+        wrong = self.error * (1.0 + decay(power, error)[:, None]) + added * (self.size + self.error)
         return _Family(np.concatenate([self.vectors, further], axis=2), size, RAISED_MANY * wrong)
 
 
@@ -177,7 +177,7 @@ def _sum_of_moduli(
 # What a unit of each does at the samples is a sum of moduli of an impulse response (lemmas M6 and
 # M7 of docs/proofs.md).
 
-_NUMBERS = 1 << 18  # of the matrices of all loops that are looked at together
+_NUMBERS = 1 << 18  # of the matrices of all loops in one batch
 _ROUNDINGS = 16  # of an entry of the transition, beside those of filters (lemma M7)
 _HARD = 8.0  # roundings of 1: the error of a transition with an entry that may nearly vanish
 _ACCURATE_GAMMA, _ACCURATE_DELTA = 0.5, 1.0  # up to which no entry of it nearly vanishes

@@ -118,7 +118,7 @@ class Controller:
         return cls(velocity, position, window)
 
     def at_rest(self, position: Array) -> Any:
-        """Return the memory after a device has always stood at one position."""
+        """The memory after a long rest at one position."""
         _, behind = _rest_of_chain(self.velocity, 0.0 * position)
         return (position,) * self.window, behind, _rest_of_chain(self.position, position)[1]
 
@@ -139,7 +139,7 @@ class Bank(NamedTuple):
 
     outputs: rows for the filtered position and for the velocity.
     steps: rows for the memory at the next sample.
-    at_rest: the memory for a device that always stood at position 1.
+    at_rest: the memory after a long rest at position 1.
     is_velocity: which entries of the memory are velocities.
     roundings: how often an entry is rounded at most, including the coefficients' own rounding.
     sizes: outputs and steps again, with moduli in place of the numbers that make up an entry.

@@ -1,7 +1,7 @@
 """How long the sampled loop rings: settling in the time domain, with the tail proved.
 
 The deviation from rest follows s -> A s, in coordinates in which no sample lengthens s (lemma M3 of
-docs/proofs.md). Stretches of samples are looked at, twice as many each time, until the state is so
+docs/proofs.md). Stretches of samples are computed, twice as many each time, until the state is so
 short that no later position leaves the tolerance (lemmas M1 and M2). One product of matrices
 doubles the states, one squares the power; no eigenvalue is needed, and multiple roots do no harm.
 """
@@ -28,8 +28,8 @@ from jaxstab.motion.contraction import (
     contraction,
     decay,
     error_of_square,
-    lost_in,
     norm,
+    rounding_in,
 )
 from jaxstab.motion.response import (
     Bank,
@@ -334,7 +334,7 @@ class _Search(NamedTuple):
 
     @classmethod
     def begun(cls, number: Int[np.ndarray, " loop"], new: Contraction) -> "_Search":
-        """Return the search before a look at its first stretch."""
+        """Return the search before its first stretch."""
         power, error, zero = new.transition, new.transition_error, np.zeros(len(number))
         for _ in range(int(log2(STRETCH))):
             power, error = power @ power, error_of_square(power, error)
@@ -343,16 +343,16 @@ class _Search(NamedTuple):
         return cls(number, motion, gain, error, new.inputs_error[:, 0], zero, zero)
 
     def doubled(self) -> "_Search":
-        """Return what is known of twice as many stretches, but for the positions."""
+        """The search with twice as many stretches, but for the positions."""
         power, last = self.motion.power, norm(self.motion.states[:, -1:])
-        lost = (self.power_error + lost_in(power) * norm(power)) * (last + self.state_error)
+        added = (self.power_error + rounding_in(power) * norm(power)) * (last + self.state_error)
         return self._replace(
             motion=self.motion.doubled(),
             power_error=error_of_square(power, self.power_error),
-            state_error=RAISED_MANY * (decay(power, self.power_error) * self.state_error + lost),
+            state_error=RAISED_MANY * (decay(power, self.power_error) * self.state_error + added),
         )
 
-    def looked_at(self, level: float, is_impact: bool) -> "_Search":
+    def searched(self, level: float, is_impact: bool) -> "_Search":
         """The search after the positions in the second half were examined.
 
         A position outside the tolerance may turn out to be inside after a larger one is found. That
@@ -400,7 +400,7 @@ def _first_samples(
     stable = np.flatnonzero(new.doublings >= 0)
     searches = [_Search.begun(stable, new.chosen(stable))] if stable.size else []
     while searches:
-        search = searches.pop().looked_at(level, is_impact)
+        search = searches.pop().searched(level, is_impact)
         proved = search.bound() <= level * search.peak
         first[search.number[proved]] = search.first[proved]
         if search.motion.samples >= horizon or np.all(proved):

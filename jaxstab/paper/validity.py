@@ -132,7 +132,7 @@ def _rounding(sizes: Coefficients, parts: int) -> Values:
     return rounding
 
 
-# All sign changes of cosine series on [0, pi], each in a cell of its own.
+# All sign changes of cosine series on [0, pi], each in its own cell.
 #
 # A cell is decided at its middle, by bounds of the second derivative of f in theta or in h = 1 -
 # cos(theta): a polynomial in h is regular at theta = 0 and pi, where df/dtheta vanishes. Cells that
@@ -437,7 +437,7 @@ class _Curve(NamedTuple):
     slices: SliceCoefficients
 
     def point(self, theta: Values) -> tuple[Values, Values, Values]:
-        """Return alpha, beta and alpha + gamma, which has digits of its own."""
+        """Return alpha, beta and alpha + gamma, to full relative accuracy."""
         alpha, beta, lift = (np.asarray(part) for part in curve_and_lift(self.slices, theta))
         return alpha, beta, 2.0 * np.sin(0.5 * theta) ** 2 * lift
 
@@ -449,7 +449,7 @@ class _Curve(NamedTuple):
 
 
 def _solved(curve: _Curve, series: np.ndarray, changes: SignChanges) -> Values:
-    """Return the sign change in each cell: Newton's method, kept in the cell by bisection."""
+    """Return the sign change in each cell: Newton's method, safeguarded by bisection."""
     low, high = changes.low.copy(), changes.high.copy()
     theta = 0.5 * (low + high)
     for _ in range(_NEWTON_STEPS):

@@ -1,4 +1,4 @@
-"""A picture of a scene: what is stable in the plane of K and B, its walls, and how they respond."""
+"""A picture of a scene: the stable set in the plane of K and B, its walls and their responses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -149,7 +149,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
 
 _HEIGHT = 4.6  # inches
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
-_SEEN = 0.05  # of the region, in K or in B: what is smaller is enlarged
+_SEEN = 0.05  # of the region, in K or in B: smaller sets are enlarged
 _COLUMNS = 64  # of the map of settling times, and rows
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
 _CALM_COLUMNS = 40  # of the map of amplitudes, and rows
@@ -329,7 +329,7 @@ def _draw_parts(panel: Axes, parts: list[_Part]) -> None:
 
 
 def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
-    """Draw what is tuned beside the fastest wall: all but that have marks of their own."""
+    """Draw the tuned walls beside the fastest one, each with its own mark."""
     given = [*tuned.walls.values(), *filter(None, [tuned.at_given_stiffness])]
     at_worst = tuned.over_ranges
     for label, walls, mark, colour in (
@@ -411,7 +411,7 @@ def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     panel.clabel(lines, fmt="%g ms", fontsize=7)
 
 
-# A picture of several scenes: what is stable in each, and the largest stiffness of each.
+# A picture of several scenes: the stable set and the largest stiffness of each.
 
 _SIZE = 10.0, 4.6  # inches
 _COLOURS = BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK
@@ -428,7 +428,7 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
     if not scenes:
         raise ValueError("no scene was answered; there is nothing to draw.")
     if len({scene.units for scene in scenes}) > 1:
-        raise ValueError("some of the scenes turn, others move along a line; draw them apart.")
+        raise ValueError("linear and rotational scenes cannot share a picture; draw them apart.")
     regions = [reachable(wall_region(loop_of(scene))) for scene in scenes]
     swept = _swept_numbers(variants)
     colours = _colours(len(scenes), is_graded=swept is not None)
@@ -439,7 +439,7 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
         if not region.is_empty:
             outline = closed_outline(region)
             walls.plot(*outline.T, color=colour, lw=1.2, label=_label(variant))
-    walls.set_title("stable walls, as far as gains are turned up")
+    walls.set_title("stable walls")
     walls.set_xlabel(f"stiffness K ({scenes[0].units.stiffness})")
     walls.set_ylabel(f"damping B ({scenes[0].units.damping})")
     stiffnesses = [region.stiffest.stiffness for region in regions]
@@ -488,7 +488,7 @@ def _draw_bars(panel: Axes, names: list[str], values: list[float], colours: list
     panel.invert_yaxis()
 
 
-# A picture of a guard: what it grants beside what is stable.
+# A picture of a guard: the granted stiffness beside the exact one.
 
 _CURVES = 5
 _POINTS = 400

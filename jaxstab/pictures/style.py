@@ -93,14 +93,14 @@ def closed_outline(region: Region) -> Floats:
 
 
 def draw_stable(panel: Axes, region: Region) -> None:
-    """Fill what is stable."""
+    """Fill the stable set."""
     outline = closed_outline(region).T
     panel.fill(*outline, color=SKY, alpha=0.35, lw=0, label="stable")
     panel.plot(*outline, color=BLUE, lw=1.2)
 
 
 def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
-    """Fill what is stable, but not reached by turning gains up from 0."""
+    """Fill islands: stable sets that are not connected to small gains."""
     label = "stable, not reachable by turning gains up"
     for number, island in enumerate(islands):
         outline = closed_outline(island).T

@@ -153,17 +153,17 @@ def _listed_radii(
         alpha, beta, loops = gathered(walls, shape, indices[part])
         gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
         with np.errstate(all="ignore"):
-            coefficients, lost = loop_coefficients(*gains, loops, PAIR_UNIT)
+            coefficients, rounding = loop_coefficients(*gains, loops, PAIR_UNIT)
             value[part] = _dominant_modulus(coefficients)
-            error[part] = dense_radius_error(coefficients, lost, value[part], unit=PAIR_UNIT)
+            error[part] = dense_radius_error(coefficients, rounding, value[part], unit=PAIR_UNIT)
     return value, error
 
 
 def traced_radius_error(coefficients: Array, radius: Array) -> Array:
     """Return bounds of the errors of radii in float64, for coefficients of (*grid, coefficient)."""
     xp = namespace(coefficients, radius)
-    lost = 2.0 * UNIT * xp.sum(abs(coefficients), axis=-1)
-    return dense_radius_error(xp.moveaxis(coefficients, -1, 0), lost, radius, unit=UNIT)
+    rounding = 2.0 * UNIT * xp.sum(abs(coefficients), axis=-1)
+    return dense_radius_error(xp.moveaxis(coefficients, -1, 0), rounding, radius, unit=UNIT)
 
 
 def _dominant_modulus(coefficients: DoubleDouble) -> Values:
@@ -218,13 +218,13 @@ def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) 
     signed = [-value if index % 2 else value for index, value in enumerate(scaled)]
     sizes = sum(map(size, scaled))
     degree = len(columns) - 1
-    lost = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
-    lost = lost + (2 * degree + 6) * unit * sizes + UNDERFLOW
+    rounding = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
+    rounding = rounding + (2 * degree + 6) * unit * sizes + UNDERFLOW
     ends = [
-        (leading(reduce(operator.add, terms)), lost + degree * unit * sizes)
+        (leading(reduce(operator.add, terms)), rounding + degree * unit * sizes)
         for terms in (scaled, signed)
     ]
-    return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), lost, ends, unit, degree)
+    return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), rounding, ends, unit, degree)
 
 
 # The error bound of a spectral radius, for the loop of the paper.

@@ -324,9 +324,9 @@ def loop_coefficients(
     sizes = [sum(map(size, part)) for part in loop[:3]]
     # A rounding of each number of the loop, of each product and of each of two sums.
     rounding = 4.0 * unit * (sizes[0] + stiffness * sizes[1] + damping * sizes[2])
-    lost = loop.errors[0] + stiffness * loop.errors[1] + damping * loop.errors[2]
-    lost = lost + UNDERFLOW * (1.0 + stiffness + damping)
-    return coefficients, xp.broadcast_to(rounding + lost, grid)
+    inherited = loop.errors[0] + stiffness * loop.errors[1] + damping * loop.errors[2]
+    inherited = inherited + UNDERFLOW * (1.0 + stiffness + damping)
+    return coefficients, xp.broadcast_to(rounding + inherited, grid)
 
 
 def _affine(parts: Affine, alpha: Number, beta: Number, unit: float) -> tuple[Array, Array]:

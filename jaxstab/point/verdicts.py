@@ -479,7 +479,7 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
 
 
 def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarray, "*grid"]:
-    """Repeat UNDECIDED points in double-double; of what is left, look for a root outside."""
+    """Repeat UNDECIDED points in double-double; for the others, look for a root outside."""
     for form, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
         for start in range(0, indices.size, _PAIRS):
             part = indices[start : start + _PAIRS]

@@ -28,7 +28,7 @@ _HEADINGS = {
     "answers": "{}",
 }
 
-"""The headings of what is in a field that is a dictionary, by its name."""
+"""The headings of the answers in a field that is a dictionary, by its name."""
 
 
 @dataclass(frozen=True)

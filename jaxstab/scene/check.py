@@ -105,7 +105,7 @@ class AllHands(Answer):
 class WorstHeld(NamedTuple):
     """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
 
-    ``hand`` is None where neither a hand nor the mass varies; ``tried`` says what is known where
+    ``hand`` is None where neither a hand nor the mass varies; ``tried`` describes the search where
     the verdict is UNDECIDED.
     """
 
@@ -116,7 +116,7 @@ class WorstHeld(NamedTuple):
 
 
 def worst_held(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
-    """Return what is known of walls for all hands of their scenes' ranges, and the worst hands."""
+    """Verdicts on walls for all hands of their scenes' ranges, and the worst hands."""
     return by_kind(walls, [is_one_mass(scene) for scene, _ in walls], _worst_of_a_kind)
 
 
@@ -368,19 +368,19 @@ def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
 
 
 def _walls_of(scenes: Sequence[Scene]) -> list[_Wall]:
-    asked: list[tuple[Scene, Gains, list[HapticLoop]]] = []
+    listed: list[tuple[Scene, Gains, list[HapticLoop]]] = []
     for scene in scenes:
         scene.require_walls()
         corners = corner_loops(scene) if hands_of(scene) else []
         loops = list(dict.fromkeys([loop_of(scene), *corners]))
-        asked += [(scene, gains, loops) for gains in walls_of(scene).values()]
-    has_hands = [hands_of(scene) is not None for scene, *_ in asked]
-    known = by_kind(asked, has_hands, _known)
-    return [_Wall(*wall, held) for wall, held in zip(asked, known, strict=True)]
+        listed += [(scene, gains, loops) for gains in walls_of(scene).values()]
+    has_hands = [hands_of(scene) is not None for scene, *_ in listed]
+    known = by_kind(listed, has_hands, _known)
+    return [_Wall(*wall, held) for wall, held in zip(listed, known, strict=True)]
 
 
 def _known(walls: Sequence[tuple[Scene, Gains, list[HapticLoop]]]) -> list[WorstHeld]:
-    """Return what is known of each wall at the worst hand, or in the loop itself if none varies."""
+    """The verdict on each wall at the worst hand, or in the loop itself if none varies."""
     if hands_of(walls[0][0]):
         return worst_held([(scene, gains) for scene, gains, _ in walls])
     codes = verdicts([Rendered(loops[0], gains) for _, gains, loops in walls])

@@ -40,7 +40,7 @@ class DesignStatus(Status):
 
 @dataclass(frozen=True)
 class LargestSampleTime(Answer):
-    """The largest sample time, the damping that allows most there, and what is known of it."""
+    """The largest sample time, the damping that allows most there, and a status."""
 
     largest_sample_time: LargestTime
     at_damping: Damping | None
@@ -49,7 +49,7 @@ class LargestSampleTime(Answer):
 
 @dataclass(frozen=True)
 class LargestDelay(Answer):
-    """The largest delay, the damping that allows most there, and what is known of it."""
+    """The largest delay, the damping that allows most there, and a status."""
 
     largest_delay: LargestTime
     at_damping: Damping | None
@@ -86,24 +86,24 @@ def design_loop(scene: Scene) -> Design:
         raise ValueError("wanted.stiffness is missing; give the stiffness to design for in N/m.")
     loop = loop_of(scene)
     in_samples, safety = scene.controller.delay_samples, scene.wanted.safety or 1.0
-    asked = wanted / safety
+    required = wanted / safety
     sampled, delayed = partial(sampled_loop, scene), partial(delayed_loop, scene)
     period, velocity = loop.sample_time, scene.controller.velocity
     window = velocity.window if velocity else None
     shortest = max(period / _FACTOR, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0)
     longest = min(_FACTOR * period, velocity.longest_sample_time if velocity else inf)
     if window is None:
-        largest_period = _largest(sampled, asked, period, shortest, longest)
+        largest_period = _largest(sampled, required, period, shortest, longest)
     else:
         periods = [window / n for n in range(1, LONGEST_WINDOW + 1)]
-        largest_period = _largest_of(sampled, asked, [one for one in periods if one >= shortest])
+        largest_period = _largest_of(sampled, required, [one for one in periods if one >= shortest])
     return Design(
         inputs=basis_of(scene),
         stiffness=wanted,
         safety=scene.wanted.safety,
         now_allowed_stiffness=safety * _stiffest(loop).stiffness,
         sample_time=LargestSampleTime(*largest_period),
-        delay=LargestDelay(*_largest(delayed, asked, period, 0.0, _MOST_SAMPLES * period)),
+        delay=LargestDelay(*_largest(delayed, required, period, 0.0, _MOST_SAMPLES * period)),
         hand=at_lowest(scene),
     )
 
@@ -158,7 +158,7 @@ def _largest_of(
 
 
 def _stiffest(loop: HapticLoop) -> Gains:
-    """Return the stiffest wall that turning gains up from 0 reaches."""
+    """The stiffest wall of the component that contains small gains."""
     return reachable(wall_region(loop)).stiffest
 
 

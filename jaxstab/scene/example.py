@@ -88,11 +88,11 @@ _OUTSIDE = (
 )
 
 _UNITS = ("kg", "N/m", "N s/m")
-_NAME = 14  # where what is said of a block begins
+_NAME = 14  # column of the values of a block
 
 
 def explain_model(scene: Scene) -> str:
-    """Return the loop as a diagram, its blocks as the scene has them, and what is outside of it."""
+    """The loop as a diagram, the values of its blocks, and limits of the model."""
     blocks = [f"{name:{_NAME}}{words}" for name, words in _blocks(scene).items()]
     counted = [f"{'':{_NAME}}{words}" for words in _COUNTED]
     every = [", ".join(_not_modelled(scene)), *_OUTSIDE]
@@ -135,7 +135,7 @@ def _not_modelled(scene: Scene) -> list[str]:
     return [
         "vibration modes other than these" if device.modes else "vibration modes",
         *([] if device.actuator else ["bandwidth of motor and amplifier"]),
-        *([] if hand is None or hand.grip else ["a grip that gives way"]),
+        *([] if hand is None or hand.grip else ["a compliant grip"]),
     ]
 
 

@@ -62,7 +62,7 @@ class LinearRule(StiffestWall):
 
 @dataclass(frozen=True)
 class Island(Answer):
-    """Stable walls that turning gains up from 0 does not reach: unstable ones lie between."""
+    """Stable walls that are not connected to small gains: unstable ones lie between."""
 
     largest_stiffness: LargestStiffness
     at_damping: Damping
@@ -95,7 +95,7 @@ class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
 
 @dataclass(frozen=True)
 class Limits(Answer):
-    """What a scene allows, with the hand at its lowest values."""
+    """The limits of a scene, with the hand at its lowest values."""
 
     inputs: Basis | None
     safety: Number | None

@@ -67,7 +67,7 @@ def is_plain(loop: HapticLoop) -> bool:
 
 
 def reachable(region: WallRegion) -> WallRegion:
-    """Return the walls that turning gains up from 0 reaches; all where small gains do not hold."""
+    """The component that contains small gains; all components where none does."""
     return region.main or region
 
 
@@ -212,7 +212,7 @@ def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
     return loop_of(replace(scene, controller=delayed), hand)
 
 
-# The plan for a scene: what is computed, what is skipped, and why.
+# The plan for a scene: computed and skipped steps, and why.
 
 
 class Step(NamedTuple):
@@ -224,28 +224,31 @@ class Step(NamedTuple):
 
 
 def plan_scene(scene: Scene) -> list[Step]:
-    """Return what is computed for a scene and what is skipped."""
+    """The steps that are computed for a scene and those that are skipped."""
     wanted = scene.wanted
-    asked = {name: name in wanted.answers for name in ANSWERS}
+    requested = {name: name in wanted.answers for name in ANSWERS}
     reason = {True: "wanted.answers has it", False: "wanted.answers does not have it"}
-    steps = [Step(name, asked[name], reason[asked[name]]) for name in ("limits", "tune", "design")]
+    steps = [
+        Step(name, requested[name], reason[requested[name]])
+        for name in ("limits", "tune", "design")
+    ]
     for key, what in (("at_damping", "stiffness limits"), ("at_stiffness", "damping limits")):
         given = getattr(wanted, key) is not None
         why = f"wanted.{key} is {'given' if given else 'not given'}"
-        steps.append(Step(f"{what} at a given {key[3:]}", given and asked["limits"], why))
-    checked = f"for each of {len(scene.walls)} walls" if asked["check"] else reason[False]
-    steps.append(Step("certified verdicts", asked["check"], checked))
+        steps.append(Step(f"{what} at a given {key[3:]}", given and requested["limits"], why))
+    checked = f"for each of {len(scene.walls)} walls" if requested["check"] else reason[False]
+    steps.append(Step("certified verdicts", requested["check"], checked))
     for name in MEASURES:
         is_wanted = name in wanted.measures
         why = checked if is_wanted else "wanted.measures does not have it"
         if name == "chatter" and scene.device.encoder is None:
             is_wanted, why = False, "device.encoder is not given"
-        steps.append(Step(name, asked["check"] and is_wanted, why))
+        steps.append(Step(name, requested["check"] and is_wanted, why))
     varies = hands_of(scene) is not None
     is_over = varies or bool(wanted.mass_tolerance) or bool(wanted.delay_tolerance)
     why = "neither hand nor mass nor a tolerance of mass or delay is a range"
     why = "a hand, the mass or a tolerance is a range" if is_over else why
-    steps.append(Step("tune over ranges", is_over and asked["tune"], why))
+    steps.append(Step("tune over ranges", is_over and requested["tune"], why))
     why = "the hand or the mass is a range" if varies else "there is one hand at most, and one mass"
     steps.append(Step("worst case over the hands", varies, why))
     steps.append(Step("proof for all hands", varies, why))

@@ -37,7 +37,7 @@ from jaxstab.tables import (
 
 
 class Units(Enum):
-    """The units of mass, stiffness, damping, length, force, and the word for what is moved."""
+    """The units of mass, stiffness, damping, length, force, and the word for the moved mass."""
 
     LINE = "kg", "N/m", "N s/m", "m", "N", "mass"
     ROTATION = "kg m^2", "N m/rad", "N m s/rad", "rad", "N m", "inertia"
@@ -397,7 +397,7 @@ MOST_WALLS = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class Controller(Table):
-    """The sampling period in s, the delay of the loop in s or in samples, and what is filtered."""
+    """The sampling period in s, the delay of the loop in s or in samples, and the filters."""
 
     sample_time: float = key(quantity("s", is_positive=True))
     delay: float | None = key(quantity("s"), None)
@@ -474,7 +474,7 @@ class Wanted(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A device, the hand that holds it, its controller, walls, and what is wanted."""
+    """A device, the hand that holds it, its controller, walls, and wishes."""
 
     device: Device
     controller: Controller
@@ -574,7 +574,7 @@ class Scene:
 
 
 class _Usual(NamedTuple):
-    """The ends of what is usual of each quantity."""
+    """The usual range of each quantity."""
 
     device_mass: tuple[float, float]
     device_damping: tuple[float, float]

@@ -190,7 +190,7 @@ class Tuned(Answer):
 
 
 class _Encoder(NamedTuple):
-    """The resolution of an encoder, and how far it may drive a wall; None for what is not given."""
+    """The resolution of an encoder, and how far it may drive a wall; None where not given."""
 
     resolution: float | None
     limit: float | None
@@ -251,7 +251,7 @@ def _over_hands(scene: Scene, gains: Gains) -> Verdict | str:
 
 
 def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: _Encoder) -> Tuning:
-    """Return gains with what they reach."""
+    """Gains and the radius or samples that they reach."""
     radius, resolution = loop.spectral_radius(*gains), encoder.resolution
     chatter = None
     if resolution is not None:

@@ -190,14 +190,14 @@ def value(coefficients: Array, z: Array) -> Array:
 # shows whether it is the best. If it is not, the radius is lowered from scan to scan until a double
 # pair next to the best point, or the point itself, passes this test.
 
-_SMALLEST, _LARGEST = 1e-4, 1.3  # radii that are looked at
+_SMALLEST, _LARGEST = 1e-4, 1.3  # radii of the search
 _FIRST = 1e-5  # rad: close enough to a double real root
 _NEAR = 1.2  # radii: how large other poles may be where a scan looks at them
-_MINIMA, _POINTS, _ROUNDS = 8, 9, 5  # of the scan that are looked at closer
-_MORE = 4.0  # times what a minimum lost when it was looked at closer
+_MINIMA, _POINTS, _ROUNDS = 8, 9, 5  # of the scan that are refined
+_MORE = 4.0  # times the improvement of a minimum by refinement
 _STEP = 0.8  # from one radius to the next smaller one that is tried
 _CLOSE = 1.01  # ends of the interval for the radius at which the search becomes local
-_SHORT = 0.1  # of the way to the radius that was guessed: what is left of it
+_SHORT = 0.1  # of the way to the radius that was guessed
 _ROWS, _COLUMNS, _ZOOMS = 32, 48, 14
 _FLAT = 1e-11  # relative: radii this close are not told apart
 _AGREEMENT = 1e-6  # relative, between the scan and the solution of the equations
@@ -326,8 +326,8 @@ def _triple_root(walls: Walls) -> tuple[Pair, int]:
     """Return the smallest triple real root without a larger pole; an infinite one for none."""
     roots = triple_roots(walls.family)
     sizes, largest = abs(roots.x), walls.largest_pole(roots.alpha, roots.beta)
-    stands = (sizes > _SMALLEST) & (largest <= sizes * (1.0 + _MOST_NOISE))
-    for number in np.argsort(np.where(stands, sizes, np.inf))[: np.sum(stands)]:
+    is_real = (sizes > _SMALLEST) & (largest <= sizes * (1.0 + _MOST_NOISE))
+    for number in np.argsort(np.where(is_real, sizes, np.inf))[: np.sum(is_real)]:
         pair = multiple_root(walls.family, Pair(*(part[number] for part in roots)), is_triple=True)
         is_same = abs(abs(pair.x) - sizes[number]) <= _AGREEMENT * sizes[number]
         if is_same and _holds(walls, pair):

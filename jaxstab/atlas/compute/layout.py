@@ -39,7 +39,7 @@ from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.region import Branch, RegionStatus, StableRegion, stable_region
 from jaxstab.region.curve import curve_point, minus_offset, minus_slope, plus_offset, plus_slope
 
-_PROBES = 17  # values along the axis at which the boundary is looked at
+_PROBES = 17  # values along the axis at which the boundary is computed
 _FINENESS = 1e-3  # of outlines, whose extremes are exact
 Slice = tuple[float, float, float]
 
@@ -120,8 +120,8 @@ def _motion(region: StableRegion, other: StableRegion, extent: Float64[np.ndarra
 
 _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
-_STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
-_COARSE = 32  # cells to a sample, at some of whose edges regions are looked at beforehand
+_STATIONS = 0.25  # of a delay and half a sample: how far apart regions are computed
+_COARSE = 32  # cells to a sample, at some of whose edges regions are computed beforehand
 _RADII = 0.8  # cells of radii along the delay for each of limits around a delay of 1/2
 _LATE = 3.0  # samples: from here on they are wider
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
@@ -243,7 +243,7 @@ class Reach:
 
 
 def reach_of(spec: AtlasSpec) -> Reach:
-    """The reach of the regions at the corners of gamma and delta: fewer than an axis looks at."""
+    """The reach of the regions at the corners of gamma and delta: fewer than an axis needs."""
     corners = (np.array(ends_of(getattr(spec, name))) for name in ("gamma", "delta"))
     gamma, delta = corners
     delays = np.array(spec.delay)
@@ -285,7 +285,7 @@ def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
 
 
 def regions_around(spec: AtlasSpec, grid: Grid) -> int:
-    """Return how many stable regions ``lay_out`` looks at, where their reach is not known."""
+    """Return how many stable regions ``lay_out`` computes, where their reach is not known."""
     if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
         return 0
     cells = max(grid.limit_range, grid.radius_range, key=len)
@@ -350,7 +350,7 @@ def _cells_of_radii(
     delay: Float64[np.ndarray, " delay"],
     fineness: int,
 ) -> Float64[np.ndarray, "radius_delay_cell 6"]:
-    """Return even cells of delays, so many to a sample, that reach as far as those given.
+    """Return ``fineness`` even cells of delays to a sample, that extend as far as those given.
 
     Functions of second order miss the radius by about as much at 0 as at 3 samples, and later less.
     """

@@ -43,17 +43,16 @@ class Share(NamedTuple):
     """
 
     variable: str
-    asked: int
+    requested: int
     evaluated: int
     reason: str = ""
     is_estimated: bool = False
 
     def __str__(self) -> str:
         about = "about " if self.is_estimated and self.evaluated else ""
-        words = (
-            f"{self.variable}: {_points(self.asked)} asked for, {about}{self.evaluated} evaluated"
-        )
-        left_out = self.asked - self.evaluated
+        requested = f"{self.variable}: {_points(self.requested)} requested"
+        words = f"{requested}, {about}{self.evaluated} evaluated"
+        left_out = self.requested - self.evaluated
         return words + (f"\n  {about}{left_out} not: {self.reason}" if left_out else "")
 
 
@@ -79,7 +78,7 @@ class Plan:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """The variables of which each value is asked for in a grid; errors come with values."""
+        """The variables of which each value is requested in a grid; errors come with values."""
         chosen = (PRODUCTS[product] for product in self.spec.products)
         return tuple(name for product in chosen for name in product.gridded)
 
@@ -173,7 +172,7 @@ class Plan:
             if not PRODUCTS[name].gridded
         ]
         left_out = [product for product in PRODUCTS if product not in self.spec.products]
-        lines += [f"{product}: not asked for, nothing evaluated" for product in left_out]
+        lines += [f"{product}: not requested, nothing evaluated" for product in left_out]
         return "\n".join(lines)
 
 

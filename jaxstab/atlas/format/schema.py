@@ -52,7 +52,7 @@ VARIABLES: Final = {
 ALWAYS: Final = frozenset(variable.name for variable in (*AXIS_VARIABLES, *SPEC_VARIABLES))
 
 
-# Attributes of a file and of its datasets, in words and numbers. No JAX.
+# Attributes of a file and of its datasets, as text and numbers. No JAX.
 
 
 def head_attributes(created_by: str, filters: str) -> dict[str, Any]:

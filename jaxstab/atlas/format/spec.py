@@ -71,7 +71,7 @@ def toml_of(filters: Velocity | Filter) -> str:
 
 
 def words_of(filters: Filters | None) -> str:
-    """Return in words what a loop makes of the sampled positions."""
+    """A description of a loop's estimator and filter."""
     velocity, position = filters or (Velocity(), Filter())
     words = f"velocity: {velocity}; position: {position}"
     return words.replace(" Hz", " of the sampling rate")  # the unit per sample
@@ -310,7 +310,7 @@ _ENTRIES: Mapping[type, list[str]] = {
 
 
 def check_size(counts: Sequence[int]) -> None:
-    """Raise ValueError where so many nodes along each axis are more than an atlas may have."""
+    """Raise ValueError for more nodes along the axes than an atlas may have."""
     for axes, size, most in (
         ("axes", math.prod(counts), LARGEST_ATLAS),
         ("axes alpha and beta", math.prod(counts[:2]), LARGEST_SLICE),

@@ -171,7 +171,7 @@ def _stored(line: str, where: str) -> Stored:
 
 
 def _check_sizes(stored: Stored) -> None:
-    """Refuse chunks that are larger than those of a slice, or than their bytes can stand for."""
+    """Refuse chunks that are larger than those of a slice, or than their bytes can hold."""
     is_packed, values = stored.variable.is_packed, prod(stored.chunk)
     check(not is_packed or values <= LARGEST_SLICE)
     raw = values * stored.dtype.itemsize

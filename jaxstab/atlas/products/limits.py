@@ -138,8 +138,8 @@ class Limits(Product):
     def share(self, plan: "Plan", variable: str) -> "Share":
         from jaxstab.atlas.compute.plan import Share
 
-        asked = plan.points(variable) // (2 * LIMIT_TERMS)
-        return Share(variable, asked, asked)
+        requested = plan.points(variable) // (2 * LIMIT_TERMS)
+        return Share(variable, requested, requested)
 
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         delay, gamma, delta, beta = place
@@ -179,8 +179,8 @@ def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDA
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         rounded = exact.astype(np.float32).astype(np.float64)
         moved = np.where(rounded == exact, 0.0, np.abs(rounded - exact)) * sizes
-        lost = _EVALUATION * np.where(np.isfinite(exact), np.abs(exact), 0.0) * sizes
-        raised = (error + moved.sum(axis=-1) + lost.sum(axis=-1)) * (1.0 + 1e-12)
+        rounding = _EVALUATION * np.where(np.isfinite(exact), np.abs(exact), 0.0) * sizes
+        raised = (error + moved.sum(axis=-1) + rounding.sum(axis=-1)) * (1.0 + 1e-12)
         above = raised.astype(np.float32)
         above = np.where(above < raised, np.nextafter(above, np.float32(np.inf)), above)
     is_known = np.all(np.isfinite(rounded) | (rounded == exact), axis=-1) & ~np.isnan(above)
@@ -289,7 +289,7 @@ def in_parts(
     ``answers`` takes as many float64 arrays of one length as there are ``points``, and returns an
     array for each of ``dtypes``. Conversion and broadcasting are done part by part as well.
     """
-    asked = len(points)
+    count = len(points)
     operands: Any = [*points, *(None for _ in dtypes)]
     uses: Any = [["readonly"] for _ in points] + [["writeonly", "allocate"] for _ in dtypes]
     with np.nditer(
@@ -302,9 +302,9 @@ def in_parts(
         buffersize=_PART,
     ) as parts:
         for part in parts:
-            for place, values in zip(part[asked:], answers(*part[:asked]), strict=True):
+            for place, values in zip(part[count:], answers(*part[:count]), strict=True):
                 place[...] = values
-        return list(parts.operands[asked:])
+        return list(parts.operands[count:])
 
 
 # What the limits of a column say about an alpha, and which of the two says it. NumPy alone.
@@ -312,7 +312,7 @@ def in_parts(
 Codes = NDArray[np.int8]
 Mask = NDArray[np.bool_]
 ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
-_ROUNDING = 1e-6  # of what is added up: far more than is lost, also where cells begin
+_ROUNDING = 1e-6  # of what is added up: far more than is rounded off, also where cells begin
 
 
 def surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:

@@ -236,11 +236,13 @@ def _in_float32(known: "RadiusSurfaces") -> tuple[NDArray[np.int32], NDArray[np.
     scale = np.where(meets, errors[0], errors)
     step = np.exp2(np.floor(np.log2(_STEP * np.clip(scale, _LEAST_ERROR, 1.0))))
     rounded = (np.round(terms / step[:, None]) * step[:, None]).astype(np.float32)
-    lost = np.abs(rounded - terms).sum(axis=1) + _BEYOND * np.abs(terms[:, 1:]).sum(axis=1)
+    moved = np.abs(rounded - terms).sum(axis=1) + _BEYOND * np.abs(terms[:, 1:]).sum(axis=1)
     # A mean that is moved moves the roots; the others change the polynomial in w.
-    of_polynomial = np.where(kind == SurfaceKind.PAIR, lost[1], WIDEST_CLUSTER * lost[1] + lost[2])
-    lost = np.where(meets, np.stack([of_polynomial, lost[0], 0.0 * lost[0]]), lost)
-    of_cells = np.concatenate([rounded, _raised(errors + lost + _LEAST_ERROR)[:, None]], axis=1)
+    of_polynomial = np.where(
+        kind == SurfaceKind.PAIR, moved[1], WIDEST_CLUSTER * moved[1] + moved[2]
+    )
+    moved = np.where(meets, np.stack([of_polynomial, moved[0], 0.0 * moved[0]]), moved)
+    of_cells = np.concatenate([rounded, _raised(errors + moved + _LEAST_ERROR)[:, None]], axis=1)
     is_used = np.arange(len(terms))[:, None] < np.array(RADIUS_FUNCTIONS)[kind]
     rows = np.moveaxis(of_cells, (0, 1, 2), (1, 2, 0))  # (cell, function, term)
     return kind, np.ascontiguousarray(rows[is_used.T].T)  # (term, row), cell after cell
@@ -300,8 +302,8 @@ def _of_clusters(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats
     one, two, three = roots
     products = one * two + one * three + two * three, one * two * three
     size = np.abs(roots).max(axis=0) + 5.0 * np.cbrt(bound)
-    lost = np.abs(one + two + three) * size**2 + np.abs(products[0] - slope) * size
-    loss = bound + lost + np.abs(products[1] + constant) + _ROUNDING_OF_ROOTS
+    residual = np.abs(one + two + three) * size**2 + np.abs(products[0] - slope) * size
+    loss = bound + residual + np.abs(products[1] + constant) + _ROUNDING_OF_ROOTS
     farthest = _farthest(np.abs(slope), np.abs(constant) + bound + _ROUNDING_OF_ROOTS)
     lowest, highest = np.abs(mean) - farthest, np.abs(mean) + farthest
     low, high = lowest, np.zeros(mean.size)

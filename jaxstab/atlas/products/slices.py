@@ -80,7 +80,7 @@ _OUTLINE = (
     _count(CORNER_COUNT, "number of corners", "with the NaN at their end", inf),
     _count(
         OUTLINE_STATUS,
-        "what is known of the outline",
+        "status of the outline",
         "0 complete, 1 the stable region is empty, 2 unresolved: do not use it",
         2,
     ),

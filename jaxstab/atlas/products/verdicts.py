@@ -72,14 +72,14 @@ class Verdicts(Product):
     def share(self, plan: "Plan", variable: str) -> "Share":
         from jaxstab.atlas.compute.plan import Share
 
-        asked = plan.points(variable)
+        requested = plan.points(variable)
         if variable == VERDICT:
             why = "between two pieces of the boundary, with one proved verdict for a whole column"
-            return Share(variable, asked, _undecided_nodes(plan), why, is_estimated=True)
-        columns = asked // plan.grid.lengths["alpha_cell"]
+            return Share(variable, requested, _undecided_nodes(plan), why, is_estimated=True)
+        columns = requested // plan.grid.lengths["alpha_cell"]
         return Share(
             variable,
-            asked,
+            requested,
             0,
             f"proved, or left undecided, in {columns} columns of cells as a whole",
         )

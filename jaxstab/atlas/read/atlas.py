@@ -3,7 +3,7 @@
 ``Atlas`` answers in dimensionless numbers, ``LoopAtlas`` in SI units for the walls of one loop. A
 query marks the points outside first. Inside, the limits of alpha decide most points, then nodes and
 their cells (``read.points``); functions of cells bound the spectral radius. What is left undecided
-stays so, or is computed where that is asked for.
+stays so, or is computed on request (``exact``).
 
 A verdict alone goes the short way: if all points are inside of the limits of alpha, one lookup in
 their table answers, and nothing else is touched. NumPy alone: no JAX, no HDF5, and nothing else
@@ -126,8 +126,8 @@ class LoopAtlas:
             nodes = atlas.arrays[name]
             if not nodes[0] <= value <= nodes[-1]:
                 raise ValueError(
-                    f"{name} of the loop is {value!r}, and this atlas reaches from "
-                    f"{float(nodes[0])!r} to {float(nodes[-1])!r}; ask another atlas, or build one."
+                    f"{name} of the loop is {value!r}, and this atlas has {float(nodes[0])!r} to "
+                    f"{float(nodes[-1])!r}; open another atlas, or build one."
                 )
         self._alphas, self._betas = _ends(atlas, self._slice["delay"])
 
@@ -147,7 +147,7 @@ class LoopAtlas:
 
         Other arguments, errors and source: as ``Atlas.query``.
         """
-        wall = self._asked(stiffness, damping, outside)
+        wall = self._wall(stiffness, damping, outside)
         return self.atlas.query(*wall, **self._slice, outside=outside, exact=exact)
 
     def verdict(
@@ -162,7 +162,7 @@ class LoopAtlas:
 
         Arguments, errors and source: as ``query``.
         """
-        wall = self._asked(stiffness, damping, outside)
+        wall = self._wall(stiffness, damping, outside)
         return self.atlas.verdict(*wall, **self._slice, outside=outside, exact=exact)
 
     def stiffness_limits(self, damping: Numbers) -> Floats:
@@ -219,7 +219,7 @@ class LoopAtlas:
         ends[~(ends[..., 0] < ends[..., 1])] = np.nan
         return ends
 
-    def _asked(
+    def _wall(
         self, stiffness: Numbers, damping: Numbers, outside: Outside
     ) -> tuple[Numbers, Numbers]:
         """Return alpha and beta of walls, checked; one wall as two plain numbers."""
@@ -252,8 +252,8 @@ class LoopAtlas:
         if beyond.size:
             raise ValueError(
                 f"{name} is {float(gains.flat[beyond[0]])!r}, and this atlas reaches from "
-                f"{in_units(low):.9g} to {in_units(high):.9g} for this loop; ask inside of it, or "
-                "set outside to 'undecided'."
+                f"{in_units(low):.9g} to {in_units(high):.9g} for this loop; give a value in this "
+                "range, or set outside to 'undecided'."
             )
 
 
@@ -267,7 +267,7 @@ def _checked_loop(loop: Any) -> Any:
     if plain.body is None:
         raise TypeError(
             f"an atlas is of devices that are one mass with their hand, and this one is not "
-            f"({loop.device}); ask the loop itself."
+            f"({loop.device}); use the methods of the loop."
         )
     return plain
 
@@ -505,7 +505,7 @@ class Atlas:
             >>> (limits.upper - limits.upper_error).round(4).tolist()  # proved stable up to here
             [0.1358, 0.1435]
         """
-        table, points = self._asked(delay, gamma=gamma, delta=delta, beta=beta)
+        table, points = self._table_and_points(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
         found = table.known_limits(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
         is_empty = found.lower == np.inf
@@ -525,7 +525,7 @@ class Atlas:
             >>> bool(largest.alpha <= largest.bound), round(float(largest.beta), 2)
             (True, 0.35)
         """
-        table, points = self._asked(delay, gamma=gamma, delta=delta)
+        table, points = self._table_and_points(delay, gamma=gamma, delta=delta)
         found = table.max_alpha(*(point.reshape(-1) for point in points))
         return MaxAlpha(*(value.reshape(points[0].shape) for value in found))
 
@@ -543,7 +543,7 @@ class Atlas:
             >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0)).name
             'STABLE'
         """
-        table = self._asked_over(alpha, beta, gamma, delta, delay)
+        table = self._table_over(alpha, beta, gamma, delta, delay)
         return np.int8(table.worst_verdict(alpha, beta, gamma, delta, delay))
 
     def common_alpha_limits(
@@ -561,21 +561,21 @@ class Atlas:
             >>> low < high, round(high, 2)
             (True, 0.13)
         """
-        table = self._asked_over(None, beta, gamma, delta, delay)
+        table = self._table_over(None, beta, gamma, delta, delay)
         return table.common_limits(beta, gamma, delta, delay)
 
     def _check_filters(self, velocity: Any, position: Any) -> None:
-        """Refuse a question about loops with others than those of the atlas."""
+        """Refuse a query for another estimator or filter than those of the atlas."""
         if velocity is None and position is None:
             return
         from jaxstab.atlas.format.spec import words_of
         from jaxstab.model.filters import known_filters
 
-        asked = known_filters(velocity, position)
-        if asked != self.filters:
+        named = known_filters(velocity, position)
+        if named != self.filters:
             raise ValueError(
-                f"the question is about {words_of(asked)}, and this atlas is of "
-                f"{self.filters_in_words}; ask another atlas, or build one."
+                f"the query is for {words_of(named)}, and this atlas is of "
+                f"{self.filters_in_words}; open another atlas, or build one."
             )
 
     def _verdict_by_limits(self, given: Sequence[Numbers]) -> NDArray[np.int8] | None:
@@ -608,8 +608,10 @@ class Atlas:
         hands = {name: self.arrays[name] for name in ("gamma", "delta")}
         return LimitTable(*(self.arrays[name] for name in names), **hands)
 
-    def _asked(self, delay: Numbers, **given: Numbers) -> tuple[LimitTable, list[Floats]]:
-        """Return the limits, and what is asked of them with the delays as the last; all checked."""
+    def _table_and_points(
+        self, delay: Numbers, **given: Numbers
+    ) -> tuple[LimitTable, list[Floats]]:
+        """The table of limits and the checked points of a query, the delays last."""
         table = self._table
         if table is None:
             raise ValueError(
@@ -617,28 +619,28 @@ class Atlas:
             )
         names = [*given, "delay"]
         points = np.broadcast_arrays(*all_checked((*given.values(), delay), names))
-        asked = dict(zip(names, points, strict=True))
+        query = dict(zip(names, points, strict=True))
         for name in ("gamma", "delta", "delay"):
-            check_inside(name, asked[name], self.arrays[name][0], self.arrays[name][-1])
-        between = ~table.delays.covers(asked["delay"])
+            check_inside(name, query[name], self.arrays[name][0], self.arrays[name][-1])
+        between = ~table.delays.covers(query["delay"])
         if np.any(between):
             delays = ", ".join(f"{node:g}" for node in self.delays.tolist())
             raise ValueError(
-                f"delay is {float(asked['delay'][between].flat[0])!r}; this atlas has limits at "
+                f"delay is {float(query['delay'][between].flat[0])!r}; this atlas has limits at "
                 f"{delays} alone."
             )
-        cell = table.delays.of(asked["delay"])
+        cell = table.delays.of(query["delay"])
         for name in {"alpha", "beta"} & set(given):
-            check_inside(name, asked[name], *table.delays.walls(name, cell))
+            check_inside(name, query[name], *table.delays.walls(name, cell))
         return table, list(points)
 
-    def _asked_over(
+    def _table_over(
         self, alpha: float | None, beta: float, gamma: Range, delta: Range, delay: float
     ) -> LimitTable:
         ranges = {"gamma": checked_range("gamma", gamma), "delta": checked_range("delta", delta)}
         walls = {"beta": beta} | ({} if alpha is None else {"alpha": alpha})
         numbers = {name: checked_number(name, value) for name, value in walls.items()}
-        return self._asked(checked_number("delay", delay), **ranges, **numbers)[0]
+        return self._table_and_points(checked_number("delay", delay), **ranges, **numbers)[0]
 
     def to_xarray(self) -> Any:
         """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed.

@@ -1,7 +1,7 @@
 """Atlas files are read here, and nowhere else. No JAX, and no HDF5.
 
-A file is checked against its footer before anything in it is looked at, its table against the
-schema before memory is asked for, and its values against their digests and ranges before a question
+A file is checked against its footer before anything in it is read, its table against the
+schema before memory is allocated, and its values against their digests and ranges before a question
 sees them. It was published by an atomic rename. So a reader meets the old file, the new file or a
 refusal in one sentence, whatever happened to writer and disk. The bytes that were checked stay in
 memory, and the arrays are unpacked from them: what becomes of the file later changes no answer.
@@ -76,7 +76,7 @@ def _inside(data: bytes, stored: Stored, number: int, start: tuple[int, ...]) ->
 
 
 def _check_size(stored: Stored) -> None:
-    """Refuse what is not read whole, and numbers that hardly anything in the file stands for."""
+    """Refuse arrays too large to read whole, and large ones that hardly any bytes hold."""
     most = LARGEST_ARRAY
     if not stored.variable.holds_verdicts:
         expanded = schema.LARGEST_EXPANSION * stored.stored_size
@@ -86,7 +86,7 @@ def _check_size(stored: Stored) -> None:
 
 
 def too_large(size: int, what: str, most: int) -> str:
-    """Return the sentence that refuses so many bytes."""
+    """The sentence that refuses an array of this size."""
     return (
         f"has {size} bytes of {what}, and at most {most} are read into memory; "
         "read parts of it with h5py or xarray."
@@ -224,7 +224,7 @@ class PackedArrays(Mapping[str, Array]):
         if name not in self._unpacked:
             stored = self._table.variables[name]
             with _told_of(self._path):
-                # Threads that meet here unpack the same values, and go on with one of them.
+                # Threads that meet here unpack the same values, and continue with one of them.
                 values = unpacked(self._data, stored)
                 check_together({name: values}, self._table)
                 self._unpacked.setdefault(name, values)

@@ -196,8 +196,8 @@ def write_atlas(
                     tell(done, len(tiles))
         except BrokenExecutor as error:
             raise RuntimeError(
-                f"a worker died; {done} of {len(tiles)} tiles are done and kept, so build the same "
-                "atlas again to go on."
+                f"a worker died; {done} of {len(tiles)} tiles are stored, so build the same atlas "
+                "again to continue."
             ) from error
         merge(plan, shards, path, created_by)
         shards.remove()

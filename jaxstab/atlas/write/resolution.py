@@ -430,7 +430,7 @@ class _Range:
         return plan if self._estimate(plan).size <= LARGEST_ARRAY else None
 
     def judged(self, plan: Plan, places: int) -> Resolution:
-        """Return what a resolution is like, by so many places of its range, or as will do."""
+        """Estimates of a resolution, from ``count`` places of its range or fewer."""
         known = dict.fromkeys(("limit_error", "undecided", "radius_error"), _UNKNOWN)
         sampled = {self._judge: places}
         if SPECTRAL_RADIUS in plan.spec.products:

@@ -1,7 +1,7 @@
 """Tiles on disk, and how they become one file.
 
 While a build runs, the image of each tile that is done lies in a folder beside the atlas. What is
-in the folder is what is done: a build that was interrupted goes on from there. The folder is its
+in the folder is what is done: an interrupted build continues from there. The folder is its
 owner's alone and locked by one process; a tile counts if it is of this build and this code, and as
 the schema says.
 
@@ -241,7 +241,7 @@ class Shards:
     def remove(self) -> None:
         """Remove the tiles and the folder, the lock last: until then it keeps others out.
 
-        Another process may have made a new lock by then, and goes on in the folder.
+        Another process may have made a new lock by then, and continue in the folder.
         """
         with suppress(OSError):
             self.clear()
@@ -374,7 +374,7 @@ def _check_whole(path: Path, written: io.FileIO) -> None:
 
 
 def _create_variables(file: h5py.File, plan: Plan, shards: Shards) -> dict[str, h5py.Dataset]:
-    """Write what is known without the tiles, and make room for the rest."""
+    """Write the variables known without the tiles, and allocate the others."""
     names = ALWAYS.union(*(PRODUCTS[product].names for product in plan.spec.products))
     lengths = plan.grid.lengths | _flat_lengths(plan, shards, names)
     known = _known_variables(plan, lengths)

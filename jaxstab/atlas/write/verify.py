@@ -1,7 +1,7 @@
 """Check an atlas file: that it is whole, as the schema says, and right at a sample of points.
 
 One slice is in memory at a time, however large the atlas is. Each product compares a sample of what
-it holds with what is computed again (``Product.checks``); half of the sample of verdicts is next to
+its contents with a new computation (``Product.checks``); half of the sample of verdicts is next to
 where the verdict changes, where a wrong one would be. At the end the atlas is opened and queried at
 random points, as its users do.
 """

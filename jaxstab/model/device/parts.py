@@ -16,8 +16,8 @@ from jaxstab.shown import call_text
 #
 # Numbers that users give are float64, rational numbers therefore; a frequency in Hz brings a factor
 # pi. As pi is no root of a polynomial with rational coefficients, it is a second variable here, and
-# what cancels is found exactly. Numbers that stand for all of an interval are polynomials in a
-# third variable. Only where such numbers are asked for python-flint is imported.
+# what cancels is found exactly. Numbers that represent a whole interval are polynomials in a
+# third variable. python-flint is imported only where such numbers are needed.
 
 if TYPE_CHECKING:
     from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
@@ -73,7 +73,7 @@ class Rational(NamedTuple):
         return Rational(self.numerator * other.numerator, self.denominator * other.denominator)
 
     def in_series(self, other: "Rational") -> "Rational":
-        """Return 1 / (1/a + 1/b): two dynamic stiffnesses that bear the same force."""
+        """Return 1 / (1/a + 1/b): two dynamic stiffnesses under the same force."""
         (a, b), (c, d) = self, other
         return Rational(a * c, a * d + c * b)
 
@@ -205,7 +205,7 @@ class Part:
     maker: ClassVar[str]
 
     def call(self, kind: str) -> str:
-        """Return the call that makes a device or hand of it, without what is 0 or None."""
+        """The call that makes a device or hand of it, without values of 0 or None."""
         given = {key: value for key, value in vars(self).items() if value not in (0.0, None)}
         return call_text(f"{kind}.{self.maker}", given)
 
