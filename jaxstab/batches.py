@@ -94,10 +94,8 @@ def _size(arrays: list[Any]) -> int:
 
 
 def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any) -> Result:
-    """Call a JAX function in float64, whatever its flag says; NumPy arrays in and out.
-
-    The arrays that come back share the memory of XLA and are read-only.
-    """
+    """Call a JAX function in float64, whatever its flag says; NumPy arrays in and out."""
+    # The arrays that come back share the memory of XLA and are read-only.
     import jax
     import jax.numpy as jnp
 
@@ -109,11 +107,9 @@ def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any)
 
 
 def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
-    """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out.
-
-    Each axis is filled up with its last points to a length of five binary digits, which is at most
-    6 % more; so grids of new sizes are rarely compiled anew.
-    """
+    """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out."""
+    # Each axis is filled up with its last points to a length of five binary digits, which is at
+    # most 6 % more; so grids of new sizes are rarely compiled anew.
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     filled = [_few_digits(length) for length in shape]
 
@@ -136,11 +132,9 @@ def _few_digits(length: int) -> int:
 
 
 def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) -> Result:
-    """Evaluate an elementwise kernel tile by tile, so that its working data stays in the cache.
-
-    Arrays of one element are not copied for every point. Only XLA on a CPU needs it: NumPy and an
-    accelerator get all points at once.
-    """
+    """Evaluate an elementwise kernel tile by tile, so that its working data stays in the cache."""
+    # Arrays of one element are not copied for every point. Only XLA on a CPU needs it: NumPy and an
+    # accelerator get all points at once.
     xp = namespace(arguments)
     if xp is np:
         return kernel(*arguments)

@@ -33,10 +33,8 @@ def attach_siblings(module: str, file: str) -> Any:
 
 
 def _exported(module: str, file: str) -> dict[str, list[str]]:
-    """Return the names in a stub by the module that each comes from.
-
-    The stub is read by the loader of the module, which may be that of a zip file.
-    """
+    """Return the names in a stub by the module that each comes from."""
+    # The stub is read by the loader of the module, which may be that of a zip file.
     loader: Any = sys.modules[module].__loader__
     exported: dict[str, list[str]] = {}
     for source, name in _IMPORT.findall(loader.get_data(f"{file}i").decode()):

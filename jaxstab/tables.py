@@ -291,7 +291,6 @@ def each(check: Check) -> Check:
 
 
 def _checked_values(kind: type[Table], values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of keys to store, with defaults."""
     known = {entry.name: entry for entry in fields(kind)}
     return {
         name: value

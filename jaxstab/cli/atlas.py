@@ -198,7 +198,6 @@ _UNITS = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9}
 
 
 def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float | None:
-    """Return a number of bytes from a text such as 10MB."""
     if text is None:
         return None
     parts = re.fullmatch(r"([0-9.eE+-]*[0-9.]) ?([a-zA-Z]*)", text)

@@ -67,7 +67,6 @@ def _open_what_is_closed() -> None:
 
 
 def _show(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Print a warning of the library as one line."""
     warn(str(message).rstrip("."))
 
 

@@ -152,7 +152,6 @@ def _read_points(table: Path, given: dict[str, float]) -> dict[str, list[float]]
 
 
 def _rows(text: str, source: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield where each row is, and its cells."""
     lines = csv.reader(io.StringIO(text, newline=""))
     try:
         for row in lines:
@@ -208,7 +207,6 @@ def _answered(
 
 
 def _words(verdict: int, radius: float, error: float, status: int) -> dict[str, float | str]:
-    """Return one answer in words and numbers."""
     from jaxstab.atlas import QueryStatus
 
     return {
@@ -279,7 +277,6 @@ def _asked_of_scene(
 
 
 def _made_of(opened: "Atlas") -> dict[str, str]:
-    """Return the filters and the maker of an atlas, as inputs of its answers."""
     from jaxstab.model import Filter
 
     velocity, _, position = opened.filters_in_words.partition("; position: ")
@@ -292,7 +289,6 @@ def _made_of(opened: "Atlas") -> dict[str, str]:
 def _write(
     rows: Iterable[dict[str, float | str]], header: list[str], form: str, stated: dict[str, Any]
 ) -> None:
-    """Print a table, or JSON with inputs and units before the rows."""
     every = [{name: row[name] for name in header} for row in rows]
     if form == "csv":
         text = io.StringIO()

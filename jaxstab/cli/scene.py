@@ -140,7 +140,6 @@ _VELOCITY = {
 
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of a file with the options in place of its values."""
     keys = {
         "device": ("device", "preset"),
         "mass": ("device", "mass"),
@@ -227,7 +226,6 @@ def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list[Any
 
 
 def _with_progress(rows: Iterable["Row"], count: int) -> Iterator["Row"]:
-    """Show on a terminal how many scenes are answered."""
     if not sys.stderr.isatty():
         yield from rows
         return
@@ -308,7 +306,6 @@ def _is_of_wall(path: str) -> bool:
 
 
 def _paths(rows: list["Row"]) -> list[str]:
-    """Return the paths of all values, in the order in which they come."""
     return list(dict.fromkeys(path for row in rows for path in row.values))
 
 
@@ -485,7 +482,6 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> int:
 
 # --------------------------------------------------------------------------- from options to scene
 def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
-    """Answer one scene or many, and return the exit code."""
     if len(given["files"]) > 1 or given["sweep"] or given["csv_file"]:
         answers = answer_many(given, FUNCTIONS[name], as_json)
         return 0 if all(one.all_stable for one in answers) else 1

@@ -48,7 +48,6 @@ def _text(name: str) -> str:
 
 
 def _initial(scene: Scene, title: str) -> dict[str, Any]:
-    """Return what the page begins with."""
     _refuse_others(scene)
     return {
         "state": _state(scene),
@@ -60,7 +59,6 @@ def _initial(scene: Scene, title: str) -> dict[str, Any]:
 
 
 def _refuse_others(scene: Scene) -> None:
-    """Refuse what the page's scripts cannot compute."""
     remedy = "leave it out, or draw the scene with jaxstab limits --plot."
     if scene.controller.position is not None:
         raise ValueError(
@@ -84,7 +82,6 @@ def _units(units: Units) -> dict[str, str]:
 
 
 def _state(scene: Scene) -> dict[str, Any]:
-    """Return the numbers of a scene by the page's own names."""
     loop, device = loop_of(scene), scene.device
     stiffness, damping = _cursor(scene)
     return {
@@ -118,7 +115,6 @@ def _hand(scene: Scene, end: int) -> dict[str, float]:
 
 
 def _hands(scene: Scene) -> dict[str, dict[str, float]] | None:
-    """Return two hands of the range, or None where there is one hand at most."""
     if scene.hand is None or not scene.hand.varies:
         return None
     return {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)}
@@ -137,7 +133,6 @@ def _rounded(gain: float) -> float:
 
 
 def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
-    """Return the estimator of a scene, or of a software, by the page's own names."""
     window = None if table is None else table.window
     samples = None if table is None else table.window_samples
     length = samples or (1 if window is None else max(1, round(window / period)))
@@ -146,7 +141,6 @@ def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
 
 
 def _index_of(table: VelocityTable | None) -> int | None:
-    """Return which of the page's estimators a scene names."""
     names = [software["title"] for software in _software()]
     return names.index(table.preset) if table is not None and table.preset in names else None
 

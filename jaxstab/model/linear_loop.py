@@ -231,7 +231,6 @@ def _at_minus_one(plant: SampledPlant, filters: LoopFilters, powers: list[int]) 
 
 
 def _values(transfer: Transfer, z: float) -> tuple[Bounded, Bounded]:
-    """Return numerator and denominator at z = 1 or -1."""
     both = zip(transfer.at(z), transfer.sizes, strict=True)
     above, below = (Bounded(value, FILTERS * size) for value, size in both)
     return above, below

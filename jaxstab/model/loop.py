@@ -92,7 +92,6 @@ class LoopParameters:
                 chain.transfer(self.sample_time)  # refuses what does not go with the period
 
     def __repr__(self) -> str:
-        """The call that makes the loop, without default arguments."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         defaults = {field.name: field.default for field in fields(self)}
         return call_text(
@@ -101,7 +100,6 @@ class LoopParameters:
         )
 
     def __dir__(self) -> list[str]:
-        """Return the names of fields and questions, for completion."""
         return [name for name in super().__dir__() if name not in _FOR_COMPUTING]
 
     def _refuse_mixed_fields(self) -> None:

@@ -252,7 +252,6 @@ class _Hold(NamedTuple):
     odd: DoubleDouble  # a sigma[a^2, q]
 
     def response(self) -> DoubleDouble:
-        """Return the unit-step response at the end of the hold."""
         return self.length * self.length * (self.decay * (self.even + self.odd))
 
     def reversed_response(self) -> DoubleDouble:

@@ -112,10 +112,8 @@ def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output 
 
 
 def _tail(new: Contraction, power: Matrices, error: PerLoop) -> Float64[np.ndarray, "_ _ _"]:
-    """Return bounds of |c A^h| |A^h b| for a power A^h.
-
-    The power is applied from either side, so that only slow parts of rows and columns are left.
-    """
+    """Return bounds of |c A^h| |A^h b| for a power A^h."""
+    # The power is applied from either side, so that only slow parts of rows and columns are left.
     norms, error = decay(power, error)[:, None], error[:, None]
     late = rows(new.outputs @ power) + norms * new.outputs_error
     late += error * (rows(new.outputs) + new.outputs_error)
@@ -145,7 +143,6 @@ class _Family(NamedTuple):
 
     @classmethod
     def begun(cls, vectors: Matrices, error: np.ndarray) -> "_Family":
-        """Return the vectors alone."""
         return cls(vectors, columns(vectors), error)
 
     def doubled(self, power: Matrices, error: PerLoop) -> "_Family":
@@ -250,7 +247,6 @@ class _Loops(NamedTuple):
 
     @classmethod
     def of(cls, columns: Float64[np.ndarray, "lane loop"]) -> "_Loops":
-        """Return the loops of lanes."""
         rows = np.ascontiguousarray(columns[2:10].T).reshape(-1, 2, 4)
         return cls(columns[0], columns[1], rows, columns[10:13].T, columns[13], columns[14])
 
@@ -268,11 +264,9 @@ class _Loops(NamedTuple):
 
 
 def _systems(loops: _Loops, whole_delay: int, bank: Bank, causes: Causes) -> Systems:
-    """Return the loops with inputs: encoder, computed force, and three of a push on the device.
-
-    The difference is that to the last position *as it was read*: so an error that was read with it
-    is in the state, and need not be remembered beside it.
-    """
+    """Return the loops with inputs: encoder, computed force, and three of a push on the device."""
+    # The difference is that to the last position *as it was read*: so an error that was read with
+    # it is in the state, and need not be remembered beside it.
     alpha, beta, rows, middle, *_ = loops
     row_sizes, middle_sizes = loops.sizes()
     step = with_inputs(-alpha, -beta, rows, bank.outputs, bank.steps, whole_delay)
@@ -385,7 +379,6 @@ class Amplitude(NamedTuple):
     status: Int8[Array, "*grid"]
 
     def __repr__(self) -> str:
-        """Return the bounds of one loop, rounded up, or a summary of many."""
         return answer_text("Amplitude", self[:4], _COLUMNS, self.status, AmplitudeStatus)
 
 
@@ -393,7 +386,6 @@ class WallAmplitude(Amplitude):
     """The same in m, m/s and N."""
 
     def __repr__(self) -> str:
-        """Return the bounds with their units."""
         return answer_text("Amplitude", self[:4], _SI_COLUMNS, self.status, AmplitudeStatus)
 
 
@@ -600,10 +592,8 @@ def device_amplitude(
 def _bounds(
     *lanes: np.ndarray, plant: _Plant, sample_time: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return bounds of position, velocity (per sample) and force, infinite where none is proved.
-
-    The lanes: the two gains, and the sizes of the errors of position and force and of friction.
-    """
+    """Return bounds of position, velocity (per sample) and force, infinite where none is proved."""
+    # The lanes: the two gains, and the sizes of the errors of position and force and of friction.
     columns = np.array([np.ravel(lane) for lane in lanes])
     columns[1] = columns[1] / sample_time
     found = np.full((3, columns.shape[1]), np.inf)

@@ -172,12 +172,10 @@ def rows(matrices: Matrices) -> Float64[np.ndarray, "loop row"]:
 
 
 def balance(step: Matrices) -> Float64[np.ndarray, "loop state"]:
-    """Powers of two, the first one 1, in whose units all powers of A are nearly small.
-
-    The unit of a state is how large it becomes, after 1, 2, 4 ... samples, from other states of
-    unit size; repeated, this comes close to the units with the smallest norms. Any units are
-    correct, but these give the smallest rounding bounds.
-    """
+    """Powers of two, the first one 1, in whose units all powers of A are nearly small."""
+    # The unit of a state is how large it becomes, after 1, 2, 4 ... samples, from other states of
+    # unit size; repeated, this comes close to the units with the smallest norms. Any units are
+    # correct, but these give the smallest rounding bounds.
     units = np.ones(step.shape[:2])
     sizes, power = [], step
     for _ in range(_POWERS):

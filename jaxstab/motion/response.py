@@ -221,7 +221,6 @@ def _rest_of_chain(chain: Chain, value: Array) -> tuple[Array, tuple[Memory, ...
 
 
 def _like(memories: tuple[Memory, ...], rows: np.ndarray) -> tuple[Memory, ...]:
-    """Return rows in the grouping of memories."""
     rest = iter(rows)
     return tuple(tuple(next(rest) for _ in memory) for memory in memories)
 
@@ -265,7 +264,6 @@ class Response(NamedTuple):
     force: Float64[Array, "*grid time"]
 
     def __repr__(self) -> str:
-        """Return the number of loops and times, and the range of each quantity."""
         times, loops = np.size(self.time), prod(np.shape(self.position)[:-1])
         name = f"Response of {loops} loop{'s' * (loops != 1)} at {times} times"
         return answer_text(name, self, _COLUMNS)
@@ -479,7 +477,6 @@ def _simulate(
 
 
 def _moved(rows: Any, causes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Return the states of the plant a sample later."""
     if len(causes) == 5:  # one mass, twice as fast so
         x, v, acting, arriving, push = causes
         return tuple(
@@ -642,7 +639,6 @@ def _wall(stiffness: Lanes, damping: Lanes, bank: Bank) -> Float64[np.ndarray, "
 
 
 def _gain(bank: Bank) -> float:
-    """Return the gain of the position filter at rest."""
     return float(bank.outputs[0] @ np.array([1.0, 0.0, *bank.at_rest]))
 
 

@@ -103,11 +103,9 @@ class Motion(NamedTuple):
 
 
 def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop stretch row"]:
-    """Return the products of each loop's matrix and its states.
-
-    They are taken in blocks that BLAS does not share out to threads, which for matrices as small as
-    these wait for each other longer than they work.
-    """
+    """Return the products of each loop's matrix and its states."""
+    # They are taken in blocks that BLAS does not share out to threads, which for matrices as small
+    # as these wait for each other longer than they work.
     loops, stretches, size = states.shape
     blocks = states.reshape(loops, -1, min(stretches, _BLOCK), size)
     return (blocks @ np.swapaxes(matrices, 1, 2)[:, None]).reshape(loops, stretches, -1)
@@ -147,7 +145,6 @@ class Settling(NamedTuple):
     status: Int8[Array, "*grid"]
 
     def __repr__(self) -> str:
-        """Return the samples and the status of one loop, or a summary of many."""
         columns = [Column("", "samples")]
         return answer_text("Settling", self[:1], columns, self.status, SettlingStatus)
 
@@ -162,7 +159,6 @@ class SettlingTime(Settling):
     """
 
     def __repr__(self) -> str:
-        """Return the time and the status of one loop, or a summary of many."""
         columns = [Column("", "ms", 1000)]
         return answer_text("Settling", self[:1], columns, self.status, SettlingStatus)
 
@@ -334,7 +330,6 @@ class _Search(NamedTuple):
 
     @classmethod
     def begun(cls, number: Int[np.ndarray, " loop"], new: Contraction) -> "_Search":
-        """Return the search before its first stretch."""
         power, error, zero = new.transition, new.transition_error, np.zeros(len(number))
         for _ in range(int(log2(STRETCH))):
             power, error = power @ power, error_of_square(power, error)
@@ -353,11 +348,10 @@ class _Search(NamedTuple):
         )
 
     def searched(self, level: float, is_impact: bool) -> "_Search":
-        """The search after the positions in the second half were examined.
-
-        A position outside the tolerance may turn out to be inside after a larger one is found. That
-        larger position is itself outside and comes later, so the last position outside stays right.
-        """
+        """The search after the positions in the second half were examined."""
+        # A position outside the tolerance may turn out to be inside after a larger one is found.
+        # That larger position is itself outside and comes later, so the last position outside stays
+        # right.
         size = np.abs(self.motion.latest())
         peak = np.maximum(self.peak, np.max(size, axis=1)) if is_impact else np.ones(len(size))
         outside = size[:, ::-1] > level * peak[:, None]
@@ -370,7 +364,6 @@ class _Search(NamedTuple):
         return RAISED_MANY * self.gain * (norm(self.motion.states[:, -1:]) + self.state_error)
 
     def chosen(self, which: Any) -> "_Search":
-        """Return the search of some of the loops."""
         number, motion, *columns = self
         return _Search(number[which], motion.chosen(which), *(one[which] for one in columns))
 
@@ -378,10 +371,8 @@ class _Search(NamedTuple):
 def _settle(
     *lanes: Array, bank: Bank, level: float, excitation: str, horizon: int
 ) -> Float64[np.ndarray, "*grid"]:
-    """Return the first sample since when all are inside the tolerance; NaN if none is proved.
-
-    The lanes: the gains, the entries of the propagator, the whole delay, and whether to search.
-    """
+    """Return the first sample since when all are inside the tolerance; NaN if none is proved."""
+    # The lanes: the gains, the entries of the propagator, the whole delay, and whether to search.
     alpha, beta, *propagators, whole_delay, is_hopeful = (np.ravel(lane) for lane in lanes)
     entries = np.array(propagators)
     first = np.full(alpha.shape, np.nan)

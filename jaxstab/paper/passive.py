@@ -135,10 +135,8 @@ def _boundary_points(directions: Points, delay: float) -> Points:
 
 
 def _raised(need: Needs, directions: Points, delay: float) -> Needs:
-    """Return the damping that all thetas need, from one that a theta needs.
-
-    Newton's method, from below on a convex function.
-    """
+    """Return the damping that all thetas need, from one that a theta needs."""
+    # Newton's method, from below on a convex function.
     for _ in range(60):
         theta = largest_value(_weights(directions, need, delay), _basis(delay)).theta
         raised = np.maximum(need, _need_at(theta, directions, delay))
@@ -149,7 +147,6 @@ def _raised(need: Needs, directions: Points, delay: float) -> Needs:
 
 
 def _need_at(theta: Float64[np.ndarray, " points"], directions: Points, delay: float) -> Needs:
-    """Return the damping that makes the wall passive at one theta."""
     fraction = delay - floor(delay)
     real = series_values(directions @ _basis(delay)[:2], theta)[0]
     alpha, beta = directions.T
@@ -179,7 +176,6 @@ def _weights(walls: Points, delta: Needs, delay: float) -> Float64[np.ndarray, "
 
 
 def _distance(point: Points, start: Points, end: Points) -> Float64[np.ndarray, " points"]:
-    """Return the distance of each point from the line through two others."""
     chord, away = end - start, point - start
     across = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
     distance: Float64[np.ndarray, " points"] = across / np.hypot(*chord.T)

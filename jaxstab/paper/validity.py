@@ -342,7 +342,6 @@ class _Question(NamedTuple):
         return 0.5 + self.delay
 
     def select(self, chosen: np.ndarray) -> "_Question":
-        """Return some of them."""
         return _Question(*(values[chosen] for values in self))
 
 
@@ -468,7 +467,6 @@ def _solved(curve: _Curve, series: np.ndarray, changes: SignChanges) -> Values:
 
 
 def _square(slices: SliceCoefficients, theta: Values) -> Values:
-    """Return |N(e^(i theta))|^2."""
     far = 2.0 * np.cos(0.5 * theta) ** 2
     q = slices.sigma * far - slices.num_minus
     return q**2 + (slices.nu * np.sin(theta)) ** 2
@@ -516,10 +514,8 @@ def excess_series(level: Values, gamma: Values, delta: Values, delay: Values) ->
 def _wall_series(
     plant: Float64[np.ndarray, "5 batch"], turns: int, sign: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return |N|^2 times beta, times alpha + beta (1 - cos(theta)), and |N|^2 as cosine series.
-
-    With ``sign`` -1 all products are added up without their signs, for bounds of errors.
-    """
+    """Return |N|^2 times beta, times alpha + beta (1 - cos(theta)), and |N|^2 as cosine series."""
+    # With ``sign`` -1 all products are added up without their signs, for bounds of errors.
     d1, d0, n2, n1, n0 = plant
     # W = |N|^2 w: the powers turns + 3 down to turns - 1 of z. |N|^2 beta = Im W / sin(theta).
     powers = np.arange(turns + 3, turns - 2, -1)
@@ -556,10 +552,8 @@ def _times_cosine(series: np.ndarray) -> np.ndarray:
 def _excess_at_corner(
     gamma: Values, delta: Values, fraction: Values, plant: PlantPairs, size: Values
 ) -> tuple[Values, Values]:
-    """Return E(0) and a bound of its error.
-
-    At the corner beta is the slope of w = -z^m D/N at z = 1, where D(1) = gamma N(1).
-    """
+    """Return E(0) and a bound of its error."""
+    # At the corner beta is the slope of w = -z^m D/N at z = 1, where D(1) = gamma N(1).
     rest = plant.n2.scaled(2.0) + plant.n1  # N'(1)
     bracket = plant.sum * (DoubleDouble.of(gamma) * (fraction - 0.5) + delta)
     bracket = bracket - (plant.d1 + 2.0) + rest * gamma

@@ -121,7 +121,6 @@ def atlas_html(atlas: Atlas) -> str:
 
 
 def _raster(atlas: Atlas, number: int) -> tuple[Floats, Floats]:
-    """Return alpha and beta of the points of a plane at one delay."""
     nodes = atlas.nodes(number)
     alpha, beta = (
         np.linspace(nodes[name][0], nodes[name][-1], _RASTER) for name in ("alpha", "beta")

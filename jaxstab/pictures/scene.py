@@ -251,12 +251,10 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
 
 
 def _judged(scene: Scene) -> Check:
-    """Return the verdicts on the walls of a scene, without any measure."""
     return check_walls(replace(scene, wanted=replace(scene.wanted, measures=())))
 
 
 def _draw_legend(figure: Figure, panel: Axes, most: int) -> None:
-    """Draw the legend of a panel below, in as many columns as the figure has room for."""
     handles, labels = panel.get_legend_handles_labels()
     for columns in range(most, 0, -1):
         legend = figure.legend(
@@ -323,7 +321,6 @@ def _designed(scene: Scene, design: Design) -> list[_Part]:
 
 
 def _draw_parts(panel: Axes, parts: list[_Part]) -> None:
-    """Draw parts of the stable walls."""
     for part in parts:
         panel.fill(*part.outline.T, **part.look)
 
@@ -392,7 +389,6 @@ def _draw_chatter(
 
 
 def _columns_and_rows(region: WallRegion, count: int) -> Floats:
-    """Return values of K and of B (2, count) that span the region."""
     return np.linspace(region.outline.min(axis=0), region.outline.max(axis=0), count).T
 
 
@@ -459,7 +455,6 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
 
 
 def _label(variant: Variant) -> str:
-    """Return the file and the values, without their keys."""
     values = map(short, variant.values.values())
     return plain(", ".join([*([variant.source] if variant.source else []), *values]))
 

@@ -223,7 +223,6 @@ def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:
 
 
 def _numerator(t: Complex, coefficients: tuple[Array, ...]) -> tuple[Complex, Complex]:
-    """Return N and its derivative."""
     if len(coefficients) == 2:
         slope, value = coefficients
         return t.scaled(slope).shifted(value), Complex(slope, 0.0 * slope)
@@ -281,12 +280,10 @@ def _distance(root: Array, loop: Loop, *, degree: int) -> Array:
 
 
 def _distance_to_root(t: Complex, radius: Array, loop: Loop, degree: int) -> Array:
-    """Return n |p/p'|, raised by what rounding may have changed.
-
-    Each product of complex numbers errs by at most 3 ulp, z^(n-2) therefore by 4 (n - 2), and what
-    it is multiplied with and added to by less than 30 ulp of the same terms taken without their
-    signs.
-    """
+    """Return n |p/p'|, raised by what rounding may have changed."""
+    # Each product of complex numbers errs by at most 3 ulp, z^(n-2) therefore by 4 (n - 2), and
+    # what it is multiplied with and added to by less than 30 ulp of the same terms taken without
+    # their signs.
     xp = namespace(t, loop)
     value, slope = evaluated(t, loop, degree)
     t_size = xp.sqrt(t.squared_modulus())
@@ -337,10 +334,8 @@ def _deflated(
 def _divided(
     t: Complex, is_real: Array, inverse: Array, powers: list[Array], loop: Loop, degree: int
 ) -> list[Array]:
-    """Return the quotient of p by the root and its conjugate, on the circle of radius 1 now.
-
-    With s and q their sum and product, b_j = c_j + s b_(j-1) - q b_(j-2).
-    """
+    """Return the quotient of p by the root and its conjugate, on the circle of radius 1 now."""
+    # With s and q their sum and product, b_j = c_j + s b_(j-1) - q b_(j-2).
     xp = namespace(t, loop)
     coefficients = loop.coefficients(degree)[::-1]
     twice = xp.where(is_real, xp.sign(t.re + 1.0), 2.0 * (t.re + 1.0) * inverse)

@@ -119,10 +119,8 @@ def over_grid(
 def looked_up(
     arguments: Sequence[Any], shape: tuple[int, ...], points: Int64[np.ndarray, " point"]
 ) -> list[Any]:
-    """Return arrays, or trees of them, at flat indices of the grid to which they broadcast.
-
-    Single numbers stay single, so that they are used once; only the first argument is repeated.
-    """
+    """Return arrays, or trees of them, at flat indices of the grid to which they broadcast."""
+    # Single numbers stay single, so that they are used once; only the first argument is repeated.
     index = np.unravel_index(points, shape or (1,))
 
     def repeated(values: Any) -> Any:
@@ -213,10 +211,8 @@ def _eigenvalues(
 
 
 def _unit(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "*grid"]:
-    """Return what to measure roots in: 1, but of huge coefficients about the largest root.
-
-    Some builds of LAPACK lose the scale of matrices above 1e138.
-    """
+    """Return what to measure roots in: 1, but of huge coefficients about the largest root."""
+    # Some builds of LAPACK lose the scale of matrices above 1e138.
     xp = namespace(coefficients)
     sizes = xp.abs(coefficients[..., 1:])
     exponents = xp.log2(sizes) / xp.arange(1, coefficients.shape[-1])

@@ -146,7 +146,6 @@ def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
 def _listed_radii(
     walls: tuple[Values, Values, LinearLoop], shape: tuple[int, ...], indices: Values
 ) -> tuple[Values, Values]:
-    """Return radii and bounds at flat indices of a grid."""
     value, error = np.zeros(indices.size), np.full(indices.size, np.inf)
     for start in range(0, indices.size, _MATRICES):
         part = slice(start, start + _MATRICES)
@@ -342,7 +341,6 @@ class SpectralRadius(NamedTuple):
     status: Int8[Array, "*grid"]
 
     def __repr__(self) -> str:
-        """Return the radius with its bound, or a summary of many."""
         if not are_numbers(self):
             return f"SpectralRadius{tuple(self)}"
         values, errors, codes = map(np.ravel, self)

@@ -90,10 +90,8 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
 
 
 def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Array]:
-    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last |K|.
-
-    The step from a cubic b0 z^3 + b1 z^2 + b2 z + b3.
-    """
+    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last |K|."""
+    # The step from a cubic b0 z^3 + b1 z^2 + b2 z + b3.
     head, tail = chain.head, chain.tail
     b0 = chain.gap + head[1]
     b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
@@ -113,7 +111,6 @@ def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
 
 
 def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Number]:
-    """Lower the degree by one."""
     head, tail = chain.head, chain.tail
     first = chain.gap + head[1]
     ratio = tail[0] if is_monic else tree_map(kept, tail[0] / first)
@@ -227,11 +224,9 @@ def dense_codes(
 
 
 def without_zeros(loop: LinearLoop) -> LinearLoop:
-    """Leave out the coefficients in the middle of p(z) that are 0 whatever the gains are.
-
-    As many stay at the end as at the beginning, less one. Nothing is left out where that would not
-    pay off, nor where JAX traces the numbers.
-    """
+    """Leave out the coefficients in the middle of p(z) that are 0 whatever the gains are."""
+    # As many stay at the end as at the beginning, less one. Nothing is left out where that would
+    # not pay off, nor where JAX traces the numbers.
     if is_any_traced(loop):
         return loop
     last = loop.degree
@@ -373,7 +368,6 @@ def _joined(state: _State[Number], unit: float) -> _State[Number]:
 
 
 def _sum(*numbers: Number) -> Array:
-    """Return the sum of the moduli."""
     xp = namespace(numbers)
     return sum(xp.sum(size(number), axis=0) for number in numbers)
 

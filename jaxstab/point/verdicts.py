@@ -323,10 +323,8 @@ def loop_codes(
     unit: float,
     degree: int | Array,
 ) -> Array:
-    """Return the code of each point, computed in numbers of the given unit roundoff.
-
-    The drift from exact steps is followed for high degrees, and where the degree is an array.
-    """
+    """Return the code of each point, computed in numbers of the given unit roundoff."""
+    # The drift from exact steps is followed for high degrees, and where the degree is an array.
     chain = _closed_loop(alpha, beta, plant, unit)
     ends = _ends(alpha, beta, gamma, plant, unit, degree)
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.

@@ -338,11 +338,9 @@ class _Wall:
 
     @property
     def at_worst(self) -> Rendered:
-        """The wall in the loop with the worst hand."""
         return Rendered(self.known.loop, self.gains)
 
     def wants(self, measure: str) -> bool:
-        """Return whether a measure is wanted, and can be taken."""
         wanted = measure in self.scene.wanted.measures
         return wanted and (measure != "chatter" or self.scene.device.encoder is not None)
 
@@ -428,7 +426,6 @@ def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
 
 
 def _margins(walls: Sequence[_Wall]) -> list[Margins]:
-    """Return the least margins of each wall over its hands."""
     return [_least_margins(*own) for own in _over_hands(walls, wall_margins)]
 
 
@@ -463,7 +460,6 @@ def _radii(walls: Sequence[_Wall]) -> list[Radius]:
 
 
 def _settlings(walls: Sequence[_Wall]) -> list[Settling]:
-    """Return the longest settling times of each wall over its hands."""
 
     def ask(rendered: Sequence[Rendered]) -> list[MotionSettling]:
         return settling_times(rendered, _LEVELS, _HORIZON)
@@ -512,7 +508,6 @@ def _least_damped(wall: _Wall, loops: list[HapticLoop], found: Mode) -> Oscillat
 
 
 def _chatters(walls: Sequence[_Wall]) -> list[Chatter]:
-    """Return the largest amplitudes of each wall over its hands."""
     encoders = [wall.scene.device.encoder for wall in walls]
     steps = [one.resolution for one in encoders if one is not None]  # all, as they are wanted
     return [

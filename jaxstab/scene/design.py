@@ -75,12 +75,10 @@ class Design(Answer):
 
 
 def design_loop(scene: Scene) -> Design:
-    """The largest sample time, and the largest delay, that allow the wanted stiffness.
-
-    A delay given in samples grows with the sample time. The damping is the one that allows most.
-    The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
-    taken over a window in s, only sample times that divide it are tried.
-    """
+    """The largest sample time, and the largest delay, that allow the wanted stiffness."""
+    # A delay given in samples grows with the sample time. The damping is the one that allows most.
+    # The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
+    # taken over a window in s, only sample times that divide it are tried.
     wanted = scene.wanted.stiffness
     if wanted is None:
         raise ValueError("wanted.stiffness is missing; give the stiffness to design for in N/m.")
@@ -158,7 +156,6 @@ def _largest_of(
 
 
 def _stiffest(loop: HapticLoop) -> Gains:
-    """The stiffest wall of the component that contains small gains."""
     return reachable(wall_region(loop)).stiffest
 
 
@@ -187,11 +184,9 @@ def _bracket(
 def _last_with_spare(
     spare: Callable[[float], float], low: _Trial, high: _Trial, scale: float
 ) -> float:
-    """Return the largest value with something to spare, by false position.
-
-    The weight of an end that stays twice is halved (the Illinois rule); if it stays longer, the
-    interval is halved: the largest value may be 0, and the spare noise next to it.
-    """
+    """Return the largest value with something to spare, by false position."""
+    # The weight of an end that stays twice is halved (the Illinois rule); if it stays longer, the
+    # interval is halved: the largest value may be 0, and the spare noise next to it.
     weight_low, weight_high, moved, stays = low.spare, high.spare, "", 0
     while high.value - low.value > _AGREEMENT * max(high.value, _NO_DELAY * scale):
         share = weight_low / (weight_low - weight_high) if isfinite(weight_high) else 0.5

@@ -123,7 +123,6 @@ def _blocks(scene: Scene) -> dict[str, str]:
 
 
 def _range(ends: tuple[float, float], unit: str, units: Units) -> str:
-    """Return a number, or the two ends of a range."""
     if ends[0] == ends[1]:
         return Quantity(unit).words(ends[0], units)
     return IntervalQuantity(unit).words(ends, units)

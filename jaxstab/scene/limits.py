@@ -187,7 +187,6 @@ class _Rows:
         return DampingsAtStiffness(stiffness, inwards(low, high, self.safety))
 
     def around(self, stiffness: float, damping: float) -> AroundWall:
-        """Return both for a wall."""
         by_damping = self.at_damping(damping, stiffness)
         return AroundWall(**vars(by_damping), **vars(self.at_stiffness(stiffness, damping)))
 
@@ -209,17 +208,14 @@ def _around(intervals: Floats, value: float) -> tuple[float, float] | None:
 
 
 def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
-    """Return the limits of an interval, each moved inwards by a factor; NaN where nothing stays.
-
-    Limits of one sign are moved away from it: a lower one above 0 is divided by the factor.
-    """
+    """Return the limits of an interval, each moved inwards by a factor; NaN where nothing stays."""
+    # Limits of one sign are moved away from it: a lower one above 0 is divided by the factor.
     low = low * safety if low < 0.0 else low / safety
     high = high * safety if high > 0.0 else high / safety
     return (low, high) if low <= high else (nan, nan)
 
 
 def _islands(limits: WallLimits) -> dict[str, Island]:
-    """Return the islands by their numbers, the largest first."""
     return {
         str(number): Island(*island[:4], _NOT_REACHABLE)
         for number, island in enumerate(limits.islands, 1)

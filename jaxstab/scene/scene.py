@@ -596,7 +596,6 @@ _PARTS: Mapping[str, type[Table]] = {
 
 
 def _parts(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of a scene, checked."""
     check_keys("", table, [*_PARTS, "walls"])
     given = {"device": {}, "controller": {}, **table}  # which must not be left out
     parts: dict[str, Any] = {

@@ -197,7 +197,6 @@ class _Encoder(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> "_Encoder":
-        """Return what a scene says."""
         encoder, limit = scene.device.encoder, scene.wanted.chatter
         return cls(
             None if encoder is None else encoder.resolution,
@@ -251,7 +250,6 @@ def _over_hands(scene: Scene, gains: Gains) -> Verdict | str:
 
 
 def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: _Encoder) -> Tuning:
-    """Gains and the radius or samples that they reach."""
     radius, resolution = loop.spectral_radius(*gains), encoder.resolution
     chatter = None
     if resolution is not None:

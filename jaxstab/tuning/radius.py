@@ -93,11 +93,9 @@ def family_of_loop(loop: LinearLoop) -> Family:
 
 
 def triple_roots(family: Family) -> Pair:
-    """Return all triple real roots, with y = 0, to the accuracy of the roots of a polynomial.
-
-    The equations are linear in the gains and 1, so that the determinant of the three is a
-    polynomial in z that vanishes at the triple roots of all gains.
-    """
+    """Return all triple real roots, with y = 0, to the accuracy of the roots of a polynomial."""
+    # The equations are linear in the gains and 1, so that the determinant of the three is a
+    # polynomial in z that vanishes at the triple roots of all gains.
     base, stiff, damp = map(_derivatives, family)
     determinant: Array = np.zeros(1)
     for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -130,10 +128,8 @@ def multiple_root(family: Family, start: Pair, is_triple: bool) -> Pair:
 
 
 def newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:
-    """Return the step of Newton's method to a triple real root, or to a double complex pair.
-
-    The equations are p = p' = p'' = y = 0 or p = p' = 0, those for alpha, beta, x and y.
-    """
+    """Return the step of Newton's method to a triple real root, or to a double complex pair."""
+    # The equations are p = p' = p'' = y = 0 or p = p' = 0, those for alpha, beta, x and y.
     xp = namespace(family, pair)
     z = pair.x + 1j * pair.y
     whole = family.polynomial(pair.alpha, pair.beta)
@@ -281,12 +277,10 @@ def _best(walls: Walls) -> tuple[Pair, int]:
 
 
 def _descended(walls: Walls, low: float, best: _Point) -> tuple[float, Pair, int]:
-    """Return a radius below which no pair was found, the best pair above it, and its kind.
-
-    From the best point known, the radius is taken down until no pair is left, faster and faster.
-    Below the best radius, what is reached misses the circle by about as much as the circle is too
-    small: two such circles tell where the next one nearly fits.
-    """
+    """Return a radius below which no pair was found, the best pair above it, and its kind."""
+    # From the best point known, the radius is taken down until no pair is left, faster and faster.
+    # Below the best radius, what is reached misses the circle by about as much as the circle is too
+    # small: two such circles tell where the next one nearly fits.
     high, step, misses = best.radius, _STEP, list[_Point]()
     while high > low * _CLOSE:
         guess = _guess(misses, low, high)
@@ -336,10 +330,8 @@ def _triple_root(walls: Walls) -> tuple[Pair, int]:
 
 
 def _holds(walls: Walls, pair: Pair) -> bool:
-    """Return whether gains have the radius of their pair, but for the noise of a multiple root.
-
-    Gains that miss it by far more are an artefact of cancellation.
-    """
+    """Return whether gains have the radius of their pair, but for the noise of a multiple root."""
+    # Gains that miss it by far more are an artefact of cancellation.
     radius = np.hypot(pair.x, pair.y)
     gains = np.atleast_1d(pair.alpha), np.atleast_1d(pair.beta)
     is_reached = walls.largest_pole(*gains)[0] <= radius * (1.0 + _MOST_NOISE)
@@ -347,10 +339,8 @@ def _holds(walls: Walls, pair: Pair) -> bool:
 
 
 def _scanned(walls: Walls, radius: float) -> _Point:
-    """Return the point of the smallest radius among the pairs on a circle.
-
-    Poles are computed where others than the pair are not much larger, and next to there.
-    """
+    """Return the point of the smallest radius among the pairs on a circle."""
+    # Poles are computed where others than the pair are not much larger, and next to there.
     angles = walls.angles
     pairs = _family_pairs(walls, np.full(angles.shape, radius), angles)
     fits = _is_dominant(walls, pairs, np.full(angles.shape, _NEAR * radius))
@@ -397,10 +387,8 @@ def _reached(walls: Walls, radius: float, angles: Angles) -> Angles:
 
 
 def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, int]:
-    """Return the best pair around a point: a multiple root where its equations have one.
-
-    Elsewhere the answer is the radius that the better gains have, as float64 has them.
-    """
+    """Return the best pair around a point: a multiple root where its equations have one."""
+    # Elsewhere the answer is the radius that the better gains have, as float64 has them.
     start = _zoomed(walls, low, high, point.angle)
     is_triple = bool(np.sin(np.arctan2(start.y, start.x)) < _REAL)
     solution = multiple_root(walls.family, start, is_triple)
@@ -415,7 +403,6 @@ def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, 
 
 
 def _pair_at(walls: Walls, point: _Point) -> Pair:
-    """Return the pair of a point."""
     radius, angle = np.array([point.radius]), np.array([point.angle])
     return Pair(*(part[0] for part in _family_pairs(walls, radius, angle)))
 
@@ -632,10 +619,8 @@ def walls_of(loop: LinearLoop, component: Component) -> Walls:
 
 
 def _followed(family: Family, best: Pair, kind: Array) -> Pair:
-    """Return the pair with its derivatives: those of one more step of Newton's method.
-
-    Where no equations are known that it solves, they are NaN.
-    """
+    """Return the pair with its derivatives: those of one more step of Newton's method."""
+    # Where no equations are known that it solves, they are NaN.
     is_triple = kind == TuningStatus.TRIPLE_ROOT
     step = newton_step(family, constant(best), is_triple)
     moved = [a + b for a, b in zip(constant(best), step, strict=True)]

@@ -121,7 +121,6 @@ def _proved(
 
 
 def _boxes(grid: Grid, *, cells: bool) -> HandBoxes:
-    """Return the box of all hands of an atlas, or those of its cells."""
     sides = [grid.sides(name) for name in ("gamma", "delta")]
     if not cells:
         sides = [np.array([[along[0, 0], along[-1, 1]]]) for along in sides]

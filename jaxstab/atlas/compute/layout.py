@@ -87,7 +87,6 @@ def known_region(gamma: float, delta: float, delay: float, filters: Filters | No
 
 
 def _motions(slices: Sequence[Slice], filters: Filters | None) -> list[float]:
-    """Return how far the boundary moves from each slice to the next."""
     regions = [known_region(*one, filters) for one in slices]
     points = np.concatenate([region.points for region in regions])
     if not points.size:
@@ -223,7 +222,6 @@ class Grid:
 
 
 def _index(widths: Float64[np.ndarray, " cell"], share: float) -> int:
-    """Return the cell at a share of the way through all of them."""
     if not widths.any():
         return min(int(share * widths.size), max(widths.size - 1, 0))
     ends = np.cumsum(widths)
@@ -296,10 +294,8 @@ def regions_around(spec: AtlasSpec, grid: Grid) -> int:
 
 
 def radius_cells_of(alphas: int, betas: int, gammas: int, deltas: int) -> tuple[int, int, int, int]:
-    """Return how many cells of radii there are along alpha, beta, gamma and delta, for nodes.
-
-    Functions of second order bend with the radius, so these cells are wider than others.
-    """
+    """Return how many cells of radii there are along alpha, beta, gamma and delta, for nodes."""
+    # Functions of second order bend with the radius, so these cells are wider than others.
     alpha, beta = max(12, 7 * alphas // 32), max(32, 9 * betas // 14)
     return alpha, beta, max(1, gammas // 2), max(1, deltas // 4)
 
@@ -312,12 +308,10 @@ def _delay_cells(
     reach: Reach | None,
     fineness: int,
 ) -> Float64[np.ndarray, "delay_cell 6"]:
-    """Return cells of delays and how far each reaches; without any the delays of the atlas.
-
-    Whole samples and the delays of the atlas are edges of cells. The ends of alpha and beta are
-    laid around the stable regions at some edges; between these they follow straight lines, above
-    which no region is, as it shrinks ever more slowly with the delay.
-    """
+    """Return cells of delays and how far each reaches; without any the delays of the atlas."""
+    # Whole samples and the delays of the atlas are edges of cells. The ends of alpha and beta are
+    # laid around the stable regions at some edges; between these they follow straight lines, above
+    # which no region is, as it shrinks ever more slowly with the delay.
     at_nodes = [(alpha[0], alpha[-1], beta[0], beta[-1]) for alpha, beta in walls]
     if delay.size == 1 or not fineness:
         return np.column_stack([delay, delay, at_nodes])
@@ -350,10 +344,9 @@ def _cells_of_radii(
     delay: Float64[np.ndarray, " delay"],
     fineness: int,
 ) -> Float64[np.ndarray, "radius_delay_cell 6"]:
-    """Return ``fineness`` even cells of delays to a sample, that extend as far as those given.
-
-    Functions of second order miss the radius by about as much at 0 as at 3 samples, and later less.
-    """
+    """Return ``fineness`` even cells of delays to a sample, that extend as far as those given."""
+    # Functions of second order miss the radius by about as much at 0 as at 3 samples, and later
+    # less.
     if delay.size == 1 or not fineness:
         return cells
     edges = [float(delay[0])]
@@ -376,11 +369,9 @@ def _corners(delay: Float64[np.ndarray, " delay"]) -> list[float]:
 
 
 def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[float]:
-    """Return edges of cells between delays, at whole samples too.
-
-    A cell is (delay + 1/2) / fineness long, for as the delay grows the boundary bends less: so
-    errors are about equal in all cells.
-    """
+    """Return edges of cells between delays, at whole samples too."""
+    # A cell is (delay + 1/2) / fineness long, for as the delay grows the boundary bends less: so
+    # errors are about equal in all cells.
     edges = [float(delay[0])]
     for low, high in pairwise(_corners(delay)):
         count = max(1, ceil(np.log((high + 0.5) / (low + 0.5)) * fineness - 1e-9))
@@ -440,11 +431,9 @@ def _stable_box(
     delay: float,
     filters: Filters | None,
 ) -> tuple[float, tuple[float, float]]:
-    """Return the largest alpha and the range of beta of the stable regions of some hands.
-
-    Where turning gains up from 0 leads to a part of the region, islands do not count. Between these
-    hands a region may reach further; the margin of the axes covers that.
-    """
+    """Return the largest alpha and the range of beta of the stable regions of some hands."""
+    # Where turning gains up from 0 leads to a part of the region, islands do not count. Between
+    # these hands a region may reach further; the margin of the axes covers that.
     hands = product(_thinned(gamma), _thinned(delta))
     regions = [known_region(*hand, delay, filters) for hand in hands]
     points = np.concatenate([(region.main or region).points for region in regions])

@@ -322,7 +322,6 @@ def check_size(counts: Sequence[int]) -> None:
 
 
 def _as_written(name: str, value: Velocity | Filter | None) -> Velocity | Filter | None:
-    """Return a filter as it comes back from the specification's text."""
     if value is None or not toml_of(value).strip("[]"):
         return None
     return _FILTERS[name](parsed(f"{name} = {toml_of(value)}")[name])

@@ -137,7 +137,6 @@ def read_table(text: bytes, image_size: int) -> Table:
 
 
 def _check_version(text: bytes) -> None:
-    """Refuse what has no table, or one of another version."""
     found = _TITLE.match(text)
     if found is None:
         raise RefusalError(

@@ -534,12 +534,11 @@ class LimitTable:
 
     @cached_property
     def _deciding(self) -> Floats:
-        """Above which alpha, and below which one, one limit decides, in columns (column, 2).
-
-        Above the first, which is above all that the lower limit leaves open in the column, that is
-        the upper limit; below the second, which is below all that the upper one leaves open, the
-        lower. Of a column without a stable alpha the lower limit says so: there it is infinite.
-        """
+        """Above which alpha, and below which one, one limit decides, in columns (column, 2)."""
+        # Above the first, which is above all that the lower limit leaves open in the column, that
+        # is the upper limit; below the second, which is below all that the upper one leaves open,
+        # the lower. Of a column without a stable alpha the lower limit says so: there it is
+        # infinite.
         middles, halves = self._boxes
         shape = np.broadcast_shapes(*(middle.shape for middle in middles))
         rows = np.arange(len(self._columns), dtype=np.float64).reshape(shape)
@@ -592,11 +591,9 @@ class LimitTable:
         return self._limits(self._rows_of(self.delays.of(point[-1]), *point[:-1]), *point)
 
     def _limits(self, rows: Integers, *point: Floats) -> Sequence[Floats]:
-        """Return the limits of columns at points."""
         return surfaces(self._columns.take(rows, axis=0).T, *point)
 
     def _rows_of(self, number: Integers, beta: Floats, gamma: Floats, delta: Floats) -> Integers:
-        """Return the numbers of columns, in cells of delays."""
         rows = self.beta_cell(number, beta) * self._steps[0] + self._hands(gamma, delta) + number
         return np.asarray(rows)
 

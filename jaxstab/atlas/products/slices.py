@@ -109,7 +109,6 @@ class _BySlices(Product):
         yield Check(self.name, wrong == 0, words)
 
     def is_wrong(self, stored: Stored, place: Place) -> bool:
-        """Whether a slice is not what is computed."""
         raise NotImplementedError
 
 

@@ -132,7 +132,6 @@ class LoopAtlas:
         self._alphas, self._betas = _ends(atlas, self._slice["delay"])
 
     def __repr__(self) -> str:
-        """Return the atlas, and the loop."""
         return f"{self.atlas!r}\nfor {self.loop!r}"
 
     def query(
@@ -565,7 +564,6 @@ class Atlas:
         return table.common_limits(beta, gamma, delta, delay)
 
     def _check_filters(self, velocity: Any, position: Any) -> None:
-        """Refuse a query for another estimator or filter than those of the atlas."""
         if velocity is None and position is None:
             return
         from jaxstab.atlas.format.spec import words_of
@@ -596,12 +594,10 @@ class Atlas:
 
     @cached_property
     def _radii(self) -> RadiusTable:
-        """The spectral radii, where the atlas has them."""
         return RadiusTable(self.arrays)
 
     @cached_property
     def _table(self) -> LimitTable | None:
-        """The limits of alpha, where the atlas has them."""
         if ALPHA_LIMITS not in self.arrays:
             return None
         names = ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
@@ -708,7 +704,6 @@ class Atlas:
         return LoopAtlas(self, loop)
 
     def __repr__(self) -> str:
-        """Return what the atlas holds: products, filters and axes, in six lines."""
         atlas: Any = self
         delays = ", ".join(f"{delay:g}" for delay in atlas.delays)
         first, last = atlas.nodes(0), atlas.nodes(len(atlas.delays) - 1)
@@ -734,7 +729,6 @@ class Atlas:
         )
 
     def _repr_html_(self) -> str:
-        """Return a picture of the first delay, and the words, for a notebook."""
         from jaxstab.pictures.atlas import atlas_html
 
         return atlas_html(self)

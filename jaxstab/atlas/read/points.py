@@ -224,7 +224,6 @@ def answer_at_delay(
 
 
 def _codes_at(arrays: Arrays, name: str, place: Sequence[Integers], delay: int) -> NDArray[np.int8]:
-    """Return the verdict codes at points of one delay."""
     index = (*place, np.full(place[0].shape, delay))
     codes: NDArray[np.int8] = (
         arrays.codes_at(name, index) if isinstance(arrays, PackedArrays) else arrays[name][index]

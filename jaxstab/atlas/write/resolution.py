@@ -130,15 +130,12 @@ def _units(grid: Grid, product: str) -> int:
 
 
 def _calls(plan: Plan) -> int:
-    """Return how many times a tile meets a cell of delays."""
     return len(plan.tiles) * len(plan.grid.limit_range) // plan.grid.delay.size
 
 
 def _parts(plan: Plan, product: str, count: int, reach: Reach | None = None) -> Iterator[_Part]:
-    """Yield parts of a product at ``count`` places, fewer for an atlas of few tiles.
-
-    A part at which two places are comes once.
-    """
+    """Yield parts of a product at ``count`` places, fewer for an atlas of few tiles."""
+    # A part at which two places are comes once.
     rng = np.random.default_rng(count)
     seen = set()
     for number in range(max(_FEW, min(count, _calls(plan) // _PER_PART))):
@@ -167,7 +164,6 @@ def _computed(plan: Plan, product: str, grid: Grid) -> tuple[float, int, Arrays]
 
 
 def _cost(plan: Plan, product: str, parts: Sequence[_Part]) -> _Cost:
-    """Return what a unit takes, by parts of it."""
     units = sum(part.units for part in parts)
     seconds, size = sum(part.seconds for part in parts), sum(part.size for part in parts)
     call = 0.0
@@ -403,11 +399,9 @@ class _Range:
 
     @cached_property
     def steps(self) -> dict[str, float]:
-        """How many of each count there are at the scale 1: each takes an equal part then.
-
-        A few places show the undecided share well, and an error of a limit is half the height of
-        what it leaves undecided: so parts are judged by this share.
-        """
+        """How many of each count there are at the scale 1: each takes an equal part then."""
+        # A few places show the undecided share well, and an error of a limit is half the height of
+        # what it leaves undecided: so parts are judged by this share.
         if len(self._knobs) == 1:
             return {self._knobs[0]: float(self._counts[self._knobs[0]])}
         whole, power, parts = self._mean_error({}), PRODUCTS[self._judge].power, {}
@@ -549,7 +543,6 @@ def _quantile(parts: Sequence[Floats], share: float) -> Measured:
 
 
 def _at_share(parts: Sequence[Floats], share: float) -> float:
-    """Return the value that a share of all is not above; it may be infinite."""
     return float(np.quantile(np.concatenate(parts), share, method="higher"))
 
 

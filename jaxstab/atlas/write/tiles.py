@@ -239,10 +239,8 @@ class Shards:
                 self.folder.remove(name)
 
     def remove(self) -> None:
-        """Remove the tiles and the folder, the lock last: until then it keeps others out.
-
-        Another process may have made a new lock by then, and continue in the folder.
-        """
+        """Remove the tiles and the folder, the lock last: until then it keeps others out."""
+        # Another process may have made a new lock by then, and continue in the folder.
         with suppress(OSError):
             self.clear()
             self.folder.remove(_LOCK)
@@ -308,7 +306,6 @@ def _lock_in(shards: Shards) -> int:
 
 
 def _lock(descriptor: int) -> None:
-    """Lock a file, or raise OSError."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -395,7 +392,6 @@ def _flat_chunk(shape: Sequence[int]) -> list[int]:
 
 
 def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArray[Any]]:
-    """Return the axes and the specification."""
     grid = plan.grid
     lines = np.array([line.encode("utf-8") for line in plan.spec.to_toml().splitlines()])
     known: dict[str, NDArray[Any]] = {

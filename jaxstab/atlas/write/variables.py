@@ -116,7 +116,6 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 
 def _has_room(size: int) -> bool:
-    """Whether there is memory for this many bytes."""
     try:
         return bool(bytearray(size))
     except MemoryError:

@@ -437,7 +437,6 @@ def _compliance(device: Device) -> Rational:
 
 @lru_cache(maxsize=256)
 def _pole_balls(device: Device) -> list[tuple[Any, int]]:
-    """Return the poles in balls, each with its multiplicity."""
     import flint
 
     _, factors = device.compliance().denominator.factor_squarefree()

@@ -196,11 +196,9 @@ class _Family(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        """Whether the precision is more than enough."""
         return float(size_on_circle(self.whole) * _LEFT_IN_Z**2) > float(_lost(self.whole))
 
     def piece(self, middle: float, half: float, scale: "arb") -> Piece | None:
-        """Return a piece, None where no polynomial is good enough."""
         import flint
 
         rest = held(self.below, (1 - flint.arb(exact(middle))) * self.speed)
@@ -385,10 +383,8 @@ class LoopFamily:
         return [free * below_k * below_b, force * above_k * below_b, force * above_b * below_k]
 
     def samples(self) -> list[tuple[float, float, int]]:
-        """Return parts of t in which the delay is between two whole samples, and the lower one.
-
-        They are rounded apart: together they are all of t.
-        """
+        """Return parts of t in which the delay is between two whole samples, and the lower one."""
+        # They are rounded apart: together they are all of t.
         low, high = self.delay.first, self.delay.last
         if low == high:
             return [(0.0, 1.0, floor(low))]
@@ -421,7 +417,6 @@ def pieces_of(family: LoopFamily) -> tuple[LoopPiece, ...] | None:
 
 
 def _piece(family: LoopFamily, middle: float, half: float, whole: int) -> LoopPiece | None:
-    """Return a piece; None where no polynomials are good enough."""
     import flint
 
     with working_precision(_BITS[0]):

@@ -27,12 +27,10 @@ _PRECISION = RLock()
 
 @contextmanager
 def working_precision(bits: int) -> Iterator[None]:
-    """Compute with balls of this precision, one thread at a time, and restore it afterwards.
-
-    The precision of python-flint is one number of the whole process. Balls hold the true value at
-    any precision: threads of a program that set it meanwhile can cost an answer its digits, or end
-    it in an error, but cannot make it wrong.
-    """
+    """Compute with balls of this precision, one thread at a time, and restore it afterwards."""
+    # The precision of python-flint is one number of the whole process. Balls hold the true value at
+    # any precision: threads of a program that set it meanwhile can cost an answer its digits, or
+    # end it in an error, but cannot make it wrong.
     import flint
 
     with _PRECISION, flint.ctx.workprec(bits):
@@ -395,10 +393,8 @@ def checked_compliance(function: Rational, what: str) -> Rational:
 
 
 def _grows(common: "fmpq_mpoly") -> bool:
-    """Return whether a factor has a root in the right half plane; one with pi never has.
-
-    One that changes along spans may have.
-    """
+    """Return whether a factor has a root in the right half plane; one with pi never has."""
+    # One that changes along spans may have.
     from flint import fmpq_poly
 
     if degree_of(common) < 1 or any(power_of_pi for _, power_of_pi, _ in common.monoms()):

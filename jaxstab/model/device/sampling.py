@@ -281,7 +281,6 @@ def force_of(matrix: Matrix) -> Matrix:
 
 
 def _matrix(rows: list[list[Any]]) -> Any:
-    """Return a matrix of balls, of complex ones if there are."""
     import flint
 
     has_complex = any(isinstance(one, flint.acb) for row in rows for one in row)
