@@ -11,10 +11,7 @@ _IMPORT = re.compile(r"^from \.([\w.]*) import (\w+) as \2$", re.MULTILINE)
 
 
 def attach_stub(package: str, file: str) -> Any:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, by its ``__init__.pyi``.
-
-    The arguments are its ``__name__`` and ``__file__``.
-    """
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, by its ``__init__.pyi``."""
     exported = _exported(package, file)
     return attach(package, submodules=exported.pop("", []), submod_attrs=exported)
 

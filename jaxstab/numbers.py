@@ -86,10 +86,7 @@ def checked_number(
 
 
 def without_noise(values: Numbers, extent: int | float) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Coordinates along one axis, with 0 for those below 1e-9 of an extent; NaN stays.
-
-    With an infinite extent nothing is changed.
-    """
+    """Coordinates along one axis, with 0 for those below 1e-9 of a finite extent; NaN stays."""
     coordinates = np.asarray(values, np.float64)
     noise = _NOISE * extent if extent < inf else 0.0
     return np.where(np.abs(coordinates) <= noise, 0.0, coordinates)

@@ -32,10 +32,7 @@ def shortened(value: Any) -> str:
 def rounded_text(
     value: Any, digits: int, rounding: str = ROUND_HALF_EVEN, *, factor: int = 1
 ) -> str:
-    """A finite number times a factor, rounded to significant digits, without zeros at the end.
-
-    ``rounding`` is a mode of the module ``decimal``.
-    """
+    """A number times a factor in significant digits, without zeros at the end; see ``decimal``."""
     exact = Context(prec=max(_TRUE_DIGITS, digits)).multiply(Decimal(value), factor)
     rounded = exact.normalize(Context(prec=digits, rounding=rounding))
     if not rounded:

@@ -31,11 +31,7 @@ _LONG_KEY = re.compile(r"(?:\.[^.,=\n]{1,64}){100}")
 
 
 def read_table(path: str | PathLike[str], kind: str = "") -> dict[str, Any]:
-    """Read a TOML file as it is, where a file of another kind may be given for it.
-
-    OSError: the file cannot be read; ValueError: it is not TOML, too large, or not of the ``kind``
-    "scene" or "specification".
-    """
+    """Read a TOML file as it is; one of another ``kind`` ("scene", "specification") is refused."""
     table = parsed(text_of(path, MOST_BYTES), f"{path}: ")
     for other, (keys, words) in _KINDS.items():
         if kind not in ("", other) and keys & {*table} and not _KINDS[kind][0] & {*table}:
@@ -59,10 +55,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def text_of(path: str | PathLike[str], most: int) -> str:
-    """The text of a file, "-" for stdin, without a byte order mark, of at most ``most`` bytes.
-
-    OSError: it cannot be read; ValueError: it is not UTF-8, or larger.
-    """
+    """The text of a UTF-8 file, "-" for stdin, without a byte order mark; at most ``most`` bytes."""
     source = "stdin" if str(path) == "-" else path
     if source == "stdin" and sys.stdin is None:
         raise ValueError("stdin is closed; redirect a file to it, or give the name of one.")
@@ -118,10 +111,7 @@ class Table:
 
     @classmethod
     def from_table(cls: type[Made], table: Any, place: str = "") -> Made:
-        """Check a table of a file; ValueError on the first key that is unknown, missing or bad.
-
-        ``place`` are the keys that lead to it, for the sentence.
-        """
+        """Check a table of a file at a place; ValueError on the first bad key."""
         if not isinstance(table, Mapping):
             raise ValueError(f"{place} is {shortened(table)}; give a table.")
         check_keys(place, table, [entry.name for entry in fields(cls)])

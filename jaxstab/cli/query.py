@@ -98,7 +98,12 @@ def query(
     for name, value in wall.items():
         if value is not None:
             raise ValueError(f"{name} is {value:g} without a scene; give --scene FILE.")
-    points = _read_points(table, given) if table else _one_point(given)
+    if table:
+        source = "stdin" if str(table) == "-" else str(table)
+        points = _parsed(_rows(text_of(table, _MOST_BYTES), source), source, given)
+    else:
+        _check_complete(given, "give it as an option, or points with --csv")
+        points = {name: [given[name]] for name in AXES}
     opened = jaxstab.open_atlas(file)
     answer = opened.query(
         **points,
@@ -140,17 +145,6 @@ def plot(
 
 
 # ------------------------------------------------------------------------------------------- points
-def _one_point(given: dict[str, float]) -> dict[str, list[float]]:
-    _check_complete(given, "give it as an option, or points with --csv")
-    return {name: [given[name]] for name in AXES}
-
-
-def _read_points(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
-    """Return the columns of a CSV file, and those that the options fill in."""
-    source = "stdin" if str(table) == "-" else str(table)
-    return _parsed(_rows(text_of(table, _MOST_BYTES), source), source, given)
-
-
 def _rows(text: str, source: str) -> Iterator[tuple[str, list[str]]]:
     lines = csv.reader(io.StringIO(text, newline=""))
     try:

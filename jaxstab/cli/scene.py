@@ -204,11 +204,7 @@ _SHOWN_OF_WALLS = {"verdict", "stiffness_gain", "settling_time_2_percent"}
 
 
 def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list[Any]:
-    """Answer several scenes, print what they allow, and return the answers.
-
-    Raises:
-        click.UsageError: no scene could be answered, or some were refused; the others are printed.
-    """
+    """Answer several scenes and print what they allow; UsageError if some were refused."""
     import jaxstab.scene
     from jaxstab.scene.many import answer_all, sweep_of, variants_of
 

@@ -300,10 +300,7 @@ def given_filters(velocity: Any, position: Any) -> Filters | None:
 
 
 def known_filters(velocity: Any, position: Any) -> Filters | None:
-    """The same as ``given_filters``, in plain numbers, for what is proved in NumPy.
-
-    TypeError: one of them is not of its class, or has parameters that JAX traces.
-    """
+    """The same as ``given_filters``, in plain numbers; TypeError if JAX traces them."""
     filters = given_filters(velocity, position)
     if is_any_traced(filters):
         raise TypeError(

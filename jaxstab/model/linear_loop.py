@@ -93,10 +93,7 @@ class LinearLoop(NamedTuple):
 def sampled_mass(
     gamma: Array, delta: Array, whole_delay: int, fraction: Array | float
 ) -> SampledPlant:
-    """Return device and hand of one mass; the fraction of the delay is 0.0, or nowhere 0.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008), and its modified z-transform.
-    """
+    """Device and hand of one mass (eq. (9)); the fraction of the delay is 0.0, or nowhere 0."""
     pairs = plant_pairs(gamma, delta, fraction)
     xp = namespace(pairs)
     one = DoubleDouble.of(xp.ones_like(pairs.d0.hi))

@@ -44,10 +44,7 @@ def checked_delta(delta: Numbers) -> Numbers:
 
 
 def checked_delay(delay: Numbers) -> Float64[np.ndarray, "*grid"]:
-    """The delay in samples as a NumPy array, for it decides the degree of p(z).
-
-    TypeError: JAX traces it; ValueError: a delay is outside [0, 500] or NaN.
-    """
+    """The delay in samples as a NumPy array, for it decides the degree of p(z); never traced."""
     if is_any_traced(delay):
         raise TypeError(
             "delay must be a concrete number because it sets the degree of p(z); close over it or "

@@ -94,18 +94,13 @@ def plant_coefficients(
 ) -> PlantCoefficients:
     """Discretise mass, spring and damper behind a zero-order hold and the fraction of a delay.
 
-    Args:
-        gamma, delta, delay: see ``jaxstab.conventions``.
+    Args and Raises: see ``jaxstab.conventions``.
 
     Returns:
         PlantCoefficients of float64 arrays of the broadcast shape, differentiable to any order in
         gamma and delta. Over gamma <= 40, delta <= 10 each field is the correctly rounded value,
         or within 3 ulp of it where it nearly vanishes (d1 at gamma = (pi/2)^2, N(z) at
         gamma = (2 pi)^2, both at delta = 0); values below 1e-300 may be flushed to zero.
-
-    Raises:
-        ValueError: a concrete gamma, delta or delay is outside its range or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eqs. (2)-(6) and (9) of Hulin, Preusche, Hirzinger (2008), rewritten; for a fractional
     delay the modified z-transform.

@@ -24,11 +24,7 @@ from jaxstab.model.plant import PlantPairs, plant_pairs
 
 
 def polynomial_degree(delay: Numbers) -> int:
-    """The degree of p(z) without filters, of its longest one for an array of delays.
-
-    It is 3 + d for a whole delay and 4 + floor(d) for a fractional one. Errors as
-    ``checked_delay``.
-    """
+    """The degree of p(z) without filters, the largest of all delays: 3 + d, or 4 + floor(d)."""
     if isinstance(delay, TracedDelay):  # a fraction that is traced may be any
         return 4 + delay.whole
     return 3 + int(np.ceil(np.max(checked_delay(delay), initial=0.0)))
@@ -101,9 +97,7 @@ def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degr
         Array of shape (*grid, degree, degree): minus the other coefficients in the first row, ones
         below the diagonal.
 
-    Raises:
-        ValueError: fewer than two coefficients.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+    Raises: see ``jaxstab.conventions``; ValueError also for fewer than two coefficients.
 
     Source: theorem 3.3.14 of Horn and Johnson, Matrix Analysis, in the layout of numpy.roots.
 

@@ -673,17 +673,13 @@ def dominant_mode(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Oscillation:
-    """Damping ratio and frequency of the slowest pole z = exp(s), in samples.
+    """Damping ratio and frequency of the slowest pole z = exp(s), in samples, on a broadcast grid.
 
     The damping ratio is -Re s / |s|, the frequency |Im s| in rad per sample, at most pi. Near a
-    double real pole the companion eigenvalues may split into a pair with a tiny frequency.
+    double real pole the companion eigenvalues may split into a pair with a tiny frequency. Source:
+    the poles of eq. (9).
 
     Args and Raises: see ``jaxstab.conventions``.
-
-    Returns:
-        Oscillation of arrays of the broadcast shape.
-
-    Source: the poles of eq. (9); z = exp(s T).
 
     Example:
         >>> mode = jaxstab.dominant_mode(0.2, 0.2, gamma=0.0, delta=0.015, delay=0.0)

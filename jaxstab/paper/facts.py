@@ -22,12 +22,7 @@ _VALIDITY_LEVELS = {"2": 0.02, "5": 0.05}  # percent, sec. VII
 def resolved_region(
     *, gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
 ) -> StableRegion:
-    """The stable region of roots below a radius, neither empty nor unresolved.
-
-    Raises: see ``jaxstab.conventions``; ValueError also if there is no such region.
-
-    Source: sec. V of Hulin, Preusche, Hirzinger (2008).
-    """
+    """The stable region of roots below a radius (sec. V); ValueError if empty or unresolved."""
     require_x64(gamma, delta, delay, radius)
     region = _kept_region(
         gamma=float(gamma), delta=float(delta), delay=float(delay), radius=float(radius)
@@ -76,10 +71,8 @@ def region_facts(
 
 
 def _point(point: Any, extent: Any, line: float | None = None) -> list[float]:
-    """Return the numbers of a point; one that rounding took off the line alpha = -gamma is on it.
-
-    What is 0 but for rounding, beside the extent of the region, is 0, and zeros lose their sign.
-    """
+    """The numbers of a point; one that rounding took off the line alpha = -gamma is on it."""
+    # What is 0 but for rounding, beside the extent of the region, is 0, and zeros lose their sign.
     alpha, beta = (float(without_noise(*pair)) for pair in zip(point, extent, strict=True))
     if line is not None and abs(alpha - line) <= _ROUNDING * (abs(alpha) + abs(beta)):
         alpha = line

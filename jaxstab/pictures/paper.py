@@ -52,10 +52,7 @@ class _Slice(NamedTuple):
 
 
 def paper_figure(number: int) -> Figure:
-    """A matplotlib figure as a figure of the paper, 4 to 10, with its caption's values.
-
-    Source: Figs. 4 to 10 of Hulin, Preusche, Hirzinger (2008).
-    """
+    """A matplotlib figure of the paper's Fig. 4 to 10, with its caption's values."""
     drawings: dict[int, Callable[[], Figure]] = {
         4: _haptic_range,
         5: _close_up,

@@ -440,7 +440,10 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
     walls.set_ylabel(f"damping B ({scenes[0].units.damping})")
     stiffnesses = [region.stiffest.stiffness for region in regions]
     if swept is None:
-        _draw_bars(largest, [_label(variant) for variant in variants], stiffnesses, colours)
+        places = np.arange(len(variants))
+        largest.barh(places, np.nan_to_num(stiffnesses), color=colours)
+        largest.set_yticks(places, [_label(variant) for variant in variants], fontsize=7)
+        largest.invert_yaxis()
         largest.set_xlabel(f"largest stiffness K ({scenes[0].units.stiffness})")
         if len(scenes) <= _MOST_NAMES:
             walls.legend(fontsize=8, frameon=True, title=", ".join(variants[0].values))
@@ -474,13 +477,6 @@ def _colours(count: int, *, is_graded: bool) -> list[object]:
     if is_graded or count > len(_COLOURS):
         return list(colormaps["viridis"](np.linspace(0.0, 0.9, count)))
     return list(_COLOURS[:count])
-
-
-def _draw_bars(panel: Axes, names: list[str], values: list[float], colours: list[object]) -> None:
-    places = np.arange(len(names))
-    panel.barh(places, np.nan_to_num(values), color=colours)
-    panel.set_yticks(places, names, fontsize=7)
-    panel.invert_yaxis()
 
 
 # A picture of a guard: the granted stiffness beside the exact one.

@@ -63,10 +63,8 @@ class Ends(NamedTuple):
 
 
 def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -> Array:
-    """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff.
-
-    A degree that is an array sets the length of a loop, one compilation serving all above 3.
-    """
+    """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff."""
+    # A degree that is an array sets the length of a loop, one compilation serving all above 3.
     xp = namespace(chain, degree)
     is_cubic = isinstance(degree, int) and degree == 3
     if not is_cubic:
@@ -131,10 +129,8 @@ def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Nu
 def _bounds_after(
     chain: Chain[Number], first: Number, modulus: Array, unit: float
 ) -> dict[str, Any]:
-    """Bound what exact steps could differ by after one more: with the same K, and with the exact K.
-
-    Lemma V3 has the terms of the errors, lemma V6 those of the drift.
-    """
+    """Bound the deviation from exact steps after one more: with the same K, and the exact K."""
+    # Lemma V3 has the terms of the errors, lemma V6 those of the drift.
     head, tail = chain.head, chain.tail
     sizes = size(first) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
     small = size(chain.gap) + size_sum(tail[1:])

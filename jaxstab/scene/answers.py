@@ -122,10 +122,7 @@ class Answer:
     """The words for a number that is NaN."""
 
     def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
-        """Names and values as JSON has them: NaN and infinity are None.
-
-        The units of all keys are beside the inputs, if there are any.
-        """
+        """Names and values as JSON has them (NaN, infinity: None), with units beside the inputs."""
         units = self._units(units)
         table: dict[str, Any] = {}
         for (*outer, name), value in self._entries():

@@ -95,10 +95,7 @@ class AskedWall(NamedTuple):
 def ask_atlas(
     scene: Scene, atlas: Atlas, walls: Mapping[str, Gains], outside: Outside, *, exact: bool
 ) -> list[AskedWall]:
-    """Answers of an atlas about walls, for the loop at each corner of a scene's ranges.
-
-    Other arguments and errors as ``Atlas.query`` and ``Atlas.for_loop``.
-    """
+    """Answers of ``Atlas.query`` about walls, for the loop at each corner of a scene's ranges."""
     corners = corners_of(scene)
     views = [atlas.for_loop(loop_of_member(scene, corner)) for corner in corners]
     return [

@@ -1,7 +1,7 @@
 """An example of a scene, with comments."""
 
 from jaxstab.scene.answers import IntervalQuantity, Quantity, basis_of, grip_in_words
-from jaxstab.scene.scene import Hand, Scene, Units, VibrationMode
+from jaxstab.scene.scene import Hand, Scene, Units
 
 EXAMPLE = """\
 # A haptic scene for jaxstab. All quantities are in SI units.
@@ -108,7 +108,9 @@ def _blocks(scene: Scene) -> dict[str, str]:
     own = _range(device.effective_mass, "kg", units)
     blocks = {"device": f"{own}, {Quantity('N s/m').words(device.damping, units)}{turning}"}
     for number, mode in enumerate(device.modes, 1):
-        blocks[f"mode {number}"] = _mode(mode, units)
+        mass = Quantity("kg").words(mode.effective_mass, units)
+        words = f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {mass}"
+        blocks[f"mode {number}"] = words
     if device.actuator is not None:
         blocks["actuator"] = f"a first-order lag of {device.actuator.bandwidth:g} Hz of the force"
     blocks["hand"] = ", ".join(_range(*one, units) for one in held) if scene.hand else "none"
@@ -136,8 +138,3 @@ def _not_modelled(scene: Scene) -> list[str]:
         *([] if device.actuator else ["bandwidth of motor and amplifier"]),
         *([] if hand is None or hand.grip else ["a compliant grip"]),
     ]
-
-
-def _mode(mode: VibrationMode, units: Units) -> str:
-    mass = Quantity("kg").words(mode.effective_mass, units)
-    return f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {mass}"

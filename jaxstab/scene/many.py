@@ -73,10 +73,7 @@ def sweep_of(text: str) -> tuple[str, list[float | str]]:
 
 
 def variants_of(tables: Mapping[str, Mapping[str, Any]], sweep: Sweep) -> list[Variant]:
-    """The scenes of some tables, each with all combinations of the swept values.
-
-    ValueError: there are too many, or all are refused for one reason.
-    """
+    """The scenes of some tables, each with all combinations of the swept values."""
     count = len(tables)
     for values in sweep.values():
         count *= len(values)

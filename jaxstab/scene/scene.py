@@ -103,10 +103,7 @@ class Sourced(Table):
 
 @dataclass(frozen=True)
 class Preset:
-    """Title, remark (may be empty) and SI numbers by key of a device or a velocity estimator.
-
-    Keys that a scene does not have are for comparison.
-    """
+    """Title, remark (may be empty) and SI numbers of a device or a velocity estimator, by key."""
 
     title: str
     note: str

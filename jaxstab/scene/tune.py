@@ -73,10 +73,7 @@ class WallOverRanges(Answer):
 
 
 def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | None:
-    """The gains minimising the worst-case settling; None where the scene has no range.
-
-    ``fastest`` are those for the lowest hand, for comparison, if there are any.
-    """
+    """The gains minimising the worst-case settling; None where the scene has no range."""
     ranges = ranges_of(scene)
     if all(low == high for low, high in ranges):
         return None

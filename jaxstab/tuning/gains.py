@@ -98,20 +98,15 @@ def minimize_radius_damping(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
-    """The damping beta with the smallest spectral radius for a given stiffness alpha.
+    """The damping beta with the smallest spectral radius, ``value``, for a given stiffness alpha.
 
     It is found by a scan over both signs and nine decades of beta, which zooms in on its best
     point. If two real poles meet there, beta is right to about 1e-14 and the radius to about 1e-8.
     With an estimator or a filter it is the best damping in the component that holds small positive
     gains; if that has no gains of this stiffness, the best one of an island, and the status says
-    so.
+    so. Source: eq. (9).
 
     Args and Raises: see ``jaxstab.conventions``; all are single numbers.
-
-    Returns:
-        OptimalGains of single numbers, ``value`` the radius.
-
-    Source: eq. (9).
 
     Example:
         >>> best = jaxstab.minimize_radius_damping(0.05, gamma=0.0, delta=0.015, delay=1.0)

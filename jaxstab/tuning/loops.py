@@ -94,10 +94,7 @@ class DeviceLoop(NamedTuple):
 
     @classmethod
     def of(cls, device: SampledDevice, filters: Filters | None) -> "DeviceLoop":
-        """A loop whose search covers the component of small gains, if there is one.
-
-        ValueError: the device has zero DC gain.
-        """
+        """A loop whose search covers the component of small gains, if there is one."""
         return cls(device, filters, _device_walls(device, filters).component)
 
     def anywhere(self) -> "DeviceLoop":

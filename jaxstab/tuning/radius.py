@@ -378,10 +378,8 @@ def _scanned(walls: Walls, radius: float) -> _Point:
 
 
 def _reached(walls: Walls, radius: float, angles: Angles) -> Angles:
-    """Return the largest modulus of the poles where pairs are on a circle; infinite for no gains.
-
-    All poles are those of the gains as float64 has them, so each value is one that gains reach.
-    """
+    """The largest modulus of the poles where pairs are on a circle; infinite for no gains."""
+    # All poles are those of the gains as float64 has them, so each value is one that gains reach.
     pairs = _family_pairs(walls, np.full(angles.shape, radius), angles)
     return walls.largest_pole(pairs.alpha, pairs.beta)
 

@@ -455,11 +455,9 @@ def _thinned(nodes: Float64[np.ndarray, " node"]) -> list[float]:
 def _fitted_alpha(
     count: int, gamma: Float64[np.ndarray, " gamma"], highest: float
 ) -> Float64[np.ndarray, " count"]:
-    """Return nodes from below the line alpha = -gamma, where stability ends, to above the region.
-
-    The line sweeps a band with gamma. Cells that meet the line cannot be decided, so the band gets
-    nodes close to its edges.
-    """
+    """Nodes from below the line alpha = -gamma, where stability ends, to above the region."""
+    # The line sweeps a band with gamma. Cells that meet the line cannot be decided, so the band
+    # gets nodes close to its edges.
     low, high = -gamma[-1], max(highest, -gamma[0])
     step = (1.0 + 2.0 * _MARGIN) * (high - low) / (count - 1)
     guard = _BAND_GUARD * max(gamma[-1] - gamma[0], step)

@@ -37,10 +37,7 @@ class Tile(NamedTuple):
 
 
 class Share(NamedTuple):
-    """How many of the requested points of a variable are evaluated, and why the others need not be.
-
-    ``is_estimated`` tells whether the number of evaluated points is an estimate.
-    """
+    """The evaluated part of the requested points of a variable, and why the others need not be."""
 
     variable: str
     requested: int

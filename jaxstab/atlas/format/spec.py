@@ -62,10 +62,7 @@ def filters_of(spec: str) -> Filters | None:
 
 
 def toml_of(filters: Velocity | Filter) -> str:
-    """An estimator or a filter as inline tables of TOML, in units of one sample.
-
-    ValueError: its window, cut-off or transfer function cannot be written in such units.
-    """
+    """An estimator or a filter as inline tables of TOML, in units of one sample, or ValueError."""
     chain = filters.filter if isinstance(filters, Velocity) else filters
     return "[" + ", ".join(map(_inline, chain.per_sample(1.0).sections)) + "]"
 

@@ -260,12 +260,10 @@ class DelayCells:
 
 
 def _steps(early: Floats) -> tuple[float, Integers]:
-    """Return how many even steps there are to a delay, and how many cells begin before each step.
-
-    A step is at most half as long as a cell, and what begins in its last quarter counts for the
-    next one. So no more than one cell begins from there to the end of a step, whatever is rounded.
-    Without steps cells are so short that they are searched for.
-    """
+    """The number of even steps to a delay, and how many cells begin before each step."""
+    # A step is at most half as long as a cell, and what begins in its last quarter counts for the
+    # next one. So no more than one cell begins from there to the end of a step, whatever is
+    # rounded. Without steps cells are so short that they are searched for.
     width = float(early[-1] - early[0])
     if not width:
         return 0.0, np.zeros(1, np.intp)

@@ -324,7 +324,7 @@ def _farthest(slope: Floats, constant: Floats) -> Floats:
 
 
 def _component(near: Floats, far: Floats, loss: Floats) -> Floats:
-    """Bound the distance from a root of a cubic within its component of |cubic| <= loss, loss > 0.
+    """Bound the distance of a root of a cubic in its component of |cubic| <= loss, loss > 0.
 
     ``near`` and ``far`` are the distances to the other two roots.
     """
@@ -373,10 +373,7 @@ class RadiusTable:
         self._hands = [(float(nodes[0]), float(nodes[-1])) for nodes in hands]
 
     def bounds(self, points: list[Floats]) -> tuple[Floats, Floats]:
-        """The lowest and the highest radius at points (alpha, beta, gamma, delta, delay).
-
-        They are 0 and infinity where none is known; gamma and delta are inside of the atlas.
-        """
+        """The lowest and highest radius at points with gamma, delta inside; 0, inf if unknown."""
         low, high = in_parts(self._bounds, points, float, float)
         return low, high
 

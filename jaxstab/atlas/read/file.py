@@ -51,11 +51,7 @@ class TooLargeError(ValueError):
 
 
 def unpacked(data: bytes, stored: Stored) -> Array:
-    """An array, read-only; memory is allocated only as far as the file has values.
-
-    RefusalError: a digest or a value is wrong; TooLargeError: it is larger than is read into
-    memory.
-    """
+    """An array, read-only, checked; memory is allocated only as far as the file has values."""
     _check_size(stored)
     values = np.empty(stored.shape, stored.dtype)
     for number, start in enumerate(stored.starts()):

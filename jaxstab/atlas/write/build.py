@@ -40,10 +40,7 @@ _SECONDS_TO_CONNECT = 10
 def tile_images(
     plan: Plan, tiles: Sequence[Tile], key: str, executor: Executor | None
 ) -> Generator[tuple[Tile, bytes], None, None]:
-    """Yield tiles and their images as they are done, and keep few of them waiting.
-
-    RuntimeError: a worker has another jaxstab, NumPy or Python; ValueError: a result is damaged.
-    """
+    """Yield tiles and their images as they are done, and keep few of them waiting."""
     if executor is None:
         for tile in tiles:
             yield tile, tile_image(plan, tile, key)

@@ -101,10 +101,7 @@ def build_key(spec: AtlasSpec) -> str:
 
 
 def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]]) -> bytes:
-    """The sealed image of a tile; its chunks are those of the atlas.
-
-    RuntimeError: an array is not of the type and shape that the schema says.
-    """
+    """The sealed image of a tile; its chunks are those of the atlas."""
     with h5py.File.in_memory(libver=FORMAT_VERSIONS) as file:
         file.attrs[_TILE] = np.bytes_(_title(key, tile))
         file.attrs[_MAKER] = np.bytes_(computed_by())
@@ -119,11 +116,7 @@ def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]
 
 @contextmanager
 def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py.File]:
-    """Open the image of a tile in memory, after a check of all of it.
-
-    ValueError: it is damaged, of another build, or not as the schema says; RuntimeError: another
-    jaxstab, NumPy or Python computed it.
-    """
+    """Open the image of a tile in memory, after a check of all of it and of who computed it."""
     whole = image_of(image)
     if whole is None:
         raise ValueError(f"tile {_name(tile)} is damaged; build the same atlas again.")
@@ -328,11 +321,7 @@ _FLAT_CHUNK = 2**16  # values of what is strung together
 
 
 def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
-    """Publish the atlas of which all tiles are done; if that fails, a former file is still there.
-
-    OSError: the folder is read-only or full; ValueError: a tile was damaged since its check, or the
-    tiles make no atlas that could be opened.
-    """
+    """Publish the atlas of which all tiles are done; if it fails, a former file is still there."""
     filters = words_of(plan.spec.filters)
     with replacing(path, shards.folder) as descriptor:
         stream = PatientStream(descriptor)

@@ -31,11 +31,7 @@ from jaxstab.numbers import checked_number
 
 
 def matrices_of(system: Any) -> tuple[Any, Any, Any] | None:
-    """A, B and C of a state space, None for a system of another kind.
-
-    ValueError: it is sampled, has a direct path from force to position, or is not of one force and
-    one position.
-    """
+    """A, B and C of a state space, None for a system of another kind."""
     if not all(hasattr(system, name) for name in "ABCD"):
         return None
     _refuse_sampled(system)

@@ -43,10 +43,7 @@ _REMEDY = "give two loops that differ in numbers alone: masses, springs, cut-off
 
 
 def merged(first: Any, last: Any) -> Any:
-    """A value in which each number that differs is the span from the first to the last.
-
-    ValueError: the two differ in more than numbers.
-    """
+    """A value in which each number that differs is a span; ValueError if more differs."""
     if type(first) is not type(last) or (_is_whole(first) and first != last):
         raise ValueError(
             f"one loop has {first}, the other {last}: nothing is known between; {_REMEDY}."

@@ -55,10 +55,7 @@ class Mechanics(NamedTuple):
 def mechanics(
     device: Device, sample_time: float, fraction: float, offsets: tuple[float, ...]
 ) -> Mechanics:
-    """The motion of a device at times in [0, 1] after a sample, for a fraction of the delay.
-
-    ValueError: the device has zero DC gain.
-    """
+    """The motion of a device at times in [0, 1] after a sample, for a fraction of the delay."""
     import flint
 
     bits = _FIRST_BITS

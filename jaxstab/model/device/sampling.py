@@ -160,10 +160,7 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
 def in_samples_over(
     compliance: Rational, sample_time: float, t: "acb"
 ) -> tuple[list["acb"], list["acb"]] | None:
-    """Return the same where numbers are in their spans, for a ball of such places.
-
-    None where a pole of a device in the ball is too fast, or may be.
-    """
+    """The same for numbers in their spans, for a ball of places; None if a pole may be too fast."""
     import flint
 
     above, below = (list(map(flint.acb, balls_of(part, t))) for part in compliance)
@@ -253,10 +250,7 @@ def position_after(
 
 
 def held(below: list[Ball], time: Ball) -> Matrix:
-    """Return exp of [[A, B], [0, 0]] times a time.
-
-    Source: Van Loan (1978).
-    """
+    """Return exp of [[A, B], [0, 0]] times a time (Van Loan 1978)."""
     return (generator(below) * time).exp()
 
 
