@@ -24,14 +24,14 @@ class Folder:
     path: Path
     descriptor: int | None = None
 
-    def at(self, name: str) -> Path | str:
+    def path_of(self, name: str) -> Path | str:
         """Return the name of a file for a call of the system with ``dir_fd=descriptor``."""
         return self.path / name if self.descriptor is None else name
 
     def open(self, name: str, flags: int, mode: int = 0o666) -> int:
         """Open a file, no link, and return its descriptor."""
         flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
-        return os.open(self.at(name), flags, mode, dir_fd=self.descriptor)
+        return os.open(self.path_of(name), flags, mode, dir_fd=self.descriptor)
 
     def names(self) -> list[str]:
         """Return the names of all entries."""
@@ -47,19 +47,19 @@ class Folder:
 
     def remove(self, name: str) -> None:
         """Remove a file."""
-        os.unlink(self.at(name), dir_fd=self.descriptor)
+        os.unlink(self.path_of(name), dir_fd=self.descriptor)
 
     def has(self, name: str, descriptor: int) -> bool:
         """Whether a name is that of an open file."""
         try:
-            named = os.stat(self.at(name), dir_fd=self.descriptor, follow_symlinks=False)
+            named = os.stat(self.path_of(name), dir_fd=self.descriptor, follow_symlinks=False)
         except FileNotFoundError:
             return False
         return os.path.samestat(os.fstat(descriptor), named)
 
     def put(self, name: str, data: bytes) -> None:
         """Put a whole file in its place, durably and by one rename, or change nothing."""
-        with _replacing(self, name, self.at(name), None) as descriptor:
+        with _replacing(self, name, self.path_of(name), None) as descriptor:
             write_all(descriptor, data)
         self.sync()
 
@@ -143,7 +143,7 @@ def _replacing(folder: Folder, name: str, target: Path | str, mode: int | None) 
         finally:
             os.close(descriptor)
         os.replace(
-            folder.at(temporary),
+            folder.path_of(temporary),
             target,
             src_dir_fd=folder.descriptor,
             dst_dir_fd=folder.descriptor,

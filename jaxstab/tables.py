@@ -55,7 +55,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def text_of(path: str | PathLike[str], most: int) -> str:
-    """The text of a UTF-8 file, "-" for stdin, without a byte order mark; at most ``most`` bytes."""
+    """The text of a UTF-8 file ("-": stdin), ``most`` bytes at most, without a byte order mark."""
     source = "stdin" if str(path) == "-" else path
     if source == "stdin" and sys.stdin is None:
         raise ValueError("stdin is closed; redirect a file to it, or give the name of one.")

@@ -228,6 +228,6 @@ def _at_minus_one(plant: SampledPlant, filters: LoopFilters, powers: list[int]) 
 
 
 def _values(transfer: Transfer, z: float) -> tuple[Bounded, Bounded]:
-    both = zip(transfer.at(z), transfer.sizes, strict=True)
+    both = zip(transfer.values_at(z), transfer.sizes, strict=True)
     above, below = (Bounded(value, FILTERS * size) for value, size in both)
     return above, below

@@ -64,7 +64,7 @@ class Transfer(NamedTuple):
             numerator=numerator, sizes=(self.sizes[0] * abs(factor.hi), self.sizes[1])
         )
 
-    def at(self, z: float) -> tuple[DoubleDouble, DoubleDouble]:
+    def values_at(self, z: float) -> tuple[DoubleDouble, DoubleDouble]:
         """Return numerator and denominator at z."""
         above, below = (reduce(lambda value, c: value * z + c, one) for one in self[:2])
         return above, below

@@ -210,7 +210,7 @@ def gains_of_disturbances(*lanes: Array, bank: Bank, causes: Causes) -> tuple[Ga
     gains = np.zeros((3, 4, columns.shape[1]))
     whole_delay, is_any = columns[-1], np.ones(columns.shape[1], bool)
     for whole, some in groups(whole_delay, is_any, len(bank.steps), _NUMBERS):
-        loops = _Loops.of(columns[:, some])
+        loops = _Loops.from_lanes(columns[:, some])
         sums = impulse_sums(_systems(loops, whole, bank, causes))
         gains[:, :, some] = _gains(sums, loops, causes)
     one, two, three = gains.reshape(3, 4, *lanes[0].shape)
@@ -246,7 +246,7 @@ class _Loops(NamedTuple):
     delta: PerLoop
 
     @classmethod
-    def of(cls, columns: Float64[np.ndarray, "lane loop"]) -> "_Loops":
+    def from_lanes(cls, columns: Float64[np.ndarray, "lane loop"]) -> "_Loops":
         rows = np.ascontiguousarray(columns[2:10].T).reshape(-1, 2, 4)
         return cls(columns[0], columns[1], rows, columns[10:13].T, columns[13], columns[14])
 

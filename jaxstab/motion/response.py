@@ -56,7 +56,7 @@ class Equation(NamedTuple):
     outputs: tuple[Array | None, ...]  # a_1 ... a_n
 
     @classmethod
-    def of(cls, transfer: Transfer) -> "Equation":
+    def from_transfer(cls, transfer: Transfer) -> "Equation":
         """Return the difference equation of a proper transfer function."""
         above, below, lag, _ = transfer
         delay = lag + len(below) - len(above)
@@ -110,11 +110,11 @@ class Controller:
     window: int = fixed()
 
     @classmethod
-    def of(cls, filters: Filters, sample_time: float = 1.0) -> "Controller":
+    def from_filters(cls, filters: Filters, sample_time: float = 1.0) -> "Controller":
         """Return the difference equations of an estimator and a filter."""
         window, behind = filters[0].stages(sample_time)
         chains = behind, filters[1].stages(sample_time)
-        velocity, position = (tuple(map(Equation.of, chain)) for chain in chains)
+        velocity, position = (tuple(map(Equation.from_transfer, chain)) for chain in chains)
         return cls(velocity, position, window)
 
     def at_rest(self, position: Array) -> Any:
@@ -313,7 +313,7 @@ def simulate(
         propagate[-1],
         propagate[:-1],
         offsets[:-1] < fraction,
-        None if filters is None else Controller.of(filters),
+        None if filters is None else Controller.from_filters(filters),
         samples=samples,
         whole_delay=int(whole),
         unilateral=unilateral,
@@ -373,7 +373,7 @@ def simulate_device(
         moves.rows[-1],
         moves.seen[:-1],
         offsets[:-1] < fraction,
-        None if filters is None else Controller.of(filters, sample_time),
+        None if filters is None else Controller.from_filters(filters, sample_time),
         samples=samples,
         whole_delay=int(whole),
         unilateral=unilateral,
@@ -516,7 +516,7 @@ def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
 
 
 def _bank(filters: Filters, sample_time: float) -> Bank:
-    return bank_of(Controller.of(filters, sample_time))
+    return bank_of(Controller.from_filters(filters, sample_time))
 
 
 _remembered_bank = lru_cache(maxsize=64)(_bank)  # one loop is evaluated at many walls

@@ -68,7 +68,7 @@ class Form(NamedTuple):
     is_fractional: bool
 
     @classmethod
-    def of(cls, delay: Numbers | TracedDelay) -> "Form":
+    def from_delay(cls, delay: Numbers | TracedDelay) -> "Form":
         """Return the form for one delay in samples; a fraction that is traced may be any."""
         if isinstance(delay, TracedDelay):
             return cls(delay.whole, True)
@@ -101,7 +101,7 @@ class Points(NamedTuple):
         """Return the form of p(z) and the flat indices of each group of chosen points."""
         twice = np.broadcast_to(np.floor(self.delay) + np.ceil(self.delay), chosen.shape)
         return [
-            (Form.of(one / 2.0), np.flatnonzero(chosen & (twice == one)))
+            (Form.from_delay(one / 2.0), np.flatnonzero(chosen & (twice == one)))
             for one in np.unique(twice[chosen]).tolist()
         ]
 
@@ -427,9 +427,9 @@ def verdict(
     xp = namespace(point, delay)
     whole, fraction = whole_and_fraction(delay)
     if filters and whole.size == 1 and is_any_traced(point, delay, filters):
-        return traced_filtered_verdict(point, Form.of(delay), fraction, filters)
+        return traced_filtered_verdict(point, Form.from_delay(delay), fraction, filters)
     if not filters and resolve is None and whole.size == 1:
-        arrays, form = [xp.asarray(value, xp.float64) for value in point], Form.of(delay)
+        arrays, form = [xp.asarray(value, xp.float64) for value in point], Form.from_delay(delay)
         part, is_fractional = xp.asarray(fraction), form.is_fractional
         plant = float_plant(arrays[2], arrays[3], part, is_fractional=is_fractional)
         codes = _float_codes((*arrays[:3], plant), form.degree)

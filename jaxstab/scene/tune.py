@@ -193,7 +193,7 @@ class _Encoder(NamedTuple):
     limit: float | None
 
     @classmethod
-    def of(cls, scene: Scene) -> "_Encoder":
+    def from_scene(cls, scene: Scene) -> "_Encoder":
         encoder, limit = scene.device.encoder, scene.wanted.chatter
         return cls(
             None if encoder is None else encoder.resolution,
@@ -204,7 +204,7 @@ class _Encoder(NamedTuple):
 def tune_walls(scene: Scene) -> Tuned:
     """The walls that settle fastest, and the best damping at the stiffnesses given."""
     loop, hands = loop_of(scene), hands_of(scene)
-    best = partial(_best, scene, loop, hands, _Encoder.of(scene))
+    best = partial(_best, scene, loop, hands, _Encoder.from_scene(scene))
     given, fastest = scene.wanted.at_stiffness, best("settling")
     gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
     return Tuned(

@@ -305,7 +305,7 @@ def _one_loop(
         checked_number("delta", checked_delta(delta)),
         checked_number("delay", delay, 0.0),
     )
-    return MassLoop.of(plant, given_filters(velocity, position))
+    return MassLoop.from_plant(plant, given_filters(velocity, position))
 
 
 def _as_gains(alpha: float, beta: float, value: float, status: TuningStatus) -> OptimalGains:

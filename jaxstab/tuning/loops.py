@@ -39,7 +39,7 @@ class MassLoop(NamedTuple):
     component: Component
 
     @classmethod
-    def of(cls, plant: Plant, filters: Filters | None) -> "MassLoop":
+    def from_plant(cls, plant: Plant, filters: Filters | None) -> "MassLoop":
         """Return a loop whose search covers the component of small gains, if there is one."""
         return cls(plant, filters, searched_component(*plant, filters) if filters else ALL_GAINS)
 
@@ -93,7 +93,7 @@ class DeviceLoop(NamedTuple):
     component: Component
 
     @classmethod
-    def of(cls, device: SampledDevice, filters: Filters | None) -> "DeviceLoop":
+    def from_device(cls, device: SampledDevice, filters: Filters | None) -> "DeviceLoop":
         """A loop whose search covers the component of small gains, if there is one."""
         return cls(device, filters, _device_walls(device, filters).component)
 

@@ -214,7 +214,7 @@ class DelayCells:
         self._early_list = self._early.tolist()
         self.span: Range = float(self._early[0]), float(self._late[-1])
 
-    def of(self, delay: Floats) -> Integers:
+    def cells_at(self, delay: Floats) -> Integers:
         """Return the numbers of the last cells that begin at delays or before; -1 for none."""
         if not self._counts.size:
             return np.asarray(np.searchsorted(self._early, delay, "right") - 1)
@@ -224,13 +224,13 @@ class DelayCells:
         count -= 1
         return np.asarray(count)
 
-    def of_one(self, delay: float) -> int:
+    def cell_at(self, delay: float) -> int:
         """Return the number of the last cell that begins at a delay or before; -1 for none."""
         return bisect_right(self._early_list, delay) - 1
 
     def covers(self, delay: Floats) -> NDArray[np.bool_]:
         """Say which delays are in a cell."""
-        cell = self.of(delay)
+        cell = self.cells_at(delay)
         return np.asarray((cell >= 0) & (delay <= self._late.take(cell)))
 
     def walls(self, name: str, cell: Integers) -> tuple[Floats, Floats]:
@@ -477,7 +477,7 @@ class LimitTable:
 
     def holds(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> bool:
         """Whether a point is inside of the table."""
-        cell = self.delays.of_one(delay)
+        cell = self.delays.cell_at(delay)
         if cell < 0:
             return False
         _, late, least, most, lowest, highest, _ = self._rows[cell]
@@ -508,7 +508,7 @@ class LimitTable:
             values[:1] if least == most else values
             for values, (least, most) in zip(plant, ends, strict=True)
         )
-        cell = self.delays.of(delay)
+        cell = self.delays.cells_at(delay)
         if not self.delays.hold(cell, delay, alpha=alpha, beta=beta):
             raise OutsideError
         point = beta, gamma, delta, delay
@@ -559,7 +559,7 @@ class LimitTable:
 
     def verdict(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> int:
         """Return the code of one point, without the cost of arrays."""
-        number = self.delays.of_one(delay)
+        number = self.delays.cell_at(delay)
         lowest, _, per_beta = self._rows[number][4:]
         cell = min(int((beta - lowest) * per_beta), self._cells - 1)
         row = cell * self._steps[0] + bisect_right(self._inner_lists[0], gamma) * self._steps[1]
@@ -578,7 +578,7 @@ class LimitTable:
         self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
     ) -> AlphaLimits:
         """Return the limits at points inside of the table, as far as they are within its alphas."""
-        ends = self.delays.walls("alpha", self.delays.of(delay))
+        ends = self.delays.walls("alpha", self.delays.cells_at(delay))
         return within(self.limits(beta, gamma, delta, delay), *ends)
 
     def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
@@ -586,7 +586,7 @@ class LimitTable:
         return AlphaLimits(*in_parts(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
 
     def _limits_of(self, *point: Floats) -> Sequence[Floats]:
-        return self._limits(self._rows_of(self.delays.of(point[-1]), *point[:-1]), *point)
+        return self._limits(self._rows_of(self.delays.cells_at(point[-1]), *point[:-1]), *point)
 
     def _limits(self, rows: Integers, *point: Floats) -> Sequence[Floats]:
         return surfaces(self._columns.take(rows, axis=0).T, *point)
@@ -607,7 +607,7 @@ class LimitTable:
     def max_alpha(self, gamma: Floats, delta: Floats, delay: Floats) -> MaxAlpha:
         """Return the largest stable alpha for hands inside of the table, arrays of one length."""
         columns = self._columns.reshape(self._cells, self._steps[0], -1)
-        numbers = self.delays.of(delay)
+        numbers = self.delays.cells_at(delay)
         found = np.full((3, gamma.size), np.nan)
         for point, row in enumerate(self._hands(gamma, delta) + numbers):
             number = numbers[point]
@@ -632,7 +632,7 @@ class LimitTable:
     @ignoring
     def decided_share(self, delay: float) -> float:
         """Return the share of the volume at a delay that is decided, by the middles of columns."""
-        number = self.delays.of_one(delay)
+        number = self.delays.cell_at(delay)
         spans = [  # shares, for products of tiny spans are 0
             np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1)
             for nodes in self._nodes
@@ -651,7 +651,7 @@ class LimitTable:
     ) -> tuple[float, float]:
         """Return between which alphas all hands of a box are proved stable; empty if it is so."""
         at = self._limits_over(beta, gamma, delta, delay)
-        least, most = self._rows[self.delays.of_one(delay)][2:4]
+        least, most = self._rows[self.delays.cell_at(delay)][2:4]
         lowest, highest = np.max(at.lower + at.lower_error), np.min(at.upper - at.upper_error)
         return float(np.maximum(lowest, least)), float(np.minimum(highest, most))
 
@@ -674,7 +674,7 @@ class LimitTable:
         # A corner belongs to a cell by the middle of its part of the box.
         middles = np.meshgrid(*(ends.mean(axis=0) for ends in corners), indexing="ij")
         gammas, deltas = (middle.ravel() for middle in middles)
-        number = self.delays.of_one(delay)
+        number = self.delays.cell_at(delay)
         lowest, _, per_beta = self._rows[number][4:]
         cell = min(int((beta - lowest) * per_beta), self._cells - 1)
         columns = self._columns[cell * self._steps[0] + self._hands(gammas, deltas) + number]

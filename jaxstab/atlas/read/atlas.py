@@ -625,7 +625,7 @@ class Atlas:
                 f"delay is {float(query['delay'][between].flat[0])!r}; this atlas has limits at "
                 f"{delays} alone."
             )
-        cell = table.delays.of(query["delay"])
+        cell = table.delays.cells_at(query["delay"])
         for name in {"alpha", "beta"} & set(given):
             check_inside(name, query[name], *table.delays.walls(name, cell))
         return table, list(points)

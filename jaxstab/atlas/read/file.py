@@ -182,7 +182,7 @@ class Place:
     at_node: Mask
 
     @classmethod
-    def of(cls, axes: Sequence[tuple[Floats, Floats]]) -> "Place":
+    def from_axes(cls, axes: Sequence[tuple[Floats, Floats]]) -> "Place":
         """Find points along each axis, given as its nodes and the points' coordinates."""
         cells, node, at_node = [], [], np.ones(axes[0][1].shape, bool)
         for nodes, points in axes:

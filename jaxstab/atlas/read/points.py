@@ -169,7 +169,7 @@ def find_outside(
         check(name, arrays[name][0], arrays[name][-1], everywhere)
     if table is not None:
         covered = np.flatnonzero(table.delays.covers(where["delay"]))
-        cell = table.delays.of(where["delay"][covered])
+        cell = table.delays.cells_at(where["delay"][covered])
         known = ~table.delays.beyond(cell, where["alpha"][covered], where["beta"][covered])
         covered, cell = covered[known], cell[known]
         for name in ("alpha", "beta"):
@@ -186,7 +186,7 @@ def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: Atl
     """Fill in the verdicts of points inside of an atlas, where there are limits of alpha."""
     here = np.flatnonzero(inside & table.delays.covers(where["delay"]))
     walls = (where[name][here] for name in ("alpha", "beta"))
-    beyond = table.delays.beyond(table.delays.of(where["delay"][here]), *walls)
+    beyond = table.delays.beyond(table.delays.cells_at(where["delay"][here]), *walls)
     codes = np.full(here.size, Verdict.UNSTABLE, np.int8)
     codes[~beyond] = table.verdicts([where[name][here[~beyond]] for name in AXES])
     answer.verdict[here] = codes
@@ -208,7 +208,7 @@ def answer_at_delay(
     if not here.size:
         return
     points = {name: where[name][here] for name in _WALLS}
-    place = Place.of([(along, points[name]) for name, along in nodes.items()])
+    place = Place.from_axes([(along, points[name]) for name, along in nodes.items()])
     codes, status = answer.verdict[here], answer.status[here]
     if ALPHA_LIMITS not in arrays:
         status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)

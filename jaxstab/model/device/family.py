@@ -146,7 +146,7 @@ def pieces_of_delay(device: SampledDevice) -> tuple[Piece, ...] | None:
     bits = _FIRST_BITS
     while True:
         with working_precision(bits):
-            family = _Family.of(device.device.compliance(), device.sample_time)
+            family = _Family.from_compliance(device.device.compliance(), device.sample_time)
             if family.is_known or bits >= _MOST_BITS:
                 return _pieces(family, 1 / flint.arb(device.stiffness_unit))
         bits *= 2
@@ -180,7 +180,7 @@ class _Family(NamedTuple):
     whole: "arb_poly"  # n[Gamma(1)]
 
     @classmethod
-    def of(cls, compliance: Rational, sample_time: float) -> "_Family":
+    def from_compliance(cls, compliance: Rational, sample_time: float) -> "_Family":
         import flint
 
         above, below, speed = in_fastest_time(*in_samples(compliance, sample_time))
