@@ -197,11 +197,11 @@ def by_kind(
     answer: Callable[[list[Item]], Iterable[Result]],
 ) -> list[Result]:
     """Return the answers to items in their order; items of one kind are evaluated together."""
-    found: dict[int, Result] = {}
+    results: dict[int, Result] = {}
     for numbers in alike(kinds):
         answers = answer([items[number] for number in numbers])
-        found.update(zip(numbers, answers, strict=True))
-    return [found[number] for number in range(len(items))]
+        results.update(zip(numbers, answers, strict=True))
+    return [results[number] for number in range(len(items))]
 
 
 def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:

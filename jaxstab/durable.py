@@ -240,19 +240,19 @@ class PatientStream(io.RawIOBase):
 
     def readinto(self, buffer: Any) -> int:
         """Read what was written at this place; zeros where nothing was."""
-        found = memoryview(buffer)
-        start, stop = self._place, self._place + len(found)
-        found[:] = bytes(len(found))
+        target = memoryview(buffer)
+        start, stop = self._place, self._place + len(target)
+        target[:] = bytes(len(target))
         try:
             os.lseek(self._descriptor, start, os.SEEK_SET)
-            on_disk = os.read(self._descriptor, len(found))
+            on_disk = os.read(self._descriptor, len(target))
         except OSError as error:
             self._error = self._error or error
             on_disk = b""
-        found[: len(on_disk)] = on_disk
+        target[: len(on_disk)] = on_disk
         for place, kept in self._kept:
             first, last = max(place, start), min(place + len(kept), stop)
             if first < last:
-                found[first - start : last - start] = kept[first - place : last - place]
+                target[first - start : last - start] = kept[first - place : last - place]
         self._place = stop
-        return len(found)
+        return len(target)

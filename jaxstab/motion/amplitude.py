@@ -478,10 +478,10 @@ def amplitude(
     like = (Gains(*[np.float64] * 4),) * 3
     found = on_host(search, *lanes, shape=grid, like=like, is_count=False)
     sampled = Gains(*(_total(bounds, parts) for parts in zip(*found, strict=True)))
-    is_proved = xp.isfinite(sum(one.position for one in found))
+    is_proved = xp.isfinite(sum(gain.position for gain in found))
     bounded = _at_all_times(sampled, rubbing, gamma, delta, fraction)
     status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
-    x, v, force = (xp.where(is_proved, one, xp.inf) for one in bounded)
+    x, v, force = (xp.where(is_proved, bound, xp.inf) for bound in bounded)
     direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
     per_count = errors * abs(gains[0] * direct[0] + gains[1] * direct[1])
     answers = x, v, force, per_count, status.astype(np.int8)

@@ -56,14 +56,14 @@ def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
     outputs = np.zeros((len(loops.start), 1, loops.start.shape[1]))
     outputs[:, 0, 0] = 1.0
     motion = Motion.begun(outputs, *loops)
-    found = [motion.latest()]
+    stretches = [motion.latest()]
     known = motion.samples
     while known < samples:
         blocks = ceil((samples - known) / (STRETCH * _BLOCK))
         motion = motion._replace(states=motion.states[:, : blocks * _BLOCK]).doubled()
-        found.append(motion.latest())
-        known += found[-1].shape[1]
-    return np.concatenate(found, axis=1)
+        stretches.append(motion.latest())
+        known += stretches[-1].shape[1]
+    return np.concatenate(stretches, axis=1)
 
 
 class Motion(NamedTuple):
@@ -213,8 +213,8 @@ def settling_samples(
     """
     options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}
     point = alpha, beta, gamma, delta, delay
-    (found,) = settling_at_levels(*point, [level], **options, velocity=velocity, position=position)
-    return found
+    levels = [level]
+    return settling_at_levels(*point, levels, **options, velocity=velocity, position=position)[0]
 
 
 def settling_at_levels(

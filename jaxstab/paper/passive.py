@@ -113,11 +113,11 @@ def passive_region(
         chords = np.flatnonzero(is_open)
         start, end = points[chords], points[chords + 1]
         # Over the middle of a chord a convex arc is at least half as high as anywhere.
-        found = _boundary_points(0.5 * (start + end), delay)
-        bulges = _distance(found, start, end) > 0.5 * tolerance
+        between = _boundary_points(0.5 * (start + end), delay)
+        bulges = _distance(between, start, end) > 0.5 * tolerance
         is_open[chords] = bulges
         indices = chords[bulges] + 1
-        points = np.insert(points, indices, found[bulges], axis=0)
+        points = np.insert(points, indices, between[bulges], axis=0)
         is_open = np.insert(is_open, indices, True)
     return PassiveRegion(delta, delay, tolerance, delta * points)
 

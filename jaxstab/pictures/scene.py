@@ -334,8 +334,8 @@ def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
         ("best damping at a given stiffness", [one.rounded for one in given], "P", SKY),
         ("fastest at worst over the ranges", [at_worst], "p", PURPLE),
     ):
-        found = [(wall.stiffness, wall.damping) for wall in walls if wall]
-        gains = np.array([wall for wall in found if None not in wall], np.float64).reshape(-1, 2)
+        pairs = [(wall.stiffness, wall.damping) for wall in walls if wall]
+        gains = np.array([wall for wall in pairs if None not in wall], np.float64).reshape(-1, 2)
         if len(gains) == 1:
             label += f": {_gains_text(float(gains[0, 0]), float(gains[0, 1]), units)}"
         if len(gains):
@@ -374,8 +374,8 @@ def _draw_chatter(
     """Draw lines of equal bounds of what the encoder's rounding does to the position."""
     resolution = encoder.resolution
     stiffness, damping = _columns_and_rows(region, _CALM_COLUMNS)
-    found = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
-    counts = np.where(np.isfinite(found.position), found.position / resolution, np.nan)
+    amplitude = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
+    counts = np.where(np.isfinite(amplitude.position), amplitude.position / resolution, np.nan)
     fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
     levels = [count for count in _COUNTS if fewest < count < most]
     if not levels:
@@ -395,8 +395,8 @@ def _columns_and_rows(region: WallRegion, count: int) -> Floats:
 def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     """Draw lines of equal settling time to 2 %, in ms."""
     stiffness, damping = _columns_and_rows(region, _COLUMNS)
-    found = loop.settling_time(stiffness[None, :], damping[:, None], horizon=_HORIZON)
-    times = np.where(np.isfinite(found.value), 1e3 * np.asarray(found.value), np.nan)
+    settling = loop.settling_time(stiffness[None, :], damping[:, None], horizon=_HORIZON)
+    times = np.where(np.isfinite(settling.value), 1e3 * np.asarray(settling.value), np.nan)
     if np.isnan(times).all():
         return
     fastest, slowest = float(np.nanmin(times)), float(np.nanmax(times))

@@ -438,8 +438,8 @@ def _concrete_radius(points: list[Values], *, is_fast: bool) -> tuple[Values, Va
     for one in np.unique(delay).tolist():
         indices = np.flatnonzero(np.broadcast_to(delay == one, shape))
         listed = looked_up(parameters, shape, indices)
-        found = _of_delay(listed, indices.shape, one, is_fast=is_fast)
-        value.flat[indices], error.flat[indices] = found
+        radii = _of_delay(listed, indices.shape, one, is_fast=is_fast)
+        value.flat[indices], error.flat[indices] = radii
     return value, error
 
 

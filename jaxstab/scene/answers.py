@@ -188,14 +188,14 @@ class Answer:
 
     def _units_of_keys(self, units: Units) -> dict[str, str]:
         """Return the unit of each key of a number, "1" where it has none."""
-        found: dict[str, str] = {}
+        units_by_key: dict[str, str] = {}
         kind: Any = type(self)  # mypy holds it for not hashable
         for (*_, name), value in self._entries():
             if isinstance(value, Answer):
-                found |= value._units_of_keys(units)
+                units_by_key |= value._units_of_keys(units)
             elif not isinstance(value, str | IntEnum):
-                found[_named(name, units)] = units.unit(_quantities(kind)[name].unit) or "1"
-        return found
+                units_by_key[_named(name, units)] = units.unit(_quantities(kind)[name].unit) or "1"
+        return units_by_key
 
     def _words(self, name: str, value: Any, units: Units) -> str:
         if isinstance(value, str | IntEnum):
@@ -287,13 +287,13 @@ def _for_json(value: Any) -> Any:
 def _quantities(kind: Any) -> dict[str, Quantity]:
     """Return the quantities of the annotated fields of an answer."""
     hints = get_type_hints(kind, include_extras=True)
-    found = {}
+    quantities = {}
     for name, hint in hints.items():
         for part in (hint, *get_args(hint)):  # of "quantity | None", too
             for note in getattr(part, "__metadata__", ()):
                 if isinstance(note, Quantity):
-                    found[name] = note
-    return found
+                    quantities[name] = note
+    return quantities
 
 
 # The basis of a scene's answers, stated in front of them.

@@ -127,9 +127,9 @@ def _worst_of_a_kind(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
         for scene, gains in walls
     ]
     if is_one_mass(walls[0][0]):
-        found = worst_hands(held)
+        worsts = worst_hands(held)
     else:
-        found = [loop.worst_hand(*wall, mass=mass) for loop, *wall, mass in held]
+        worsts = [loop.worst_hand(*wall, mass=mass) for loop, *wall, mass in held]
     return [
         WorstHeld(
             worst.verdict,
@@ -137,7 +137,7 @@ def _worst_of_a_kind(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
             held_by(worst.loop, scene),
             _TRIED if worst.verdict == Verdict.UNDECIDED else None,
         )
-        for worst, (scene, _) in zip(found, walls, strict=True)
+        for worst, (scene, _) in zip(worsts, walls, strict=True)
     ]
 
 
@@ -147,19 +147,19 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     if hands is None:
         return None
     loop, mass = loop_of(scene), masses_of(scene)
-    found = loop.robust_limit(hands, mass=mass)
-    is_proved, stiffness = found.is_proved, safety * found.stiffness
+    robust = loop.robust_limit(hands, mass=mass)
+    is_proved, stiffness = robust.is_proved, safety * robust.stiffness
     if safety < 1.0 and not isnan(stiffness):
-        worst = loop.worst_hand(hands, stiffness, found.damping, mass=mass)
+        worst = loop.worst_hand(hands, stiffness, robust.damping, mass=mass)
         is_proved = worst.verdict == Verdict.STABLE
     proved = _PROVED + ("" if mass is None else f" and {scene.units.moved}")
     tried = "no wall was found" if isnan(stiffness) else "not proved"
     return AllHands(
         largest_stiffness=stiffness,
-        at_damping=found.damping,
+        at_damping=robust.damping,
         certainty=proved if is_proved else tried,
-        none_is_stiffer_than=found.limit if is_one_mass(scene) else None,
-        worst_hand=held_by(found.loop, scene),
+        none_is_stiffer_than=robust.limit if is_one_mass(scene) else None,
+        worst_hand=held_by(robust.loop, scene),
     )
 
 
@@ -407,10 +407,10 @@ def _over_hands(
         for wall, loops in zip(walls, held, strict=True)
         for loop in loops
     ]
-    found = ask(rendered, *(np.repeat(column, counts) for column in columns))
+    answers = ask(rendered, *(np.repeat(column, counts) for column in columns))
     ends = np.cumsum(counts)
     parts = [
-        tree_map(lambda one, own=slice(end - count, end): one[own], found)
+        tree_map(lambda one, own=slice(end - count, end): one[own], answers)
         for count, end in zip(counts, ends, strict=True)
     ]
     return list(zip(walls, held, parts, strict=True))
@@ -429,12 +429,12 @@ def _margins(walls: Sequence[_Wall]) -> list[Margins]:
     return [_least_margins(*own) for own in _over_hands(walls, wall_margins)]
 
 
-def _least_margins(wall: _Wall, loops: list[HapticLoop], found: LoopMargins) -> Margins:
-    spare = np.array([found.stiffness_gain, found.damping_gain, found.extra_delay])
+def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -> Margins:
+    spare = np.array([margins.stiffness_gain, margins.damping_gain, margins.extra_delay])
     # NaN, of a hand with which the wall is not stable, goes through.
     stiffer, damper, extra_delay = spare.min(axis=1).tolist()
     searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
-    limits = _common(found.stiffness), _common(found.damping)
+    limits = _common(margins.stiffness), _common(margins.damping)
     kind = NoMargins if wall.known.verdict == Verdict.UNSTABLE else Margins
     words = _among("the least", loops)
     return kind(stiffer, damper, *limits, extra_delay, searched, words)
@@ -449,8 +449,8 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
 def _distances(walls: Sequence[_Wall]) -> list[Distance]:
     """Return the least distance of each wall over its hands; NaN if one has no region."""
     return [
-        Distance(float(np.min(found)), _among("the least", loops))
-        for _, loops, found in _over_hands(walls, boundary_distances)
+        Distance(float(np.min(distances)), _among("the least", loops))
+        for _, loops, distances in _over_hands(walls, boundary_distances)
     ]
 
 
@@ -467,30 +467,30 @@ def _settlings(walls: Sequence[_Wall]) -> list[Settling]:
     return [_longest(*own) for own in _over_hands(walls, ask)]
 
 
-def _longest(wall: _Wall, loops: list[HapticLoop], found: list[MotionSettling]) -> Settling:
-    numbers = [_slowest(one) for one in found]
+def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettling]) -> Settling:
+    numbers = [_slowest(settling) for settling in settlings]
     two, five = (
-        MotionSettling(one.value[number], one.status[number])
-        for number, one in zip(numbers, found, strict=True)
+        MotionSettling(settling.value[number], settling.status[number])
+        for number, settling in zip(numbers, settlings, strict=True)
     )
     status, hand = SettlingStatus(int(two.status)), _hand_of(wall, loops[numbers[0]])
     return Settling(settled(two), settled(five), status, _among("the longest", loops), hand)
 
 
-def _slowest(found: MotionSettling) -> int:
+def _slowest(settling: MotionSettling) -> int:
     """Return the number of the hand that takes longest: an unstable one, or one not proved."""
-    values, status = np.asarray(found.value), np.asarray(found.status)
+    values, status = np.asarray(settling.value), np.asarray(settling.status)
     rank = np.select(
         [status == SettlingStatus.UNSTABLE, status == SettlingStatus.SETTLED], [2, 0], 1
     )
     return int(np.lexsort((values, rank))[-1])
 
 
-def settled(found: MotionSettling) -> float:
+def settled(settling: MotionSettling) -> float:
     """Return a settling time in s; infinite for an unstable loop, NaN where none is proved."""
-    status = int(found.status)
+    status = int(settling.status)
     if status == SettlingStatus.SETTLED:
-        return float(found.value)
+        return float(settling.value)
     return inf if status == SettlingStatus.UNSTABLE else nan
 
 
@@ -499,20 +499,20 @@ def _oscillations(walls: Sequence[_Wall]) -> list[Oscillation]:
     return [_least_damped(*own) for own in _over_hands(walls, oscillations)]
 
 
-def _least_damped(wall: _Wall, loops: list[HapticLoop], found: Mode) -> Oscillation:
-    ratios = np.asarray(found.damping_ratio)
-    number = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
-    ratio, frequency = float(ratios[number]), float(found.frequency[number])
-    words, hand = _among("the least damped", loops), _hand_of(wall, loops[number])
+def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> Oscillation:
+    ratios = np.asarray(modes.damping_ratio)
+    index = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
+    ratio, frequency = float(ratios[index]), float(modes.frequency[index])
+    words, hand = _among("the least damped", loops), _hand_of(wall, loops[index])
     return Oscillation(ratio, frequency, words, hand)
 
 
 def _chatters(walls: Sequence[_Wall]) -> list[Chatter]:
     encoders = [wall.scene.device.encoder for wall in walls]
-    steps = [one.resolution for one in encoders if one is not None]  # all, as they are wanted
+    steps = [encoder.resolution for encoder in encoders if encoder is not None]  # all are wanted
     return [
-        _chatter(found.position, found.force, found.force_per_count)
-        for _, _, found in _over_hands(walls, amplitudes, steps)
+        _chatter(amplitude.position, amplitude.force, amplitude.force_per_count)
+        for _, _, amplitude in _over_hands(walls, amplitudes, steps)
     ]
 
 

@@ -134,10 +134,10 @@ def _largest(
     if not low.spare >= 0.0:
         return nan, None, DesignStatus.NONE
     if high.spare >= 0.0:
-        found, status = high.value, DesignStatus.LONGEST_TRIED
+        largest, status = high.value, DesignStatus.LONGEST_TRIED
     else:
-        found, status = _last_with_spare(spare, low, high, start), DesignStatus.FOUND
-    return found, _stiffest(loop_at(found)).damping, status
+        largest, status = _last_with_spare(spare, low, high, start), DesignStatus.FOUND
+    return largest, _stiffest(loop_at(largest)).damping, status
 
 
 def _largest_of(

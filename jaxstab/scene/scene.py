@@ -532,7 +532,7 @@ class Scene:
         hand, units = self.hand or Hand(), self.units
         kilogram, stiffness, damping = units.kilogram, units.stiffness, units.damping
         mass, usual = ("mass", _USUAL) if units is Units.LINE else ("inertia", _USUAL_TURNING)
-        found = [
+        warnings = [
             *(
                 _outside(f"device.{mass}", value, *usual.device_mass, kilogram)
                 for value in dict.fromkeys(device.effective_mass)
@@ -549,12 +549,12 @@ class Scene:
             _other_period(controller),
         ]
         for name, wall in self.walls.items():
-            found += [
+            warnings += [
                 _outside(f"walls.{name}.stiffness", wall.stiffness, *usual.stiffness, stiffness),
                 _outside(f"walls.{name}.damping", wall.damping, *usual.damping, damping),
                 self._slip_of_wall(f"walls.{name}", wall),
             ]
-        return [words for words in found if words]
+        return [words for words in warnings if words]
 
     def _slip_of_wall(self, name: str, wall: Wall) -> str:
         """Return a warning for gains that were swapped, or a stiffness in N/mm."""

@@ -181,9 +181,9 @@ class Tuned(Answer):
     @property
     def all_stable(self) -> bool:
         """Whether each wall is found and proved stable; over ranges none is proved."""
-        found = [self.least_radius, self.least_settling, *self.walls.values()]
-        found += [self.at_given_stiffness] if self.at_given_stiffness else []
-        return self.over_ranges is None and all(wall.is_stable for wall in found)
+        walls = [self.least_radius, self.least_settling, *self.walls.values()]
+        walls += [self.at_given_stiffness] if self.at_given_stiffness else []
+        return self.over_ranges is None and all(wall.is_stable for wall in walls)
 
 
 class _Encoder(NamedTuple):

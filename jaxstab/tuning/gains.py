@@ -73,9 +73,9 @@ def zoomed(
     """
     best, value = (np.nan, np.nan), np.inf
     for _ in range(_ZOOMS):
-        found, place = least(grid)
-        if found < value:
-            best, value = grid[place], found
+        lowest, place = least(grid)
+        if lowest < value:
+            best, value = grid[place], lowest
         if value <= enough:
             break
         grid = grid.around(best)

@@ -137,34 +137,34 @@ def read_table(text: bytes, image_size: int) -> Table:
 
 
 def _check_version(text: bytes) -> None:
-    found = _TITLE.match(text)
-    if found is None:
+    title = _TITLE.match(text)
+    if title is None:
         raise RefusalError(
             f"has no table of schema version {schema.SCHEMA_VERSION}: it is no atlas, or of an "
             "older jaxstab; build it again."
         )
-    if int(found[1]) != schema.SCHEMA_VERSION:
+    if int(title[1]) != schema.SCHEMA_VERSION:
         raise RefusalError(
-            f"has schema version {int(found[1])}, and this jaxstab reads version "
+            f"has schema version {int(title[1])}, and this jaxstab reads version "
             f"{schema.SCHEMA_VERSION}; use the jaxstab that wrote it, or build it again."
         )
 
 
 def _stored(line: str, where: str) -> Stored:
     """Return a variable from its two lines, whose length grows with its chunks."""
-    found, there = _LINE.fullmatch(line), _WHERE.fullmatch(where)
-    if found is None or there is None:
+    fields, places = _LINE.fullmatch(line), _WHERE.fullmatch(where)
+    if fields is None or places is None:
         raise RefusalError(DAMAGED)
-    name, dtype, shape, chunk = found[1], found[2], _lengths(found[3]), _lengths(found[4])
-    check(name == there[1] and name in VARIABLES)
+    name, dtype, shape, chunk = fields[1], fields[2], _lengths(fields[3]), _lengths(fields[4])
+    check(name == places[1] and name in VARIABLES)
     variable = VARIABLES[name]
     check(len(shape) == len(chunk) == len(variable.dimensions))
     check(all(part <= whole for part, whole in zip(chunk, shape, strict=True)))
     chunks = prod(-(-whole // part) for part, whole in zip(chunk, shape, strict=True))
-    check(chunks - 1 == found[5].count(" ") == there[2].count(" "))
-    digests = found[5].split(" ")
+    check(chunks - 1 == fields[5].count(" ") == places[2].count(" "))
+    digests = fields[5].split(" ")
     check(all(len(digest) == _DIGITS for digest in digests))
-    stored = Stored(variable, _dtype(variable, dtype), shape, chunk, digests, _places(there[2]))
+    stored = Stored(variable, _dtype(variable, dtype), shape, chunk, digests, _places(places[2]))
     _check_sizes(stored)
     return stored
 
@@ -184,8 +184,8 @@ def _dtype(variable: Variable, word: str) -> np.dtype[Any]:
         dtype = np.dtype(variable.dtype).newbyteorder("<")
         check(word == dtype.str)
         return dtype
-    found = _TEXT.fullmatch(word)
-    check(found and int(found[1]) <= schema.LONGEST_LINE)
+    text = _TEXT.fullmatch(word)
+    check(text and int(text[1]) <= schema.LONGEST_LINE)
     return np.dtype(word)
 
 

@@ -608,7 +608,7 @@ class LimitTable:
         """Return the largest stable alpha for hands inside of the table, arrays of one length."""
         columns = self._columns.reshape(self._cells, self._steps[0], -1)
         numbers = self.delays.cells_at(delay)
-        found = np.full((3, gamma.size), np.nan)
+        largest = np.full((3, gamma.size), np.nan)
         for point, row in enumerate(self._hands(gamma, delta) + numbers):
             number = numbers[point]
             edges = np.arange(self._cells + 1) / self._per_beta[number] + self._beta[number]
@@ -626,8 +626,8 @@ class LimitTable:
                 may_hold = ~(at.lower - at.lower_error >= ends)
                 if may_hold[0, 0] or may_hold[1, -1]:  # the stable set crosses an end of beta
                     bound = np.inf
-                found[:, point] = top.flat[best], sides.flat[best], bound
-        return MaxAlpha(*found)
+                largest[:, point] = top.flat[best], sides.flat[best], bound
+        return MaxAlpha(*largest)
 
     @ignoring
     def decided_share(self, delay: float) -> float:

@@ -192,17 +192,17 @@ class LoopAtlas:
 
         Source: ``jaxstab.proofs.columns``; Table I.
         """
-        found = self.atlas.max_alpha(**self._slice)
-        if np.isnan(found.alpha):
+        largest = self.atlas.max_alpha(**self._slice)
+        if np.isnan(largest.alpha):
             return LargestStiffness(np.nan, np.nan, np.nan)
         # It is on an edge between two cells of beta, of which a rounded damping is in either.
-        damping = float(self.loop.damping(float(found.beta)))
+        damping = float(self.loop.damping(float(largest.beta)))
         near = damping + np.spacing(damping) * np.arange(-_ULPS_ASIDE, _ULPS_ASIDE + 1)
         beta = self.loop.beta(near)
         near, beta = (v[(beta >= self._betas[0]) & (beta <= self._betas[1])] for v in (near, beta))
         upper = np.nan_to_num(self._limits(beta)[:, 1], nan=-np.inf)
         best = int(np.argmax(upper))
-        bound = self.loop.stiffness(float(found.bound))
+        bound = self.loop.stiffness(float(largest.bound))
         return LargestStiffness(
             float(upper[best]), float(near[best]), bound + _ROUNDINGS * abs(bound)
         )
@@ -210,9 +210,9 @@ class LoopAtlas:
     @np.errstate(invalid="ignore")  # infinite limits may have infinite errors
     def _limits(self, beta: Floats) -> Floats:
         """Return the stiffnesses between which all is proved stable, at values of beta."""
-        found = self.atlas.alpha_limits(beta, **self._slice)
-        lower = np.maximum(found.lower + found.lower_error, self._alphas[0])
-        upper = np.minimum(found.upper - found.upper_error, self._alphas[1])
+        limits = self.atlas.alpha_limits(beta, **self._slice)
+        lower = np.maximum(limits.lower + limits.lower_error, self._alphas[0])
+        upper = np.minimum(limits.upper - limits.upper_error, self._alphas[1])
         ends = self.loop.stiffness(np.stack([lower, upper], axis=-1))
         ends += _ROUNDINGS * np.abs(ends) * np.array([1.0, -1.0])
         ends[~(ends[..., 0] < ends[..., 1])] = np.nan
@@ -506,10 +506,10 @@ class Atlas:
         """
         table, points = self._table_and_points(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
-        found = table.known_limits(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
-        is_empty = found.lower == np.inf
-        limits = (np.where(is_empty, np.nan, limit) for limit in (found.lower, found.upper))
-        errors = (error.astype(float) for error in (found.lower_error, found.upper_error))
+        known = table.known_limits(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
+        is_empty = known.lower == np.inf
+        limits = (np.where(is_empty, np.nan, limit) for limit in (known.lower, known.upper))
+        errors = (error.astype(float) for error in (known.lower_error, known.upper_error))
         parts = zip(limits, errors, strict=True)
         return AlphaLimits(*(v.reshape(beta.shape) for pair in parts for v in pair))
 
@@ -525,8 +525,8 @@ class Atlas:
             (True, 0.35)
         """
         table, points = self._table_and_points(delay, gamma=gamma, delta=delta)
-        found = table.max_alpha(*(point.reshape(-1) for point in points))
-        return MaxAlpha(*(value.reshape(points[0].shape) for value in found))
+        largest = table.max_alpha(*(point.reshape(-1) for point in points))
+        return MaxAlpha(*(value.reshape(points[0].shape) for value in largest))
 
     def worst_verdict(
         self, alpha: float, beta: float, *, gamma: Range, delta: Range, delay: float

@@ -68,15 +68,15 @@ def write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]
 
 def places_of(dataset: h5py.Dataset) -> list[Place]:
     """Return the offsets of the chunks of a dataset in a flushed file, in order."""
-    found: dict[tuple[int, ...], Place] = {}
+    places: dict[tuple[int, ...], Place] = {}
 
     def note(chunk: Any) -> None:
         if chunk.filter_mask:
             raise RuntimeError(f"HDF5 left out a filter of {dataset.name}; use another libhdf5.")
-        found[chunk.chunk_offset] = chunk.byte_offset, chunk.size
+        places[chunk.chunk_offset] = chunk.byte_offset, chunk.size
 
     dataset.id.chunk_iter(note)
-    return [place for _, place in sorted(found.items())]
+    return [place for _, place in sorted(places.items())]
 
 
 # The HDF5 image of an atlas as HDF5 sees it, for those who verify that it is what the table says.
