@@ -1,4 +1,4 @@
-"""The one owner of what is compiled: which calls meet XLA, in which shapes, with which options.
+"""The one owner of compilation: which calls go to XLA, in which shapes, with which options.
 
 A kernel written for both array namespaces (``jaxstab.arrays``) is wrapped once, by ``compiled``. A
 call with JAX arrays or tracers is compiled by XLA, one with numbers or small NumPy arrays is

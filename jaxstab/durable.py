@@ -188,9 +188,8 @@ def write_all(descriptor: int, data: bytes) -> None:
 class PatientStream(io.RawIOBase):
     """A file for HDF5 to write to, which keeps errors from it.
 
-    After the first error nothing more goes to the disk: what is written is kept in memory, so that
-    what is read is what was written, and ``check`` raises the error. Whoever writes much calls it
-    often.
+    After the first error nothing more goes to the disk: writes stay in memory, so that reads are
+    consistent, and ``check`` raises the error. A long write calls it often.
     """
 
     def __init__(self, descriptor: int) -> None:

@@ -1,6 +1,6 @@
 """The one checker of numbers that users give: one sentence says what is wrong.
 
-The sentence has the name, the value and what is allowed. Tracers pass: their values are not known.
+The sentence has the name, the value and the range. Tracers pass: their values are not known.
 """
 
 import sys
@@ -56,7 +56,7 @@ def checked(
 def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:
     """Return real numbers as NumPy has them, or raise TypeError; NaN is one of them."""
     if isinstance(value, np.ma.MaskedArray):
-        raise TypeError(f"{name} is a masked array; give what is not masked as plain numbers.")
+        raise TypeError(f"{name} is a masked array; give plain numbers.")
     try:
         numbers = np.asarray(value)
     except ValueError as error:  # rows of different lengths

@@ -1,6 +1,6 @@
 """Tables of TOML files: read as they are, and checked key by key into frozen dataclasses.
 
-Errors are one sentence: the key, its value and what is allowed.
+Errors are one sentence: the key, its value and the allowed values.
 """
 
 import re

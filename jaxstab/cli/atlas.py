@@ -67,7 +67,7 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
     except KeyboardInterrupt:
         click.echo(
             "jaxstab: interrupted; the finished tiles are stored, so give the same command "
-            "again to go on.",
+            "again to continue.",
             err=True,
         )
         sys.exit(130)
@@ -96,7 +96,7 @@ def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
     task = bar.add_task("", total=None, rate="?")
 
     def show(done: int, total: int) -> None:
-        bar.start()  # only now: what is refused before the work is refused without a bar
+        bar.start()  # only now: an early refusal needs no bar
         speed = bar.tasks[0].speed
         bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
 
@@ -179,7 +179,7 @@ def _described(opened: "Atlas", file: Path) -> str:
 
 
 def _example(opened: "Atlas") -> dict[str, float]:
-    """Return a point in the middle of the first delay's box, or rather of what is stable there."""
+    """A point in the middle of the stable part of the first delay's box."""
     nodes, delay = opened.nodes(0), float(opened.delays[0])
     point = {name: float(axis[axis.size // 2]) for name, axis in nodes.items()}
     alpha, beta = (
@@ -242,16 +242,16 @@ def plan(file: Path | None, spec: Path | None, output: Path | None, **wishes: fl
         raise click.UsageError("-o needs a wish, such as --accuracy 0.01.")
     keep_programs()
     source = file or spec
-    asked = AtlasSpec.from_file(source) if source else AtlasSpec()
+    given_spec = AtlasSpec.from_file(source) if source else AtlasSpec()
     if not given:
-        planned = plan_atlas(asked)
+        planned = plan_atlas(given_spec)
         click.echo(planned)
         click.echo(estimate_build(planned))
         return
     if len(given) > 1:
         raise click.UsageError(f"--{' and --'.join(given)} are given; give one wish.")
     with at_work("resolutions of the range"):
-        resolutions = plan_resolution(asked, **given)
+        resolutions = plan_resolution(given_spec, **given)
     click.echo(resolutions)
     if output:
         from jaxstab.durable import publish

@@ -258,11 +258,11 @@ def _asked_of_scene(
         "delay": "s",
     }
     rows = []
-    for asked in ask_atlas(scene, opened, walls, outside, exact=exact):
-        member = asked.member
-        numbers = [*asked.gains, member.mass, *member.hand[:3], member.delay]
-        answer = (getattr(asked.answer, name).item() for name in _ANSWER)
-        where: dict[str, float | str] = {"wall": asked.name}
+    for entry in ask_atlas(scene, opened, walls, outside, exact=exact):
+        member = entry.member
+        numbers = [*entry.gains, member.mass, *member.hand[:3], member.delay]
+        answer = (getattr(entry.answer, name).item() for name in _ANSWER)
+        where: dict[str, float | str] = {"wall": entry.name}
         rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))
     stated = Answers(basis_of(scene), {}).as_json()
     stated["inputs"] |= {"created_by": opened.created_by}

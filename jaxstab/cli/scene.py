@@ -117,7 +117,7 @@ def scene_of(given: dict[str, Any]) -> "Scene":
 
 
 def warn(*unusual: str) -> None:
-    """Say what is unusual about a scene."""
+    """Print warnings about unusual values of a scene."""
     if unusual:
         words = "; ".join(unusual)
         click.echo(f"jaxstab: warning: {words}{'' if words.endswith('?') else '.'}", err=True)

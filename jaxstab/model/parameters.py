@@ -1,4 +1,4 @@
-"""The five dimensionless parameters (Table I): what is allowed for them."""
+"""The five dimensionless parameters (Table I) and their ranges."""
 
 from typing import Any, NamedTuple
 

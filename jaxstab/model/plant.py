@@ -46,9 +46,9 @@ from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma
 from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT
 
 # From the zeros of N at gamma = (2 pi k)^2 on, the size of N is the root of its coefficients' sum:
-# what cancels there is larger than what is left (up to SOFT_DELTA).
+# the terms that cancel there exceed the result (up to SOFT_DELTA).
 _CANCELLING_GAMMA = 36.0
-_REMEMBERED = 1 << 12  # plants that are kept, 0.5 MB of them
+_REMEMBERED = 1 << 12  # plants in the cache, 0.5 MB of them
 _DUPLICATIONS = 10
 _TERMS = 10
 _PAIR_TERMS = 3  # the terms beyond are below 2^-53 of the sum: float64 is enough for them

@@ -6,7 +6,7 @@ polynomial takes their product, while the time domain runs one after the other, 
 digits to poles close to each other.
 
 The numbers that a section computes from its parameters, such as exp(-2 pi f T), are rounded to
-float64 first: what is proved holds for the filter that software with these numbers runs.
+float64 first: proofs hold for the filter that software with these numbers runs.
 
 A new kind of section is a class here, with its transfer functions, its text and its keys of TOML,
 and a maker beside the others in ``filters.py``. Files, pictures, proofs between two loops and

@@ -490,7 +490,7 @@ def amplitude(
 
 
 def _total(sizes: tuple[Array, ...], gains: tuple[Array, ...]) -> Array:
-    """Return the sum of what all disturbances do, 0 for what is not bounded."""
+    """The sum of the bounds of all disturbances; infinite ones count as 0."""
     xp = namespace(sizes, gains)
     known = [xp.where(xp.isfinite(gain), gain, 0.0) for gain in gains]
     return RAISED * sum(size * gain for size, gain in zip(sizes, known, strict=True))

@@ -132,7 +132,7 @@ class SettlingStatus(Status):
 
 
 class Settling(NamedTuple):
-    """A settling time and what is known about it.
+    """A settling time and its status.
 
     It is finite for SETTLED, infinite for UNSTABLE, and NaN where neither could be proved.
 

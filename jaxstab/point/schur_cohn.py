@@ -193,7 +193,7 @@ _PAYS = 2.5  # degree over the length of an end from which on steps on the ends 
 @pytree
 @dataclass(frozen=True)
 class _State(Generic[Number]):
-    """Both ends of a polynomial, coefficients first, with what is known of the steps so far.
+    """Both ends of a polynomial, coefficients first, with bounds from the steps so far.
 
     The ends are either as long as the polynomial, each of them all of it, or too short to meet.
     """

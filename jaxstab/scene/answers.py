@@ -114,7 +114,7 @@ class Answer:
 
     A field is left out where it is None; one that is a dictionary has answers by their names. An
     answer that ``is_part`` of another one has no heading. An answer with a field ``inputs`` has its
-    units, and so has what is in it.
+    units, and so have the answers in it.
     """
 
     is_part: ClassVar[bool] = False

@@ -19,7 +19,7 @@ Outside = Literal["error", "undecided"]
 
 _NODES = {"gamma": 5, "delta": 9}  # along a range
 _DELAY_CELLS = 32  # to a sample, along a range of delays
-_MOST_LIMIT_CELLS = 2048  # where walls are far beyond what is stable
+_MOST_LIMIT_CELLS = 2048  # where walls are far beyond the stable set
 _ASIDE = 1e-9  # of walls: so far beyond them axes end
 
 
@@ -27,7 +27,7 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
     """The specification of an atlas for all loops of a scene's ranges.
 
     Gamma and delta have their extremes at the corners of the ranges of mass and hand, for they are
-    monotone in each. Alpha and beta are laid around what is stable, and around the scene's walls.
+    monotone in each. Alpha and beta are laid around the stable set and the scene's walls.
     """
     loops = [loop_of_member(scene, member) for member in corners_of(scene)]
     if loops[0].body is None:
@@ -72,7 +72,7 @@ def _around(spec: AtlasSpec, loops: list[HapticLoop], walls: list[Gains]) -> Atl
 def _beyond(
     name: str, spec: AtlasSpec, gains: NDArray[np.float64], ends: tuple[float, float]
 ) -> FittedAxis:
-    """Return an axis that reaches beyond gains, where these are beyond what is stable."""
+    """An axis that extends beyond gains, where these are beyond the stable set."""
     axis: FittedAxis = getattr(spec, name)
     low, high = float(gains.min()), float(gains.max())
     aside = _ASIDE * max(abs(low), abs(high))

@@ -145,8 +145,8 @@ class RoundedWall(TunedWall):
 class BestWall(Answer):
     """The best wall, and how it is known. Where none is stable there is only the status.
 
-    Where poles coincide the radius depends on the last digits of the gains. So what is printed is
-    what the gains reach as they are printed; JSON has both.
+    Where poles coincide the radius depends on the last digits of the gains. So the
+    printed radius is that of the printed gains; JSON has both.
     """
 
     exact: TunedWall | None

@@ -283,7 +283,7 @@ def _smallest_tails(
                 tails = tails / tails[:, :1]
         tails = np.nan_to_num(tails, nan=np.inf, posinf=np.inf)
         tails[~loop.component.holds(alphas[some], betas[some])] = np.inf
-        # A mode that grows, or goes on ringing, may be small for as long as this.
+        # A mode that grows, or keeps ringing, may be small for as long as this.
         quiet = np.flatnonzero(tails[:, settled.samples] <= settled.level)
         decays = loop.decays(alphas[some][quiet], betas[some][quiet], settled.slowest)
         tails[quiet[~decays]] = np.inf

@@ -279,8 +279,8 @@ def _best(walls: Walls) -> tuple[Pair, int]:
 def _descended(walls: Walls, low: float, best: _Point) -> tuple[float, Pair, int]:
     """Return a radius below which no pair was found, the best pair above it, and its kind."""
     # From the best point known, the radius is taken down until no pair is left, faster and faster.
-    # Below the best radius, what is reached misses the circle by about as much as the circle is too
-    # small: two such circles tell where the next one nearly fits.
+    # Below the best radius, the closest radius misses the circle by about as much as the circle is
+    # too small: two such circles tell where the next one nearly fits.
     high, step, misses = best.radius, _STEP, list[_Point]()
     while high > low * _CLOSE:
         guess = _guess(misses, low, high)

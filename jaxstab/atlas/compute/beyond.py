@@ -23,7 +23,7 @@ from jaxstab.proofs.plant import NUMERATOR_SLOPES, HandBoxes
 _COLUMNS = 24  # along beta
 _NEAREST = 0.02  # of the way to a bound of beta: how wide the first column is
 _HALVINGS = 1  # of a cell of delays
-_ABOVE = 1.0 + 1e-9  # times what is rounded
+_ABOVE = 1.0 + 1e-9  # factor for rounding
 _LEAST_NUMERATOR = 0.25  # |N| below which no bound is tried
 _LARGEST_BOUND = 1e6
 Ends = tuple[float, float]

@@ -55,7 +55,7 @@ class Share(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """The work that a specification needs; printed, it gives the amount and what is left out.
+    """The work that a specification needs; printed, it gives the amount and the skipped parts.
 
     ``plan_atlas`` makes one. A product is computed variable by variable, on the nodes of the grid
     or in its cells; nothing is computed for a product that was not chosen.

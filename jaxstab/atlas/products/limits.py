@@ -310,7 +310,7 @@ def in_parts(
 Codes = NDArray[np.int8]
 Mask = NDArray[np.bool_]
 ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
-_ROUNDING = 1e-6  # of what is added up: far more than is rounded off, also where cells begin
+_ROUNDING = 1e-6  # of a sum: far above its rounding error, also at the edges of cells
 
 
 def surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
@@ -418,8 +418,8 @@ class MaxAlpha(NamedTuple):
     """The largest stable alpha of a slice, by proofs; NaN where none is proved stable.
 
     The loop is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha above
-    ``bound`` and no beta of the atlas. Where the stable set may go on beyond the atlas, across its
-    largest alpha or an end of beta, ``bound`` is infinite.
+    ``bound`` and no beta of the atlas. Where the stable set may continue beyond the atlas, across
+    its largest alpha or an end of beta, ``bound`` is infinite.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -649,7 +649,7 @@ class LimitTable:
     def common_limits(
         self, beta: float, gamma: Range, delta: Range, delay: float
     ) -> tuple[float, float]:
-        """Return between which alphas all hands of a box are proved stable; empty if it is so."""
+        """The alphas between which a whole box of (gamma, delta) is proved stable; may be empty."""
         at = self._limits_over(beta, gamma, delta, delay)
         least, most = self._rows[self.delays.cell_at(delay)][2:4]
         lowest, highest = np.max(at.lower + at.lower_error), np.min(at.upper - at.upper_error)
@@ -658,7 +658,7 @@ class LimitTable:
     def worst_verdict(
         self, alpha: float, beta: float, gamma: Range, delta: Range, delay: float
     ) -> int:
-        """Return STABLE for all hands of a box, UNSTABLE for one, or UNDECIDED."""
+        """STABLE for a whole box of (gamma, delta), UNSTABLE for a point of it, or UNDECIDED."""
         codes = codes_by_limits(np.array(alpha), *self._limits_over(beta, gamma, delta, delay))
         if np.any(codes == Verdict.UNSTABLE):
             return int(Verdict.UNSTABLE)

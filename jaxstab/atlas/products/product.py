@@ -77,7 +77,7 @@ class Stored:
 
 
 class Product:
-    """A product, with what is true of most.
+    """A product, with the defaults of most.
 
     Attributes:
         name: in a specification.
@@ -90,7 +90,7 @@ class Product:
         unit: the dimensions of what its cost is proportional to.
         knobs: the counts of a specification on which its error depends.
         power: of the fall of the error, with all of these counts.
-        error: of ``Resolution``, what is to fall.
+        error: the error of ``Resolution`` that finer cells reduce.
         quantile: the share of errors that keep the one that is said; 0 for an undecided share.
         has_calls: whether each tile and cell of delays costs a time beside that of its units.
     """

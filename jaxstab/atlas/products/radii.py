@@ -212,7 +212,7 @@ _ROWS = 16  # cells of delays that are verified
 _BEYOND = 1e-9  # of a cell: cells overlap, so that rounding finds no gap between them
 _STEP = 1 / 64  # of an error: terms are multiples of less than this, which take little room
 _LEAST_ERROR = 1e-9
-_DIGITS = 5  # of an error that are kept, upwards
+_DIGITS = 5  # of an error, rounded up
 _LARGEST = 1e6  # of terms
 
 
@@ -256,7 +256,7 @@ def _raised(errors: Floats) -> NDArray[np.float32]:
 
 
 ONE, LARGER, PAIR, CLUSTER = 1, 2, 3, 4
-_SURFACE_ROUNDING = 1e-13  # more than is lost below, of numbers around 1
+_SURFACE_ROUNDING = 1e-13  # above all rounding below, of numbers around 1
 _ROUNDING_OF_ROOTS = 1e-14
 
 
@@ -396,7 +396,7 @@ class RadiusTable:
             cell = cell * count + along
         middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
         beside[-1] = (points[-1] - middle) / np.where(half > 0.0, half, 1.0)
-        beside[:, ~inside] = 0.0  # what is far outside would overflow
+        beside[:, ~inside] = 0.0  # far outside it would overflow
         low, high = self._of_cells(cell, beside)
         return np.where(inside, low, 0.0), np.where(inside, high, np.inf)
 

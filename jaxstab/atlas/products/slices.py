@@ -43,7 +43,7 @@ SUMMARY = (
 )
 
 _NEAR = 1e-9  # of the size of a slice's stable region, or of a number in its summary
-_FAR = 1e-6  # of a coordinate of an extreme, where what is extreme hardly changes
+_FAR = 1e-6  # of a coordinate of an extreme, where the extreme value hardly changes
 _POLYGON = 1e-5  # of that size squared: a polygon leaves the boundary by 1e-6 of it
 
 

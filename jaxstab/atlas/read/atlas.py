@@ -1,4 +1,4 @@
-"""Answers from an atlas in memory: at a node what it holds, elsewhere only what is proved.
+"""Answers from an atlas in memory: stored values at nodes, proofs elsewhere.
 
 ``Atlas`` answers in dimensionless numbers, ``LoopAtlas`` in SI units for the walls of one loop. A
 query marks the points outside first. Inside, the limits of alpha decide most points, then nodes and
@@ -71,8 +71,8 @@ class LargestStiffness(NamedTuple):
     """The largest stable stiffness of a loop, by the proofs of an atlas; NaN where there is none.
 
     The loop is stable at ``damping`` and every stiffness just below ``stiffness``, and at no
-    stiffness above ``bound`` and no damping of the atlas. Where the stable set may go on beyond the
-    atlas, across its largest stiffness or an end of the damping, ``bound`` is infinite.
+    stiffness above ``bound`` and no damping of the atlas. Where the stable set may continue beyond
+    the atlas, across its largest stiffness or an end of the damping, ``bound`` is infinite.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")

@@ -320,7 +320,7 @@ def _bytes_of(path: Path) -> bytes:
 
 
 def _opened(path: Path) -> io.FileIO:
-    """Open a file; what is none is refused before it is waited for."""
+    """Open a regular file; others are refused without waiting."""
     target_of(path)
     return path.open("rb", buffering=0)
 

@@ -3,7 +3,7 @@
 A query fills in one ``AtlasAnswer``. ``find_outside`` marks points beyond the atlas; axes that hold
 the whole stable set have no end. ``answer_by_limits`` gives the verdicts of columns,
 ``answer_at_delay`` those of nodes and their cells at the delays of the atlas, ``answer_radii``
-intervals of the spectral radius, which a verdict narrows; ``settle`` computes what is left open.
+intervals of the spectral radius, which a verdict narrows; ``settle`` computes the rest.
 """
 
 from collections.abc import Mapping, Sequence

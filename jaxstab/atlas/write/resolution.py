@@ -66,13 +66,13 @@ Floats = Float64[np.ndarray, "..."]
 Arrays = Mapping[str, NDArray[Any]]
 _PLASTIC = 1.1673039782614187  # the root of x^5 = x + 1: its powers spread four numbers evenly
 _JUDGES = ALPHA_LIMITS, VERDICT, SPECTRAL_RADIUS  # by the first of them a resolution is judged
-_FEW, _SOME, _MANY = 3, 6, 24  # parts: of a cost, of a row, of what is promised
+_FEW, _SOME, _MANY = 3, 6, 24  # parts: of a cost, of a row, of a promise
 _PER_PART = 4  # cells of delays in tiles for each part
 _AT_ONCE = 6  # parts between looks at the spread
 _ENOUGH = 0.05  # of a value: a spread that needs no more parts
 _DRAWS = 50  # of samples of a sample, for its spread
 _FILE, _CHUNK = 28_000, 90  # bytes of a file whose arrays are empty, and of a chunk beside values
-_NEAR, _AIM = 0.65, 0.85  # of a wish: what is near enough to it, and what is aimed at
+_NEAR, _AIM = 0.65, 0.85  # of a wish: near enough to it, and aimed at
 _ROUNDS = 5
 _LEAST_SHARE = 0.02  # of the error, of an axis
 _LEAST_GOAL = 1e-12  # an error
@@ -448,7 +448,7 @@ class _Range:
         return Resolution(plan.spec, counts_of(plan.spec), limit, undecided, radius, *estimate)
 
     def of_error(self, wanted: float | int) -> tuple[float, Resolution]:
-        """Return the scale at which an error is as wished for, and what is there."""
+        """The scale at which an error is as wished for, and the resolution there."""
         if isnan(self._error):
             raise ValueError("no alpha is stable in a sample of this range; give a smaller range.")
         scale, error = 1.0, max(self._error, _LEAST_GOAL)
@@ -473,7 +473,7 @@ class _Range:
         return min(met, key=lambda one: one[1].size)
 
     def of_size(self, size: float | int) -> tuple[float, Resolution]:
-        """Return the finest scale of which the file is not larger than this, and what is there."""
+        """The finest scale with a file not larger than this, and the resolution there."""
         for number in range(_ROUNDS):
             scale = self._scale_within(size, _AIM**number)
             plan = self.plan_or_none(scale)
@@ -532,14 +532,14 @@ class _Range:
 
 def _quantile(parts: Sequence[Floats], share: float) -> Measured:
     """Return a quantile of all values, and its spread by drawing the parts again."""
-    kept = [part for part in parts if part.size]
-    if not kept:
+    filled = [part for part in parts if part.size]
+    if not filled:
         return _UNKNOWN
-    rng = np.random.default_rng(len(kept))
-    drawn = rng.integers(len(kept), size=(_DRAWS, len(kept)))
-    values = np.array([_at_share([kept[i] for i in some], share) for some in drawn])
+    rng = np.random.default_rng(len(filled))
+    drawn = rng.integers(len(filled), size=(_DRAWS, len(filled)))
+    values = np.array([_at_share([filled[i] for i in some], share) for some in drawn])
     spread = float(np.std(values)) if np.isfinite(values).all() else inf
-    return Measured(_at_share(kept, share), spread)
+    return Measured(_at_share(filled, share), spread)
 
 
 def _at_share(parts: Sequence[Floats], share: float) -> float:

@@ -1,7 +1,7 @@
 """Tiles on disk, and how they become one file.
 
 While a build runs, the image of each tile that is done lies in a folder beside the atlas. What is
-in the folder is what is done: an interrupted build continues from there. The folder is its
+in the folder are the finished tiles: an interrupted build continues from there. The folder is its
 owner's alone and locked by one process; a tile counts if it is of this build and this code, and as
 the schema says.
 
@@ -317,7 +317,7 @@ def _lock(descriptor: int) -> None:
 
 # ------------------------------------------------------------------------------ tiles to one file
 
-_FLAT_CHUNK = 2**16  # values of what is strung together
+_FLAT_CHUNK = 2**16  # values of a chunk of rows
 
 
 def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:

@@ -168,7 +168,7 @@ class Hand:
         return f"a hand of {self.dynamics}{grip}"
 
 
-_BITS, _POLE_DIGITS = 1024, 200  # of what is computed, and behind the point of a pole
+_BITS, _POLE_DIGITS = 1024, 200  # of the computation, and behind the point of a pole
 
 
 @dataclass(frozen=True, repr=False)
