@@ -42,7 +42,7 @@ class Folder:
         descriptor = self.open(name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
         with open(descriptor, "rb", buffering=0) as stream:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise OSError(errno.EINVAL, "it is no file")
+                raise OSError(errno.EINVAL, "it is not a file")
             return stream.readall()
 
     def remove(self, name: str) -> None:
@@ -88,7 +88,7 @@ def own_folder(path: Path) -> Iterator[Folder]:
         descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENOTDIR):
-            raise PermissionError(errno.EPERM, _not_own(path, "is no folder")) from error
+            raise PermissionError(errno.EPERM, _not_own(path, "is not a folder")) from error
         raise
     try:
         status = os.fstat(descriptor)

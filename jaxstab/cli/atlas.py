@@ -205,7 +205,7 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
         return float(parts[1]) * _UNITS[parts[2]] if parts else float(text)
     except (KeyError, ValueError):
         raise click.BadParameter(
-            f"{text!r} is no size; give one such as 500kB, 10MB or 2GB.", param=option
+            f"invalid size {text!r}; give one such as 500kB, 10MB or 2GB.", param=option
         ) from None
 
 

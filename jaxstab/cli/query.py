@@ -151,7 +151,7 @@ def _rows(text: str, source: str) -> Iterator[tuple[str, list[str]]]:
         for row in lines:
             yield f"line {lines.line_num} of {source}", row
     except csv.Error as error:
-        raise ValueError(f"line {lines.line_num} of {source} is no CSV: {error}.") from error
+        raise ValueError(f"line {lines.line_num} of {source} is not CSV: {error}.") from error
 
 
 def _parsed(

@@ -564,7 +564,7 @@ _OMEGA = {
 def _range(context: click.Context, option: click.Parameter, text: str | None) -> Any:
     ends = number_or_range(context, option, text)
     if ends is not None and (not isinstance(ends, list) or len(ends) != 2):
-        raise click.BadParameter(f"{text!r} is no range; give LOW:HIGH.", param=option)
+        raise click.BadParameter(f"{text!r} is not a range; give LOW:HIGH.", param=option)
     return ends and tuple(ends)
 
 

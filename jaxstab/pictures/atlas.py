@@ -134,7 +134,7 @@ def _numbers_of(atlas: Atlas, delays: Sequence[float] | None) -> list[int]:
     for delay in chosen:
         if delay not in known:
             of_the_atlas = ", ".join(f"{one:g}" for one in known)
-            raise ValueError(f"delay {delay:g} is none of this atlas; give some of {of_the_atlas}.")
+            raise ValueError(f"delay {delay:g} is not in this atlas; give some of {of_the_atlas}.")
     return [known.index(delay) for delay in chosen[:_MOST_PLANES]]
 
 

@@ -141,7 +141,7 @@ def _with(table: Any, path: list[str], value: float | str) -> Any:
     first, *rest = path
     if isinstance(table, list):
         if not (first.isdigit() and int(first) < len(table)):
-            raise ValueError(f"{first} is no entry of a list of {len(table)} to sweep.")
+            raise ValueError(f"{first} is not an entry of a list of {len(table)} to sweep.")
         number = int(first)
         changed = _with(table[number], rest, value) if rest else value
         return [*table[:number], changed, *table[number + 1 :]]

@@ -140,7 +140,7 @@ def _check_version(text: bytes) -> None:
     title = _TITLE.match(text)
     if title is None:
         raise RefusalError(
-            f"has no table of schema version {schema.SCHEMA_VERSION}: it is no atlas, or of an "
+            f"has no table of schema version {schema.SCHEMA_VERSION}: it is not an atlas, or of an "
             "older jaxstab; build it again."
         )
     if int(title[1]) != schema.SCHEMA_VERSION:

@@ -128,7 +128,7 @@ def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py
                 _check_datasets(file, plan, tile)
         except TROUBLES as error:
             raise ValueError(
-                f"tile {_name(tile)} is none of this build; build the same atlas again."
+                f"tile {_name(tile)} is not of this build; build the same atlas again."
             ) from error
         if maker != computed_by():
             raise RuntimeError(
