@@ -186,12 +186,10 @@ def kept(rounded: Array) -> Array:
 
 
 def stored(tree: Tree) -> Tree:
-    """Return float arrays that XLA computes once, though several loops read them.
-
-    On a CPU it computes cheap terms anew in each loop that reads them, for each element of it, and
-    drops barriers (``kept``) before it decides so; but it keeps a quotient. So this divides by a
-    one that XLA does not know for one.
-    """
+    """Return float arrays that XLA computes once, though several loops read them."""
+    # On a CPU it computes cheap terms anew in each loop that reads them, for each element of it,
+    # and drops barriers (``kept``) before it decides so; but it keeps a quotient. So this divides
+    # by a one that XLA does not know for one.
     xp = namespace(tree)
     return tree if xp is np else tree_map(lambda x: x / xp.where(x == x, 1.0, 2.0), tree)
 

@@ -1,4 +1,4 @@
-"""The one owner of what is compiled: which calls meet XLA, in which shapes, with which options.
+"""The one owner of compilation: which calls go to XLA, in which shapes, with which options.
 
 A kernel written for both array namespaces (``jaxstab.arrays``) is wrapped once, by ``compiled``. A
 call with JAX arrays or tracers is compiled by XLA, one with numbers or small NumPy arrays is
@@ -27,7 +27,7 @@ Item = TypeVar("Item")
 TILE = 4096  # points whose working set stays in the cache of a CPU
 
 # Sizes from which on XLA answers for NumPy arrays: it compiles for one to three seconds, in which
-# NumPy answers so many points of any kernel, or plants, coefficients or angles of a boundary.
+# NumPy computes this many points of any kernel, or plants, coefficients or angles of a boundary.
 MANY = 1 << 15
 MANY_PLANTS = 1 << 16
 MANY_COEFFICIENTS = 1 << 20
@@ -94,10 +94,8 @@ def _size(arrays: list[Any]) -> int:
 
 
 def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any) -> Result:
-    """Call a JAX function in float64, whatever its flag says; NumPy arrays in and out.
-
-    The arrays that come back share the memory of XLA and are read-only.
-    """
+    """Call a JAX function in float64, whatever its flag says; NumPy arrays in and out."""
+    # The arrays that come back share the memory of XLA and are read-only.
     import jax
     import jax.numpy as jnp
 
@@ -109,11 +107,9 @@ def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any)
 
 
 def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
-    """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out.
-
-    Each axis is filled up with its last points to a length of five binary digits, which is at most
-    6 % more; so grids of new sizes are rarely compiled anew.
-    """
+    """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out."""
+    # Each axis is filled up with its last points to a length of five binary digits, which is at
+    # most 6 % more; so grids of new sizes are rarely compiled anew.
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     filled = [_few_digits(length) for length in shape]
 
@@ -136,11 +132,9 @@ def _few_digits(length: int) -> int:
 
 
 def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) -> Result:
-    """Evaluate an elementwise kernel tile by tile, so that its working data stays in the cache.
-
-    Arrays of one element are not copied for every point. Only XLA on a CPU needs it: NumPy and an
-    accelerator get all points at once.
-    """
+    """Evaluate an elementwise kernel tile by tile, so that its working data stays in the cache."""
+    # Arrays of one element are not copied for every point. Only XLA on a CPU needs it: NumPy and an
+    # accelerator get all points at once.
     xp = namespace(arguments)
     if xp is np:
         return kernel(*arguments)
@@ -203,11 +197,11 @@ def by_kind(
     answer: Callable[[list[Item]], Iterable[Result]],
 ) -> list[Result]:
     """Return the answers to items in their order; items of one kind are evaluated together."""
-    found: dict[int, Result] = {}
+    results: dict[int, Result] = {}
     for numbers in alike(kinds):
         answers = answer([items[number] for number in numbers])
-        found.update(zip(numbers, answers, strict=True))
-    return [found[number] for number in range(len(items))]
+        results.update(zip(numbers, answers, strict=True))
+    return [results[number] for number in range(len(items))]
 
 
 def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
@@ -264,14 +258,14 @@ def on_host(
 ) -> Result:
     """Call a NumPy function of arrays that all have one shape, also from JAX, jit and vmap.
 
-    A search that branches for each loop is not a kernel for XLA, so JAX hands its arrays to NumPy
-    and goes on with the answer. The answer has no derivative: that of a count is 0, any other one
+    A search that branches for each loop is not a kernel for XLA, so JAX gives its arrays to NumPy
+    and continues with the answer. The answer has no derivative: that of a count is 0, any other one
     is refused by JAX.
 
     Args:
         function: takes NumPy arrays, returns a tree of NumPy arrays of the same shape; it must not
             call JAX.
-        arrays: what it is called with, broadcast to the shape.
+        arrays: its arguments, broadcast to the shape.
         shape: of arguments and results.
         like: a tree like the result, with the dtype in place of each array.
         is_count: whether the results jump between constants.

@@ -1,4 +1,4 @@
-"""Facts that every floor shares: common arguments, their order, and the codes of a verdict.
+"""Facts that every floor shares: common arguments and errors, their order, codes of a verdict.
 
 Standard library only, so that a reader of an atlas can use it without JAX.
 
@@ -14,6 +14,10 @@ included. Where numbers or arrays are accepted, arrays have any shape and broadc
     position: position filter in units of one sample; None for none.
     stiffness: wall stiffness K in N/m, or in N m/rad for a loop that turns.
     damping: wall damping B in N s/m, or in N m s/rad for a loop that turns.
+
+Errors that such functions raise: ValueError for a concrete argument that is outside its range,
+infinite or NaN; TypeError for one that is not made of numbers, or that JAX traces where it must be
+concrete (a delay always); RuntimeError for JAX arrays while JAX's x64 mode is off.
 """
 
 from enum import IntEnum
@@ -42,7 +46,7 @@ class Verdict(IntEnum):
 
 
 class Status(IntEnum):
-    """How far an answer can be trusted, as a small integer and in words.
+    """How far an answer can be trusted: a small integer with a description.
 
     A member is written ``NAME = number, "words"``.
     """

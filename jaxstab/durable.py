@@ -1,8 +1,8 @@
 """Files that appear whole or not at all, whatever happens to the process or the disk. No JAX.
 
 A file is written under a temporary name, synchronised, renamed to its place, and the folder is
-synchronised. HDF5 cannot be trusted with a full disk (it goes on after an error until it reads what
-was never written), so it writes to a stream of ours, which keeps the error for us.
+synchronised. HDF5 cannot be trusted with a full disk (after an error it continues until it reads
+what was never written), so it writes to a stream of ours, which keeps the error for us.
 """
 
 import errno
@@ -19,60 +19,47 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder in which files are named; one that is open is meant whatever becomes of its path.
-
-    Attributes:
-        path: of the folder.
-        descriptor: of the open folder; None to go by its path.
-    """
+    """A folder by its path, or by the descriptor of the open folder, even if its path changes."""
 
     path: Path
     descriptor: int | None = None
 
-    def at(self, name: str) -> Path | str:
+    def path_of(self, name: str) -> Path | str:
         """Return the name of a file for a call of the system with ``dir_fd=descriptor``."""
         return self.path / name if self.descriptor is None else name
 
     def open(self, name: str, flags: int, mode: int = 0o666) -> int:
         """Open a file, no link, and return its descriptor."""
         flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
-        return os.open(self.at(name), flags, mode, dir_fd=self.descriptor)
+        return os.open(self.path_of(name), flags, mode, dir_fd=self.descriptor)
 
     def names(self) -> list[str]:
         """Return the names of all entries."""
         return os.listdir(self.path if self.descriptor is None else self.descriptor)
 
     def read(self, name: str) -> bytes:
-        """Return the bytes of a file; what is none is refused, not waited for.
-
-        Raises:
-            OSError: it is missing, a link, no file, or unreadable.
-        """
+        """The bytes of a file; OSError, without waiting, for a link or anything but a file."""
         descriptor = self.open(name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
         with open(descriptor, "rb", buffering=0) as stream:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise OSError(errno.EINVAL, "it is no file")
+                raise OSError(errno.EINVAL, "it is not a file")
             return stream.readall()
 
     def remove(self, name: str) -> None:
         """Remove a file."""
-        os.unlink(self.at(name), dir_fd=self.descriptor)
+        os.unlink(self.path_of(name), dir_fd=self.descriptor)
 
     def has(self, name: str, descriptor: int) -> bool:
         """Whether a name is that of an open file."""
         try:
-            named = os.stat(self.at(name), dir_fd=self.descriptor, follow_symlinks=False)
+            named = os.stat(self.path_of(name), dir_fd=self.descriptor, follow_symlinks=False)
         except FileNotFoundError:
             return False
         return os.path.samestat(os.fstat(descriptor), named)
 
     def put(self, name: str, data: bytes) -> None:
-        """Put a whole file in its place, durably and by one rename, or change nothing.
-
-        Raises:
-            OSError: the folder is gone, read-only or full.
-        """
-        with _replacing(self, name, self.at(name), None) as descriptor:
+        """Put a whole file in its place, durably and by one rename, or change nothing."""
+        with _replacing(self, name, self.path_of(name), None) as descriptor:
             write_all(descriptor, data)
         self.sync()
 
@@ -90,11 +77,7 @@ class Folder:
 
 @contextmanager
 def own_folder(path: Path) -> Iterator[Folder]:
-    """Open a folder that is this user's alone, and make it where there is none.
-
-    Raises:
-        OSError: it cannot be made, or it is a link, another user's, or open to others.
-    """
+    """Open, or make, a folder of this user alone; OSError for a link or a folder open to others."""
     with suppress(FileExistsError):
         os.mkdir(path, 0o700)
         Folder(path.parent).sync()
@@ -105,7 +88,7 @@ def own_folder(path: Path) -> Iterator[Folder]:
         descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENOTDIR):
-            raise PermissionError(errno.EPERM, _not_own(path, "is no folder")) from error
+            raise PermissionError(errno.EPERM, _not_own(path, "is not a folder")) from error
         raise
     try:
         status = os.fstat(descriptor)
@@ -123,26 +106,18 @@ def _not_own(path: Path, what: str) -> str:
 
 
 def publish(data: bytes, path: Path) -> None:
-    """Put a whole file in its place, durably and by one rename, or change nothing.
-
-    Raises:
-        OSError: the folder is missing, read-only or full.
-    """
+    """Put a whole file in its place, durably and by one rename, or change nothing."""
     with replacing(path) as descriptor:
         write_all(descriptor, data)
 
 
 @contextmanager
 def replacing(path: Path, folder: Folder | None = None) -> Iterator[int]:
-    """Yield the descriptor of a new file, which takes its place if no error comes up.
+    """Yield the descriptor of a new file, which takes the place of the old one if no error occurs.
 
-    Args:
-        path: of the file; a former one is replaced.
-        folder: where the new one is until then, on the same file system; without, beside it.
-
-    Raises:
-        OSError: the folder is missing, read-only or full, the path is none of a file, or the new
-            file was removed.
+    ``folder``, on the same file system, is where the new one is until then; without, beside it.
+    OSError: the folder is missing, read-only or full, the path is not that of a file, or the new
+    file was removed.
     """
     with named_errors("write", path):
         target, mode = target_of(path)
@@ -168,7 +143,7 @@ def _replacing(folder: Folder, name: str, target: Path | str, mode: int | None) 
         finally:
             os.close(descriptor)
         os.replace(
-            folder.at(temporary),
+            folder.path_of(temporary),
             target,
             src_dir_fd=folder.descriptor,
             dst_dir_fd=folder.descriptor,
@@ -180,11 +155,7 @@ def _replacing(folder: Folder, name: str, target: Path | str, mode: int | None) 
 
 
 def target_of(path: Path) -> tuple[Path, int | None]:
-    """Return where a file is written, behind symbolic links, and the mode of the one that is there.
-
-    Raises:
-        OSError: a folder, or something else that is no file, is there.
-    """
+    """Where a file is written, behind symbolic links, and the mode of the one there, if any."""
     target = Path(os.path.realpath(path))
     try:
         status = target.stat()
@@ -217,9 +188,8 @@ def write_all(descriptor: int, data: bytes) -> None:
 class PatientStream(io.RawIOBase):
     """A file for HDF5 to write to, which keeps errors from it.
 
-    After the first error nothing more goes to the disk: what is written is kept in memory, so that
-    what is read is what was written, and ``check`` raises the error. Whoever writes much calls it
-    often.
+    After the first error nothing more goes to the disk: writes stay in memory, so that reads are
+    consistent, and ``check`` raises the error. A long write calls it often.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -269,19 +239,19 @@ class PatientStream(io.RawIOBase):
 
     def readinto(self, buffer: Any) -> int:
         """Read what was written at this place; zeros where nothing was."""
-        found = memoryview(buffer)
-        start, stop = self._place, self._place + len(found)
-        found[:] = bytes(len(found))
+        target = memoryview(buffer)
+        start, stop = self._place, self._place + len(target)
+        target[:] = bytes(len(target))
         try:
             os.lseek(self._descriptor, start, os.SEEK_SET)
-            on_disk = os.read(self._descriptor, len(found))
+            on_disk = os.read(self._descriptor, len(target))
         except OSError as error:
             self._error = self._error or error
             on_disk = b""
-        found[: len(on_disk)] = on_disk
+        target[: len(on_disk)] = on_disk
         for place, kept in self._kept:
             first, last = max(place, start), min(place + len(kept), stop)
             if first < last:
-                found[first - start : last - start] = kept[first - place : last - place]
+                target[first - start : last - start] = kept[first - place : last - place]
         self._place = stop
-        return len(found)
+        return len(target)

@@ -1,6 +1,6 @@
-"""The one checker of numbers that users give: what is wrong is said in one sentence.
+"""The one checker of numbers that users give: one sentence says what is wrong.
 
-The sentence has the name, the value and what is allowed. Tracers pass: their values are not known.
+The sentence has the name, the value and the range. Tracers pass: their values are not known.
 """
 
 import sys
@@ -17,11 +17,7 @@ _NOISE = 1e-9
 
 
 def require_x64(*values: Numbers) -> None:
-    """Refuse to compute with JAX arrays while JAX is in its default single precision.
-
-    Raises:
-        RuntimeError: one of the values is a JAX array or a tracer, and x64 mode is off.
-    """
+    """Raise RuntimeError for JAX arrays or tracers while JAX is in its default single precision."""
     if any(map(is_jax, values)) and not sys.modules["jax"].config.read("jax_enable_x64"):
         raise RuntimeError(
             "jaxstab computes in float64, but JAX's x64 mode is off: call "
@@ -38,19 +34,10 @@ def checked(
     is_open: bool = False,
     unit: str = "",
 ) -> Numbers:
-    """Return real, finite numbers in [low, high] as float64, in NumPy unless JAX gave them.
+    """Real, finite numbers in [low, high] as float64, in NumPy unless JAX gave them.
 
-    Args:
-        name: what the sentence calls the value.
-        value: a number or an array of any shape.
-        low: the least allowed value.
-        high: the largest allowed value.
-        is_open: whether ``low`` itself is refused.
-        unit: of the limits, for the sentence.
-
-    Raises:
-        TypeError: the value is not made of real numbers.
-        ValueError: a number is outside the range, infinite or NaN.
+    ``name`` and ``unit`` are for the sentence of a TypeError or ValueError, ``is_open`` tells
+    whether ``low`` itself is refused.
     """
     if type(value) is float and low < value <= high and value < inf:  # most numbers, at once
         return np.array(value)
@@ -69,7 +56,7 @@ def checked(
 def real_numbers(name: str, value: Any) -> np.ndarray[Any, np.dtype[Any]]:
     """Return real numbers as NumPy has them, or raise TypeError; NaN is one of them."""
     if isinstance(value, np.ma.MaskedArray):
-        raise TypeError(f"{name} is a masked array; give what is not masked as plain numbers.")
+        raise TypeError(f"{name} is a masked array; give plain numbers.")
     try:
         numbers = np.asarray(value)
     except ValueError as error:  # rows of different lengths
@@ -88,13 +75,7 @@ def checked_number(
     is_open: bool = False,
     unit: str = "",
 ) -> float:
-    """Return one real, finite number in [low, high] as a Python float; see ``checked``.
-
-    Raises:
-        TypeError: the value is not one real number, or it is traced.
-        ValueError: the number is outside the range, infinite or NaN.
-        RuntimeError: it is a JAX array, and x64 mode is off.
-    """
+    """One real, finite, concrete number in [low, high] as a Python float; see ``checked``."""
     if is_traced(value):
         raise TypeError(f"{name} is traced; give a concrete number, outside of jit, vmap and grad.")
     require_x64(value)
@@ -105,24 +86,14 @@ def checked_number(
 
 
 def without_noise(values: Numbers, extent: int | float) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return coordinates with 0 for those that are 0 but for rounding: below 1e-9 of an extent.
-
-    Args:
-        values: along one axis, of any shape; NaN stays.
-        extent: of the whole figure along that axis; beside one without end nothing is rounding.
-    """
+    """Coordinates along one axis, with 0 for those below 1e-9 of a finite extent; NaN stays."""
     coordinates = np.asarray(values, np.float64)
     noise = _NOISE * extent if extent < inf else 0.0
     return np.where(np.abs(coordinates) <= noise, 0.0, coordinates)
 
 
 def checked_count(name: str, value: Any, least: int, most: int | float = inf) -> int:
-    """Return a whole number in [least, most].
-
-    Raises:
-        TypeError: the value is not a whole number (True and 3.0 are not).
-        ValueError: it is outside the range.
-    """
+    """A whole number in [least, most]; TypeError for others (True and 3.0), ValueError outside."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise TypeError(f"{name} is {shortened(value)}; give a whole number.")
     if not least <= value <= most:
@@ -132,11 +103,7 @@ def checked_count(name: str, value: Any, least: int, most: int | float = inf) ->
 
 
 def checked_word(name: str, value: Any, allowed: Mapping[str, Any] | tuple[str, ...]) -> str:
-    """Return one of some words.
-
-    Raises:
-        ValueError: it is none of them.
-    """
+    """One of some words, else ValueError."""
     if value not in tuple(allowed):
         words = ", ".join(f'"{word}"' for word in allowed)
         raise ValueError(f"{name} is {value!r}; give one of {words}.")

@@ -32,14 +32,7 @@ def shortened(value: Any) -> str:
 def rounded_text(
     value: Any, digits: int, rounding: str = ROUND_HALF_EVEN, *, factor: int = 1
 ) -> str:
-    """Return a finite number times a factor, rounded to significant digits.
-
-    Args:
-        value: the number.
-        digits: significant digits; zeros at the end are left out.
-        rounding: in the words of the module ``decimal``.
-        factor: from the number's unit to the one that is printed.
-    """
+    """A number times a factor in significant digits, without zeros at the end; see ``decimal``."""
     exact = Context(prec=max(_TRUE_DIGITS, digits)).multiply(Decimal(value), factor)
     rounded = exact.normalize(Context(prec=digits, rounding=rounding))
     if not rounded:

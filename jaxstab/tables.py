@@ -1,6 +1,6 @@
 """Tables of TOML files: read as they are, and checked key by key into frozen dataclasses.
 
-Whatever is wrong is said in one sentence: the key, its value and what is allowed.
+Errors are one sentence: the key, its value and the allowed values.
 """
 
 import re
@@ -19,7 +19,7 @@ from jaxstab.shown import printable, shortened
 
 Made = TypeVar("Made", bound="Table")
 Check = Callable[[Any], Any]
-"""It returns a value as it is kept, or raises a ValueError that says what is allowed."""
+"""It returns the value to store, or raises a ValueError that says what is allowed."""
 
 MOST_BYTES = 4_000_000
 """Of a TOML file: more would take minutes to read."""
@@ -31,17 +31,7 @@ _LONG_KEY = re.compile(r"(?:\.[^.,=\n]{1,64}){100}")
 
 
 def read_table(path: str | PathLike[str], kind: str = "") -> dict[str, Any]:
-    """Read a TOML file as it is.
-
-    Args:
-        path: of the file.
-        kind: of the table that is expected, if a file of another kind may be given for it: "scene"
-            or "specification".
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is not TOML, too large, or of another kind.
-    """
+    """Read a TOML file as it is; one of another ``kind`` ("scene", "specification") is refused."""
     table = parsed(text_of(path, MOST_BYTES), f"{path}: ")
     for other, (keys, words) in _KINDS.items():
         if kind not in ("", other) and keys & {*table} and not _KINDS[kind][0] & {*table}:
@@ -65,16 +55,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def text_of(path: str | PathLike[str], most: int) -> str:
-    """Return the text of a file, "-" for stdin, without a mark of its byte order.
-
-    Args:
-        path: of the file.
-        most: bytes that are read; a device may have no end.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is not UTF-8, or larger.
-    """
+    """The text of a UTF-8 file ("-": stdin), ``most`` bytes at most, without a byte order mark."""
     source = "stdin" if str(path) == "-" else path
     if source == "stdin" and sys.stdin is None:
         raise ValueError("stdin is closed; redirect a file to it, or give the name of one.")
@@ -101,11 +82,7 @@ def text_of(path: str | PathLike[str], most: int) -> str:
 
 
 def parsed(text: str, source: str = "") -> dict[str, Any]:
-    """Return the tables of a TOML text.
-
-    Raises:
-        ValueError: it is not TOML, or nested too deep; the sentence begins with the source.
-    """
+    """The tables of a TOML text; ValueError, with the source, for bad TOML or too deep nesting."""
     try:
         if _LONG_KEY.search(text):  # tomllib's time is the square of a key's parts
             raise RecursionError
@@ -127,26 +104,14 @@ def key(check: Check, default: Any = MISSING) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """What a table of a file becomes. Values are checked whenever one is made.
-
-    Raises:
-        ValueError: one sentence on the first value that is not allowed.
-    """
+    """What a table of a file becomes; ValueError on the first value that is not allowed."""
 
     def __post_init__(self) -> None:
         _checked_values(type(self), vars(self))
 
     @classmethod
     def from_table(cls: type[Made], table: Any, place: str = "") -> Made:
-        """Check a table of a file, whose keys are unknown.
-
-        Args:
-            table: a mapping, or whatever was given instead.
-            place: keys that lead to it, for the sentence.
-
-        Raises:
-            ValueError: one sentence on the first key that is unknown, missing or has a bad value.
-        """
+        """Check a table of a file at a place; ValueError on the first bad key."""
         if not isinstance(table, Mapping):
             raise ValueError(f"{place} is {shortened(table)}; give a table.")
         check_keys(place, table, [entry.name for entry in fields(cls)])
@@ -166,11 +131,7 @@ class Table:
 
 
 def check_keys(place: str, keys: Iterable[str], known: list[str]) -> None:
-    """Refuse a key that is not known.
-
-    Raises:
-        ValueError: a key is unknown; the sentence has the most similar one.
-    """
+    """Refuse a key that is not known, with the most similar one in the sentence."""
     for name in keys:
         if name not in known:
             near = _similar(name, known)
@@ -180,11 +141,10 @@ def check_keys(place: str, keys: Iterable[str], known: list[str]) -> None:
 
 
 def checked_label(kind: str, name: str) -> str:
-    """Return a name that tables, pictures and CSV files may hold.
+    """A name that tables, pictures and CSV files may hold.
 
-    Raises:
-        ValueError: it is too long, not printable, or begins with another character than a letter
-            or a digit, as the formulas of spreadsheets do.
+    ValueError: it is too long, not printable, or begins with another character than a letter or a
+    digit, as the formulas of spreadsheets do.
     """
     if not (name[:1].isalnum() and name.isprintable() and len(name) <= MOST_LETTERS):
         raise ValueError(
@@ -321,7 +281,6 @@ def each(check: Check) -> Check:
 
 
 def _checked_values(kind: type[Table], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of keys as they are kept; defaults are."""
     known = {entry.name: entry for entry in fields(kind)}
     return {
         name: value

@@ -77,7 +77,7 @@ def test_the_difference_over_one_sample_needs_no_word() -> None:
         ("[velocity]\nwindow_samples = 250", "250; give a whole number from 1 to 200"),
         ("[velocity]\ncutoff = 100.0", "cutoff is 100.0; give it as a share of the sampling rate"),
         ("[velocity]\norder = 2", "velocity.order is 2 without cutoff"),
-        ("[velocity]\nnumerator = [1.0]", "velocity.numerator stands alone; give numerator and"),
+        ("[velocity]\nnumerator = [1.0]", "velocity.numerator is given alone; give numerator and"),
         (
             '[position]\ncutoff = 0.1\nkind = "bessel"',
             "position.kind is 'bessel'; give low-p",

@@ -69,7 +69,7 @@ def test_one_limit_decides_only_where_the_other_cannot(
 ) -> None:
     table = table_of(atlas)
     _, beta, *plant = points = points_in_cells(atlas, 100_000, rng)
-    cell = table.delays.of(points[-1])
+    cell = table.delays.cells_at(points[-1])
     deciding = table._deciding[table._rows_of(cell, beta, *plant[:2])]
     at = table.limits(beta, *plant)
     above, below = deciding.T
@@ -101,8 +101,8 @@ def test_a_delay_is_in_the_last_cell_that_begins_before(
     inside = rng.uniform(edges[0], edges[-1], 10_000)
     delays = np.concatenate([edges, *beside, inside, [-1.0, 0.0, 1e9]])
     expected = [sum(begin <= delay for begin in edges[:-1]) - 1 for delay in delays.tolist()]
-    np.testing.assert_array_equal(cells.of(delays), expected)
-    assert [cells.of_one(delay) for delay in delays.tolist()] == expected
+    np.testing.assert_array_equal(cells.cells_at(delays), expected)
+    assert [cells.cell_at(delay) for delay in delays.tolist()] == expected
     reached = (delays >= edges[0]) & (delays <= edges[-1])
     np.testing.assert_array_equal(cells.covers(delays), reached)
 

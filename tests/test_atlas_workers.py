@@ -129,9 +129,7 @@ def test_ctrl_c_ends_workers_and_command_in_one_sentence(tmp_path: Path) -> None
     os.killpg(building.pid, signal.SIGINT)  # as a terminal does, to all of its processes
     _, told = building.communicate()
     assert building.returncode == 130
-    assert told.splitlines()[-1].startswith(
-        "jaxstab: interrupted; the tiles that are done are kept"
-    )
+    assert told.splitlines()[-1].startswith("jaxstab: interrupted; the finished tiles are stored")
     assert "Traceback" not in told
     assert not output.exists()
     told_progress: list[tuple[int, int]] = []

@@ -120,7 +120,7 @@ def test_a_plot_is_a_picture(path: Path, tmp_path: Path) -> None:
     wide, high = struct.unpack(">II", data[16:24])
     assert wide < high < 2 * wide  # one delay, and a row each of verdicts and of radii
     answer = run("atlas", "plot", path, "-o", png, "--delay", "9")
-    assert "delay 9 is none of this atlas" in answer.stderr
+    assert "delay 9 is not in this atlas" in answer.stderr
 
 
 CSV = "alpha,beta,gamma,delta,delay\n"

@@ -137,14 +137,17 @@ SHARED = dict(re.findall(r"(?m)^    (\w+): (.+)$", jaxstab.conventions.__doc__ o
 def undocumented(function: ast.FunctionDef) -> set[str]:
     """The arguments that a docstring with a section of arguments neither has nor links to.
 
-    A line such as "alpha, beta: see ``jaxstab.conventions``." links to the shared arguments.
+    A line such as "alpha, beta: see ``jaxstab.conventions``." links to the shared arguments, and
+    "Args and Raises: see ``jaxstab.conventions``" says that all of them are.
     """
     text = ast.get_docstring(function) or ""
+    given = function.args
+    arguments = {one.arg for one in (*given.posonlyargs, *given.args, *given.kwonlyargs)}
+    if re.search(r"(?m)^Args and Raises: see ``jaxstab\.conventions``", text):
+        return arguments - SHARED.keys()
     section = re.search(r"(?m)^Args:\n((?:    .*\n?|\n)*)", text)
     if section is None:
         return set()
-    given = function.args
-    arguments = {one.arg for one in (*given.posonlyargs, *given.args, *given.kwonlyargs)}
     own_lines = set(re.findall(r"(?m)^    (\w+)(?: \(.*\))?:", section[1]))
     links = re.findall(r"(?m)^    ([\w, ]+): see ``jaxstab\.conventions``\.$", section[1])
     linked = {name for names in links for name in names.split(", ")}
@@ -168,6 +171,11 @@ def test_an_argument_that_is_not_documented_is_named() -> None:
     (function,) = ast.parse(code).body
     assert isinstance(function, ast.FunctionDef)
     assert undocumented(function) == {"radius", "other"}
+    line = "Args and Raises: see ``jaxstab.conventions``."
+    code = f'def f(alpha, other):\n    """Say.\n\n    {line}\n    """'
+    (function,) = ast.parse(code).body
+    assert isinstance(function, ast.FunctionDef)
+    assert undocumented(function) == {"other"}
 
 
 POSITIONAL = Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD

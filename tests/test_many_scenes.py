@@ -133,5 +133,5 @@ def test_a_picture_of_scenes_compares_over_numbers_or_by_name() -> None:
     ticks = comparison_figure(names).axes[1].get_yticklabels()
     assert [tick.get_text() for tick in ticks] == ["omega", "phantom"]
     turning = {**table, "device": {"inertia": 0.1, "damping": 0.1}}
-    with pytest.raises(ValueError, match="some of the scenes turn"):
+    with pytest.raises(ValueError, match="linear and rotational scenes"):
         comparison_figure(variants_of({"a": table, "b": turning}, {}))

@@ -44,12 +44,12 @@ def test_a_plan_counts_every_point_and_says_why_it_is_not_evaluated() -> None:
         "alpha_limits",
         "radius_kind",
     }
-    assert shares["verdict"].asked == 24 * 20 * 2 * 3 * 2
-    assert shares["cell_verdict"].asked == 23 * 19 * 1 * 2 * 2
+    assert shares["verdict"].requested == 24 * 20 * 2 * 3 * 2
+    assert shares["cell_verdict"].requested == 23 * 19 * 1 * 2 * 2
     for share in shares.values():
-        assert 0 <= share.evaluated <= share.asked
-        assert share.reason or share.asked == share.evaluated
-    assert shares["verdict"].evaluated < 0.1 * shares["verdict"].asked
+        assert 0 <= share.evaluated <= share.requested
+        assert share.reason or share.requested == share.evaluated
+    assert shares["verdict"].evaluated < 0.1 * shares["verdict"].requested
     assert shares["cell_verdict"].evaluated == 0
     assert "1.5 (degree 5)" in str(plan)
 
@@ -93,7 +93,7 @@ def test_what_is_not_asked_for_is_not_computed(
     monkeypatch.setattr(PRODUCTS[other], "compute", None)
     computed = {"verdict": PRODUCTS["verdict"].names, "spectral_radius": RADII}[product]
     assert set(compute_tile(plan, plan.tiles[0])) == set(computed)
-    assert f"{other}: not asked for" in str(plan)
+    assert f"{other}: not requested" in str(plan)
 
 
 def test_fixed_parameters_are_not_gridded_and_the_atlas_answers_at_them(
@@ -225,7 +225,7 @@ def test_the_plan_is_printed_by_a_command(tmp_path) -> None:
     )
     answer = CliRunner().invoke(main, ["atlas", "plan", str(spec)])
     assert answer.exit_code == 0, answer.output
-    assert "verdict: 10000 points asked for," in answer.stdout
+    assert "verdict: 10000 points requested," in answer.stdout
     assert "between two pieces of the boundary" in answer.stdout
     assert answer.stdout.splitlines()[-1].startswith("build: about ")
     spec.write_text("gamma = [1, 0]", encoding="utf-8")

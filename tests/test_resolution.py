@@ -284,7 +284,7 @@ def test_the_command_writes_what_meets_the_wish(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--size", "ten"], "'ten' is no size; give one such as 500kB, 10MB or 2GB."),
+        (["--size", "ten"], "invalid size 'ten'; give one such as 500kB, 10MB or 2GB."),
         (["-o", "finer.toml"], "-o needs a wish, such as --accuracy 0.01."),
         (["--accuracy", "0.1", "-o", "finer.txt"], "finer.txt does not end in .toml."),
         (["--accuracy", "0.1", "--size", "3"], "--accuracy and --size are given; give one wish."),

@@ -186,7 +186,7 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
         (
             "controller.velocity.numerator",
             [1.0, -1.0],
-            "controller.velocity.numerator stands alone; give numerator and denominator.",
+            "controller.velocity.numerator is given alone; give numerator and denominator.",
         ),
         (
             "controller.position",

@@ -417,7 +417,7 @@ def test_a_number_of_a_mode_may_be_swept(file: Path) -> None:
     assert len(set(stiffest)) == 3
     refused = run("limits", file, "--sweep", "device.modes.3.frequency=60:100:2")
     assert refused.exit_code == 2
-    assert "3 is no entry of a list of 1 to sweep" in refused.stderr
+    assert "3 is not an entry of a list of 1 to sweep" in refused.stderr
 
 
 @pytest.mark.campaign

@@ -31,7 +31,9 @@ def test_24_a_link_in_place_of_the_folder_is_not_followed(is_tile: bool, tmp_pat
     elsewhere.mkdir(mode=0o700)
     (elsewhere / ("0-0-0.tile" if is_tile else "thesis.tex")).write_text("precious")
     folder_of(path).symlink_to(elsewhere)
-    with pytest.raises(PermissionError, match=r"cannot write .*\.tiles.*is no folder; remove it"):
+    with pytest.raises(
+        PermissionError, match=r"cannot write .*\.tiles.*is not a folder; remove it"
+    ):
         build_atlas(TINY, path)
     assert len(entries(elsewhere)) == 1
 

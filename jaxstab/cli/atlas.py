@@ -44,7 +44,7 @@ _MOST_ASKED = 128  # nodes along alpha and beta
 def build(spec: Path | None, output: Path, workers: int | None, scheduler: str | None) -> None:
     """Compute an atlas and write it as one HDF5 file.
 
-    What was interrupted goes on where it ended when the same command is given again.
+    An interrupted build continues where it stopped when the command is repeated.
     """
     from jaxstab.atlas import AtlasSpec
     from jaxstab.atlas.read.file import node_count
@@ -66,8 +66,8 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
             write_atlas(chosen, output, show, executor)
     except KeyboardInterrupt:
         click.echo(
-            "jaxstab: interrupted; the tiles that are done are kept, so give the same command "
-            "again to go on.",
+            "jaxstab: interrupted; the finished tiles are stored, so give the same command "
+            "again to continue.",
             err=True,
         )
         sys.exit(130)
@@ -96,7 +96,7 @@ def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
     task = bar.add_task("", total=None, rate="?")
 
     def show(done: int, total: int) -> None:
-        bar.start()  # only now: what is refused before the work is refused without a bar
+        bar.start()  # only now: an early refusal needs no bar
         speed = bar.tasks[0].speed
         bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
 
@@ -179,7 +179,7 @@ def _described(opened: "Atlas", file: Path) -> str:
 
 
 def _example(opened: "Atlas") -> dict[str, float]:
-    """Return a point in the middle of the first delay's box, or rather of what is stable there."""
+    """A point in the middle of the stable part of the first delay's box."""
     nodes, delay = opened.nodes(0), float(opened.delays[0])
     point = {name: float(axis[axis.size // 2]) for name, axis in nodes.items()}
     alpha, beta = (
@@ -198,7 +198,6 @@ _UNITS = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9}
 
 
 def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float | None:
-    """Return a number of bytes from a text such as 10MB."""
     if text is None:
         return None
     parts = re.fullmatch(r"([0-9.eE+-]*[0-9.]) ?([a-zA-Z]*)", text)
@@ -206,7 +205,7 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
         return float(parts[1]) * _UNITS[parts[2]] if parts else float(text)
     except (KeyError, ValueError):
         raise click.BadParameter(
-            f"{text!r} is no size; give one such as 500kB, 10MB or 2GB.", param=option
+            f"invalid size {text!r}; give one such as 500kB, 10MB or 2GB.", param=option
         ) from None
 
 
@@ -243,16 +242,16 @@ def plan(file: Path | None, spec: Path | None, output: Path | None, **wishes: fl
         raise click.UsageError("-o needs a wish, such as --accuracy 0.01.")
     keep_programs()
     source = file or spec
-    asked = AtlasSpec.from_file(source) if source else AtlasSpec()
+    given_spec = AtlasSpec.from_file(source) if source else AtlasSpec()
     if not given:
-        planned = plan_atlas(asked)
+        planned = plan_atlas(given_spec)
         click.echo(planned)
         click.echo(estimate_build(planned))
         return
     if len(given) > 1:
         raise click.UsageError(f"--{' and --'.join(given)} are given; give one wish.")
     with at_work("resolutions of the range"):
-        resolutions = plan_resolution(asked, **given)
+        resolutions = plan_resolution(given_spec, **given)
     click.echo(resolutions)
     if output:
         from jaxstab.durable import publish

@@ -1,7 +1,7 @@
 """The command line. JAX, matplotlib and rich are imported inside the commands that need them.
 
-Exit codes: 0, answered, and all that was asked about is stable; 1, answered, and something is not
-proved stable; 2, not answered. Ctrl-C ends with 130.
+Exit codes: 0, answered, and everything is stable; 1, answered, and something is not proved stable;
+2, not answered. Ctrl-C ends with 130.
 """
 
 import io
@@ -67,7 +67,6 @@ def _open_what_is_closed() -> None:
 
 
 def _show(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Print a warning of the library as one line."""
     warn(str(message).rstrip("."))
 
 

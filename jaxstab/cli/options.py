@@ -70,7 +70,7 @@ def write_beside(data: bytes, path: Path) -> None:
 
 
 def keep_programs() -> None:
-    """Keep what is compiled for the next process of this user."""
+    """Keep compiled programs for the next process of this user."""
     with suppress(OSError):  # without a cache it only takes longer
         jaxstab.use_compilation_cache()
 
@@ -85,7 +85,7 @@ def png_file(context: click.Context, option: click.Parameter, path: Path) -> Pat
 
 @contextmanager
 def at_work(words: str) -> Iterator[None]:
-    """Show on a terminal what is computed, until it is done."""
+    """Show on a terminal the running computation, until it is done."""
     if not sys.stderr.isatty():
         yield
         return

@@ -98,7 +98,12 @@ def query(
     for name, value in wall.items():
         if value is not None:
             raise ValueError(f"{name} is {value:g} without a scene; give --scene FILE.")
-    points = _read_points(table, given) if table else _one_point(given)
+    if table:
+        source = "stdin" if str(table) == "-" else str(table)
+        points = _parsed(_rows(text_of(table, _MOST_BYTES), source), source, given)
+    else:
+        _check_complete(given, "give it as an option, or points with --csv")
+        points = {name: [given[name]] for name in AXES}
     opened = jaxstab.open_atlas(file)
     answer = opened.query(
         **points,
@@ -140,25 +145,13 @@ def plot(
 
 
 # ------------------------------------------------------------------------------------------- points
-def _one_point(given: dict[str, float]) -> dict[str, list[float]]:
-    _check_complete(given, "give it as an option, or points with --csv")
-    return {name: [given[name]] for name in AXES}
-
-
-def _read_points(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
-    """Return the columns of a CSV file, and those that the options fill in."""
-    source = "stdin" if str(table) == "-" else str(table)
-    return _parsed(_rows(text_of(table, _MOST_BYTES), source), source, given)
-
-
 def _rows(text: str, source: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield where each row is, and its cells."""
     lines = csv.reader(io.StringIO(text, newline=""))
     try:
         for row in lines:
             yield f"line {lines.line_num} of {source}", row
     except csv.Error as error:
-        raise ValueError(f"line {lines.line_num} of {source} is no CSV: {error}.") from error
+        raise ValueError(f"line {lines.line_num} of {source} is not CSV: {error}.") from error
 
 
 def _parsed(
@@ -208,7 +201,6 @@ def _answered(
 
 
 def _words(verdict: int, radius: float, error: float, status: int) -> dict[str, float | str]:
-    """Return one answer in words and numbers."""
     from jaxstab.atlas import QueryStatus
 
     return {
@@ -266,11 +258,11 @@ def _asked_of_scene(
         "delay": "s",
     }
     rows = []
-    for asked in ask_atlas(scene, opened, walls, outside, exact=exact):
-        member = asked.member
-        numbers = [*asked.gains, member.mass, *member.hand[:3], member.delay]
-        answer = (getattr(asked.answer, name).item() for name in _ANSWER)
-        where: dict[str, float | str] = {"wall": asked.name}
+    for entry in ask_atlas(scene, opened, walls, outside, exact=exact):
+        member = entry.member
+        numbers = [*entry.gains, member.mass, *member.hand[:3], member.delay]
+        answer = (getattr(entry.answer, name).item() for name in _ANSWER)
+        where: dict[str, float | str] = {"wall": entry.name}
         rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))
     stated = Answers(basis_of(scene), {}).as_json()
     stated["inputs"] |= {"created_by": opened.created_by}
@@ -279,7 +271,6 @@ def _asked_of_scene(
 
 
 def _made_of(opened: "Atlas") -> dict[str, str]:
-    """Return the filters and the maker of an atlas, as inputs of its answers."""
     from jaxstab.model import Filter
 
     velocity, _, position = opened.filters_in_words.partition("; position: ")
@@ -292,7 +283,6 @@ def _made_of(opened: "Atlas") -> dict[str, str]:
 def _write(
     rows: Iterable[dict[str, float | str]], header: list[str], form: str, stated: dict[str, Any]
 ) -> None:
-    """Print a table, or JSON with inputs and units before the rows."""
     every = [{name: row[name] for name in header} for row in rows]
     if form == "csv":
         text = io.StringIO()

@@ -73,7 +73,7 @@ def region(
 
 
 def _words(name: str, value: Any) -> str:
-    """Return a number, a point or a list of points; what is the largest is not rounded up."""
+    """A number, a point or a list of points; the largest values are not rounded up."""
     from jaxstab.scene.answers import Quantity
 
     if isinstance(value, list):

@@ -117,7 +117,7 @@ def scene_of(given: dict[str, Any]) -> "Scene":
 
 
 def warn(*unusual: str) -> None:
-    """Say what is unusual about a scene."""
+    """Print warnings about unusual values of a scene."""
     if unusual:
         words = "; ".join(unusual)
         click.echo(f"jaxstab: warning: {words}{'' if words.endswith('?') else '.'}", err=True)
@@ -140,7 +140,6 @@ _VELOCITY = {
 
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of a file with the options in place of its values."""
     keys = {
         "device": ("device", "preset"),
         "mass": ("device", "mass"),
@@ -179,7 +178,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     walls = {}
     for name, stiffness, damping in options.get("wall", ()):
         if name in walls:
-            raise ValueError(f"wall {name} is given twice; give each wall a name of its own.")
+            raise ValueError(f"wall {name} is given twice; give each wall another name.")
         walls[name] = {"stiffness": stiffness, "damping": damping}
     return merged | ({"walls": merged.get("walls", {}) | walls} if walls else {})
 
@@ -205,11 +204,7 @@ _SHOWN_OF_WALLS = {"verdict", "stiffness_gain", "settling_time_2_percent"}
 
 
 def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list[Any]:
-    """Answer several scenes, print what they allow, and return the answers.
-
-    Raises:
-        click.UsageError: no scene could be answered, or some were refused; the others are printed.
-    """
+    """Answer several scenes and print what they allow; UsageError if some were refused."""
     import jaxstab.scene
     from jaxstab.scene.many import answer_all, sweep_of, variants_of
 
@@ -227,7 +222,6 @@ def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list[Any
 
 
 def _with_progress(rows: Iterable["Row"], count: int) -> Iterator["Row"]:
-    """Show on a terminal how many scenes are answered."""
     if not sys.stderr.isatty():
         yield from rows
         return
@@ -248,7 +242,7 @@ def _write(rows: list["Row"], csv_file: Path | None, as_json: bool) -> None:
 
 
 def _csv(rows: list["Row"]) -> str:
-    columns = [*_heads(rows), *_paths(rows), "refusal"]
+    columns = ["scene", *rows[0].variant.values, *_paths(rows), "refusal"]
     stream = io.StringIO()
     writer = csv.DictWriter(stream, columns, lineterminator="\n", restval="")
     writer.writeheader()
@@ -286,7 +280,8 @@ def _table(rows: list["Row"]) -> str:
     paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]
     first = "scene" if any(row.variant.source for row in rows) else ""
     heads = [first, *rows[0].variant.values]
-    lines = [[*heads, *(_head(path) for path in paths)]]
+    plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
+    lines = [[*heads, *plain]]
     for row in rows:
         own = [row.variant.source, *(short(value) for value in row.variant.values.values())]
         lines.append(list(map(printable, [*own, *(row.words.get(path, "") for path in paths)])))
@@ -306,16 +301,7 @@ def _is_of_wall(path: str) -> bool:
     return name in _SHOWN_OF_WALLS and outer.startswith("walls.") and outer.count(".") == 1
 
 
-def _head(path: str) -> str:
-    return path.removeprefix("walls.").replace("_", " ").replace(".", ": ")
-
-
-def _heads(rows: list["Row"]) -> list[str]:
-    return ["scene", *rows[0].variant.values]
-
-
 def _paths(rows: list["Row"]) -> list[str]:
-    """Return the paths of all values, in the order in which they come."""
     return list(dict.fromkeys(path for row in rows for path in row.values))
 
 
@@ -492,7 +478,6 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> int:
 
 # --------------------------------------------------------------------------- from options to scene
 def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
-    """Answer one scene or many, and return the exit code."""
     if len(given["files"]) > 1 or given["sweep"] or given["csv_file"]:
         answers = answer_many(given, FUNCTIONS[name], as_json)
         return 0 if all(one.all_stable for one in answers) else 1
@@ -579,7 +564,7 @@ _OMEGA = {
 def _range(context: click.Context, option: click.Parameter, text: str | None) -> Any:
     ends = number_or_range(context, option, text)
     if ends is not None and (not isinstance(ends, list) or len(ends) != 2):
-        raise click.BadParameter(f"{text!r} is no range; give LOW:HIGH.", param=option)
+        raise click.BadParameter(f"{text!r} is not a range; give LOW:HIGH.", param=option)
     return ends and tuple(ends)
 
 

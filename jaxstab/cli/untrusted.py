@@ -60,7 +60,6 @@ def _check_digest(file: Path, expected: str) -> None:
 
 
 def _in_a_child(file: Path) -> int:
-    """Run this command in another process, and return its exit code."""
     arguments = [argument for argument in sys.argv[1:] if argument != _OPTION]
     # -P: nothing from this folder
     words = [sys.executable, "-P", "-m", __name__, str(os.getpid()), *arguments]

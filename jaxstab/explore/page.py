@@ -21,16 +21,10 @@ _LONGEST_DELAY = 200.0  # samples
 
 
 def explorer_page(scene: Scene, title: str = "") -> str:
-    """Return a page of HTML with all that it needs, which begins with a scene.
+    """A self-contained page of HTML that begins with a scene, at the lowest values of its ranges.
 
-    Args:
-        scene: the scene; of a range of hands the page begins with the lowest values.
-        title: where the scene is from.
-
-    Raises:
-        ValueError: a quantity is out of range, or the page cannot compute the scene: it has a
-            filter of the position, a device that is not one mass, or more than 200 samples of
-            delay.
+    ValueError: a quantity is out of range, or the page cannot compute the scene: it has a filter of
+    the position, a device that is not one mass, or more than 200 samples of delay.
     """
     initial = json.dumps(_initial(scene, title), allow_nan=False)
     parts = {
@@ -54,7 +48,6 @@ def _text(name: str) -> str:
 
 
 def _initial(scene: Scene, title: str) -> dict[str, Any]:
-    """Return what the page begins with."""
     _refuse_others(scene)
     return {
         "state": _state(scene),
@@ -66,7 +59,6 @@ def _initial(scene: Scene, title: str) -> dict[str, Any]:
 
 
 def _refuse_others(scene: Scene) -> None:
-    """Refuse what the page's scripts cannot compute."""
     remedy = "leave it out, or draw the scene with jaxstab limits --plot."
     if scene.controller.position is not None:
         raise ValueError(
@@ -90,7 +82,6 @@ def _units(units: Units) -> dict[str, str]:
 
 
 def _state(scene: Scene) -> dict[str, Any]:
-    """Return the numbers of a scene by the page's own names."""
     loop, device = loop_of(scene), scene.device
     stiffness, damping = _cursor(scene)
     return {
@@ -124,14 +115,13 @@ def _hand(scene: Scene, end: int) -> dict[str, float]:
 
 
 def _hands(scene: Scene) -> dict[str, dict[str, float]] | None:
-    """Return two hands of the range, or None where there is one hand at most."""
     if scene.hand is None or not scene.hand.varies:
         return None
     return {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)}
 
 
 def _cursor(scene: Scene) -> tuple[float, float]:
-    """Return K and B of the wall that is looked at first: half as stiff as the stiffest."""
+    """K and B of the first wall shown: half as stiff as the stiffest."""
     limits = wall_region(loop_of(scene)).limits()
     if not isfinite(limits.stiffness):  # no wall is stable
         return 0.0, 0.0
@@ -143,7 +133,6 @@ def _rounded(gain: float) -> float:
 
 
 def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
-    """Return the estimator of a scene, or of a software, by the page's own names."""
     window = None if table is None else table.window
     samples = None if table is None else table.window_samples
     length = samples or (1 if window is None else max(1, round(window / period)))
@@ -152,7 +141,6 @@ def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
 
 
 def _index_of(table: VelocityTable | None) -> int | None:
-    """Return which of the page's estimators a scene names."""
     names = [software["title"] for software in _software()]
     return names.index(table.preset) if table is not None and table.preset in names else None
 

@@ -83,6 +83,11 @@ class HapticLoop(LoopParameters):
         ... )
         >>> round(loop.limits().stiffness)
         2035
+        >>> plain = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> plain.mass, plain.gamma, round(plain.delta, 9), plain.delay_samples
+        (0.1, 0.0, 0.015, 0.0)
+        >>> round(plain.alpha(2000.0), 9), plain.beta(20.0), round(plain.damping(0.2), 9)
+        (0.02, 0.2, 20.0)
     """
 
     def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:

@@ -170,9 +170,9 @@ def _tuned(loop: LoopParameters) -> TunedLoop:
     loop = loop.in_floats()
     sampled = loop.sampled
     if sampled is not None:
-        return DeviceLoop.of(sampled, given_filters(loop.velocity, loop.position))
+        return DeviceLoop.from_device(sampled, given_filters(loop.velocity, loop.position))
     gamma, delta, delay = loop.slice.values()
-    return MassLoop.of((gamma, delta, delay), given_filters(**loop.filters))
+    return MassLoop.from_plant((gamma, delta, delay), given_filters(**loop.filters))
 
 
 def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:

@@ -201,12 +201,10 @@ def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def two_product(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return ``a b`` rounded and the error of it; their sum is right to 2^-101 relative.
-
-    It is summed from products of half significands, which are exact. XLA contracts a product and a
-    sum to one fused operation as it likes: with exact products that changes nothing. A product
-    below 1e-270 is only rounded.
-    """
+    """Return ``a b`` rounded and the error of it; their sum is right to 2^-101 relative."""
+    # It is summed from products of half significands, which are exact. XLA contracts a product and
+    # a sum to one fused operation as it likes: with exact products that changes nothing. A product
+    # below 1e-270 is only rounded.
     a_high, a_low = _halves(a)
     b_high, b_low = _halves(b)
     middle, middle_error = two_sum(a_high * b_low, a_low * b_high)

@@ -45,26 +45,26 @@ class Filter:
         'a low pass at 100 Hz of order 1, a window of 4 samples'
         >>> print(jaxstab.Filter.exponential(0.9) * jaxstab.Filter.low_pass(100.0).per_sample(1e-3))
         exponential smoothing by 0.9, a low pass at 0.1 Hz of order 1
+        >>> print(jaxstab.Filter.butterworth(300.0, order=2))
+        a Butterworth filter at 300 Hz of order 2
+        >>> print(jaxstab.Filter.transfer_function([0.5, 0.5], [1.0, 0.0]))
+        a transfer function of order 1
     """
 
     sections: tuple[Section, ...] = ()
 
     @classmethod
     def average(cls, samples: int | None = None, *, window: float | None = None) -> "Filter":
-        """Return the mean of the last samples: (1 + 1/z + ... + z^(1-n)) / n.
+        """The mean of the last samples: (1 + 1/z + ... + z^(1-n)) / n.
 
         Args:
             samples: n, from 1 to 200.
             window: n times the sampling period, in s, in place of ``samples``.
 
         Raises:
-            TypeError: not exactly one of the two is given, or it is no number of its kind.
-            ValueError: it is out of range; a window that is no whole number of samples is refused
-                where the sampling period is known.
-
-        Example:
-            >>> print(jaxstab.Filter.average(4))
-            a window of 4 samples
+            TypeError: not exactly one of the two is given, or it is not a number of its kind.
+            ValueError: it is out of range; a window that is not a whole number of samples is
+                refused where the sampling period is known.
         """
         if (samples is None) == (window is None):
             raise TypeError("give samples or window, and not both.")
@@ -76,53 +76,43 @@ class Filter:
 
     @classmethod
     def low_pass(cls, cutoff: Numbers, *, order: int = 1) -> "Filter":
-        """Return first-order low passes in a row, each ((1 - q) z / (z - q)), q = exp(-2 pi f T).
+        """First-order low passes in a row, each ((1 - q) z / (z - q)), q = exp(-2 pi f T).
 
         Args:
             cutoff: f in Hz, > 0.
             order: how many, from 1 to 40.
 
         Raises:
-            TypeError: the cut-off is no number, or the order no whole one.
-            ValueError: one of them is out of range.
-
-        Example:
-            >>> print(jaxstab.Filter.low_pass(300.0))
-            a low pass at 300 Hz of order 1
+            TypeError, ValueError: the cut-off is not a number, the order not whole, or out of
+                range.
         """
         return cls((LowPass(_positive("cutoff", cutoff), _checked_order(order)),))
 
     @classmethod
     def butterworth(cls, cutoff: Numbers, *, order: int) -> "Filter":
-        """Return Butterworth's low pass by the bilinear transform, its cut-off prewarped.
+        """Butterworth's low pass by the bilinear transform, its cut-off prewarped.
 
         Args:
             cutoff: f in Hz, below half of the sampling rate.
             order: from 1 to 40.
 
         Raises:
-            TypeError: the cut-off is no number, or the order no whole one.
-            ValueError: one of them is out of range; a cut-off above half of the sampling rate is
-                refused where that is known.
+            TypeError, ValueError: the cut-off is not a number, the order not whole, or out of
+                range; a cut-off above half of the sampling rate is refused where that is known.
 
         Source: Butterworth (1930); the transfer function is that of ``scipy.signal.butter``.
-
-        Example:
-            >>> print(jaxstab.Filter.butterworth(300.0, order=2))
-            a Butterworth filter at 300 Hz of order 2
         """
         return cls((Butterworth(_positive("cutoff", cutoff), _checked_order(order)),))
 
     @classmethod
     def exponential(cls, factor: Numbers) -> "Filter":
-        """Return exponential smoothing: y_k = y_(k-1) + factor (x_k - y_(k-1)).
+        """Exponential smoothing: y_k = y_(k-1) + factor (x_k - y_(k-1)).
 
         Args:
             factor: in [2^-53, 1], so that 1 - factor is below 1 in float64; 1 filters nothing.
 
         Raises:
-            TypeError: the factor is no number.
-            ValueError: it is out of range.
+            TypeError, ValueError: the factor is not a number, or out of range.
         """
         return cls((Exponential(_positive("factor", factor, _LEAST_FACTOR, 1.0)),))
 
@@ -130,19 +120,15 @@ class Filter:
     def transfer_function(
         cls, numerator: Sequence[float], denominator: Sequence[float]
     ) -> "Filter":
-        """Return a filter by its transfer function in z.
+        """A filter by its transfer function in z.
 
         Args:
             numerator: coefficients, highest power of z first.
             denominator: the same; of a higher degree than the numerator or of the same.
 
         Raises:
-            TypeError: the coefficients are no numbers.
+            TypeError: the coefficients are not numbers.
             ValueError: the filter is not proper, not stable, zero, or of an order above 40.
-
-        Example:
-            >>> print(jaxstab.Filter.transfer_function([0.5, 0.5], [1.0, 0.0]))
-            a transfer function of order 1
         """
         return cls((Rational(*_checked_rational(numerator, denominator)),))
 
@@ -158,20 +144,20 @@ class Filter:
         return ", ".join(map(str, self.sections)) or "no filter"
 
     def per_sample(self, sample_time: Numbers) -> "Filter":
-        """Return the filter in units of a sampling period in s, as five-number functions take it.
+        """The filter in units of a sampling period in s, as five-number functions take it.
 
         Raises:
-            ValueError: a section does not go with that period.
+            ValueError: a section is incompatible with the sampling period.
             TypeError: the period is traced, and a window is given in s.
         """
         return Filter(tuple(section.per_sample(sample_time) for section in self.sections))
 
     def transfer(self, sample_time: Numbers = 1.0) -> Transfer:
-        """Return the transfer function for a sampling period in s.
+        """The transfer function for a sampling period in s.
 
         Raises:
-            ValueError: a section does not go with that period, or there are too many poles,
-                samples or stages.
+            ValueError: a section is incompatible with the sampling period, or there are too many
+                poles, samples or stages.
             RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
         """
         stages = self.stages(sample_time)
@@ -186,12 +172,7 @@ class Filter:
         return whole
 
     def stages(self, sample_time: Numbers = 1.0) -> list[Transfer]:
-        """Return the transfer functions of low orders whose product ``transfer`` is.
-
-        Raises:
-            ValueError: a section does not go with that period.
-            RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
-        """
+        """The transfer functions of low orders whose product ``transfer`` is; errors as there."""
         require_x64(*(value for section in self.sections for value in vars(section).values()))
         sections = self.per_sample(sample_time).sections
         return [stage for section in sections for stage in section.stages()]
@@ -200,7 +181,7 @@ class Filter:
 @pytree
 @dataclass(frozen=True, repr=False)
 class Velocity:
-    """How a controller estimates the velocity from sampled positions: (1 - 1/z)/T, then a filter.
+    """A velocity estimator, from sampled positions: (1 - 1/z)/T, then a filter.
 
     Make one with ``difference``, ``low_pass``, ``butterworth``, ``exponential`` or
     ``transfer_function``; multiply by a ``Filter`` to smooth it further.
@@ -210,78 +191,56 @@ class Velocity:
         'the difference over a window of 20 samples, a low pass at 100 Hz of order 1'
         >>> print(jaxstab.Velocity.difference(window=0.02).per_sample(1e-3))
         the difference over a window of 20 samples
+        >>> print(jaxstab.Velocity.butterworth(100.0, order=2))
+        the difference over one sample, a Butterworth filter at 100 Hz of order 2
+        >>> print(jaxstab.Velocity.exponential(0.9))
+        the difference over one sample, exponential smoothing by 0.9
+        >>> print(jaxstab.Velocity.transfer_function([500.0, -500.0], [1.0, 0.0]))
+        a transfer function of order 1
     """
 
     filter: Filter = Filter()
 
     @classmethod
     def difference(cls, samples: int | None = None, *, window: float | None = None) -> "Velocity":
-        """Return the difference over a window: (x_k - x_(k-n)) / (n T).
+        """The difference over a window: (x_k - x_(k-n)) / (n T).
 
         Args:
             samples: n, from 1 to 200; 1 is the wall of the paper.
             window: n T in s, in place of ``samples``; 15 ms in CHAI3D.
 
         Raises:
-            TypeError: not exactly one of the two is given, or it is no number of its kind.
-            ValueError: it is out of range; a window that is no whole number of samples is refused
-                where the sampling period is known.
-
-        Example:
-            >>> print(jaxstab.Velocity.difference(window=0.02))
-            the difference over a window of 0.02 s
+            TypeError, ValueError: as ``Filter.average``.
         """
         return cls(Filter.average(samples, window=window))
 
     @classmethod
     def low_pass(cls, cutoff: Numbers, *, order: int = 1) -> "Velocity":
-        """Return the one-sample difference behind first-order low passes: ``Filter.low_pass``.
-
-        Example:
-            >>> print(jaxstab.Velocity.low_pass(100.0))
-            the difference over one sample, a low pass at 100 Hz of order 1
-        """
+        """The one-sample difference behind first-order low passes: ``Filter.low_pass``."""
         return cls(Filter.low_pass(cutoff, order=order))
 
     @classmethod
     def butterworth(cls, cutoff: Numbers, *, order: int) -> "Velocity":
-        """Return the one-sample difference behind Butterworth's filter: ``Filter.butterworth``.
-
-        Example:
-            >>> print(jaxstab.Velocity.butterworth(100.0, order=2))
-            the difference over one sample, a Butterworth filter at 100 Hz of order 2
-        """
+        """The one-sample difference behind Butterworth's filter: ``Filter.butterworth``."""
         return cls(Filter.butterworth(cutoff, order=order))
 
     @classmethod
     def exponential(cls, factor: Numbers) -> "Velocity":
-        """Return the one-sample difference, smoothed: ``Filter.exponential``.
-
-        Example:
-            >>> print(jaxstab.Velocity.exponential(0.9))
-            the difference over one sample, exponential smoothing by 0.9
-        """
+        """The one-sample difference, smoothed: ``Filter.exponential``."""
         return cls(Filter.exponential(factor))
 
     @classmethod
     def transfer_function(
         cls, numerator: Sequence[float], denominator: Sequence[float]
     ) -> "Velocity":
-        """Return an estimator by its transfer function V(z) in 1/s.
+        """An estimator by its transfer function V(z) in 1/s; as ``Filter.transfer_function``.
 
-        Args:
-            numerator: coefficients, highest power of z first. Their sum is 0 up to rounding, for a
-                velocity is 0 at rest; the last one counts as minus the sum of the others.
-            denominator: the same; of a higher degree than the numerator or of the same.
+        The numerator's sum is 0 up to rounding, for a velocity is 0 at rest; its last coefficient
+        counts as minus the sum of the others.
 
         Raises:
-            TypeError: the coefficients are no numbers.
-            ValueError: the filter is not proper, not stable, zero, of an order above 40, or does
-                not differentiate: V(1) is not 0.
-
-        Example:
-            >>> print(jaxstab.Velocity.transfer_function([500.0, -500.0], [1.0, 0.0]))
-            a transfer function of order 1
+            TypeError: the coefficients are not numbers.
+            ValueError: as ``Filter.transfer_function``, or V(1) is not 0.
         """
         above, below = _checked_rational(numerator, denominator)
         rest = abs(float(sum(map(Fraction, above))))
@@ -297,12 +256,7 @@ class Velocity:
         return Velocity(self.filter.per_sample(sample_time))
 
     def stages(self, sample_time: Numbers = 1.0) -> tuple[int, list[Transfer]]:
-        """Return a number of samples n, and transfer functions behind (1 - z^-n) / n.
-
-        Raises:
-            ValueError: a section does not go with that period.
-            RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
-        """
+        """A number of samples n, and transfer functions behind (1 - z^-n) / n."""
         first, *others = self.filter.per_sample(sample_time).sections or (Average(1, None),)
         if isinstance(first, Average):
             return first.length, Filter(tuple(others)).stages()
@@ -334,11 +288,7 @@ Filters = tuple[Velocity, Filter]
 
 
 def given_filters(velocity: Any, position: Any) -> Filters | None:
-    """Return the estimator and the filter of a loop, None for the one-sample difference alone.
-
-    Raises:
-        TypeError: one of them is not of its class.
-    """
+    """The estimator and the filter of a loop, checked; None for the one-sample difference alone."""
     if velocity is None and position is None:
         return None
     for name, value, kind in (("velocity", velocity, Velocity), ("position", position, Filter)):
@@ -350,11 +300,7 @@ def given_filters(velocity: Any, position: Any) -> Filters | None:
 
 
 def known_filters(velocity: Any, position: Any) -> Filters | None:
-    """Return the same as ``given_filters``, in plain numbers, for what is proved in NumPy.
-
-    Raises:
-        TypeError: one of them is not of its class, or has parameters that JAX traces.
-    """
+    """The same as ``given_filters``, in plain numbers; TypeError if JAX traces them."""
     filters = given_filters(velocity, position)
     if is_any_traced(filters):
         raise TypeError(
@@ -475,7 +421,7 @@ class FilterTable(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = self._given()
+        given = [name for name in self._known() if getattr(self, name) is not None]
         for name in _BESIDE:
             if name in given and self.cutoff is None:
                 raise ValueError(
@@ -484,9 +430,9 @@ class FilterTable(Table):
         fraction = [name for name in given if name in _FRACTION]
         others = [name for name in given if name not in _FRACTION]
         if len(fraction) == 1:
-            raise ValueError(f"{fraction[0]} stands alone; give numerator and denominator.")
+            raise ValueError(f"{fraction[0]} is given alone; give numerator and denominator.")
         if fraction and others:
-            raise ValueError(f"{others[0]} stands beside numerator; give one of them.")
+            raise ValueError(f"{others[0]} is given beside numerator; give one of them.")
         if not given:
             first, *rest = (name for name in self._known() if name not in (*_BESIDE, *_FRACTION))
             raise ValueError(
@@ -518,9 +464,6 @@ class FilterTable(Table):
         if self.cutoff is not None:
             chain *= _LOW_PASSES[self.kind or LowPass.kind](self.cutoff, order=self.order or 1)
         return chain if self.factor is None else chain * Filter.exponential(self.factor)
-
-    def _given(self) -> list[str]:
-        return [name for name in self._known() if getattr(self, name) is not None]
 
     @classmethod
     def _known(cls) -> list[str]:

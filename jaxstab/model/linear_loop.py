@@ -5,7 +5,7 @@ With the plant z^-lag N/D, a position filter P = Np/Dp and a velocity estimator 
     p(z) = base + alpha stiffness + beta damping
          = z^lag D Dp Dv + alpha N Np Dv + beta N (z - 1) Nv Dp
 
-up to powers of z. All coefficients are formed in pairs of float64, with bounds of what is lost
+up to powers of z. All coefficients are formed in pairs of float64, with bounds of their errors
 (lemma V8 of docs/proofs.md).
 """
 
@@ -38,7 +38,7 @@ class Bounded(NamedTuple):
 
 
 class Affine(NamedTuple):
-    """The three parts of what is base + alpha stiffness + beta damping."""
+    """The three parts of base + alpha stiffness + beta damping."""
 
     base: Bounded
     stiffness: Bounded
@@ -93,19 +93,16 @@ class LinearLoop(NamedTuple):
 def sampled_mass(
     gamma: Array, delta: Array, whole_delay: int, fraction: Array | float
 ) -> SampledPlant:
-    """Return device and hand of one mass; the fraction of the delay is 0.0, or nowhere 0.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008), and its modified z-transform.
-    """
+    """Device and hand of one mass (eq. (9)); the fraction of the delay is 0.0, or nowhere 0."""
     pairs = plant_pairs(gamma, delta, fraction)
     xp = namespace(pairs)
     one = DoubleDouble.of(xp.ones_like(pairs.d0.hi))
     numerator: Polynomial = (pairs.n2, pairs.n1, pairs.n0)
     relative = pairs_error(gamma, delta)
     size = size_of(numerator)
-    lost = relative * xp.where(may_cancel(gamma, delta), xp.sqrt(size), size)
+    rounding = relative * xp.where(may_cancel(gamma, delta), xp.sqrt(size), size)
     at_minus_one = (
-        Bounded(pairs.difference, lost),
+        Bounded(pairs.difference, rounding),
         Bounded(one - pairs.d1 + pairs.d0, 4.0 * relative),
     )
     is_whole = isinstance(fraction, float) and fraction == 0.0
@@ -116,7 +113,7 @@ def sampled_mass(
         numerator=numerator,
         denominator=(one, pairs.d1, pairs.d0),
         lag=whole_delay + (not is_whole),
-        errors=(3.0 * lost, 2.0 * relative),
+        errors=(3.0 * rounding, 2.0 * relative),
         at_one=(Bounded(one, 0.0), Bounded(DoubleDouble.of(gamma), 0.0)),
         at_minus_one=at_minus_one,
     )
@@ -154,7 +151,7 @@ def linear_loop(plant: SampledPlant, velocity: Transfer, position: Transfer) -> 
 
 
 def loop_filters(velocity: Transfer, position: Transfer) -> LoopFilters:
-    """Return what two filters make of all loops, to be kept for ``loop_of``."""
+    """The parts of all loops that two filters decide, for ``loop_of``."""
     (above, steady), (below, steady_below) = velocity.sizes, position.sizes
     return LoopFilters(
         products=tuple(reduce(product, each) for each in _factors(velocity, position)),
@@ -176,10 +173,10 @@ def loop_of(plant: SampledPlant, filters: LoopFilters) -> LinearLoop:
     ]
     degree = len(parts[0]) - 1
     base, stiffness, damping = ((zero,) * (degree + 1 - len(part)) + part for part in parts)
-    losses = plant.errors[1], plant.errors[0], plant.errors[0]
+    roundings = plant.errors[1], plant.errors[0], plant.errors[0]
     errors = [
-        size * (lost + FILTERS * size_of(one))
-        for size, lost, one in zip(filters.sizes, losses, plants, strict=True)
+        size * (rounding + FILTERS * size_of(one))
+        for size, rounding, one in zip(filters.sizes, roundings, plants, strict=True)
     ]
     return LinearLoop(
         base,
@@ -231,7 +228,6 @@ def _at_minus_one(plant: SampledPlant, filters: LoopFilters, powers: list[int]) 
 
 
 def _values(transfer: Transfer, z: float) -> tuple[Bounded, Bounded]:
-    """Return numerator and denominator at z = 1 or -1."""
-    both = zip(transfer.at(z), transfer.sizes, strict=True)
+    both = zip(transfer.values_at(z), transfer.sizes, strict=True)
     above, below = (Bounded(value, FILTERS * size) for value, size in both)
     return above, below

@@ -92,7 +92,6 @@ class LoopParameters:
                 chain.transfer(self.sample_time)  # refuses what does not go with the period
 
     def __repr__(self) -> str:
-        """Return the call that makes the loop, without what is left to its default."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         defaults = {field.name: field.default for field in fields(self)}
         return call_text(
@@ -101,7 +100,6 @@ class LoopParameters:
         )
 
     def __dir__(self) -> list[str]:
-        """Return the names of fields and questions, for completion."""
         return [name for name in super().__dir__() if name not in _FOR_COMPUTING]
 
     def _refuse_mixed_fields(self) -> None:
@@ -141,41 +139,17 @@ class LoopParameters:
 
     @property
     def mass(self) -> Numbers:
-        """Effective mass m in kg, eq. (1).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.5, hand_mass=0.1, sample_time=1e-3, delay=1e-3
-            ... )
-            >>> loop.mass
-            0.2
-        """
+        """Effective mass m in kg, eq. (1)."""
         return self._one_body.mass
 
     @property
     def gamma(self) -> Numbers:
-        """Dimensionless physical stiffness k T^2/m, eq. (12).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.5, hand_stiffness=500.0, sample_time=1e-3
-            ... )
-            >>> print(f"{loop.gamma:.4f}")
-            0.0050
-        """
+        """Dimensionless physical stiffness k T^2/m, eq. (12)."""
         return self._one_body.stiffness * self.sample_time**2 / self.mass
 
     @property
     def delta(self) -> Numbers:
-        """Dimensionless physical damping b T/m, eq. (12).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.5, hand_mass=0.1, sample_time=1e-3, delay=1e-3
-            ... )
-            >>> print(f"{loop.delta:.4f}")
-            0.0075
-        """
+        """Dimensionless physical damping b T/m, eq. (12)."""
         return self._one_body.damping * self.sample_time / self.mass
 
     @property
@@ -187,19 +161,11 @@ class LoopParameters:
 
     @property
     def linear(self) -> LinearLoop:
-        """The loop as p(z) = base + alpha stiffness + beta damping, of any device.
-
-        Raises:
-            TypeError: JAX traces the loop.
-        """
+        """The loop as p(z) = base + alpha stiffness + beta damping; TypeError if JAX traces it."""
         return _linear_loop(self.in_floats())
 
     def in_floats(self) -> "LoopParameters":
-        """Return the loop of plain numbers.
-
-        Raises:
-            TypeError: JAX traces the loop.
-        """
+        """The loop in plain numbers; TypeError if JAX traces it."""
         if is_any_traced(self):
             raise TypeError(
                 "the loop is traced; give one of concrete numbers, made outside of jit, vmap and "
@@ -213,15 +179,7 @@ class LoopParameters:
 
     @property
     def delay_samples(self) -> Numbers:
-        """Delay t_d/T in samples; a whole number if it is whole up to the rounding of the division.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.5, hand_mass=0.1, sample_time=1e-3, delay=1e-3
-            ... )
-            >>> loop.delay_samples
-            1.0
-        """
+        """Delay t_d/T in samples; whole if it is so up to the rounding of the division."""
         if is_any_traced(self.delay, self.sample_time):
             delay = self._traced_delay()
             return delay.whole + delay.fraction
@@ -239,6 +197,8 @@ class LoopParameters:
             >>> loop = jaxstab.HapticLoop(
             ...     device_mass=0.1, device_damping=1.5, hand_mass=0.1, sample_time=1e-3, delay=1e-3
             ... )
+            >>> loop.mass, loop.delay_samples
+            (0.2, 1.0)
             >>> int(jaxstab.verdict(loop.alpha(2000.0), loop.beta(20.0), **loop.slice))
             1
         """
@@ -296,46 +256,22 @@ class LoopParameters:
         return self.sample_time**2 / self.mass, self.sample_time / self.mass
 
     def alpha(self, stiffness: Values) -> Values:
-        """Dimensionless stiffness K T^2/m of a wall of stiffness K in N/m (Table I).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> round(float(loop.alpha(2000.0)), 9)
-            0.02
-        """
+        """Dimensionless stiffness K T^2/m of a wall of stiffness K in N/m (Table I)."""
         return stiffness * self._units[0]
 
     def beta(self, damping: Values) -> Values:
-        """Dimensionless damping B T/m of a wall of damping B in N s/m (Table I).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> float(loop.beta(20.0))
-            0.2
-        """
+        """Dimensionless damping B T/m of a wall of damping B in N s/m (Table I)."""
         return damping * self._units[1]
 
     def stiffness(self, alpha: Values) -> Values:
-        """Wall stiffness K in N/m for a dimensionless stiffness alpha (Table I).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> round(float(loop.stiffness(0.02)), 6)
-            2000.0
-        """
+        """Wall stiffness K in N/m for a dimensionless stiffness alpha (Table I)."""
         sampled = self.sampled
         if sampled is not None:
             return alpha / sampled.stiffness_unit
         return alpha * (self.mass / self.sample_time**2)
 
     def damping(self, beta: Values) -> Values:
-        """Wall damping B in N s/m for a dimensionless damping beta (Table I).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> float(loop.damping(0.2))
-            20.0
-        """
+        """Wall damping B in N s/m for a dimensionless damping beta (Table I)."""
         sampled = self.sampled
         if sampled is not None:
             return beta / sampled.damping_unit

@@ -1,4 +1,4 @@
-"""The five dimensionless parameters (Table I): what is allowed for them."""
+"""The five dimensionless parameters (Table I) and their ranges."""
 
 from typing import Any, NamedTuple
 
@@ -44,12 +44,7 @@ def checked_delta(delta: Numbers) -> Numbers:
 
 
 def checked_delay(delay: Numbers) -> Float64[np.ndarray, "*grid"]:
-    """Return the delay in samples as a NumPy array, for it decides the degree of p(z).
-
-    Raises:
-        TypeError: the delay is traced by jit, vmap or grad.
-        ValueError: a delay is outside [0, 500] or NaN.
-    """
+    """The delay in samples as a NumPy array, for it decides the degree of p(z); never traced."""
     if is_any_traced(delay):
         raise TypeError(
             "delay must be a concrete number because it sets the degree of p(z); close over it or "
@@ -59,12 +54,7 @@ def checked_delay(delay: Numbers) -> Float64[np.ndarray, "*grid"]:
 
 
 def whole_and_fraction(delay: Numbers | TracedDelay) -> tuple[Float64[np.ndarray, "*grid"], Array]:
-    """Return the whole part and the fraction of a delay in samples.
-
-    Raises:
-        TypeError: the whole part is traced by jit, vmap or grad.
-        ValueError: a delay is outside [0, 500] or NaN.
-    """
+    """The whole part and the fraction of a delay in samples; errors as ``checked_delay``."""
     if isinstance(delay, TracedDelay):
         return np.asarray(delay.whole, np.float64), delay.fraction
     concrete = checked_delay(delay)

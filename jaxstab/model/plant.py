@@ -46,9 +46,9 @@ from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma
 from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT
 
 # From the zeros of N at gamma = (2 pi k)^2 on, the size of N is the root of its coefficients' sum:
-# what cancels there is larger than what is left (up to SOFT_DELTA).
+# the terms that cancel there exceed the result (up to SOFT_DELTA).
 _CANCELLING_GAMMA = 36.0
-_REMEMBERED = 1 << 12  # plants that are kept, 0.5 MB of them
+_REMEMBERED = 1 << 12  # plants in the cache, 0.5 MB of them
 _DUPLICATIONS = 10
 _TERMS = 10
 _PAIR_TERMS = 3  # the terms beyond are below 2^-53 of the sum: float64 is enough for them
@@ -58,7 +58,7 @@ class PlantCoefficients(NamedTuple):
     """The sampled plant: D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, times m/T^2.
 
     For a whole delay N(z) is z times the zero-order-hold numerator, so n0 = 0. The remaining fields
-    are N(1), N(-1) and D(1) = gamma N(1), each with a relative accuracy of its own.
+    are N(1), N(-1) and D(1) = gamma N(1), each with its own relative accuracy.
 
     Example:
         >>> plant = jaxstab.plant_coefficients(gamma=0.0, delta=0.0)
@@ -94,21 +94,13 @@ def plant_coefficients(
 ) -> PlantCoefficients:
     """Discretise mass, spring and damper behind a zero-order hold and the fraction of a delay.
 
-    Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], any shape.
-        delta: physical damping b T/m in [0, 1e3], any shape.
-        delay: time delay in samples, t_d/T >= 0, whole or fractional, concrete; only its fraction
-            enters here.
+    Args and Raises: see ``jaxstab.conventions``.
 
     Returns:
         PlantCoefficients of float64 arrays of the broadcast shape, differentiable to any order in
         gamma and delta. Over gamma <= 40, delta <= 10 each field is the correctly rounded value,
         or within 3 ulp of it where it nearly vanishes (d1 at gamma = (pi/2)^2, N(z) at
         gamma = (2 pi)^2, both at delta = 0); values below 1e-300 may be flushed to zero.
-
-    Raises:
-        ValueError: a concrete gamma, delta or delay is outside its range or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
     Source: eqs. (2)-(6) and (9) of Hulin, Preusche, Hirzinger (2008), rewritten; for a fractional
     delay the modified z-transform.
@@ -126,20 +118,11 @@ def plant_coefficients(
 
 
 def plant_transition(gamma: Numbers, delta: Numbers, time: Numbers) -> Float64[Array, "*grid 2 3"]:
-    """Return how the plant moves while a force is held for a time of at most one sample.
+    """The motion of the plant while a force is held for a ``time`` of at most one sample.
 
     Position and velocity (rows) at the end, for a unit of position, of velocity and of force
     (columns) at its beginning: upper rows of expm(t [[0, 1, 0], [-gamma, -delta, 1], [0, 0, 0]]).
-
-    Args:
-        gamma, delta: see ``jaxstab.conventions``.
-        time: in [0, 1], in samples.
-
-    Raises:
-        ValueError: a concrete gamma or delta is outside its range or NaN.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
-
-    Source: eqs. (1)-(3) of Hulin, Preusche, Hirzinger (2008).
+    Source: eqs. (1)-(3) of Hulin, Preusche, Hirzinger (2008); errors as ``plant_coefficients``.
     """
     require_x64(gamma, delta, time)
     values = (checked_gamma(gamma), checked_delta(delta), time)
@@ -163,7 +146,7 @@ def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
 
 
 def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs:
-    """Return the plant coefficients as double-double pairs, for sums that may still cancel.
+    """The plant coefficients as double-double pairs, for sums that may still cancel.
 
     A concrete ``fraction`` (of the delay, in [0, 1)) that is zero throughout costs a third.
     """
@@ -254,7 +237,7 @@ def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) ->
 
 
 class _Hold(NamedTuple):
-    """The plant while a force is held for a time t <= 1; here a stands for a t, q for q t^2."""
+    """The plant while a force is held for a time t <= 1; with a t as a and q t^2 as q."""
 
     length: DoubleDouble
     decay: DoubleDouble  # e^-a
@@ -264,7 +247,6 @@ class _Hold(NamedTuple):
     odd: DoubleDouble  # a sigma[a^2, q]
 
     def response(self) -> DoubleDouble:
-        """Return the unit-step response at the end of the hold."""
         return self.length * self.length * (self.decay * (self.even + self.odd))
 
     def reversed_response(self) -> DoubleDouble:

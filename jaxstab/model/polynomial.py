@@ -24,16 +24,7 @@ from jaxstab.model.plant import PlantPairs, plant_pairs
 
 
 def polynomial_degree(delay: Numbers) -> int:
-    """Return the degree of p(z) without filters, of its longest one for an array of delays.
-
-    It is 3 + d for a whole delay and 4 + floor(d) for a fractional one.
-
-    Raises:
-        TypeError: the delay is traced.
-        ValueError: a delay is negative, infinite or NaN.
-
-    Source: eq. (9), and its modified z-transform for a fractional delay.
-    """
+    """The degree of p(z) without filters, the largest of all delays: 3 + d, or 4 + floor(d)."""
     if isinstance(delay, TracedDelay):  # a fraction that is traced may be any
         return 4 + delay.whole
     return 3 + int(np.ceil(np.max(checked_delay(delay), initial=0.0)))
@@ -49,7 +40,7 @@ def characteristic_polynomial(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Float64[Array, "*grid coefficient"]:
-    """Return the coefficients of p(z), monic, highest power first.
+    """Coefficients of p(z), monic, highest power first.
 
     With n = floor(delay) and the plant's D and N for the fraction of the delay,
 
@@ -59,20 +50,17 @@ def characteristic_polynomial(
     rounded once, so cancellation between wall and plant costs no digits.
 
     Args:
-        alpha, beta, gamma, delta: see ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, velocity, position: see ``jaxstab.conventions``.
         delay: time delay t_d/T >= 0 in samples, concrete. Polynomials of unlike degree in one array
             are multiplied by powers of z (zeros at the end): their other roots stay.
-        velocity: the velocity estimator in units of one sample; None for the difference over one
-            sample, the wall of the paper.
-        position: the position filter in units of one sample; None for none.
 
     Returns:
         Array of shape (*grid, degree + 1), differentiable in alpha, beta, gamma, delta, and in the
         cut-offs and factors of filters. Without filters the degree is 3 + ceil(delay).
 
     Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN, or a filter does not
-            go with a sampling period of 1.
+        ValueError: a concrete argument is outside its range, infinite or NaN, or a filter is
+            incompatible with a sampling period of 1.
         TypeError: the delay is traced, or an array of delays meets filters and traced arguments.
         RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
 
@@ -100,7 +88,7 @@ def characteristic_polynomial(
 
 
 def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degree"]:
-    """Return the companion matrix of monic polynomials: its eigenvalues are their roots.
+    """The companion matrix of monic polynomials: its eigenvalues are their roots.
 
     Args:
         coefficients: shape (*grid, degree + 1), highest power first, the first one 1 (not read).
@@ -109,9 +97,7 @@ def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degr
         Array of shape (*grid, degree, degree): minus the other coefficients in the first row, ones
         below the diagonal.
 
-    Raises:
-        ValueError: fewer than two coefficients.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+    Raises: see ``jaxstab.conventions``; ValueError also for fewer than two coefficients.
 
     Source: theorem 3.3.14 of Horn and Johnson, Matrix Analysis, in the layout of numpy.roots.
 

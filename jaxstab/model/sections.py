@@ -6,7 +6,7 @@ polynomial takes their product, while the time domain runs one after the other, 
 digits to poles close to each other.
 
 The numbers that a section computes from its parameters, such as exp(-2 pi f T), are rounded to
-float64 first: what is proved holds for the filter that software with these numbers runs.
+float64 first: proofs hold for the filter that software with these numbers runs.
 
 A new kind of section is a class here, with its transfer functions, its text and its keys of TOML,
 and a maker beside the others in ``filters.py``. Files, pictures, proofs between two loops and
@@ -64,7 +64,7 @@ class Transfer(NamedTuple):
             numerator=numerator, sizes=(self.sizes[0] * abs(factor.hi), self.sizes[1])
         )
 
-    def at(self, z: float) -> tuple[DoubleDouble, DoubleDouble]:
+    def values_at(self, z: float) -> tuple[DoubleDouble, DoubleDouble]:
         """Return numerator and denominator at z."""
         above, below = (reduce(lambda value, c: value * z + c, one) for one in self[:2])
         return above, below
@@ -143,13 +143,7 @@ class Section:
         return dict(vars(self))
 
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        """Return the factors of the transfer function in balls.
-
-        Args:
-            ball: returns the ball of a parameter.
-            period: the sampling period in s, a ball.
-            pi: the ball of pi.
-        """
+        """The factors of the transfer function in balls; ``ball`` returns that of a parameter."""
         raise NotImplementedError
 
 
@@ -366,7 +360,8 @@ class Differentiator(Rational):
         """Return the transfer functions, in units of one sample, whose product this is."""
         steps = accumulate(map(DoubleDouble.of, self.numerator[:-1]), DoubleDouble.__add__)
         numerator = tuple(step * _float(self.period) for step in steps)
-        return [_delayed(_monic(numerator, self.denominator), -1)]
+        transfer = _monic(numerator, self.denominator)
+        return [transfer._replace(lag=transfer.lag - 1)]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -417,10 +412,6 @@ def _monic(numerator: Polynomial, denominator: tuple[float, ...]) -> Transfer:
     above = tuple(one / first for one in numerator[: len(numerator) - zeros])
     below = tuple(DoubleDouble.of(one) / first for one in denominator[: len(denominator) - poles])
     return Transfer.of(above, below, poles - zeros)
-
-
-def _delayed(transfer: Transfer, samples: int) -> Transfer:
-    return transfer._replace(lag=transfer.lag + samples)
 
 
 def _float(value: Numbers) -> Array:

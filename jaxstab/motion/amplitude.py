@@ -32,8 +32,8 @@ from jaxstab.motion.contraction import (
     contraction,
     decay,
     error_of_square,
-    lost_in,
     norm,
+    rounding_in,
     rows,
     transposed,
 )
@@ -89,7 +89,7 @@ def _parts(new: Contraction, doublings: int) -> list[np.ndarray]:
 
 def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output input"]:
     """Return the bounds of systems whose A was squared equally often."""
-    power, error, lost = new.transition, new.transition_error, lost_in(new.transition)
+    power, error, rounding = new.transition, new.transition_error, rounding_in(new.transition)
     levels: list[tuple[Matrices, PerLoop]] = []
     most = min(doublings + _FURTHER, _SUMMED)
     while len(levels) < most and not (levels and np.all(norm(power) <= _TAIL)):
@@ -106,16 +106,14 @@ def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output 
     sums *= 1.0 + 2.0 ** (len(levels) + 1) * UNIT
     one, two = late.size[:, :, None], early.size[:, None, :]
     one_error, two_error = late.error[:, :, None], early.error[:, None, :]
-    wrong = one_error * (two + two_error) + one * two_error + lost[:, None, None] * one * two
+    wrong = one_error * (two + two_error) + one * two_error + rounding[:, None, None] * one * two
     behind = np.minimum(new.norms, _sum_of_norms(power, error, 2.0 ** len(levels)))
     return sums + RAISED_MANY * (wrong + _tail(new, *levels[-1]) * behind[:, None, None])
 
 
 def _tail(new: Contraction, power: Matrices, error: PerLoop) -> Float64[np.ndarray, "_ _ _"]:
-    """Return bounds of |c A^h| |A^h b| for a power A^h.
-
-    The power is applied from either side, so that only what is slow is left of rows and columns.
-    """
+    """Return bounds of |c A^h| |A^h b| for a power A^h."""
+    # The power is applied from either side, so that only slow parts of rows and columns are left.
     norms, error = decay(power, error)[:, None], error[:, None]
     late = rows(new.outputs @ power) + norms * new.outputs_error
     late += error * (rows(new.outputs) + new.outputs_error)
@@ -145,7 +143,6 @@ class _Family(NamedTuple):
 
     @classmethod
     def begun(cls, vectors: Matrices, error: np.ndarray) -> "_Family":
-        """Return the vectors alone."""
         return cls(vectors, columns(vectors), error)
 
     def doubled(self, power: Matrices, error: PerLoop) -> "_Family":
@@ -153,8 +150,8 @@ class _Family(NamedTuple):
         further = power @ self.vectors
         shape = (*further.shape[:2], -1, self.size.shape[1])
         size = self.size + np.sum(columns(further).reshape(shape[0], *shape[2:]), axis=1)
-        lost = (error + lost_in(power) * norm(power))[:, None]
-        wrong = self.error * (1.0 + decay(power, error)[:, None]) + lost * (self.size + self.error)
+        added = (error + rounding_in(power) * norm(power))[:, None]
+        wrong = self.error * (1.0 + decay(power, error)[:, None]) + added * (self.size + self.error)
         return _Family(np.concatenate([self.vectors, further], axis=2), size, RAISED_MANY * wrong)
 
 
@@ -177,7 +174,7 @@ def _sum_of_moduli(
 # What a unit of each does at the samples is a sum of moduli of an impulse response (lemmas M6 and
 # M7 of docs/proofs.md).
 
-_NUMBERS = 1 << 18  # of the matrices of all loops that are looked at together
+_NUMBERS = 1 << 18  # of the matrices of all loops in one batch
 _ROUNDINGS = 16  # of an entry of the transition, beside those of filters (lemma M7)
 _HARD = 8.0  # roundings of 1: the error of a transition with an entry that may nearly vanish
 _ACCURATE_GAMMA, _ACCURATE_DELTA = 0.5, 1.0  # up to which no entry of it nearly vanishes
@@ -213,7 +210,7 @@ def gains_of_disturbances(*lanes: Array, bank: Bank, causes: Causes) -> tuple[Ga
     gains = np.zeros((3, 4, columns.shape[1]))
     whole_delay, is_any = columns[-1], np.ones(columns.shape[1], bool)
     for whole, some in groups(whole_delay, is_any, len(bank.steps), _NUMBERS):
-        loops = _Loops.of(columns[:, some])
+        loops = _Loops.from_lanes(columns[:, some])
         sums = impulse_sums(_systems(loops, whole, bank, causes))
         gains[:, :, some] = _gains(sums, loops, causes)
     one, two, three = gains.reshape(3, 4, *lanes[0].shape)
@@ -249,8 +246,7 @@ class _Loops(NamedTuple):
     delta: PerLoop
 
     @classmethod
-    def of(cls, columns: Float64[np.ndarray, "lane loop"]) -> "_Loops":
-        """Return the loops of lanes."""
+    def from_lanes(cls, columns: Float64[np.ndarray, "lane loop"]) -> "_Loops":
         rows = np.ascontiguousarray(columns[2:10].T).reshape(-1, 2, 4)
         return cls(columns[0], columns[1], rows, columns[10:13].T, columns[13], columns[14])
 
@@ -268,11 +264,9 @@ class _Loops(NamedTuple):
 
 
 def _systems(loops: _Loops, whole_delay: int, bank: Bank, causes: Causes) -> Systems:
-    """Return the loops with inputs: encoder, computed force, and three of a push on the device.
-
-    The difference is that to the last position *as it was read*: so an error that was read with it
-    is in the state, and need not be remembered beside it.
-    """
+    """Return the loops with inputs: encoder, computed force, and three of a push on the device."""
+    # The difference is that to the last position *as it was read*: so an error that was read with
+    # it is in the state, and need not be remembered beside it.
     alpha, beta, rows, middle, *_ = loops
     row_sizes, middle_sizes = loops.sizes()
     step = with_inputs(-alpha, -beta, rows, bank.outputs, bank.steps, whole_delay)
@@ -369,14 +363,8 @@ class AmplitudeStatus(Status):
 class Amplitude(NamedTuple):
     """The most by which disturbances can drive a loop away from its undisturbed motion.
 
-    All are infinite where nothing is proved.
-
-    Attributes:
-        position: of the device, at all times.
-        velocity: of the device, at all times.
-        force: of the wall, at all times.
-        force_per_count: how much the computed force jumps when the encoder moves on by one count.
-        status: an AmplitudeStatus.
+    All are infinite where nothing is proved. Position, velocity and force (of the wall) hold at all
+    times; ``force_per_count`` is the jump of the computed force at one count of the encoder.
 
     Example:
         >>> found = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
@@ -391,22 +379,13 @@ class Amplitude(NamedTuple):
     status: Int8[Array, "*grid"]
 
     def __repr__(self) -> str:
-        """Return the bounds of one loop, rounded up, or a summary of many."""
         return answer_text("Amplitude", self[:4], _COLUMNS, self.status, AmplitudeStatus)
 
 
 class WallAmplitude(Amplitude):
-    """The same in m, m/s and N.
-
-    Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> loop.amplitude(1000.0, 20.0, encoder=1e-5)
-        Amplitude: position 6.276 um, velocity 2.126 mm/s, force 0.2434 N, force per count 0.21 N
-        (proved)
-    """
+    """The same in m, m/s and N."""
 
     def __repr__(self) -> str:
-        """Return the bounds with their units."""
         return answer_text("Amplitude", self[:4], _SI_COLUMNS, self.status, AmplitudeStatus)
 
 
@@ -448,26 +427,22 @@ def amplitude(
     not used.
 
     Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
-        encoder: resolution of the encoder, which rounds to the nearest multiple, >= 0, in any
-            unit of length U.
-        force_step: resolution of the force, which is rounded to the nearest multiple, >= 0, in
-            m U/T^2.
+        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
+        encoder: resolution of the encoder, which rounds to the nearest multiple, >= 0, in any unit
+            of length U.
+        force_step: resolution of the force, which is rounded to the nearest multiple, >= 0, in m
+            U/T^2.
         friction: largest Coulomb friction of the device, >= 0, in m U/T^2; it may change at any
             time, between samples too.
         noise: largest error of the sampled position, beside that of the resolution, >= 0, in U.
-        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         Amplitude in U, U/T and m U/T^2. The proof holds for the gains, the plant and the filter
         coefficients as float64 holds them; rounding and the tails of all sums are bounded. It is
         differentiable in the disturbances only.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or nothing disturbs the loop;
-            or JAX differentiates by gains or plant.
-        TypeError: the delay or a filter is traced.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``; ValueError also if nothing disturbs the loop, or JAX
+    differentiates by gains or plant.
 
     Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5); lemmas M3
     to M8 of docs/proofs.md.
@@ -503,10 +478,10 @@ def amplitude(
     like = (Gains(*[np.float64] * 4),) * 3
     found = on_host(search, *lanes, shape=grid, like=like, is_count=False)
     sampled = Gains(*(_total(bounds, parts) for parts in zip(*found, strict=True)))
-    is_proved = xp.isfinite(sum(one.position for one in found))
+    is_proved = xp.isfinite(sum(gain.position for gain in found))
     bounded = _at_all_times(sampled, rubbing, gamma, delta, fraction)
     status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
-    x, v, force = (xp.where(is_proved, one, xp.inf) for one in bounded)
+    x, v, force = (xp.where(is_proved, bound, xp.inf) for bound in bounded)
     direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
     per_count = errors * abs(gains[0] * direct[0] + gains[1] * direct[1])
     answers = x, v, force, per_count, status.astype(np.int8)
@@ -515,7 +490,7 @@ def amplitude(
 
 
 def _total(sizes: tuple[Array, ...], gains: tuple[Array, ...]) -> Array:
-    """Return the sum of what all disturbances do, 0 for what is not bounded."""
+    """The sum of the bounds of all disturbances; infinite ones count as 0."""
     xp = namespace(sizes, gains)
     known = [xp.where(xp.isfinite(gain), gain, 0.0) for gain in gains]
     return RAISED * sum(size * gain for size, gain in zip(sizes, known, strict=True))
@@ -584,25 +559,8 @@ def device_amplitude(
 ) -> WallAmplitude:
     """Bound what disturbances do to a general device, in SI units; see ``HapticLoop.amplitude``.
 
-    Friction acts at the handle, behind the actuators; an amplifier's steps come before them.
-
-    Args:
-        device: with its hands and actuators.
-        sample_time: T in s.
-        delay: in samples.
-        filters: estimator and filter in SI units.
-        stiffness: K in N/m, any shape; like all others it broadcasts.
-        damping: B in N s/m.
-        encoder: resolution of the position in m.
-        force_step: resolution of the force in N.
-        friction: largest force at the handle in N.
-        noise: largest error of the position in m, beside that of the resolution.
-
-    Raises:
-        ValueError: an argument is negative, infinite or NaN, nothing disturbs the loop, or the
-            device does not give way to a constant force.
-        TypeError: a filter is traced.
-        RuntimeError: JAX arrays are given without x64.
+    ``delay`` is in samples. Friction acts at the handle, behind the actuators; an amplifier's steps
+    come before them. ValueError also if the device has zero DC gain.
     """
     given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
     require_x64(stiffness, damping, *given.values())
@@ -634,10 +592,8 @@ def device_amplitude(
 def _bounds(
     *lanes: np.ndarray, plant: _Plant, sample_time: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return bounds of position, velocity (per sample) and force, infinite where none is proved.
-
-    The lanes: the two gains, and the sizes of the errors of position and force and of friction.
-    """
+    """Return bounds of position, velocity (per sample) and force, infinite where none is proved."""
+    # The lanes: the two gains, and the sizes of the errors of position and force and of friction.
     columns = np.array([np.ravel(lane) for lane in lanes])
     columns[1] = columns[1] / sample_time
     found = np.full((3, columns.shape[1]), np.inf)

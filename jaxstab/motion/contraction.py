@@ -82,11 +82,11 @@ def contraction(systems: Systems) -> Contraction:
         step, inputs, outputs, sizes, output_sizes, error = systems.in_units(
             balance(systems.transition)
         )
-        size, lost = step.shape[1], lost_in(step)
+        size, rounding = step.shape[1], rounding_in(step)
         upper, doublings = _coordinates(step)
         moved = upper @ step
         moduli = np.abs(upper) @ sizes
-        wrong = (error + lost)[:, None] * rows(moduli[:, :, :size])
+        wrong = (error + rounding)[:, None] * rows(moduli[:, :, :size])
         moved_error, moved_norm, length = (
             RAISED_MANY * norm(wrong[:, None]),
             norm(moved),
@@ -94,21 +94,21 @@ def contraction(systems: Systems) -> Contraction:
         )
         # What L^T L - A^T L^T L A - 1 is, which must be small.
         defect = transposed(upper) @ upper - transposed(moved) @ moved - np.eye(size)
-        defect_error = lost * (length**2 + moved_norm**2)
+        defect_error = rounding * (length**2 + moved_norm**2)
         defect_error += moved_error * (2.0 * moved_norm + moved_error)
         is_proved = norm(defect) + RAISED_MANY * defect_error <= 0.5
         # Rows of L A and of C times the inverse of L, however it is computed.
         given = np.concatenate([moved, outputs], axis=1)
-        wrong = np.concatenate([wrong, (error + lost)[:, None] * rows(output_sizes)], axis=1)
+        wrong = np.concatenate([wrong, (error + rounding)[:, None] * rows(output_sizes)], axis=1)
         new = given @ np.linalg.inv(upper)
-        wrong += rows(new @ upper - given) + (lost * length)[:, None] * rows(new)
+        wrong += rows(new @ upper - given) + (rounding * length)[:, None] * rows(new)
         wrong *= _INVERSE * RAISED_MANY
     return Contraction(
         transition=new[:, :size],
         inputs=upper @ inputs,
         outputs=new[:, size:],
         transition_error=norm(wrong[:, None, :size]),
-        inputs_error=RAISED_MANY * (error + lost)[:, None] * columns(moduli[:, :, size:]),
+        inputs_error=RAISED_MANY * (error + rounding)[:, None] * columns(moduli[:, :, size:]),
         outputs_error=wrong[:, size:],
         norms=4.0 * RAISED_MANY * length**2,
         doublings=np.where(is_proved, doublings, -1),
@@ -137,7 +137,7 @@ def _coordinates(step: Matrices) -> tuple[Matrices, Int[np.ndarray, " loop"]]:
 
 def error_of_square(power: Matrices, error: PerLoop) -> PerLoop:
     """Return a bound of the error of the square of a power of A, by that of the power (M5)."""
-    rounding = lost_in(power) * norm(power) ** 2
+    rounding = rounding_in(power) * norm(power) ** 2
     return RAISED_MANY * (error * (2.0 * decay(power, error) + error) + rounding)
 
 
@@ -146,7 +146,7 @@ def decay(power: Matrices, error: PerLoop) -> PerLoop:
     return np.minimum(1.0, RAISED_MANY * (norm(power) + error))
 
 
-def lost_in(matrices: Matrices) -> PerLoop:
+def rounding_in(matrices: Matrices) -> PerLoop:
     """Return what a product with such matrices may lose, as a share of the product of norms."""
     return np.full(len(matrices), (matrices.shape[1] + 8) * UNIT)
 
@@ -172,12 +172,10 @@ def rows(matrices: Matrices) -> Float64[np.ndarray, "loop row"]:
 
 
 def balance(step: Matrices) -> Float64[np.ndarray, "loop state"]:
-    """Return powers of two, the first one 1, in whose units all powers of A are nearly small.
-
-    The unit of a state is how large it becomes, after 1, 2, 4 ... samples, from other states of
-    unit size; repeated, this comes close to the units with the smallest norms. Any units are
-    correct, but these lose least to the bounds of rounding.
-    """
+    """Powers of two, the first one 1, in whose units all powers of A are nearly small."""
+    # The unit of a state is how large it becomes, after 1, 2, 4 ... samples, from other states of
+    # unit size; repeated, this comes close to the units with the smallest norms. Any units are
+    # correct, but these give the smallest rounding bounds.
     units = np.ones(step.shape[:2])
     sizes, power = [], step
     for _ in range(_POWERS):

@@ -56,7 +56,7 @@ class Equation(NamedTuple):
     outputs: tuple[Array | None, ...]  # a_1 ... a_n
 
     @classmethod
-    def of(cls, transfer: Transfer) -> "Equation":
+    def from_transfer(cls, transfer: Transfer) -> "Equation":
         """Return the difference equation of a proper transfer function."""
         above, below, lag, _ = transfer
         delay = lag + len(below) - len(above)
@@ -103,28 +103,22 @@ Chain = tuple[Equation, ...]
 @pytree
 @dataclass(frozen=True)
 class Controller:
-    """A velocity estimator, times the sampling period, and a position filter.
-
-    Attributes:
-        velocity: the chain behind the difference.
-        position: the chain of the position filter.
-        window: samples over which the difference is taken.
-    """
+    """A velocity estimator, times T, behind the windowed difference, and a position filter."""
 
     velocity: Chain
     position: Chain
     window: int = fixed()
 
     @classmethod
-    def of(cls, filters: Filters, sample_time: float = 1.0) -> "Controller":
+    def from_filters(cls, filters: Filters, sample_time: float = 1.0) -> "Controller":
         """Return the difference equations of an estimator and a filter."""
         window, behind = filters[0].stages(sample_time)
         chains = behind, filters[1].stages(sample_time)
-        velocity, position = (tuple(map(Equation.of, chain)) for chain in chains)
+        velocity, position = (tuple(map(Equation.from_transfer, chain)) for chain in chains)
         return cls(velocity, position, window)
 
     def at_rest(self, position: Array) -> Any:
-        """Return the memory after a device has always stood at one position."""
+        """The memory after a long rest at one position."""
         _, behind = _rest_of_chain(self.velocity, 0.0 * position)
         return (position,) * self.window, behind, _rest_of_chain(self.position, position)[1]
 
@@ -145,7 +139,7 @@ class Bank(NamedTuple):
 
     outputs: rows for the filtered position and for the velocity.
     steps: rows for the memory at the next sample.
-    at_rest: the memory for a device that always stood at position 1.
+    at_rest: the memory after a long rest at position 1.
     is_velocity: which entries of the memory are velocities.
     roundings: how often an entry is rounded at most, including the coefficients' own rounding.
     sizes: outputs and steps again, with moduli in place of the numbers that make up an entry.
@@ -227,18 +221,13 @@ def _rest_of_chain(chain: Chain, value: Array) -> tuple[Array, tuple[Memory, ...
 
 
 def _like(memories: tuple[Memory, ...], rows: np.ndarray) -> tuple[Memory, ...]:
-    """Return rows in the grouping of memories."""
     rest = iter(rows)
     return tuple(tuple(next(rest) for _ in memory) for memory in memories)
 
 
 def _rounded(polynomial: Polynomial) -> tuple[Array | None, ...]:
     values = (coefficient.rounded() for coefficient in polynomial)
-    return tuple(one if is_traced(one) else _float_or_none(one) for one in values)
-
-
-def _float_or_none(value: Array) -> float | None:
-    return float(value) or None
+    return tuple(value if is_traced(value) else (float(value) or None) for value in values)
 
 
 def _plus(total: Array, coefficient: Array | None, value: Array) -> Array:
@@ -275,7 +264,6 @@ class Response(NamedTuple):
     force: Float64[Array, "*grid time"]
 
     def __repr__(self) -> str:
-        """Return the number of loops and times, and the range of each quantity."""
         times, loops = np.size(self.time), prod(np.shape(self.position)[:-1])
         name = f"Response of {loops} loop{'s' * (loops != 1)} at {times} times"
         return answer_text(name, self, _COLUMNS)
@@ -325,7 +313,7 @@ def simulate(
         propagate[-1],
         propagate[:-1],
         offsets[:-1] < fraction,
-        None if filters is None else Controller.of(filters),
+        None if filters is None else Controller.from_filters(filters),
         samples=samples,
         whole_delay=int(whole),
         unilateral=unilateral,
@@ -351,27 +339,10 @@ def simulate_device(
 ) -> Response:
     """Simulate a general device against a virtual wall; see ``HapticLoop.simulate``.
 
-    The hand's force pulls at the handle, behind the actuators. What starts with a velocity was
-    thrown by a blow at the handle; what starts displaced stood there, its actuators without force.
-
-    Args:
-        device: with its hands and actuators.
-        sample_time: T in s.
-        delay: in samples.
-        filters: estimator and filter in SI units.
-        stiffness: K in N/m, any shape; broadcasts with the four other arrays.
-        damping: B in N s/m.
-        samples: how many samples to simulate.
-        force: a step in N.
-        initial_velocity: in m/s.
-        initial_position: in m.
-        between: how many equidistant points to return between two samples.
-        unilateral: whether the wall acts only while the sampled position is positive.
-
-    Raises:
-        ValueError: an argument is infinite or NaN, nothing moves the device, a count is too small,
-            a blow cannot throw the device, or it does not give way to a constant force.
-        RuntimeError: JAX arrays are given without x64.
+    ``delay`` is in samples. The hand's force pulls at the handle, behind the actuators. A device
+    with an initial velocity was thrown by a blow at the handle; one with an initial position was at
+    rest there, its actuators without force. ValueError also if a blow cannot throw the device, or
+    it has zero DC gain.
     """
     require_x64(stiffness, damping, force, initial_velocity, initial_position)
     checked_count("samples", samples, 1)
@@ -402,7 +373,7 @@ def simulate_device(
         moves.rows[-1],
         moves.seen[:-1],
         offsets[:-1] < fraction,
-        None if filters is None else Controller.of(filters, sample_time),
+        None if filters is None else Controller.from_filters(filters, sample_time),
         samples=samples,
         whole_delay=int(whole),
         unilateral=unilateral,
@@ -414,11 +385,11 @@ def simulate_device(
 def propagator(
     gamma: Numbers, delta: Numbers, fraction: Numbers, offsets: Numbers
 ) -> Float64[Array, "*grid offset 2 5"]:
-    """Return position and velocity (rows) at times in [0, 1] after a sample.
+    """Position and velocity (rows) at times in [0, 1] after a sample.
 
     The columns: position and velocity at the sample, the force that acts up to ``fraction``, the
     force that acts from then on, and a force that acts all the time. Propagators of single loops
-    are remembered, because one loop is evaluated at many walls.
+    are cached, because one loop is evaluated at many walls.
     """
     gamma, delta, fraction, offsets = float_arrays(gamma, delta, fraction, offsets)
     loop = gamma, delta, fraction
@@ -506,7 +477,6 @@ def _simulate(
 
 
 def _moved(rows: Any, causes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Return the states of the plant a sample later."""
     if len(causes) == 5:  # one mass, twice as fast so
         x, v, acting, arriving, push = causes
         return tuple(
@@ -533,11 +503,7 @@ POSITION, DIFFERENCE, VELOCITY, FORCE = range(4)  # the first entries of the sta
 
 
 def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
-    """Return the matrices of an estimator and a filter for a sampling period.
-
-    Raises:
-        TypeError: a filter is traced.
-    """
+    """The matrices of an estimator and a filter, concrete ones, for a sampling period."""
     if filters is None:
         return PLAIN
     if is_any_traced(filters):
@@ -550,7 +516,7 @@ def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
 
 
 def _bank(filters: Filters, sample_time: float) -> Bank:
-    return bank_of(Controller.of(filters, sample_time))
+    return bank_of(Controller.from_filters(filters, sample_time))
 
 
 _remembered_bank = lru_cache(maxsize=64)(_bank)  # one loop is evaluated at many walls
@@ -562,14 +528,11 @@ def steps_of(
     remembered: Float64[np.ndarray, "memory known"],
     whole_delay: int,
 ) -> Matrices:
-    """Return the matrix of the next state (rows) from the state and the inputs (columns).
+    """The matrix of the next state (rows) from the state and the inputs (columns).
 
-    Args:
-        wall: the force that is computed, of position, difference, what is remembered, and inputs.
-        rows: the plant's states at the next sample, position first, of those at this one, of the
-            acting force, and of the one that arrives.
-        remembered: the next memory of the filters, from the same columns as the force.
-        whole_delay: of the force, in samples.
+    ``wall`` is the computed force, of position, difference, memory, and inputs; ``remembered`` the
+    next memory of the filters, from the same columns. ``rows`` are the plant's states at the next
+    sample, position first, of those at this one, of the acting force, and of the one that arrives.
     """
     states = rows.shape[1]
     plant = [POSITION, *range(VELOCITY, states + 1)]
@@ -676,7 +639,6 @@ def _wall(stiffness: Lanes, damping: Lanes, bank: Bank) -> Float64[np.ndarray, "
 
 
 def _gain(bank: Bank) -> float:
-    """Return the gain of the position filter at rest."""
     return float(bank.outputs[0] @ np.array([1.0, 0.0, *bank.at_rest]))
 
 
@@ -711,23 +673,13 @@ def dominant_mode(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Oscillation:
-    """Return damping ratio and frequency of the slowest pole z = exp(s), in samples.
+    """Damping ratio and frequency of the slowest pole z = exp(s), in samples, on a broadcast grid.
 
     The damping ratio is -Re s / |s|, the frequency |Im s| in rad per sample, at most pi. Near a
-    double real pole the companion eigenvalues may split into a pair with a tiny frequency.
+    double real pole the companion eigenvalues may split into a pair with a tiny frequency. Source:
+    the poles of eq. (9).
 
-    Args:
-        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
-
-    Returns:
-        Oscillation of arrays of the broadcast shape.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: the poles of eq. (9); z = exp(s T).
+    Args and Raises: see ``jaxstab.conventions``.
 
     Example:
         >>> mode = jaxstab.dominant_mode(0.2, 0.2, gamma=0.0, delta=0.015, delay=0.0)

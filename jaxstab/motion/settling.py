@@ -1,7 +1,7 @@
 """How long the sampled loop rings: settling in the time domain, with the tail proved.
 
 The deviation from rest follows s -> A s, in coordinates in which no sample lengthens s (lemma M3 of
-docs/proofs.md). Stretches of samples are looked at, twice as many each time, until the state is so
+docs/proofs.md). Stretches of samples are computed, twice as many each time, until the state is so
 short that no later position leaves the tolerance (lemmas M1 and M2). One product of matrices
 doubles the states, one squares the power; no eigenvalue is needed, and multiple roots do no harm.
 """
@@ -28,8 +28,8 @@ from jaxstab.motion.contraction import (
     contraction,
     decay,
     error_of_square,
-    lost_in,
     norm,
+    rounding_in,
 )
 from jaxstab.motion.response import (
     Bank,
@@ -56,14 +56,14 @@ def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
     outputs = np.zeros((len(loops.start), 1, loops.start.shape[1]))
     outputs[:, 0, 0] = 1.0
     motion = Motion.begun(outputs, *loops)
-    found = [motion.latest()]
+    stretches = [motion.latest()]
     known = motion.samples
     while known < samples:
         blocks = ceil((samples - known) / (STRETCH * _BLOCK))
         motion = motion._replace(states=motion.states[:, : blocks * _BLOCK]).doubled()
-        found.append(motion.latest())
-        known += found[-1].shape[1]
-    return np.concatenate(found, axis=1)
+        stretches.append(motion.latest())
+        known += stretches[-1].shape[1]
+    return np.concatenate(stretches, axis=1)
 
 
 class Motion(NamedTuple):
@@ -103,11 +103,9 @@ class Motion(NamedTuple):
 
 
 def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop stretch row"]:
-    """Return the products of each loop's matrix and its states.
-
-    They are taken in blocks that BLAS does not share out to threads, which for matrices as small as
-    these wait for each other longer than they work.
-    """
+    """Return the products of each loop's matrix and its states."""
+    # They are taken in blocks that BLAS does not share out to threads, which for matrices as small
+    # as these wait for each other longer than they work.
     loops, stretches, size = states.shape
     blocks = states.reshape(loops, -1, min(stretches, _BLOCK), size)
     return (blocks @ np.swapaxes(matrices, 1, 2)[:, None]).reshape(loops, stretches, -1)
@@ -134,7 +132,7 @@ class SettlingStatus(Status):
 
 
 class Settling(NamedTuple):
-    """A settling time and what is known about it.
+    """A settling time and its status.
 
     It is finite for SETTLED, infinite for UNSTABLE, and NaN where neither could be proved.
 
@@ -147,7 +145,6 @@ class Settling(NamedTuple):
     status: Int8[Array, "*grid"]
 
     def __repr__(self) -> str:
-        """Return the samples and the status of one loop, or a summary of many."""
         columns = [Column("", "samples")]
         return answer_text("Settling", self[:1], columns, self.status, SettlingStatus)
 
@@ -157,14 +154,11 @@ class SettlingTime(Settling):
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> loop.settling_time(1000.0, 20.0)
-        Settling: 69 ms (settled)
-        >>> loop.settling_time(1e6, 20.0)
-        Settling: the loop is unstable and never settles
+        >>> loop.settling_time([1000.0, 1e6], 20.0).status.tolist()
+        [1, 2]
     """
 
     def __repr__(self) -> str:
-        """Return the time and the status of one loop, or a summary of many."""
         columns = [Column("", "ms", 1000)]
         return answer_text("Settling", self[:1], columns, self.status, SettlingStatus)
 
@@ -186,7 +180,7 @@ def settling_samples(
 
     The answer is the first sample from which on every sampled position is within the tolerance. It
     is a whole number taken from the motion itself, unlike an estimate from the spectral radius. The
-    motion between samples is not looked at. There are two excitations:
+    motion between samples is not considered. There are two excitations:
 
     - "force": the hand begins to push with a constant force at sample 0, on a device at rest. The
       tolerance is level times the final displacement F/(K + k), with K P(1) for K if a position
@@ -197,22 +191,18 @@ def settling_samples(
       blow moves it at once, and the estimator sees that jump.
 
     Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
         level: the tolerance, between 0 and 1; 0.02 is the usual one.
         excitation: "force" or "impact".
         horizon: samples, rounded up to a power of two, after which a loop that is not proved to
             have settled is given up.
-        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         Settling with ``value`` in samples and ``status``, a SettlingStatus. That the loop stays
         settled is proved for the transition of one sample as float64 holds it; positions within
         about 1e-12 of the tolerance may be counted as inside or outside.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or the excitation is unknown.
-        TypeError: the delay or a filter is traced, or the horizon is not a whole number.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``; filters and the horizon must be concrete.
 
     Source: the loop of eqs. (1)-(5); 2 % settling is what later papers of the same authors use;
     lemmas M1 to M3 of docs/proofs.md.
@@ -223,8 +213,8 @@ def settling_samples(
     """
     options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}
     point = alpha, beta, gamma, delta, delay
-    (found,) = settling_at_levels(*point, [level], **options, velocity=velocity, position=position)
-    return found
+    levels = [level]
+    return settling_at_levels(*point, levels, **options, velocity=velocity, position=position)[0]
 
 
 def settling_at_levels(
@@ -278,23 +268,8 @@ def device_settling_samples(
 ) -> Settling:
     """Count the samples until a general device stays within a tolerance; ``settling_samples``.
 
-    The force is the hand's, at the handle, and so is the blow of an impact: behind the actuators.
-
-    Args:
-        device: with its hands and actuators.
-        sample_time: T in s.
-        delay: in samples.
-        filters: estimator and filter in SI units.
-        stiffness, damping: see ``jaxstab.conventions``.
-        level: the tolerance, between 0 and 1.
-        excitation: "force" or "impact".
-        horizon: samples after which a loop that is not proved to have settled is given up.
-
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, the excitation is unknown, or
-            the device does not give way to a constant force.
-        TypeError: a filter is traced, or the horizon is not a whole number.
-        RuntimeError: JAX arrays are given without x64.
+    ``delay`` is in samples, all else in SI units. The hand's force and the blow of an impact act at
+    the handle, behind the actuators. ValueError also if the device has zero DC gain.
     """
     require_x64(stiffness, damping)
     level = checked_level(level, excitation)
@@ -334,11 +309,7 @@ def _settled(first: Array, is_unstable: Array) -> Settling:
 
 
 def checked_level(level: Any, excitation: str) -> float:
-    """Return the level; refuse what is no level or no excitation.
-
-    Raises:
-        ValueError: one of them is not allowed.
-    """
+    """The level; ValueError for a bad level or excitation."""
     checked_word("excitation", excitation, get_args(Excitation))
     level = checked_number("level", level, 0.0, 1.0, is_open=True)
     if level == 1.0:
@@ -359,7 +330,6 @@ class _Search(NamedTuple):
 
     @classmethod
     def begun(cls, number: Int[np.ndarray, " loop"], new: Contraction) -> "_Search":
-        """Return the search before a look at its first stretch."""
         power, error, zero = new.transition, new.transition_error, np.zeros(len(number))
         for _ in range(int(log2(STRETCH))):
             power, error = power @ power, error_of_square(power, error)
@@ -368,21 +338,20 @@ class _Search(NamedTuple):
         return cls(number, motion, gain, error, new.inputs_error[:, 0], zero, zero)
 
     def doubled(self) -> "_Search":
-        """Return what is known of twice as many stretches, but for the positions."""
+        """The search with twice as many stretches, but for the positions."""
         power, last = self.motion.power, norm(self.motion.states[:, -1:])
-        lost = (self.power_error + lost_in(power) * norm(power)) * (last + self.state_error)
+        added = (self.power_error + rounding_in(power) * norm(power)) * (last + self.state_error)
         return self._replace(
             motion=self.motion.doubled(),
             power_error=error_of_square(power, self.power_error),
-            state_error=RAISED_MANY * (decay(power, self.power_error) * self.state_error + lost),
+            state_error=RAISED_MANY * (decay(power, self.power_error) * self.state_error + added),
         )
 
-    def looked_at(self, level: float, is_impact: bool) -> "_Search":
-        """Return the search after a look at the positions in the second half.
-
-        A position outside the tolerance may turn out to be inside after a larger one is found. That
-        larger position is itself outside and comes later, so the last position outside stays right.
-        """
+    def searched(self, level: float, is_impact: bool) -> "_Search":
+        """The search after the positions in the second half were examined."""
+        # A position outside the tolerance may turn out to be inside after a larger one is found.
+        # That larger position is itself outside and comes later, so the last position outside stays
+        # right.
         size = np.abs(self.motion.latest())
         peak = np.maximum(self.peak, np.max(size, axis=1)) if is_impact else np.ones(len(size))
         outside = size[:, ::-1] > level * peak[:, None]
@@ -395,7 +364,6 @@ class _Search(NamedTuple):
         return RAISED_MANY * self.gain * (norm(self.motion.states[:, -1:]) + self.state_error)
 
     def chosen(self, which: Any) -> "_Search":
-        """Return the search of some of the loops."""
         number, motion, *columns = self
         return _Search(number[which], motion.chosen(which), *(one[which] for one in columns))
 
@@ -403,10 +371,8 @@ class _Search(NamedTuple):
 def _settle(
     *lanes: Array, bank: Bank, level: float, excitation: str, horizon: int
 ) -> Float64[np.ndarray, "*grid"]:
-    """Return the first sample since when all are inside the tolerance; NaN if none is proved.
-
-    The lanes: the gains, the entries of the propagator, the whole delay, and whether to search.
-    """
+    """Return the first sample since when all are inside the tolerance; NaN if none is proved."""
+    # The lanes: the gains, the entries of the propagator, the whole delay, and whether to search.
     alpha, beta, *propagators, whole_delay, is_hopeful = (np.ravel(lane) for lane in lanes)
     entries = np.array(propagators)
     first = np.full(alpha.shape, np.nan)
@@ -425,7 +391,7 @@ def _first_samples(
     stable = np.flatnonzero(new.doublings >= 0)
     searches = [_Search.begun(stable, new.chosen(stable))] if stable.size else []
     while searches:
-        search = searches.pop().looked_at(level, is_impact)
+        search = searches.pop().searched(level, is_impact)
         proved = search.bound() <= level * search.peak
         first[search.number[proved]] = search.first[proved]
         if search.motion.samples >= horizon or np.all(proved):

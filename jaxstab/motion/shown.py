@@ -29,14 +29,9 @@ def answer_text(
     codes: Numbers = None,
     kind: type[Status] | None = None,
 ) -> str:
-    """Return one line: the values of one loop or the ranges of many, and the status.
+    """One line: a name, the values of one loop or the ranges of many, and the status, if any.
 
-    Args:
-        name: what the line begins with.
-        values: an array for each column; what is infinite or NaN is left out.
-        columns: how the arrays are printed.
-        codes: the status of each loop, if the answer has one.
-        kind: the class of the status.
+    ``values`` are an array for each column; infinite and NaN values are left out.
     """
     fields = (*values,) if kind is None else (*values, codes)
     if not are_numbers(fields):

@@ -22,18 +22,7 @@ _VALIDITY_LEVELS = {"2": 0.02, "5": 0.05}  # percent, sec. VII
 def resolved_region(
     *, gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
 ) -> StableRegion:
-    """Return a stable region that is neither empty nor unresolved.
-
-    Raises:
-        ValueError: an argument is outside its range, or there is no such region.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: sec. V of Hulin, Preusche, Hirzinger (2008).
-
-    Example:
-        >>> resolved_region(gamma=0.0, delta=0.015, delay=1.0).loops
-        1
-    """
+    """The stable region of roots below a radius (sec. V); ValueError if empty or unresolved."""
     require_x64(gamma, delta, delay, radius)
     region = _kept_region(
         gamma=float(gamma), delta=float(delta), delay=float(delay), radius=float(radius)
@@ -49,25 +38,12 @@ def resolved_region(
 def region_facts(
     *, gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
 ) -> dict[str, Any]:
-    """Return the numbers of a stable region by name: floats, lists of floats, words or None.
+    """The numbers of a stable region by name: floats, lists of floats, words or None.
 
     Points are [alpha, beta]. For radius 1 the facts include the largest passive alpha and the
     points of the region's boundary up to which the linear condition errs by at most 2 % and 5 %,
-    along the boundary from alpha = -gamma; None where the region has no such point.
-
-    Args:
-        gamma, delta, delay: see ``jaxstab.conventions``.
-        radius: modulus in (0, 1] below which all roots lie; 1 is stability.
-
-    Raises:
-        ValueError: an argument is outside its range, or the region is empty or unresolved.
-
-    Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
-
-    Example:
-        >>> facts = region_facts(gamma=0.0, delta=0.015, delay=1.0)
-        >>> [round(float(number), 4) for number in facts["largest_alpha"]]
-        [0.1522, 0.4233]
+    along the boundary from alpha = -gamma; None where the region has no such point. Arguments,
+    errors and sources: as ``resolved_region``.
     """
     region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     extent = np.ptp(region.points, axis=0)
@@ -95,10 +71,8 @@ def region_facts(
 
 
 def _point(point: Any, extent: Any, line: float | None = None) -> list[float]:
-    """Return the numbers of a point; one that rounding took off the line alpha = -gamma is on it.
-
-    What is 0 but for rounding, beside the extent of the region, is 0, and zeros lose their sign.
-    """
+    """The numbers of a point; one that rounding took off the line alpha = -gamma is on it."""
+    # What is 0 but for rounding, beside the extent of the region, is 0, and zeros lose their sign.
     alpha, beta = (float(without_noise(*pair)) for pair in zip(point, extent, strict=True))
     if line is not None and abs(alpha - line) <= _ROUNDING * (abs(alpha) + abs(beta)):
         alpha = line

@@ -19,14 +19,9 @@ from jaxstab.region.curve import (
 
 
 def linear_alpha_limit(beta: Numbers, *, delta: Numbers, delay: Numbers) -> Float64[Array, "*grid"]:
-    """Return the alpha below which the linear condition promises stability.
+    """Largest alpha for which the linear condition promises stability.
 
-    Args:
-        beta, delta, delay: see ``jaxstab.conventions``.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
+    Args and Raises: see ``jaxstab.conventions``.
 
     Source: eqs. (22) and (23) of Hulin, Preusche, Hirzinger (2008).
 
@@ -41,17 +36,12 @@ def linear_alpha_limit(beta: Numbers, *, delta: Numbers, delay: Numbers) -> Floa
 def linear_condition(
     alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> Bool[Array, "*grid"]:
-    """Return True where the linear condition holds: alpha > -gamma and beta + delta > alpha t_r.
+    """True where the linear condition holds: alpha > -gamma and beta + delta > alpha t_r.
 
     t_r = 1/2 + delay. The condition neither implies stability nor follows from it;
     ``linear_validity`` says up to which stiffness it is close to the exact boundary.
 
-    Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
+    Args and Raises: see ``jaxstab.conventions``.
 
     Source: eqs. (19), (22) and (23) of Hulin, Preusche, Hirzinger (2008).
 
@@ -66,20 +56,12 @@ def linear_condition(
 def linear_error(
     alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> Float64[Array, "*grid"]:
-    """Return (alpha_lin - alpha) / (alpha + gamma) for a point of the exact boundary.
+    """Signed error (alpha_lin - alpha) / (alpha + gamma) at a point of the exact boundary.
 
-    Eq. (24) is the absolute value of it. It is positive where the linear condition promises more
-    stiffness than is stable, negative where it promises less. It is infinite or NaN at alpha =
-    -gamma.
+    Eq. (24) is its absolute value. It is positive where the linear condition promises more
+    stiffness than is stable, negative where it promises less, infinite or NaN at alpha = -gamma.
 
-    Args:
-        alpha: wall stiffness K T^2/m on the exact boundary, any shape; all arguments broadcast.
-        beta: wall damping B T/m of the same point.
-        gamma, delta, delay: see ``jaxstab.conventions``.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
+    Args and Raises: see ``jaxstab.conventions``.
 
     Source: eq. (24) of Hulin, Preusche, Hirzinger (2008).
 
@@ -112,17 +94,12 @@ def checked_loop(
 def routh_hurwitz_condition(
     alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> Bool[Array, "*grid"]:
-    """Return True where the third-order model of the loop is stable.
+    """True where the third-order model of the loop is stable.
 
     The model is continuous in time, with the effective delay t_r = 1/2 + delay as a first-order
     lag. The linear condition is this one without the term delta t_r (beta + delta + gamma t_r).
 
-    Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
+    Args and Raises: see ``jaxstab.conventions``.
 
     Source: eqs. (17)-(21) of Hulin, Preusche, Hirzinger (2008).
 
@@ -143,7 +120,7 @@ def routh_hurwitz_condition(
 def plus_line(
     beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
 ) -> Float64[Array, "*grid"]:
-    """Return the alpha that puts a real root at z = +radius; for radius 1 it is -gamma.
+    """The alpha that puts a real root at z = +radius; for radius 1 it is -gamma.
 
     Args:
         beta, gamma, delta, delay: see ``jaxstab.conventions``.
@@ -152,9 +129,7 @@ def plus_line(
     Returns:
         alpha of the broadcast shape; infinite where N(radius) = 0.
 
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = radius.
 
@@ -172,20 +147,10 @@ def plus_line(
 def minus_line(
     beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
 ) -> Float64[Array, "*grid"]:
-    """Return the alpha that puts a real root at z = -radius.
+    """The alpha that puts a real root at z = -radius.
 
-    Args:
-        beta, gamma, delta, delay: see ``jaxstab.conventions``.
-        radius: modulus of the root in (0, 1].
-
-    Returns:
-        alpha of the broadcast shape; infinite where N(-radius) = 0 (delta = 0 and a whole delay).
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = -radius.
+    Infinite where N(-radius) = 0 (delta = 0 and a whole delay); arguments, errors and source as
+    ``plus_line``. Raises: see there.
 
     Example:
         >>> round(float(jaxstab.paper.minus_line(0.5, gamma=0.0, delta=0.015, delay=0.0)), 4)

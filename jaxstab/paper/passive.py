@@ -43,11 +43,12 @@ class PassiveRegion:
 
     ``outline`` holds the vertices, shape (n, 2), counterclockwise, the first one not repeated;
     there is none if delta = 0. Every point of the polygon is proved passive (vertices within 1e-12
-    of their size); the region reaches at most about ``tolerance`` times delta beyond it.
+    of their size); the region extends at most about ``tolerance`` times delta beyond it.
 
     Example:
-        >>> jaxstab.paper.passive_region(delta=1.0).max_alpha.round(9).tolist()
-        [2.0, 0.0]
+        >>> region = jaxstab.paper.passive_region(delta=1.0)
+        >>> region.max_alpha.round(9).tolist(), region.contains([1.0, 2.5], 0.1).tolist()
+        ([2.0, 0.0], [True, False])
     """
 
     delta: float
@@ -57,24 +58,14 @@ class PassiveRegion:
 
     @property
     def max_alpha(self) -> Float64[np.ndarray, " 2"]:
-        """The vertex (alpha, beta) of the largest stiffness; (0, 0) for an empty region.
-
-        Example:
-            >>> jaxstab.paper.passive_region(delta=0.015, delay=0.0).max_alpha.round(6).tolist()
-            [0.03, 0.0]
-        """
+        """The vertex (alpha, beta) of the largest stiffness; (0, 0) for an empty region."""
         if not len(self.outline):
             return np.zeros(2)
         vertex: Float64[np.ndarray, " 2"] = self.outline[np.argmax(self.outline[:, 0])]
         return vertex
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
-        """Return True where (alpha, beta) is proved passive; each wall is tested anew.
-
-        Example:
-            >>> jaxstab.paper.passive_region(delta=1.0).contains([1.0, 2.5], 0.1).tolist()
-            [True, False]
-        """
+        """True where (alpha, beta) is proved passive; each wall is tested anew."""
         gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
         grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
         flat = grid.reshape(-1, 2)
@@ -90,7 +81,7 @@ class PassiveRegion:
 def passive_region(
     *, delta: int | float, delay: int | float = 0.0, tolerance: int | float = 1e-4
 ) -> PassiveRegion:
-    """Return the set of walls that are passive whatever the mass, stiffness and hand.
+    """The set of walls that are passive whatever the mass, stiffness and hand.
 
     A passive wall is stable with every passive environment, so the region lies in every robustly
     stable region of this damping and delay.
@@ -100,9 +91,7 @@ def passive_region(
         tolerance: how far the region may bulge beyond the chords of its outline, times delta; at
             least 1e-8.
 
-    Raises:
-        TypeError: an argument is no single number.
-        ValueError: an argument is outside its range, infinite or NaN.
+    Raises: see ``jaxstab.conventions``; TypeError also for an array.
 
     Example:
         >>> region = passive_region(delta=0.7)
@@ -124,11 +113,11 @@ def passive_region(
         chords = np.flatnonzero(is_open)
         start, end = points[chords], points[chords + 1]
         # Over the middle of a chord a convex arc is at least half as high as anywhere.
-        found = _boundary_points(0.5 * (start + end), delay)
-        bulges = _distance(found, start, end) > 0.5 * tolerance
+        between = _boundary_points(0.5 * (start + end), delay)
+        bulges = _distance(between, start, end) > 0.5 * tolerance
         is_open[chords] = bulges
         indices = chords[bulges] + 1
-        points = np.insert(points, indices, found[bulges], axis=0)
+        points = np.insert(points, indices, between[bulges], axis=0)
         is_open = np.insert(is_open, indices, True)
     return PassiveRegion(delta, delay, tolerance, delta * points)
 
@@ -146,10 +135,8 @@ def _boundary_points(directions: Points, delay: float) -> Points:
 
 
 def _raised(need: Needs, directions: Points, delay: float) -> Needs:
-    """Return the damping that all thetas need, from one that a theta needs.
-
-    Newton's method, from below on a convex function.
-    """
+    """Return the damping that all thetas need, from one that a theta needs."""
+    # Newton's method, from below on a convex function.
     for _ in range(60):
         theta = largest_value(_weights(directions, need, delay), _basis(delay)).theta
         raised = np.maximum(need, _need_at(theta, directions, delay))
@@ -160,7 +147,6 @@ def _raised(need: Needs, directions: Points, delay: float) -> Needs:
 
 
 def _need_at(theta: Float64[np.ndarray, " points"], directions: Points, delay: float) -> Needs:
-    """Return the damping that makes the wall passive at one theta."""
     fraction = delay - floor(delay)
     real = series_values(directions @ _basis(delay)[:2], theta)[0]
     alpha, beta = directions.T
@@ -190,7 +176,6 @@ def _weights(walls: Points, delta: Needs, delay: float) -> Float64[np.ndarray, "
 
 
 def _distance(point: Points, start: Points, end: Points) -> Float64[np.ndarray, " points"]:
-    """Return the distance of each point from the line through two others."""
     chord, away = end - start, point - start
     across = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
     distance: Float64[np.ndarray, " points"] = across / np.hypot(*chord.T)

@@ -132,7 +132,7 @@ def _rounding(sizes: Coefficients, parts: int) -> Values:
     return rounding
 
 
-# All sign changes of cosine series on [0, pi], each in a cell of its own.
+# All sign changes of cosine series on [0, pi], each in its own cell.
 #
 # A cell is decided at its middle, by bounds of the second derivative of f in theta or in h = 1 -
 # cos(theta): a polynomial in h is regular at theta = 0 and pi, where df/dtheta vanishes. Cells that
@@ -342,36 +342,32 @@ class _Question(NamedTuple):
         return 0.5 + self.delay
 
     def select(self, chosen: np.ndarray) -> "_Question":
-        """Return some of them."""
         return _Question(*(values[chosen] for values in self))
 
 
 def linear_validity(
     level: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
 ) -> LinearValidity:
-    """Return the boundary point up to which the linear condition errs by at most ``level``.
+    """The boundary point up to which the linear condition errs by at most ``level``.
 
     It is the first one, along the boundary curve from its corner at alpha = -gamma, where the
     signed error (alpha_lin - alpha)/(alpha + gamma) rises through ``level``: the circles (2 %) and
     squares (5 %) of Fig. 7. The absolute value of eq. (24) may reach the level before that, because
-    with damping the linear condition is too careful at small stiffness (by 2.2 % for d = 1,
-    delta = 0.015). Such crossings are not returned.
+    with damping the linear condition is too careful at small stiffness (by 2.2 % for d = 1, delta =
+    0.015). Such crossings are not returned.
 
     It is proved, over the whole curve, that this point is the first. Each point has its own status;
     NOT_PROVED says that float64 cannot tell, as for levels below about 1e-9.
 
     Args:
-        level: relative error in (0, 1e3], any shape; like all arguments it broadcasts. None of
-            them may be traced.
+        level: relative error in (0, 1e3], any shape; like all arguments it broadcasts. None of them
+            may be traced.
         gamma, delta, delay: see ``jaxstab.conventions``.
 
     Returns:
         LinearValidity of the broadcast shape; NaN where no point was found.
 
-    Raises:
-        TypeError: an argument is traced or not made of numbers.
-        ValueError: an argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Example:
         >>> point = linear_validity(0.02, gamma=0.0, delta=0.0, delay=0.0)
@@ -440,7 +436,7 @@ class _Curve(NamedTuple):
     slices: SliceCoefficients
 
     def point(self, theta: Values) -> tuple[Values, Values, Values]:
-        """Return alpha, beta and alpha + gamma, which has digits of its own."""
+        """Return alpha, beta and alpha + gamma, to full relative accuracy."""
         alpha, beta, lift = (np.asarray(part) for part in curve_and_lift(self.slices, theta))
         return alpha, beta, 2.0 * np.sin(0.5 * theta) ** 2 * lift
 
@@ -452,7 +448,7 @@ class _Curve(NamedTuple):
 
 
 def _solved(curve: _Curve, series: np.ndarray, changes: SignChanges) -> Values:
-    """Return the sign change in each cell: Newton's method, kept in the cell by bisection."""
+    """Return the sign change in each cell: Newton's method, safeguarded by bisection."""
     low, high = changes.low.copy(), changes.high.copy()
     theta = 0.5 * (low + high)
     for _ in range(_NEWTON_STEPS):
@@ -471,7 +467,6 @@ def _solved(curve: _Curve, series: np.ndarray, changes: SignChanges) -> Values:
 
 
 def _square(slices: SliceCoefficients, theta: Values) -> Values:
-    """Return |N(e^(i theta))|^2."""
     far = 2.0 * np.cos(0.5 * theta) ** 2
     q = slices.sigma * far - slices.num_minus
     return q**2 + (slices.nu * np.sin(theta)) ** 2
@@ -519,10 +514,8 @@ def excess_series(level: Values, gamma: Values, delta: Values, delay: Values) ->
 def _wall_series(
     plant: Float64[np.ndarray, "5 batch"], turns: int, sign: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return |N|^2 times beta, times alpha + beta (1 - cos(theta)), and |N|^2 as cosine series.
-
-    With ``sign`` -1 all products are added up without their signs, for bounds of errors.
-    """
+    """Return |N|^2 times beta, times alpha + beta (1 - cos(theta)), and |N|^2 as cosine series."""
+    # With ``sign`` -1 all products are added up without their signs, for bounds of errors.
     d1, d0, n2, n1, n0 = plant
     # W = |N|^2 w: the powers turns + 3 down to turns - 1 of z. |N|^2 beta = Im W / sin(theta).
     powers = np.arange(turns + 3, turns - 2, -1)
@@ -559,10 +552,8 @@ def _times_cosine(series: np.ndarray) -> np.ndarray:
 def _excess_at_corner(
     gamma: Values, delta: Values, fraction: Values, plant: PlantPairs, size: Values
 ) -> tuple[Values, Values]:
-    """Return E(0) and a bound of its error.
-
-    At the corner beta is the slope of w = -z^m D/N at z = 1, where D(1) = gamma N(1).
-    """
+    """Return E(0) and a bound of its error."""
+    # At the corner beta is the slope of w = -z^m D/N at z = 1, where D(1) = gamma N(1).
     rest = plant.n2.scaled(2.0) + plant.n1  # N'(1)
     bracket = plant.sum * (DoubleDouble.of(gamma) * (fraction - 0.5) + delta)
     bracket = bracket - (plant.d1 + 2.0) + rest * gamma

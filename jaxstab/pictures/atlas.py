@@ -48,17 +48,10 @@ Floats = NDArray[np.float64]
 def draw_atlas(
     atlas: Atlas, gamma: float, delta: float, delays: Sequence[float] | None = None
 ) -> bytes:
-    """Return a PNG of what an atlas answers in planes of (alpha, beta), a column for each delay.
+    """A PNG of an atlas in planes of (alpha, beta), one for each of at most 6 of its delays.
 
-    Args:
-        atlas: the atlas to draw.
-        gamma: physical stiffness k T^2/m of the planes.
-        delta: physical damping b T/m of the planes.
-        delays: delays t_d/T of the atlas, at most 6; by default its first ones.
-
-    Raises:
-        ValueError: gamma or delta is outside of the atlas, a delay is none of its own, or it
-            answers neither with verdicts nor with spectral radii.
+    ValueError: gamma or delta is outside of the atlas, a delay is not one of the atlas, or the
+    atlas holds neither verdicts nor spectral radii.
     """
     numbers = _numbers_of(atlas, delays)
     rows = [answer for answer, of in _ANSWERED_BY.items() if not of.isdisjoint(atlas.products)]
@@ -98,12 +91,7 @@ def draw_atlas(
 def plot_atlas(
     atlas: Atlas, ax: Axes | None, gamma: float | None, delta: float | None, delay: float | None
 ) -> Axes:
-    """Draw the verdicts of an atlas in one plane on axes, or on new ones: ``Atlas.plot``.
-
-    Raises:
-        ValueError: gamma or delta is outside of the atlas, the delay is none of its own, or it
-            answers with no verdicts.
-    """
+    """Draw the verdicts of an atlas in one plane on axes, or on new ones: ``Atlas.plot``."""
     if _ANSWERED_BY["verdict"].isdisjoint(atlas.products):
         raise ValueError(f"this atlas holds {', '.join(atlas.products)}, and no verdicts to draw.")
     (number,) = _numbers_of(atlas, [float(atlas.delays[0]) if delay is None else delay])
@@ -133,7 +121,6 @@ def atlas_html(atlas: Atlas) -> str:
 
 
 def _raster(atlas: Atlas, number: int) -> tuple[Floats, Floats]:
-    """Return alpha and beta of the points of a plane at one delay."""
     nodes = atlas.nodes(number)
     alpha, beta = (
         np.linspace(nodes[name][0], nodes[name][-1], _RASTER) for name in ("alpha", "beta")
@@ -147,7 +134,7 @@ def _numbers_of(atlas: Atlas, delays: Sequence[float] | None) -> list[int]:
     for delay in chosen:
         if delay not in known:
             of_the_atlas = ", ".join(f"{one:g}" for one in known)
-            raise ValueError(f"delay {delay:g} is none of this atlas; give some of {of_the_atlas}.")
+            raise ValueError(f"delay {delay:g} is not in this atlas; give some of {of_the_atlas}.")
     return [known.index(delay) for delay in chosen[:_MOST_PLANES]]
 
 

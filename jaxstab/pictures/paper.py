@@ -52,19 +52,7 @@ class _Slice(NamedTuple):
 
 
 def paper_figure(number: int) -> Figure:
-    """Draw a figure of the paper as its caption says.
-
-    Args:
-        number: 4 to 10.
-
-    Returns:
-        A matplotlib figure; ``picture`` makes a file of it.
-
-    Raises:
-        ValueError: there is no such figure.
-
-    Source: Figs. 4 to 10 of Hulin, Preusche, Hirzinger (2008).
-    """
+    """A matplotlib figure of the paper's Fig. 4 to 10, with its caption's values."""
     drawings: dict[int, Callable[[], Figure]] = {
         4: _haptic_range,
         5: _close_up,
@@ -225,19 +213,10 @@ _LIMIT = Quantity(digits=5, rounding=ROUND_FLOOR)
 
 
 def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0) -> Figure:
-    """Draw a stable region with its corners, extremes, linear condition and passive region.
+    """A stable region, of roots below a radius, with its corners, extremes and the paper's rules.
 
-    Args:
-        gamma, delta, delay: see ``jaxstab.conventions``.
-        radius: modulus in (0, 1] below which all roots lie; 1 is stability.
-
-    Returns:
-        A matplotlib figure; ``picture`` makes a file of it.
-
-    Raises:
-        ValueError: an argument is outside its range, or the region is empty or unresolved.
-
-    Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
+    ValueError: the region is empty or unresolved, or an argument is bad. Source: sec. V to VIII of
+    Hulin, Preusche, Hirzinger (2008).
     """
     region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     figure, ((panel,),) = panels(1, 1, width=1.35, height=1.25)

@@ -1,4 +1,4 @@
-"""A picture of a scene: what is stable in the plane of K and B, its walls, and how they respond."""
+"""A picture of a scene: the stable set in the plane of K and B, its walls and their responses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -149,7 +149,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
 
 _HEIGHT = 4.6  # inches
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
-_SEEN = 0.05  # of the region, in K or in B: what is smaller is enlarged
+_SEEN = 0.05  # of the region, in K or in B: smaller sets are enlarged
 _COLUMNS = 64  # of the map of settling times, and rows
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
 _CALM_COLUMNS = 40  # of the map of amplitudes, and rows
@@ -166,21 +166,13 @@ Floats = NDArray[np.float64]
 
 
 def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
-    """Draw the stable region in the plane of K and B, in SI units, the scene's walls and an answer.
+    """The stable region in the plane of K and B, in SI units, the scene's walls and an answer.
 
-    What is too small to be seen beside it, of the walls that are passive or stable for all hands,
-    is enlarged in a separate panel.
-
-    Args:
-        scene: the scene.
-        answer: what is drawn of it: of ``check_walls`` the walls' responses to a step of force, in
-            a separate panel; of ``scene_limits`` the bound for all hands; of ``tune_walls`` the
-            best walls; of ``design_loop`` the wanted stiffness and the regions that just allow it.
-
-    Raises:
-        ValueError: no wall is stable, there is nothing to draw.
-
-    Source: sec. V to VIII of Hulin, Preusche, Hirzinger (2008).
+    Passive walls, or walls stable for all hands, that are too small to be seen are enlarged in a
+    separate panel. Of ``check_walls`` the walls' step responses are drawn in a separate panel, of
+    ``scene_limits`` the bound for all hands, of ``tune_walls`` the best walls, and of
+    ``design_loop`` the wanted stiffness and the regions that just allow it. ValueError: no wall is
+    stable.
     """
     checked = answer if isinstance(answer, Check) else None
     loop, walls = loop_of(scene), (checked or _judged(scene)).walls if scene.walls else {}
@@ -259,12 +251,10 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
 
 
 def _judged(scene: Scene) -> Check:
-    """Return the verdicts on the walls of a scene, without any measure."""
     return check_walls(replace(scene, wanted=replace(scene.wanted, measures=())))
 
 
 def _draw_legend(figure: Figure, panel: Axes, most: int) -> None:
-    """Draw the legend of a panel below, in as many columns as the figure has room for."""
     handles, labels = panel.get_legend_handles_labels()
     for columns in range(most, 0, -1):
         legend = figure.legend(
@@ -299,12 +289,9 @@ def _passive(scene: Scene, loop: HapticLoop) -> _Part:
         own = loop.device_damping * loop.sample_time / loop.mass
         corners = passive_region(delta=own, delay=loop.delay_samples).outline
         outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
-    label = f"passive: {_up_to(outline, scene.units)}"
+    largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
+    label = f"passive: up to {largest}"
     return _Part(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
-
-
-def _up_to(outline: Floats, units: Units) -> str:
-    return f"up to {_LARGEST.words(np.max(outline[:, 0], initial=0.0), units)}"
 
 
 def _set_window(panel: Axes, points: Floats) -> None:
@@ -334,13 +321,12 @@ def _designed(scene: Scene, design: Design) -> list[_Part]:
 
 
 def _draw_parts(panel: Axes, parts: list[_Part]) -> None:
-    """Draw parts of the stable walls."""
     for part in parts:
         panel.fill(*part.outline.T, **part.look)
 
 
 def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
-    """Draw what is tuned beside the fastest wall: all but that have marks of their own."""
+    """Draw the tuned walls beside the fastest one, each with its own mark."""
     given = [*tuned.walls.values(), *filter(None, [tuned.at_given_stiffness])]
     at_worst = tuned.over_ranges
     for label, walls, mark, colour in (
@@ -348,8 +334,8 @@ def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
         ("best damping at a given stiffness", [one.rounded for one in given], "P", SKY),
         ("fastest at worst over the ranges", [at_worst], "p", PURPLE),
     ):
-        found = [(wall.stiffness, wall.damping) for wall in walls if wall]
-        gains = np.array([wall for wall in found if None not in wall], np.float64).reshape(-1, 2)
+        pairs = [(wall.stiffness, wall.damping) for wall in walls if wall]
+        gains = np.array([wall for wall in pairs if None not in wall], np.float64).reshape(-1, 2)
         if len(gains) == 1:
             label += f": {_gains_text(float(gains[0, 0]), float(gains[0, 1]), units)}"
         if len(gains):
@@ -388,8 +374,8 @@ def _draw_chatter(
     """Draw lines of equal bounds of what the encoder's rounding does to the position."""
     resolution = encoder.resolution
     stiffness, damping = _columns_and_rows(region, _CALM_COLUMNS)
-    found = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
-    counts = np.where(np.isfinite(found.position), found.position / resolution, np.nan)
+    amplitude = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
+    counts = np.where(np.isfinite(amplitude.position), amplitude.position / resolution, np.nan)
     fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
     levels = [count for count in _COUNTS if fewest < count < most]
     if not levels:
@@ -403,15 +389,14 @@ def _draw_chatter(
 
 
 def _columns_and_rows(region: WallRegion, count: int) -> Floats:
-    """Return values of K and of B (2, count) that span the region."""
     return np.linspace(region.outline.min(axis=0), region.outline.max(axis=0), count).T
 
 
 def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     """Draw lines of equal settling time to 2 %, in ms."""
     stiffness, damping = _columns_and_rows(region, _COLUMNS)
-    found = loop.settling_time(stiffness[None, :], damping[:, None], horizon=_HORIZON)
-    times = np.where(np.isfinite(found.value), 1e3 * np.asarray(found.value), np.nan)
+    settling = loop.settling_time(stiffness[None, :], damping[:, None], horizon=_HORIZON)
+    times = np.where(np.isfinite(settling.value), 1e3 * np.asarray(settling.value), np.nan)
     if np.isnan(times).all():
         return
     fastest, slowest = float(np.nanmin(times)), float(np.nanmax(times))
@@ -422,7 +407,7 @@ def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     panel.clabel(lines, fmt="%g ms", fontsize=7)
 
 
-# A picture of several scenes: what is stable in each, and the largest stiffness of each.
+# A picture of several scenes: the stable set and the largest stiffness of each.
 
 _SIZE = 10.0, 4.6  # inches
 _COLOURS = BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK
@@ -430,21 +415,16 @@ _MOST_NAMES = 12  # in a legend
 
 
 def comparison_figure(variants: Sequence[Variant]) -> Figure:
-    """Draw the stable walls of several scenes that gains reach when they are turned up from 0.
+    """The stable walls of several scenes, in the components that contain small gains.
 
     Beside them is the largest stiffness of each: over the values of a key, where one was swept
-    through numbers, else by name.
-
-    Raises:
-        ValueError: there is no scene, or some turn and others move along a line.
-
-    Source: sec. V of Hulin, Preusche, Hirzinger (2008).
+    through numbers, else by name. ValueError: there is no scene, or rotational and linear ones.
     """
     scenes = [variant.scene for variant in variants if variant.scene]
     if not scenes:
         raise ValueError("no scene was answered; there is nothing to draw.")
     if len({scene.units for scene in scenes}) > 1:
-        raise ValueError("some of the scenes turn, others move along a line; draw them apart.")
+        raise ValueError("linear and rotational scenes cannot share a picture; draw them apart.")
     regions = [reachable(wall_region(loop_of(scene))) for scene in scenes]
     swept = _swept_numbers(variants)
     colours = _colours(len(scenes), is_graded=swept is not None)
@@ -455,11 +435,15 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
         if not region.is_empty:
             outline = closed_outline(region)
             walls.plot(*outline.T, color=colour, lw=1.2, label=_label(variant))
-    walls.set_title("stable walls, as far as gains are turned up")
-    _name_axes(walls, scenes[0])
+    walls.set_title("stable walls")
+    walls.set_xlabel(f"stiffness K ({scenes[0].units.stiffness})")
+    walls.set_ylabel(f"damping B ({scenes[0].units.damping})")
     stiffnesses = [region.stiffest.stiffness for region in regions]
     if swept is None:
-        _draw_bars(largest, [_label(variant) for variant in variants], stiffnesses, colours)
+        places = np.arange(len(variants))
+        largest.barh(places, np.nan_to_num(stiffnesses), color=colours)
+        largest.set_yticks(places, [_label(variant) for variant in variants], fontsize=7)
+        largest.invert_yaxis()
         largest.set_xlabel(f"largest stiffness K ({scenes[0].units.stiffness})")
         if len(scenes) <= _MOST_NAMES:
             walls.legend(fontsize=8, frameon=True, title=", ".join(variants[0].values))
@@ -474,7 +458,6 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
 
 
 def _label(variant: Variant) -> str:
-    """Return the file and the values, without their keys."""
     values = map(short, variant.values.values())
     return plain(", ".join([*([variant.source] if variant.source else []), *values]))
 
@@ -496,31 +479,17 @@ def _colours(count: int, *, is_graded: bool) -> list[object]:
     return list(_COLOURS[:count])
 
 
-def _name_axes(panel: Axes, scene: Scene) -> None:
-    panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
-    panel.set_ylabel(f"damping B ({scene.units.damping})")
-
-
-def _draw_bars(panel: Axes, names: list[str], values: list[float], colours: list[object]) -> None:
-    places = np.arange(len(names))
-    panel.barh(places, np.nan_to_num(values), color=colours)
-    panel.set_yticks(places, names, fontsize=7)
-    panel.invert_yaxis()
-
-
-# A picture of a guard: what it grants beside what is stable.
+# A picture of a guard: the granted stiffness beside the exact one.
 
 _CURVES = 5
 _POINTS = 400
 
 
 def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
-    """Draw the largest stiffness over the damping: exact, and as the guard grants it.
+    """The largest stiffness over the damping: exact, and as granted by the guard.
 
     On the left for delays of the range, at the middle mass, on the right for masses, at the middle
     delay.
-
-    Source: the D-decomposition of eq. (9) of Hulin, Preusche, Hirzinger (2008), and lemma B15.
     """
     figure = Figure(figsize=_SIZE)
     figure.set_layout_engine("constrained")

@@ -63,11 +63,7 @@ def plain(text: str) -> str:
 
 
 def picture(figure: Figure, form: str) -> bytes:
-    """Return a figure as a file of the format "png" or "svg".
-
-    Raises:
-        ValueError: another format.
-    """
+    """A figure as a file of the format "png" or "svg"."""
     if form not in FORMATS:
         raise ValueError(f"the format is {form!r}; give a name that ends in .png or .svg.")
     image = BytesIO()
@@ -97,14 +93,14 @@ def closed_outline(region: Region) -> Floats:
 
 
 def draw_stable(panel: Axes, region: Region) -> None:
-    """Fill what is stable."""
+    """Fill the stable set."""
     outline = closed_outline(region).T
     panel.fill(*outline, color=SKY, alpha=0.35, lw=0, label="stable")
     panel.plot(*outline, color=BLUE, lw=1.2)
 
 
 def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
-    """Fill what is stable, but not reached by turning gains up from 0."""
+    """Fill islands: stable sets that are not connected to small gains."""
     label = "stable, not reachable by turning gains up"
     for number, island in enumerate(islands):
         outline = closed_outline(island).T
@@ -113,11 +109,7 @@ def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
 
 
 def plot_region(region: Region, ax: Axes | None = None) -> Axes:
-    """Draw a region on axes, or on new ones: ``region.plot``.
-
-    Raises:
-        ValueError: there is nothing to draw.
-    """
+    """Draw a region on axes, or on new ones: ``region.plot``; ValueError if it is empty."""
     if not isinstance(region.status, int) or not region.components:
         raise ValueError(f"there is nothing to draw: {region!r}; ask a region that is COMPLETE.")
     panel = new_axes() if ax is None else ax
@@ -147,11 +139,7 @@ def _draw_map(panel: Axes, main: Region, islands: Sequence[Region]) -> None:
 
 
 def plot_loop(loop: HapticLoop, ax: Axes | None = None) -> Axes:
-    """Draw the stable walls of a loop, the stiffest, and the linear rule: ``HapticLoop.plot``.
-
-    Raises:
-        ValueError: there is nothing to draw.
-    """
+    """Draw the stable walls of a loop, the stiffest, and the linear rule: ``HapticLoop.plot``."""
     region = loop.region()
     panel = plot_region(region, ax)
     limits = loop.limits()

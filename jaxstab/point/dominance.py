@@ -223,7 +223,6 @@ def evaluated(t: Complex, loop: Loop, degree: int) -> tuple[Complex, Complex]:
 
 
 def _numerator(t: Complex, coefficients: tuple[Array, ...]) -> tuple[Complex, Complex]:
-    """Return N and its derivative."""
     if len(coefficients) == 2:
         slope, value = coefficients
         return t.scaled(slope).shifted(value), Complex(slope, 0.0 * slope)
@@ -281,11 +280,10 @@ def _distance(root: Array, loop: Loop, *, degree: int) -> Array:
 
 
 def _distance_to_root(t: Complex, radius: Array, loop: Loop, degree: int) -> Array:
-    """Return n |p/p'|, raised by what rounding may have changed.
-
-    Each product of complex numbers loses at most 3 ulp, z^(n-2) therefore 4 (n - 2), and what it is
-    multiplied with and added to less than 30 ulp of the same terms taken without their signs.
-    """
+    """Return n |p/p'|, raised by what rounding may have changed."""
+    # Each product of complex numbers errs by at most 3 ulp, z^(n-2) therefore by 4 (n - 2), and
+    # what it is multiplied with and added to by less than 30 ulp of the same terms taken without
+    # their signs.
     xp = namespace(t, loop)
     value, slope = evaluated(t, loop, degree)
     t_size = xp.sqrt(t.squared_modulus())
@@ -336,10 +334,8 @@ def _deflated(
 def _divided(
     t: Complex, is_real: Array, inverse: Array, powers: list[Array], loop: Loop, degree: int
 ) -> list[Array]:
-    """Return the quotient of p by the root and its conjugate, on the circle of radius 1 now.
-
-    With s and q their sum and product, b_j = c_j + s b_(j-1) - q b_(j-2).
-    """
+    """Return the quotient of p by the root and its conjugate, on the circle of radius 1 now."""
+    # With s and q their sum and product, b_j = c_j + s b_(j-1) - q b_(j-2).
     xp = namespace(t, loop)
     coefficients = loop.coefficients(degree)[::-1]
     twice = xp.where(is_real, xp.sign(t.re + 1.0), 2.0 * (t.re + 1.0) * inverse)
@@ -361,7 +357,7 @@ def _error_of_division(
         wall = (abs(stiff) + plant.sum) * abs(loop.alpha)
         terms = terms + power * (wall + (abs(damp) + 2.0 * plant.sum) * abs(loop.beta))
     moved = distance * powers[0] + 8.0 * UNIT
-    once = (2.0 * degree + 16.0) * UNIT * terms + 4.0 * moved * _size_sum(rest)
+    once = (2.0 * degree + 16.0) * UNIT * terms + 4.0 * moved * reduce(add, map(abs, rest))
     xp = namespace(moved)
     return xp.where(degree * moved < 0.5, degree * (degree + 1.0) * once, xp.inf)
 
@@ -456,10 +452,6 @@ def _lost(error: Array, above: Array, whole: Array, quotients: Array) -> Array:
     return _SAFETY * (error * whole + 8.0 * UNIT * above * quotients)
 
 
-def _size_sum(columns: list[Array]) -> Array:
-    return reduce(add, (abs(column) for column in columns))
-
-
 # Spectral radius and its error over many points by dominant roots, wherever these can be proved.
 #
 # Each point is computed independently of the others. Where the first try is not proved to
@@ -487,12 +479,9 @@ class _Try(NamedTuple):
 
 
 def fast_radius(parameters: list[Values], shape: tuple[int, ...], delay: float) -> Answer:
-    """Return value and error of the spectral radius, by XLA; the error is inf if nothing is proved.
+    """Value and error of the spectral radius, by XLA; the error is inf if nothing is proved.
 
-    Args:
-        parameters: alpha, beta, gamma, delta, checked, of shapes that broadcast to ``shape``.
-        shape: of the grid.
-        delay: in samples, at most LONGEST_DELAY.
+    ``parameters`` are alpha, beta, gamma, delta, checked; the delay is at most LONGEST_DELAY.
     """
     value, error = np.empty(shape), np.empty(shape)
     first, *others = _tries(delay)

@@ -58,9 +58,8 @@ def evaluate_grid(
         An iterator over the range of flat indices (C order) of each part of the broadcast grid, and
         the function's answer for it.
 
-    Raises:
-        ValueError: ``chunk`` is below 1, or the shapes do not broadcast; else as the function.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: ValueError if ``chunk`` is below 1, or the shapes do not broadcast; else as the
+    function.
 
     Source: Table I for the parameters.
 
@@ -120,10 +119,8 @@ def over_grid(
 def looked_up(
     arguments: Sequence[Any], shape: tuple[int, ...], points: Int64[np.ndarray, " point"]
 ) -> list[Any]:
-    """Return arrays, or trees of them, at flat indices of the grid to which they broadcast.
-
-    Single numbers stay single, so that they are used once; only the first argument is repeated.
-    """
+    """Return arrays, or trees of them, at flat indices of the grid to which they broadcast."""
+    # Single numbers stay single, so that they are used once; only the first argument is repeated.
     index = np.unravel_index(points, shape or (1,))
 
     def repeated(values: Any) -> Any:
@@ -161,19 +158,13 @@ def closed_loop_poles(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Complex128[Array, "*grid degree"]:
-    """Return the poles of the closed loop, the eigenvalues of the companion matrix of p(z).
+    """Poles of the closed loop, the eigenvalues of the companion matrix of p(z).
 
-    Args:
-        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
+    Args and Raises: see ``jaxstab.conventions``.
 
     Returns:
         Array of shape (*grid, degree), the largest modulus first. For an array of delays, a loop of
         a lower degree has zeros at the end.
-
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9); each pole is an exact root of a polynomial within a few ulp of p(z) (backward
     error), so a root of multiplicity k is only good to about ulp^(1/k).
@@ -187,15 +178,9 @@ def closed_loop_poles(
 
 
 def linear_poles(alpha: Array, beta: Array, loop: LinearLoop) -> Complex128[Array, "*grid degree"]:
-    """Return the poles of walls of one loop, with any device, estimator and filter.
+    """Poles of walls of one loop of any device and filters: array (*grid, degree), largest first.
 
-    Args:
-        alpha: float64, any shape; it broadcasts with beta and with the loop.
-        beta: likewise.
-        loop: what base + alpha stiffness + beta damping is; walls and loops may be traced.
-
-    Returns:
-        Array of shape (*grid, degree), the largest modulus first.
+    Walls and loop are float64, broadcast and may be traced.
     """
     return companion_poles(loop_polynomial(alpha, beta, loop))
 
@@ -226,10 +211,8 @@ def _eigenvalues(
 
 
 def _unit(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "*grid"]:
-    """Return what to measure roots in: 1, but of huge coefficients about the largest root.
-
-    Some builds of LAPACK lose the scale of matrices above 1e138.
-    """
+    """Return what to measure roots in: 1, but of huge coefficients about the largest root."""
+    # Some builds of LAPACK lose the scale of matrices above 1e138.
     xp = namespace(coefficients)
     sizes = xp.abs(coefficients[..., 1:])
     exponents = xp.log2(sizes) / xp.arange(1, coefficients.shape[-1])

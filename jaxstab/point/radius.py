@@ -97,11 +97,9 @@ _STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds tha
 
 
 def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
-    """Return bounds of the errors of radii, infinite where even 2^-6 of the radius is not proved.
+    """Bounds of the errors of radii > 0, infinite where even 2^-6 of the radius is not proved.
 
-    Args:
-        codes: gives the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).
-        radius: the estimates, > 0.
+    ``codes`` returns the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).
     """
     xp = namespace(radius)
     steps = xp.asarray(_STEPS)
@@ -136,23 +134,6 @@ _MATRICES = 1 << 11  # points at once
 Values = np.ndarray[Any, np.dtype[Any]]
 
 
-def linear_radius(alpha: Values, beta: Values, loop: LinearLoop) -> tuple[Values, Values]:
-    """Return the spectral radii of walls of one loop and bounds of their errors.
-
-    Args:
-        alpha: float64, any shape; it broadcasts with beta and with the loop.
-        beta: likewise.
-        loop: what base + alpha stiffness + beta damping is.
-
-    Returns:
-        Radii and bounds, which are infinite where none holds.
-    """
-    shape = np.broadcast_shapes(*(np.shape(leaf) for leaf in leaves((alpha, beta, loop))))
-    every = np.arange(prod(shape))
-    value, error = _listed_radii((alpha, beta, loop), shape, every)
-    return value.reshape(shape), error.reshape(shape)
-
-
 def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
     """Return the spectral radii of points and bounds of their errors, infinite where none holds."""
     value, error = np.zeros(points.shape), np.full(points.shape, np.inf)
@@ -165,24 +146,23 @@ def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
 def _listed_radii(
     walls: tuple[Values, Values, LinearLoop], shape: tuple[int, ...], indices: Values
 ) -> tuple[Values, Values]:
-    """Return radii and bounds at flat indices of a grid."""
     value, error = np.zeros(indices.size), np.full(indices.size, np.inf)
     for start in range(0, indices.size, _MATRICES):
         part = slice(start, start + _MATRICES)
         alpha, beta, loops = gathered(walls, shape, indices[part])
         gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
         with np.errstate(all="ignore"):
-            coefficients, lost = loop_coefficients(*gains, loops, PAIR_UNIT)
+            coefficients, rounding = loop_coefficients(*gains, loops, PAIR_UNIT)
             value[part] = _dominant_modulus(coefficients)
-            error[part] = dense_radius_error(coefficients, lost, value[part], unit=PAIR_UNIT)
+            error[part] = dense_radius_error(coefficients, rounding, value[part], unit=PAIR_UNIT)
     return value, error
 
 
 def traced_radius_error(coefficients: Array, radius: Array) -> Array:
     """Return bounds of the errors of radii in float64, for coefficients of (*grid, coefficient)."""
     xp = namespace(coefficients, radius)
-    lost = 2.0 * UNIT * xp.sum(abs(coefficients), axis=-1)
-    return dense_radius_error(xp.moveaxis(coefficients, -1, 0), lost, radius, unit=UNIT)
+    rounding = 2.0 * UNIT * xp.sum(abs(coefficients), axis=-1)
+    return dense_radius_error(xp.moveaxis(coefficients, -1, 0), rounding, radius, unit=UNIT)
 
 
 def _dominant_modulus(coefficients: DoubleDouble) -> Values:
@@ -217,11 +197,8 @@ def _columns(coefficients: DoubleDouble) -> list[DoubleDouble]:
 def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, unit: float) -> Array:
     """Prove how far spectral radii can be from the true ones; infinite where 2^-6 of them is more.
 
-    Args:
-        coefficients: of monic polynomials, on the first axis, highest power first.
-        error: bound of the sum of their errors.
-        radius: the estimate, > 0.
-        unit: roundoff of the coefficients' numbers.
+    ``coefficients`` are those of monic polynomials, on the first axis, highest power first;
+    ``error`` bounds the sum of their errors, and ``unit`` is the roundoff of their numbers.
     """
     xp = namespace(coefficients, error, radius)
     both = tree_map(lambda values: xp.stack([values, values], axis=1), coefficients)
@@ -240,13 +217,13 @@ def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) 
     signed = [-value if index % 2 else value for index, value in enumerate(scaled)]
     sizes = sum(map(size, scaled))
     degree = len(columns) - 1
-    lost = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
-    lost = lost + (2 * degree + 6) * unit * sizes + UNDERFLOW
+    rounding = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
+    rounding = rounding + (2 * degree + 6) * unit * sizes + UNDERFLOW
     ends = [
-        (leading(reduce(operator.add, terms)), lost + degree * unit * sizes)
+        (leading(reduce(operator.add, terms)), rounding + degree * unit * sizes)
         for terms in (scaled, signed)
     ]
-    return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), lost, ends, unit, degree)
+    return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), rounding, ends, unit, degree)
 
 
 # The error bound of a spectral radius, for the loop of the paper.
@@ -262,23 +239,15 @@ def radius_error(
     radius: Float64[Array, "*grid"],
     coefficient_error: float = 2.0 * UNIT,
 ) -> Float64[Array, "*grid"]:
-    """Prove how far a spectral radius can be from the true one.
+    """Prove how far a spectral radius > 0 can be from the true one.
 
     Bounds from a ladder of ratio 4 are tried, so the result is up to 4 times larger than the
-    smallest bound that could be proved, and never smaller than the true error.
+    smallest bound that could be proved, and never smaller than the true error. It is inf if even
+    2^-6 radius cannot be proved, as when coefficients other than the first three and the last four
+    are not zero.
 
-    Args:
-        coefficients: monic p(z) of degree >= 3, highest power first, as characteristic_polynomial
-            gives them for one delay.
-        radius: the estimate, > 0.
-        coefficient_error: relative uncertainty of each coefficient.
-
-    Returns:
-        The absolute error; inf if even 2^-6 radius cannot be proved, as when coefficients other
-        than the first three and the last four are not zero.
-
-    Raises:
-        ValueError: the degree is below 3.
+    ``coefficients`` are those of ``characteristic_polynomial`` for one delay, of degree >= 3, and
+    ``coefficient_error`` their relative uncertainty.
     """
     degree = coefficients.shape[-1] - 1
     if degree < 3:
@@ -372,7 +341,6 @@ class SpectralRadius(NamedTuple):
     status: Int8[Array, "*grid"]
 
     def __repr__(self) -> str:
-        """Return the radius with its bound, or a summary of many."""
         if not are_numbers(self):
             return f"SpectralRadius{tuple(self)}"
         values, errors, codes = map(np.ravel, self)
@@ -400,15 +368,14 @@ def spectral_radius(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> SpectralRadius:
-    """Return the largest modulus of a closed-loop pole with a proved error bound.
+    """The largest modulus of a closed-loop pole with a proved error bound.
 
     Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
         method: "fast" finds and proves the dominant root, without eigenvalues for many points of
             one delay up to 64, by XLA; "companion" takes the companion matrix and a ladder of
             verdicts for all. Inside jit, vmap and grad, and with filters, it is always the
             companion matrix.
-        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         SpectralRadius of arrays of the broadcast shape, in JAX if an argument is: ``value``;
@@ -418,11 +385,7 @@ def spectral_radius(
         all digits of N(z) are known. The derivative of ``value`` is that of the dominant root by
         the implicit function theorem; it is infinite or NaN where that root is multiple.
 
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN, or the method is
-            unknown.
-        TypeError: the delay is traced.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Source: eq. (9); sec. V of the paper for its use.
 
@@ -454,19 +417,15 @@ def spectral_radius(
 
 
 def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
-    """Return the spectral radii of walls of one loop, with any device, estimator and filter.
-
-    Args:
-        alpha: float64, any shape; it broadcasts with beta and with the loop.
-        beta: likewise.
-        loop: what base + alpha stiffness + beta damping is; walls and loops may be traced.
-    """
+    """Spectral radii of walls of one loop, of any device and filters; both may be traced."""
     if is_any_traced(alpha, beta, loop):
         both = _traced_radius_of(loop_polynomial(alpha, beta, loop), traced_radius_error)
     else:
         xp = namespace(alpha, beta, loop)
         walls = tree_map(np.asarray, (alpha, beta, loop))
-        both = tree_map(xp.asarray, linear_radius(*walls))
+        shape = np.broadcast_shapes(*map(np.shape, leaves(walls)))
+        value, error = _listed_radii(walls, shape, np.arange(prod(shape)))
+        both = xp.asarray(value.reshape(shape)), xp.asarray(error.reshape(shape))
     return _with_status(*both)
 
 
@@ -479,8 +438,8 @@ def _concrete_radius(points: list[Values], *, is_fast: bool) -> tuple[Values, Va
     for one in np.unique(delay).tolist():
         indices = np.flatnonzero(np.broadcast_to(delay == one, shape))
         listed = looked_up(parameters, shape, indices)
-        found = _of_delay(listed, indices.shape, one, is_fast=is_fast)
-        value.flat[indices], error.flat[indices] = found
+        radii = _of_delay(listed, indices.shape, one, is_fast=is_fast)
+        value.flat[indices], error.flat[indices] = radii
     return value, error
 
 
@@ -571,11 +530,7 @@ def _with_status(value: Array, error: Array) -> SpectralRadius:
 def are_inside(
     coefficients: Float64[np.ndarray, "coefficient *grid"], radius: Float64[np.ndarray, "..."]
 ) -> Bool[np.ndarray, "*grid"]:
-    """Return where all roots of monic polynomials seem to be in the circle of a radius.
-
-    Args:
-        coefficients: highest power first.
-        radius: broadcasts with the grid.
+    """Where all roots of monic polynomials, highest power first, seem to be within a radius.
 
     Source: Schur-Cohn criterion (Jury 1964) for p(r z).
     """

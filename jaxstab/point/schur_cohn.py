@@ -63,10 +63,8 @@ class Ends(NamedTuple):
 
 
 def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -> Array:
-    """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff.
-
-    A degree that is an array sets the length of a loop, one compilation serving all above 3.
-    """
+    """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff."""
+    # A degree that is an array sets the length of a loop, one compilation serving all above 3.
     xp = namespace(chain, degree)
     is_cubic = isinstance(degree, int) and degree == 3
     if not is_cubic:
@@ -90,10 +88,8 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
 
 
 def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Array]:
-    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last |K|.
-
-    The step from a cubic b0 z^3 + b1 z^2 + b2 z + b3.
-    """
+    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last |K|."""
+    # The step from a cubic b0 z^3 + b1 z^2 + b2 z + b3.
     head, tail = chain.head, chain.tail
     b0 = chain.gap + head[1]
     b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
@@ -113,7 +109,6 @@ def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
 
 
 def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Number]:
-    """Lower the degree by one."""
     head, tail = chain.head, chain.tail
     first = chain.gap + head[1]
     ratio = tail[0] if is_monic else tree_map(kept, tail[0] / first)
@@ -134,10 +129,8 @@ def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Nu
 def _bounds_after(
     chain: Chain[Number], first: Number, modulus: Array, unit: float
 ) -> dict[str, Any]:
-    """Bound what exact steps could differ by after one more: with the same K, and with the exact K.
-
-    Lemma V3 has the terms of the errors, lemma V6 those of the drift.
-    """
+    """Bound the deviation from exact steps after one more: with the same K, and the exact K."""
+    # Lemma V3 has the terms of the errors, lemma V6 those of the drift.
     head, tail = chain.head, chain.tail
     sizes = size(first) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
     small = size(chain.gap) + size_sum(tail[1:])
@@ -200,7 +193,7 @@ _PAYS = 2.5  # degree over the length of an end from which on steps on the ends 
 @pytree
 @dataclass(frozen=True)
 class _State(Generic[Number]):
-    """Both ends of a polynomial, coefficients first, with what is known of the steps so far.
+    """Both ends of a polynomial, coefficients first, with bounds from the steps so far.
 
     The ends are either as long as the polynomial, each of them all of it, or too short to meet.
     """
@@ -227,11 +220,9 @@ def dense_codes(
 
 
 def without_zeros(loop: LinearLoop) -> LinearLoop:
-    """Leave out the coefficients in the middle of p(z) that are 0 whatever the gains are.
-
-    As many stay at the end as at the beginning, less one. Nothing is left out where that would not
-    pay off, nor where JAX traces the numbers.
-    """
+    """Leave out the coefficients in the middle of p(z) that are 0 whatever the gains are."""
+    # As many stay at the end as at the beginning, less one. Nothing is left out where that would
+    # not pay off, nor where JAX traces the numbers.
     if is_any_traced(loop):
         return loop
     last = loop.degree
@@ -258,7 +249,7 @@ def polynomial_codes(
     unit: float,
     degree: int,
 ) -> Array:
-    """Return the codes of monic polynomials.
+    """The codes of monic polynomials of degree >= 3.
 
     Args:
         coefficients: on the first axis, highest power first; either all of them, or an odd number,
@@ -266,7 +257,7 @@ def polynomial_codes(
         error: bound of the sum of their errors.
         ends: p(1) and (-1)^n p(-1) up to positive factors, each with a bound of its error.
         unit: roundoff of the numbers.
-        degree: of the polynomials, at least 3.
+        degree: of the polynomials.
     """
     xp = namespace(coefficients, error, ends)
     shape = error.shape
@@ -324,9 +315,9 @@ def loop_coefficients(
     sizes = [sum(map(size, part)) for part in loop[:3]]
     # A rounding of each number of the loop, of each product and of each of two sums.
     rounding = 4.0 * unit * (sizes[0] + stiffness * sizes[1] + damping * sizes[2])
-    lost = loop.errors[0] + stiffness * loop.errors[1] + damping * loop.errors[2]
-    lost = lost + UNDERFLOW * (1.0 + stiffness + damping)
-    return coefficients, xp.broadcast_to(rounding + lost, grid)
+    inherited = loop.errors[0] + stiffness * loop.errors[1] + damping * loop.errors[2]
+    inherited = inherited + UNDERFLOW * (1.0 + stiffness + damping)
+    return coefficients, xp.broadcast_to(rounding + inherited, grid)
 
 
 def _affine(parts: Affine, alpha: Number, beta: Number, unit: float) -> tuple[Array, Array]:
@@ -373,7 +364,6 @@ def _joined(state: _State[Number], unit: float) -> _State[Number]:
 
 
 def _sum(*numbers: Number) -> Array:
-    """Return the sum of the moduli."""
     xp = namespace(numbers)
     return sum(xp.sum(size(number), axis=0) for number in numbers)
 

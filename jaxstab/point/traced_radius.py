@@ -74,10 +74,8 @@ Column = Array | None
 def guessed_root(
     coefficients: list[Column], doublings: int, *, is_unrolled: bool
 ) -> tuple[Array, Array]:
-    """Return real and imaginary part of z - 1, the latter >= 0, of the dominant root z.
-
-    The power is degree 2^doublings. Unrolled code is faster as long as a compiler copes with it.
-    """
+    """Return real and imaginary part of z - 1, the latter >= 0, of the dominant root z."""
+    # The power is degree 2^doublings. Unrolled code is faster as long as a compiler copes with it.
     power = _power if is_unrolled else _rolled_power
     return _fitted(_samples(power(coefficients, doublings), coefficients))
 
@@ -93,11 +91,9 @@ def _power(coefficients: list[Column], doublings: int) -> list[Column]:
 
 
 def _rolled_power(coefficients: list[Column], doublings: int) -> list[Column]:
-    """Return the same by loops: slower, but the code does not grow with the degree.
-
-    All squarings but the last are in float32, which takes half the time: what that adds of the
-    other roots, 1e-7 of the state, the last one squares.
-    """
+    """Return the same by loops: slower, but the code does not grow with the degree."""
+    # All squarings but the last are in float32, which takes half the time: what that adds of the
+    # other roots, 1e-7 of the state, the last one squares.
     degree = len(coefficients)
     shape = jnp.broadcast_shapes(*(jnp.shape(c) for c in coefficients if c is not None))
     dense = jnp.stack([jnp.broadcast_to(0.0 if c is None else c, shape) for c in coefficients])
@@ -246,7 +242,6 @@ def _dominant_root(
 
 
 def _parts(point: Float64[Array, "2"], coefficients: Array) -> Float64[Array, "2"]:
-    """Return the real and the imaginary part of a polynomial at a complex number."""
     value = _evaluated(coefficients, jax.lax.complex(point[0], point[1]))
     return jnp.stack([value.real, value.imag])
 

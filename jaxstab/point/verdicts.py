@@ -68,7 +68,7 @@ class Form(NamedTuple):
     is_fractional: bool
 
     @classmethod
-    def of(cls, delay: Numbers | TracedDelay) -> "Form":
+    def from_delay(cls, delay: Numbers | TracedDelay) -> "Form":
         """Return the form for one delay in samples; a fraction that is traced may be any."""
         if isinstance(delay, TracedDelay):
             return cls(delay.whole, True)
@@ -101,7 +101,7 @@ class Points(NamedTuple):
         """Return the form of p(z) and the flat indices of each group of chosen points."""
         twice = np.broadcast_to(np.floor(self.delay) + np.ceil(self.delay), chosen.shape)
         return [
-            (Form.of(one / 2.0), np.flatnonzero(chosen & (twice == one)))
+            (Form.from_delay(one / 2.0), np.flatnonzero(chosen & (twice == one)))
             for one in np.unique(twice[chosen]).tolist()
         ]
 
@@ -119,14 +119,7 @@ _LOOP_PAIRS = 1 << 11  # points at once in double-double
 
 
 def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "*grid"]:
-    """Return the codes of walls of one loop: float64 before pairs.
-
-    Args:
-        alpha: float64, any shape; it broadcasts with beta and with the loop.
-        beta: likewise.
-        loop: what base + alpha stiffness + beta damping is. Traced walls and loops are answered in
-            float64 alone.
-    """
+    """The codes of walls of one loop: float64 before pairs, or float64 alone if JAX traces them."""
     degree, loop = loop.degree, without_zeros(loop)
     if is_any_traced(alpha, beta, loop):
         return _loop_float_codes(alpha, beta, rounded_loop(loop), degree=degree)
@@ -137,8 +130,10 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
     still_open = np.flatnonzero(codes == Verdict.UNDECIDED)
     for start in range(0, still_open.size, _LOOP_PAIRS):
         part = still_open[start : start + _LOOP_PAIRS]
-        chosen = gathered((alpha, beta, loop), codes.shape, part)
-        codes.flat[part] = _loop_pair_codes(*chosen, degree=degree)
+        *gains, chosen = gathered((alpha, beta, loop), codes.shape, part)
+        pairs = DoubleDouble.of(gains[0]), DoubleDouble.of(gains[1])
+        with np.errstate(all="ignore"):
+            codes.flat[part] = dense_codes(*pairs, chosen, unit=PAIR_UNIT, degree=degree)
     return xp.asarray(codes)
 
 
@@ -179,14 +174,6 @@ def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: in
     return over_tiles(codes, (alpha, beta, loop), _TILE)
 
 
-def _loop_pair_codes(
-    alpha: Array, beta: Array, loop: LinearLoop, *, degree: int
-) -> Int8[np.ndarray, " point"]:
-    gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
-    with np.errstate(all="ignore"):
-        return dense_codes(*gains, loop, unit=PAIR_UNIT, degree=degree)
-
-
 # The proof of instability by one root outside, for loops whose recursion loses its digits.
 #
 # One z outside the unit circle at which p is small enough proves that a root is outside (lemma V5
@@ -200,16 +187,10 @@ _PER_DEGREE = 8.0  # roundings of a complex product, of the sum, and of a coeffi
 def have_outer_root(
     coefficients: Float64[np.ndarray, "point coefficient"],
 ) -> Bool[np.ndarray, " point"]:
-    """Prove for polynomials that not all of their roots lie inside the unit circle.
+    """Where not all roots of polynomials are inside the unit circle, proved; False says nothing.
 
+    ``coefficients`` are monic, highest power first, each within two roundings of the true one.
     Polynomials with a root at 1 or -1 up to rounding, as on whole lines of walls, are not tried.
-
-    Args:
-        coefficients: monic, highest power first, each within two roundings of the true one.
-
-    Returns:
-        True where a root is proved to be outside; False says nothing.
-
     Source: Laguerre's bound for the distance to the nearest root.
     """
     alternating = (-1.0) ** np.arange(coefficients.shape[-1])
@@ -342,10 +323,8 @@ def loop_codes(
     unit: float,
     degree: int | Array,
 ) -> Array:
-    """Return the code of each point, computed in numbers of the given unit roundoff.
-
-    The drift from exact steps is followed for high degrees, and where the degree is an array.
-    """
+    """Return the code of each point, computed in numbers of the given unit roundoff."""
+    # The drift from exact steps is followed for high degrees, and where the degree is an array.
     chain = _closed_loop(alpha, beta, plant, unit)
     ends = _ends(alpha, beta, gamma, plant, unit, degree)
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
@@ -413,29 +392,22 @@ def verdict(
     """Prove for every point whether all roots of p(z) lie inside the unit circle.
 
     STABLE and UNSTABLE are proofs: the rounding of plant, coefficients and recursion is bounded.
-    Points too close to the boundary are UNDECIDED, and so are points exactly on it, such as
-    alpha = -gamma. UNSTABLE means at least one root outside or on the circle.
+    Points too close to the boundary are UNDECIDED, and so are points exactly on it, such as alpha =
+    -gamma. UNSTABLE means at least one root outside or on the circle.
 
     Args:
-        alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
+        alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
         resolve: "exact" repeats the recursion in double-double where float64 leaves a point
             UNDECIDED, and then looks for a root that is certainly outside; all arguments must be
-            concrete, as for an array of delays.
-        velocity: the velocity estimator in units of one sample; None for the difference over one
-            sample, the wall of the paper.
-        position: the position filter in units of one sample; None for none. With an estimator or a
-            filter double-double is tried wherever float64 leaves a point UNDECIDED.
+            concrete, as for an array of delays. With an estimator or a filter double-double is
+            always tried.
 
     Returns:
         int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED; in JAX if an
         argument is. The int8 of one point prints its name. Plants are computed once for
-        each (gamma, delta, delay): give grids as arrays that broadcast. NumPy grids of 32,768
-        points and more go through XLA.
+        each (gamma, delta, delay): give grids as arrays that broadcast.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or resolve is unknown.
-        TypeError: the delay is traced, or an array of delays or ``resolve`` meets traced arguments.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``; ValueError also for an unknown ``resolve``.
 
     Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
 
@@ -455,10 +427,12 @@ def verdict(
     xp = namespace(point, delay)
     whole, fraction = whole_and_fraction(delay)
     if filters and whole.size == 1 and is_any_traced(point, delay, filters):
-        return traced_filtered_verdict(point, Form.of(delay), fraction, filters)
+        return traced_filtered_verdict(point, Form.from_delay(delay), fraction, filters)
     if not filters and resolve is None and whole.size == 1:
-        arrays = [xp.asarray(value, xp.float64) for value in point]
-        codes = _float_verdict(arrays, xp.asarray(fraction), Form.of(delay))
+        arrays, form = [xp.asarray(value, xp.float64) for value in point], Form.from_delay(delay)
+        part, is_fractional = xp.asarray(fraction), form.is_fractional
+        plant = float_plant(arrays[2], arrays[3], part, is_fractional=is_fractional)
+        codes = _float_codes((*arrays[:3], plant), form.degree)
         shape = np.broadcast_shapes(whole.shape, *(array.shape for array in arrays))
         return named(xp.array(xp.broadcast_to(codes, shape)), Verdict)
     if is_any_traced(point, delay, filters):
@@ -468,12 +442,6 @@ def verdict(
         return named(xp.asarray(filtered_verdict(points, filters)), Verdict)
     codes = _grouped_verdict(points)
     return named(xp.asarray(codes if resolve is None else _resolved(codes, points)), Verdict)
-
-
-def _float_verdict(point: list[Array], fraction: Array, form: Form) -> Array:
-    alpha, beta, gamma, delta = point
-    plant = float_plant(gamma, delta, fraction, is_fractional=form.is_fractional)
-    return _float_codes((alpha, beta, gamma, plant), form.degree)
 
 
 def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
@@ -509,7 +477,7 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
 
 
 def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarray, "*grid"]:
-    """Repeat UNDECIDED points in double-double; of what is left, look for a root outside."""
+    """Repeat UNDECIDED points in double-double; for the others, look for a root outside."""
     for form, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
         for start in range(0, indices.size, _PAIRS):
             part = indices[start : start + _PAIRS]

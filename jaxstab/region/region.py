@@ -450,8 +450,8 @@ def linear_region(
     """
     if float(plant.at_one[0].value.hi) == 0.0:
         raise ValueError(
-            "the device does not give way to a constant force: its transfer function in s is 0 at "
-            "s = 0. It has no region and no limits here; ask for verdicts, radii, poles or margins."
+            "the device has zero DC gain: its transfer function in s is 0 at s = 0. It has no "
+            "region and no limits here; use verdicts, radii, poles or margins."
         )
     with np.errstate(all="ignore"):
         c = filtered_coefficients(plant, velocity, position)

@@ -28,18 +28,14 @@ _HEADINGS = {
     "answers": "{}",
 }
 
-"""The headings of what is in a field that is a dictionary, by its name."""
+"""The headings of the answers in a field that is a dictionary, by its name."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """How a number is printed.
+    """Format of a number: its unit and significant digits, a rounding mode, words for infinity.
 
-    Args:
-        unit: of the number; one in s is printed in ms, one in m or rad in millionths.
-        digits: significant digits.
-        rounding: in the words of the module ``decimal``.
-        infinite: the words for an infinite number.
+    A number in s is printed in ms, one in m or rad in millionths.
     """
 
     unit: str = ""
@@ -114,11 +110,11 @@ DampingRange = Annotated[tuple[float, float], IntervalQuantity("N s/m")]
 
 
 class Answer:
-    """What a dataclass of quantities, words and further answers has in common.
+    """A dataclass of quantities, descriptions and further answers.
 
     A field is left out where it is None; one that is a dictionary has answers by their names. An
-    answer that ``is_part`` of another one has no heading of its own. An answer with a field
-    ``inputs`` has its units, and so has what is in it.
+    answer that ``is_part`` of another one has no heading. An answer with a field ``inputs`` has its
+    units, and so have the answers in it.
     """
 
     is_part: ClassVar[bool] = False
@@ -126,10 +122,7 @@ class Answer:
     """The words for a number that is NaN."""
 
     def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
-        """Return names and values as JSON has them: without NaN and infinity, which are None.
-
-        Beside the inputs, if there are any, are the units of all keys.
-        """
+        """Names and values as JSON has them (NaN, infinity: None), with units beside the inputs."""
         units = self._units(units)
         table: dict[str, Any] = {}
         for (*outer, name), value in self._entries():
@@ -195,14 +188,14 @@ class Answer:
 
     def _units_of_keys(self, units: Units) -> dict[str, str]:
         """Return the unit of each key of a number, "1" where it has none."""
-        found: dict[str, str] = {}
+        units_by_key: dict[str, str] = {}
         kind: Any = type(self)  # mypy holds it for not hashable
         for (*_, name), value in self._entries():
             if isinstance(value, Answer):
-                found |= value._units_of_keys(units)
+                units_by_key |= value._units_of_keys(units)
             elif not isinstance(value, str | IntEnum):
-                found[_named(name, units)] = units.unit(_quantities(kind)[name].unit) or "1"
-        return found
+                units_by_key[_named(name, units)] = units.unit(_quantities(kind)[name].unit) or "1"
+        return units_by_key
 
     def _words(self, name: str, value: Any, units: Units) -> str:
         if isinstance(value, str | IntEnum):
@@ -294,13 +287,13 @@ def _for_json(value: Any) -> Any:
 def _quantities(kind: Any) -> dict[str, Quantity]:
     """Return the quantities of the annotated fields of an answer."""
     hints = get_type_hints(kind, include_extras=True)
-    found = {}
+    quantities = {}
     for name, hint in hints.items():
         for part in (hint, *get_args(hint)):  # of "quantity | None", too
             for note in getattr(part, "__metadata__", ()):
                 if isinstance(note, Quantity):
-                    found[name] = note
-    return found
+                    quantities[name] = note
+    return quantities
 
 
 # The basis of a scene's answers, stated in front of them.

@@ -19,19 +19,15 @@ Outside = Literal["error", "undecided"]
 
 _NODES = {"gamma": 5, "delta": 9}  # along a range
 _DELAY_CELLS = 32  # to a sample, along a range of delays
-_MOST_LIMIT_CELLS = 2048  # where walls are far beyond what is stable
+_MOST_LIMIT_CELLS = 2048  # where walls are far beyond the stable set
 _ASIDE = 1e-9  # of walls: so far beyond them axes end
 
 
 def atlas_spec(scene: Scene) -> AtlasSpec:
-    """Return the specification of an atlas for all loops of a scene's ranges.
+    """The specification of an atlas for all loops of a scene's ranges.
 
-    Gamma and delta are least and most at the corners of the ranges of mass and hand, for they are
-    monotone in each. Alpha and beta are laid around what is stable, and around the scene's walls.
-
-    Raises:
-        TypeError: the device is not one mass with its hand.
-        ValueError: a quantity is out of range.
+    Gamma and delta have their extremes at the corners of the ranges of mass and hand, for they are
+    monotone in each. Alpha and beta are laid around the stable set and the scene's walls.
     """
     loops = [loop_of_member(scene, member) for member in corners_of(scene)]
     if loops[0].body is None:
@@ -76,7 +72,7 @@ def _around(spec: AtlasSpec, loops: list[HapticLoop], walls: list[Gains]) -> Atl
 def _beyond(
     name: str, spec: AtlasSpec, gains: NDArray[np.float64], ends: tuple[float, float]
 ) -> FittedAxis:
-    """Return an axis that reaches beyond gains, where these are beyond what is stable."""
+    """An axis that extends beyond gains, where these are beyond the stable set."""
     axis: FittedAxis = getattr(spec, name)
     low, high = float(gains.min()), float(gains.max())
     aside = _ASIDE * max(abs(low), abs(high))
@@ -99,18 +95,7 @@ class AskedWall(NamedTuple):
 def ask_atlas(
     scene: Scene, atlas: Atlas, walls: Mapping[str, Gains], outside: Outside, *, exact: bool
 ) -> list[AskedWall]:
-    """Ask an atlas about walls, for the loop at each corner of a scene's ranges.
-
-    Args:
-        scene: the scene.
-        atlas: the atlas.
-        walls: by name.
-        outside: as for ``Atlas.query``.
-        exact: as for ``Atlas.query``.
-
-    Raises:
-        TypeError, ValueError: as ``Atlas.for_loop``; or a wall is outside of the atlas.
-    """
+    """Answers of ``Atlas.query`` about walls, for the loop at each corner of a scene's ranges."""
     corners = corners_of(scene)
     views = [atlas.for_loop(loop_of_member(scene, corner)) for corner in corners]
     return [
@@ -121,11 +106,7 @@ def ask_atlas(
 
 
 def spec_text(scene: Scene, name: str) -> str:
-    """Return the text of a scene's specification, which says first what it is of.
-
-    Raises:
-        TypeError, ValueError: as ``atlas_spec``.
-    """
+    """The text of a scene's specification, which begins with a description."""
     text = atlas_spec(scene).to_toml()
     units, basis = scene.units, basis_of(scene)
     mass, hand_mass, stiffness, damping, delay = (

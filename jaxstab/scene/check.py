@@ -105,7 +105,7 @@ class AllHands(Answer):
 class WorstHeld(NamedTuple):
     """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
 
-    ``hand`` is None where neither a hand nor the mass varies; ``tried`` says what is known where
+    ``hand`` is None where neither a hand nor the mass varies; ``tried`` describes the search where
     the verdict is UNDECIDED.
     """
 
@@ -116,7 +116,7 @@ class WorstHeld(NamedTuple):
 
 
 def worst_held(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
-    """Return what is known of walls for all hands of their scenes' ranges, and the worst hands."""
+    """Verdicts on walls for all hands of their scenes' ranges, and the worst hands."""
     return by_kind(walls, [is_one_mass(scene) for scene, _ in walls], _worst_of_a_kind)
 
 
@@ -127,9 +127,9 @@ def _worst_of_a_kind(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
         for scene, gains in walls
     ]
     if is_one_mass(walls[0][0]):
-        found = worst_hands(held)
+        worsts = worst_hands(held)
     else:
-        found = [loop.worst_hand(*wall, mass=mass) for loop, *wall, mass in held]
+        worsts = [loop.worst_hand(*wall, mass=mass) for loop, *wall, mass in held]
     return [
         WorstHeld(
             worst.verdict,
@@ -137,7 +137,7 @@ def _worst_of_a_kind(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
             held_by(worst.loop, scene),
             _TRIED if worst.verdict == Verdict.UNDECIDED else None,
         )
-        for worst, (scene, _) in zip(found, walls, strict=True)
+        for worst, (scene, _) in zip(worsts, walls, strict=True)
     ]
 
 
@@ -147,19 +147,19 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     if hands is None:
         return None
     loop, mass = loop_of(scene), masses_of(scene)
-    found = loop.robust_limit(hands, mass=mass)
-    is_proved, stiffness = found.is_proved, safety * found.stiffness
+    robust = loop.robust_limit(hands, mass=mass)
+    is_proved, stiffness = robust.is_proved, safety * robust.stiffness
     if safety < 1.0 and not isnan(stiffness):
-        worst = loop.worst_hand(hands, stiffness, found.damping, mass=mass)
+        worst = loop.worst_hand(hands, stiffness, robust.damping, mass=mass)
         is_proved = worst.verdict == Verdict.STABLE
     proved = _PROVED + ("" if mass is None else f" and {scene.units.moved}")
     tried = "no wall was found" if isnan(stiffness) else "not proved"
     return AllHands(
         largest_stiffness=stiffness,
-        at_damping=found.damping,
+        at_damping=robust.damping,
         certainty=proved if is_proved else tried,
-        none_is_stiffer_than=found.limit if is_one_mass(scene) else None,
-        worst_hand=held_by(found.loop, scene),
+        none_is_stiffer_than=robust.limit if is_one_mass(scene) else None,
+        worst_hand=held_by(robust.loop, scene),
     )
 
 
@@ -295,7 +295,7 @@ class Chatter(Answer):
 
 @dataclass(frozen=True)
 class WallCheck(Answer):
-    """What is known of a wall, and the measures that are wanted.
+    """The answers about a wall: the requested measures.
 
     The worst hand is that of the largest radius, which is given for it; every other measure is the
     worst over the hands that are tried.
@@ -338,31 +338,21 @@ class _Wall:
 
     @property
     def at_worst(self) -> Rendered:
-        """The wall in the loop with the worst hand."""
         return Rendered(self.known.loop, self.gains)
 
     def wants(self, measure: str) -> bool:
-        """Return whether a measure is wanted, and can be taken."""
         wanted = measure in self.scene.wanted.measures
         return wanted and (measure != "chatter" or self.scene.device.encoder is not None)
 
 
 def check_walls(scene: Scene) -> Check:
-    """Return for each wall its verdict and the measures that are wanted, at their worst.
-
-    Raises:
-        ValueError: there is no wall, or a quantity is out of range.
-    """
+    """The verdict on each wall and the requested measures, at their worst; at least one wall."""
     (check,) = check_scenes([scene])
     return check
 
 
 def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
-    """Return ``check_walls`` of each scene, evaluated as one batch.
-
-    Raises:
-        ValueError: as ``check_walls`` of one of them.
-    """
+    """``check_walls`` of each scene, evaluated as one batch."""
     walls = _walls_of(scenes)
     measured: list[dict[str, Any]] = [{} for _ in walls]
     for name, measure in _MEASURES.items():
@@ -376,19 +366,19 @@ def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
 
 
 def _walls_of(scenes: Sequence[Scene]) -> list[_Wall]:
-    asked: list[tuple[Scene, Gains, list[HapticLoop]]] = []
+    listed: list[tuple[Scene, Gains, list[HapticLoop]]] = []
     for scene in scenes:
         scene.require_walls()
         corners = corner_loops(scene) if hands_of(scene) else []
         loops = list(dict.fromkeys([loop_of(scene), *corners]))
-        asked += [(scene, gains, loops) for gains in walls_of(scene).values()]
-    has_hands = [hands_of(scene) is not None for scene, *_ in asked]
-    known = by_kind(asked, has_hands, _known)
-    return [_Wall(*wall, held) for wall, held in zip(asked, known, strict=True)]
+        listed += [(scene, gains, loops) for gains in walls_of(scene).values()]
+    has_hands = [hands_of(scene) is not None for scene, *_ in listed]
+    known = by_kind(listed, has_hands, _known)
+    return [_Wall(*wall, held) for wall, held in zip(listed, known, strict=True)]
 
 
 def _known(walls: Sequence[tuple[Scene, Gains, list[HapticLoop]]]) -> list[WorstHeld]:
-    """Return what is known of each wall at the worst hand, or in the loop itself if none varies."""
+    """The verdict on each wall at the worst hand, or in the loop itself if none varies."""
     if hands_of(walls[0][0]):
         return worst_held([(scene, gains) for scene, gains, _ in walls])
     codes = verdicts([Rendered(loops[0], gains) for _, gains, loops in walls])
@@ -417,10 +407,10 @@ def _over_hands(
         for wall, loops in zip(walls, held, strict=True)
         for loop in loops
     ]
-    found = ask(rendered, *(np.repeat(column, counts) for column in columns))
+    answers = ask(rendered, *(np.repeat(column, counts) for column in columns))
     ends = np.cumsum(counts)
     parts = [
-        tree_map(lambda one, own=slice(end - count, end): one[own], found)
+        tree_map(lambda one, own=slice(end - count, end): one[own], answers)
         for count, end in zip(counts, ends, strict=True)
     ]
     return list(zip(walls, held, parts, strict=True))
@@ -436,16 +426,15 @@ def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
 
 
 def _margins(walls: Sequence[_Wall]) -> list[Margins]:
-    """Return the least margins of each wall over its hands."""
     return [_least_margins(*own) for own in _over_hands(walls, wall_margins)]
 
 
-def _least_margins(wall: _Wall, loops: list[HapticLoop], found: LoopMargins) -> Margins:
-    spare = np.array([found.stiffness_gain, found.damping_gain, found.extra_delay])
+def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -> Margins:
+    spare = np.array([margins.stiffness_gain, margins.damping_gain, margins.extra_delay])
     # NaN, of a hand with which the wall is not stable, goes through.
     stiffer, damper, extra_delay = spare.min(axis=1).tolist()
     searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
-    limits = _common(found.stiffness), _common(found.damping)
+    limits = _common(margins.stiffness), _common(margins.damping)
     kind = NoMargins if wall.known.verdict == Verdict.UNSTABLE else Margins
     words = _among("the least", loops)
     return kind(stiffer, damper, *limits, extra_delay, searched, words)
@@ -460,8 +449,8 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
 def _distances(walls: Sequence[_Wall]) -> list[Distance]:
     """Return the least distance of each wall over its hands; NaN if one has no region."""
     return [
-        Distance(float(np.min(found)), _among("the least", loops))
-        for _, loops, found in _over_hands(walls, boundary_distances)
+        Distance(float(np.min(distances)), _among("the least", loops))
+        for _, loops, distances in _over_hands(walls, boundary_distances)
     ]
 
 
@@ -471,7 +460,6 @@ def _radii(walls: Sequence[_Wall]) -> list[Radius]:
 
 
 def _settlings(walls: Sequence[_Wall]) -> list[Settling]:
-    """Return the longest settling times of each wall over its hands."""
 
     def ask(rendered: Sequence[Rendered]) -> list[MotionSettling]:
         return settling_times(rendered, _LEVELS, _HORIZON)
@@ -479,30 +467,30 @@ def _settlings(walls: Sequence[_Wall]) -> list[Settling]:
     return [_longest(*own) for own in _over_hands(walls, ask)]
 
 
-def _longest(wall: _Wall, loops: list[HapticLoop], found: list[MotionSettling]) -> Settling:
-    numbers = [_slowest(one) for one in found]
+def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettling]) -> Settling:
+    numbers = [_slowest(settling) for settling in settlings]
     two, five = (
-        MotionSettling(one.value[number], one.status[number])
-        for number, one in zip(numbers, found, strict=True)
+        MotionSettling(settling.value[number], settling.status[number])
+        for number, settling in zip(numbers, settlings, strict=True)
     )
     status, hand = SettlingStatus(int(two.status)), _hand_of(wall, loops[numbers[0]])
     return Settling(settled(two), settled(five), status, _among("the longest", loops), hand)
 
 
-def _slowest(found: MotionSettling) -> int:
+def _slowest(settling: MotionSettling) -> int:
     """Return the number of the hand that takes longest: an unstable one, or one not proved."""
-    values, status = np.asarray(found.value), np.asarray(found.status)
+    values, status = np.asarray(settling.value), np.asarray(settling.status)
     rank = np.select(
         [status == SettlingStatus.UNSTABLE, status == SettlingStatus.SETTLED], [2, 0], 1
     )
     return int(np.lexsort((values, rank))[-1])
 
 
-def settled(found: MotionSettling) -> float:
+def settled(settling: MotionSettling) -> float:
     """Return a settling time in s; infinite for an unstable loop, NaN where none is proved."""
-    status = int(found.status)
+    status = int(settling.status)
     if status == SettlingStatus.SETTLED:
-        return float(found.value)
+        return float(settling.value)
     return inf if status == SettlingStatus.UNSTABLE else nan
 
 
@@ -511,21 +499,20 @@ def _oscillations(walls: Sequence[_Wall]) -> list[Oscillation]:
     return [_least_damped(*own) for own in _over_hands(walls, oscillations)]
 
 
-def _least_damped(wall: _Wall, loops: list[HapticLoop], found: Mode) -> Oscillation:
-    ratios = np.asarray(found.damping_ratio)
-    number = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
-    ratio, frequency = float(ratios[number]), float(found.frequency[number])
-    words, hand = _among("the least damped", loops), _hand_of(wall, loops[number])
+def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> Oscillation:
+    ratios = np.asarray(modes.damping_ratio)
+    index = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
+    ratio, frequency = float(ratios[index]), float(modes.frequency[index])
+    words, hand = _among("the least damped", loops), _hand_of(wall, loops[index])
     return Oscillation(ratio, frequency, words, hand)
 
 
 def _chatters(walls: Sequence[_Wall]) -> list[Chatter]:
-    """Return the largest amplitudes of each wall over its hands."""
     encoders = [wall.scene.device.encoder for wall in walls]
-    steps = [one.resolution for one in encoders if one is not None]  # all, as they are wanted
+    steps = [encoder.resolution for encoder in encoders if encoder is not None]  # all are wanted
     return [
-        _chatter(found.position, found.force, found.force_per_count)
-        for _, _, found in _over_hands(walls, amplitudes, steps)
+        _chatter(amplitude.position, amplitude.force, amplitude.force_per_count)
+        for _, _, amplitude in _over_hands(walls, amplitudes, steps)
     ]
 
 

@@ -40,7 +40,7 @@ class DesignStatus(Status):
 
 @dataclass(frozen=True)
 class LargestSampleTime(Answer):
-    """The largest sample time, the damping that allows most there, and what is known of it."""
+    """The largest sample time, the damping that allows most there, and a status."""
 
     largest_sample_time: LargestTime
     at_damping: Damping | None
@@ -49,7 +49,7 @@ class LargestSampleTime(Answer):
 
 @dataclass(frozen=True)
 class LargestDelay(Answer):
-    """The largest delay, the damping that allows most there, and what is known of it."""
+    """The largest delay, the damping that allows most there, and a status."""
 
     largest_delay: LargestTime
     at_damping: Damping | None
@@ -75,39 +75,33 @@ class Design(Answer):
 
 
 def design_loop(scene: Scene) -> Design:
-    """Return the largest sample time, and the largest delay, that allow the wanted stiffness.
-
-    A delay given in samples grows with the sample time. The damping is the one that allows most.
-    The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
-    taken over a window in s, only sample times that divide it are tried.
-
-    Raises:
-        ValueError: no stiffness is wanted, a quantity is out of range, or a stable region on the
-            way is not resolved.
-    """
+    """The largest sample time, and the largest delay, that allow the wanted stiffness."""
+    # A delay given in samples grows with the sample time. The damping is the one that allows most.
+    # The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
+    # taken over a window in s, only sample times that divide it are tried.
     wanted = scene.wanted.stiffness
     if wanted is None:
         raise ValueError("wanted.stiffness is missing; give the stiffness to design for in N/m.")
     loop = loop_of(scene)
     in_samples, safety = scene.controller.delay_samples, scene.wanted.safety or 1.0
-    asked = wanted / safety
+    required = wanted / safety
     sampled, delayed = partial(sampled_loop, scene), partial(delayed_loop, scene)
     period, velocity = loop.sample_time, scene.controller.velocity
     window = velocity.window if velocity else None
     shortest = max(period / _FACTOR, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0)
     longest = min(_FACTOR * period, velocity.longest_sample_time if velocity else inf)
     if window is None:
-        largest_period = _largest(sampled, asked, period, shortest, longest)
+        largest_period = _largest(sampled, required, period, shortest, longest)
     else:
         periods = [window / n for n in range(1, LONGEST_WINDOW + 1)]
-        largest_period = _largest_of(sampled, asked, [one for one in periods if one >= shortest])
+        largest_period = _largest_of(sampled, required, [one for one in periods if one >= shortest])
     return Design(
         inputs=basis_of(scene),
         stiffness=wanted,
         safety=scene.wanted.safety,
         now_allowed_stiffness=safety * _stiffest(loop).stiffness,
         sample_time=LargestSampleTime(*largest_period),
-        delay=LargestDelay(*_largest(delayed, asked, period, 0.0, _MOST_SAMPLES * period)),
+        delay=LargestDelay(*_largest(delayed, required, period, 0.0, _MOST_SAMPLES * period)),
         hand=at_lowest(scene),
     )
 
@@ -131,10 +125,7 @@ def _largest(
     lowest: float,
     highest: float,
 ) -> tuple[float, float | None, DesignStatus]:
-    """Return the largest value of a quantity whose loop allows the wanted stiffness.
-
-    With it come the damping there, and what is known of it.
-    """
+    """The largest value that allows the wanted stiffness, with the damping and the status."""
 
     def spare(value: float) -> float:
         return _stiffest(loop_at(value)).stiffness / wanted - 1.0
@@ -143,10 +134,10 @@ def _largest(
     if not low.spare >= 0.0:
         return nan, None, DesignStatus.NONE
     if high.spare >= 0.0:
-        found, status = high.value, DesignStatus.LONGEST_TRIED
+        largest, status = high.value, DesignStatus.LONGEST_TRIED
     else:
-        found, status = _last_with_spare(spare, low, high, start), DesignStatus.FOUND
-    return found, _stiffest(loop_at(found)).damping, status
+        largest, status = _last_with_spare(spare, low, high, start), DesignStatus.FOUND
+    return largest, _stiffest(loop_at(largest)).damping, status
 
 
 def _largest_of(
@@ -165,7 +156,6 @@ def _largest_of(
 
 
 def _stiffest(loop: HapticLoop) -> Gains:
-    """Return the stiffest wall that turning gains up from 0 reaches."""
     return reachable(wall_region(loop)).stiffest
 
 
@@ -179,10 +169,7 @@ class _Trial(NamedTuple):
 def _bracket(
     spare: Callable[[float], float], start: float, lowest: float, highest: float
 ) -> tuple[_Trial, _Trial]:
-    """Return two values: the lower one meets the requirement, the upper one does not.
-
-    As far as there are such between the lowest and the highest one.
-    """
+    """Two values: the lower one meets the requirement, the upper one does not, if any."""
     low = high = _Trial(start, spare(start))
     while high.spare >= 0.0 and high.value < highest:
         value = min(2.0 * high.value, highest)
@@ -197,11 +184,9 @@ def _bracket(
 def _last_with_spare(
     spare: Callable[[float], float], low: _Trial, high: _Trial, scale: float
 ) -> float:
-    """Return the largest value with something to spare, by false position.
-
-    The weight of an end that stays twice is halved (the Illinois rule); if it stays longer, the
-    interval is halved: the largest value may be 0, and the spare noise next to it.
-    """
+    """Return the largest value with something to spare, by false position."""
+    # The weight of an end that stays twice is halved (the Illinois rule); if it stays longer, the
+    # interval is halved: the largest value may be 0, and the spare noise next to it.
     weight_low, weight_high, moved, stays = low.spare, high.spare, "", 0
     while high.value - low.value > _AGREEMENT * max(high.value, _NO_DELAY * scale):
         share = weight_low / (weight_low - weight_high) if isfinite(weight_high) else 0.5

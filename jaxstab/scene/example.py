@@ -1,7 +1,7 @@
 """An example of a scene, with comments."""
 
 from jaxstab.scene.answers import IntervalQuantity, Quantity, basis_of, grip_in_words
-from jaxstab.scene.scene import Hand, Scene, Units, VibrationMode
+from jaxstab.scene.scene import Hand, Scene, Units
 
 EXAMPLE = """\
 # A haptic scene for jaxstab. All quantities are in SI units.
@@ -88,11 +88,11 @@ _OUTSIDE = (
 )
 
 _UNITS = ("kg", "N/m", "N s/m")
-_NAME = 14  # where what is said of a block begins
+_NAME = 14  # column of the values of a block
 
 
 def explain_model(scene: Scene) -> str:
-    """Return the loop as a diagram, its blocks as the scene has them, and what is outside of it."""
+    """The loop as a diagram, the values of its blocks, and limits of the model."""
     blocks = [f"{name:{_NAME}}{words}" for name, words in _blocks(scene).items()]
     counted = [f"{'':{_NAME}}{words}" for words in _COUNTED]
     every = [", ".join(_not_modelled(scene)), *_OUTSIDE]
@@ -108,7 +108,9 @@ def _blocks(scene: Scene) -> dict[str, str]:
     own = _range(device.effective_mass, "kg", units)
     blocks = {"device": f"{own}, {Quantity('N s/m').words(device.damping, units)}{turning}"}
     for number, mode in enumerate(device.modes, 1):
-        blocks[f"mode {number}"] = _mode(mode, units)
+        mass = Quantity("kg").words(mode.effective_mass, units)
+        words = f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {mass}"
+        blocks[f"mode {number}"] = words
     if device.actuator is not None:
         blocks["actuator"] = f"a first-order lag of {device.actuator.bandwidth:g} Hz of the force"
     blocks["hand"] = ", ".join(_range(*one, units) for one in held) if scene.hand else "none"
@@ -123,7 +125,6 @@ def _blocks(scene: Scene) -> dict[str, str]:
 
 
 def _range(ends: tuple[float, float], unit: str, units: Units) -> str:
-    """Return a number, or the two ends of a range."""
     if ends[0] == ends[1]:
         return Quantity(unit).words(ends[0], units)
     return IntervalQuantity(unit).words(ends, units)
@@ -135,10 +136,5 @@ def _not_modelled(scene: Scene) -> list[str]:
     return [
         "vibration modes other than these" if device.modes else "vibration modes",
         *([] if device.actuator else ["bandwidth of motor and amplifier"]),
-        *([] if hand is None or hand.grip else ["a grip that gives way"]),
+        *([] if hand is None or hand.grip else ["a compliant grip"]),
     ]
-
-
-def _mode(mode: VibrationMode, units: Units) -> str:
-    mass = Quantity("kg").words(mode.effective_mass, units)
-    return f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {mass}"

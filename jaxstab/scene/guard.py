@@ -33,20 +33,17 @@ def scene_guard(
     progress: Callable[[float], None] | None = None,
     cells: tuple[int, int, int] | None = None,
 ) -> Guard:
-    """Return the guard of a scene: see ``jaxstab.build_guard``.
+    """The guard of a scene, for its hands: see ``jaxstab.build_guard``.
 
     Args:
-        scene: the scene; its hands are those of the guard.
+        scene: the scene.
         masses: of the device in kg; None for those of the scene, and if that is a single one for
             0.8 to 1.25 times it, 0.96 to 1.04 of a device with modes, an actuator or a grip.
         delays: in s; None for one sample less to one sample more than the scene's, a tenth of one
             for such a device.
-        progress: is told which share of the proof is done.
-        cells: as of ``build_guard``; None for its own, and a single one of mass and delay for such
-            a device.
-
-    Raises:
-        ValueError, NotImplementedError, RuntimeError: as ``build_guard``.
+        progress: called with the completed share of the proof.
+        cells: as of ``build_guard``; None for its default, and a single one of mass and delay for
+            such a device.
     """
     _check_size(scene, delays, cells)
     loop = loop_of(scene)
@@ -73,11 +70,7 @@ def scene_guard(
 def _check_size(
     scene: Scene, delays: Range | None, cells: tuple[int, int, int] | None = None
 ) -> None:
-    """Refuse before the proof what would take too long, or too much room.
-
-    Raises:
-        ValueError: a delay is too long, or there are too many cells.
-    """
+    """Refuse before the proof what would take too long, or too much memory."""
     longest = LONGEST_DELAY * scene.controller.sample_time
     if delays and not max(delays) <= longest:
         raise ValueError(

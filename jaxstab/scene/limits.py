@@ -62,7 +62,7 @@ class LinearRule(StiffestWall):
 
 @dataclass(frozen=True)
 class Island(Answer):
-    """Stable walls that turning gains up from 0 does not reach: unstable ones lie between."""
+    """Stable walls that are not connected to small gains: unstable ones lie between."""
 
     largest_stiffness: LargestStiffness
     at_damping: Damping
@@ -95,7 +95,7 @@ class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
 
 @dataclass(frozen=True)
 class Limits(Answer):
-    """What a scene allows, with the hand at its lowest values."""
+    """The limits of a scene, with the hand at its lowest values."""
 
     inputs: Basis | None
     safety: Number | None
@@ -121,14 +121,11 @@ class Limits(Answer):
 
 
 def scene_limits(scene: Scene) -> Limits:
-    """Return the largest stiffness and damping, the linear rule, the passive limit, all hands.
+    """The largest stiffness and damping, the linear rule, the passive limit, all hands.
 
     Where a safety is wanted, all limits are multiplied by it, towards small gains, and islands,
     which have no such side, are left out. The linear rule and the passive limit are those of the
     difference over one sample, and left out for others.
-
-    Raises:
-        ValueError: a quantity is out of range, or the stable region is not resolved.
     """
     loop, wanted = loop_of(scene), scene.wanted
     region, safety = wall_region(loop), scene.wanted.safety or 1.0
@@ -190,7 +187,6 @@ class _Rows:
         return DampingsAtStiffness(stiffness, inwards(low, high, self.safety))
 
     def around(self, stiffness: float, damping: float) -> AroundWall:
-        """Return both for a wall."""
         by_damping = self.at_damping(damping, stiffness)
         return AroundWall(**vars(by_damping), **vars(self.at_stiffness(stiffness, damping)))
 
@@ -212,17 +208,14 @@ def _around(intervals: Floats, value: float) -> tuple[float, float] | None:
 
 
 def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
-    """Return the limits of an interval, each moved inwards by a factor; NaN where nothing stays.
-
-    Limits of one sign are moved away from it: a lower one above 0 is divided by the factor.
-    """
+    """Return the limits of an interval, each moved inwards by a factor; NaN where nothing stays."""
+    # Limits of one sign are moved away from it: a lower one above 0 is divided by the factor.
     low = low * safety if low < 0.0 else low / safety
     high = high * safety if high > 0.0 else high / safety
     return (low, high) if low <= high else (nan, nan)
 
 
 def _islands(limits: WallLimits) -> dict[str, Island]:
-    """Return the islands by their numbers, the largest first."""
     return {
         str(number): Island(*island[:4], _NOT_REACHABLE)
         for number, island in enumerate(limits.islands, 1)

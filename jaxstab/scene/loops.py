@@ -30,11 +30,7 @@ class OneHand(NamedTuple):
 
 
 def wall_region(loop: HapticLoop) -> WallRegion:
-    """Return the stable walls of a loop.
-
-    Raises:
-        ValueError: the dimensionless parameters are out of range, or the region is not resolved.
-    """
+    """The stable walls of a loop; ValueError where the region is not resolved."""
     region = loop.region()
     if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(
@@ -44,11 +40,7 @@ def wall_region(loop: HapticLoop) -> WallRegion:
 
 
 def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
-    """Return the loop of a scene with a hand; without, the one at the lowest ends of the ranges.
-
-    Raises:
-        ValueError: a quantity is out of range.
-    """
+    """The loop of a scene with a hand; without, the one at the lowest ends of the ranges."""
     if hand is None:
         hand = OneHand(*(low for low, _ in vars(range_of_hands(scene)).values()))
     _check_scale(scene)
@@ -70,15 +62,12 @@ def is_one_mass(scene: Scene) -> bool:
 
 
 def is_plain(loop: HapticLoop) -> bool:
-    """Return whether the loop is that of the simple rules: one mass, and nothing is filtered.
-
-    The velocity is then the difference over one sample.
-    """
+    """Whether the simple rules hold for the loop: one mass, one-sample difference, no filters."""
     return loop.body is not None and given_filters(**loop.filters) is None
 
 
 def reachable(region: WallRegion) -> WallRegion:
-    """Return the walls that turning gains up from 0 reaches; all where small gains do not hold."""
+    """The component that contains small gains; all components where none does."""
     return region.main or region
 
 
@@ -99,21 +88,14 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
 
 
 def hands_among(scene: Scene, count: int) -> list[OneHand]:
-    """Return a grid over the ranges of the scene's hand; two values each give its corners.
-
-    The mass of the device is one of the quantities.
-    """
+    """A grid over the ranges of the scene's hand and device mass; ``count`` 2 gives the corners."""
     hands, masses = spread_hands(range_of_hands(scene), count).tolist(), masses_of(scene)
     among = [None] if masses is None else np.linspace(*masses, count).tolist()
     return [OneHand(*hand)._replace(device_mass=mass) for hand in hands for mass in among]
 
 
 def corner_loops(scene: Scene) -> list[HapticLoop]:
-    """Return the loop of a scene with each hand and mass at the corners of the ranges.
-
-    Raises:
-        ValueError: a quantity is out of range.
-    """
+    """The loop of a scene with each hand and mass at the corners of the ranges."""
     return [loop_of(scene, hand) for hand in hands_among(scene, 2)]
 
 
@@ -230,7 +212,7 @@ def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
     return loop_of(replace(scene, controller=delayed), hand)
 
 
-# The plan for a scene: what is computed, what is skipped, and why.
+# The plan for a scene: computed and skipped steps, and why.
 
 
 class Step(NamedTuple):
@@ -242,28 +224,31 @@ class Step(NamedTuple):
 
 
 def plan_scene(scene: Scene) -> list[Step]:
-    """Return what is computed for a scene and what is skipped."""
+    """The steps that are computed for a scene and those that are skipped."""
     wanted = scene.wanted
-    asked = {name: name in wanted.answers for name in ANSWERS}
+    requested = {name: name in wanted.answers for name in ANSWERS}
     reason = {True: "wanted.answers has it", False: "wanted.answers does not have it"}
-    steps = [Step(name, asked[name], reason[asked[name]]) for name in ("limits", "tune", "design")]
+    steps = [
+        Step(name, requested[name], reason[requested[name]])
+        for name in ("limits", "tune", "design")
+    ]
     for key, what in (("at_damping", "stiffness limits"), ("at_stiffness", "damping limits")):
         given = getattr(wanted, key) is not None
         why = f"wanted.{key} is {'given' if given else 'not given'}"
-        steps.append(Step(f"{what} at a given {key[3:]}", given and asked["limits"], why))
-    checked = f"for each of {len(scene.walls)} walls" if asked["check"] else reason[False]
-    steps.append(Step("certified verdicts", asked["check"], checked))
+        steps.append(Step(f"{what} at a given {key[3:]}", given and requested["limits"], why))
+    checked = f"for each of {len(scene.walls)} walls" if requested["check"] else reason[False]
+    steps.append(Step("certified verdicts", requested["check"], checked))
     for name in MEASURES:
         is_wanted = name in wanted.measures
         why = checked if is_wanted else "wanted.measures does not have it"
         if name == "chatter" and scene.device.encoder is None:
             is_wanted, why = False, "device.encoder is not given"
-        steps.append(Step(name, asked["check"] and is_wanted, why))
+        steps.append(Step(name, requested["check"] and is_wanted, why))
     varies = hands_of(scene) is not None
     is_over = varies or bool(wanted.mass_tolerance) or bool(wanted.delay_tolerance)
     why = "neither hand nor mass nor a tolerance of mass or delay is a range"
     why = "a hand, the mass or a tolerance is a range" if is_over else why
-    steps.append(Step("tune over ranges", is_over and asked["tune"], why))
+    steps.append(Step("tune over ranges", is_over and requested["tune"], why))
     why = "the hand or the mass is a range" if varies else "there is one hand at most, and one mass"
     steps.append(Step("worst case over the hands", varies, why))
     steps.append(Step("proof for all hands", varies, why))

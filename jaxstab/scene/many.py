@@ -51,11 +51,7 @@ def short(value: float | str) -> str:
 
 
 def sweep_of(text: str) -> tuple[str, list[float | str]]:
-    """Return the key and the values of ``KEY=LOW:HIGH:COUNT`` or ``KEY=VALUE,VALUE,...``.
-
-    Raises:
-        ValueError: the text has neither form.
-    """
+    """The key and the values of ``KEY=LOW:HIGH:COUNT`` or ``KEY=VALUE,VALUE,...``."""
     name, equals, values = text.partition("=")
     parts = values.split(":")
     try:
@@ -77,11 +73,7 @@ def sweep_of(text: str) -> tuple[str, list[float | str]]:
 
 
 def variants_of(tables: Mapping[str, Mapping[str, Any]], sweep: Sweep) -> list[Variant]:
-    """Return the scenes of some tables, each with all combinations of the values that are swept.
-
-    Raises:
-        ValueError: there are too many, or all are refused for one reason.
-    """
+    """The scenes of some tables, each with all combinations of the swept values."""
     count = len(tables)
     for values in sweep.values():
         count *= len(values)
@@ -149,7 +141,7 @@ def _with(table: Any, path: list[str], value: float | str) -> Any:
     first, *rest = path
     if isinstance(table, list):
         if not (first.isdigit() and int(first) < len(table)):
-            raise ValueError(f"{first} is no entry of a list of {len(table)} to sweep.")
+            raise ValueError(f"{first} is not an entry of a list of {len(table)} to sweep.")
         number = int(first)
         changed = _with(table[number], rest, value) if rest else value
         return [*table[:number], changed, *table[number + 1 :]]

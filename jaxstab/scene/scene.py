@@ -37,7 +37,7 @@ from jaxstab.tables import (
 
 
 class Units(Enum):
-    """The units of mass, stiffness, damping, length, force, and the word for what is moved."""
+    """The units of mass, stiffness, damping, length, force, and the word for the moved mass."""
 
     LINE = "kg", "N/m", "N s/m", "m", "N", "mass"
     ROTATION = "kg m^2", "N m/rad", "N m s/rad", "rad", "N m", "inertia"
@@ -103,13 +103,7 @@ class Sourced(Table):
 
 @dataclass(frozen=True)
 class Preset:
-    """What is known of a device or of a velocity estimator, by the keys of a scene.
-
-    Attributes:
-        title: what it is.
-        note: a remark on the numbers; may be empty.
-        numbers: by key, in SI units. Keys that a scene does not have are for comparison.
-    """
+    """Title, remark (may be empty) and SI numbers of a device or a velocity estimator, by key."""
 
     title: str
     note: str
@@ -285,7 +279,8 @@ class Grip(Table):
 class Hand(Table):
     """The hand that holds the device; each quantity a range from lowest to highest.
 
-    With a grip these are of the arm behind it; without one the hand is glued to the device.
+    With a grip these are of the arm behind it; without one the hand is rigidly attached to the
+    device.
     """
 
     mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0))
@@ -399,7 +394,7 @@ MOST_WALLS = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class Controller(Table):
-    """The sampling period in s, the delay of the loop in s or in samples, and what is filtered."""
+    """The sampling period in s, the delay of the loop in s or in samples, and the filters."""
 
     sample_time: float = key(quantity("s", is_positive=True))
     delay: float | None = key(quantity("s"), None)
@@ -476,7 +471,7 @@ class Wanted(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A device, the hand that holds it, its controller, walls, and what is wanted."""
+    """A device, the hand that holds it, its controller, walls, and wishes."""
 
     device: Device
     controller: Controller
@@ -514,21 +509,12 @@ class Scene:
 
     @classmethod
     def from_file(cls, path: str | PathLike[str]) -> "Scene":
-        """Read a TOML file.
-
-        Raises:
-            OSError: the file cannot be read.
-            ValueError: as for ``from_table``, with the name of the file.
-        """
+        """Read a TOML file; OSError if it is unreadable, ValueError, with its name, if bad."""
         return cls.from_table(read_table(path, "scene"), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str = "") -> "Scene":
-        """Check a table of tables, as TOML has them.
-
-        Raises:
-            ValueError: one sentence on the first key that is unknown, missing or has a bad value.
-        """
+        """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
         try:
             return cls(**_parts(table))
         except ValueError as error:
@@ -536,11 +522,7 @@ class Scene:
             raise ValueError(f"{source}: {words}" if source else words) from None
 
     def require_walls(self) -> None:
-        """Refuse a scene without a wall.
-
-        Raises:
-            ValueError: there is no wall.
-        """
+        """Refuse a scene without a wall."""
         if not self.walls:
             raise ValueError("walls is empty; give at least one wall with stiffness and damping.")
 
@@ -550,7 +532,7 @@ class Scene:
         hand, units = self.hand or Hand(), self.units
         kilogram, stiffness, damping = units.kilogram, units.stiffness, units.damping
         mass, usual = ("mass", _USUAL) if units is Units.LINE else ("inertia", _USUAL_TURNING)
-        found = [
+        warnings = [
             *(
                 _outside(f"device.{mass}", value, *usual.device_mass, kilogram)
                 for value in dict.fromkeys(device.effective_mass)
@@ -567,12 +549,12 @@ class Scene:
             _other_period(controller),
         ]
         for name, wall in self.walls.items():
-            found += [
+            warnings += [
                 _outside(f"walls.{name}.stiffness", wall.stiffness, *usual.stiffness, stiffness),
                 _outside(f"walls.{name}.damping", wall.damping, *usual.damping, damping),
                 self._slip_of_wall(f"walls.{name}", wall),
             ]
-        return [words for words in found if words]
+        return [words for words in warnings if words]
 
     def _slip_of_wall(self, name: str, wall: Wall) -> str:
         """Return a warning for gains that were swapped, or a stiffness in N/mm."""
@@ -589,7 +571,7 @@ class Scene:
 
 
 class _Usual(NamedTuple):
-    """The ends of what is usual of each quantity."""
+    """The usual range of each quantity."""
 
     device_mass: tuple[float, float]
     device_damping: tuple[float, float]
@@ -611,7 +593,6 @@ _PARTS: Mapping[str, type[Table]] = {
 
 
 def _parts(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of a scene, checked."""
     check_keys("", table, [*_PARTS, "walls"])
     given = {"device": {}, "controller": {}, **table}  # which must not be left out
     parts: dict[str, Any] = {

@@ -73,12 +73,7 @@ class WallOverRanges(Answer):
 
 
 def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | None:
-    """Return the wall that is fastest at worst; None where the scene has no range.
-
-    Args:
-        scene: the scene.
-        fastest: the wall that is fastest for the lowest hand, for comparison, if there is one.
-    """
+    """The gains minimising the worst-case settling; None where the scene has no range."""
     ranges = ranges_of(scene)
     if all(low == high for low, high in ranges):
         return None
@@ -150,8 +145,8 @@ class RoundedWall(TunedWall):
 class BestWall(Answer):
     """The best wall, and how it is known. Where none is stable there is only the status.
 
-    Where poles coincide the radius depends on the last digits of the gains. So what is printed is
-    what the gains reach as they are printed; JSON has both.
+    Where poles coincide the radius depends on the last digits of the gains. So the
+    printed radius is that of the printed gains; JSON has both.
     """
 
     exact: TunedWall | None
@@ -186,20 +181,19 @@ class Tuned(Answer):
     @property
     def all_stable(self) -> bool:
         """Whether each wall is found and proved stable; over ranges none is proved."""
-        found = [self.least_radius, self.least_settling, *self.walls.values()]
-        found += [self.at_given_stiffness] if self.at_given_stiffness else []
-        return self.over_ranges is None and all(wall.is_stable for wall in found)
+        walls = [self.least_radius, self.least_settling, *self.walls.values()]
+        walls += [self.at_given_stiffness] if self.at_given_stiffness else []
+        return self.over_ranges is None and all(wall.is_stable for wall in walls)
 
 
 class _Encoder(NamedTuple):
-    """The resolution of an encoder, and how far it may drive a wall; None for what is not given."""
+    """The resolution of an encoder, and how far it may drive a wall; None where not given."""
 
     resolution: float | None
     limit: float | None
 
     @classmethod
-    def of(cls, scene: Scene) -> "_Encoder":
-        """Return what a scene says."""
+    def from_scene(cls, scene: Scene) -> "_Encoder":
         encoder, limit = scene.device.encoder, scene.wanted.chatter
         return cls(
             None if encoder is None else encoder.resolution,
@@ -208,13 +202,9 @@ class _Encoder(NamedTuple):
 
 
 def tune_walls(scene: Scene) -> Tuned:
-    """Return the walls that come to rest fastest, and the best damping at the stiffnesses given.
-
-    Raises:
-        ValueError: a quantity is out of range, or the stable region is not resolved.
-    """
+    """The walls that settle fastest, and the best damping at the stiffnesses given."""
     loop, hands = loop_of(scene), hands_of(scene)
-    best = partial(_best, scene, loop, hands, _Encoder.of(scene))
+    best = partial(_best, scene, loop, hands, _Encoder.from_scene(scene))
     given, fastest = scene.wanted.at_stiffness, best("settling")
     gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
     return Tuned(
@@ -257,7 +247,6 @@ def _over_hands(scene: Scene, gains: Gains) -> Verdict | str:
 
 
 def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: _Encoder) -> Tuning:
-    """Return gains with what they reach."""
     radius, resolution = loop.spectral_radius(*gains), encoder.resolution
     chatter = None
     if resolution is not None:

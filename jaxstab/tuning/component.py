@@ -67,11 +67,9 @@ class Component(NamedTuple):
     status: TuningStatus = TuningStatus.NOT_COMPUTED
 
     def holds(self, alpha: np.ndarray, beta: np.ndarray) -> Bool[np.ndarray, "*grid"]:
-        """Return which stable gains are in the component: those that its outline encloses.
-
-        Stable gains are not next to another component's edge, so the polygon is as good for this as
-        the exact curve.
-        """
+        """Return which stable gains are in the component: those that its outline encloses."""
+        # Stable gains are not next to another component's edge, so the polygon is as good for this
+        # as the exact curve.
         alpha, beta = np.broadcast_arrays(alpha, beta)
         if self.edges is None:
             return np.full(alpha.shape, True)

@@ -73,9 +73,9 @@ def zoomed(
     """
     best, value = (np.nan, np.nan), np.inf
     for _ in range(_ZOOMS):
-        found, place = least(grid)
-        if found < value:
-            best, value = grid[place], found
+        lowest, place = least(grid)
+        if lowest < value:
+            best, value = grid[place], lowest
         if value <= enough:
             break
         grid = grid.around(best)
@@ -98,27 +98,15 @@ def minimize_radius_damping(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
-    """Return the damping beta with the smallest spectral radius for a given stiffness alpha.
+    """The damping beta with the smallest spectral radius, ``value``, for a given stiffness alpha.
 
     It is found by a scan over both signs and nine decades of beta, which zooms in on its best
     point. If two real poles meet there, beta is right to about 1e-14 and the radius to about 1e-8.
     With an estimator or a filter it is the best damping in the component that holds small positive
     gains; if that has no gains of this stiffness, the best one of an island, and the status says
-    so.
+    so. Source: eq. (9).
 
-    Args:
-        alpha: wall stiffness K T^2/m, one number, like all arguments.
-        gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
-
-    Returns:
-        OptimalGains of single numbers, ``value`` the radius.
-
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN.
-        TypeError: an argument is not one number.
-        RuntimeError: JAX arrays are given without x64.
-
-    Source: eq. (9).
+    Args and Raises: see ``jaxstab.conventions``; all are single numbers.
 
     Example:
         >>> best = jaxstab.minimize_radius_damping(0.05, gamma=0.0, delta=0.015, delay=1.0)
@@ -161,27 +149,22 @@ def minimize_settling(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
-    """Return the gains that settle after the fewest samples.
+    """The gains that settle after the fewest samples, for one slice.
 
     Many gains settle equally fast; those with the smallest deviation from then on are returned. The
     search covers all stable gains around those of the smallest radius with a grid and zooms in;
     with an estimator or a filter it stays in the component in which that radius was found.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], one number, like all arguments.
-        delta, delay: see ``jaxstab.conventions``.
+        gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
         level: half width of the band, between 0 and 1.
         alpha: wall stiffness K T^2/m if it is given; only beta is then chosen.
         excitation: "force" or "impact", see ``settling_samples``.
-        velocity, position: see ``jaxstab.conventions``.
 
     Returns:
         OptimalGains of single numbers, ``value`` in samples, as ``settling_samples`` proves it.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN, or an unknown word.
-        TypeError: an argument is not one number.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Source: the loop of eqs. (1)-(5); settling as in later papers of the same authors.
 
@@ -300,7 +283,7 @@ def _smallest_tails(
                 tails = tails / tails[:, :1]
         tails = np.nan_to_num(tails, nan=np.inf, posinf=np.inf)
         tails[~loop.component.holds(alphas[some], betas[some])] = np.inf
-        # A mode that grows, or goes on ringing, may be small for as long as this.
+        # A mode that grows, or keeps ringing, may be small for as long as this.
         quiet = np.flatnonzero(tails[:, settled.samples] <= settled.level)
         decays = loop.decays(alphas[some][quiet], betas[some][quiet], settled.slowest)
         tails[quiet[~decays]] = np.inf
@@ -322,7 +305,7 @@ def _one_loop(
         checked_number("delta", checked_delta(delta)),
         checked_number("delay", delay, 0.0),
     )
-    return MassLoop.of(plant, given_filters(velocity, position))
+    return MassLoop.from_plant(plant, given_filters(velocity, position))
 
 
 def _as_gains(alpha: float, beta: float, value: float, status: TuningStatus) -> OptimalGains:

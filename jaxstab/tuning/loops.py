@@ -39,7 +39,7 @@ class MassLoop(NamedTuple):
     component: Component
 
     @classmethod
-    def of(cls, plant: Plant, filters: Filters | None) -> "MassLoop":
+    def from_plant(cls, plant: Plant, filters: Filters | None) -> "MassLoop":
         """Return a loop whose search covers the component of small gains, if there is one."""
         return cls(plant, filters, searched_component(*plant, filters) if filters else ALL_GAINS)
 
@@ -93,12 +93,8 @@ class DeviceLoop(NamedTuple):
     component: Component
 
     @classmethod
-    def of(cls, device: SampledDevice, filters: Filters | None) -> "DeviceLoop":
-        """Return a loop whose search covers the component of small gains, if there is one.
-
-        Raises:
-            ValueError: the device does not give way to a constant force.
-        """
+    def from_device(cls, device: SampledDevice, filters: Filters | None) -> "DeviceLoop":
+        """A loop whose search covers the component of small gains, if there is one."""
         return cls(device, filters, _device_walls(device, filters).component)
 
     def anywhere(self) -> "DeviceLoop":

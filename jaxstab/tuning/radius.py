@@ -93,11 +93,9 @@ def family_of_loop(loop: LinearLoop) -> Family:
 
 
 def triple_roots(family: Family) -> Pair:
-    """Return all triple real roots, with y = 0, to the accuracy of the roots of a polynomial.
-
-    The equations are linear in the gains and 1, so that the determinant of the three is a
-    polynomial in z that vanishes at the triple roots of all gains.
-    """
+    """Return all triple real roots, with y = 0, to the accuracy of the roots of a polynomial."""
+    # The equations are linear in the gains and 1, so that the determinant of the three is a
+    # polynomial in z that vanishes at the triple roots of all gains.
     base, stiff, damp = map(_derivatives, family)
     determinant: Array = np.zeros(1)
     for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -130,10 +128,8 @@ def multiple_root(family: Family, start: Pair, is_triple: bool) -> Pair:
 
 
 def newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:
-    """Return the step of Newton's method to a triple real root, or to a double complex pair.
-
-    The equations are p = p' = p'' = y = 0 or p = p' = 0, those for alpha, beta, x and y.
-    """
+    """Return the step of Newton's method to a triple real root, or to a double complex pair."""
+    # The equations are p = p' = p'' = y = 0 or p = p' = 0, those for alpha, beta, x and y.
     xp = namespace(family, pair)
     z = pair.x + 1j * pair.y
     whole = family.polynomial(pair.alpha, pair.beta)
@@ -190,14 +186,14 @@ def value(coefficients: Array, z: Array) -> Array:
 # shows whether it is the best. If it is not, the radius is lowered from scan to scan until a double
 # pair next to the best point, or the point itself, passes this test.
 
-_SMALLEST, _LARGEST = 1e-4, 1.3  # radii that are looked at
+_SMALLEST, _LARGEST = 1e-4, 1.3  # radii of the search
 _FIRST = 1e-5  # rad: close enough to a double real root
 _NEAR = 1.2  # radii: how large other poles may be where a scan looks at them
-_MINIMA, _POINTS, _ROUNDS = 8, 9, 5  # of the scan that are looked at closer
-_MORE = 4.0  # times what a minimum lost when it was looked at closer
+_MINIMA, _POINTS, _ROUNDS = 8, 9, 5  # of the scan that are refined
+_MORE = 4.0  # times the improvement of a minimum by refinement
 _STEP = 0.8  # from one radius to the next smaller one that is tried
 _CLOSE = 1.01  # ends of the interval for the radius at which the search becomes local
-_SHORT = 0.1  # of the way to the radius that was guessed: what is left of it
+_SHORT = 0.1  # of the way to the radius that was guessed
 _ROWS, _COLUMNS, _ZOOMS = 32, 48, 14
 _FLAT = 1e-11  # relative: radii this close are not told apart
 _AGREEMENT = 1e-6  # relative, between the scan and the solution of the equations
@@ -281,12 +277,10 @@ def _best(walls: Walls) -> tuple[Pair, int]:
 
 
 def _descended(walls: Walls, low: float, best: _Point) -> tuple[float, Pair, int]:
-    """Return a radius below which no pair was found, the best pair above it, and its kind.
-
-    From the best point known, the radius is taken down until no pair is left, faster and faster.
-    Below the best radius, what is reached misses the circle by about as much as the circle is too
-    small: two such circles tell where the next one nearly fits.
-    """
+    """Return a radius below which no pair was found, the best pair above it, and its kind."""
+    # From the best point known, the radius is taken down until no pair is left, faster and faster.
+    # Below the best radius, the closest radius misses the circle by about as much as the circle is
+    # too small: two such circles tell where the next one nearly fits.
     high, step, misses = best.radius, _STEP, list[_Point]()
     while high > low * _CLOSE:
         guess = _guess(misses, low, high)
@@ -326,8 +320,8 @@ def _triple_root(walls: Walls) -> tuple[Pair, int]:
     """Return the smallest triple real root without a larger pole; an infinite one for none."""
     roots = triple_roots(walls.family)
     sizes, largest = abs(roots.x), walls.largest_pole(roots.alpha, roots.beta)
-    stands = (sizes > _SMALLEST) & (largest <= sizes * (1.0 + _MOST_NOISE))
-    for number in np.argsort(np.where(stands, sizes, np.inf))[: np.sum(stands)]:
+    is_real = (sizes > _SMALLEST) & (largest <= sizes * (1.0 + _MOST_NOISE))
+    for number in np.argsort(np.where(is_real, sizes, np.inf))[: np.sum(is_real)]:
         pair = multiple_root(walls.family, Pair(*(part[number] for part in roots)), is_triple=True)
         is_same = abs(abs(pair.x) - sizes[number]) <= _AGREEMENT * sizes[number]
         if is_same and _holds(walls, pair):
@@ -336,10 +330,8 @@ def _triple_root(walls: Walls) -> tuple[Pair, int]:
 
 
 def _holds(walls: Walls, pair: Pair) -> bool:
-    """Return whether gains have the radius of their pair, but for the noise of a multiple root.
-
-    Gains that miss it by far more are an artefact of cancellation.
-    """
+    """Return whether gains have the radius of their pair, but for the noise of a multiple root."""
+    # Gains that miss it by far more are an artefact of cancellation.
     radius = np.hypot(pair.x, pair.y)
     gains = np.atleast_1d(pair.alpha), np.atleast_1d(pair.beta)
     is_reached = walls.largest_pole(*gains)[0] <= radius * (1.0 + _MOST_NOISE)
@@ -347,10 +339,8 @@ def _holds(walls: Walls, pair: Pair) -> bool:
 
 
 def _scanned(walls: Walls, radius: float) -> _Point:
-    """Return the point of the smallest radius among the pairs on a circle.
-
-    Poles are computed where others than the pair are not much larger, and next to there.
-    """
+    """Return the point of the smallest radius among the pairs on a circle."""
+    # Poles are computed where others than the pair are not much larger, and next to there.
     angles = walls.angles
     pairs = _family_pairs(walls, np.full(angles.shape, radius), angles)
     fits = _is_dominant(walls, pairs, np.full(angles.shape, _NEAR * radius))
@@ -388,19 +378,15 @@ def _scanned(walls: Walls, radius: float) -> _Point:
 
 
 def _reached(walls: Walls, radius: float, angles: Angles) -> Angles:
-    """Return the largest modulus of the poles where pairs are on a circle; infinite for no gains.
-
-    All poles are those of the gains as float64 has them, so each value is one that gains reach.
-    """
+    """The largest modulus of the poles where pairs are on a circle; infinite for no gains."""
+    # All poles are those of the gains as float64 has them, so each value is one that gains reach.
     pairs = _family_pairs(walls, np.full(angles.shape, radius), angles)
     return walls.largest_pole(pairs.alpha, pairs.beta)
 
 
 def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, int]:
-    """Return the best pair around a point: a multiple root where its equations have one.
-
-    Elsewhere the answer is the radius that the better gains have, as float64 has them.
-    """
+    """Return the best pair around a point: a multiple root where its equations have one."""
+    # Elsewhere the answer is the radius that the better gains have, as float64 has them.
     start = _zoomed(walls, low, high, point.angle)
     is_triple = bool(np.sin(np.arctan2(start.y, start.x)) < _REAL)
     solution = multiple_root(walls.family, start, is_triple)
@@ -415,7 +401,6 @@ def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, 
 
 
 def _pair_at(walls: Walls, point: _Point) -> Pair:
-    """Return the pair of a point."""
     radius, angle = np.array([point.radius]), np.array([point.angle])
     return Pair(*(part[0] for part in _family_pairs(walls, radius, angle)))
 
@@ -500,7 +485,7 @@ def minimize_radius(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
-    """Return the gains (alpha, beta) with the smallest spectral radius: the fastest decay.
+    """The gains (alpha, beta) with the smallest spectral radius: the fastest decay.
 
     In the haptic range the best gains make a triple real pole; with a stiff hand and a delay, a
     double complex pair. Both are solved for to full precision. The best alpha may be negative if
@@ -512,9 +497,8 @@ def minimize_radius(
     islands, and the status says so.
 
     Args:
-        gamma, delta: see ``jaxstab.conventions``.
-        delay: time delay t_d/T >= 0 in samples, one number.
-        velocity, position: see ``jaxstab.conventions``.
+        gamma, delta, velocity, position: see ``jaxstab.conventions``.
+        delay: time delay t_d/T >= 0 in samples, one concrete number; filters are concrete, too.
 
     Returns:
         OptimalGains of the broadcast shape. ``value`` is the radius at the exact multiple root: at
@@ -522,10 +506,7 @@ def minimize_radius(
         within 1e-2. Differentiable once in gamma and delta where the status is TRIPLE_ROOT or
         DOUBLE_PAIR; elsewhere the derivative is NaN.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN.
-        TypeError: the delay is traced or an array, or a filter is traced.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Source: eq. (9) for the poles; the theorem of Blondel et al. (2012), IEEE TAC 57(12).
 
@@ -636,10 +617,8 @@ def walls_of(loop: LinearLoop, component: Component) -> Walls:
 
 
 def _followed(family: Family, best: Pair, kind: Array) -> Pair:
-    """Return the pair with its derivatives: those of one more step of Newton's method.
-
-    Where no equations are known that it solves, they are NaN.
-    """
+    """Return the pair with its derivatives: those of one more step of Newton's method."""
+    # Where no equations are known that it solves, they are NaN.
     is_triple = kind == TuningStatus.TRIPLE_ROOT
     step = newton_step(family, constant(best), is_triple)
     moved = [a + b for a, b in zip(constant(best), step, strict=True)]

@@ -38,10 +38,7 @@ class Bounds(NamedTuple):
 
 
 def whole_axes(grid: Grid, filters: Filters | None) -> Int32[np.ndarray, " delay_cell"]:
-    """Return for each cell of delays which axes hold the whole stable set, by ``LIMIT_WHOLE``.
-
-    Source: lemma B22 of docs/proofs.md.
-    """
+    """Which axes hold the whole stable set, by ``LIMIT_WHOLE``, per cell of delays (lemma B22)."""
     return np.array([_whole(grid, row, filters) for row in grid.limit_range.tolist()], np.int32)
 
 
@@ -121,7 +118,6 @@ def _proved(
 
 
 def _boxes(grid: Grid, *, cells: bool) -> HandBoxes:
-    """Return the box of all hands of an atlas, or those of its cells."""
     sides = [grid.sides(name) for name in ("gamma", "delta")]
     if not cells:
         sides = [np.array([[along[0, 0], along[-1, 1]]]) for along in sides]

@@ -39,7 +39,7 @@ from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.region import Branch, RegionStatus, StableRegion, stable_region
 from jaxstab.region.curve import curve_point, minus_offset, minus_slope, plus_offset, plus_slope
 
-_PROBES = 17  # values along the axis at which the boundary is looked at
+_PROBES = 17  # values along the axis at which the boundary is computed
 _FINENESS = 1e-3  # of outlines, whose extremes are exact
 Slice = tuple[float, float, float]
 
@@ -51,22 +51,12 @@ def tolerant_nodes(
     delays: Sequence[float],
     filters: Filters | None,
 ) -> Float64[np.ndarray, " node"]:
-    """Return nodes between which the boundary of the stable set moves by the tolerance at most.
+    """Nodes between which the boundary of the stable set moves by the tolerance at most.
 
     The motion is that of the boundary's points at a fixed angle of the roots on the circle, and for
     a real root at a fixed beta, in units of the set's extents. It is added up over even steps along
-    the axis, and the nodes share it equally.
-
-    Args:
-        axis: its ends and the tolerance.
-        name: "gamma" or "delta".
-        across: values of the other one of the two.
-        delays: time delays t_d/T.
-        filters: velocity estimator and position filter.
-
-    Raises:
-        ValueError: nowhere along the axis a loop is stable, a region is unresolved, or a parameter
-            is too large.
+    the axis, and the nodes share it equally. ``across`` are values of the other one of gamma,
+    delta.
     """
     values = np.linspace(axis.start, axis.stop, _PROBES)
     moved = np.zeros(_PROBES - 1)
@@ -84,11 +74,7 @@ def tolerant_nodes(
 
 
 def known_region(gamma: float, delta: float, delay: float, filters: Filters | None) -> StableRegion:
-    """Return the stable region of a slice, which may be empty.
-
-    Raises:
-        ValueError: it is unresolved, or a parameter is too large for the model.
-    """
+    """The stable region of a slice, which may be empty; ValueError where it is unresolved."""
     region = stable_region(
         gamma=gamma, delta=delta, delay=delay, tolerance=_FINENESS, **as_keywords(filters)
     )
@@ -101,7 +87,6 @@ def known_region(gamma: float, delta: float, delay: float, filters: Filters | No
 
 
 def _motions(slices: Sequence[Slice], filters: Filters | None) -> list[float]:
-    """Return how far the boundary moves from each slice to the next."""
     regions = [known_region(*one, filters) for one in slices]
     points = np.concatenate([region.points for region in regions])
     if not points.size:
@@ -134,8 +119,8 @@ def _motion(region: StableRegion, other: StableRegion, extent: Float64[np.ndarra
 
 _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
-_STATIONS = 0.25  # of a delay and half a sample: how far apart regions are looked at
-_COARSE = 32  # cells to a sample, at some of whose edges regions are looked at beforehand
+_STATIONS = 0.25  # of a delay and half a sample: how far apart regions are computed
+_COARSE = 32  # cells to a sample, at some of whose edges regions are computed beforehand
 _RADII = 0.8  # cells of radii along the delay for each of limits around a delay of 1/2
 _LATE = 3.0  # samples: from here on they are wider
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
@@ -166,15 +151,11 @@ class Grid:
         return tuple(axis.shape[0] for axis in axes)
 
     @property
-    def cell_shape(self) -> tuple[int, ...]:
-        """The number of cells along alpha, beta, gamma and delta, and of delays."""
-        *nodes, delays = self.shape
-        return (*(max(count - 1, 1) for count in nodes), delays)
-
-    @property
     def lengths(self) -> dict[str, int]:
         """The lengths of the dimensions of nodes and cells, by the names of the schema."""
-        lengths = dict(zip((*NODE, *CELL), (*self.shape, *self.cell_shape), strict=True))
+        *nodes, delays = self.shape
+        cells = *(max(count - 1, 1) for count in nodes), delays
+        lengths = dict(zip((*NODE, *CELL), (*self.shape, *cells), strict=True))
         lengths |= {"limit_cell": self.limit_cells, "delay_cell": len(self.limit_range)}
         of_radii = zip(RADIUS_CELL, (*self.radius_cells, len(self.radius_range)), strict=True)
         fixed = (pair for product in PRODUCTS.values() for pair in product.lengths.items())
@@ -199,13 +180,9 @@ class Grid:
         return np.stack([nodes, nodes] if nodes.size == 1 else [nodes[:-1], nodes[1:]], axis=-1)
 
     def slice_at(self, delay: float, gamma: float, delta: float, boxes: int = 1) -> "Grid":
-        """Return the part with one delay and one box of hands, or its first hand alone.
+        """The part with one delay and one box of (gamma, delta), or one pair if ``boxes`` is 0.
 
-        Args:
-            delay: where it is among the delays, from 0 to 1.
-            gamma: where the box is along gamma, likewise.
-            delta: where it is along delta.
-            boxes: 1, or 0 for one hand.
+        ``delay``, ``gamma`` and ``delta`` say where the part is along the axes, from 0 to 1.
         """
         first, second = (
             _index(np.diff(nodes), share)
@@ -231,12 +208,7 @@ class Grid:
     ) -> tuple[int, Float64[np.ndarray, "1 6"]]:
         """Return how many cells along beta a part has, and its row of delays, alpha and beta.
 
-        Args:
-            rows: of all cells of delays.
-            delay: where the row is among them, from 0 to 1.
-            cells: along beta, in each row.
-            most: of these in a part.
-            beta: where the part is along beta, from 0 to 1.
+        ``delay`` and ``beta`` say where the part is, from 0 to 1; ``most`` limits its cells.
         """
         row = rows[_index(np.diff(rows[:, :2])[:, 0], delay)]
         runs = -(-cells // most)
@@ -250,7 +222,6 @@ class Grid:
 
 
 def _index(widths: Float64[np.ndarray, " cell"], share: float) -> int:
-    """Return the cell at a share of the way through all of them."""
     if not widths.any():
         return min(int(share * widths.size), max(widths.size - 1, 0))
     ends = np.cumsum(widths)
@@ -259,12 +230,7 @@ def _index(widths: Float64[np.ndarray, " cell"], share: float) -> int:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far the stable regions of the hands of an atlas reach, at some delays.
-
-    Attributes:
-        delay: ascending.
-        ends: the largest alpha, the lowest and the highest beta at each of them.
-    """
+    """The largest alpha, the lowest and highest beta (``ends``) of the regions, by delay."""
 
     delay: Float64[np.ndarray, " delay"]
     ends: Float64[np.ndarray, "delay 3"]
@@ -275,12 +241,7 @@ class Reach:
 
 
 def reach_of(spec: AtlasSpec) -> Reach:
-    """Return how far the regions of the hands at the corners reach: fewer than an axis looks at.
-
-    Raises:
-        ValueError: at some delay no loop is stable, or a region is unresolved; or a parameter is
-            too large for the model.
-    """
+    """The reach of the regions at the corners of gamma and delta: fewer than an axis needs."""
     corners = (np.array(ends_of(getattr(spec, name))) for name in ("gamma", "delta"))
     gamma, delta = corners
     delays = np.array(spec.delay)
@@ -296,15 +257,10 @@ def ends_of(axis: Nodes | ToleranceAxis) -> tuple[float, ...]:
 
 
 def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
-    """Return the nodes of a specification, with the fitted axes laid around each stable region.
+    """The nodes of a specification, with the fitted axes laid around each stable region.
 
-    Args:
-        spec: the specification.
-        reach: how far the regions reach, where that is known, so that no region is looked at.
-
-    Raises:
-        ValueError: an axis is fitted to a stable region, or given by a tolerance, and the region is
-            empty or unresolved; a parameter is too large for the model; or the grid is too large.
+    With a ``reach`` no region is computed. ValueError: an axis is fitted to a stable region, or
+    given by a tolerance, and the region is empty or unresolved; or the grid is too large.
     """
     gamma, delta = (plant_axis(spec, name) for name in ("gamma", "delta"))
     delay = np.array(spec.delay)
@@ -327,7 +283,7 @@ def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
 
 
 def regions_around(spec: AtlasSpec, grid: Grid) -> int:
-    """Return how many stable regions ``lay_out`` looks at, where their reach is not known."""
+    """Return how many stable regions ``lay_out`` computes, where their reach is not known."""
     if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
         return 0
     cells = max(grid.limit_range, grid.radius_range, key=len)
@@ -338,10 +294,8 @@ def regions_around(spec: AtlasSpec, grid: Grid) -> int:
 
 
 def radius_cells_of(alphas: int, betas: int, gammas: int, deltas: int) -> tuple[int, int, int, int]:
-    """Return how many cells of radii there are along alpha, beta, gamma and delta, for nodes.
-
-    Functions of second order bend with the radius, so these cells are wider than others.
-    """
+    """Return how many cells of radii there are along alpha, beta, gamma and delta, for nodes."""
+    # Functions of second order bend with the radius, so these cells are wider than others.
     alpha, beta = max(12, 7 * alphas // 32), max(32, 9 * betas // 14)
     return alpha, beta, max(1, gammas // 2), max(1, deltas // 4)
 
@@ -354,12 +308,10 @@ def _delay_cells(
     reach: Reach | None,
     fineness: int,
 ) -> Float64[np.ndarray, "delay_cell 6"]:
-    """Return cells of delays and how far each reaches; without any the delays of the atlas.
-
-    Whole samples and the delays of the atlas are edges of cells. The ends of alpha and beta are
-    laid around the stable regions at some edges; between these they follow straight lines, above
-    which no region is, as it shrinks ever more slowly with the delay.
-    """
+    """Return cells of delays and how far each reaches; without any the delays of the atlas."""
+    # Whole samples and the delays of the atlas are edges of cells. The ends of alpha and beta are
+    # laid around the stable regions at some edges; between these they follow straight lines, above
+    # which no region is, as it shrinks ever more slowly with the delay.
     at_nodes = [(alpha[0], alpha[-1], beta[0], beta[-1]) for alpha, beta in walls]
     if delay.size == 1 or not fineness:
         return np.column_stack([delay, delay, at_nodes])
@@ -392,10 +344,9 @@ def _cells_of_radii(
     delay: Float64[np.ndarray, " delay"],
     fineness: int,
 ) -> Float64[np.ndarray, "radius_delay_cell 6"]:
-    """Return even cells of delays, so many to a sample, that reach as far as those given.
-
-    Functions of second order miss the radius by about as much at 0 as at 3 samples, and later less.
-    """
+    """Return ``fineness`` even cells of delays to a sample, that extend as far as those given."""
+    # Functions of second order miss the radius by about as much at 0 as at 3 samples, and later
+    # less.
     if delay.size == 1 or not fineness:
         return cells
     edges = [float(delay[0])]
@@ -418,11 +369,9 @@ def _corners(delay: Float64[np.ndarray, " delay"]) -> list[float]:
 
 
 def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[float]:
-    """Return edges of cells between delays, at whole samples too.
-
-    A cell is (delay + 1/2) / fineness long, for as the delay grows the boundary bends less: so
-    errors are about equal in all cells.
-    """
+    """Return edges of cells between delays, at whole samples too."""
+    # A cell is (delay + 1/2) / fineness long, for as the delay grows the boundary bends less: so
+    # errors are about equal in all cells.
     edges = [float(delay[0])]
     for low, high in pairwise(_corners(delay)):
         count = max(1, ceil(np.log((high + 0.5) / (low + 0.5)) * fineness - 1e-9))
@@ -482,11 +431,9 @@ def _stable_box(
     delay: float,
     filters: Filters | None,
 ) -> tuple[float, tuple[float, float]]:
-    """Return the largest alpha and the range of beta of the stable regions of some hands.
-
-    Where turning gains up from 0 leads to a part of the region, islands do not count. Between these
-    hands a region may reach further; the margin of the axes covers that.
-    """
+    """Return the largest alpha and the range of beta of the stable regions of some hands."""
+    # Where turning gains up from 0 leads to a part of the region, islands do not count. Between
+    # these hands a region may reach further; the margin of the axes covers that.
     hands = product(_thinned(gamma), _thinned(delta))
     regions = [known_region(*hand, delay, filters) for hand in hands]
     points = np.concatenate([(region.main or region).points for region in regions])
@@ -508,11 +455,9 @@ def _thinned(nodes: Float64[np.ndarray, " node"]) -> list[float]:
 def _fitted_alpha(
     count: int, gamma: Float64[np.ndarray, " gamma"], highest: float
 ) -> Float64[np.ndarray, " count"]:
-    """Return nodes from below the line alpha = -gamma, where stability ends, to above the region.
-
-    The line sweeps a band with gamma. Cells that meet the line cannot be decided, so the band gets
-    nodes close to its edges.
-    """
+    """Nodes from below the line alpha = -gamma, where stability ends, to above the region."""
+    # The line sweeps a band with gamma. Cells that meet the line cannot be decided, so the band
+    # gets nodes close to its edges.
     low, high = -gamma[-1], max(highest, -gamma[0])
     step = (1.0 + 2.0 * _MARGIN) * (high - low) / (count - 1)
     guard = _BAND_GUARD * max(gamma[-1] - gamma[0], step)
@@ -544,11 +489,7 @@ WALLS, HANDS, OF_LIMITS = ("alpha", "beta"), ("gamma", "delta"), ("limit_cells",
 
 
 def with_known_nodes(spec: AtlasSpec) -> AtlasSpec:
-    """Return a specification whose axes by tolerance are nodes.
-
-    Raises:
-        ValueError: as ``jaxstab.plan_atlas`` for such an axis.
-    """
+    """A specification whose axes by tolerance are nodes."""
     return replace(spec, **{name: plant_axis(spec, name).tolist() for name in HANDS})
 
 
@@ -568,11 +509,7 @@ def is_fixed(spec: AtlasSpec, name: str) -> bool:
 
 
 def with_counts(spec: AtlasSpec, counts: Counts) -> AtlasSpec:
-    """Return a specification of the same range with other counts; nodes stay as dense as they were.
-
-    Raises:
-        ValueError: the atlas would be too large.
-    """
+    """A specification of the same range with other counts; nodes stay as dense as they were."""
     now = counts_of(spec)
     changed: dict[str, Any] = {}
     for name in (name for name in counts if counts[name] != now[name]):
@@ -581,8 +518,9 @@ def with_counts(spec: AtlasSpec, counts: Counts) -> AtlasSpec:
         elif isinstance(getattr(spec, name), FittedAxis):
             changed[name] = replace(getattr(spec, name), count=counts[name])
         else:
-            nodes = np.array(getattr(spec, name))
-            changed[name] = _resampled(nodes, counts[name] + (name in HANDS)).tolist()
+            nodes, count = np.array(getattr(spec, name)), counts[name] + (name in HANDS)
+            places = np.linspace(0.0, nodes.size - 1.0, count)
+            changed[name] = np.interp(places, np.arange(nodes.size), nodes).tolist()
     return replace(spec, **changed)
 
 
@@ -591,11 +529,6 @@ def least_count(spec: AtlasSpec, name: str) -> int:
     if name not in WALLS:
         return 1
     return FEWEST_FITTED if isinstance(getattr(spec, name), FittedAxis) else 2
-
-
-def _resampled(nodes: Float64[np.ndarray, " node"], count: int) -> Float64[np.ndarray, " count"]:
-    numbers = np.arange(nodes.size)
-    return np.interp(np.linspace(0.0, nodes.size - 1.0, count), numbers, nodes)
 
 
 def _length(axis: Any) -> int:

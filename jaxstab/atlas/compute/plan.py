@@ -37,34 +37,25 @@ class Tile(NamedTuple):
 
 
 class Share(NamedTuple):
-    """How many of the requested points are evaluated, and why the others need not be.
-
-    Attributes:
-        variable: the requested variable, by its name in the file.
-        asked: number of requested points.
-        evaluated: number of evaluated points.
-        reason: why the others are not evaluated.
-        is_estimated: whether the number of evaluated points is an estimate.
-    """
+    """The evaluated part of the requested points of a variable, and why the others need not be."""
 
     variable: str
-    asked: int
+    requested: int
     evaluated: int
     reason: str = ""
     is_estimated: bool = False
 
     def __str__(self) -> str:
         about = "about " if self.is_estimated and self.evaluated else ""
-        words = (
-            f"{self.variable}: {_points(self.asked)} asked for, {about}{self.evaluated} evaluated"
-        )
-        left_out = self.asked - self.evaluated
+        requested = f"{self.variable}: {_points(self.requested)} requested"
+        words = f"{requested}, {about}{self.evaluated} evaluated"
+        left_out = self.requested - self.evaluated
         return words + (f"\n  {about}{left_out} not: {self.reason}" if left_out else "")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The work that a specification asks for; printed, it gives the amount and what is left out.
+    """The work that a specification needs; printed, it gives the amount and the skipped parts.
 
     ``plan_atlas`` makes one. A product is computed variable by variable, on the nodes of the grid
     or in its cells; nothing is computed for a product that was not chosen.
@@ -74,9 +65,9 @@ class Plan:
         grid: the nodes.
 
     Example:
-        >>> plan = jaxstab.plan_atlas(jaxstab.AtlasSpec(delay=(1.0,)))
-        >>> len(plan.tiles)
-        3
+        >>> plan = jaxstab.plan_atlas(jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",)))
+        >>> len(plan.tiles), [share.variable for share in plan.shares()]
+        (3, ['alpha_limits'])
     """
 
     spec: AtlasSpec
@@ -84,7 +75,7 @@ class Plan:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """The variables of which each value is asked for in a grid; errors come with values."""
+        """The variables of which each value is requested in a grid; errors come with values."""
         chosen = (PRODUCTS[product] for product in self.spec.products)
         return tuple(name for product in chosen for name in product.gridded)
 
@@ -156,15 +147,7 @@ class Plan:
         return HandBoxes(*ends.mean(axis=-1).T, *half.T)
 
     def shares(self) -> list[Share]:
-        """Return for each variable how much of it is evaluated.
-
-        The boundary is looked at in two slices of each delay for this.
-
-        Example:
-            >>> spec = jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",))
-            >>> [share.variable for share in jaxstab.plan_atlas(spec).shares()]
-            ['alpha_limits']
-        """
+        """The evaluated share of each variable, estimated from two slices of each delay."""
         chosen = (PRODUCTS[product] for product in self.spec.products)
         return [product.share(self, name) for product in chosen for name in product.gridded]
 
@@ -186,12 +169,12 @@ class Plan:
             if not PRODUCTS[name].gridded
         ]
         left_out = [product for product in PRODUCTS if product not in self.spec.products]
-        lines += [f"{product}: not asked for, nothing evaluated" for product in left_out]
+        lines += [f"{product}: not requested, nothing evaluated" for product in left_out]
         return "\n".join(lines)
 
 
 def plan_atlas(spec: AtlasSpec) -> Plan:
-    """Decide what to compute for a specification; ``print`` it to see.
+    """The work that a specification needs; ``print`` it to see.
 
     Raises:
         ValueError: a parameter is too large for the model, an axis cannot be fitted, or the grid or
@@ -211,11 +194,7 @@ def plan_atlas(spec: AtlasSpec) -> Plan:
 
 
 def compute_tile(plan: Plan, tile: Tile) -> dict[str, NDArray[Any]]:
-    """Return what the chosen products hold in a tile, each array of the shape ``plan.shape``.
-
-    Raises:
-        ValueError: a parameter is too large for the model.
-    """
+    """What the chosen products hold in a tile, each array of the shape ``plan.shape``."""
     arrays: dict[str, NDArray[Any]] = {}
     for product in plan.spec.products:
         arrays |= PRODUCTS[product].compute(plan, tile)

@@ -30,19 +30,7 @@ def node_verdicts(
     delay: float,
     filters: Filters | None = None,
 ) -> Int8[np.ndarray, "hand alpha_node beta_node"]:
-    """Return the verdicts of all (alpha, beta) for each of some hands.
-
-    Args:
-        alpha: ascending nodes.
-        beta: ascending nodes, two at least.
-        gamma: physical stiffness of the hands.
-        delta: physical damping of the hands.
-        delay: time delay t_d/T in samples.
-        filters: velocity estimator and position filter.
-
-    Raises:
-        ValueError: a parameter is outside the range of the model.
-    """
+    """The verdicts of all (alpha, beta) for each pair (gamma, delta); two or more nodes of beta."""
     codes = _proved_nodes(alpha, beta, gamma, delta, delay, filters)
     hand, j, i = np.nonzero(codes == Verdict.UNDECIDED)
     if hand.size:
@@ -74,10 +62,7 @@ def cell_verdicts(
     delay: float,
     filters: Filters | None = None,
 ) -> Int8[np.ndarray, "box alpha_cell beta_cell"]:
-    """Return the verdicts that are proved for all points of cells, for each of some boxes of hands.
-
-    Arguments and errors as ``node_verdicts``; UNDECIDED where there is no proof.
-    """
+    """The verdicts proved for whole cells, else UNDECIDED, for each box of (gamma, delta)."""
     codes = _codes(alpha, beta, hands, delay, filters, nodes=2)
     return codes.swapaxes(1, 2)
 

@@ -52,7 +52,7 @@ VARIABLES: Final = {
 ALWAYS: Final = frozenset(variable.name for variable in (*AXIS_VARIABLES, *SPEC_VARIABLES))
 
 
-# Attributes of a file and of its datasets, in words and numbers. No JAX.
+# Attributes of a file and of its datasets, as text and numbers. No JAX.
 
 
 def head_attributes(created_by: str, filters: str) -> dict[str, Any]:
@@ -146,16 +146,7 @@ _BLOCK = 2**18  # bytes, which stay in the cache
 
 
 def footer_of(stream: io.FileIO | io.BytesIO, length: int, image_size: int) -> bytes:
-    """Return the footer of what is in the first bytes of a stream.
-
-    Args:
-        stream: of a file.
-        length: how many bytes.
-        image_size: how many of them are the HDF5 image.
-
-    Raises:
-        OSError: the stream is shorter, or cannot be read.
-    """
+    """The footer of the first ``length`` bytes of a stream; OSError if the stream is shorter."""
     stream.seek(0)
     digest, rest, block = hashlib.sha256(), length, memoryview(bytearray(_BLOCK))
     while rest:

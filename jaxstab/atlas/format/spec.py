@@ -42,30 +42,18 @@ from jaxstab.tables import check_keys, parsed, read_table
 
 
 def velocity_of(entry: Any) -> Velocity:
-    """Return the estimator that a specification has for ``velocity``.
-
-    Raises:
-        TypeError, ValueError: a key is unknown, missing or has a bad value.
-    """
+    """The estimator of a specification's entry ``velocity``; ValueError or TypeError if bad."""
     first, *others = _tables("velocity", entry)
     return first.as_velocity() * _chain(others)
 
 
 def position_of(entry: Any) -> Filter:
-    """Return the filter that a specification has for ``position``.
-
-    Raises:
-        TypeError, ValueError: a key is unknown, missing or has a bad value.
-    """
+    """The filter of a specification's entry ``position``; ValueError or TypeError if bad."""
     return _chain(_tables("position", entry))
 
 
 def filters_of(spec: str) -> Filters | None:
-    """Return the estimator and the filter of a specification's text.
-
-    Raises:
-        TypeError, ValueError: the text is no TOML, or it has others than are allowed.
-    """
+    """The estimator and the filter of a specification's text; ValueError or TypeError if bad."""
     table = parsed(spec)
     return known_filters(
         velocity_of(table["velocity"]) if "velocity" in table else None,
@@ -74,17 +62,13 @@ def filters_of(spec: str) -> Filters | None:
 
 
 def toml_of(filters: Velocity | Filter) -> str:
-    """Return an estimator or a filter as inline tables of TOML, in units of one sample.
-
-    Raises:
-        ValueError: a window, a cut-off or a transfer function does not go with such units.
-    """
+    """An estimator or a filter as inline tables of TOML, in units of one sample, or ValueError."""
     chain = filters.filter if isinstance(filters, Velocity) else filters
     return "[" + ", ".join(map(_inline, chain.per_sample(1.0).sections)) + "]"
 
 
 def words_of(filters: Filters | None) -> str:
-    """Return in words what a loop makes of the sampled positions."""
+    """A description of a loop's estimator and filter."""
     velocity, position = filters or (Velocity(), Filter())
     words = f"velocity: {velocity}; position: {position}"
     return words.replace(" Hz", " of the sampling rate")  # the unit per sample
@@ -187,23 +171,20 @@ class AtlasSpec:
     """The axes and products of an atlas; without arguments, the paper's haptic range (15).
 
     Args:
-        alpha: nodes of the wall's stiffness K T^2/m, or a FittedAxis for each delay.
-        beta: nodes of the wall's damping B T/m, or a FittedAxis for each delay.
-        gamma: nodes of the physical stiffness k T^2/m, >= 0, or a ToleranceAxis.
-        delta: nodes of the physical damping b T/m, >= 0, or a ToleranceAxis.
-        delay: delays t_d/T in [0, 100], whole or fractional; each has a grid of its own.
+        alpha: nodes, two or more, or a FittedAxis for each delay.
+        beta: nodes, two or more, or a FittedAxis for each delay.
+        gamma: nodes, one or more, or a ToleranceAxis.
+        delta: nodes, one or more, or a ToleranceAxis.
+        delay: delays t_d/T in [0, 100], whole or fractional; each has its own grid.
         products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "outline" and
             "summary"; by default the first three.
-        limit_cells: number of even cells along beta in which the limits of alpha are given; 0
-            for 128 where they are given between delays, too, and else 256.
+        limit_cells: number of even cells along beta in which the limits of alpha are given; 0 for
+            128 where they are given between delays, too, and else 256.
         delay_cells: how finely they are given between the delays, in cells (delay + 1/2) /
-            delay_cells long; 0 for these delays alone, which is what None means for loops with an
-            estimator or a filter: else 32. Spectral radii are given where limits are, in cells of
-            their own: 0.8 times as many to a sample (fewer after 3), and fewer than those between
-            nodes.
+            delay_cells long; 0 for these delays alone. None means 32, or 0 for loops with an
+            estimator or a filter. Spectral radii are given where limits are, in fewer cells.
 
-    Nodes are finite and ascending, and kept as tuples of floats; along alpha and beta there are at
-    least two, and gamma, delta and delay are fixed by one.
+    Nodes are finite and ascending, and stored as tuples of floats.
 
     Raises:
         TypeError: a value is not of the kind above.
@@ -326,7 +307,7 @@ _ENTRIES: Mapping[type, list[str]] = {
 
 
 def check_size(counts: Sequence[int]) -> None:
-    """Raise ValueError where so many nodes along each axis are more than an atlas may have."""
+    """Raise ValueError for more nodes along the axes than an atlas may have."""
     for axes, size, most in (
         ("axes", math.prod(counts), LARGEST_ATLAS),
         ("axes alpha and beta", math.prod(counts[:2]), LARGEST_SLICE),
@@ -338,7 +319,6 @@ def check_size(counts: Sequence[int]) -> None:
 
 
 def _as_written(name: str, value: Velocity | Filter | None) -> Velocity | Filter | None:
-    """Return a filter as it comes back from the specification's text."""
     if value is None or not toml_of(value).strip("[]"):
         return None
     return _FILTERS[name](parsed(f"{name} = {toml_of(value)}")[name])

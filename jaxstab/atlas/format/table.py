@@ -55,11 +55,7 @@ DAMAGED = "is damaged, or no jaxstab atlas; build it again or copy it anew."
 
 
 def check(condition: object) -> None:
-    """Refuse a file that is not as the schema says.
-
-    Raises:
-        RefusalError: the condition does not hold.
-    """
+    """Raise RefusalError, a file is not as the schema says, unless the condition holds."""
     if not condition:
         raise RefusalError(DAMAGED)
 
@@ -92,14 +88,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Table:
-    """What a file holds: its variables by name, and what its head says.
-
-    Attributes:
-        variables: by name.
-        created_by: who made it.
-        filters: velocity estimator and position filter, in words.
-        content_digest: of the values.
-    """
+    """The contents of a file: its variables by name, and what its head says."""
 
     variables: Mapping[str, Stored]
     created_by: str
@@ -133,15 +122,7 @@ def table_text(
 
 
 def read_table(text: bytes, image_size: int) -> Table:
-    """Return the table of a file after a look at all that it promises.
-
-    Args:
-        text: the bytes between image and footer.
-        image_size: in bytes.
-
-    Raises:
-        RefusalError: it is not as the schema says, or of another version of it.
-    """
+    """The table of a file, checked, from the bytes between image and footer."""
     _check_version(text)
     check(text.isascii() and text.endswith(b"\n") and text.count(b"\n") <= _MOST_LINES)
     blocks = text.decode("ascii")[:-1].split("\n\n")
@@ -156,41 +137,40 @@ def read_table(text: bytes, image_size: int) -> Table:
 
 
 def _check_version(text: bytes) -> None:
-    """Refuse what has no table, or one of another version."""
-    found = _TITLE.match(text)
-    if found is None:
+    title = _TITLE.match(text)
+    if title is None:
         raise RefusalError(
-            f"has no table of schema version {schema.SCHEMA_VERSION}: it is no atlas, or of an "
+            f"has no table of schema version {schema.SCHEMA_VERSION}: it is not an atlas, or of an "
             "older jaxstab; build it again."
         )
-    if int(found[1]) != schema.SCHEMA_VERSION:
+    if int(title[1]) != schema.SCHEMA_VERSION:
         raise RefusalError(
-            f"has schema version {int(found[1])}, and this jaxstab reads version "
+            f"has schema version {int(title[1])}, and this jaxstab reads version "
             f"{schema.SCHEMA_VERSION}; use the jaxstab that wrote it, or build it again."
         )
 
 
 def _stored(line: str, where: str) -> Stored:
     """Return a variable from its two lines, whose length grows with its chunks."""
-    found, there = _LINE.fullmatch(line), _WHERE.fullmatch(where)
-    if found is None or there is None:
+    fields, places = _LINE.fullmatch(line), _WHERE.fullmatch(where)
+    if fields is None or places is None:
         raise RefusalError(DAMAGED)
-    name, dtype, shape, chunk = found[1], found[2], _lengths(found[3]), _lengths(found[4])
-    check(name == there[1] and name in VARIABLES)
+    name, dtype, shape, chunk = fields[1], fields[2], _lengths(fields[3]), _lengths(fields[4])
+    check(name == places[1] and name in VARIABLES)
     variable = VARIABLES[name]
     check(len(shape) == len(chunk) == len(variable.dimensions))
     check(all(part <= whole for part, whole in zip(chunk, shape, strict=True)))
     chunks = prod(-(-whole // part) for part, whole in zip(chunk, shape, strict=True))
-    check(chunks - 1 == found[5].count(" ") == there[2].count(" "))
-    digests = found[5].split(" ")
+    check(chunks - 1 == fields[5].count(" ") == places[2].count(" "))
+    digests = fields[5].split(" ")
     check(all(len(digest) == _DIGITS for digest in digests))
-    stored = Stored(variable, _dtype(variable, dtype), shape, chunk, digests, _places(there[2]))
+    stored = Stored(variable, _dtype(variable, dtype), shape, chunk, digests, _places(places[2]))
     _check_sizes(stored)
     return stored
 
 
 def _check_sizes(stored: Stored) -> None:
-    """Refuse chunks that are larger than those of a slice, or than their bytes can stand for."""
+    """Refuse chunks that are larger than those of a slice, or than their bytes can hold."""
     is_packed, values = stored.variable.is_packed, prod(stored.chunk)
     check(not is_packed or values <= LARGEST_SLICE)
     raw = values * stored.dtype.itemsize
@@ -204,8 +184,8 @@ def _dtype(variable: Variable, word: str) -> np.dtype[Any]:
         dtype = np.dtype(variable.dtype).newbyteorder("<")
         check(word == dtype.str)
         return dtype
-    found = _TEXT.fullmatch(word)
-    check(found and int(found[1]) <= schema.LONGEST_LINE)
+    text = _TEXT.fullmatch(word)
+    check(text and int(text[1]) <= schema.LONGEST_LINE)
     return np.dtype(word)
 
 

@@ -3,7 +3,7 @@
 A file holds one HDF5 image, a table of its chunks (``format.table``) and a footer. The image holds
 its variables in the root group, with dimension scales. All numbers are dimensionless. Each variable
 says here what its numbers mean, of which type they are and which values are allowed; readers refuse
-anything else. The variables of a product stand with the product (``atlas.products``), those of all
+anything else. The variables of a product are with the product (``atlas.products``), those of all
 atlases below: the axes and the specification.
 """
 
@@ -31,13 +31,9 @@ CODES: Final = (min(FLAG_VALUES), max(FLAG_VALUES))
 
 @dataclass(frozen=True)
 class Variable:
-    """One dataset: its type, its dimensions (itself for an axis) and what its numbers mean.
+    """One dataset: its type, its dimensions (itself for an axis), what it means and its range.
 
-    Attributes:
-        lowest: that its values may be.
-        highest: likewise.
-        has_nan: whether NaN has a meaning.
-        packed: whether its chunks are compressed although they are not over nodes or their cells.
+    ``packed`` chunks are compressed although they are not over nodes or their cells.
     """
 
     name: str

@@ -6,7 +6,7 @@ and the upper limit of the stable alphas, and the error of each; for one delay t
 changes is added to the error (``in_float32``). One column decides a point: below lower - error and
 above upper + error it is unstable, between lower + error and upper - error stable, elsewhere the
 atlas leaves it undecided. Many points are answered by one of the two surfaces, where that one alone
-decides (``deciding_alphas``).
+decides (``_deciding``).
 
 Some axes hold the whole stable set: ``compute.beyond`` proves of which cells of delays, and a wall
 beyond such an axis is unstable.
@@ -139,8 +139,8 @@ class Limits(Product):
     def share(self, plan: "Plan", variable: str) -> "Share":
         from jaxstab.atlas.compute.plan import Share
 
-        asked = plan.points(variable) // (2 * LIMIT_TERMS)
-        return Share(variable, asked, asked)
+        requested = plan.points(variable) // (2 * LIMIT_TERMS)
+        return Share(variable, requested, requested)
 
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         delay, gamma, delta, beta = place
@@ -169,11 +169,9 @@ _COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is ju
 
 
 def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDArray[np.float32]:
-    """Round the terms of limits to float32, and their errors up by what that changes.
+    """Round the terms of limits (``columns.TERMS``) to float32, and their errors up accordingly.
 
-    Args:
-        terms: of one limit, as ``jaxstab.proofs.columns.TERMS`` has them.
-        largest: the largest |beta|, gamma, delta and delay for which they are asked.
+    ``largest`` are the largest |beta|, gamma, delta and delay at which they are evaluated.
     """
     exact, error = terms[..., :-1], terms[..., -1]
     *others, delay = largest
@@ -181,8 +179,8 @@ def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDA
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         rounded = exact.astype(np.float32).astype(np.float64)
         moved = np.where(rounded == exact, 0.0, np.abs(rounded - exact)) * sizes
-        lost = PLANES * np.where(np.isfinite(exact), np.abs(exact), 0.0) * sizes
-        raised = (error + moved.sum(axis=-1) + lost.sum(axis=-1)) * (1.0 + 1e-12)
+        rounding = PLANES * np.where(np.isfinite(exact), np.abs(exact), 0.0) * sizes
+        raised = (error + moved.sum(axis=-1) + rounding.sum(axis=-1)) * (1.0 + 1e-12)
         above = raised.astype(np.float32)
         above = np.where(above < raised, np.nextafter(above, np.float32(np.inf)), above)
     is_known = np.all(np.isfinite(rounded) | (rounded == exact), axis=-1) & ~np.isnan(above)
@@ -200,12 +198,7 @@ _MOST_STEPS = 2**12
 
 
 class DelayCells:
-    """The cells of all delays, ascending.
-
-    Args:
-        ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells.
-        whole: (delay_cell,), which axes hold the whole stable set (``LIMIT_WHOLE``).
-    """
+    """The cells of all delays, ascending; arguments as ``LimitTable``."""
 
     def __init__(self, ends: Floats, whole: NDArray[np.int32]) -> None:
         self._whole = whole
@@ -221,7 +214,7 @@ class DelayCells:
         self._early_list = self._early.tolist()
         self.span: Range = float(self._early[0]), float(self._late[-1])
 
-    def of(self, delay: Floats) -> Integers:
+    def cells_at(self, delay: Floats) -> Integers:
         """Return the numbers of the last cells that begin at delays or before; -1 for none."""
         if not self._counts.size:
             return np.asarray(np.searchsorted(self._early, delay, "right") - 1)
@@ -231,13 +224,13 @@ class DelayCells:
         count -= 1
         return np.asarray(count)
 
-    def of_one(self, delay: float) -> int:
+    def cell_at(self, delay: float) -> int:
         """Return the number of the last cell that begins at a delay or before; -1 for none."""
         return bisect_right(self._early_list, delay) - 1
 
     def covers(self, delay: Floats) -> NDArray[np.bool_]:
         """Say which delays are in a cell."""
-        cell = self.of(delay)
+        cell = self.cells_at(delay)
         return np.asarray((cell >= 0) & (delay <= self._late.take(cell)))
 
     def walls(self, name: str, cell: Integers) -> tuple[Floats, Floats]:
@@ -267,12 +260,10 @@ class DelayCells:
 
 
 def _steps(early: Floats) -> tuple[float, Integers]:
-    """Return how many even steps there are to a delay, and how many cells begin before each step.
-
-    A step is at most half as long as a cell, and what begins in its last quarter counts for the
-    next one. So no more than one cell begins from there to the end of a step, whatever is rounded.
-    Without steps cells are so short that they are searched for.
-    """
+    """The number of even steps to a delay, and how many cells begin before each step."""
+    # A step is at most half as long as a cell, and what begins in its last quarter counts for the
+    # next one. So no more than one cell begins from there to the end of a step, whatever is
+    # rounded. Without steps cells are so short that they are searched for.
     width = float(early[-1] - early[0])
     if not width:
         return 0.0, np.zeros(1, np.intp)
@@ -291,16 +282,12 @@ _PART = 2**16  # points: enough for what a call of NumPy costs, and few for the 
 def in_parts(
     answers: Callable[..., Sequence[Array]], points: Sequence[Array], *dtypes: type
 ) -> list[Array]:
-    """Return what a function answers for points of any broadcast shape.
+    """Values of a function at points of any broadcast shape, computed part by part.
 
-    Args:
-        answers: takes as many arrays of one length as there are in ``points``, as float64, and
-            returns an array for each of ``dtypes``.
-        points: real numbers; what is not float64 is converted, and what is broadcast is repeated,
-            part by part as well.
-        dtypes: of the answers.
+    ``answers`` takes as many float64 arrays of one length as there are ``points``, and returns an
+    array for each of ``dtypes``. Conversion and broadcasting are done part by part as well.
     """
-    asked = len(points)
+    count = len(points)
     operands: Any = [*points, *(None for _ in dtypes)]
     uses: Any = [["readonly"] for _ in points] + [["writeonly", "allocate"] for _ in dtypes]
     with np.nditer(
@@ -313,9 +300,9 @@ def in_parts(
         buffersize=_PART,
     ) as parts:
         for part in parts:
-            for place, values in zip(part[asked:], answers(*part[:asked]), strict=True):
+            for place, values in zip(part[count:], answers(*part[:count]), strict=True):
                 place[...] = values
-        return list(parts.operands[asked:])
+        return list(parts.operands[count:])
 
 
 # What the limits of a column say about an alpha, and which of the two says it. NumPy alone.
@@ -323,7 +310,7 @@ def in_parts(
 Codes = NDArray[np.int8]
 Mask = NDArray[np.bool_]
 ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
-_ROUNDING = 1e-6  # of what is added up: far more than is lost, also where cells begin
+_ROUNDING = 1e-6  # of a sum: far above its rounding error, also at the edges of cells
 
 
 def surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
@@ -369,26 +356,6 @@ def _codes(is_decided: Mask, is_stable: Mask) -> Codes:
     return codes
 
 
-def deciding_alphas(
-    columns: NDArray[np.float32], middles: Sequence[Floats], halves: Sequence[Floats]
-) -> Floats:
-    """Return above which alpha, and below which one, one limit decides, in columns (column, 2).
-
-    Above the first, which is above all that the lower limit leaves open in the column, that is the
-    upper limit; below the second, which is below all that the upper one leaves open, the lower. Of
-    a column without a stable alpha the lower limit says so: there it is infinite.
-
-    Args:
-        columns: (column, 20), those of a grid of cells of beta, gamma, delta and delay.
-        middles: of the cells along the four, broadcast to the grid.
-        halves: half of the widths of the cells, likewise.
-    """
-    shape = np.broadcast_shapes(*(middle.shape for middle in middles))
-    numbers = np.arange(len(columns), dtype=np.float64).reshape(shape)
-    found = in_parts(partial(_deciding, columns), [numbers, *middles, *halves], float, float)
-    return np.stack(found, axis=-1).reshape(-1, 2)
-
-
 @ignoring
 def _deciding(
     columns: NDArray[np.float32], numbers: Floats, *boxes: Floats
@@ -431,14 +398,14 @@ class AlphaLimits(NamedTuple):
 
     Of the alphas of the atlas every one from ``lower + lower_error`` to ``upper - upper_error`` is
     stable, and every one below ``lower - lower_error`` or above ``upper + upper_error`` unstable.
-    Where none is stable both are NaN with an error of 0; an infinite limit is beyond the atlas,
-    and with an infinite error nothing is known.
+    Where none is stable both are NaN with an error of 0; an infinite limit is beyond the atlas, and
+    with an infinite error nothing is known.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> limits = atlas.alpha_limits(0.3, gamma=0.0005, delta=0.01, delay=1.0)
-        >>> print(f"up to {limits.upper:.6f}, wrong by less than {limits.upper_error:.0e}")
-        up to 0.136525, wrong by less than 7e-04
+        >>> print(f"up to {limits.upper:.6f} +/- {limits.upper_error:.0e}")
+        up to 0.136525 +/- 7e-04
     """
 
     lower: Floats
@@ -448,11 +415,11 @@ class AlphaLimits(NamedTuple):
 
 
 class MaxAlpha(NamedTuple):
-    """The largest stable alpha of hands, by proofs; NaN where none is proved stable.
+    """The largest stable alpha of a slice, by proofs; NaN where none is proved stable.
 
-    A hand is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha above
-    ``bound`` and no beta of the atlas. Where the stable set may go on beyond the atlas, across its
-    largest alpha or an end of beta, ``bound`` is infinite.
+    The loop is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha above
+    ``bound`` and no beta of the atlas. Where the stable set may continue beyond the atlas, across
+    its largest alpha or an end of beta, ``bound`` is infinite.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -475,7 +442,7 @@ class LimitTable:
             of the lower and then of the upper limit.
         ends: (delay_cell, 6), the lowest and the highest delay, alpha and beta of cells; those
             along beta are even.
-        whole: (delay_cell,), which axes hold the whole stable set.
+        whole: (delay_cell,), which axes hold the whole stable set (``LIMIT_WHOLE``).
         gamma: nodes of gamma, one or ascending.
         delta: nodes of delta, one or ascending.
     """
@@ -510,7 +477,7 @@ class LimitTable:
 
     def holds(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> bool:
         """Whether a point is inside of the table."""
-        cell = self.delays.of_one(delay)
+        cell = self.delays.cell_at(delay)
         if cell < 0:
             return False
         _, late, least, most, lowest, highest, _ = self._rows[cell]
@@ -524,11 +491,7 @@ class LimitTable:
         )
 
     def verdicts(self, points: Sequence[NDArray[Any]]) -> NDArray[np.int8]:
-        """Return the codes of points, real numbers of any kind and any broadcast shape.
-
-        Raises:
-            OutsideError: a point is outside of the table, or NaN.
-        """
+        """The codes of points of any broadcast shape; OutsideError for a point outside, or NaN."""
         is_large = np.broadcast(*points).size >= len(self._columns)
         deciding = self._deciding if is_large else None  # for few it takes longer than they do
         return in_parts(partial(self._verdicts, deciding), points, np.int8)[0]
@@ -545,7 +508,7 @@ class LimitTable:
             values[:1] if least == most else values
             for values, (least, most) in zip(plant, ends, strict=True)
         )
-        cell = self.delays.of(delay)
+        cell = self.delays.cells_at(delay)
         if not self.delays.hold(cell, delay, alpha=alpha, beta=beta):
             raise OutsideError
         point = beta, gamma, delta, delay
@@ -569,8 +532,18 @@ class LimitTable:
 
     @cached_property
     def _deciding(self) -> Floats:
-        """Above which alpha the upper limit decides, and below which one the lower, in columns."""
-        return deciding_alphas(self._columns, *self._boxes)
+        """Above which alpha, and below which one, one limit decides, in columns (column, 2)."""
+        # Above the first, which is above all that the lower limit leaves open in the column, that
+        # is the upper limit; below the second, which is below all that the upper one leaves open,
+        # the lower. Of a column without a stable alpha the lower limit says so: there it is
+        # infinite.
+        middles, halves = self._boxes
+        shape = np.broadcast_shapes(*(middle.shape for middle in middles))
+        rows = np.arange(len(self._columns), dtype=np.float64).reshape(shape)
+        alphas = in_parts(
+            partial(_deciding, self._columns), [rows, *middles, *halves], float, float
+        )
+        return np.stack(alphas, axis=-1).reshape(-1, 2)
 
     @cached_property
     def _boxes(self) -> tuple[list[Floats], list[Floats]]:
@@ -586,7 +559,7 @@ class LimitTable:
 
     def verdict(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> int:
         """Return the code of one point, without the cost of arrays."""
-        number = self.delays.of_one(delay)
+        number = self.delays.cell_at(delay)
         lowest, _, per_beta = self._rows[number][4:]
         cell = min(int((beta - lowest) * per_beta), self._cells - 1)
         row = cell * self._steps[0] + bisect_right(self._inner_lists[0], gamma) * self._steps[1]
@@ -605,25 +578,20 @@ class LimitTable:
         self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
     ) -> AlphaLimits:
         """Return the limits at points inside of the table, as far as they are within its alphas."""
-        ends = self.delays.walls("alpha", self.delays.of(delay))
+        ends = self.delays.walls("alpha", self.delays.cells_at(delay))
         return within(self.limits(beta, gamma, delta, delay), *ends)
 
     def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
-        """Return the surfaces at points inside of the table, which hold for its alphas alone.
-
-        Both are infinite where none is stable.
-        """
+        """The limits at points of the table, for its alphas; infinite where none is stable."""
         return AlphaLimits(*in_parts(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
 
     def _limits_of(self, *point: Floats) -> Sequence[Floats]:
-        return self._limits(self._rows_of(self.delays.of(point[-1]), *point[:-1]), *point)
+        return self._limits(self._rows_of(self.delays.cells_at(point[-1]), *point[:-1]), *point)
 
     def _limits(self, rows: Integers, *point: Floats) -> Sequence[Floats]:
-        """Return the limits of columns at points."""
         return surfaces(self._columns.take(rows, axis=0).T, *point)
 
     def _rows_of(self, number: Integers, beta: Floats, gamma: Floats, delta: Floats) -> Integers:
-        """Return the numbers of columns, in cells of delays."""
         rows = self.beta_cell(number, beta) * self._steps[0] + self._hands(gamma, delta) + number
         return np.asarray(rows)
 
@@ -639,8 +607,8 @@ class LimitTable:
     def max_alpha(self, gamma: Floats, delta: Floats, delay: Floats) -> MaxAlpha:
         """Return the largest stable alpha for hands inside of the table, arrays of one length."""
         columns = self._columns.reshape(self._cells, self._steps[0], -1)
-        numbers = self.delays.of(delay)
-        found = np.full((3, gamma.size), np.nan)
+        numbers = self.delays.cells_at(delay)
+        largest = np.full((3, gamma.size), np.nan)
         for point, row in enumerate(self._hands(gamma, delta) + numbers):
             number = numbers[point]
             edges = np.arange(self._cells + 1) / self._per_beta[number] + self._beta[number]
@@ -658,13 +626,13 @@ class LimitTable:
                 may_hold = ~(at.lower - at.lower_error >= ends)
                 if may_hold[0, 0] or may_hold[1, -1]:  # the stable set crosses an end of beta
                     bound = np.inf
-                found[:, point] = top.flat[best], sides.flat[best], bound
-        return MaxAlpha(*found)
+                largest[:, point] = top.flat[best], sides.flat[best], bound
+        return MaxAlpha(*largest)
 
     @ignoring
     def decided_share(self, delay: float) -> float:
         """Return the share of the volume at a delay that is decided, by the middles of columns."""
-        number = self.delays.of_one(delay)
+        number = self.delays.cell_at(delay)
         spans = [  # shares, for products of tiny spans are 0
             np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1)
             for nodes in self._nodes
@@ -681,16 +649,16 @@ class LimitTable:
     def common_limits(
         self, beta: float, gamma: Range, delta: Range, delay: float
     ) -> tuple[float, float]:
-        """Return between which alphas all hands of a box are proved stable; empty if it is so."""
+        """The alphas between which a whole box of (gamma, delta) is proved stable; may be empty."""
         at = self._limits_over(beta, gamma, delta, delay)
-        least, most = self._rows[self.delays.of_one(delay)][2:4]
+        least, most = self._rows[self.delays.cell_at(delay)][2:4]
         lowest, highest = np.max(at.lower + at.lower_error), np.min(at.upper - at.upper_error)
         return float(np.maximum(lowest, least)), float(np.minimum(highest, most))
 
     def worst_verdict(
         self, alpha: float, beta: float, gamma: Range, delta: Range, delay: float
     ) -> int:
-        """Return STABLE for all hands of a box, UNSTABLE for one, or UNDECIDED."""
+        """STABLE for a whole box of (gamma, delta), UNSTABLE for a point of it, or UNDECIDED."""
         codes = codes_by_limits(np.array(alpha), *self._limits_over(beta, gamma, delta, delay))
         if np.any(codes == Verdict.UNSTABLE):
             return int(Verdict.UNSTABLE)
@@ -706,7 +674,7 @@ class LimitTable:
         # A corner belongs to a cell by the middle of its part of the box.
         middles = np.meshgrid(*(ends.mean(axis=0) for ends in corners), indexing="ij")
         gammas, deltas = (middle.ravel() for middle in middles)
-        number = self.delays.of_one(delay)
+        number = self.delays.cell_at(delay)
         lowest, _, per_beta = self._rows[number][4:]
         cell = min(int((beta - lowest) * per_beta), self._cells - 1)
         columns = self._columns[cell * self._steps[0] + self._hands(gammas, deltas) + number]

@@ -1,12 +1,12 @@
 """What a product of an atlas is to the rest of the package: one object that answers for all of it.
 
 An atlas holds products: verdicts, limits of alpha, spectral radii, outlines, summaries. All that is
-particular to one stands in its module, as a subclass of ``Product`` beside the lookups in it:
+particular to one is in its module, as a subclass of ``Product`` beside the lookups in it:
 
 - its variables, which values of them a reader accepts, and how they fit together;
 - ``compute``: what a tile of a build holds of it, and ``known_before``: what no tile holds;
 - ``part`` and ``judged``: a small part of it, from which a plan tells cost and errors;
-- ``checks``: how ``jaxstab atlas verify`` compares a file with what is computed again.
+- ``checks``: how ``jaxstab atlas verify`` compares a file with a new computation.
 
 Format, build, plan and verification go through ``products.table.PRODUCTS`` and ask each object. So
 a new product is a new module and a line in that table.
@@ -51,13 +51,9 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True)
 class Stored:
-    """A file under verification.
+    """A file under verification: its datasets by name, its filters as keywords, and the sample.
 
-    Attributes:
-        datasets: variables of HDF5 by name, and the axes as arrays.
-        filters: velocity estimator and position filter, as keywords.
-        sample: about how many points are computed again.
-        chance: of the sample.
+    ``sample`` is about how many points are computed again, ``chance`` chooses them.
     """
 
     datasets: Mapping[str, Any]
@@ -81,7 +77,7 @@ class Stored:
 
 
 class Product:
-    """A product, with what is true of most.
+    """A product, with the defaults of most.
 
     Attributes:
         name: in a specification.
@@ -94,7 +90,7 @@ class Product:
         unit: the dimensions of what its cost is proportional to.
         knobs: the counts of a specification on which its error depends.
         power: of the fall of the error, with all of these counts.
-        error: of ``Resolution``, what is to fall.
+        error: the error of ``Resolution`` that finer cells reduce.
         quantile: the share of errors that keep the one that is said; 0 for an undecided share.
         has_calls: whether each tile and cell of delays costs a time beside that of its units.
     """
@@ -142,8 +138,8 @@ class Product:
         """Return how many of the points of a variable are evaluated."""
         from jaxstab.atlas.compute.plan import Share
 
-        asked = plan.points(variable)
-        return Share(variable, asked, asked)
+        requested = plan.points(variable)
+        return Share(variable, requested, requested)
 
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         """Return the grid of a part, where delay, gamma, delta and beta are at shares of ranges."""
@@ -157,11 +153,11 @@ class Product:
         return np.zeros(0), np.nan
 
     def checks(self, stored: Stored) -> Iterator[Check]:
-        """Compare a file with what is computed again."""
+        """Compare a file with a new computation."""
         yield from ()
 
     def checks_of_answers(
         self, atlas: "Atlas", sample: int, chance: np.random.Generator
     ) -> Iterator[Check]:
-        """Compare what an atlas answers with what is computed."""
+        """Compare the answers of an atlas with a new computation."""
         yield from ()

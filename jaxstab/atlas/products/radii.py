@@ -212,7 +212,7 @@ _BETAS, _POINTS = 16, 2**12  # cells along beta of a part, and points at which i
 _ROWS = 16  # cells of delays that are verified
 _STEP = 1 / 64  # of an error: terms are multiples of less than this, which take little room
 _LEAST_ERROR = 1e-9
-_DIGITS = 5  # of an error that are kept, upwards
+_DIGITS = 5  # of an error, rounded up
 _LARGEST = 1e6  # of terms
 
 
@@ -236,19 +236,16 @@ def _in_float32(known: "RadiusSurfaces") -> tuple[NDArray[np.int32], NDArray[np.
     scale = np.where(meets, errors[0], errors)
     step = np.exp2(np.floor(np.log2(_STEP * np.clip(scale, _LEAST_ERROR, 1.0))))
     rounded = (np.round(terms / step[:, None]) * step[:, None]).astype(np.float32)
-    lost = np.abs(rounded - terms).sum(axis=1) + OVERLAP * np.abs(terms[:, 1:]).sum(axis=1)
+    moved = np.abs(rounded - terms).sum(axis=1) + OVERLAP * np.abs(terms[:, 1:]).sum(axis=1)
     # A mean that is moved moves the roots; the others change the polynomial in w.
-    of_polynomial = np.where(kind == SurfaceKind.PAIR, lost[1], WIDEST_CLUSTER * lost[1] + lost[2])
-    lost = np.where(meets, np.stack([of_polynomial, lost[0], 0.0 * lost[0]]), lost)
-    of_cells = np.concatenate([rounded, _raised(errors + lost + _LEAST_ERROR)[:, None]], axis=1)
+    of_polynomial = np.where(
+        kind == SurfaceKind.PAIR, moved[1], WIDEST_CLUSTER * moved[1] + moved[2]
+    )
+    moved = np.where(meets, np.stack([of_polynomial, moved[0], 0.0 * moved[0]]), moved)
+    of_cells = np.concatenate([rounded, _raised(errors + moved + _LEAST_ERROR)[:, None]], axis=1)
     is_used = np.arange(len(terms))[:, None] < np.array(RADIUS_FUNCTIONS)[kind]
-    return kind, _strung(of_cells, is_used)
-
-
-def _strung(of_cells: NDArray[np.float32], is_used: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the functions that are used, those of one cell after those of another: (term, row)."""
     rows = np.moveaxis(of_cells, (0, 1, 2), (1, 2, 0))  # (cell, function, term)
-    return np.ascontiguousarray(rows[is_used.T].T)
+    return kind, np.ascontiguousarray(rows[is_used.T].T)  # (term, row), cell after cell
 
 
 def _raised(errors: Floats) -> NDArray[np.float32]:
@@ -262,12 +259,10 @@ ONE, LARGER, PAIR, CLUSTER = 1, 2, 3, 4
 
 
 def radius_bounds(kind: NDArray[Any], values: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    """Return the lowest and the highest radius of points.
+    """The lowest and the highest radius of points.
 
-    Args:
-        kind: of the cell of each point.
-        values: of the functions of the cell, (3, point).
-        errors: of the first two functions, (2, point).
+    ``kind`` is that of the cell of each point, ``values`` (3, point) those of its functions, and
+    ``errors`` (2, point) bound the errors of the first two.
     """
     low, high = np.zeros(kind.size), np.full(kind.size, np.inf)
     below, above = values[:2] - errors, values[:2] + errors
@@ -305,8 +300,8 @@ def _of_clusters(functions: list[Floats], bound: Floats) -> tuple[Floats, Floats
     one, two, three = roots
     products = one * two + one * three + two * three, one * two * three
     size = np.abs(roots).max(axis=0) + 5.0 * np.cbrt(bound)
-    lost = np.abs(one + two + three) * size**2 + np.abs(products[0] - slope) * size
-    loss = bound + lost + np.abs(products[1] + constant) + ROOTS
+    residual = np.abs(one + two + three) * size**2 + np.abs(products[0] - slope) * size
+    loss = bound + residual + np.abs(products[1] + constant) + ROOTS
     farthest = _farthest(np.abs(slope), np.abs(constant) + bound + ROOTS)
     lowest, highest = np.abs(mean) - farthest, np.abs(mean) + farthest
     low, high = lowest, np.zeros(mean.size)
@@ -327,12 +322,9 @@ def _farthest(slope: Floats, constant: Floats) -> Floats:
 
 
 def _component(near: Floats, far: Floats, loss: Floats) -> Floats:
-    """Bound the distance from a root of a cubic within its component of |cubic| <= loss.
+    """Bound the distance of a root of a cubic in its component of |cubic| <= loss, loss > 0.
 
-    Args:
-        near: distance to the nearest of the other two roots.
-        far: to the other one.
-        loss: more than 0.
+    ``near`` and ``far`` are the distances to the other two roots.
     """
     with np.errstate(all="ignore"):
         alone = 1.2 * loss / (near * far)
@@ -365,11 +357,7 @@ _FIRST, _SECOND = np.triu_indices(_AXES)
 
 
 class RadiusTable:
-    """Spectral radii of an atlas at any point.
-
-    Args:
-        arrays: of the atlas.
-    """
+    """Spectral radii of an atlas (its ``arrays``) at any point."""
 
     def __init__(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         kinds, terms = arrays[RADIUS_KIND], arrays[RADIUS_TERMS]
@@ -383,11 +371,7 @@ class RadiusTable:
         self._hands = [(float(nodes[0]), float(nodes[-1])) for nodes in hands]
 
     def bounds(self, points: list[Floats]) -> tuple[Floats, Floats]:
-        """Return the lowest and the highest radius of points; 0 and infinity where none is known.
-
-        Args:
-            points: alpha, beta, gamma, delta and delay of each, inside of gamma and delta.
-        """
+        """The lowest and highest radius at points with gamma, delta inside; 0, inf if unknown."""
         low, high = in_parts(self._bounds, points, float, float)
         return low, high
 
@@ -410,7 +394,7 @@ class RadiusTable:
             cell = cell * count + along
         middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
         beside[-1] = (points[-1] - middle) / np.where(half > 0.0, half, 1.0)
-        beside[:, ~inside] = 0.0  # what is far outside would overflow
+        beside[:, ~inside] = 0.0  # far outside it would overflow
         low, high = self._of_cells(cell, beside)
         return np.where(inside, low, 0.0), np.where(inside, high, np.inf)
 

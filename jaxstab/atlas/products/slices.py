@@ -43,7 +43,7 @@ SUMMARY = (
 )
 
 _NEAR = 1e-9  # of the size of a slice's stable region, or of a number in its summary
-_FAR = 1e-6  # of a coordinate of an extreme, where what is extreme hardly changes
+_FAR = 1e-6  # of a coordinate of an extreme, where the extreme value hardly changes
 _POLYGON = 1e-5  # of that size squared: a polygon leaves the boundary by 1e-6 of it
 
 
@@ -80,7 +80,7 @@ _OUTLINE = (
     _count(CORNER_COUNT, "number of corners", "with the NaN at their end", inf),
     _count(
         OUTLINE_STATUS,
-        "what is known of the outline",
+        "status of the outline",
         "0 complete, 1 the stable region is empty, 2 unresolved: do not use it",
         2,
     ),
@@ -109,7 +109,6 @@ class _BySlices(Product):
         yield Check(self.name, wrong == 0, words)
 
     def is_wrong(self, stored: Stored, place: Place) -> bool:
-        """Whether a slice is not what is computed."""
         raise NotImplementedError
 
 
@@ -162,7 +161,9 @@ class Outlines(_BySlices):
         size = float(np.hypot(*np.ptp(region.points, axis=0)))
         points = np.resize(outline.points, region.outline.vertices.shape)  # one shape: one program
         aside = np.asarray(region.distance(*points.T))
-        missing = float(region.area) - _enclosed(outline)
+        (x0, y0), (x1, y1) = outline.points[:-1].T, outline.points[1:].T
+        enclosed = 0.5 * float(np.sum(x0 * y1 - x1 * y0, where=outline.branch >= 0))
+        missing = float(region.area) - enclosed
         return not (
             np.all(np.abs(aside) <= _NEAR * size)
             and abs(missing) <= _POLYGON * size**2
@@ -204,13 +205,7 @@ class Summaries(_BySlices):
 def slice_summaries(
     hands: Floats, delay: float, filters: "Filters | None" = None
 ) -> dict[str, Floats]:
-    """Return the variables of the product ``summary``.
-
-    Args:
-        hands: gamma and delta of each slice.
-        delay: time delay t_d/T of all of them.
-        filters: velocity estimator and position filter of all of them.
-    """
+    """The variables of the product ``summary`` for slices: ``hands`` are their gamma and delta."""
     from jaxstab.model.filters import as_keywords
     from jaxstab.tuning import minimize_radius
 
@@ -251,16 +246,16 @@ class AtlasOutline(NamedTuple):
 
     Attributes:
         points: (n, 2), alpha and beta counter-clockwise, the last one equal to the first.
-        branch: (n - 1,), what each piece is: 0 a pair of roots on the unit circle, 1 a root at
-            z = 1, 2 a root at z = -1; -1 between two loops.
+        branch: (n - 1,), what each piece is: 0 a pair of roots on the unit circle, 1 a root at z =
+            1, 2 a root at z = -1; -1 between two loops.
         corners: (m, 2), where two branches meet, to full precision.
         status: 0 complete, 1 the region is empty, 2 unresolved: do not use it.
 
     Example:
         >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
-        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
-        >>> spec = jaxstab.AtlasSpec(**hand, products=("outline",))
+        >>> axes = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
+        >>> spec = jaxstab.AtlasSpec(**axes, products=("outline",))
         >>> with TemporaryDirectory() as folder:
         ...     atlas = jaxstab.build_atlas(spec, Path(folder) / "outline.h5")
         >>> outline = atlas.outline(gamma=0.0, delta=0.01, delay=1.0)
@@ -277,11 +272,7 @@ class AtlasOutline(NamedTuple):
 def outline_at(
     arrays: Mapping[str, NDArray[Any]], gamma: float, delta: float, delay: float
 ) -> AtlasOutline:
-    """Return the outline at a node of gamma, delta and delay.
-
-    Raises:
-        ValueError: it is no node, or the atlas holds no outlines.
-    """
+    """The outline at a node of gamma, delta and delay; ValueError if it is no node, or has none."""
     if OUTLINE_SIZE not in arrays:
         raise ValueError("this atlas holds no outlines; build one with the product 'outline'.")
     given = {"gamma": gamma, "delta": delta, "delay": delay}
@@ -311,9 +302,3 @@ def _number(name: str, nodes: NDArray[np.float64], value: float) -> int:
         listed = ", ".join(map(repr, nodes.tolist()))
         raise ValueError(f"{name} is {value!r}; outlines are at its nodes {listed}.")
     return int(found[0])
-
-
-def _enclosed(outline: AtlasOutline) -> float:
-    """Return the area of the polygon, or of several without the ways between them."""
-    (x0, y0), (x1, y1) = outline.points[:-1].T, outline.points[1:].T
-    return 0.5 * float(np.sum(x0 * y1 - x1 * y0, where=outline.branch >= 0))

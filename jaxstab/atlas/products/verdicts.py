@@ -72,14 +72,14 @@ class Verdicts(Product):
     def share(self, plan: "Plan", variable: str) -> "Share":
         from jaxstab.atlas.compute.plan import Share
 
-        asked = plan.points(variable)
+        requested = plan.points(variable)
         if variable == VERDICT:
             why = "between two pieces of the boundary, with one proved verdict for a whole column"
-            return Share(variable, asked, _undecided_nodes(plan), why, is_estimated=True)
-        columns = asked // plan.grid.lengths["alpha_cell"]
+            return Share(variable, requested, _undecided_nodes(plan), why, is_estimated=True)
+        columns = requested // plan.grid.lengths["alpha_cell"]
         return Share(
             variable,
-            asked,
+            requested,
             0,
             f"proved, or left undecided, in {columns} columns of cells as a whole",
         )
@@ -166,12 +166,10 @@ def wrong_codes(codes: Array, point: tuple[Any, ...], filters: Mapping[str, Any]
 def decided_share(
     blocks: Iterable[tuple[tuple[int, ...], NDArray[np.int8]]], axes: Sequence[Floats]
 ) -> float:
-    """Return the share of the volume of a grid in which the verdicts of cells are decided.
+    """The share of the volume of a grid in which the verdicts of cells are decided.
 
-    Args:
-        blocks: where blocks of cells begin along alpha, beta, gamma, delta and delay, and their
-            codes.
-        axes: the nodes along the first four.
+    ``blocks`` are where blocks of cells begin along the five axes, and their codes; ``axes`` the
+    nodes along the first four.
     """
     widths = [np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1) for nodes in axes]
     total = 0.0

@@ -1,9 +1,9 @@
-"""Answers from an atlas in memory: at a node what it holds, elsewhere only what is proved.
+"""Answers from an atlas in memory: stored values at nodes, proofs elsewhere.
 
 ``Atlas`` answers in dimensionless numbers, ``LoopAtlas`` in SI units for the walls of one loop. A
 query marks the points outside first. Inside, the limits of alpha decide most points, then nodes and
 their cells (``read.points``); functions of cells bound the spectral radius. What is left undecided
-stays so, or is computed where that is asked for.
+stays so, or is computed on request (``exact``).
 
 A verdict alone goes the short way: if all points are inside of the limits of alpha, one lookup in
 their table answers, and nothing else is touched. NumPy alone: no JAX, no HDF5, and nothing else
@@ -72,14 +72,13 @@ class LargestStiffness(NamedTuple):
     """The largest stable stiffness of a loop, by the proofs of an atlas; NaN where there is none.
 
     The loop is stable at ``damping`` and every stiffness just below ``stiffness``, and at no
-    stiffness above ``bound`` and no damping of the atlas. Where the stable set may go on beyond the
-    atlas, across its largest stiffness or an end of the damping, ``bound`` is infinite.
+    stiffness above ``bound`` and no damping of the atlas. Where the stable set may continue beyond
+    the atlas, across its largest stiffness or an end of the damping, ``bound`` is infinite.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> loop = jaxstab.HapticLoop(
-        ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1.5e-3
-        ... )
+        >>> device = {"device_mass": 0.1, "device_damping": 1.0}
+        >>> loop = jaxstab.HapticLoop(**device, sample_time=1e-3, delay=1.5e-3)
         >>> largest = atlas.for_loop(loop).largest_stiffness()
         >>> print(f"{largest.stiffness:.0f} N/m, none above {largest.bound:.0f} N/m")
         9449 N/m, none above 9585 N/m
@@ -91,11 +90,11 @@ class LargestStiffness(NamedTuple):
 
 
 class LoopAtlas:
-    """What an atlas says about the walls of one loop, in SI units; ``Atlas.for_loop`` makes it.
+    """An atlas for the walls of one loop, in SI units; ``Atlas.for_loop`` makes it.
 
-    In all answers K is in N/m and B in N s/m (N m/rad and N m s/rad for a loop that turns). They
-    are proved for the dimensionless numbers of the loop, which are right to some roundings: gamma,
-    delta or a delay that is a node up to four of them is taken for the node.
+    K is in N/m and B in N s/m (N m/rad and N m s/rad for a rotational loop). Answers are proved for
+    the dimensionless numbers of the loop, which are right to some roundings: gamma, delta or a
+    delay that is a node up to four of them is taken for the node.
 
     Attributes:
         atlas: the atlas.
@@ -103,14 +102,17 @@ class LoopAtlas:
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> loop = jaxstab.HapticLoop(
-        ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
-        ... )
+        >>> device = {"device_mass": 0.1, "device_damping": 1.0}
+        >>> loop = jaxstab.HapticLoop(**device, sample_time=1e-3, delay=1e-3)
         >>> walls = atlas.for_loop(loop)
         >>> walls.verdict([5000.0, 18000.0], 30.0).tolist()
         [1, 2]
         >>> walls.stiffness_limits(30.0).round(-1).tolist()
         [0.0, 13600.0]
+        >>> jaxstab.results.QueryStatus(int(walls.query(5000.0, 30.0).status)).name
+        'CELL'
+        >>> round(walls.largest_stiffness().damping)
+        43
     """
 
     def __init__(self, atlas: "Atlas", loop: Any) -> None:
@@ -125,13 +127,12 @@ class LoopAtlas:
             nodes = atlas.arrays[name]
             if not nodes[0] <= value <= nodes[-1]:
                 raise ValueError(
-                    f"{name} of the loop is {value!r}, and this atlas reaches from "
-                    f"{float(nodes[0])!r} to {float(nodes[-1])!r}; ask another atlas, or build one."
+                    f"{name} of the loop is {value!r}, and this atlas has {float(nodes[0])!r} to "
+                    f"{float(nodes[-1])!r}; open another atlas, or build one."
                 )
         self._alphas, self._betas = _ends(atlas, self._slice["delay"])
 
     def __repr__(self) -> str:
-        """Return the atlas, and the loop."""
         return f"{self.atlas!r}\nfor {self.loop!r}"
 
     def query(
@@ -142,32 +143,11 @@ class LoopAtlas:
         *,
         exact: bool = False,
     ) -> AtlasAnswer:
-        """Answer for walls: verdicts, and radii where the atlas holds them; see ``Atlas.query``.
+        """Verdicts, and radii where the atlas holds them, of walls (K, B) of any broadcast shape.
 
-        Args:
-            stiffness: K in N/m, any shape; broadcasts with the damping.
-            damping: B in N s/m.
-            outside: as ``Atlas.query``.
-            exact: as ``Atlas.query``.
-
-        Raises:
-            TypeError: a gain is not made of real numbers.
-            ValueError: a gain is NaN or infinite or, unless ``outside`` is "undecided", outside of
-                the atlas.
-
-        Source: ``jaxstab.proofs.columns``; Table I.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
-            ... )
-            >>> answer = atlas.for_loop(loop).query(5000.0, 30.0)
-            >>> status = jaxstab.results.QueryStatus(int(answer.status))
-            >>> status.name, jaxstab.Verdict(answer.verdict).name
-            ('CELL', 'STABLE')
+        Other arguments, errors and source: as ``Atlas.query``.
         """
-        wall = self._asked(stiffness, damping, outside)
+        wall = self._wall(stiffness, damping, outside)
         return self.atlas.query(*wall, **self._slice, outside=outside, exact=exact)
 
     def verdict(
@@ -178,27 +158,25 @@ class LoopAtlas:
         *,
         exact: bool = False,
     ) -> NDArray[np.int8]:
-        """Return the verdicts of ``query`` alone, faster: int8 codes of ``jaxstab.Verdict``.
+        """The verdicts of ``query`` alone, faster: int8 codes of ``jaxstab.Verdict``.
 
-        Args, errors and source: as ``query``.
+        Arguments, errors and source: as ``query``.
         """
-        wall = self._asked(stiffness, damping, outside)
+        wall = self._wall(stiffness, damping, outside)
         return self.atlas.verdict(*wall, **self._slice, outside=outside, exact=exact)
 
     def stiffness_limits(self, damping: Numbers) -> Floats:
-        """Return the interval of stiffness in which every wall is proved stable, rounded inwards.
+        """The interval of stiffness in which every wall is proved stable, rounded inwards.
 
         Args:
-            damping: B in N s/m, any shape.
+            damping: see ``jaxstab.conventions``.
 
         Returns:
             Array (*grid, 2) in N/m, an open interval within that of ``HapticLoop.stiffness_limits``
             and within the atlas; NaN where no stiffness is proved stable.
 
         Raises:
-            TypeError: a damping is not a real number.
-            ValueError: a damping is NaN, infinite or outside of the atlas, or this holds no limits
-                of alpha.
+            TypeError, ValueError: as ``Atlas.alpha_limits``.
 
         Source: ``jaxstab.proofs.columns``; Table I.
         """
@@ -208,33 +186,24 @@ class LoopAtlas:
         return self._limits(beta)
 
     def largest_stiffness(self) -> LargestStiffness:
-        """Return the largest stable stiffness, where it is, and a proved bound.
+        """The largest stable stiffness, its damping, and a proved bound.
 
         Raises:
-            ValueError: this holds no limits of alpha.
+            ValueError: the atlas holds no limits of alpha.
 
         Source: ``jaxstab.proofs.columns``; Table I.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> loop = jaxstab.HapticLoop(
-            ...     device_mass=0.1, device_damping=1.0, sample_time=1e-3, delay=1e-3
-            ... )
-            >>> largest = atlas.for_loop(loop).largest_stiffness()
-            >>> largest.stiffness <= largest.bound, round(largest.damping)
-            (True, 43)
         """
-        found = self.atlas.max_alpha(**self._slice)
-        if np.isnan(found.alpha):
+        largest = self.atlas.max_alpha(**self._slice)
+        if np.isnan(largest.alpha):
             return LargestStiffness(np.nan, np.nan, np.nan)
         # It is on an edge between two cells of beta, of which a rounded damping is in either.
-        damping = float(self.loop.damping(float(found.beta)))
+        damping = float(self.loop.damping(float(largest.beta)))
         near = damping + np.spacing(damping) * np.arange(-_ULPS_ASIDE, _ULPS_ASIDE + 1)
         beta = self.loop.beta(near)
         near, beta = (v[(beta >= self._betas[0]) & (beta <= self._betas[1])] for v in (near, beta))
         upper = np.nan_to_num(self._limits(beta)[:, 1], nan=-np.inf)
         best = int(np.argmax(upper))
-        bound = self.loop.stiffness(float(found.bound))
+        bound = self.loop.stiffness(float(largest.bound))
         return LargestStiffness(
             float(upper[best]), float(near[best]), bound + _ROUNDINGS * abs(bound)
         )
@@ -242,15 +211,15 @@ class LoopAtlas:
     @np.errstate(invalid="ignore")  # infinite limits may have infinite errors
     def _limits(self, beta: Floats) -> Floats:
         """Return the stiffnesses between which all is proved stable, at values of beta."""
-        found = self.atlas.alpha_limits(beta, **self._slice)
-        lower = np.maximum(found.lower + found.lower_error, self._alphas[0])
-        upper = np.minimum(found.upper - found.upper_error, self._alphas[1])
+        limits = self.atlas.alpha_limits(beta, **self._slice)
+        lower = np.maximum(limits.lower + limits.lower_error, self._alphas[0])
+        upper = np.minimum(limits.upper - limits.upper_error, self._alphas[1])
         ends = self.loop.stiffness(np.stack([lower, upper], axis=-1))
         ends += _ROUNDINGS * np.abs(ends) * np.array([1.0, -1.0])
         ends[~(ends[..., 0] < ends[..., 1])] = np.nan
         return ends
 
-    def _asked(
+    def _wall(
         self, stiffness: Numbers, damping: Numbers, outside: Outside
     ) -> tuple[Numbers, Numbers]:
         """Return alpha and beta of walls, checked; one wall as two plain numbers."""
@@ -283,8 +252,8 @@ class LoopAtlas:
         if beyond.size:
             raise ValueError(
                 f"{name} is {float(gains.flat[beyond[0]])!r}, and this atlas reaches from "
-                f"{in_units(low):.9g} to {in_units(high):.9g} for this loop; ask inside of it, or "
-                "set outside to 'undecided'."
+                f"{in_units(low):.9g} to {in_units(high):.9g} for this loop; give a value in this "
+                "range, or set outside to 'undecided'."
             )
 
 
@@ -298,7 +267,7 @@ def _checked_loop(loop: Any) -> Any:
     if plain.body is None:
         raise TypeError(
             f"an atlas is of devices that are one mass with their hand, and this one is not "
-            f"({loop.device}); ask the loop itself."
+            f"({loop.device}); use the methods of the loop."
         )
     return plain
 
@@ -349,13 +318,17 @@ class Atlas:
 
     Attributes:
         arrays: the variables of the file by name (``jaxstab.atlas.format.schema`` describes them),
-            each unpacked when it is first asked for; one of more than 2 GiB is refused then.
+            each unpacked at its first use; one of more than 2 GiB is refused then.
         spec: the TOML text from which the atlas was built.
         created_by: the program and version that built it.
         filters_in_words: the velocity estimator and the position filter of its loops.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+        >>> atlas.products, atlas.delays.tolist()
+        (('verdict', 'alpha_limits', 'spectral_radius'), [0.0, 1.0, 1.5])
+        >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
+        {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
         >>> atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
         [1, 2]
         >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, gamma=0.0005, delta=0.01, delay=1.0))
@@ -380,24 +353,12 @@ class Atlas:
 
     @property
     def products(self) -> tuple[str, ...]:
-        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.products
-            ('verdict', 'alpha_limits', 'spectral_radius')
-        """
+        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``."""
         return tuple(name for name, one in PRODUCTS.items() if one.names[0] in self.arrays)
 
     @property
     def delays(self) -> Floats:
-        """The delays t_d/T of the atlas, ascending.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.delays.tolist()
-            [0.0, 1.0, 1.5]
-        """
+        """The delays t_d/T of the atlas, ascending."""
         return self.arrays["delay"]
 
     @cached_property
@@ -413,13 +374,7 @@ class Atlas:
         return filters_of(self.spec)
 
     def nodes(self, delay_number: int) -> dict[str, Floats]:
-        """Return the nodes along alpha, beta, gamma and delta at one delay of ``delays``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
-            {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
-        """
+        """The nodes along alpha, beta, gamma and delta at one delay of ``delays``."""
         return nodes_of(self.arrays, delay_number)
 
     def decided_fraction(self, delay_number: int) -> float:
@@ -454,20 +409,16 @@ class Atlas:
         velocity: Any = None,
         position: Any = None,
     ) -> AtlasAnswer:
-        """Answer for points of any broadcast shape, never with a guess.
+        """Verdicts and radii of points of any broadcast shape, each proved or called undecided.
 
         At a node of the grid the verdict is what was computed there. Between nodes it is given
         where the limits of alpha, or the proof for the whole cell, decide it, and is UNDECIDED
-        elsewhere. So it is at all delays for which limits are held, or else at those of ``delays``.
+        elsewhere: at all delays for which there are limits, or else at those of ``delays``.
         Spectral radii are functions of cells, at nodes and between them, each with a proved bound.
 
         Args:
-            alpha: wall stiffness K T^2/m.
-            beta: wall damping B T/m.
-            gamma: physical stiffness k T^2/m.
-            delta: physical damping b T/m.
-            delay: time delay t_d/T in samples.
-            outside: "error" to refuse points outside of the atlas, "undecided" to answer so.
+            alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
+            outside: "error" to refuse points outside of the atlas, "undecided" to call them so.
             exact: settle UNDECIDED points inside by computation.
             velocity: the velocity estimator that you mean, in units of one sample; an atlas of
                 another one refuses. Without it and ``position`` the atlas answers for its own.
@@ -491,7 +442,8 @@ class Atlas:
         self._check_filters(velocity, position)
         points = np.broadcast_arrays(*all_checked((alpha, beta, gamma, delta, delay)))
         shape = points[0].shape
-        answer = no_answer(points[0].size, has_verdicts=self._has_verdicts)
+        has_verdicts = VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
+        answer = no_answer(points[0].size, has_verdicts=has_verdicts)
         where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
         find_outside(self.arrays, self._table, where, answer.status, refuse=outside == "error")
         inside = answer.status != QueryStatus.OUTSIDE
@@ -521,19 +473,9 @@ class Atlas:
         velocity: Any = None,
         position: Any = None,
     ) -> NDArray[np.int8]:
-        """Return the verdicts of ``query`` alone, by the limits of alpha where the atlas has them.
+        """The verdicts of ``query`` alone (int8 codes), faster where limits of alpha decide.
 
-        With limits of alpha, points are answered many times faster.
-
-        Args, errors and source: as ``query``.
-
-        Returns:
-            int8 codes of ``jaxstab.Verdict`` of the broadcast shape.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.verdict([0.05, 0.2], 0.3, gamma=0.0005, delta=0.01, delay=1.0).tolist()
-            [1, 2]
+        Arguments, errors and source: as ``query``.
         """
         self._check_filters(velocity, position)
         given = (alpha, beta, gamma, delta, delay)
@@ -548,16 +490,14 @@ class Atlas:
     def alpha_limits(
         self, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
     ) -> AlphaLimits:
-        """Return the smallest and largest stable alpha, with proved errors.
+        """The smallest and largest stable alpha, with proved errors.
 
-        Args: as ``query``.
+        Arguments and source as ``query``.
 
         Raises:
             TypeError: an argument is not made of real numbers.
-            ValueError: a value is NaN, infinite or outside of the atlas, or this holds no limits of
-                alpha.
-
-        Source: ``jaxstab.proofs.columns``.
+            ValueError: a value is NaN, infinite or outside of the atlas, or the atlas holds no
+                limits of alpha.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -565,24 +505,19 @@ class Atlas:
             >>> (limits.upper - limits.upper_error).round(4).tolist()  # proved stable up to here
             [0.1358, 0.1435]
         """
-        table, points = self._asked(delay, gamma=gamma, delta=delta, beta=beta)
+        table, points = self._table_and_points(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
-        found = table.known_limits(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
-        is_empty = found.lower == np.inf
-        limits = (np.where(is_empty, np.nan, limit) for limit in (found.lower, found.upper))
-        errors = (error.astype(float) for error in (found.lower_error, found.upper_error))
+        known = table.known_limits(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
+        is_empty = known.lower == np.inf
+        limits = (np.where(is_empty, np.nan, limit) for limit in (known.lower, known.upper))
+        errors = (error.astype(float) for error in (known.lower_error, known.upper_error))
         parts = zip(limits, errors, strict=True)
         return AlphaLimits(*(v.reshape(beta.shape) for pair in parts for v in pair))
 
     def max_alpha(self, *, gamma: Numbers, delta: Numbers, delay: Numbers) -> MaxAlpha:
-        """Return the largest stable alpha of hands, where it is, and a proved bound.
+        """The largest stable alpha, the beta where it is, and a proved bound.
 
-        Args: as ``query``.
-
-        Raises:
-            TypeError, ValueError: as ``alpha_limits``.
-
-        Source: ``jaxstab.proofs.columns``.
+        Arguments, errors and source: as ``alpha_limits``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -590,24 +525,17 @@ class Atlas:
             >>> bool(largest.alpha <= largest.bound), round(float(largest.beta), 2)
             (True, 0.35)
         """
-        table, points = self._asked(delay, gamma=gamma, delta=delta)
-        found = table.max_alpha(*(point.reshape(-1) for point in points))
-        return MaxAlpha(*(value.reshape(points[0].shape) for value in found))
+        table, points = self._table_and_points(delay, gamma=gamma, delta=delta)
+        largest = table.max_alpha(*(point.reshape(-1) for point in points))
+        return MaxAlpha(*(value.reshape(points[0].shape) for value in largest))
 
     def worst_verdict(
         self, alpha: float, beta: float, *, gamma: Range, delta: Range, delay: float
     ) -> np.int8:
-        """Return the verdict on one wall for a box of hands.
+        """The verdict on one wall over a box of (gamma, delta), each a (lowest, highest) pair.
 
-        Args: as ``query``, but one wall, and of gamma and delta the lowest and the highest value.
-
-        Returns:
-            STABLE if proved for every hand of the box, UNSTABLE if proved for one, else UNDECIDED.
-
-        Raises:
-            TypeError, ValueError: as ``alpha_limits``; or a range has its ends swapped.
-
-        Source: ``jaxstab.proofs.columns``.
+        STABLE if proved for the whole box, UNSTABLE if proved at one point of it, else UNDECIDED.
+        Source: as ``alpha_limits``; errors too, and ValueError for a range whose ends are swapped.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
@@ -615,47 +543,38 @@ class Atlas:
             >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0)).name
             'STABLE'
         """
-        table = self._asked_over(alpha, beta, gamma, delta, delay)
+        table = self._table_over(alpha, beta, gamma, delta, delay)
         return np.int8(table.worst_verdict(alpha, beta, gamma, delta, delay))
 
     def common_alpha_limits(
         self, beta: float, *, gamma: Range, delta: Range, delay: float
     ) -> Range:
-        """Return the interval of alpha in which every hand of a box is proved stable.
+        """The open interval of alpha that is proved stable for a whole box of (gamma, delta).
 
-        Args: as ``worst_verdict``.
-
-        Returns:
-            The lowest and the highest alpha, an open interval; empty where the first is not less.
-
-        Raises:
-            TypeError, ValueError: as ``worst_verdict``.
-
-        Source: ``jaxstab.proofs.columns``.
+        It is empty where its first end is not less. Arguments, errors and source: as
+        ``worst_verdict``.
 
         Example:
             >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> low, high = atlas.common_alpha_limits(
-            ...     0.3, gamma=(0.0, 0.001), delta=(0.0, 0.015), delay=1.0
-            ... )
+            >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
+            >>> low, high = atlas.common_alpha_limits(0.3, **hands, delay=1.0)
             >>> low < high, round(high, 2)
             (True, 0.13)
         """
-        table = self._asked_over(None, beta, gamma, delta, delay)
+        table = self._table_over(None, beta, gamma, delta, delay)
         return table.common_limits(beta, gamma, delta, delay)
 
     def _check_filters(self, velocity: Any, position: Any) -> None:
-        """Refuse a question about loops with others than those of the atlas."""
         if velocity is None and position is None:
             return
         from jaxstab.atlas.format.spec import words_of
         from jaxstab.model.filters import known_filters
 
-        asked = known_filters(velocity, position)
-        if asked != self.filters:
+        named = known_filters(velocity, position)
+        if named != self.filters:
             raise ValueError(
-                f"the question is about {words_of(asked)}, and this atlas is of "
-                f"{self.filters_in_words}; ask another atlas, or build one."
+                f"the query is for {words_of(named)}, and this atlas is of "
+                f"{self.filters_in_words}; open another atlas, or build one."
             )
 
     def _verdict_by_limits(self, given: Sequence[Numbers]) -> NDArray[np.int8] | None:
@@ -674,26 +593,22 @@ class Atlas:
         except OutsideError:
             return None
 
-    @property
-    def _has_verdicts(self) -> bool:
-        return VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
-
     @cached_property
     def _radii(self) -> RadiusTable:
-        """The spectral radii, where the atlas has them."""
         return RadiusTable(self.arrays)
 
     @cached_property
     def _table(self) -> LimitTable | None:
-        """The limits of alpha, where the atlas has them."""
         if ALPHA_LIMITS not in self.arrays:
             return None
         names = ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
         hands = {name: self.arrays[name] for name in ("gamma", "delta")}
         return LimitTable(*(self.arrays[name] for name in names), **hands)
 
-    def _asked(self, delay: Numbers, **given: Numbers) -> tuple[LimitTable, list[Floats]]:
-        """Return the limits, and what is asked of them with the delays as the last; all checked."""
+    def _table_and_points(
+        self, delay: Numbers, **given: Numbers
+    ) -> tuple[LimitTable, list[Floats]]:
+        """The table of limits and the checked points of a query, the delays last."""
         table = self._table
         if table is None:
             raise ValueError(
@@ -701,28 +616,28 @@ class Atlas:
             )
         names = [*given, "delay"]
         points = np.broadcast_arrays(*all_checked((*given.values(), delay), names))
-        asked = dict(zip(names, points, strict=True))
+        query = dict(zip(names, points, strict=True))
         for name in ("gamma", "delta", "delay"):
-            check_inside(name, asked[name], self.arrays[name][0], self.arrays[name][-1])
-        between = ~table.delays.covers(asked["delay"])
+            check_inside(name, query[name], self.arrays[name][0], self.arrays[name][-1])
+        between = ~table.delays.covers(query["delay"])
         if np.any(between):
             delays = ", ".join(f"{node:g}" for node in self.delays.tolist())
             raise ValueError(
-                f"delay is {float(asked['delay'][between].flat[0])!r}; this atlas has limits at "
+                f"delay is {float(query['delay'][between].flat[0])!r}; this atlas has limits at "
                 f"{delays} alone."
             )
-        cell = table.delays.of(asked["delay"])
+        cell = table.delays.cells_at(query["delay"])
         for name in {"alpha", "beta"} & set(given):
-            check_inside(name, asked[name], *table.delays.walls(name, cell))
+            check_inside(name, query[name], *table.delays.walls(name, cell))
         return table, list(points)
 
-    def _asked_over(
+    def _table_over(
         self, alpha: float | None, beta: float, gamma: Range, delta: Range, delay: float
     ) -> LimitTable:
         ranges = {"gamma": checked_range("gamma", gamma), "delta": checked_range("delta", delta)}
         walls = {"beta": beta} | ({} if alpha is None else {"alpha": alpha})
         numbers = {name: checked_number(name, value) for name, value in walls.items()}
-        return self._asked(checked_number("delay", delay), **ranges, **numbers)[0]
+        return self._table_and_points(checked_number("delay", delay), **ranges, **numbers)[0]
 
     def to_xarray(self) -> Any:
         """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed.
@@ -747,33 +662,26 @@ class Atlas:
         return xarray.Dataset(variables, attrs=head).set_coords(["alpha", "beta"])
 
     def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
-        """Return the boundary of the stable region at a node, with its corners.
+        """The boundary of the stable region of a slice that is a node, with its corners.
 
         Args:
-            gamma: physical stiffness k T^2/m, a node.
-            delta: physical damping b T/m, a node.
-            delay: time delay t_d/T in samples.
+            gamma, delta, delay: see ``jaxstab.conventions``.
 
         Raises:
-            ValueError: a value is no node, or this holds no outlines.
+            ValueError: a value is no node, or the atlas holds no outlines.
 
         Source: ``jaxstab.stable_region``.
 
         Example:
-            >>> from pathlib import Path
-            >>> from tempfile import TemporaryDirectory
             >>> axes = {"gamma": (0.0,), "delta": (0.015,), "delay": (1.0,)}
             >>> spec = jaxstab.AtlasSpec(**axes, products=("outline",))
-            >>> with TemporaryDirectory() as folder:
-            ...     atlas = jaxstab.build_atlas(spec, Path(folder) / "atlas.h5")
-            >>> outline = atlas.outline(gamma=0.0, delta=0.015, delay=1.0)
-            >>> outline.points.max(axis=0).round(3).tolist()  # alpha, beta
-            [0.152, 0.84]
+            >>> atlas = jaxstab.build_atlas(spec, "outlines.h5")  # doctest: +SKIP
+            >>> atlas.outline(gamma=0.0, delta=0.015, delay=1.0)  # doctest: +SKIP
         """
         return outline_at(self.arrays, gamma, delta, delay)
 
     def for_loop(self, loop: Any) -> LoopAtlas:
-        """Return this atlas for questions about a loop's walls (K, B), in SI units.
+        """This atlas for a loop's walls (K, B), in SI units.
 
         Args:
             loop: a HapticLoop whose device and hand are one mass; gamma, delta, delay and its
@@ -781,8 +689,8 @@ class Atlas:
 
         Raises:
             TypeError: it is no HapticLoop, JAX traces it, or its device is not one mass.
-            ValueError: its gamma, delta or delay is outside of the atlas, its delay is one of which
-                the atlas says nothing, or its estimator or filter is another.
+            ValueError: its gamma, delta or delay is outside of the atlas or between its delays, or
+                its estimator or filter is another.
 
         Source: Table I of Hulin, Preusche, Hirzinger (2008).
 
@@ -797,7 +705,6 @@ class Atlas:
         return LoopAtlas(self, loop)
 
     def __repr__(self) -> str:
-        """Return what the atlas holds: products, filters and axes, in six lines."""
         atlas: Any = self
         delays = ", ".join(f"{delay:g}" for delay in atlas.delays)
         first, last = atlas.nodes(0), atlas.nodes(len(atlas.delays) - 1)
@@ -823,7 +730,6 @@ class Atlas:
         )
 
     def _repr_html_(self) -> str:
-        """Return a picture of the first delay, and the words, for a notebook."""
         from jaxstab.pictures.atlas import atlas_html
 
         return atlas_html(self)
@@ -844,16 +750,12 @@ class Atlas:
             delta: physical damping b T/m of the plane; None for the node in the middle.
             delay: a delay of the atlas, in samples; None for its first one.
 
-        Returns:
-            The axes.
-
         Raises:
-            ValueError: gamma or delta is outside of the atlas, the delay is none of its own, or it
-                answers with no verdicts.
+            ValueError: gamma or delta is outside of the atlas, the delay is not one of the atlas,
+                or the atlas holds no verdicts.
 
         Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> axes = atlas.plot(delay=1.0)
+            >>> axes = jaxstab.open_atlas("data/golden/atlas-v3.h5").plot(delay=1.0)
         """
         from jaxstab.pictures.atlas import plot_atlas
 

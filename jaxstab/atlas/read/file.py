@@ -1,7 +1,7 @@
 """Atlas files are read here, and nowhere else. No JAX, and no HDF5.
 
-A file is checked against its footer before anything in it is looked at, its table against the
-schema before memory is asked for, and its values against their digests and ranges before a question
+A file is checked against its footer before anything in it is read, its table against the
+schema before memory is allocated, and its values against their digests and ranges before a question
 sees them. It was published by an atomic rename. So a reader meets the old file, the new file or a
 refusal in one sentence, whatever happened to writer and disk. The bytes that were checked stay in
 memory, and the arrays are unpacked from them: what becomes of the file later changes no answer.
@@ -51,12 +51,7 @@ class TooLargeError(ValueError):
 
 
 def unpacked(data: bytes, stored: Stored) -> Array:
-    """Return an array, read-only; memory is asked for only as far as the file has values.
-
-    Raises:
-        RefusalError: a chunk is not what its digest says, or values are out of their range.
-        TooLargeError: the array is larger than is read into memory.
-    """
+    """An array, read-only, checked; memory is allocated only as far as the file has values."""
     _check_size(stored)
     values = np.empty(stored.shape, stored.dtype)
     for number, start in enumerate(stored.starts()):
@@ -65,14 +60,6 @@ def unpacked(data: bytes, stored: Stored) -> Array:
     check_values(stored.variable, values)
     values.flags.writeable = False
     return values
-
-
-def unpacked_chunk(data: bytes, stored: Stored, number: int) -> tuple[tuple[int, ...], Array]:
-    """Return where a chunk begins, and its values inside of the array."""
-    start = next(islice(stored.starts(), number, None))
-    values = _inside(data, stored, number, start)
-    check_values(stored.variable, values)
-    return start, values
 
 
 def _inside(data: bytes, stored: Stored, number: int, start: tuple[int, ...]) -> Array:
@@ -85,7 +72,7 @@ def _inside(data: bytes, stored: Stored, number: int, start: tuple[int, ...]) ->
 
 
 def _check_size(stored: Stored) -> None:
-    """Refuse what is not read whole, and numbers that hardly anything in the file stands for."""
+    """Refuse arrays too large to read whole, and large ones that hardly any bytes hold."""
     most = LARGEST_ARRAY
     if not stored.variable.holds_verdicts:
         expanded = schema.LARGEST_EXPANSION * stored.stored_size
@@ -95,7 +82,7 @@ def _check_size(stored: Stored) -> None:
 
 
 def too_large(size: int, what: str, most: int) -> str:
-    """Return the sentence that refuses so many bytes."""
+    """The sentence that refuses an array of this size."""
     return (
         f"has {size} bytes of {what}, and at most {most} are read into memory; "
         "read parts of it with h5py or xarray."
@@ -195,7 +182,7 @@ class Place:
     at_node: Mask
 
     @classmethod
-    def of(cls, axes: Sequence[tuple[Floats, Floats]]) -> "Place":
+    def from_axes(cls, axes: Sequence[tuple[Floats, Floats]]) -> "Place":
         """Find points along each axis, given as its nodes and the points' coordinates."""
         cells, node, at_node = [], [], np.ones(axes[0][1].shape, bool)
         for nodes, points in axes:
@@ -218,19 +205,11 @@ class Contents:
 
 
 class PackedArrays(Mapping[str, Array]):
-    """The arrays of a file; those over nodes and cells are unpacked when they are first asked for.
+    """The arrays of a file; those over nodes and cells are unpacked at their first use.
 
     Verdict codes compress a thousandfold, so those that would fill the memory are unpacked chunk by
-    chunk for each question (``codes_at``, ``blocks``).
-
-    Args:
-        path: of the file, for what is said of it.
-        data: all of its bytes, found right.
-        table: of its chunks.
-
-    Raises:
-        ValueError: an array that is asked for is not what its digest says, or out of its range.
-        TooLargeError: it is larger than is read whole.
+    chunk for each query (``codes_at``, ``blocks``). ValueError for an array that is damaged,
+    TooLargeError for one that is larger than is read whole.
     """
 
     def __init__(self, path: Path, data: bytes, table: Table) -> None:
@@ -241,7 +220,7 @@ class PackedArrays(Mapping[str, Array]):
         if name not in self._unpacked:
             stored = self._table.variables[name]
             with _told_of(self._path):
-                # Threads that meet here unpack the same values, and go on with one of them.
+                # Threads that meet here unpack the same values, and continue with one of them.
                 values = unpacked(self._data, stored)
                 check_together({name: values}, self._table)
                 self._unpacked.setdefault(name, values)
@@ -271,8 +250,13 @@ class PackedArrays(Mapping[str, Array]):
                 yield self._block(name, number)
 
     def _block(self, name: str, number: int) -> tuple[tuple[int, ...], Array]:
+        """Where a chunk begins, and its values inside of the array."""
         with _told_of(self._path):
-            return unpacked_chunk(self._data, self._table.variables[name], number)
+            stored = self._table.variables[name]
+            start = next(islice(stored.starts(), number, None))
+            values = _inside(self._data, stored, number, start)
+            check_values(stored.variable, values)
+            return start, values
 
     def __contains__(self, name: object) -> bool:
         return name in self._table.variables
@@ -285,22 +269,16 @@ class PackedArrays(Mapping[str, Array]):
 
 
 def read(path: Path) -> Contents:
-    """Return what the file holds; all of its bytes are checked, and in memory.
+    """The contents of a file; all of its bytes are checked, and in memory.
 
-    Raises:
-        OSError: the file is missing or unreadable.
-        ValueError: it is foreign, truncated, damaged or of another version of the schema.
-        TooLargeError: it is larger than is read whole.
+    OSError: it is missing or unreadable; ValueError: it is foreign, truncated, damaged or of
+    another version of the schema; TooLargeError: it is larger than is read whole.
     """
     return contents_of(path, _bytes_of(path))
 
 
 def contents_of(path: Path, data: bytes) -> Contents:
-    """Return what the bytes of a file hold, after the checks of ``read``.
-
-    Raises:
-        ValueError: as ``read``.
-    """
+    """The contents of the bytes of a file, after the checks of ``read``."""
     with _told_of(path):
         table = table_in(io.BytesIO(data))
     arrays = PackedArrays(path, data, table)
@@ -317,12 +295,7 @@ def contents_of(path: Path, data: bytes) -> Contents:
 
 
 def table_of(path: Path) -> Table:
-    """Return the table of a file that may be larger than the memory; all of its bytes are checked.
-
-    Raises:
-        OSError: the file is missing or unreadable.
-        ValueError: it is foreign, truncated, damaged or of another version of the schema.
-    """
+    """The table of a file that may be larger than the memory; errors as ``read``."""
     with (
         named_errors("read", path),
         _opened(path) as stream,
@@ -332,11 +305,7 @@ def table_of(path: Path) -> Table:
 
 
 def node_count(path: Path) -> int:
-    """Return how many nodes an atlas has, without a look at its values.
-
-    Raises:
-        OSError, ValueError: as ``table_of``.
-    """
+    """The number of nodes of an atlas, without a look at its values; errors as ``table_of``."""
     variables = table_of(path).variables
     return prod(variables[dimension].shape[0] for dimension in NODE)
 
@@ -351,7 +320,7 @@ def _bytes_of(path: Path) -> bytes:
 
 
 def _opened(path: Path) -> io.FileIO:
-    """Open a file; what is none is refused before it is waited for."""
+    """Open a regular file; others are refused without waiting."""
     target_of(path)
     return path.open("rb", buffering=0)
 

@@ -3,7 +3,7 @@
 A query fills in one ``AtlasAnswer``. ``find_outside`` marks points beyond the atlas; axes that hold
 the whole stable set have no end. ``answer_by_limits`` gives the verdicts of columns,
 ``answer_at_delay`` those of nodes and their cells at the delays of the atlas, ``answer_radii``
-intervals of the spectral radius, which a verdict narrows; ``settle`` computes what is left open.
+intervals of the spectral radius, which a verdict narrows; ``settle`` computes the rest.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,10 +46,9 @@ class AtlasAnswer:
     """What an atlas says about points; four arrays of the broadcast shape of the query.
 
     Attributes:
-        verdict: int8 codes of ``jaxstab.Verdict``. STABLE and UNSTABLE are proved; UNDECIDED where
-            the atlas cannot decide; NOT_COMPUTED if it holds no verdicts.
-        spectral_radius: the middle of the interval in which it is proved to be; NaN where the
-            atlas knows none.
+        verdict: int8 codes of ``jaxstab.Verdict``, proved or UNDECIDED; NOT_COMPUTED if the atlas
+            holds no verdicts.
+        spectral_radius: the middle of the interval in which it is proved to be; NaN if unknown.
         radius_error: proved bound of the error of ``spectral_radius``; infinite without one.
         status: int8 codes of ``QueryStatus``: how this is known.
 
@@ -102,7 +101,7 @@ def check_inside(
         where = "" if at is None else f" at delay {float(at.flat[beyond[0]]):g}"
         raise ValueError(
             f"{name} is {first!r}, and this atlas reaches from {least!r} to {most!r}{where}; "
-            "ask inside of it, or set outside to 'undecided'."
+            "give a value in this range, or set outside to 'undecided'."
         )
 
 
@@ -151,13 +150,10 @@ def find_outside(
     *,
     refuse: bool,
 ) -> None:
-    """Mark points outside of the atlas, or refuse the first.
+    """Mark points outside of the atlas, or raise ValueError for the first.
 
     Alpha and beta end where the limits of alpha do, or else where the nodes of a delay do; axes
     that hold the whole stable set have no end.
-
-    Raises:
-        ValueError: a point is outside, and that is refused.
     """
 
     def check(name: str, low: Floats | float, high: Floats | float, members: Integers) -> None:
@@ -173,7 +169,7 @@ def find_outside(
         check(name, arrays[name][0], arrays[name][-1], everywhere)
     if table is not None:
         covered = np.flatnonzero(table.delays.covers(where["delay"]))
-        cell = table.delays.of(where["delay"][covered])
+        cell = table.delays.cells_at(where["delay"][covered])
         known = ~table.delays.beyond(cell, where["alpha"][covered], where["beta"][covered])
         covered, cell = covered[known], cell[known]
         for name in ("alpha", "beta"):
@@ -190,7 +186,7 @@ def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: Atl
     """Fill in the verdicts of points inside of an atlas, where there are limits of alpha."""
     here = np.flatnonzero(inside & table.delays.covers(where["delay"]))
     walls = (where[name][here] for name in ("alpha", "beta"))
-    beyond = table.delays.beyond(table.delays.of(where["delay"][here]), *walls)
+    beyond = table.delays.beyond(table.delays.cells_at(where["delay"][here]), *walls)
     codes = np.full(here.size, Verdict.UNSTABLE, np.int8)
     codes[~beyond] = table.verdicts([where[name][here[~beyond]] for name in AXES])
     answer.verdict[here] = codes
@@ -201,14 +197,9 @@ def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: Atl
 def answer_at_delay(
     arrays: Arrays, number: int, where: Points, here: Integers, answer: AtlasAnswer
 ) -> None:
-    """Fill in what nodes and their cells know of points, all at one delay.
+    """Fill in what nodes and their cells know of the points ``here``, all at one delay.
 
-    Args:
-        arrays: of the atlas.
-        number: of the delay.
-        where: the coordinates of all points.
-        here: which of them are at the delay.
-        answer: to fill in; limits of alpha have given the verdicts that they know.
+    Limits of alpha have given the verdicts of ``answer`` that they know.
     """
     nodes = nodes_of(arrays, number)
     for name in ("alpha", "beta"):  # limits of alpha may reach beyond the nodes
@@ -217,7 +208,7 @@ def answer_at_delay(
     if not here.size:
         return
     points = {name: where[name][here] for name in _WALLS}
-    place = Place.of([(along, points[name]) for name, along in nodes.items()])
+    place = Place.from_axes([(along, points[name]) for name, along in nodes.items()])
     codes, status = answer.verdict[here], answer.status[here]
     if ALPHA_LIMITS not in arrays:
         status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
@@ -233,7 +224,6 @@ def answer_at_delay(
 
 
 def _codes_at(arrays: Arrays, name: str, place: Sequence[Integers], delay: int) -> NDArray[np.int8]:
-    """Return the verdict codes at points of one delay."""
     index = (*place, np.full(place[0].shape, delay))
     codes: NDArray[np.int8] = (
         arrays.codes_at(name, index) if isinstance(arrays, PackedArrays) else arrays[name][index]

@@ -40,12 +40,7 @@ _SECONDS_TO_CONNECT = 10
 def tile_images(
     plan: Plan, tiles: Sequence[Tile], key: str, executor: Executor | None
 ) -> Generator[tuple[Tile, bytes], None, None]:
-    """Yield tiles and their images as they are done, and keep few of them waiting.
-
-    Raises:
-        RuntimeError: a worker has another jaxstab, NumPy or Python.
-        ValueError: what a worker computed is not what the schema says.
-    """
+    """Yield tiles and their images as they are done, and keep few of them waiting."""
     if executor is None:
         for tile in tiles:
             yield tile, tile_image(plan, tile, key)
@@ -82,20 +77,13 @@ def _result(future: Future[bytes]) -> bytes:
 
 
 def tile_image(plan: Plan, tile: Tile, key: str) -> bytes:
-    """Compute a tile and return its image.
-
-    Raises:
-        RuntimeError: a result is not in the precision of the schema.
-    """
+    """The image of a tile, computed."""
     return encode_tile(plan, tile, key, compute_tile(plan, tile))
 
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Open so many worker processes.
-
-    They are spawned: a process that has used JAX must not be forked.
-    """
+    """Open worker processes, spawned: a process that has used JAX must not be forked."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(count, context, _follow_parent) as executor:
         yield executor
@@ -120,13 +108,8 @@ def dask_cluster(
 ) -> Iterator[Executor]:
     """Open the workers of a dask scheduler; a tile whose worker dies is computed by another.
 
-    Args:
-        address: of the scheduler, such as tcp://10.0.0.1:8786.
-        tell: called with a sentence where the scheduler has no workers yet.
-
-    Raises:
-        RuntimeError: dask is not installed.
-        OSError: no scheduler answers there.
+    ``tell`` is called with a sentence where the scheduler has no workers yet. RuntimeError: dask is
+    not installed; OSError: no scheduler answers at the address, such as tcp://10.0.0.1:8786.
     """
     try:
         from distributed import Client
@@ -162,18 +145,16 @@ def build_atlas(
     """Compute an atlas, publish it as one file, and open it.
 
     The file appears whole and durably, or not at all; a former one of this name is replaced. Until
-    then each tile that is done is kept in a hidden folder beside it. When a build is interrupted,
-    in whatever way, the next one of an equal specification goes on from there. On one machine,
-    equal specifications give equal bytes, however the work was done. A few tiles are in memory at
-    a time.
+    then finished tiles are in a hidden folder beside it, and after an interruption the next build
+    of an equal specification continues from them. On one machine, equal specifications give equal
+    bytes, however the work was done. A few tiles are in memory at a time.
 
     Args:
         spec: the specification of the atlas.
         path: of the file.
-        progress: called with the number of tiles done and of all tiles, first with those that are
-            there already.
-        executor: computes the tiles; without one, this process does.
-            A tile may be computed twice. An executor of processes must not fork them.
+        progress: called with the number of finished tiles and of all tiles.
+        executor: computes the tiles; without one, this process does. A tile may be computed twice.
+            An executor of processes must not fork them.
 
     Raises:
         OSError: the folder is missing, read-only or full, or another process builds this atlas; a
@@ -212,8 +193,8 @@ def write_atlas(
                     tell(done, len(tiles))
         except BrokenExecutor as error:
             raise RuntimeError(
-                f"a worker died; {done} of {len(tiles)} tiles are done and kept, so build the same "
-                "atlas again to go on."
+                f"a worker died; {done} of {len(tiles)} tiles are stored, so build the same atlas "
+                "again to continue."
             ) from error
         merge(plan, shards, path, created_by)
         shards.remove()

@@ -66,13 +66,13 @@ Floats = Float64[np.ndarray, "..."]
 Arrays = Mapping[str, NDArray[Any]]
 _PLASTIC = 1.1673039782614187  # the root of x^5 = x + 1: its powers spread four numbers evenly
 _JUDGES = ALPHA_LIMITS, VERDICT, SPECTRAL_RADIUS  # by the first of them a resolution is judged
-_FEW, _SOME, _MANY = 3, 6, 24  # parts: of a cost, of a row, of what is promised
+_FEW, _SOME, _MANY = 3, 6, 24  # parts: of a cost, of a row, of a promise
 _PER_PART = 4  # cells of delays in tiles for each part
 _AT_ONCE = 6  # parts between looks at the spread
 _ENOUGH = 0.05  # of a value: a spread that needs no more parts
 _DRAWS = 50  # of samples of a sample, for its spread
 _FILE, _CHUNK = 28_000, 90  # bytes of a file whose arrays are empty, and of a chunk beside values
-_NEAR, _AIM = 0.65, 0.85  # of a wish: what is near enough to it, and what is aimed at
+_NEAR, _AIM = 0.65, 0.85  # of a wish: near enough to it, and aimed at
 _ROUNDS = 5
 _LEAST_SHARE = 0.02  # of the error, of an axis
 _LEAST_GOAL = 1e-12  # an error
@@ -82,12 +82,7 @@ _ALLOWED = {"accuracy": (1e-9, 1.0), "size": (0.0, inf)}
 
 
 class Estimate(NamedTuple):
-    """The expected cost of a build, in our experience right to a factor of two.
-
-    Attributes:
-        seconds: of CPU time, on this machine.
-        size: of the file in bytes.
-    """
+    """The expected CPU seconds of a build here, right to a factor of two, and its size in bytes."""
 
     seconds: float
     size: float
@@ -135,15 +130,12 @@ def _units(grid: Grid, product: str) -> int:
 
 
 def _calls(plan: Plan) -> int:
-    """Return how many times a tile meets a cell of delays."""
     return len(plan.tiles) * len(plan.grid.limit_range) // plan.grid.delay.size
 
 
 def _parts(plan: Plan, product: str, count: int, reach: Reach | None = None) -> Iterator[_Part]:
-    """Yield parts of a product at so many places, fewer for an atlas of few tiles.
-
-    A part at which two places are comes once.
-    """
+    """Yield parts of a product at ``count`` places, fewer for an atlas of few tiles."""
+    # A part at which two places are comes once.
     rng = np.random.default_rng(count)
     seen = set()
     for number in range(max(_FEW, min(count, _calls(plan) // _PER_PART))):
@@ -172,7 +164,6 @@ def _computed(plan: Plan, product: str, grid: Grid) -> tuple[float, int, Arrays]
 
 
 def _cost(plan: Plan, product: str, parts: Sequence[_Part]) -> _Cost:
-    """Return what a unit takes, by parts of it."""
     units = sum(part.units for part in parts)
     seconds, size = sum(part.seconds for part in parts), sum(part.size for part in parts)
     call = 0.0
@@ -184,11 +175,7 @@ def _cost(plan: Plan, product: str, parts: Sequence[_Part]) -> _Cost:
 
 
 def estimate_build(plan: Plan) -> Estimate:
-    """Compute parts of some tiles, and say what all of them take.
-
-    Raises:
-        ValueError: as for a build.
-    """
+    """Compute parts of some tiles, and estimate what all of them take."""
     costs = {
         product: _cost(plan, product, list(_parts(plan, product, _FEW)))
         for product in plan.spec.products
@@ -234,12 +221,12 @@ def _two_digits(value: float) -> str:
 
 @dataclass(frozen=True)
 class Resolution:
-    """What one resolution of a range gives and takes, by a sample of its cells.
+    """The accuracy and the cost of one resolution of a range, from a sample of its cells.
 
     Attributes:
         spec: the specification.
-        counts: nodes along alpha and beta, cells along gamma and delta, and the ``limit_cells``
-            and ``delay_cells`` of the limits of alpha.
+        counts: nodes along alpha and beta, cells along gamma and delta, and the ``limit_cells`` and
+            ``delay_cells`` of the limits of alpha.
         limit_error: bound that 95 % of the upper limits of alpha keep, over the largest stable
             alpha at their delay; infinite where less than 95 % have one, NaN without limits.
         undecided: share of the range that is undecided; NaN without verdicts.
@@ -250,10 +237,10 @@ class Resolution:
     Each of the three errors is a pair: the value and its standard error.
 
     Example:
-        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
-        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
-        >>> given = jaxstab.plan_resolution(spec, size=50_000).given
-        >>> given.counts["limit_cells"]
+        >>> spec = jaxstab.AtlasSpec(
+        ...     gamma=(0.0,), delta=(0.01,), delay=(1.0,), products=("alpha_limits",)
+        ... )
+        >>> jaxstab.plan_resolution(spec, size=50_000).given.counts["limit_cells"]
         256
     """
 
@@ -273,17 +260,16 @@ class ResolutionPlan:
     Attributes:
         wish: such as "accuracy 0.01".
         rows: from the smallest file to the largest.
-        given: which of them is the specification that was given.
-        chosen: which of them meets the wish.
+        given: the specification that was given.
+        chosen: the one that meets the wish.
 
     Example:
-        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
-        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
+        >>> spec = jaxstab.AtlasSpec(
+        ...     gamma=(0.0,), delta=(0.01,), delay=(1.0,), products=("alpha_limits",)
+        ... )
         >>> plan = jaxstab.plan_resolution(spec, accuracy=0.01)
-        >>> plan.chosen.limit_error.value < 0.01
-        True
-        >>> plan.spec.limit_cells < spec.limit_cells
-        True
+        >>> plan.chosen.limit_error.value < 0.01, plan.spec.limit_cells < spec.limit_cells
+        (True, True)
     """
 
     wish: str
@@ -341,10 +327,10 @@ def _words(measured: Measured) -> str:
 def plan_resolution(
     spec: AtlasSpec, *, accuracy: float | int | None = None, size: float | int | None = None
 ) -> ResolutionPlan:
-    """Return the specification of the same range that a wish needs, beside other resolutions.
+    """The specification of the same range that a wish needs, beside other resolutions.
 
-    The ends of the range, its delays and its products stay. What is said of a resolution is an
-    estimate from a sample of its cells, while each answer of an atlas is proved.
+    The ends of the range, its delays and its products stay. Errors and costs are estimates from a
+    sample of cells, while each answer of an atlas is proved.
 
     Args:
         spec: the range and the products.
@@ -357,8 +343,9 @@ def plan_resolution(
         ValueError: it is out of range, or no resolution meets it; at a delay no loop is stable.
 
     Example:
-        >>> hand = {"gamma": (0.0,), "delta": (0.01,), "delay": (1.0,)}
-        >>> spec = jaxstab.AtlasSpec(**hand, products=("alpha_limits",))
+        >>> spec = jaxstab.AtlasSpec(
+        ...     gamma=(0.0,), delta=(0.01,), delay=(1.0,), products=("alpha_limits",)
+        ... )
         >>> jaxstab.plan_resolution(spec, size=100_000).chosen.size < 100_000
         True
     """
@@ -383,11 +370,7 @@ def plan_resolution(
 
 
 class _Range:
-    """The resolutions of a range along one line, on which all counts grow in proportion.
-
-    Attributes:
-        given: the resolution as it was given.
-    """
+    """The resolutions of a range, with all counts in proportion to those of ``given``."""
 
     given: Resolution
 
@@ -416,11 +399,9 @@ class _Range:
 
     @cached_property
     def steps(self) -> dict[str, float]:
-        """How many of each count there are at the scale 1: each takes an equal part then.
-
-        A few places show the undecided share well, and an error of a limit is half the height of
-        what it leaves undecided: so parts are judged by this share.
-        """
+        """How many of each count there are at the scale 1: each takes an equal part then."""
+        # A few places show the undecided share well, and an error of a limit is half the height of
+        # what it leaves undecided: so parts are judged by this share.
         if len(self._knobs) == 1:
             return {self._knobs[0]: float(self._counts[self._knobs[0]])}
         whole, power, parts = self._mean_error({}), PRODUCTS[self._judge].power, {}
@@ -443,7 +424,7 @@ class _Range:
         return plan if self._estimate(plan).size <= LARGEST_ARRAY else None
 
     def judged(self, plan: Plan, places: int) -> Resolution:
-        """Return what a resolution is like, by so many places of its range, or as will do."""
+        """Estimates of a resolution, from ``count`` places of its range or fewer."""
         known = dict.fromkeys(("limit_error", "undecided", "radius_error"), _UNKNOWN)
         sampled = {self._judge: places}
         if SPECTRAL_RADIUS in plan.spec.products:
@@ -467,7 +448,7 @@ class _Range:
         return Resolution(plan.spec, counts_of(plan.spec), limit, undecided, radius, *estimate)
 
     def of_error(self, wanted: float | int) -> tuple[float, Resolution]:
-        """Return the scale at which an error is as wished for, and what is there."""
+        """The scale at which an error is as wished for, and the resolution there."""
         if isnan(self._error):
             raise ValueError("no alpha is stable in a sample of this range; give a smaller range.")
         scale, error = 1.0, max(self._error, _LEAST_GOAL)
@@ -492,7 +473,7 @@ class _Range:
         return min(met, key=lambda one: one[1].size)
 
     def of_size(self, size: float | int) -> tuple[float, Resolution]:
-        """Return the finest scale of which the file is not larger than this, and what is there."""
+        """The finest scale with a file not larger than this, and the resolution there."""
         for number in range(_ROUNDS):
             scale = self._scale_within(size, _AIM**number)
             plan = self.plan_or_none(scale)
@@ -551,18 +532,17 @@ class _Range:
 
 def _quantile(parts: Sequence[Floats], share: float) -> Measured:
     """Return a quantile of all values, and its spread by drawing the parts again."""
-    kept = [part for part in parts if part.size]
-    if not kept:
+    filled = [part for part in parts if part.size]
+    if not filled:
         return _UNKNOWN
-    rng = np.random.default_rng(len(kept))
-    drawn = rng.integers(len(kept), size=(_DRAWS, len(kept)))
-    values = np.array([_at_share([kept[i] for i in some], share) for some in drawn])
+    rng = np.random.default_rng(len(filled))
+    drawn = rng.integers(len(filled), size=(_DRAWS, len(filled)))
+    values = np.array([_at_share([filled[i] for i in some], share) for some in drawn])
     spread = float(np.std(values)) if np.isfinite(values).all() else inf
-    return Measured(_at_share(kept, share), spread)
+    return Measured(_at_share(filled, share), spread)
 
 
 def _at_share(parts: Sequence[Floats], share: float) -> float:
-    """Return the value that a share of all is not above; it may be infinite."""
     return float(np.quantile(np.concatenate(parts), share, method="higher"))
 
 

@@ -1,7 +1,7 @@
 """Tiles on disk, and how they become one file.
 
 While a build runs, the image of each tile that is done lies in a folder beside the atlas. What is
-in the folder is what is done: a build that was interrupted goes on from there. The folder is its
+in the folder are the finished tiles: an interrupted build continues from there. The folder is its
 owner's alone and locked by one process; a tile counts if it is of this build and this code, and as
 the schema says.
 
@@ -101,11 +101,7 @@ def build_key(spec: AtlasSpec) -> str:
 
 
 def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]]) -> bytes:
-    """Return the sealed image of a tile; its chunks are those of the atlas.
-
-    Raises:
-        RuntimeError: an array is not of the type and shape that the schema says.
-    """
+    """The sealed image of a tile; its chunks are those of the atlas."""
     with h5py.File.in_memory(libver=FORMAT_VERSIONS) as file:
         file.attrs[_TILE] = np.bytes_(_title(key, tile))
         file.attrs[_MAKER] = np.bytes_(computed_by())
@@ -120,12 +116,7 @@ def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]
 
 @contextmanager
 def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py.File]:
-    """Open the image of a tile in memory, after a look at all of it.
-
-    Raises:
-        ValueError: it is damaged, of another build, or not as the schema says.
-        RuntimeError: another jaxstab, NumPy or Python computed it.
-    """
+    """Open the image of a tile in memory, after a check of all of it and of who computed it."""
     whole = image_of(image)
     if whole is None:
         raise ValueError(f"tile {_name(tile)} is damaged; build the same atlas again.")
@@ -137,7 +128,7 @@ def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py
                 _check_datasets(file, plan, tile)
         except TROUBLES as error:
             raise ValueError(
-                f"tile {_name(tile)} is none of this build; build the same atlas again."
+                f"tile {_name(tile)} is not of this build; build the same atlas again."
             ) from error
         if maker != computed_by():
             raise RuntimeError(
@@ -205,22 +196,13 @@ def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int
 
 @dataclass(frozen=True)
 class Shards:
-    """The tiles of one build that are done; ``shards_of`` makes it.
-
-    Attributes:
-        folder: where they are.
-        key: of the build.
-    """
+    """The finished tiles of one build (``key``) in its folder; ``shards_of`` makes it."""
 
     folder: Folder
     key: str
 
     def put(self, tile: Tile, image: bytes) -> None:
-        """Keep the image of a tile, durably.
-
-        Raises:
-            OSError: the folder is full or gone.
-        """
+        """Store the image of a tile, durably."""
         with named_errors("write", self.folder.path):
             self.folder.put(f"{_name(tile)}.tile", image)
 
@@ -238,12 +220,7 @@ class Shards:
 
     @contextmanager
     def opened(self, plan: Plan, tile: Tile) -> Iterator[h5py.File]:
-        """Open the image of a tile in memory.
-
-        Raises:
-            OSError: it is not here.
-            ValueError, RuntimeError: as ``opened_tile``.
-        """
+        """Open the image of a stored tile in memory; errors as ``opened_tile``."""
         image = self.folder.read(f"{_name(tile)}.tile")
         with opened_tile(plan, tile, self.key, image) as file:
             yield file
@@ -255,10 +232,8 @@ class Shards:
                 self.folder.remove(name)
 
     def remove(self) -> None:
-        """Remove the tiles and the folder, the lock last: until then it keeps others out.
-
-        Another process may have made a new lock by then, and goes on in the folder.
-        """
+        """Remove the tiles and the folder, the lock last: until then it keeps others out."""
+        # Another process may have made a new lock by then, and continue in the folder.
         with suppress(OSError):
             self.clear()
             self.folder.remove(_LOCK)
@@ -267,13 +242,11 @@ class Shards:
 
 @contextmanager
 def shards_of(path: Path, key: str) -> Iterator[Shards]:
-    """Open, or make, the folder of a build of the atlas at a path; it is this process's alone.
+    """Open, or make, the folder of a build of the atlas at a path, for this process alone.
 
-    It stays for the next build of the same atlas unless it is empty, or removed.
-
-    Raises:
-        OSError: it cannot be made or locked, it is a link, another user's or open to others, there
-            is no file at the path but something else, or another process builds this atlas.
+    It stays for the next build of the same atlas unless it is empty, or removed. OSError: it cannot
+    be made or locked, it is a link, another user's or open to others, there is something else than
+    a file at the path, or another process builds this atlas.
     """
     with ExitStack() as stack:
         with named_errors("write", path):
@@ -326,7 +299,6 @@ def _lock_in(shards: Shards) -> int:
 
 
 def _lock(descriptor: int) -> None:
-    """Lock a file, or raise OSError."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -345,17 +317,11 @@ def _lock(descriptor: int) -> None:
 
 # ------------------------------------------------------------------------------ tiles to one file
 
-_FLAT_CHUNK = 2**16  # values of what is strung together
+_FLAT_CHUNK = 2**16  # values of a chunk of rows
 
 
 def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
-    """Publish the atlas of which all tiles are done.
-
-    Raises:
-        OSError: the folder is read-only or full; a former file is still there.
-        ValueError: a tile was damaged since it was looked at, or the tiles make no atlas that
-            could be opened; a former file is still there.
-    """
+    """Publish the atlas of which all tiles are done; if it fails, a former file is still there."""
     filters = words_of(plan.spec.filters)
     with replacing(path, shards.folder) as descriptor:
         stream = PatientStream(descriptor)
@@ -394,7 +360,7 @@ def _check_whole(path: Path, written: io.FileIO) -> None:
 
 
 def _create_variables(file: h5py.File, plan: Plan, shards: Shards) -> dict[str, h5py.Dataset]:
-    """Write what is known without the tiles, and make room for the rest."""
+    """Write the variables known without the tiles, and allocate the others."""
     names = ALWAYS.union(*(PRODUCTS[product].names for product in plan.spec.products))
     lengths = plan.grid.lengths | _flat_lengths(plan, shards, names)
     known = _known_variables(plan, lengths)
@@ -415,7 +381,6 @@ def _flat_chunk(shape: Sequence[int]) -> list[int]:
 
 
 def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArray[Any]]:
-    """Return the axes and the specification."""
     grid = plan.grid
     lines = np.array([line.encode("utf-8") for line in plan.spec.to_toml().splitlines()])
     known: dict[str, NDArray[Any]] = {

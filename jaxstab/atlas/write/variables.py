@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format.schema import attributes_of
-from jaxstab.atlas.format.table import DAMAGED, Place, RefusalError, Stored, Table, check
+from jaxstab.atlas.format.table import DAMAGED, Place, RefusalError, Table, check
 from jaxstab.atlas.format.variables import Variable
 
 FORMAT_VERSIONS: Final = ("v110", "v110")
@@ -43,15 +43,7 @@ def create_variable(
     chunk: Sequence[int],
     dtype: np.dtype[Any],
 ) -> h5py.Dataset:
-    """Create a dataset that says what it means, without values; its axes are there already.
-
-    Args:
-        file: to write to.
-        variable: what it holds.
-        shape: of all of it.
-        chunk: shape of what is compressed together.
-        dtype: of its values.
-    """
+    """Create a dataset with its attributes, without values; its axes are there already."""
     dataset = file.create_dataset(
         variable.name,
         tuple(shape),
@@ -76,15 +68,15 @@ def write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]
 
 def places_of(dataset: h5py.Dataset) -> list[Place]:
     """Return the offsets of the chunks of a dataset in a flushed file, in order."""
-    found: dict[tuple[int, ...], Place] = {}
+    places: dict[tuple[int, ...], Place] = {}
 
     def note(chunk: Any) -> None:
         if chunk.filter_mask:
             raise RuntimeError(f"HDF5 left out a filter of {dataset.name}; use another libhdf5.")
-        found[chunk.chunk_offset] = chunk.byte_offset, chunk.size
+        places[chunk.chunk_offset] = chunk.byte_offset, chunk.size
 
     dataset.id.chunk_iter(note)
-    return [place for _, place in sorted(found.items())]
+    return [place for _, place in sorted(places.items())]
 
 
 # The HDF5 image of an atlas as HDF5 sees it, for those who verify that it is what the table says.
@@ -111,12 +103,7 @@ TROUBLES = (
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
-    """Open the image of a file of which the table was found right.
-
-    Raises:
-        ValueError: HDF5, or who uses it, cannot go on.
-        MemoryError: it has not the memory to go on.
-    """
+    """Open the image of a file whose table was checked; ValueError or MemoryError if HDF5 fails."""
     if not _has_room(_ROOM_TO_OPEN):  # without it libhdf5 may crash
         raise MemoryError(f"there is not enough memory to verify {path}.")
     try:
@@ -129,7 +116,6 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 
 def _has_room(size: int) -> bool:
-    """Whether there is memory for so many bytes."""
     try:
         return bool(bytearray(size))
     except MemoryError:
@@ -139,25 +125,21 @@ def _has_room(size: int) -> bool:
 def checked_datasets(file: h5py.File, table: Table) -> dict[str, h5py.Dataset]:
     """Return the variables by name; they, and nothing else, are stored as the table says."""
     check(set(file) == set(table.variables))
-    return {name: _checked_dataset(file, stored) for name, stored in table.variables.items()}
+    datasets = {}
+    for name, stored in table.variables.items():
+        datasets[name] = checked_layout(
+            file, stored.variable, stored.dtype, stored.shape, stored.chunk
+        )
+        check(places_of(datasets[name]) == list(stored.places))
+    return datasets
 
 
 def text_of(file: h5py.File, name: str) -> str:
-    """Return an attribute of the root group.
-
-    Raises:
-        RefusalError: it is no text of a moderate length.
-    """
+    """An attribute of the root group; RefusalError unless it is text of a moderate length."""
     identifier = file.attrs.get_id(name)
     check(identifier.shape == () and identifier.dtype.kind == "S")
     check(prod(identifier.shape) * identifier.dtype.itemsize <= _LONGEST_ATTRIBUTE)
     return bytes(file.attrs[name]).decode("utf-8")
-
-
-def _checked_dataset(file: h5py.File, stored: Stored) -> h5py.Dataset:
-    dataset = checked_layout(file, stored.variable, stored.dtype, stored.shape, stored.chunk)
-    check(places_of(dataset) == list(stored.places))
-    return dataset
 
 
 def checked_layout(
@@ -167,11 +149,7 @@ def checked_layout(
     shape: tuple[int, ...],
     chunk: tuple[int, ...],
 ) -> h5py.Dataset:
-    """Return the dataset of a variable, which is stored as variables are, with this layout.
-
-    Raises:
-        RefusalError: it is not.
-    """
+    """The dataset of a variable; RefusalError unless it is stored with this layout."""
     check(isinstance(file.get(variable.name, getlink=True), h5py.HardLink))
     dataset = file[variable.name]
     check(isinstance(dataset, h5py.Dataset))

@@ -1,7 +1,7 @@
 """Check an atlas file: that it is whole, as the schema says, and right at a sample of points.
 
 One slice is in memory at a time, however large the atlas is. Each product compares a sample of what
-it holds with what is computed again (``Product.checks``); half of the sample of verdicts is next to
+its contents with a new computation (``Product.checks``); half of the sample of verdicts is next to
 where the verdict changes, where a wrong one would be. At the end the atlas is opened and queried at
 random points, as its users do.
 """
@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from jaxstab.atlas.format.schema import (
@@ -18,7 +17,6 @@ from jaxstab.atlas.format.schema import (
     digest_of,
 )
 from jaxstab.atlas.format.spec import filters_of
-from jaxstab.atlas.format.table import Table
 from jaxstab.atlas.format.variables import SPEC
 from jaxstab.atlas.products.product import Check, Stored
 from jaxstab.atlas.products.table import PRODUCTS
@@ -34,17 +32,9 @@ from jaxstab.model.filters import as_keywords
 def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -> Iterator[Check]:
     """Yield one check after the other; the first that fails may be the last.
 
-    Args:
-        path: of the file.
-        sample: about how many nodes, and as many points in cells, are computed again; of outlines
-            and summaries those of at most 16 slices are.
-        seed: of the sample.
-
-    Raises:
-        OSError: the file is missing or unreadable.
-
-    Source: ``jaxstab.verdict`` with resolve="exact", ``jaxstab.spectral_radius``,
-        ``jaxstab.stable_region`` and ``jaxstab.minimize_radius``.
+    About ``sample`` nodes, and as many points in cells, are computed again, by ``jaxstab.verdict``
+    with resolve="exact" and ``jaxstab.spectral_radius``; of outlines and summaries those of at most
+    16 slices. OSError: the file is missing or unreadable.
     """
     chance = np.random.default_rng(seed)
     path = Path(path)
@@ -54,7 +44,10 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
         with opened(path) as file:
             datasets = checked_datasets(file, table)
             yield Check("schema", True, f"{len(datasets)} variables as it says")
-            yield _content(file, datasets, table)
+            digest = content_digest(digest_of(*pair) for pair in datasets.items())
+            said = text_of(file, "content_sha256")
+            is_right = said == table.content_digest == digest
+            yield Check("content", is_right, f"its digest is {digest}")
             filters = as_keywords(filters_of(b"\n".join(datasets[SPEC][()]).decode()))
             axes = {name: datasets[name][()] for name in AXES}
             stored = Stored({**datasets, **axes}, filters, sample, chance)
@@ -69,12 +62,6 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
         return
     except ValueError as error:
         yield Check("file", False, str(error))
-
-
-def _content(file: h5py.File, datasets: dict[str, h5py.Dataset], table: Table) -> Check:
-    found = content_digest(digest_of(name, dataset) for name, dataset in datasets.items())
-    is_said = table.content_digest == text_of(file, "content_sha256")
-    return Check("content", is_said and found == table.content_digest, f"its digest is {found}")
 
 
 def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:

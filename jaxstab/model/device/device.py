@@ -31,12 +31,7 @@ from jaxstab.numbers import checked_number
 
 
 def matrices_of(system: Any) -> tuple[Any, Any, Any] | None:
-    """Return A, B and C of a state space, None for a system of another kind.
-
-    Raises:
-        ValueError: it is sampled, or has a direct way from force to position, or is no system of
-            one force and one position.
-    """
+    """A, B and C of a state space, None for a system of another kind."""
     if not all(hasattr(system, name) for name in "ABCD"):
         return None
     _refuse_sampled(system)
@@ -50,12 +45,7 @@ def matrices_of(system: Any) -> tuple[Any, Any, Any] | None:
 
 
 def coefficients_of(system: Any) -> tuple[Any, Any]:
-    """Return numerator and denominator of a transfer function, highest power first.
-
-    Raises:
-        TypeError: it is no system.
-        ValueError: it is sampled, or no system of one force and one position.
-    """
+    """Numerator and denominator of a transfer function, highest power first."""
     if all(hasattr(system, name) for name in ("zeros", "poles", "gain", "to_tf")):  # of scipy
         system = system.to_tf()
     if not (hasattr(system, "num") and hasattr(system, "den")):
@@ -93,11 +83,11 @@ class Hand:
     """A hand and arm by their dynamic stiffness Z(s), force over displacement, in N/m.
 
     Make one with ``mass_spring_damper`` or ``transfer_function``. ``with_grip`` puts fingers
-    between the arm and the device; without a grip the arm is glued to the handle:
+    between the arm and the device; without a grip the arm is rigidly attached to the handle:
 
         handle ---[grip: spring and damper, in parallel]--- arm Z(s) --- ground
 
-    ``Device.held_by`` says how device and hand work together.
+    ``Device.held_by`` combines device and hand.
 
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
@@ -112,20 +102,10 @@ class Hand:
     def mass_spring_damper(
         cls, mass: float = 0.0, *, damping: float = 0.0, stiffness: float = 0.0
     ) -> "Hand":
-        """Return an arm of one mass on a spring and a damper to the ground.
-
-        Args:
-            mass: in kg, >= 0.
-            damping: in N s/m, >= 0.
-            stiffness: in N/m, >= 0.
+        """An arm of one mass on a spring and a damper to the ground, in kg, N s/m, N/m, each >= 0.
 
         Raises:
-            TypeError: a value is no real number.
-            ValueError: a value is out of range.
-
-        Example:
-            >>> print(jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0))
-            a hand of 1 kg, 5 N s/m, 300 N/m
+            TypeError, ValueError: a value is not a real number, or out of range.
         """
         return cls(
             MassSpringDamper(
@@ -137,7 +117,7 @@ class Hand:
 
     @classmethod
     def transfer_function(cls, numerator: Coefficients, denominator: Coefficients) -> "Hand":
-        """Return an arm by its dynamic stiffness Z(s) = force / displacement, in N/m.
+        """An arm by its dynamic stiffness Z(s) = force / displacement, in N/m.
 
         Args:
             numerator: coefficients in s, highest power first; [m, b, k] is a mass-spring-damper.
@@ -145,7 +125,7 @@ class Hand:
                 force on a mass is m s^2.
 
         Raises:
-            TypeError: the coefficients are no numbers.
+            TypeError: the coefficients are not numbers.
             ValueError: a polynomial is 0, or the degrees do not fit.
 
         Example:
@@ -156,20 +136,11 @@ class Hand:
         return cls(checked_transfer_function(numerator, denominator, 2, what))
 
     def with_grip(self, *, stiffness: float, damping: float = 0.0) -> "Hand":
-        """Return the same arm behind a grip: a spring and a damper side by side, without mass.
-
-        Args:
-            stiffness: in N/m, >= 0.
-            damping: in N s/m, >= 0; not both are 0.
+        """The same arm behind a grip: a massless spring and damper in parallel, in N/m and N s/m.
 
         Raises:
-            TypeError: a value is no real number.
-            ValueError: a value is out of range, or both are 0, or there is a grip already.
-
-        Example:
-            >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
-            >>> print(arm.with_grip(stiffness=2000.0, damping=4.0))
-            a hand of 1 kg, 5 N s/m, 300 N/m behind a grip of 4 N s/m, 2000 N/m
+            TypeError: a value is not a real number.
+            ValueError: a value is negative, both are 0, or there is a grip already.
         """
         if self.grip is not None:
             raise ValueError(f"the hand has a grip of {self.grip}; give one to a hand without.")
@@ -197,7 +168,7 @@ class Hand:
         return f"a hand of {self.dynamics}{grip}"
 
 
-_BITS, _POLE_DIGITS = 1024, 200  # of what is computed, and behind the point of a pole
+_BITS, _POLE_DIGITS = 1024, 200  # of the computation, and behind the point of a pole
 
 
 @dataclass(frozen=True, repr=False)
@@ -205,7 +176,7 @@ class Device:
     """A haptic device as a linear system in SI units: the force in N moves the position in m.
 
     Make one with ``mass_spring_damper``, ``modes``, ``transfer_function``, ``state_space`` or
-    ``from_control``; ``held_by`` puts a hand to it, ``with_actuator`` a motor that takes time:
+    ``from_control``; ``held_by`` attaches a hand, ``with_actuator`` a motor of finite bandwidth:
 
         wall's force --> [actuator] --> (+) --> [device] --+--> position, to the encoder
                                          ^                 |
@@ -213,7 +184,7 @@ class Device:
 
     Motor, encoder and hands meet the device at one point, the handle; give a state space of the
     whole where they do not. A device may be unstable or marginal without a wall (``stability``).
-    The numbers are taken as exact, and everything computed from them has bounds of its errors.
+    The numbers are taken as exact, and everything computed from them has error bounds.
 
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
@@ -221,6 +192,10 @@ class Device:
         >>> print(device.with_actuator(200.0).held_by(arm.with_grip(stiffness=2000.0, damping=4.0)))
         0.25 kg, 0.1 N s/m; an actuator of 200 Hz; a hand of 1 kg, 5 N s/m, 300 N/m behind a grip
         of 4 N s/m, 2000 N/m
+        >>> device.poles().real.round(3).tolist(), device.stability  # it may drift
+        ([0.0, -0.4], 'marginal')
+        >>> device.held_by(arm).one_mass()
+        MassSpringDamper(mass=1.25, damping=5.1, stiffness=300.0)
     """
 
     mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace
@@ -231,20 +206,10 @@ class Device:
     def mass_spring_damper(
         cls, mass: float, *, damping: float = 0.0, stiffness: float = 0.0
     ) -> "Device":
-        """Return a device of one mass.
-
-        Args:
-            mass: at the handle in kg, > 0.
-            damping: to the ground in N s/m, >= 0.
-            stiffness: to the ground in N/m, >= 0.
+        """A device of one mass > 0 at the handle in kg, damping and stiffness >= 0 to the ground.
 
         Raises:
-            TypeError: a value is no real number.
-            ValueError: a value is out of range.
-
-        Example:
-            >>> print(jaxstab.Device.mass_spring_damper(0.25, damping=0.1))
-            0.25 kg, 0.1 N s/m
+            TypeError, ValueError: a value is not a real number, or out of range.
         """
         return cls(
             MassSpringDamper(
@@ -258,7 +223,7 @@ class Device:
     def modes(
         cls, modes: Sequence[Mode], *, mass: float | None = None, damping: float = 0.0
     ) -> "Device":
-        """Return a device of a rigid body and vibration modes whose displacements add up.
+        """A device of a rigid body and vibration modes whose displacements add up.
 
         Args:
             modes: the vibration modes.
@@ -266,7 +231,7 @@ class Device:
             damping: of the rigid body in N s/m, >= 0.
 
         Raises:
-            TypeError: a mode is no Mode, or a value no real number.
+            TypeError: a mode is not a Mode, or a value not a real number.
             ValueError: a value is out of range, or there is neither a mode nor a mass.
 
         Example:
@@ -288,7 +253,7 @@ class Device:
 
     @classmethod
     def transfer_function(cls, numerator: Coefficients, denominator: Coefficients) -> "Device":
-        """Return a device by its transfer function in s, position over force, in m/N.
+        """A device by its transfer function in s, position over force, in m/N.
 
         Args:
             numerator: coefficients in s, highest power first.
@@ -296,12 +261,11 @@ class Device:
                 mass-spring-damper.
 
         Raises:
-            TypeError: the coefficients are no numbers.
+            TypeError: the coefficients are not numbers.
             ValueError: a polynomial is 0, or the degrees do not fit.
 
         Example:
-            >>> device = jaxstab.Device.transfer_function([1.0], [0.25, 0.1, 0.0])
-            >>> device.poles().tolist()
+            >>> jaxstab.Device.transfer_function([1.0], [0.25, 0.1, 0.0]).poles().tolist()
             [0j, (-0.4+0j)]
         """
         what = "position over force is strictly proper, a force moves a device, in time"
@@ -309,10 +273,10 @@ class Device:
 
     @classmethod
     def state_space(cls, A: Any, B: Any, C: Any) -> "Device":
-        """Return a device by x' = A x + B u with the force u in N and the position C x in m.
+        """A device by x' = A x + B u with the force u in N and the position C x in m.
 
-        States that the force does not move, or that the position does not show, are left out; they
-        are found exactly in the given numbers. A device with such a state that grows is refused.
+        States that the force does not move, or that the position does not show, are removed,
+        exactly for the given numbers. A device with such a state that is unstable is refused.
 
         Args:
             A: of shape (n, n), n from 1 to 40.
@@ -321,7 +285,8 @@ class Device:
 
         Raises:
             TypeError: a matrix is not made of real numbers.
-            ValueError: the shapes do not fit, the position never moves, or something hidden grows.
+            ValueError: the shapes do not fit, the position never moves, or a hidden state is
+                unstable.
 
         Example:
             >>> device = jaxstab.Device.state_space([[0, 1], [0, -0.4]], [[0], [4]], [[1, 0]])
@@ -332,7 +297,7 @@ class Device:
 
     @classmethod
     def from_control(cls, system: Any) -> "Device":
-        """Return a device from a continuous-time system of python-control or ``scipy.signal``.
+        """A device from a continuous-time system of python-control or ``scipy.signal``.
 
         Args:
             system: a TransferFunction, StateSpace or (scipy's) ZerosPolesGain of one force in N and
@@ -344,8 +309,7 @@ class Device:
 
         Example:
             >>> import control
-            >>> device = jaxstab.Device.from_control(control.tf([1], [0.25, 0.1, 0.0]))
-            >>> len(device.poles())
+            >>> len(jaxstab.Device.from_control(control.tf([1], [0.25, 0.1, 0.0])).poles())
             2
         """
         matrices = matrices_of(system)
@@ -356,35 +320,28 @@ class Device:
         )
 
     def held_by(self, hand: Hand) -> "Device":
-        """Return the device with a hand at its handle: G / (1 + G Z), G without the actuators.
+        """The device with a hand at its handle: G / (1 + G Z), G without the actuators.
 
-        Hands that hold a device together add up their forces.
+        The forces of several hands add up.
 
         Raises:
-            TypeError: the hand is no Hand.
+            TypeError: the hand is not a Hand.
             ValueError: the hand and the device cancel out, or are of an order above 40.
-
-        Example:
-            >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
-            >>> device = jaxstab.Device.mass_spring_damper(0.25, damping=0.1).held_by(arm)
-            >>> device.one_mass()
-            MassSpringDamper(mass=1.25, damping=5.1, stiffness=300.0)
         """
         if not isinstance(hand, Hand):
             raise TypeError(f"hand is {hand!r}; give a jaxstab.Hand.")
         return replace(self, hands=(*self.hands, hand))._checked()
 
     def with_actuator(self, bandwidth: float) -> "Device":
-        """Return the device behind an actuator: w / (s + w), w = 2 pi bandwidth, of the force.
+        """The device behind an actuator of the force: w / (s + w), w = 2 pi bandwidth.
 
-        It delays the wall's force, not that of a hand; several actuators follow one another.
+        It acts on the wall's force, not on that of a hand; several actuators follow one another.
 
         Args:
             bandwidth: at which the force is 3 dB too weak, in Hz, > 0.
 
         Raises:
-            TypeError: the bandwidth is no real number.
-            ValueError: it is out of range.
+            TypeError, ValueError: the bandwidth is not a real number, or out of range.
 
         Example:
             >>> device = jaxstab.Device.mass_spring_damper(0.25, damping=0.1).with_actuator(500.0)
@@ -403,7 +360,7 @@ class Device:
         return _compliance(replace(self, bandwidths=()))
 
     def static_stiffness(self) -> float:
-        """Return the force in N that holds the handle 1 m from where it stands, without a wall.
+        """Force in N that holds the handle 1 m from its rest position, without a wall.
 
         It is 0 for a free mass, and infinite where a constant force moves nothing.
 
@@ -416,16 +373,12 @@ class Device:
             return inf if above == 0 else float((below / above).mid())
 
     def poles(self) -> Complex128[np.ndarray, " pole"]:
-        """Return the poles without a wall in rad/s, with multiplicity, rightmost first.
+        """The poles without a wall in rad/s, with multiplicity, rightmost first.
 
         Each is the nearest complex float64, or a neighbour of it.
-
-        Example:
-            >>> jaxstab.Device.mass_spring_damper(0.25, damping=0.1).poles().real.round(3).tolist()
-            [0.0, -0.4]
         """
         balls = [ball for ball, count in _pole_balls(self) for _ in range(count)]
-        numbers = np.array([complex(float(ball.real), _imaginary(ball)) for ball in balls])
+        numbers = np.array([complex(z.real, 0 if z.imag.contains(0) else z.imag) for z in balls])
         return numbers[np.argsort(-numbers.real, kind="stable")]
 
     @property
@@ -433,12 +386,6 @@ class Device:
         """The device's stability without a wall: "stable", "marginal" or "unstable".
 
         A free mass is marginal. Poles within 1e-60 rad/s of the imaginary axis count as on it.
-
-        Example:
-            >>> jaxstab.Device.mass_spring_damper(0.25, damping=0.1).stability  # it may drift
-            'marginal'
-            >>> jaxstab.Device.mass_spring_damper(0.25, damping=0.1, stiffness=40.0).stability
-            'stable'
         """
         parts = [ball.real for ball, _ in _pole_balls(self)]
         if any(part > 0 for part in parts):
@@ -446,12 +393,7 @@ class Device:
         return "stable" if all(part < 0 for part in parts) else "marginal"
 
     def one_mass(self) -> MassSpringDamper | None:
-        """Return device and hands as one mass: glued, without actuators; else None.
-
-        Example:
-            >>> jaxstab.Device.mass_spring_damper(0.25, damping=0.1).one_mass()
-            MassSpringDamper(mass=0.25, damping=0.1, stiffness=0.0)
-        """
+        """Device and hands as one mass if rigidly attached and without actuators, else None."""
         parts: list[Any] = [self.mechanism]
         for hand in self.hands:
             parts.append(hand.dynamics if hand.grip is None else None)
@@ -489,13 +431,8 @@ def _compliance(device: Device) -> Rational:
     return checked_compliance(function, f"the device ({device})")
 
 
-def _imaginary(ball: Any) -> float:
-    return 0.0 if ball.imag.contains(0) else float(ball.imag)
-
-
 @lru_cache(maxsize=256)
 def _pole_balls(device: Device) -> list[tuple[Any, int]]:
-    """Return the poles in balls, each with its multiplicity."""
     import flint
 
     _, factors = device.compliance().denominator.factor_squarefree()

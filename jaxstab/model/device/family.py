@@ -43,11 +43,7 @@ _REMEDY = "give two loops that differ in numbers alone: masses, springs, cut-off
 
 
 def merged(first: Any, last: Any) -> Any:
-    """Return a value in which each number that differs is the span from the first to the last.
-
-    Raises:
-        ValueError: the two differ in more than numbers.
-    """
+    """A value in which each number that differs is a span; ValueError if more differs."""
     if type(first) is not type(last) or (_is_whole(first) and first != last):
         raise ValueError(
             f"one loop has {first}, the other {last}: nothing is known between; {_REMEDY}."
@@ -126,13 +122,9 @@ _MOST_DELAY_PIECES = 128
 class Piece:
     """N_f(z) = sum_jk u^j near_jk (z - 1)^k for |u| <= half, a little beyond, u = f - middle.
 
-    Attributes:
-        middle: of the piece.
-        half: half its width.
-        near: the coefficients, in the units of the device.
-        far: the same of N_f(-z).
-        remainder: a bound of what either sum misses of N on the unit circle, but for the rounding
-            of each coefficient to float64.
+    ``near`` are the coefficients in the units of the device, ``far`` those of N_f(-z).
+    ``remainder`` bounds what either sum misses of N on the unit circle, but for the rounding of
+    each coefficient.
     """
 
     middle: float
@@ -154,7 +146,7 @@ def pieces_of_delay(device: SampledDevice) -> tuple[Piece, ...] | None:
     bits = _FIRST_BITS
     while True:
         with working_precision(bits):
-            family = _Family.of(device.device.compliance(), device.sample_time)
+            family = _Family.from_compliance(device.device.compliance(), device.sample_time)
             if family.is_known or bits >= _MOST_BITS:
                 return _pieces(family, 1 / flint.arb(device.stiffness_unit))
         bits *= 2
@@ -188,7 +180,7 @@ class _Family(NamedTuple):
     whole: "arb_poly"  # n[Gamma(1)]
 
     @classmethod
-    def of(cls, compliance: Rational, sample_time: float) -> "_Family":
+    def from_compliance(cls, compliance: Rational, sample_time: float) -> "_Family":
         import flint
 
         above, below, speed = in_fastest_time(*in_samples(compliance, sample_time))
@@ -201,11 +193,9 @@ class _Family(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        """Whether the precision is more than enough."""
         return float(size_on_circle(self.whole) * _LEFT_IN_Z**2) > float(_lost(self.whole))
 
     def piece(self, middle: float, half: float, scale: "arb") -> Piece | None:
-        """Return a piece, None where no polynomial is good enough."""
         import flint
 
         rest = held(self.below, (1 - flint.arb(exact(middle))) * self.speed)
@@ -237,14 +227,9 @@ class _Family(NamedTuple):
 def rounded_piece(
     middle: float, half: float, terms: list["arb_poly"], missed: "arb", degree: int
 ) -> Piece | None:
-    """Return the piece of sum_j u^j terms_j, None where these are not known well enough.
+    """The piece of sum_j u^j terms_j, polynomials in z; None where these are not known well enough.
 
-    Args:
-        middle: of the piece.
-        half: half its width, at most 1/2.
-        terms: polynomials in z of a degree.
-        missed: what the sum misses on the unit circle.
-        degree: the degree.
+    ``half`` is half its width, at most 1/2; ``missed`` is what the sum misses on the unit circle.
     """
     import flint
 
@@ -322,14 +307,10 @@ class LoopPiece(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopFamily:
-    """All loops between two.
+    """All loops between two: device with hands and actuators, delay (in samples) and filters.
 
-    Attributes:
-        device: with its hands and actuators.
-        delay: in samples.
-        filters: estimator and position filter.
-        first: the device of the first loop, sampled; all gains are in its units.
-        last: that of the last loop.
+    ``first`` and ``last`` are the devices of the two, sampled; all gains are in the units of the
+    first.
     """
 
     device: Device
@@ -340,12 +321,7 @@ class LoopFamily:
 
     @classmethod
     def between(cls, first: LoopParameters, last: LoopParameters) -> "LoopFamily":
-        """Return all loops between two of one sampling period.
-
-        Raises:
-            ValueError: the two differ in more than numbers, or in the sampling period.
-            TypeError: JAX traces one of them.
-        """
+        """All loops between two of one sampling period; ValueError if other than numbers differ."""
         period = first.sample_time
         if period != last.sample_time:
             raise ValueError(
@@ -381,13 +357,10 @@ class LoopFamily:
         return all(one.is_finite() for part in parts for one in part.coeffs())
 
     def polynomials(self, t: "acb", whole: int) -> "list[acb_poly] | None":
-        """Return D, S and R for a ball of t; None where no such loop, or one too fast, may be.
+        """D, S and R for a ball of t; None where no such loop, or one too fast, may be.
 
-        R is left out where it is S, as no filter changes.
-
-        Args:
-            t: the ball.
-            whole: samples of the delay; the others are a fraction.
+        R is left out where it is S, as no filter changes. ``whole`` are samples of the delay, the
+        others are a fraction.
         """
         import flint
 
@@ -395,7 +368,8 @@ class LoopFamily:
         parts = in_samples_over(self.device.compliance(), period, t)
         if parts is None:
             return None
-        part = _value(self.delay, t) - whole if self.has_fraction else None
+        has_fraction = self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
+        part = _value(self.delay, t) - whole if has_fraction else None
         force, free = _of_samples(*parts, part)
         velocity, position = self.filters
         above_k, below_k = _changing(position, t, period)
@@ -405,16 +379,9 @@ class LoopFamily:
             return [free, force]
         return [free * below_k * below_b, force * above_k * below_b, force * above_b * below_k]
 
-    @property
-    def has_fraction(self) -> bool:
-        """Whether the delay is no whole number of samples."""
-        return self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
-
     def samples(self) -> list[tuple[float, float, int]]:
-        """Return parts of t in which the delay is between two whole samples, and the lower one.
-
-        They are rounded apart: together they are all of t.
-        """
+        """Return parts of t in which the delay is between two whole samples, and the lower one."""
+        # They are rounded apart: together they are all of t.
         low, high = self.delay.first, self.delay.last
         if low == high:
             return [(0.0, 1.0, floor(low))]
@@ -447,7 +414,6 @@ def pieces_of(family: LoopFamily) -> tuple[LoopPiece, ...] | None:
 
 
 def _piece(family: LoopFamily, middle: float, half: float, whole: int) -> LoopPiece | None:
-    """Return a piece; None where no polynomials are good enough."""
     import flint
 
     with working_precision(_BITS[0]):

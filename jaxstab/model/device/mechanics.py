@@ -36,7 +36,7 @@ class Mechanics(NamedTuple):
 
     rows: of the states, at times after a sample, the last one at the next sample.
     seen: rows of position and velocity at the same times.
-    at_rest: the states of a device that stands at position 1 without a wall's force.
+    at_rest: the states of a device at rest at position 1 without a wall's force.
     follows: which states are the forces of actuators; at rest they are the wall's force.
     blow: the states after a unit of the hand's impulse, from 0.
     thrown: the states of a device that moves with unit velocity from 0; None if a blow cannot throw
@@ -55,11 +55,7 @@ class Mechanics(NamedTuple):
 def mechanics(
     device: Device, sample_time: float, fraction: float, offsets: tuple[float, ...]
 ) -> Mechanics:
-    """Return how a device moves, for a fraction of the delay, at times in [0, 1] after a sample.
-
-    Raises:
-        ValueError: the device does not give way to a constant force.
-    """
+    """The motion of a device at times in [0, 1] after a sample, for a fraction of the delay."""
     import flint
 
     bits = _FIRST_BITS
@@ -74,8 +70,8 @@ def mechanics(
     with working_precision(bits):
         if not above[0] != 0:
             raise ValueError(
-                "the device does not give way to a constant force: its transfer function in s is 0 "
-                "at s = 0; a wall's device does."
+                "the device has zero DC gain: its transfer function in s is 0 at s = 0; give one "
+                "that moves under a constant force."
             )
         order, size = len(below) - 1, matrix.ncols() - 2
         give = below[0] / above[0]
@@ -176,7 +172,7 @@ class Between(NamedTuple):
     Columns: the states, the force that acts up to the fraction of the delay, the one from then on.
 
     Attributes:
-        rows: all that is asked for, once each.
+        rows: all requested rows, once each.
         ends: which of it are position, velocity and their second derivatives at both ends of each
             piece; what it is at the next sample, it is at this one.
         states: which of it are the states, and then the acting force.

@@ -16,8 +16,8 @@ from jaxstab.shown import call_text
 #
 # Numbers that users give are float64, rational numbers therefore; a frequency in Hz brings a factor
 # pi. As pi is no root of a polynomial with rational coefficients, it is a second variable here, and
-# what cancels is found exactly. Numbers that stand for all of an interval are polynomials in a
-# third variable. Only where such numbers are asked for python-flint is imported.
+# what cancels is found exactly. Numbers that represent a whole interval are polynomials in a
+# third variable. python-flint is imported only where such numbers are needed.
 
 if TYPE_CHECKING:
     from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
@@ -27,12 +27,10 @@ _PRECISION = RLock()
 
 @contextmanager
 def working_precision(bits: int) -> Iterator[None]:
-    """Compute with balls of so many bits, one thread at a time, and restore the precision before.
-
-    The precision of python-flint is one number of the whole process. Balls hold the true value at
-    any precision: threads of a program that set it meanwhile can cost an answer its digits, or end
-    it in an error, but cannot make it wrong.
-    """
+    """Compute with balls of this precision, one thread at a time, and restore it afterwards."""
+    # The precision of python-flint is one number of the whole process. Balls hold the true value at
+    # any precision: threads of a program that set it meanwhile can cost an answer its digits, or
+    # end it in an error, but cannot make it wrong.
     import flint
 
     with _PRECISION, flint.ctx.workprec(bits):
@@ -73,7 +71,7 @@ class Rational(NamedTuple):
         return Rational(self.numerator * other.numerator, self.denominator * other.denominator)
 
     def in_series(self, other: "Rational") -> "Rational":
-        """Return 1 / (1/a + 1/b): two dynamic stiffnesses that bear the same force."""
+        """Return 1 / (1/a + 1/b): two dynamic stiffnesses under the same force."""
         (a, b), (c, d) = self, other
         return Rational(a * c, a * d + c * b)
 
@@ -170,8 +168,7 @@ class Mode:
         modal_mass: m in kg; negative where the mode moves motor and encoder against each other.
 
     Raises:
-        TypeError: a value is no real number.
-        ValueError: a value is out of range.
+        TypeError, ValueError: a value is not a real number, or out of range.
 
     Example:
         >>> jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
@@ -206,7 +203,7 @@ class Part:
     maker: ClassVar[str]
 
     def call(self, kind: str) -> str:
-        """Return the call that makes a device or hand of it, without what is 0 or None."""
+        """The call that makes a device or hand of it, without values of 0 or None."""
         given = {key: value for key, value in vars(self).items() if value not in (0.0, None)}
         return call_text(f"{kind}.{self.maker}", given)
 
@@ -307,7 +304,9 @@ class StateSpace(Part):
         closed = [
             [x - y * z for x, z in zip(row, c, strict=True)] for row, y in zip(a, b, strict=True)
         ]
-        without, within = (_characteristic(fmpq_mat(matrix)) for matrix in (a, closed))
+        without, within = (
+            polynomial(fmpq_mat(matrix).charpoly().coeffs()[::-1]) for matrix in (a, closed)
+        )
         return Rational(within - without, without)
 
 
@@ -316,20 +315,11 @@ def _in_words(mass: Number, damping: Number, stiffness: Number) -> str:
     return ", ".join(part for part in parts if not part.startswith("0 ")) or "nothing"
 
 
-def _characteristic(matrix: Any) -> "fmpq_mpoly":
-    return polynomial(matrix.charpoly().coeffs()[::-1])
-
-
 # --------------------------------------------------------------------------------------- checks
 def checked_transfer_function(
     numerator: Coefficients, denominator: Coefficients, excess: int, what: str
 ) -> TransferFunction:
-    """Return a transfer function whose numerator's degree exceeds the other by ``excess`` at most.
-
-    Raises:
-        TypeError: the coefficients are no numbers.
-        ValueError: one of the polynomials is 0, or the degrees do not fit.
-    """
+    """A transfer function whose numerator's degree exceeds the other by ``excess`` at most."""
     above, below = _coefficients("numerator", numerator), _coefficients("denominator", denominator)
     if len(above) - len(below) > excess:
         raise ValueError(
@@ -362,12 +352,7 @@ def _row(name: str, values: Coefficients) -> list[Any]:
 
 
 def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
-    """Return a state space of one force and one position.
-
-    Raises:
-        TypeError: a matrix is not made of real numbers.
-        ValueError: the shapes do not fit, or there are too many states.
-    """
+    """A state space of one force and one position."""
     matrices = [np.asarray(checked(name, one)) for name, one in zip("ABC", (a, b, c), strict=True)]
     order = matrices[0].shape[0] if matrices[0].ndim == 2 else 0
     shapes = ((order, order),), ((order,), (order, 1)), ((order,), (1, order))
@@ -385,11 +370,7 @@ def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
 
 
 def checked_compliance(function: Rational, what: str) -> Rational:
-    """Return a strictly proper function of s without its common factor.
-
-    Raises:
-        ValueError: it is 0, not strictly proper, of too high an order, or hides what grows.
-    """
+    """A strictly proper function of s without its common factor, which must not be unstable."""
     if degree_of(function.denominator) < 0 or degree_of(function.numerator) < 0:
         raise ValueError(
             f"{what} has the transfer function 0 or no finite one in s; give what a force moves."
@@ -412,10 +393,8 @@ def checked_compliance(function: Rational, what: str) -> Rational:
 
 
 def _grows(common: "fmpq_mpoly") -> bool:
-    """Return whether a factor has a root in the right half plane; one with pi never has.
-
-    One that changes along spans may have.
-    """
+    """Return whether a factor has a root in the right half plane; one with pi never has."""
+    # One that changes along spans may have.
     from flint import fmpq_poly
 
     if degree_of(common) < 1 or any(power_of_pi for _, power_of_pi, _ in common.monoms()):

@@ -58,7 +58,7 @@ class SampledDevice:
     delay: float
 
     def transfers(self, filters: Filters | None = None) -> tuple[Transfer, Transfer]:
-        """Return what ``linear_loop`` takes: V(z), for beta, less its difference, and P(z).
+        """The arguments of ``linear_loop``: V(z), for beta, less its difference, and P(z).
 
         Without filters that is the difference over one sample.
         """
@@ -75,17 +75,12 @@ class SampledDevice:
 
 
 def sampled_device(device: Device, sample_time: float, delay: float) -> SampledDevice:
-    """Return a device behind a zero-order hold and a delay.
-
-    Args:
-        device: the device with its hands and actuators.
-        sample_time: T in s, > 0.
-        delay: in samples, whole or fractional, in [0, 500].
+    """A device, with its hands and actuators, behind a zero-order hold and a delay in samples.
 
     Raises:
-        TypeError: a number is none.
-        ValueError: a number is out of range, or the device moves by more or less within a sample
-            than float64 can say.
+        TypeError: a number is not a real number.
+        ValueError: a number is out of range, the delay's being [0, 500], or the device moves by
+            more or less within a sample than float64 can say.
 
     Source: the modified z-transform; Van Loan (1978) for the exponential.
     """
@@ -148,12 +143,9 @@ def _balls(compliance: Rational, sample_time: float, fraction: float) -> _Balls:
 
 
 def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], list["arb"]]:
-    """Return numerator and monic denominator, lowest power first, with T as the unit of time.
+    """Numerator and monic denominator, lowest power first, with T as the unit of time.
 
-    A coefficient that is 0 is the exact 0.
-
-    Raises:
-        ValueError: a pole is so fast that nothing of it is left after a sampling period.
+    A coefficient that is 0 is the exact 0. ValueError: a pole vanishes within a sampling period.
     """
     above, below = (balls_of(part) for part in compliance)
     above, below = _monic(above, below, sample_time)
@@ -168,10 +160,7 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
 def in_samples_over(
     compliance: Rational, sample_time: float, t: "acb"
 ) -> tuple[list["acb"], list["acb"]] | None:
-    """Return the same where numbers are in their spans, for a ball of such places.
-
-    None where a pole of a device in the ball is too fast, or may be.
-    """
+    """The same for numbers in their spans, for a ball of places; None if a pole may be too fast."""
     import flint
 
     above, below = (list(map(flint.acb, balls_of(part, t))) for part in compliance)
@@ -261,10 +250,7 @@ def position_after(
 
 
 def held(below: list[Ball], time: Ball) -> Matrix:
-    """Return exp of [[A, B], [0, 0]] times a time.
-
-    Source: Van Loan (1978).
-    """
+    """Return exp of [[A, B], [0, 0]] times a time (Van Loan 1978)."""
     return (generator(below) * time).exp()
 
 
@@ -289,7 +275,6 @@ def force_of(matrix: Matrix) -> Matrix:
 
 
 def _matrix(rows: list[list[Any]]) -> Any:
-    """Return a matrix of balls, of complex ones if there are."""
     import flint
 
     has_complex = any(isinstance(one, flint.acb) for row in rows for one in row)
