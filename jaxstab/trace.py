@@ -9,24 +9,27 @@
 So every wall of the window with a root on the unit circle lies within two resolutions of a point
 of the trace or of an unresolved box.
 
-Points are solved for by Newton's method in NumPy. Optimistix, whose Newton method solves for the
-dominant root under JAX (``point/traced_radius.py``), would have to be compiled for each plane.
+Points are solved for by optimistix, in one program for every plane; its lanes are the branches, of
+one trace or of several, that are followed at the same time. The boxes are computed by NumPy.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from math import inf, pi
-from typing import NamedTuple
+from functools import cache
+from math import inf, pi, prod
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
+from jaxstab.arrays import Array, Numbers, is_traced, namespace
+from jaxstab.batches import lists
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import LoopParameters, characteristic_polynomial, companion_matrix
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked, checked_number, require_x64
 from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.proofs.plant import circle_equations, quick_slice
-from jaxstab.ranges.box import ParameterBox, Proof, excluded
+from jaxstab.ranges.box import ParameterBox, Proof, excluded, joined
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, slice_coefficients
 
@@ -53,50 +56,60 @@ Window = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Monomials(NamedTuple):
-    """The five parameters factor x^i y^j over a window."""
+    """The five parameters factor x^i y^j over a window, for one loop or for each of several."""
 
-    factor: Float64[np.ndarray, " 5"]
-    powers: Float64[np.ndarray, "5 2"]  # -1, 0, 1 or 2
-    lower: Float64[np.ndarray, " 2"]
-    width: Float64[np.ndarray, " 2"]
+    factor: Float64[Array, "5 *points"]
+    powers: Int64[Array, "2 5"]  # i and j: -1, 0, 1 or 2
+    lower: Float64[Array, " 2"]
+    width: Float64[Array, " 2"]
 
-    def parameters(
-        self, position: Float64[np.ndarray, "*points 2"]
-    ) -> Float64[np.ndarray, "5 *points"]:
-        """Return the parameters at positions (..., 2) in the window's unit square: (5, ...)."""
-        x, y = np.moveaxis(self.lower + self.width * position, -1, 0)
-        table = np.column_stack([self.factor, self.powers]).T
-        factor, of_x, of_y = table.reshape(3, -1, *[1] * x.ndim)
-        return np.asarray(factor * x**of_x * y**of_y)
+    def select(self, chosen: Int64[np.ndarray, " points"]) -> "Monomials":
+        """Return those of some loops."""
+        return self._replace(factor=self.factor[:, chosen])
+
+    def parameters(self, position: Float64[Array, "points 2"]) -> Float64[Array, "5 points"]:
+        """Return the parameters at positions in the window's unit square."""
+        x, y = (self.raised(axis, position[:, axis]) for axis in (0, 1))
+        return self.factor.reshape(5, -1) * x * y
+
+    def raised(self, axis: int, position: Float64[Array, " points"]) -> Float64[Array, "5 points"]:
+        """Return x^i, or y^j for axis 1, for each parameter."""
+        xp = namespace(self.factor, position)
+        x = self.lower[axis] + self.width[axis] * position
+        inverse = 1.0 / xp.where(x == 0.0, 1.0, x)
+        return xp.stack([xp.ones_like(x), x, x * x, inverse])[self.powers[axis]]
 
 
-def monomials(plane: tuple[str, str], window: Window, fixed: Mapping[str, float]) -> Monomials:
-    """Return the map from a plane to the parameters.
+def monomials(plane: tuple[str, str], window: Window, fixed: Mapping[str, Numbers]) -> Monomials:
+    """Return the map from a plane to the parameters, for each of the fixed values.
 
     Raises:
-        ValueError: unknown, missing or doubled names, values outside their range, an empty window.
+        ValueError: unknown, missing or doubled names, values outside their range, an empty window,
+            lists of fixed values of several lengths.
     """
     _check_names(plane, fixed)
     table = _table(plane)
-    for name, value in fixed.items():
-        _check_value(name, value)
+    values = {name: np.atleast_1d(_checked(name, value)) for name, value in fixed.items()}
+    shapes = {name: value.shape for name, value in values.items() if value.shape != (1,)}
+    if len(set(shapes.values())) > 1 or any(
+        len(shape) > 1 or shape == (0,) for shape in shapes.values()
+    ):
+        raise ValueError(
+            f"the fixed values have shapes {shapes}; give numbers, or lists of one length."
+        )
     for name, (lower, upper) in zip(plane, window, strict=True):
-        _check_value(name, lower)
-        _check_value(name, upper)
-        if not lower < upper:
+        if not _checked(name, lower) < _checked(name, upper):
             raise ValueError(
                 f"the window of {name} is ({lower}, {upper}); give a lower and a larger upper end."
             )
-    powers = np.array([[table[name].get(axis, 0) for name in plane] for axis in AXES], np.float64)
-    factor = np.array(
-        [
-            np.prod([value ** table[name].get(axis, 0) for name, value in fixed.items()])
-            * any(axis in table[name] for name in (*plane, *fixed) if name not in POSITIVE)
-            for axis in AXES
-        ]
-    )
+    powers = np.array([[table[name].get(axis, 0) for axis in AXES] for name in plane])
+    factor = [
+        any(axis in table[name] for name in (*plane, *fixed) if name not in POSITIVE)
+        * prod(value ** table[name].get(axis, 0) for name, value in values.items())
+        for axis in AXES
+    ]
     lower, upper = np.array(window, np.float64).T
-    return Monomials(factor, powers, lower, upper - lower)
+    return Monomials(np.stack(np.broadcast_arrays(*factor)), powers, lower, upper - lower)
 
 
 def _table(plane: tuple[str, str]) -> dict[str, dict[str, int]]:
@@ -114,7 +127,7 @@ def loop_quantities(loop: LoopParameters) -> dict[str, float]:
     }
 
 
-def _check_names(plane: tuple[str, str], fixed: Mapping[str, float]) -> None:
+def _check_names(plane: tuple[str, str], fixed: Mapping[str, Numbers]) -> None:
     names = [*plane, *fixed]
     table = _table(plane)
     unknown = [name for name in names if name not in DIMENSIONLESS and name not in PHYSICAL]
@@ -132,9 +145,12 @@ def _check_names(plane: tuple[str, str], fixed: Mapping[str, float]) -> None:
         raise ValueError(f"{missing[0]} has no value; fix every quantity beside the two axes.")
 
 
-def _check_value(name: str, value: float) -> None:
-    least = -inf if name in SIGNED else 0.0
-    checked_number(name, value, least, is_open=name in POSITIVE)
+def _checked(name: str, value: Numbers) -> Float64[np.ndarray, "*values"]:
+    least, is_open = -inf if name in SIGNED else 0.0, name in POSITIVE
+    if is_traced(value):
+        return np.array(checked_number(name, value))  # which refuses it
+    require_x64(value)
+    return np.asarray(checked(name, value, least, is_open=is_open))
 
 
 def corner_ranges(
@@ -143,10 +159,14 @@ def corner_ranges(
     Float64[np.ndarray, "5 boxes"], Float64[np.ndarray, "5 boxes"], Float64[np.ndarray, "2 5 boxes"]
 ]:
     """Return the parameters at the centers of boxes, radii that cover them, and those by axis."""
+    sides = [
+        [plane.raised(axis, center[:, axis] + side * half[:, axis]) for side in (-1, 0, 1)]
+        for axis in (0, 1)
+    ]
 
     def parameters(x_side: int, y_side: int) -> Float64[np.ndarray, "5 boxes"]:
         values: Float64[np.ndarray, "5 boxes"]
-        values = plane.parameters(center + half * np.array([x_side, y_side]))
+        values = plane.factor.reshape(5, -1) * sides[0][x_side + 1] * sides[1][y_side + 1]
         return values
 
     middle = parameters(0, 0)
@@ -162,218 +182,245 @@ def corner_ranges(
 # Unknown is u = (x, y, theta / pi) in the unit cube. On a branch of a pair of roots two equations
 # hold (``circle_equations``), on the branch of a real root Re g = 0 and theta = 0 or pi. A step
 # along the tangent is corrected in the plane across it, so folds in x or y are nothing special.
-
-Vector = Float64[np.ndarray, " 3"]
+# Each branch is followed in a lane of its own, and a step of all lanes is one call of a program
+# that is compiled once: the plane, its window and the fixed quantities are arguments of it.
 
 Points = Float64[np.ndarray, "points 3"]
 
-Turns = Float64[np.ndarray, "*points"]
+Rows = Float64[np.ndarray, "points 2 3"]
 
-_CONVERGED = 1e-9  # of the unit cube: the last Newton step, which the next one squares
-_MOST_STEPS = 13
-_DIFFERENCE = 2.0**-17  # of the unit cube: derivatives are then good to about 1e-10
+_CONVERGED = 1e-9  # of the unit cube: distance to both equations and the last Newton step
+_MOST_STEPS = 8
+_DIFFERENCE = 2.0**-25  # of the unit cube: derivatives are then good to about 1e-7
 _STRAIGHT = 0.985  # cosine between tangents: grow the step
 _BENT = 0.94  # shrink it
 _SHORTEST = 1e-7
 _ON_FACE = 1e-12
 _MOST_POINTS = 20_000
+_MOST_LANES, _FEWEST_LANES = 512, 64  # both are compiled, nothing else
+
+
+class Lanes(NamedTuple):
+    """The trace and the kind of branch of each point."""
+
+    scene: Monomials
+    branch: Int8[Array, " points"]
+
+    def select(self, chosen: Int64[np.ndarray, " chosen"]) -> "Lanes":
+        """Return some of them."""
+        return Lanes(self.scene.select(chosen), self.branch[chosen])
 
 
 class Corrected(NamedTuple):
-    """Points, whether Newton's method converged, and the unit tangents."""
+    """Points, the derivatives of both equations there, and whether Newton's method converged."""
 
     position: Points
+    rows: Rows
     converged: Bool[np.ndarray, " points"]
-    tangent: Points
-
-
-class Path(NamedTuple):
-    """Points along a branch, their residuals, and how the branch goes on at its two ends."""
-
-    points: Points
-    residual: Float64[np.ndarray, " points"]
-    stalled: tuple[bool, bool]
-
-
-class _Equations(NamedTuple):
-    """The two equations of a branch at points: values and derivatives by u."""
-
-    value: Float64[np.ndarray, "2 points"]
-    rows: Float64[np.ndarray, "2 points 3"]
 
     @property
     def tangent(self) -> Points:
-        """The unit tangents of the branch."""
-        along = _cross(*self.rows)
-        unit: Points = along / np.sqrt(np.sum(along**2, axis=-1, keepdims=True))
+        """The unit tangents of the branches."""
+        along = np.cross(self.rows[:, 0], self.rows[:, 1])
+        unit: Points = along / np.linalg.norm(along, axis=1, keepdims=True)
         return unit
 
 
-def _cross(one: Points, other: Points) -> Points:
-    following, last = [1, 2, 0], [2, 0, 1]
-    product: Points = one[:, following] * other[:, last] - one[:, last] * other[:, following]
-    return product
+class Path(NamedTuple):
+    """Points along a branch, the derivatives there, and how it goes on at its two ends."""
+
+    points: Points
+    rows: Rows
+    stalled: tuple[bool, bool]
 
 
-def _equations(u: Points, plane: Monomials, branch: Branch) -> _Equations:
-    """Return the equations, their derivatives by central differences."""
-    shift = _DIFFERENCE * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-    moved = u + shift[:, None]
-    alpha, beta, *plant = plane.parameters(moved[..., :2])
-    value = _values(quick_slice(*plant), alpha, beta, moved[..., 2], branch)
-    rows = (value[:, 1:4] - value[:, 4:]) / (2.0 * _DIFFERENCE)
-    return _Equations(value[:, 0], rows.swapaxes(1, 2))
+def _values(c: SliceCoefficients, alpha: Array, beta: Array, turn: Array, branch: Array) -> Array:
+    """Return the two equations of a branch at gains and theta / pi: (2, ...)."""
+    xp = namespace(c, alpha)
+    is_pair, end = branch == Branch.CURVE, 1.0 * (branch == Branch.Z_MINUS_ONE)
+    real, imaginary = circle_equations(c, alpha, beta, pi * xp.where(is_pair, turn, end))
+    return xp.stack([real, xp.where(is_pair, imaginary, turn - end)])
 
 
-def _values(
-    c: SliceCoefficients, alpha: Turns, beta: Turns, turn: Turns, branch: Branch
-) -> Float64[np.ndarray, "2 *points"]:
-    """Return the equations at gains and theta / pi."""
-    if branch == Branch.CURVE:
-        return np.stack(circle_equations(c, alpha, beta, pi * turn))
-    end = 0.0 if branch == Branch.Z_PLUS_ONE else 1.0
-    real, _ = circle_equations(c, alpha, beta, np.full_like(alpha, pi * end))
-    return np.stack([real, turn - end])
+@cache
+def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
+    """Return the compiled program that solves for a point of a branch in each lane."""
+    import jax
+    import jax.numpy as jnp
+    import optimistix
+
+    newton: Any = optimistix.Newton(rtol=0.0, atol=_CONVERGED)
+    shift = _DIFFERENCE * np.eye(4, 3, -1)
+
+    def equations(u: Array, lanes: Lanes) -> tuple[Array, Array]:
+        moved = u + shift
+        alpha, beta, *plant = lanes.scene.parameters(moved[:, :2])
+        value = _values(quick_slice(*plant), alpha, beta, moved[:, 2], lanes.branch)
+        return value[:, 0], (value[:, 1:] - value[:, :1]) / _DIFFERENCE
+
+    def correct(guess: Array, normal: Array, lanes: Lanes) -> tuple[Array, Array, Array]:
+        def residual(u: Array, _: None) -> tuple[Array, Array]:
+            here = jax.lax.stop_gradient(u)
+            value, rows = equations(here, lanes)
+            along = jnp.cross(*rows)
+            across = jnp.where(jnp.any(normal != 0.0), normal, along)
+            slopes = jnp.concatenate([rows, across[None]])
+            size = jnp.linalg.norm(slopes, axis=1)
+            distance = jnp.append(value, normal @ (here - guess)) / size
+            # Linear in u, with the derivatives at hand: JAX has nothing to differentiate.
+            return distance + (slopes / size[:, None]) @ (u - here), rows
+
+        found: Any = optimistix.root_find(
+            residual, newton, guess, has_aux=True, max_steps=_MOST_STEPS, throw=False
+        )
+        return found.value, found.aux, found.result == optimistix.RESULTS.successful
+
+    # What is not of each lane is of the plane.
+    program = jax.jit(jax.vmap(correct, in_axes=(0, 0, Lanes(Monomials(1, None, None, None), 0))))
+
+    def in_float64(*arguments: Any) -> tuple[Array, Array, Array]:
+        with jax.enable_x64(True):
+            answer: tuple[Array, Array, Array] = jax.device_get(program(*arguments))
+        return answer
+
+    return in_float64
 
 
-def correct(
-    start: Points, normal: Points, anchor: Points, plane: Monomials, branch: Branch
-) -> Corrected:
-    """Solve for the points of a branch in the planes through ``anchor`` across ``normal``."""
-    position = start
-    with np.errstate(all="ignore"):  # what diverges is infinite or NaN
-        for _ in range(_MOST_STEPS):
-            (one, other), (row, last) = equations = _equations(position, plane, branch)
-            across = np.sum(normal * (position - anchor), axis=-1)
-            # Cramer's rule
-            sides = _cross(last, normal), _cross(normal, row), _cross(row, last)
-            parts = zip((one, other, across), sides, strict=True)
-            volume = np.sum(normal * sides[2], axis=-1)
-            move = sum(value[:, None] * side for value, side in parts) / volume[:, None]
-            position = position - move
-            size = np.max(np.abs(move), axis=-1)
-            if not np.any(size > 0.1 * _CONVERGED):
-                break
-        return Corrected(position, size < _CONVERGED, equations.tangent)
+def correct(guess: Points, normal: Points, lanes: Lanes) -> Corrected:
+    """Solve for points of branches in the planes through ``guess`` across ``normal``.
 
-
-def project(start: Points, plane: Monomials, branch: Branch) -> Corrected:
-    """Bring points near a branch onto it, across the tangent that they would have on it."""
-    with np.errstate(all="ignore"):
-        tangent = _equations(start, plane, branch).tangent
-    return correct(start, tangent, start, plane, branch)
+    Where the normal is 0, each step goes to the nearest point of the linearised equations.
+    """
+    parts = []
+    for part, filled in lists(np.arange(len(guess)), _MOST_LANES, _FEWEST_LANES):
+        answer = _corrector()(guess[filled], normal[filled], lanes.select(filled))
+        parts.append([column[: part.size] for column in answer])
+    return Corrected(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def polish(
-    points: Points, plane: Monomials, branch: Branch
+    points: Points, rows: Rows, lanes: Lanes
 ) -> tuple[Points, Float64[np.ndarray, " points"]]:
     """Correct points once more with plant coefficients of full accuracy; also return |g| there."""
+    across = np.swapaxes(rows, 1, 2)
     for _ in range(2):  # steps of least length; the residual is the one before the last
-        alpha, beta, *plant = plane.parameters(points[:, :2])
+        alpha, beta, *plant = lanes.scene.parameters(points[:, :2])
         gamma, delta, delay = (np.maximum(value, 0.0) for value in plant)
         c = slice_coefficients(gamma, delta, delay, np.ones(len(points)))
-        value = _values(c, alpha, beta, points[:, 2], branch).T[..., None]
-        rows = np.moveaxis(_equations(points, plane, branch).rows, 0, 1)
-        across = np.swapaxes(rows, 1, 2)
+        value = _values(c, alpha, beta, points[:, 2], lanes.branch).T[..., None]
         points = points - (across @ np.linalg.solve(rows @ across, value))[..., 0]
     return points, np.linalg.norm(value[..., 0], axis=1)
 
 
-def follow(start: Corrected, plane: Monomials, branch: Branch, longest: float) -> Path:
-    """Return the whole branch through a point, as far as it lies in the unit cube.
+def follow(starts: Corrected, lanes: Lanes, longest: float) -> list[Path]:
+    """Return the whole branch through each start, as far as it lies in the unit cube.
 
     Steps are at most ``longest``; they are halved where the branch bends. A path stalls where even
     the shortest step fails: at a point where branches meet without a common direction.
     """
-    ahead = _walk(start, 1.0, plane, branch, longest)
-    points, stalled = ahead.points, (False, False)
-    if not ahead.closed:
-        back = _walk(start, -1.0, plane, branch, longest)
-        points = np.concatenate([back.points[:0:-1], points])
-        stalled = (back.stalled, ahead.stalled)
-    points, residual = polish(points, plane, branch)
-    return Path(points, residual, stalled)
+    count = len(starts.position)
+    both = np.tile(np.arange(count), 2)
+    sign = np.repeat([1.0, -1.0], count)[:, None]
+    walks = _walk(starts.position[both], sign * starts.tangent[both], lanes.select(both), longest)
+    paths = []
+    for start, ahead, back in zip(range(count), walks, walks[count:], strict=False):
+        points, rows = starts.position[start, None], starts.rows[start, None]
+        if ahead.closed:
+            points = np.concatenate([points, ahead.points[:-1], points])
+            rows = np.concatenate([rows, ahead.rows[:-1], rows])
+            paths.append(Path(points, rows, (False, False)))
+        else:
+            points = np.concatenate([back.points[::-1], points, ahead.points])
+            rows = np.concatenate([back.rows[::-1], rows, ahead.rows])
+            paths.append(Path(points, rows, (back.stalled, ahead.stalled)))
+    return paths
 
 
 class _Walk(NamedTuple):
+    """The points behind a start, and how they end."""
+
     points: Points
+    rows: Rows
     stalled: bool
     closed: bool
 
 
-def _walk(start: Corrected, sign: float, plane: Monomials, branch: Branch, longest: float) -> _Walk:
-    here, tangent = start.position[0], sign * start.tangent[0]
-    first, first_tangent = here, tangent
-    points = [here]
-    step, stalled, closed, inside = longest / 4, False, False, True
-    while inside and not closed and not stalled and len(points) < _MOST_POINTS:
-        guess = here + step * tangent
-        found = _corrected(guess, tangent, guess, plane, branch)
-        cosine = 0.0 if found is None else float(found[1] @ tangent)
-        usable = found is not None and np.linalg.norm(found[0] - here) < 2 * step
-        face = None
-        if found is not None and usable and abs(cosine) >= _BENT:
-            face = _first_face(here, found[0])
-            if face is not None:
-                found = _land(here, found[0], face, plane, branch)
-        if found is None or not usable or abs(cosine) < _BENT:
-            step /= 2
-            stalled = step < _SHORTEST
-            continue
-        inside = face is None
-        there, along = found
-        closed = inside and len(points) > 2 and _passes(first, first_tangent, here, there)
-        here, tangent = (first, tangent) if closed else (there, np.copysign(1.0, cosine) * along)
-        points.append(here)
-        step = min(longest, 1.5 * step) if abs(cosine) > _STRAIGHT else step
-    return _Walk(np.stack(points), stalled, closed)
+def _walk(first: Points, first_tangent: Points, lanes: Lanes, longest: float) -> list[_Walk]:
+    """Follow branches from points on them, one way, all a step at a time."""
+    count = len(first)
+    here, tangent, normal = first.copy(), first_tangent.copy(), first_tangent.copy()
+    step = np.full(count, longest / 4)
+    guess, farthest = here + step[:, None] * tangent, 2 * step
+    lands, left, closed, stalled = np.zeros((4, count), bool)
+    steps = np.zeros(count, int)
+    history: list[tuple[Int64[np.ndarray, " lanes"], Points, Rows]] = []
+    while True:
+        i = np.flatnonzero(~left & ~closed & ~stalled & (steps < _MOST_POINTS))
+        if not i.size:
+            break
+        found = correct(guess[i], normal[i], lanes.select(i))
+        there, move = found.position, found.position - here[i]
+        length = np.linalg.norm(move, axis=1)
+        cosine = np.sum(found.tangent * tangent[i], axis=1)
+        usable = found.converged & (length < farthest[i]) & (lands[i] | (np.abs(cosine) >= _BENT))
+        face, landing = _first_face(here[i], there)
+        crosses = usable & ~lands[i] & (face >= 0)
+        is_new = usable & ~crosses
+        again = is_new & ~lands[i] & (steps[i] > 1)
+        again &= _passes(first[i], first_tangent[i], here[i], there)
+        left[i], closed[i], steps[i] = is_new & lands[i], again, steps[i] + is_new
+        new = i[is_new]
+        history.append((new, there[is_new], found.rows[is_new]))
+        here[new] = there[is_new]
+        tangent[new] = (np.copysign(1.0, cosine)[:, None] * found.tangent)[is_new]
+        grows = is_new & (np.abs(cosine) > _STRAIGHT)
+        step[i] = np.where(grows, np.minimum(longest, 1.5 * step[i]), step[i])
+        step[i[~usable]] /= 2
+        stalled[i] = ~usable & (step[i] < _SHORTEST)
+        # Where a step leaves the cube, the next one lands on the face.
+        lands[i] = crosses
+        ahead = here[i] + step[i, None] * tangent[i]
+        guess[i] = np.where(crosses[:, None], landing, ahead)
+        normal[i] = np.where(crosses[:, None], np.eye(3)[face], tangent[i])
+        farthest[i] = 2 * np.where(crosses, length, step[i])
+    lane, points, rows = (np.concatenate(column) for column in zip(*history, strict=True))
+    order, ends = np.argsort(lane, kind="stable"), np.cumsum(steps)[:-1]
+    columns = (np.split(column[order], ends) for column in (points, rows))
+    walks = zip(*columns, stalled.tolist(), closed.tolist(), strict=True)
+    return [_Walk(*walk) for walk in walks]
 
 
-def _corrected(
-    start: Vector, normal: Vector, anchor: Vector, plane: Monomials, branch: Branch
-) -> tuple[Vector, Vector] | None:
-    """Return one corrected point and the tangent there, or None if the method did not converge."""
-    found = correct(start[None], normal[None], anchor[None], plane, branch)
-    return (found.position[0], found.tangent[0]) if found.converged[0] else None
+def _first_face(here: Points, there: Points) -> tuple[Int64[np.ndarray, " points"], Points]:
+    """Return the axis of the first face of the unit cube between points, or -1, and where it is."""
+    beyond = (there < -_ON_FACE) | (there > 1.0 + _ON_FACE)
+    value = np.where(there > 0.5, 1.0, 0.0)
+    part = np.where(beyond, (value - here) / np.where(beyond, there - here, 1.0), np.inf)
+    axis = np.argmin(part, axis=1)
+    rows = np.arange(len(axis))
+    landing = here + part[rows, axis][:, None] * (there - here)
+    landing[rows, axis] = value[rows, axis]
+    return np.where(beyond.any(axis=1), axis, -1), landing
 
 
-def _first_face(here: Vector, there: Vector) -> tuple[int, float] | None:
-    """Return the axis and the value of the first face of the unit cube between two points."""
-    faces = []
-    for axis in range(3):
-        for value, beyond in ((0.0, there[axis] < -_ON_FACE), (1.0, there[axis] > 1.0 + _ON_FACE)):
-            if beyond:
-                faces.append(((value - here[axis]) / (there[axis] - here[axis]), axis, value))
-    return min(faces)[1:] if faces else None
-
-
-def _land(
-    here: Vector, there: Vector, face: tuple[int, float], plane: Monomials, branch: Branch
-) -> tuple[Vector, Vector] | None:
-    axis, value = face
-    part = (value - here[axis]) / (there[axis] - here[axis])
-    normal = np.eye(3)[axis]
-    landing = _corrected(here + part * (there - here), normal, value * normal, plane, branch)
-    if landing is None or np.linalg.norm(landing[0] - here) >= 2 * np.linalg.norm(there - here):
-        return None
-    return landing
-
-
-def _passes(first: Vector, first_tangent: Vector, here: Vector, there: Vector) -> bool:
+def _passes(
+    first: Points, first_tangent: Points, here: Points, there: Points
+) -> Bool[np.ndarray, " points"]:
     """Tell whether the start of a path lies on this step of it, in the same direction."""
     step, back = there - here, first - here
-    length = np.linalg.norm(step)
-    along = float(back @ step) / length**2
-    aside = np.linalg.norm(back - along * step)
-    aligned = float(step @ first_tangent) > _BENT * length
-    return bool(0.0 < along <= 1.0 and aside < 0.2 * length and aligned)
+    length = np.linalg.norm(step, axis=1)
+    along = np.sum(back * step, axis=1) / length**2
+    aside = np.linalg.norm(back - along[:, None] * step, axis=1)
+    aligned = np.sum(step * first_tangent, axis=1) > _BENT * length
+    passes: Bool[np.ndarray, " points"]
+    passes = (along > 0.0) & (along <= 1.0) & (aside < 0.2 * length) & aligned
+    return passes
 
-
-Cloud = Float64[np.ndarray, "points 3"]
 
 _COVER = 1.0  # resolutions: a box this near to a traced point is explained by it
 _REFINEMENTS = 4  # each to a quarter of the size before
-_MOST_BOXES = 60_000  # at once
+_KINDS = (Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE, Branch.CURVE)
+_MOST_BOXES = 60_000  # of a search, at once
+_AT_ONCE = 64  # traces: as many fill the lanes, and their boxes the memory
 _ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are double roots)
 
 
@@ -435,6 +482,7 @@ class BoundaryTrace:
         return len(self.unresolved) == 0
 
 
+@overload
 def trace_boundary(
     plane: tuple[str, str],
     window: Window,
@@ -442,7 +490,28 @@ def trace_boundary(
     loop: LoopParameters | None = None,
     resolution: int | float = 1 / 64,
     **fixed: float,
-) -> BoundaryTrace:
+) -> BoundaryTrace: ...
+
+
+@overload
+def trace_boundary(
+    plane: tuple[str, str],
+    window: Window,
+    *,
+    loop: LoopParameters | None = None,
+    resolution: int | float = 1 / 64,
+    **fixed: Numbers,
+) -> list[BoundaryTrace]: ...
+
+
+def trace_boundary(
+    plane: tuple[str, str],
+    window: Window,
+    *,
+    loop: LoopParameters | None = None,
+    resolution: int | float = 1 / 64,
+    **fixed: Numbers,
+) -> BoundaryTrace | list[BoundaryTrace]:
     """Trace where a root lies on the unit circle, in a plane of two quantities.
 
     Args:
@@ -453,15 +522,16 @@ def trace_boundary(
         loop: gives the physical quantities beside K and B that are neither axes nor fixed.
         resolution: largest step along a branch and size of the smallest boxes, as a part of the
             window (and of pi for theta), in [1e-3, 0.25].
-        **fixed: a value for each other quantity of the same kind.
+        **fixed: a value for each other quantity of the same kind. Lists, all of one length, ask for
+            as many traces, which are solved for together, several times faster than one by one.
 
     Returns:
-        BoundaryTrace. In theory a closed branch smaller than three resolutions may be missed where
-        it lies next to another branch.
+        BoundaryTrace, or a list of them where a fixed quantity is a list. In theory a closed branch
+        smaller than three resolutions may be missed where it lies next to another branch.
 
     Raises:
         ValueError: a name is unknown, missing or doubled, a value outside its range, a window
-            empty, the resolution out of range.
+            empty, the resolution out of range, lists of several lengths.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; pseudo-arclength
     continuation (Keller 1977); exclusion boxes, ``exclude`` of jaxstab/proofs/exclusion.py.
@@ -472,6 +542,11 @@ def trace_boundary(
         >>> trace = jaxstab.trace_boundary(("alpha", "beta"), window, **hand)
         >>> round(float(trace.points[trace.edge, 0].max()), 3)
         0.144
+        >>> traces = jaxstab.trace_boundary(
+        ...     ("alpha", "beta"), window, gamma=0.0, delta=0.0, delay=[1.0, 2.0]
+        ... )
+        >>> [round(float(trace.points[trace.edge, 0].max()), 3) for trace in traces]
+        [0.144, 0.062]
     """
     resolution = checked_number("resolution", resolution, 1e-3, 0.25, unit="of the window")
     if loop is not None:
@@ -479,67 +554,98 @@ def trace_boundary(
             name: value for name, value in loop_quantities(loop).items() if name not in plane
         } | fixed
     scene = monomials(plane, window, fixed)
-    tracer = _Tracer(scene, resolution)
-    for branch, low, high in ((Branch.Z_PLUS_ONE, 0.0, 0.0), (Branch.Z_MINUS_ONE, 1.0, 1.0)):
-        tracer.search(branch, low, high)
-    tracer.search(Branch.CURVE, 0.0, 1.0)
-    return _gathered(plane, scene, tracer)
+    count = scene.factor.shape[1]
+    traces: list[BoundaryTrace] = []
+    for part in np.array_split(np.arange(count), -(-count // _AT_ONCE)):
+        tracer = _Tracer(scene.select(part), resolution)
+        with np.errstate(all="ignore"):  # what diverges is infinite or NaN
+            tracer.search()
+        traces += _gathered(plane, tracer)
+    return traces if any(map(np.ndim, fixed.values())) else traces[0]
 
 
 class _Tracer:
-    """The branches found so far, and the boxes that none of them explains."""
+    """The branches of some traces found so far, and the boxes that none of them explains.
+
+    A search is for the branches of one kind in one trace. Its number is the index of its boxes:
+    three times that of the trace, and that of the kind.
+    """
 
     def __init__(self, scene: Monomials, resolution: float) -> None:
         self.scene = scene
         self.resolution = resolution
-        self.paths: list[tuple[Branch, Path]] = []
+        self.paths: list[list[tuple[Branch, Path]]] = [[] for _ in scene.factor.T]
         self.unresolved: list[ParameterBox] = []
 
-    def search(self, branch: Branch, low: float, high: float) -> None:
-        """Find all branches of one kind with theta / pi between low and high."""
-        angle = 0.5 * (low + high), 0.5 * (high - low)
-        open_ = ParameterBox.of(np.zeros(1, int), u=(0.5, 0.5), v=(0.5, 0.5), angle=angle)
+    def search(self) -> None:
+        """Find all branches."""
+        turns = np.tile([[0.0, 1.0, 0.5], [0.0, 0.0, 0.5]], len(self.paths))
+        number = np.arange(3 * len(self.paths))
+        angle = turns[0], turns[1]
+        boxes = ParameterBox.of(number, u=(0.5, 0.5), v=(0.5, 0.5), angle=angle)
         smallest = 0.25 * self.resolution
         for _ in range(_REFINEMENTS + 1):
-            paving = open_.paved(self._proof, smallest, most=_MOST_BOXES)
-            open_ = paving.boxes
-            if not paving.finished:
-                break
-            open_ = open_.select(~self._explained(open_.center))
-            open_ = self._followed(branch, open_)
-            if not len(open_.center):
-                return
+            boxes = boxes.paved(self._proof, smallest, most_each=_MOST_BOXES).boxes
+            is_large = np.any(boxes.half > smallest, axis=1)
+            is_given_up = np.isin(boxes.index, boxes.index[is_large])
+            self.unresolved.append(boxes.select(is_given_up))
+            boxes = self._followed(boxes.select(~is_given_up))
             smallest /= 4
-        self.unresolved.append(open_)
+        self.unresolved.append(boxes)
 
-    def _followed(self, branch: Branch, boxes: ParameterBox) -> ParameterBox:
+    def _followed(self, boxes: ParameterBox) -> ParameterBox:
         """Follow the branches that start in boxes; return the boxes that none explains."""
-        if not len(boxes.center):
-            return boxes
-        bound = _COVER * self.resolution
-        starts = project(boxes.center, self.scene, branch)
-        inside = np.all((starts.position >= 0.0) & (starts.position <= 1.0), axis=1)
-        is_open = starts.converged & inside & ~self._explained(starts.position)
-        for number in range(len(is_open)):
-            start = Corrected(*(column[number : number + 1] for column in starts))
-            away = boxes.center - start.position
-            if is_open[number] and np.any(np.linalg.norm(away, axis=1) < bound):
-                path = follow(start, self.scene, branch, self.resolution)
-                self.paths.append((branch, path))
-                is_open &= ~self._explained(starts.position)
-        return boxes.select(~self._explained(boxes.center))
+        number, centers = boxes.index, boxes.center
+        members = {search: np.flatnonzero(number == search) for search in set(number.tolist())}
+        is_open = np.ones(len(number), bool)
+        for search, own in members.items():
+            for _, path in self.paths[search // 3]:
+                is_open[own] &= ~self._are_near(centers[own], path.points)
+        is_candidate = is_open.copy()
+        while is_candidate.any():
+            searches = [own[is_candidate[own]] for own in members.values()]
+            active = sum(len(own) > 0 for own in searches)
+            most = max(1, (_FEWEST_LANES if active <= 8 else 8 * _MOST_LANES) // active)
+            chosen = np.concatenate([own[:: -(-len(own) // most) or 1] for own in searches])
+            lanes = self._lanes(number[chosen])
+            starts = correct(centers[chosen], np.zeros((len(chosen), 3)), lanes)
+            is_start = starts.converged & np.all(np.abs(starts.position - 0.5) <= 0.5, axis=1)
+            for search, own in members.items():
+                tried = np.flatnonzero(is_start & (number[chosen] == search))
+                here = starts.position[tried]
+                is_start[tried] = self._are_near(here, centers[own])
+                for _, path in self.paths[search // 3]:
+                    is_start[tried] &= ~self._are_near(here, path.points)
+            is_candidate[chosen[~is_start]] = False
+            if is_start.any():
+                _, first = np.unique(number[chosen[is_start]], return_index=True)
+                first = np.flatnonzero(is_start)[first]
+                begins = Corrected(*(column[first] for column in starts))
+                followed = follow(begins, lanes.select(first), self.resolution)
+                for search, path in zip(number[chosen[first]].tolist(), followed, strict=True):
+                    self.paths[search // 3].append((_KINDS[search % 3], path))
+                    for other, own in members.items():
+                        if other // 3 == search // 3:
+                            is_open[own] &= ~self._are_near(centers[own], path.points)
+                is_candidate &= is_open
+        return boxes.select(is_open)
 
-    def _explained(self, centers: Cloud) -> Bool[np.ndarray, " points"]:
-        explained = np.zeros(len(centers), bool)
-        for _, path in self.paths:
-            for chunk in np.array_split(path.points, 1 + len(path.points) // 256):
-                rest = np.flatnonzero(~explained)
-                away = np.linalg.norm(centers[rest, None] - chunk, axis=-1).min(axis=1)
-                explained[rest] = away < _COVER * self.resolution
-        return explained
+    def _are_near(
+        self, centers: Points, others: Float64[np.ndarray, "others 3"]
+    ) -> Bool[np.ndarray, " points"]:
+        """Return which points lie near one of others."""
+        squares, is_near = np.sum(centers**2, axis=1)[:, None], np.zeros(len(centers), bool)
+        for chunk in np.array_split(others, 1 + len(others) // 256):
+            away = squares + np.sum(chunk**2, axis=1) - 2.0 * centers @ chunk.T
+            is_near |= np.any(away < (_COVER * self.resolution) ** 2, axis=1)
+        return is_near
+
+    def _lanes(self, number: Int64[np.ndarray, " points"]) -> Lanes:
+        return Lanes(self.scene.select(number // 3), np.array(_KINDS, np.int8)[number % 3])
 
     def _proof(self, boxes: ParameterBox) -> Proof:
-        middle, radius, by_axis = corner_ranges(self.scene, boxes.center[:, :2], boxes.half[:, :2])
+        scene = self.scene.select(boxes.index // 3)
+        middle, radius, by_axis = corner_ranges(scene, boxes.center[:, :2], boxes.half[:, :2])
         theta, turn = pi * boxes.center[:, 2:].T, pi * boxes.half[:, 2:].T
         parts = np.zeros((3, 6, turn.size))
         parts[:2, :5], parts[2, 5] = by_axis, turn
@@ -547,42 +653,51 @@ class _Tracer:
         return excluded(exclude, Loops(*center), parts, Loops(*radius))
 
 
-def _gathered(plane: tuple[str, str], scene: Monomials, tracer: _Tracer) -> BoundaryTrace:
-    lower, width = scene.lower, scene.width
-    cubes = [path.points for _, path in tracer.paths]
-    cloud = np.concatenate([np.zeros((0, 3)), *cubes])
-    sizes = [len(points) for points in cubes]
+def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
+    """Return the traces, their points polished and judged all at once."""
+    scene, resolution = tracer.scene, tracer.resolution
+    paths = [path for found in tracer.paths for path in found]
+    sizes = [len(path.points) for _, path in paths]
+    counts = [len(found) for found in tracer.paths]
+    trace = np.repeat(np.repeat(np.arange(len(counts)), counts), sizes)
+    piece = np.repeat(np.concatenate([np.arange(count) for count in counts]), sizes)
+    branch = np.repeat(np.array([kind for kind, _ in paths], np.int8), sizes)
+    cloud = np.concatenate([np.zeros((0, 3)), *(path.points for _, path in paths)])
+    rows = np.concatenate([np.zeros((0, 2, 3)), *(path.rows for _, path in paths)])
     status = np.full(len(cloud), TraceStatus.CONVERGED, np.int8)
-    ends = np.cumsum([0, *sizes])
-    for (_, path), first, beyond in zip(tracer.paths, ends[:-1], ends[1:], strict=True):
-        if path.stalled[0]:
-            status[first] = TraceStatus.STALLED
-        if path.stalled[1]:
-            status[beyond - 1] = TraceStatus.STALLED
-    return BoundaryTrace(
-        plane=plane,
-        resolution=tracer.resolution,
-        points=lower + width * cloud[:, :2],
-        theta=np.clip(pi * cloud[:, 2], 0.0, pi),
-        branch=np.repeat(np.array([b for b, _ in tracer.paths], np.int8), sizes),
-        piece=np.repeat(np.arange(len(sizes)), sizes),
-        edge=_no_root_outside(scene, cloud[:, :2]),
-        residual=np.concatenate([np.zeros(0), *(path.residual for _, path in tracer.paths)]),
-        status=status,
-        unresolved=lower + width * _merged(tracer.unresolved, tracer.resolution),
-    )
+    for (_, path), end in zip(paths, np.cumsum(sizes), strict=True):
+        ends = np.array([end - len(path.points), end - 1])
+        status[ends[np.array(path.stalled)]] = TraceStatus.STALLED
+    lanes = Lanes(scene.select(trace), branch)
+    residual = np.zeros(0)
+    if sizes:
+        cloud, residual = polish(cloud, rows, lanes)
+    columns = {
+        "points": scene.lower + scene.width * cloud[:, :2],
+        "theta": np.clip(pi * cloud[:, 2], 0.0, pi),
+        "branch": branch,
+        "piece": piece,
+        "edge": _no_root_outside(lanes.scene, cloud[:, :2]),
+        "residual": residual,
+        "status": status,
+    }
+    boxes = joined(tracer.unresolved)
+    traces = []
+    for number in range(len(counts)):
+        merged = _merged(boxes.select(boxes.index // 3 == number), resolution)
+        own = {name: column[trace == number] for name, column in columns.items()}
+        unresolved = scene.lower + scene.width * merged
+        traces.append(BoundaryTrace(plane, resolution, unresolved=unresolved, **own))
+    return traces
 
 
-def _merged(unresolved: list[ParameterBox], resolution: float) -> Float64[np.ndarray, "boxes 2 2"]:
+def _merged(unresolved: ParameterBox, resolution: float) -> Float64[np.ndarray, "boxes 2 2"]:
     """Return the corners of boxes in the plane, those in one square of the resolution as one."""
     hulls: dict[tuple[int, int], Float64[np.ndarray, "2 2"]] = {}
-    for boxes in unresolved:
-        for center, half in zip(boxes.center[:, :2], boxes.half[:, :2], strict=True):
-            square = (int(center[0] // resolution), int(center[1] // resolution))
-            low, high = hulls.get(square, (center, center))
-            hulls[square] = np.stack(
-                [np.minimum(low, center - half), np.maximum(high, center + half)]
-            )
+    for center, half in zip(unresolved.center[:, :2], unresolved.half[:, :2], strict=True):
+        square = (int(center[0] // resolution), int(center[1] // resolution))
+        low, high = hulls.get(square, (center, center))
+        hulls[square] = np.stack([np.minimum(low, center - half), np.maximum(high, center + half)])
     return np.stack(list(hulls.values())) if hulls else np.zeros((0, 2, 2))
 
 

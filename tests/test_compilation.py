@@ -73,7 +73,7 @@ def in_single_precision() -> dict[str, str]:
     return printed_by(IN_SINGLE_PRECISION, *sorted(COMPUTING_CALLS), JAX_ENABLE_X64="0")
 
 
-@pytest.mark.parametrize("name", sorted(COMPUTING_CALLS))
+@pytest.mark.parametrize("name", sorted(COMPUTING_CALLS.keys() - {"trace_boundary"}))
 def test_plain_numbers_are_answered_without_jax_as_with_it(name: str) -> None:
     assert "JAX was asked for" not in without_jax()[name]
     assert without_jax()[name] == outcome(name)
@@ -98,7 +98,7 @@ def test_the_exceptions_are_names_of_functions_that_compute() -> None:
 PROGRAMS = {
     "spectral_radius": (7, 0),
     "boundary_curve": (0, 0),
-    "trace_boundary": (0, 0),
+    "trace_boundary": (5, 0),
     "verdict": (3, 0),
     "verdict of a grid": (3, 0),
     "verdict of hands": (4, 0),
@@ -123,8 +123,10 @@ def hands(count):
 free = {"gamma": 0.0, "delta": 0.0, "delay": 2.0}
 
 def trace(size):
-    window = ((-0.01, 0.2), (0.0, size / 10))
-    jaxstab.trace_boundary(("alpha", "beta"), window, gamma=1e-3, delta=0.015, delay=1.0)
+    fixed = {"beta": 0.1, "gamma": 1e-3, "delta": 0.015, "delay": 1.0}
+    axis = list(fixed)[size % 4]
+    del fixed[axis]
+    jaxstab.trace_boundary(("alpha", axis), ((-0.01, 0.2), (0.0, size / 10)), **fixed)
 
 def write(size):
     axes = {"alpha": FittedAxis(size), "beta": FittedAxis(size)}

@@ -2,6 +2,7 @@
 
 from math import pi
 
+import jax
 import numpy as np
 import pytest
 from mpmath import mp
@@ -172,6 +173,35 @@ def test_a_loop_gives_the_physical_quantities():
     assert np.allclose(by_name.points, by_loop.points, rtol=1e-12, atol=0)
 
 
+def test_lists_of_fixed_values_give_the_trace_of_each():
+    plane, window, fixed, _ = PLANES["gamma-delay"]
+    alphas = [0.1, 0.2, 0.3]
+    traces = trace_boundary(plane, window, **(fixed | {"alpha": alphas}))
+    assert len(traces) == len(alphas)
+    for alpha, trace in zip(alphas, traces, strict=True):
+        alone = trace_boundary(plane, window, **(fixed | {"alpha": alpha}))
+        assert trace.complete
+        assert np.array_equal(np.bincount(trace.piece) > 0, np.bincount(alone.piece) > 0)
+        for one, other in ((trace, alone), (alone, trace)):
+            unit, others = (in_window(each.points, np.array(window)) for each in (one, other))
+            away = np.linalg.norm(unit[:, None] - others, axis=-1).min(axis=1)
+            assert np.max(away) < trace.resolution
+        assert np.max(trace.residual) < 1e-14
+
+
+def test_a_new_plane_compiles_nothing():
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, _, **__: compiled.append(name) if "backend_compile" in name else None
+    )
+    one, other, third, *_ = PLANES.values()
+    trace_boundary(*one[:2], **one[2], resolution=0.1)
+    compiled.clear()
+    for plane, window, fixed, _ in (other, third, PLANES["stiffness-time_delay"]):
+        trace_boundary(plane, window, **fixed, resolution=0.1)
+    assert not compiled
+
+
 def test_a_boundary_of_a_single_point_is_reported_as_unresolved():
     # At gamma = pi^2, delta = 0 every loop without delay has a root at z = -1; beside it none has.
     trace = trace_boundary(
@@ -225,6 +255,12 @@ def test_no_box_that_holds_a_root_is_called_free(rng):
         (("alpha", "beta"), ((1.0, 1.0), (0.0, 1.0)), {}, "the window of alpha"),
         (("alpha", "gamma"), ((0.0, 1.0), (-1.0, 1.0)), {"beta": 0.0}, "gamma is -1"),
         (("alpha", "beta"), ((0.0, float("nan")), (0.0, 1.0)), {}, "alpha is nan"),
+        (
+            ("alpha", "beta"),
+            ((0.0, 1.0), (0.0, 1.0)),
+            {"gamma": [0.0, 0.1], "delta": [0.0, 0.1, 0.2], "delay": 1.0},
+            "give numbers, or lists of one length",
+        ),
     ],
 )
 def test_tracing_refuses_bad_input(plane, window, fixed, message):

@@ -134,7 +134,7 @@ class ParameterBox:
             going = ~free & is_divisible
             axis = np.argmax(np.where(divisible, share, -1.0), axis=1)[going]
             boxes = boxes.select(going)._halved(axis)
-        return Paving(_joined(left), finished, judged)
+        return Paving(joined(left), finished, judged)
 
     def _proof(self, prove: Callable[["ParameterBox"], Proof]) -> Proof:
         """Return the proof of a part of the boxes after the other: each needs 100 numbers or so."""
@@ -149,7 +149,7 @@ class ParameterBox:
         shift = np.zeros_like(half)
         shift[rows, axis] = half[rows, axis]
         lower = ParameterBox(self.axes, self.center - shift, half, self.index)
-        return _joined([lower, ParameterBox(self.axes, self.center + shift, half, self.index)])
+        return joined([lower, ParameterBox(self.axes, self.center + shift, half, self.index)])
 
     def moved(self, moves: Mapping[tuple[str, str], Reals]) -> Moves:
         """Return how far each axis moves each parameter of a loop, from names of both."""
@@ -173,7 +173,8 @@ class Paving(NamedTuple):
     judged: Int64[np.ndarray, " index"]
 
 
-def _joined(parts: list[ParameterBox]) -> ParameterBox:
+def joined(parts: Sequence[ParameterBox]) -> ParameterBox:
+    """The boxes of one, then of the next, all with the same axes."""
     columns = zip(*((part.center, part.half, part.index) for part in parts), strict=True)
     return ParameterBox(parts[0].axes, *map(np.concatenate, columns))
 
