@@ -1,0 +1,230 @@
+"""Limits of many loops: batches on JAX, and one by one what these leave open.
+
+The loops are grouped by the degree of p(z), filled up to one of few degrees, so that few programs
+are compiled (``jaxstab.region.batch``). Loops of one mass with the same estimator, filter and whole
+samples of delay are formed together, in pairs of float64. What a program does not resolve, and
+groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import accumulate
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8, Int64
+
+from jaxstab.arrays import tree_map
+from jaxstab.batches import alike, in_float64, lists
+from jaxstab.model import LoopParameters
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.linear_loop import LinearLoop, filtered_loop
+from jaxstab.region import RegionStatus
+from jaxstab.region.filtered_curve import Angles, of_filters
+
+if TYPE_CHECKING:
+    from jaxstab.loop.loop import HapticLoop
+    from jaxstab.region.batch import Triples
+
+_FEWEST = 64  # loops of a kind: a program takes as long to compile as these take one by one
+_AT_ONCE = 256  # loops
+_LARGEST_DEGREE = 65
+_FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
+_TO_ENDS, _TO_POLES = 12, 8  # angles that come closer and closer
+_ROUNDED_TO = 64  # angles
+
+_STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
+
+Column = Float64[np.ndarray, " loop"]
+Indices = Int64[np.ndarray, " _"]
+Walls = Float64[np.ndarray, "loop 2 2"]
+
+
+class ManyLimits(NamedTuple):
+    """The stiffest and the most damped stable wall of each loop; arrays of one length.
+
+    Attributes:
+        stiffness: the largest stable K in N/m, as in ``WallLimits``; NaN where no wall is stable.
+        at_damping: the B in N s/m at which it is reached.
+        damping: the largest stable B in N s/m.
+        at_stiffness: the K in N/m at which it is reached.
+        status: codes of ``RegionStatus``.
+        is_reachable: whether the walls are reached by turning gains up from 0.
+        is_single: which loops were answered one by one, by ``HapticLoop.limits``.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> jaxstab.limits_of([loop]).stiffness.round().tolist()
+        [70643.0]
+    """
+
+    stiffness: Column
+    at_damping: Column
+    damping: Column
+    at_stiffness: Column
+    status: Int8[np.ndarray, " loop"]
+    is_reachable: Bool[np.ndarray, " loop"]
+    is_single: Bool[np.ndarray, " loop"]
+
+
+def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
+    """Return the largest stiffness and the largest damping that each of many loops allows."""
+    many = [loop.in_floats() for loop in loops]
+    alone = np.ones(len(many), bool)
+    answers = ManyLimits(
+        *np.full((4, len(many)), np.nan),
+        np.full(len(many), RegionStatus.UNRESOLVED, np.int8),
+        np.zeros(len(many), bool),
+        alone,
+    )
+    for members, triples in _groups(many):
+        for part, indices in lists(np.arange(len(members)), _AT_ONCE):
+            of_part = members[part]
+            walls = _extremes(triples, indices, len(part))
+            resolved = np.isfinite(walls[:, 0, 0])
+            for number, wall in zip(of_part[resolved].tolist(), walls[resolved], strict=True):
+                loop = many[number]
+                answers.stiffness[number] = loop.stiffness(wall[0, 0])
+                answers.at_damping[number] = loop.damping(wall[0, 1])
+                answers.damping[number] = loop.damping(wall[1, 1])
+                answers.at_stiffness[number] = loop.stiffness(wall[1, 0])
+            done = of_part[resolved]
+            alone[done], answers.is_reachable[done] = False, True
+            answers.status[done] = RegionStatus.COMPLETE
+    for number in np.flatnonzero(alone).tolist():
+        limits = many[number].limits()
+        for column, value in zip(answers, limits[:6], strict=False):
+            column[number] = value
+    return answers
+
+
+def _extremes(triples: "Triples", indices: Indices, count: int) -> Walls:
+    """Return the extreme walls of some loops, NaN where they are not resolved."""
+    from jaxstab.region import batch
+
+    given = tree_map(lambda column: column[indices], triples)
+    walls, failures = in_float64(batch.extremes, given)
+    return np.where(failures[:, None, None] == 0, walls, np.nan)[:count]
+
+
+class _Formed(NamedTuple):
+    """Loops that are formed together."""
+
+    members: Indices
+    loop: LinearLoop  # of numbers or arrays
+    poles: Angles  # where the curve goes to infinity
+
+
+def _groups(many: list[LoopParameters]) -> Iterator[tuple[Indices, "Triples"]]:
+    """Yield loops of one shape, and their triples."""
+    formed = [one for one in _formed(many) if one is not None]
+    shapes = [_shape(one) for one in formed]
+    for group in alike(shapes):
+        degree, angles = shapes[group[0]]
+        chosen = [formed[number] for number in group]
+        members = np.concatenate([one.members for one in chosen])
+        if len(members) >= _FEWEST and degree <= _LARGEST_DEGREE:
+            yield members, _triples(chosen, degree, angles)
+
+
+def _formed(many: list[LoopParameters]) -> Iterator[_Formed | None]:
+    """Yield loops that differ in mass, damping, stiffness and fraction of the delay alone."""
+    slices = [None if loop.body is None else loop.slice for loop in many]
+    kinds = []
+    for loop, plant in zip(many, slices, strict=True):
+        if plant is None:
+            kinds.append(loop)
+        else:
+            whole, fraction = divmod(plant["delay"], 1.0)
+            kinds.append((int(whole), fraction == 0.0, *loop.filters.values()))
+    for members in alike(kinds):
+        first = many[members[0]]
+        sampled = first.sampled
+        if sampled is not None:
+            transfers = sampled.transfers(given_filters(first.velocity, first.position))
+            loop = first.linear
+        else:
+            whole, is_whole, *filters = kinds[members[0]]
+            chain = given_filters(*filters) or (Velocity(), Filter())
+            transfers = chain[0].filter.transfer(), chain[1].transfer()
+            plants = np.array([list(slices[number].values()) for number in members]).T
+            fraction = 0.0 if is_whole else plants[2] - whole
+            loop = filtered_loop(plants[0], plants[1], whole, fraction, chain)
+        known = of_filters(*transfers)
+        if not known.loses_digits:
+            yield _Formed(np.array(members), loop, np.sort(known.real_angles))
+
+
+def _shape(formed: _Formed) -> tuple[int, int]:
+    """Return the degree up to which p(z) is filled, one of few, and how many angles are scanned."""
+    degree = -(-(formed.loop.degree - 1) // 4) * 4 + 1
+    count = 24 + 8 * degree + 2 * _TO_ENDS + len(formed.poles) * (2 * _TO_POLES + 1)
+    return degree, -(-count // _ROUNDED_TO) * _ROUNDED_TO
+
+
+def _triples(formed: list[_Formed], degree: int, count: int) -> "Triples":
+    from jaxstab.region.batch import Triples
+
+    straight = _joined([_parts(one, degree) for one in formed])
+    ends = np.concatenate([_ends(one) for one in formed])
+    angles = np.concatenate(
+        [np.tile(_scan(one.poles, count), (len(one.members), 1)) for one in formed]
+    )
+    shifted = _shifted(straight).rounded()
+    rounded = straight.rounded()
+    powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
+    is_less = abs(shifted) @ powers < np.sum(abs(rounded), axis=-1)[..., None]
+    close = np.max(np.where(is_less, _STEPS, 0.0), axis=-1)
+    return Triples(rounded, shifted, close, ends, angles)
+
+
+def _parts(formed: _Formed, degree: int) -> DoubleDouble:
+    """Return the coefficients (loop, part, power) of p(z) times a power of z."""
+    shape = (len(formed.members),)
+    missing = [DoubleDouble(np.zeros(shape), np.zeros(shape))] * (degree - formed.loop.degree)
+    columns = [
+        [DoubleDouble(*np.broadcast_arrays(c.hi, c.lo, np.zeros(shape))[:2]) for c in part] + missing
+        for part in formed.loop[:3]
+    ]
+    high, low = (
+        np.array([[getattr(c, name) for c in part] for part in columns]) for name in ("hi", "lo")
+    )
+    return DoubleDouble(np.moveaxis(high, 2, 0), np.moveaxis(low, 2, 0))
+
+
+def _joined(parts: list[DoubleDouble]) -> DoubleDouble:
+    return DoubleDouble(
+        np.concatenate([part.hi for part in parts]), np.concatenate([part.lo for part in parts])
+    )
+
+
+def _ends(formed: _Formed) -> Float64[np.ndarray, "loop 2 3"]:
+    shape = (len(formed.members),)
+    values = [
+        [np.broadcast_to(part.value.rounded(), shape) for part in end]
+        for end in (formed.loop.at_one, formed.loop.at_minus_one)
+    ]
+    return np.moveaxis(np.array(values), 2, 0)
+
+
+def _shifted(falling: DoubleDouble) -> DoubleDouble:
+    """Return the coefficients in powers of z - 1, by one division after the other."""
+    columns = [DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in range(falling.hi.shape[-1])]
+    rest, shifted = columns, []
+    while rest:
+        *rest, value = accumulate(rest, DoubleDouble.__add__)
+        shifted.append(value)
+    return DoubleDouble(
+        np.stack([c.hi for c in shifted[::-1]], axis=-1), np.stack([c.lo for c in shifted[::-1]], axis=-1)
+    )
+
+
+def _scan(poles: Angles, count: int) -> Angles:
+    """Return the angles of a scan: even steps, and finer to both ends and to the poles."""
+    even_count = count - 2 * _TO_ENDS - len(poles) * (2 * _TO_POLES + 1)
+    step = np.pi / even_count
+    even = step * (np.arange(even_count) + 0.5)
+    to_end = np.geomspace(_FIRST, even[0], _TO_ENDS, endpoint=False)
+    to_pole = np.geomspace(_CLOSEST, step, _TO_POLES)
+    near = poles[:, None] + np.concatenate([-to_pole, [0.0], to_pole])
+    return np.sort(np.concatenate([to_end, even, np.pi - to_end, near.ravel()]))
