@@ -42,12 +42,12 @@ from jaxtyping import Bool, Float64
 from jaxstab.region.corners import Branch
 from jaxstab.rounding import UNIT
 
-SLOTS = 12  # pieces of one loop
+SLOTS = 6  # pieces of one loop
 _REFINED = 32  # loops at once: what they need stays in the cache
 _CLEAR = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
 _LOWERED = 8  # steps of the recursion between which its arrays get shorter
-_HALVINGS = 12  # of the brackets of ends
-_NEWTON_STEPS = 12
+_HALVINGS = 8  # of the brackets of ends
+_NEWTON_STEPS = 6
 _TOLERANCE = 1e-10  # of Newton's steps, in radians
 _SLACK = 1e-6  # of angles beside their brackets
 _CANDIDATES = 3  # places where the curve turns that are refined
@@ -428,14 +428,10 @@ def _extremes(loop: Triples, scan: _Scan) -> Extremes:
     piece = jnp.cumsum(on & ~jnp.append(False, on[:-1])) - 1
     in_main = on & (label[jnp.clip(piece, 0, SLOTS - 1)] == main)
     of_main = corners.exists & (label == main)
-    walls, sound = [], []
-    for axis in range(2):
-        wall, is_sound = _largest(loop, scan, corners, links, (in_main, of_main), size, axis)
-        walls.append(wall)
-        sound.append(is_sound)
-    tests = [fits, corners.exists[0], is_joined, is_around, *sound[0], *sound[1]]
-    failures = sum((~test).astype(jnp.int32) << bit for bit, test in enumerate(tests))
-    return Extremes(jnp.stack(walls), failures)
+    found = partial(_largest, loop, scan, corners, links, (in_main, of_main), size)
+    walls, are_sound = jax.vmap(found)(jnp.arange(2))
+    tests = jnp.append(jnp.stack([fits, corners.exists[0], is_joined, is_around]), are_sound)
+    return Extremes(walls, jnp.sum((~tests).astype(jnp.int32) << jnp.arange(len(tests))))
 
 
 def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
@@ -457,79 +453,90 @@ def _largest(
     links: _Links,
     members: tuple[Array, Array],
     size: Array,
-    axis: int,
-) -> tuple[Array, list[Array]]:
-    """Return the wall of the largest alpha or beta, and the tests that it passes."""
+    axis: Array,
+) -> tuple[Array, Array]:
+    """Return the wall of the largest alpha or beta, and which tests it passes."""
     in_main, of_main = members
-    values, at_corners = scan.walls[axis], corners.walls[axis]
-    unit = size[axis]
-    # The curve between a corner and the nearest angle of the scan may turn, too.
-    is_lower = corners.is_lower
+    values, at_corners, unit = scan.walls[axis], corners.walls[axis], size[axis]
+    count, angles = len(values), loop.angles
+    next_angle = angles[corners.index]
+    # The largest values of the scan between their neighbours. The curve between a corner and the
+    # nearest angle of the scan may turn, too.
+    on_pieces = jnp.where(in_main, values, -jnp.inf)
+    before, after = jnp.append(-jnp.inf, on_pieces[:-1]), jnp.append(on_pieces[1:], -jnp.inf)
     next_value = values[corners.index]
-    inward = corners.slopes[axis] * jnp.array([[1.0], [-1.0]])
-    bulges = of_main & (inward > 0.0) & (at_corners >= next_value)
-    before = jnp.append(-jnp.inf, jnp.where(scan.passes, values, -jnp.inf)[:-1])
-    after = jnp.append(jnp.where(scan.passes, values, -jnp.inf)[1:], -jnp.inf)
-    beside = jnp.full(len(values), -jnp.inf)
-    index = jnp.where(of_main, corners.index, len(values))
-    low = beside.at[jnp.where(is_lower, index, len(values))].set(at_corners, mode="drop")
-    high = beside.at[jnp.where(is_lower, len(values), index)].set(at_corners, mode="drop")
-    tops = in_main & (values >= jnp.maximum(before, low)) & (values >= jnp.maximum(after, high))
+    is_beside = of_main & (at_corners >= next_value)
+    is_less = jnp.any(
+        (corners.index[..., None] == jnp.arange(count)) & is_beside[..., None], axis=(0, 1)
+    )
+    tops = (on_pieces >= before) & (on_pieces >= after) & ~is_less
+    rises = corners.slopes[axis] * jnp.array([[1.0], [-1.0]]) > 0.0
+    bulges = is_beside & rises & (corners.theta != next_angle)
     scores = jnp.concatenate(
-        [jnp.where(tops, values, -jnp.inf), jnp.where(bulges, at_corners, -jnp.inf).ravel()]
+        [jnp.where(tops, on_pieces, -jnp.inf), jnp.where(bulges, at_corners, -jnp.inf).ravel()]
     )
-    best, number = lax.top_k(scores, _CANDIDATES + 1)
-    is_corner = number >= len(values)
-    # The interval that holds the turn.
-    angles = loop.angles
-    at = jnp.minimum(number, len(values) - 1)
-    theta_low = jnp.full(len(values), -jnp.inf)
-    theta_low = theta_low.at[jnp.where(is_lower, index, len(values))].set(corners.theta, mode="drop")
-    theta_high = jnp.full(len(values), jnp.inf)
-    theta_high = theta_high.at[jnp.where(is_lower, len(values), index)].set(
-        corners.theta, mode="drop"
-    )
-    lower = jnp.maximum(theta_low, jnp.append(-jnp.inf, angles[:-1]))[at]
-    upper = jnp.minimum(theta_high, jnp.append(angles[1:], jnp.inf))[at]
-    of_corner = jnp.clip(number - len(values), 0, 2 * SLOTS - 1)
-    corner_theta, scan_theta = corners.theta.ravel()[of_corner], angles[corners.index.ravel()[of_corner]]
-    lower = jnp.where(is_corner, jnp.minimum(corner_theta, scan_theta), lower)
-    upper = jnp.where(is_corner, jnp.maximum(corner_theta, scan_theta), upper)
-    start = jnp.where(is_corner, 0.5 * (lower + upper), angles[at])
+    chosen = []
+    for _ in range(_CANDIDATES + 1):
+        number = jnp.argmax(scores)
+        chosen.append((number, scores[number]))
+        scores = scores.at[number].set(-jnp.inf)
+    *numbers, _ = (number for number, _ in chosen)
+    *best, rest = (score for _, score in chosen)
+    number, best = jnp.stack(numbers), jnp.stack(best)
+    exists = jnp.isfinite(best)
+
+    bulge = jnp.clip(number - count, 0, 2 * SLOTS - 1)
+    at = jnp.where(number < count, number, corners.index.ravel()[bulge])
+    is_near = of_main & (corners.index == at[:, None, None])
+    low = jnp.where(is_near & corners.is_lower, corners.theta, -jnp.inf)
+    high = jnp.where(is_near & ~corners.is_lower, corners.theta, jnp.inf)
+    lower = jnp.maximum(jnp.max(low, axis=(1, 2)), angles[jnp.maximum(at - 1, 0)])
+    upper = jnp.minimum(jnp.min(high, axis=(1, 2)), angles[jnp.minimum(at + 1, count - 1)])
+    between = jnp.stack([corners.theta.ravel()[bulge], next_angle.ravel()[bulge]])
+    lower = jnp.where(number < count, lower, jnp.min(between, axis=0))
+    upper = jnp.where(number < count, upper, jnp.max(between, axis=0))
+    ends = _wall(loop, jnp.stack([lower, upper]))[axis]
+    start = _vertex(jnp.stack([lower, angles[at], upper]), values[at], ends)
+    start = jnp.where(number < count, start, 0.5 * (lower + upper))
 
     def slope(theta: Array, _: None) -> Array:
         return jax.jvp(lambda x: _wall(loop, x)[axis] / unit, (theta,), (jnp.ones_like(theta),))[1]
 
-    exists = jnp.isfinite(best[:-1])
-    theta, solved = jax.vmap(lambda x: _root(slope, x, None))(start[:-1])
-    solved = solved & (theta >= lower[:-1] - _SLACK) & (theta <= upper[:-1] + _SLACK)
-    smooth = _wall(loop, theta)
-    turn = jnp.argmax(jnp.where(exists & solved, smooth[axis], -jnp.inf))
+    theta, solved = jax.vmap(lambda x: _root(slope, x, None))(start)
+    solved = exists & solved & (theta >= lower) & (theta <= upper)
+    smooth = _wall(loop, jnp.where(solved, theta, angles[at]))
+    solved = solved & (smooth[axis] >= best - _TOLERANCE * unit)
+    turn = jnp.argmax(jnp.where(solved, smooth[axis], -jnp.inf))
 
-    firsts = jnp.concatenate([corners.walls[:, 0], corners.walls[:, 1]], axis=1)
     crossing = jnp.broadcast_to(links.crossing[:, None], (2, SLOTS))
-    every = jnp.concatenate([firsts, crossing], axis=1)
-    may = jnp.concatenate([of_main, of_main, of_main & links.via])
-    corner = jnp.argmax(jnp.where(may, every[axis], -jnp.inf))
-    smooth_value = jnp.where((exists & solved)[turn], smooth[axis, turn], -jnp.inf)
-    is_smooth = smooth_value > jnp.where(may[corner], every[axis, corner], -jnp.inf)
+    every = jnp.concatenate([corners.walls[:, 0], corners.walls[:, 1], crossing], axis=1)
+    may = jnp.concatenate([of_main[None], of_main[None], (of_main & links.via)[None]]).ravel()
+    at_every = jnp.where(may, every[axis], -jnp.inf)
+    corner = jnp.argmax(at_every)
+    is_smooth = solved[turn] & (smooth[axis, turn] > at_every[corner])
     wall = jnp.where(is_smooth, smooth[:, turn], every[:, corner])
     value = wall[axis]
-    is_lower = best <= value - _LOWER * abs(value)
-    rises = smooth[axis] >= best[:-1] - _TOLERANCE * unit
-    is_refined = is_lower[-1] & jnp.all(is_lower[:-1] | (solved & rises))
+    enough = value - _LOWER * abs(value)
+    is_refined = jnp.all(solved | (best <= enough)) & (rest <= enough)
 
     # Stable walls on one side, unstable ones on the other.
-    straight = jnp.zeros(2).at[axis].set(-1.0)
-    inward_at_corner = _bisector(loop, corners, links, corner, size)
-    direction = jnp.where(is_smooth, straight, inward_at_corner)
+    straight = jnp.where(jnp.arange(2) == axis, -1.0, 0.0)
+    direction = jnp.where(is_smooth, straight, _bisector(loop, corners, links, corner, size))
     away = _ASIDE * size * direction
     beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
-    is_right = beside[0] & ~beside[1]
     theta_at = jnp.where(is_smooth, theta[turn], corners.theta.ravel()[corner % (2 * SLOTS)])
     lost = _rounding(loop, theta_at, wall, axis) / unit
     is_exact = (lost < _LOST) & jnp.isfinite(value)
-    return wall, [is_refined, is_right, is_exact]
+    return wall, jnp.stack([is_refined, beside[0] & ~beside[1], is_exact])
+
+
+def _vertex(angles: Array, middle: Array, beside: Array) -> Array:
+    """Return where the parabola through three points has its top."""
+    before, after = angles[1] - angles[0], angles[2] - angles[1]
+    rise, fall = (middle - beside[0]) / before, (beside[1] - middle) / after
+    bend = (fall - rise) / (before + after)
+    top = angles[1] - 0.5 * (rise / jnp.where(bend < 0.0, bend, -jnp.inf) + before)
+    return jnp.clip(top, angles[0], angles[2])
 
 
 def _bisector(loop: Triples, corners: _Corners, links: _Links, corner: Array, size: Array) -> Array:
@@ -555,7 +562,7 @@ def _bisector(loop: Triples, corners: _Corners, links: _Links, corner: Array, si
     return jnp.where(row == 0, at_begin, jnp.where(row == 1, at_end, at_crossing))
 
 
-def _rounding(loop: Triples, theta: Array, wall: Array, axis: int) -> Array:
+def _rounding(loop: Triples, theta: Array, wall: Array, axis: Array) -> Array:
     """Bound what rounding moves a wall by, roughly."""
     half = abs(2.0 * jnp.sin(0.5 * theta))
     degree = loop.straight.shape[1] - 1
