@@ -28,10 +28,9 @@ if TYPE_CHECKING:
 
 _FEWEST = 64  # loops of a kind: a program takes as long to compile as these take one by one
 _AT_ONCE = 256  # loops
-_LARGEST_DEGREE = 65
+_DEGREES = (5, 9, 13, 17, 25, 33, 49, 65)  # up to which p(z) are filled
 _FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
 _TO_ENDS, _TO_POLES = 12, 8  # angles that come closer and closer
-_ROUNDED_TO = 64  # angles
 
 _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
 
@@ -116,15 +115,14 @@ class _Formed(NamedTuple):
 
 
 def _groups(many: list[LoopParameters]) -> Iterator[tuple[Indices, "Triples"]]:
-    """Yield loops of one shape, and their triples."""
-    formed = [one for one in _formed(many) if one is not None]
-    shapes = [_shape(one) for one in formed]
-    for group in alike(shapes):
-        degree, angles = shapes[group[0]]
-        chosen = [formed[number] for number in group]
+    """Yield loops that are filled up to one degree, and their triples."""
+    formed = list(_formed(many))
+    degrees = [_filled_degree(one) for one in formed]
+    for group in alike(degrees):
+        degree, chosen = degrees[group[0]], [formed[number] for number in group]
         members = np.concatenate([one.members for one in chosen])
-        if len(members) >= _FEWEST and degree <= _LARGEST_DEGREE:
-            yield members, _triples(chosen, degree, angles)
+        if degree is not None and len(members) >= _FEWEST:
+            yield members, _triples(chosen, degree)
 
 
 def _formed(many: list[LoopParameters]) -> Iterator[_Formed | None]:
@@ -155,27 +153,23 @@ def _formed(many: list[LoopParameters]) -> Iterator[_Formed | None]:
             yield _Formed(np.array(members), loop, np.sort(known.real_angles))
 
 
-def _shape(formed: _Formed) -> tuple[int, int]:
-    """Return the degree up to which p(z) is filled, one of few, and how many angles are scanned."""
-    degree = -(-(formed.loop.degree - 1) // 4) * 4 + 1
-    count = 24 + 8 * degree + 2 * _TO_ENDS + len(formed.poles) * (2 * _TO_POLES + 1)
-    return degree, -(-count // _ROUNDED_TO) * _ROUNDED_TO
+def _filled_degree(formed: _Formed) -> int | None:
+    """Return the degree up to which p(z) is filled; None where that or its poles are too many."""
+    enough = (degree for degree in _DEGREES if degree >= formed.loop.degree)
+    return next((degree for degree in enough if len(formed.poles) <= degree - 2), None)
 
 
-def _triples(formed: list[_Formed], degree: int, count: int) -> "Triples":
+def _triples(formed: list[_Formed], degree: int) -> "Triples":
     from jaxstab.region.batch import Triples
 
     straight = _joined([_parts(one, degree) for one in formed])
     ends = np.concatenate([_ends(one) for one in formed])
-    angles = np.concatenate(
-        [np.tile(_scan(one.poles, count), (len(one.members), 1)) for one in formed]
-    )
-    shifted = _shifted(straight).rounded()
-    rounded = straight.rounded()
+    scans = [np.tile(_scan(one.poles, degree), (len(one.members), 1)) for one in formed]
+    shifted, rounded = _shifted(straight).rounded(), straight.rounded()
     powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
     is_less = abs(shifted) @ powers < np.sum(abs(rounded), axis=-1)[..., None]
     close = np.max(np.where(is_less, _STEPS, 0.0), axis=-1)
-    return Triples(rounded, shifted, close, ends, angles)
+    return Triples(rounded, shifted, close, ends, np.concatenate(scans))
 
 
 def _parts(formed: _Formed, degree: int) -> DoubleDouble:
@@ -219,8 +213,9 @@ def _shifted(falling: DoubleDouble) -> DoubleDouble:
     )
 
 
-def _scan(poles: Angles, count: int) -> Angles:
+def _scan(poles: Angles, degree: int) -> Angles:
     """Return the angles of a scan: even steps, and finer to both ends and to the poles."""
+    count = 2 * _TO_ENDS + 24 + (8 + 2 * _TO_POLES) * degree
     even_count = count - 2 * _TO_ENDS - len(poles) * (2 * _TO_POLES + 1)
     step = np.pi / even_count
     even = step * (np.arange(even_count) + 0.5)
