@@ -56,9 +56,7 @@ def is_wrong(many: ManyLimits, index: int, one: WallLimits) -> bool:
     return not (same and flags)
 
 
-def _row(
-    section: str, method: str, count: int, seconds: float, wrong: float, left: float
-) -> Row:
+def _row(section: str, method: str, count: int, seconds: float, wrong: float, left: float) -> Row:
     return {
         "section": section,
         "method": method,

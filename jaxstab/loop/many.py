@@ -20,7 +20,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.region import RegionStatus
-from jaxstab.region.filtered_curve import Angles, of_filters
+from jaxstab.region.filtered_curve import Angles, of_filters, resonances_of
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -30,8 +30,10 @@ _FEWEST = 64  # loops of a kind: a program takes as long to compile as these tak
 _AT_ONCE = 256  # loops
 _DEGREES = (5, 9, 13, 17, 25, 33, 49, 65)  # up to which p(z) are filled
 _FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
-_TO_ENDS, _TO_POLES = 12, 8  # angles that come closer and closer
+_TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
 
+_MIRRORED = 0.97  # angles beyond an end, so that none is there twice
+_NARROWEST, _NO_RESONANCE = 1e-6, 0.05  # distances from the circle
 _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
 
 Column = Float64[np.ndarray, " loop"]
@@ -67,8 +69,35 @@ class ManyLimits(NamedTuple):
 
 
 def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
-    """Return the largest stiffness and the largest damping that each of many loops allows."""
-    many = [loop.in_floats() for loop in loops]
+    """Return the largest stiffness and the largest damping that each of many loops allows.
+
+    The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
+    loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
+    says, and first compiled in about half a minute (``use_compilation_cache`` keeps that). The loops
+    that it does not resolve, and those of smaller batches, are answered one by one.
+
+    Args:
+        loops: any number of loops of concrete numbers, of any estimators, filters, devices and
+            delays. Batches of loops with the same estimator and filter are the fastest.
+
+    Returns:
+        ManyLimits of NumPy arrays in the order of the loops.
+
+    Raises:
+        TypeError: an item is no HapticLoop, or JAX traces it.
+        ValueError: as ``HapticLoop.region``, for any of the loops.
+
+    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+
+    Example:
+        >>> loops = [
+        ...     jaxstab.HapticLoop(device_mass=mass, device_damping=0.1, sample_time=1e-3)
+        ...     for mass in (0.1, 0.2)
+        ... ]
+        >>> jaxstab.limits_of(loops).stiffness.round().tolist()
+        [68766.0, 137395.0]
+    """
+    many = [_in_floats(loop) for loop in loops]
     alone = np.ones(len(many), bool)
     answers = ManyLimits(
         *np.full((4, len(many)), np.nan),
@@ -97,6 +126,12 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
     return answers
 
 
+def _in_floats(loop: "HapticLoop") -> LoopParameters:
+    if not isinstance(loop, LoopParameters):
+        raise TypeError(f"loops has {loop!r}; give a HapticLoop for each.")
+    return loop.in_floats()
+
+
 def _extremes(triples: "Triples", indices: Indices, count: int) -> Walls:
     """Return the extreme walls of some loops, NaN where they are not resolved."""
     from jaxstab.region import batch
@@ -112,17 +147,23 @@ class _Formed(NamedTuple):
     members: Indices
     loop: LinearLoop  # of numbers or arrays
     poles: Angles  # where the curve goes to infinity
+    roots: Float64[np.ndarray, "loop root 2"]  # next to the circle: angles and distances
 
 
 def _groups(many: list[LoopParameters]) -> Iterator[tuple[Indices, "Triples"]]:
-    """Yield loops that are filled up to one degree, and their triples."""
+    """Yield loops that are filled up to one degree, and their triples.
+
+    Loops that are too few to compile for are filled up to the next degree.
+    """
     formed = list(_formed(many))
-    degrees = [_filled_degree(one) for one in formed]
-    for group in alike(degrees):
-        degree, chosen = degrees[group[0]], [formed[number] for number in group]
-        members = np.concatenate([one.members for one in chosen])
-        if degree is not None and len(members) >= _FEWEST:
-            yield members, _triples(chosen, degree)
+    least = [_filled_degree(one) for one in formed]
+    waiting: list[_Formed] = []
+    for degree in _DEGREES:
+        waiting += [one for one, own in zip(formed, least, strict=True) if own == degree]
+        members = [number for one in waiting for number in one.members.tolist()]
+        if len(members) >= _FEWEST:
+            yield np.array(members), _triples(waiting, degree)
+            waiting = []
 
 
 def _formed(many: list[LoopParameters]) -> Iterator[_Formed | None]:
@@ -140,7 +181,7 @@ def _formed(many: list[LoopParameters]) -> Iterator[_Formed | None]:
         sampled = first.sampled
         if sampled is not None:
             transfers = sampled.transfers(given_filters(first.velocity, first.position))
-            loop = first.linear
+            loop, roots = first.linear, resonances_of(sampled.plant).T[None]
         else:
             whole, is_whole, *filters = kinds[members[0]]
             chain = given_filters(*filters) or (Velocity(), Filter())
@@ -148,15 +189,24 @@ def _formed(many: list[LoopParameters]) -> Iterator[_Formed | None]:
             plants = np.array([list(slices[number].values()) for number in members]).T
             fraction = 0.0 if is_whole else plants[2] - whole
             loop = filtered_loop(plants[0], plants[1], whole, fraction, chain)
+            roots = _resonances(plants[0], plants[1])
         known = of_filters(*transfers)
         if not known.loses_digits:
-            yield _Formed(np.array(members), loop, np.sort(known.real_angles))
+            yield _Formed(np.array(members), loop, np.sort(known.real_angles), roots)
+
+
+def _resonances(gamma: Column, delta: Column) -> Float64[np.ndarray, "loop 1 2"]:
+    """Return angle and distance from the circle of the poles of masses on springs."""
+    angle = np.sqrt(np.maximum(gamma - 0.25 * delta**2, 0.0))
+    width = np.where(angle > 0.0, np.maximum(0.5 * delta, _NARROWEST), _NO_RESONANCE)
+    return np.stack([angle, width], axis=1)[:, None]
 
 
 def _filled_degree(formed: _Formed) -> int | None:
     """Return the degree up to which p(z) is filled; None where that or its poles are too many."""
     enough = (degree for degree in _DEGREES if degree >= formed.loop.degree)
-    return next((degree for degree in enough if len(formed.poles) <= degree - 2), None)
+    poles, roots = len(formed.poles), formed.roots.shape[1]
+    return next((degree for degree in enough if poles + roots <= degree + 2), None)
 
 
 def _triples(formed: list[_Formed], degree: int) -> "Triples":
@@ -164,7 +214,7 @@ def _triples(formed: list[_Formed], degree: int) -> "Triples":
 
     straight = _joined([_parts(one, degree) for one in formed])
     ends = np.concatenate([_ends(one) for one in formed])
-    scans = [np.tile(_scan(one.poles, degree), (len(one.members), 1)) for one in formed]
+    scans = [_scans(one, degree) for one in formed]
     shifted, rounded = _shifted(straight).rounded(), straight.rounded()
     powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
     is_less = abs(shifted) @ powers < np.sum(abs(rounded), axis=-1)[..., None]
@@ -177,7 +227,8 @@ def _parts(formed: _Formed, degree: int) -> DoubleDouble:
     shape = (len(formed.members),)
     missing = [DoubleDouble(np.zeros(shape), np.zeros(shape))] * (degree - formed.loop.degree)
     columns = [
-        [DoubleDouble(*np.broadcast_arrays(c.hi, c.lo, np.zeros(shape))[:2]) for c in part] + missing
+        [DoubleDouble(*np.broadcast_arrays(c.hi, c.lo, np.zeros(shape))[:2]) for c in part]
+        + missing
         for part in formed.loop[:3]
     ]
     high, low = (
@@ -203,23 +254,35 @@ def _ends(formed: _Formed) -> Float64[np.ndarray, "loop 2 3"]:
 
 def _shifted(falling: DoubleDouble) -> DoubleDouble:
     """Return the coefficients in powers of z - 1, by one division after the other."""
-    columns = [DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in range(falling.hi.shape[-1])]
+    columns = [
+        DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in range(falling.hi.shape[-1])
+    ]
     rest, shifted = columns, []
     while rest:
         *rest, value = accumulate(rest, DoubleDouble.__add__)
         shifted.append(value)
     return DoubleDouble(
-        np.stack([c.hi for c in shifted[::-1]], axis=-1), np.stack([c.lo for c in shifted[::-1]], axis=-1)
+        np.stack([c.hi for c in shifted[::-1]], axis=-1),
+        np.stack([c.lo for c in shifted[::-1]], axis=-1),
     )
 
 
-def _scan(poles: Angles, degree: int) -> Angles:
-    """Return the angles of a scan: even steps, and finer to both ends and to the poles."""
-    count = 2 * _TO_ENDS + 24 + (8 + 2 * _TO_POLES) * degree
-    even_count = count - 2 * _TO_ENDS - len(poles) * (2 * _TO_POLES + 1)
+def _scans(formed: _Formed, degree: int) -> Float64[np.ndarray, "loop angle"]:
+    """Return the angles of the scans: even steps, finer to both ends, to poles and resonances."""
+    roots, count = formed.roots.shape[1], 2 * _TO_ENDS + 24 + (8 + 2 * _TO_POLES) * degree
+    even_count = (
+        count - 2 * _TO_ENDS - len(formed.poles) * (2 * _TO_POLES + 1) - roots * 2 * _TO_ROOTS
+    )
     step = np.pi / even_count
     even = step * (np.arange(even_count) + 0.5)
     to_end = np.geomspace(_FIRST, even[0], _TO_ENDS, endpoint=False)
     to_pole = np.geomspace(_CLOSEST, step, _TO_POLES)
-    near = poles[:, None] + np.concatenate([-to_pole, [0.0], to_pole])
-    return np.sort(np.concatenate([to_end, even, np.pi - to_end, near.ravel()]))
+    near = formed.poles[:, None] + np.concatenate([-to_pole, [0.0], to_pole])
+    shared = np.concatenate([to_end, even, np.pi - to_end, near.ravel()])
+    angle, width = np.moveaxis(formed.roots, 2, 0)[..., None]
+    growth = np.linspace(-1.0, 1.0, 2 * _TO_ROOTS)
+    farthest = np.maximum(np.arcsinh(np.maximum(angle, 2.0 * step) / width), 1.0)
+    around = angle + width * np.sinh(farthest * growth)
+    mirrored = np.pi - abs(np.pi - np.where(around < 0.0, -_MIRRORED * around, around))
+    own = np.clip(mirrored, 2.0 * _FIRST, np.pi - 2.0 * _FIRST).reshape(len(angle), -1)
+    return np.sort(np.concatenate([np.tile(shared, (len(own), 1)), own], axis=1))

@@ -39,6 +39,7 @@ import optimistix as optx
 from jax import Array, lax
 from jaxtyping import Bool, Float64
 
+from jaxstab.arrays import repeat
 from jaxstab.region.corners import Branch
 from jaxstab.rounding import UNIT
 
@@ -138,7 +139,9 @@ def _values(loop: Triples, theta: Array) -> list[tuple[Array, Array]]:
     def horner(falling: Array, real: Array) -> tuple[Array, Array]:
         """Return (part, angle) of the three."""
 
-        def next_power(value: tuple[Array, Array], power: Array) -> tuple[tuple[Array, Array], None]:
+        def next_power(
+            value: tuple[Array, Array], power: Array
+        ) -> tuple[tuple[Array, Array], None]:
             x, y = value
             moved = x * real - y * sine + jnp.expand_dims(power, axes)
             return (moved, x * sine + y * real), None
@@ -171,6 +174,7 @@ def _are_inside(loop: Triples, walls: Array, total: Array, product: float, remov
         total, product: of the divisor z^2 - total z + product.
         removed: 2, or 0 if p is not divided at all.
     """
+
     def divided(last: tuple[Array, Array], part: Array) -> tuple[tuple[Array, Array], Array]:
         value = part[0] + (part[1] * walls[0] + part[2] * walls[1])
         value = value + total * last[1] - product * last[0]
@@ -180,7 +184,7 @@ def _are_inside(loop: Triples, walls: Array, total: Array, product: float, remov
     count = loop.straight.shape[1] - removed
     _, falling = lax.scan(divided, (nothing, nothing), loop.straight.T[:count])
 
-    def lowered(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def lowered(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         falling, rising, inside = state
         reflection = rising[0] / falling[0]
         lower = rising - reflection * falling
@@ -193,7 +197,7 @@ def _are_inside(loop: Triples, walls: Array, total: Array, product: float, remov
     state = falling, falling[::-1], jnp.ones(nothing.shape, bool)
     while count > 1:
         steps = min(_LOWERED, count - 1)
-        falling, rising, inside = lax.fori_loop(0, steps, lowered, state)
+        falling, rising, inside = repeat(steps, lowered, state)
         count -= steps
         state = falling[:count], rising[:count], inside
     return state[2]
@@ -233,12 +237,12 @@ def _ends_of(loop: Triples, scan: _Scan) -> tuple[_Ends, Array]:
     inner = angles[index]
     outer = jnp.where(pinned, inner, angles[jnp.clip(beyond, 0, last)])
 
-    def halved(_: int, both: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halved(both: tuple[Array, Array]) -> tuple[Array, Array]:
         middle = 0.5 * (both[0] + both[1])
         inside = _bounds(loop, middle.ravel())[2].reshape(middle.shape)
         return jnp.where(inside, middle, both[0]), jnp.where(inside, both[1], middle)
 
-    inner, outer = lax.fori_loop(0, _HALVINGS, halved, (inner, outer))
+    inner, outer = repeat(_HALVINGS, halved, (inner, outer))
     margins = _margins(loop, _wall(loop, outer))
     met = jnp.where(margins[1] <= 0.0, Branch.Z_MINUS_ONE, Branch.CURVE)
     met = jnp.where(margins[0] <= 0.0, Branch.Z_PLUS_ONE, met)
@@ -291,7 +295,9 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
         gap = (walls[:, 0] - walls[:, 1]) / size
         margin = _margins(loop, walls[:, 0]) / (abs(loop.ends[:, 0]) + abs(loop.ends[:, 1:]) @ size)
         margin = jnp.where(kind == Branch.Z_PLUS_ONE, margin[0], margin[1])
-        on_line = jnp.stack([jnp.where(is_fixed, angles[0] - start[0], margin), angles[1] - start[1]])
+        on_line = jnp.stack(
+            [jnp.where(is_fixed, angles[0] - start[0], margin), angles[1] - start[1]]
+        )
         return jnp.where((kind == Branch.CURVE) & ~is_fixed, gap, on_line)
 
     start = jnp.stack([theta, partner], axis=-1)
@@ -338,12 +344,15 @@ def _linked(loop: Triples, corners: _Corners) -> _Links:
     base, normal = loop.ends[:, 0], loop.ends[:, 1:]
     along = jnp.stack([normal[:, 1], -normal[:, 0]], axis=1)  # the stable side is on the left
     det = normal[0, 0] * normal[1, 1] - normal[0, 1] * normal[1, 0]
-    crossing = jnp.stack(
-        [
-            base[1] * normal[0, 1] - base[0] * normal[1, 1],
-            base[0] * normal[1, 0] - base[1] * normal[0, 0],
-        ]
-    ) / det
+    crossing = (
+        jnp.stack(
+            [
+                base[1] * normal[0, 1] - base[0] * normal[1, 1],
+                base[0] * normal[1, 0] - base[1] * normal[0, 0],
+            ]
+        )
+        / det
+    )
     line = jnp.where(corners.branch[1] == Branch.Z_MINUS_ONE, 1, 0)
     begins, ends = (jnp.einsum("lw,wp->lp", along, corners.walls[:, row]) for row in range(2))
     corner = along @ crossing
@@ -419,9 +428,7 @@ def _extremes(loop: Triples, scan: _Scan) -> Extremes:
     is_joined = jnp.all(~corners.exists | (corners.is_solved & links.is_linked))
 
     small, starts = _small_walls(loop, size)
-    around = _are_around(loop, scan, corners, links, label, small) & (
-        jnp.arange(SLOTS) == label
-    )
+    around = _are_around(loop, scan, corners, links, label, small) & (jnp.arange(SLOTS) == label)
     main = jnp.argmax(around[0])
     is_around = starts & jnp.all(jnp.sum(around, axis=1) == 1) & jnp.all(around[:, main])
 
@@ -503,7 +510,8 @@ def _largest(
         return jax.jvp(lambda x: _wall(loop, x)[axis] / unit, (theta,), (jnp.ones_like(theta),))[1]
 
     theta, solved = jax.vmap(lambda x: _root(slope, x, None))(start)
-    solved = exists & solved & (theta >= lower) & (theta <= upper)
+    is_between = (theta >= lower - _SLACK) & (theta <= upper + _SLACK)
+    solved = exists & solved & is_between
     smooth = _wall(loop, jnp.where(solved, theta, angles[at]))
     solved = solved & (smooth[axis] >= best - _TOLERANCE * unit)
     turn = jnp.argmax(jnp.where(solved, smooth[axis], -jnp.inf))

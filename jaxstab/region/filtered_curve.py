@@ -660,7 +660,7 @@ def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) 
         parts=np.array([rounded(part) for part in loop[:3]]),
         at_minus_one=rounded(tuple(part.value for part in loop.at_minus_one)),
         poles=_poles(real_angles, zeros, lines),
-        resonances=_resonances(plant),
+        resonances=resonances_of(plant),
         steep=_real_angles(rounded(product(reduce(product, poles), power(whole))), zeros),
         lines=lines,
         loses_digits=loses_digits,
@@ -828,7 +828,7 @@ def _real_angles(above: Angles, below: Angles) -> Angles:
     return angles[(angles > _ON_CIRCLE) & (angles < np.pi - _ON_CIRCLE)]
 
 
-def _resonances(plant: SampledPlant) -> Float64[np.ndarray, "2 root"]:
+def resonances_of(plant: SampledPlant) -> Float64[np.ndarray, "2 root"]:
     """Return the angles in [0, pi] of zeros and poles of a general device, and how far they are.
 
     Next to 1 they are found in powers of z - 1: those of slow modes differ by less than the
