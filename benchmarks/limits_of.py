@@ -9,6 +9,7 @@ compiling; those of a loop by itself are of a part of the loops, stated as ``poi
 
 from collections.abc import Iterator
 from time import process_time
+from typing import Any
 
 import numpy as np
 
@@ -85,9 +86,9 @@ def _window(rng: np.random.Generator) -> HapticLoop:
 
 def random_loop(rng: np.random.Generator) -> HapticLoop:
     """Return a loop as it may be in a laboratory, with any estimator and delay."""
-    delay = float(rng.choice([rng.integers(0, 31), rng.uniform(0, 30), rng.uniform(0, 4)]))
+    delay = float(rng.choice([float(rng.integers(0, 31)), rng.uniform(0, 30), rng.uniform(0, 4)]))
     mass, damping = float(10 ** rng.uniform(-1.5, 0.5)), float(10 ** rng.uniform(-3, 1))
-    shared = {
+    shared: dict[str, Any] = {
         "sample_time": _PERIOD,
         "delay": delay * _PERIOD,
         "velocity": _estimator(rng),

@@ -42,16 +42,13 @@ def test_walls_just_inside_are_stable_and_just_outside_are_not(
     for index, loop in enumerate(many[:24]):
         balls = FilteredLoop(**loop.slice, velocity=difference(3), position=average(1)).balls()
 
-        def is_stable(stiffness: float, damping: float) -> bool | None:
-            return balls.is_stable(loop.alpha(stiffness), loop.beta(damping))
-
         stiffest, damped = limits.stiffness[index], limits.damping[index]
-        assert is_stable(stiffest * (1 - 1e-8), limits.at_damping[index])
-        assert is_stable(stiffest * (1 + 1e-8), limits.at_damping[index]) is False
         # The most damped wall is a corner, most often: inside of it K is a little larger.
         aside = limits.at_stiffness[index] + 1e-6 * stiffest
-        assert is_stable(aside, damped * (1 - 1e-4))
-        assert is_stable(aside, damped * (1 + 1e-4)) is False
+        walls = [(stiffest * one, limits.at_damping[index]) for one in (1 - 1e-8, 1 + 1e-8)]
+        walls += [(aside, damped * one) for one in (1 - 1e-4, 1 + 1e-4)]
+        stable = [balls.is_stable(loop.alpha(k), loop.beta(b)) for k, b in walls]
+        assert stable == [True, False, True, False]
 
 
 def test_limits_are_those_of_each_loop(
@@ -64,11 +61,13 @@ def test_limits_are_those_of_each_loop(
 
 def test_an_undamped_free_mass_has_the_known_limits() -> None:
     masses = np.linspace(0.1, 2.0, COUNT)
-    shared = {"device_damping": 0.0, "sample_time": PERIOD}
     known = {1: 12.0 - 8.0 * np.sqrt(2.0), 2: 6.0 - 4.0 * np.sqrt(2.0)}
     for samples, alpha in known.items():
         window = Velocity.difference(samples=samples)
-        many = [HapticLoop(device_mass=float(m), velocity=window, **shared) for m in masses]
+        many = [
+            HapticLoop(device_mass=m, device_damping=0.0, sample_time=PERIOD, velocity=window)
+            for m in masses.tolist()
+        ]
         stiffness = limits_of(many).stiffness
         assert stiffness == pytest.approx(alpha * masses / PERIOD**2, rel=1e-9)
 

@@ -6,9 +6,9 @@ samples of delay are formed together, in pairs of float64. What a program does n
 groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from itertools import accumulate
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from jaxstab.region.batch import Triples
 
 _FEWEST = 64  # loops of a kind: a program takes as long to compile as these take one by one
-_AT_ONCE = 256  # loops
+_AT_ONCE = 256  # loops that a program takes
+_FORMED = 1024  # loops whose coefficients are held in memory
 _DEGREES = (5, 9, 13, 17, 25, 33, 49, 65)  # up to which p(z) are filled
 _FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
 _TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
@@ -73,7 +74,7 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
 
     The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
     loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
-    says, and first compiled in about half a minute (``use_compilation_cache`` keeps that). The loops
+    says, and first compiled in about half a minute (``use_compilation_cache`` keeps that). Loops
     that it does not resolve, and those of smaller batches, are answered one by one.
 
     Args:
@@ -100,10 +101,13 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
     many = [_in_floats(loop) for loop in loops]
     alone = np.ones(len(many), bool)
     answers = ManyLimits(
-        *np.full((4, len(many)), np.nan),
-        np.full(len(many), RegionStatus.UNRESOLVED, np.int8),
-        np.zeros(len(many), bool),
-        alone,
+        stiffness=np.full(len(many), np.nan),
+        at_damping=np.full(len(many), np.nan),
+        damping=np.full(len(many), np.nan),
+        at_stiffness=np.full(len(many), np.nan),
+        status=np.full(len(many), RegionStatus.UNRESOLVED, np.int8),
+        is_reachable=np.zeros(len(many), bool),
+        is_single=alone,
     )
     for members, triples in _groups(many):
         for part, indices in lists(np.arange(len(members)), _AT_ONCE):
@@ -126,10 +130,11 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
     return answers
 
 
-def _in_floats(loop: "HapticLoop") -> LoopParameters:
+def _in_floats(loop: Any) -> "HapticLoop":
     if not isinstance(loop, LoopParameters):
         raise TypeError(f"loops has {loop!r}; give a HapticLoop for each.")
-    return loop.in_floats()
+    floats: Any = loop.in_floats()
+    return floats  # type: ignore[no-any-return]
 
 
 def _extremes(triples: "Triples", indices: Indices, count: int) -> Walls:
@@ -150,7 +155,7 @@ class _Formed(NamedTuple):
     roots: Float64[np.ndarray, "loop root 2"]  # next to the circle: angles and distances
 
 
-def _groups(many: list[LoopParameters]) -> Iterator[tuple[Indices, "Triples"]]:
+def _groups(many: "list[HapticLoop]") -> Iterator[tuple[Indices, "Triples"]]:
     """Yield loops that are filled up to one degree, and their triples.
 
     Loops that are too few to compile for are filled up to the next degree.
@@ -160,39 +165,49 @@ def _groups(many: list[LoopParameters]) -> Iterator[tuple[Indices, "Triples"]]:
     waiting: list[_Formed] = []
     for degree in _DEGREES:
         waiting += [one for one, own in zip(formed, least, strict=True) if own == degree]
-        members = [number for one in waiting for number in one.members.tolist()]
-        if len(members) >= _FEWEST:
-            yield np.array(members), _triples(waiting, degree)
-            waiting = []
+        if sum(len(one.members) for one in waiting) < _FEWEST:
+            continue
+        while waiting:
+            part, count = [], 0
+            while waiting and count < _FORMED:
+                part.append(waiting.pop())
+                count += len(part[-1].members)
+            yield np.concatenate([one.members for one in part]), _triples(part, degree)
 
 
-def _formed(many: list[LoopParameters]) -> Iterator[_Formed | None]:
-    """Yield loops that differ in mass, damping, stiffness and fraction of the delay alone."""
-    slices = [None if loop.body is None else loop.slice for loop in many]
-    kinds = []
-    for loop, plant in zip(many, slices, strict=True):
-        if plant is None:
-            kinds.append(loop)
-        else:
-            whole, fraction = divmod(plant["delay"], 1.0)
-            kinds.append((int(whole), fraction == 0.0, *loop.filters.values()))
-    for members in alike(kinds):
+def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
+    """Yield loops that differ in mass, damping, stiffness and fraction of the delay alone.
+
+    Those whose filters float64 does not resolve are left out.
+    """
+    groups = alike(map(_kind, many))
+    parts = (group[k : k + _FORMED] for group in groups for k in range(0, len(group), _FORMED))
+    for members in parts:
         first = many[members[0]]
         sampled = first.sampled
         if sampled is not None:
             transfers = sampled.transfers(given_filters(first.velocity, first.position))
-            loop, roots = first.linear, resonances_of(sampled.plant).T[None]
+            linear, roots = first.linear, resonances_of(sampled.plant).T[None]
         else:
-            whole, is_whole, *filters = kinds[members[0]]
-            chain = given_filters(*filters) or (Velocity(), Filter())
-            transfers = chain[0].filter.transfer(), chain[1].transfer()
-            plants = np.array([list(slices[number].values()) for number in members]).T
-            fraction = 0.0 if is_whole else plants[2] - whole
-            loop = filtered_loop(plants[0], plants[1], whole, fraction, chain)
-            roots = _resonances(plants[0], plants[1])
+            velocity, position = given_filters(**first.filters) or (Velocity(), Filter())
+            transfers = velocity.filter.transfer(), position.transfer()
+            plants = [many[number].slice.values() for number in members]
+            gamma, delta, delay = np.array([list(plant) for plant in plants]).T
+            whole = int(delay[0])
+            fraction = 0.0 if delay[0] == whole else delay - whole
+            linear = filtered_loop(gamma, delta, whole, fraction, (velocity, position))
+            roots = _resonances(gamma, delta)
         known = of_filters(*transfers)
         if not known.loses_digits:
-            yield _Formed(np.array(members), loop, np.sort(known.real_angles), roots)
+            yield _Formed(np.array(members), linear, np.sort(known.real_angles), roots)
+
+
+def _kind(loop: "HapticLoop") -> Hashable:
+    """Return what loops have in common that are formed together: a general device is by itself."""
+    if loop.sampled is not None:
+        return loop
+    delay = loop.delay_samples
+    return int(delay), delay % 1.0 == 0.0, *loop.filters.values()
 
 
 def _resonances(gamma: Column, delta: Column) -> Float64[np.ndarray, "loop 1 2"]:

@@ -36,10 +36,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jax import Array, lax
+from jax import lax
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import repeat
+from jaxstab.arrays import Array, repeat
 from jaxstab.region.corners import Branch
 from jaxstab.rounding import UNIT
 
@@ -98,7 +98,7 @@ class _Ends(NamedTuple):
     """The ends of pieces: row 0 at the smaller angle, row 1 at the larger one."""
 
     exists: Array  # (piece,)
-    index: Array  # (2, piece) of the scan's angle next to it
+    next_to: Array  # (2, piece) number of the scan's angle next to it
     theta: Array  # (2, piece)
     branch: Array  # (2, piece)
     width: Array  # (2, piece) of the bracket
@@ -109,7 +109,8 @@ class _Ends(NamedTuple):
 def extremes(triples: Triples) -> Extremes:
     """Return the extreme walls of the components that hold small gains."""
     scans = lax.map(_scan, triples)
-    return lax.map(lambda both: _extremes(*both), (triples, scans), batch_size=_REFINED)
+    found: Extremes = lax.map(lambda one: _extremes(*one), (triples, scans), batch_size=_REFINED)
+    return found
 
 
 # ------------------------------------------------------------------------ the curve and its roots
@@ -249,7 +250,7 @@ def _ends_of(loop: Triples, scan: _Scan) -> tuple[_Ends, Array]:
     at_limit = jnp.array([[Branch.Z_PLUS_ONE], [Branch.Z_MINUS_ONE]])
     return _Ends(
         exists=exists,
-        index=index,
+        next_to=index,
         theta=0.5 * (inner + outer),
         branch=jnp.where(pinned, at_limit, met),
         width=abs(outer - inner),
@@ -268,7 +269,7 @@ class _Corners(NamedTuple):
     following: Array  # piece that begins nearest to the end of each
     is_solved: Array  # (piece,)
     is_lower: Array  # (2, piece) whether the end is the piece's smallest angle
-    index: Array
+    next_to: Array
 
 
 def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corners:
@@ -279,7 +280,7 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
         return jnp.where(forward, rows, rows[::-1])
 
     theta, branch, width, pinned, index = map(
-        turned, (ends.theta, ends.branch, ends.width, ends.pinned, ends.index)
+        turned, (ends.theta, ends.branch, ends.width, ends.pinned, ends.next_to)
     )
     rough = _wall(loop, theta) / size[:, None, None]
     is_open = ends.exists & (branch == Branch.CURVE)
@@ -319,14 +320,14 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
         following=following,
         is_solved=jnp.all(is_solved, axis=0) & closes,
         is_lower=turned(jnp.array([[True], [False]]) & ends.exists),
-        index=index,
+        next_to=index,
     )
 
 
 def _root(function: Any, start: Array, known: Any) -> tuple[Array, Array]:
     """Return a root, and whether Newton's method converged to it."""
-    solver = optx.Newton(rtol=_TOLERANCE, atol=_TOLERANCE)
-    found = optx.root_find(
+    solver: Any = optx.Newton(rtol=_TOLERANCE, atol=_TOLERANCE)
+    found: Any = optx.root_find(
         function, solver, start, args=known, max_steps=_NEWTON_STEPS, throw=False
     )
     return found.value, found.result == optx.RESULTS.successful
@@ -397,12 +398,12 @@ def _are_around(
     piece = jnp.cumsum(scan.passes & ~jnp.append(False, scan.passes[:-1])) - 1
     labels = label[jnp.minimum(piece, SLOTS - 1)]
     is_edge = scan.passes[:-1] & scan.passes[1:]
-    next_to = scan.walls[:, corners.index]  # (2, row, piece)
+    beside = scan.walls[:, corners.next_to]  # (2, row, piece)
     first = corners.walls[:, 0][:, links.successor]
     last = corners.walls[:, 1]
     middle = jnp.where(links.via, links.crossing[:, None], first)
-    here = [scan.walls[:, :-1], corners.walls[:, 0], next_to[:, 1], last, middle]
-    there = [scan.walls[:, 1:], next_to[:, 0], last, middle, first]
+    here = [scan.walls[:, :-1], corners.walls[:, 0], beside[:, 1], last, middle]
+    there = [scan.walls[:, 1:], beside[:, 0], last, middle, first]
     exist = jnp.concatenate([is_edge, *[corners.exists] * 4])
     of_loop = jnp.concatenate([labels[:-1], *[label] * 4])
     (x0, y0), (x1, y1) = jnp.concatenate(here, axis=1), jnp.concatenate(there, axis=1)
@@ -421,7 +422,7 @@ def _extremes(loop: Triples, scan: _Scan) -> Extremes:
     size = jnp.max(jnp.where(on, abs(scan.walls), 0.0), axis=1)
     size = jnp.where(size > 0.0, size, 1.0)
     ends, fits = _ends_of(loop, scan)
-    sense = scan.sense[ends.index]
+    sense = scan.sense[ends.next_to]
     corners = _corners_of(loop, ends, sense[0], size)
     links = _linked(loop, corners)
     label = _loops(links.successor)
@@ -466,15 +467,15 @@ def _largest(
     in_main, of_main = members
     values, at_corners, unit = scan.walls[axis], corners.walls[axis], size[axis]
     count, angles = len(values), loop.angles
-    next_angle = angles[corners.index]
+    next_angle = angles[corners.next_to]
     # The largest values of the scan between their neighbours. The curve between a corner and the
     # nearest angle of the scan may turn, too.
     on_pieces = jnp.where(in_main, values, -jnp.inf)
     before, after = jnp.append(-jnp.inf, on_pieces[:-1]), jnp.append(on_pieces[1:], -jnp.inf)
-    next_value = values[corners.index]
+    next_value = values[corners.next_to]
     is_beside = of_main & (at_corners >= next_value)
     is_less = jnp.any(
-        (corners.index[..., None] == jnp.arange(count)) & is_beside[..., None], axis=(0, 1)
+        (corners.next_to[..., None] == jnp.arange(count)) & is_beside[..., None], axis=(0, 1)
     )
     tops = (on_pieces >= before) & (on_pieces >= after) & ~is_less
     rises = corners.slopes[axis] * jnp.array([[1.0], [-1.0]]) > 0.0
@@ -488,13 +489,13 @@ def _largest(
         chosen.append((number, scores[number]))
         scores = scores.at[number].set(-jnp.inf)
     *numbers, _ = (number for number, _ in chosen)
-    *best, rest = (score for _, score in chosen)
-    number, best = jnp.stack(numbers), jnp.stack(best)
+    *scores_of, rest = (score for _, score in chosen)
+    number, best = jnp.stack(numbers), jnp.stack(scores_of)
     exists = jnp.isfinite(best)
 
     bulge = jnp.clip(number - count, 0, 2 * SLOTS - 1)
-    at = jnp.where(number < count, number, corners.index.ravel()[bulge])
-    is_near = of_main & (corners.index == at[:, None, None])
+    at = jnp.where(number < count, number, corners.next_to.ravel()[bulge])
+    is_near = of_main & (corners.next_to == at[:, None, None])
     low = jnp.where(is_near & corners.is_lower, corners.theta, -jnp.inf)
     high = jnp.where(is_near & ~corners.is_lower, corners.theta, jnp.inf)
     lower = jnp.maximum(jnp.max(low, axis=(1, 2)), angles[jnp.maximum(at - 1, 0)])
