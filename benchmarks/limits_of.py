@@ -26,9 +26,9 @@ _WINDOWS = (1, 2, 3, 5, 8, 10, 15, 20)
 _PERIOD = 1e-3
 
 
-def rows(small: bool, points: int = LOOPS) -> Iterator[Row]:
+def rows(small: bool, points: int | None = None) -> Iterator[Row]:
     rng = np.random.default_rng(33)
-    count = 128 if small else points
+    count = 128 if small else points or LOOPS
     yield from _rows("window of 20 samples, delay of 3", [_window(rng) for _ in range(count)])
     if not small:
         yield from _rows("random loops", [random_loop(rng) for _ in range(count)])

@@ -48,7 +48,7 @@ _REFINED = 32  # loops at once: what they need stays in the cache
 _CLEAR = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
 _LOWERED = 8  # steps of the recursion between which its arrays get shorter
 _HALVINGS = 8  # of the brackets of ends
-_NEWTON_STEPS = 6
+_NEWTON_STEPS = 16
 _TOLERANCE = 1e-10  # of Newton's steps, in radians
 _SLACK = 1e-6  # of angles beside their brackets
 _CANDIDATES = 3  # places where the curve turns that are refined
@@ -506,6 +506,7 @@ def _largest(
     ends = _wall(loop, jnp.stack([lower, upper]))[axis]
     start = _vertex(jnp.stack([lower, angles[at], upper]), values[at], ends)
     start = jnp.where(number < count, start, 0.5 * (lower + upper))
+    start = jnp.where(exists, start, start[0])  # all wait for the slowest
 
     def slope(theta: Array, _: None) -> Array:
         return jax.jvp(lambda x: _wall(loop, x)[axis] / unit, (theta,), (jnp.ones_like(theta),))[1]
