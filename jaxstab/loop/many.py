@@ -134,7 +134,7 @@ def _in_floats(loop: Any) -> "HapticLoop":
     if not isinstance(loop, LoopParameters):
         raise TypeError(f"loops has {loop!r}; give a HapticLoop for each.")
     floats: Any = loop.in_floats()
-    return floats  # type: ignore[no-any-return]
+    return floats
 
 
 def _extremes(triples: "Triples", indices: Indices, count: int) -> Walls:

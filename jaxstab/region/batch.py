@@ -172,7 +172,8 @@ def _are_inside(loop: Triples, walls: Array, total: Array, product: float, remov
     Args:
         loop: one loop.
         walls: alpha and beta (2, wall).
-        total, product: of the divisor z^2 - total z + product.
+        total: sum of these two.
+        product: of them; the divisor is z^2 - total z + product.
         removed: 2, or 0 if p is not divided at all.
     """
 
