@@ -96,7 +96,7 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
         ...     for mass in (0.1, 0.2)
         ... ]
         >>> jaxstab.limits_of(loops).stiffness.round().tolist()
-        [68766.0, 137395.0]
+        [68763.0, 137392.0]
     """
     many = [_in_floats(loop) for loop in loops]
     alone = np.ones(len(many), bool)
