@@ -41,16 +41,17 @@ def main() -> int:
     parser.add_argument(
         "name",
         nargs="?",
-        choices=[*BENCHMARKS, "golden", "lemmas", "papers", "plot", "table"],
+        choices=[*BENCHMARKS, "golden", "lemmas", "limits_of", "papers", "plot", "table"],
         help="what to measure, or plot: draw all records and put their table into the pages, "
         "or table: print that table, or golden: compare answers with those recorded, bit by bit, "
-        "or lemmas: check the lemmas that proofs rest on, or papers: compare published numbers; "
+        "or lemmas: check the lemmas that proofs rest on, or limits_of: print the limits of many "
+        "loops beside single ones, or papers: compare published numbers; "
         "without a name all benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
     parser.add_argument("--record", action="store_true", help="golden: record, do not compare")
     parser.add_argument("--billion", action="store_true", help="scaling goes on to 1e9 points")
-    parser.add_argument("--points", type=int, help="how many loops stress judges, or loops")
+    parser.add_argument("--points", type=int, help="how many loops stress judges, or others")
     parser.add_argument(
         "--out", type=Path, default=record.RESULTS, help="folder of the records and plots"
     )
@@ -66,6 +67,9 @@ def main() -> int:
         return golden.take(path) if choice.record else golden.compare(choice.small, path)
     if choice.name == "lemmas":
         return import_module("benchmarks.lemmas").main(choice.small)
+    if choice.name == "limits_of":
+        rows = import_module("benchmarks.limits_of").rows(choice.small, choice.points)
+        return max(int(row["error"] > 0.0) for row in record.shown(rows))
     if choice.name == "table":
         print(table.markdown(record.read_all(folder)))
         return 0

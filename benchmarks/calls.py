@@ -76,6 +76,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.robust_limit": ["loop", "hands"],
     "tune_for_all": ["loops"],
     "common_region": ["loops"],
+    "limits_of": ["loops"],
 }
 
 

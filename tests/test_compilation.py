@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # No JAX array can be given to them: they take names, numbers, a HapticLoop and a HandRange.
 WITHOUT_ARRAYS = {
     "common_region",
+    "limits_of",
     "tune_for_all",
     "trace_boundary",
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),

@@ -636,36 +636,40 @@ class _OfFilters(NamedTuple):
     real_angles: Angles  # of V
     lost: float
 
+    @property
+    def loses_digits(self) -> bool:
+        """Whether float64 does not tell the poles of the filters apart."""
+        return self.lost > _MOST_LOST
+
 
 @lru_cache(_REMEMBERED)
 def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> FilteredCurve:
     """Return the curve of a plant, with T V(z) less its factor (1 - 1/z), and with P(z)."""
     whole = plant.lag + position.lag
-    of_filters = _of_filters(velocity, position)
+    known = of_filters(velocity, position)
     above, below = _plants_around(plant)
-    loop = loop_of(plant, of_filters.of_loop)
-    real_angles, lost = of_filters.real_angles, of_filters.lost
-    loses_digits = lost > _MOST_LOST
+    loop = loop_of(plant, known.of_loop)
+    real_angles, loses_digits = known.real_angles, known.loses_digits
     lines = () if loses_digits else pole_lines(loop[:3], real_angles)
     zeros = rounded(product(plant.numerator, position.numerator))
     poles = plant.denominator, position.denominator
     return FilteredCurve(
-        plus=_half(*above, of_filters.plus, sign=1.0, is_plus=True),
-        minus=_half(*below, of_filters.minus, sign=float((-1) ** whole), is_plus=False),
+        plus=_half(*above, known.plus, sign=1.0, is_plus=True),
+        minus=_half(*below, known.minus, sign=float((-1) ** whole), is_plus=False),
         lag=float(whole),
         parts=np.array([rounded(part) for part in loop[:3]]),
         at_minus_one=rounded(tuple(part.value for part in loop.at_minus_one)),
         poles=_poles(real_angles, zeros, lines),
-        resonances=_resonances(plant),
+        resonances=resonances_of(plant),
         steep=_real_angles(rounded(product(reduce(product, poles), power(whole))), zeros),
         lines=lines,
         loses_digits=loses_digits,
-        may_lose_some=lost > _SOME_LOST or plant.shifted is not None,
+        may_lose_some=known.lost > _SOME_LOST or plant.shifted is not None,
     )
 
 
 @lru_cache(_REMEMBERED)
-def _of_filters(velocity: Transfer, position: Transfer) -> _OfFilters:
+def of_filters(velocity: Transfer, position: Transfer) -> _OfFilters:
     """Return what two filters make of the curve.
 
     Raises:
@@ -726,7 +730,7 @@ def _half(d: Around, n: Around, filters: _HalfOfFilters, *, sign: float, is_plus
 def loop_of_system(system: System) -> LinearLoop:
     """Return the same loop as three polynomials."""
     plant, velocity, position = system
-    return loop_of(plant, _of_filters(velocity, position).of_loop)
+    return loop_of(plant, of_filters(velocity, position).of_loop)
 
 
 def _lost_digits(denominators: Sequence[Polynomial]) -> float:
@@ -824,7 +828,7 @@ def _real_angles(above: Angles, below: Angles) -> Angles:
     return angles[(angles > _ON_CIRCLE) & (angles < np.pi - _ON_CIRCLE)]
 
 
-def _resonances(plant: SampledPlant) -> Float64[np.ndarray, "2 root"]:
+def resonances_of(plant: SampledPlant) -> Float64[np.ndarray, "2 root"]:
     """Return the angles in [0, pi] of zeros and poles of a general device, and how far they are.
 
     Next to 1 they are found in powers of z - 1: those of slow modes differ by less than the

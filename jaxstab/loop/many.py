@@ -1,0 +1,303 @@
+"""Limits of many loops: batches on JAX, and one by one what these leave open.
+
+The loops are grouped by the degree of p(z), filled up to one of few degrees, so that few programs
+are compiled (``jaxstab.region.batch``). Loops of one mass with the same estimator, filter and whole
+samples of delay are formed together, in pairs of float64. What a program does not resolve, and
+groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
+"""
+
+from collections.abc import Hashable, Iterator, Sequence
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8, Int64
+
+from jaxstab.arrays import tree_map
+from jaxstab.batches import alike, in_float64, lists
+from jaxstab.model import LoopParameters
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.linear_loop import LinearLoop, filtered_loop
+from jaxstab.region import RegionStatus
+from jaxstab.region.filtered_curve import Angles, of_filters, resonances_of
+
+if TYPE_CHECKING:
+    from jaxstab.loop.loop import HapticLoop
+    from jaxstab.region.batch import Triples
+
+_FEWEST = 64  # loops of a kind: a program takes as long to compile as these take one by one
+_AT_ONCE = 256  # loops that a program takes
+_FORMED = 1024  # loops whose coefficients are held in memory
+_DEGREES = (5, 9, 13, 17, 25, 33, 49, 65)  # up to which p(z) are filled
+_FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
+_TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
+
+_MIRRORED = 0.97  # angles beyond an end, so that none is there twice
+_NARROWEST, _NO_RESONANCE = 1e-6, 0.05  # distances from the circle
+_STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
+
+Column = Float64[np.ndarray, " loop"]
+Indices = Int64[np.ndarray, " _"]
+Walls = Float64[np.ndarray, "loop 2 2"]
+
+
+class ManyLimits(NamedTuple):
+    """The stiffest and the most damped stable wall of each loop; arrays of one length.
+
+    Attributes:
+        stiffness: the largest stable K in N/m, as in ``WallLimits``; NaN where no wall is stable.
+        at_damping: the B in N s/m at which it is reached.
+        damping: the largest stable B in N s/m.
+        at_stiffness: the K in N/m at which it is reached.
+        status: codes of ``RegionStatus``.
+        is_reachable: whether the walls are reached by turning gains up from 0.
+        is_single: which loops were answered one by one, by ``HapticLoop.limits``.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> jaxstab.limits_of([loop]).stiffness.round().tolist()
+        [70643.0]
+    """
+
+    stiffness: Column
+    at_damping: Column
+    damping: Column
+    at_stiffness: Column
+    status: Int8[np.ndarray, " loop"]
+    is_reachable: Bool[np.ndarray, " loop"]
+    is_single: Bool[np.ndarray, " loop"]
+
+
+def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
+    """Return the largest stiffness and the largest damping that each of many loops allows.
+
+    The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
+    loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
+    says, and first compiled in about half a minute (``use_compilation_cache`` keeps that). Loops
+    that it does not resolve, and those of smaller batches, are answered one by one.
+
+    Args:
+        loops: any number of loops of concrete numbers, of any estimators, filters, devices and
+            delays. Batches of loops with the same estimator and filter are the fastest.
+
+    Returns:
+        ManyLimits of NumPy arrays in the order of the loops.
+
+    Raises:
+        TypeError: an item is no HapticLoop, or JAX traces it.
+        ValueError: as ``HapticLoop.region``, for any of the loops.
+
+    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+
+    Example:
+        >>> loops = [
+        ...     jaxstab.HapticLoop(device_mass=mass, device_damping=0.1, sample_time=1e-3)
+        ...     for mass in (0.1, 0.2)
+        ... ]
+        >>> jaxstab.limits_of(loops).stiffness.round().tolist()
+        [68763.0, 137392.0]
+    """
+    many = [_in_floats(loop) for loop in loops]
+    alone = np.ones(len(many), bool)
+    answers = ManyLimits(
+        stiffness=np.full(len(many), np.nan),
+        at_damping=np.full(len(many), np.nan),
+        damping=np.full(len(many), np.nan),
+        at_stiffness=np.full(len(many), np.nan),
+        status=np.full(len(many), RegionStatus.UNRESOLVED, np.int8),
+        is_reachable=np.zeros(len(many), bool),
+        is_single=alone,
+    )
+    for members, triples in _groups(many):
+        for part, indices in lists(np.arange(len(members)), _AT_ONCE):
+            of_part = members[part]
+            walls = _extremes(triples, indices, len(part))
+            resolved = np.isfinite(walls[:, 0, 0])
+            for number, wall in zip(of_part[resolved].tolist(), walls[resolved], strict=True):
+                loop = many[number]
+                answers.stiffness[number] = loop.stiffness(wall[0, 0])
+                answers.at_damping[number] = loop.damping(wall[0, 1])
+                answers.damping[number] = loop.damping(wall[1, 1])
+                answers.at_stiffness[number] = loop.stiffness(wall[1, 0])
+            done = of_part[resolved]
+            alone[done], answers.is_reachable[done] = False, True
+            answers.status[done] = RegionStatus.COMPLETE
+    for number in np.flatnonzero(alone).tolist():
+        limits = many[number].limits()
+        for column, value in zip(answers, limits[:6], strict=False):
+            column[number] = value
+    return answers
+
+
+def _in_floats(loop: Any) -> "HapticLoop":
+    if not isinstance(loop, LoopParameters):
+        raise TypeError(f"loops has {loop!r}; give a HapticLoop for each.")
+    floats: Any = loop.in_floats()
+    return floats
+
+
+def _extremes(triples: "Triples", indices: Indices, count: int) -> Walls:
+    """Return the extreme walls of some loops, NaN where they are not resolved."""
+    from jaxstab.region import batch
+
+    given = tree_map(lambda column: column[indices], triples)
+    walls, failures = in_float64(batch.extremes, given)
+    return np.where(failures[:, None, None] == 0, walls, np.nan)[:count]
+
+
+class _Formed(NamedTuple):
+    """Loops that are formed together."""
+
+    members: Indices
+    loop: LinearLoop  # of numbers or arrays
+    poles: Angles  # where the curve goes to infinity
+    roots: Float64[np.ndarray, "loop root 2"]  # next to the circle: angles and distances
+
+
+def _groups(many: "list[HapticLoop]") -> Iterator[tuple[Indices, "Triples"]]:
+    """Yield loops that are filled up to one degree, and their triples.
+
+    Loops that are too few to compile for are filled up to the next degree.
+    """
+    formed = list(_formed(many))
+    least = [_filled_degree(one) for one in formed]
+    waiting: list[_Formed] = []
+    for degree in _DEGREES:
+        waiting += [one for one, own in zip(formed, least, strict=True) if own == degree]
+        if sum(len(one.members) for one in waiting) < _FEWEST:
+            continue
+        while waiting:
+            part, count = [], 0
+            while waiting and count < _FORMED:
+                part.append(waiting.pop())
+                count += len(part[-1].members)
+            yield np.concatenate([one.members for one in part]), _triples(part, degree)
+
+
+def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
+    """Yield loops that differ in mass, damping, stiffness and fraction of the delay alone.
+
+    Those whose filters float64 does not resolve are left out.
+    """
+    groups = alike(map(_kind, many))
+    parts = (group[k : k + _FORMED] for group in groups for k in range(0, len(group), _FORMED))
+    for members in parts:
+        first = many[members[0]]
+        sampled = first.sampled
+        if sampled is not None:
+            transfers = sampled.transfers(given_filters(first.velocity, first.position))
+            linear, roots = first.linear, resonances_of(sampled.plant).T[None]
+        else:
+            velocity, position = given_filters(**first.filters) or (Velocity(), Filter())
+            transfers = velocity.filter.transfer(), position.transfer()
+            plants = [many[number].slice.values() for number in members]
+            gamma, delta, delay = np.array([list(plant) for plant in plants]).T
+            whole = int(delay[0])
+            fraction = 0.0 if delay[0] == whole else delay - whole
+            linear = filtered_loop(gamma, delta, whole, fraction, (velocity, position))
+            roots = _resonances(gamma, delta)
+        known = of_filters(*transfers)
+        if not known.loses_digits:
+            yield _Formed(np.array(members), linear, np.sort(known.real_angles), roots)
+
+
+def _kind(loop: "HapticLoop") -> Hashable:
+    """Return what loops have in common that are formed together: a general device is by itself."""
+    if loop.sampled is not None:
+        return loop
+    delay = loop.delay_samples
+    return int(delay), delay % 1.0 == 0.0, *loop.filters.values()
+
+
+def _resonances(gamma: Column, delta: Column) -> Float64[np.ndarray, "loop 1 2"]:
+    """Return angle and distance from the circle of the poles of masses on springs."""
+    angle = np.sqrt(np.maximum(gamma - 0.25 * delta**2, 0.0))
+    width = np.where(angle > 0.0, np.maximum(0.5 * delta, _NARROWEST), _NO_RESONANCE)
+    return np.stack([angle, width], axis=1)[:, None]
+
+
+def _filled_degree(formed: _Formed) -> int | None:
+    """Return the degree up to which p(z) is filled; None where that or its poles are too many."""
+    enough = (degree for degree in _DEGREES if degree >= formed.loop.degree)
+    poles, roots = len(formed.poles), formed.roots.shape[1]
+    return next((degree for degree in enough if poles + roots <= degree + 2), None)
+
+
+def _triples(formed: list[_Formed], degree: int) -> "Triples":
+    from jaxstab.region.batch import Triples
+
+    straight = _joined([_parts(one, degree) for one in formed])
+    ends = np.concatenate([_ends(one) for one in formed])
+    scans = [_scans(one, degree) for one in formed]
+    shifted, rounded = _shifted(straight).rounded(), straight.rounded()
+    powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
+    is_less = abs(shifted) @ powers < np.sum(abs(rounded), axis=-1)[..., None]
+    close = np.max(np.where(is_less, _STEPS, 0.0), axis=-1)
+    return Triples(rounded, shifted, close, ends, np.concatenate(scans))
+
+
+def _parts(formed: _Formed, degree: int) -> DoubleDouble:
+    """Return the coefficients (loop, part, power) of p(z) times a power of z."""
+    shape = (len(formed.members),)
+    missing = [DoubleDouble(np.zeros(shape), np.zeros(shape))] * (degree - formed.loop.degree)
+    columns = [
+        [DoubleDouble(*np.broadcast_arrays(c.hi, c.lo, np.zeros(shape))[:2]) for c in part]
+        + missing
+        for part in formed.loop[:3]
+    ]
+    high, low = (
+        np.array([[getattr(c, name) for c in part] for part in columns]) for name in ("hi", "lo")
+    )
+    return DoubleDouble(np.moveaxis(high, 2, 0), np.moveaxis(low, 2, 0))
+
+
+def _joined(parts: list[DoubleDouble]) -> DoubleDouble:
+    return DoubleDouble(
+        np.concatenate([part.hi for part in parts]), np.concatenate([part.lo for part in parts])
+    )
+
+
+def _ends(formed: _Formed) -> Float64[np.ndarray, "loop 2 3"]:
+    shape = (len(formed.members),)
+    values = [
+        [np.broadcast_to(part.value.rounded(), shape) for part in end]
+        for end in (formed.loop.at_one, formed.loop.at_minus_one)
+    ]
+    return np.moveaxis(np.array(values), 2, 0)
+
+
+def _shifted(falling: DoubleDouble) -> DoubleDouble:
+    """Return the coefficients in powers of z - 1, by one division after the other."""
+    columns = [
+        DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in range(falling.hi.shape[-1])
+    ]
+    rest, shifted = columns, []
+    while rest:
+        *rest, value = accumulate(rest, DoubleDouble.__add__)
+        shifted.append(value)
+    return DoubleDouble(
+        np.stack([c.hi for c in shifted[::-1]], axis=-1),
+        np.stack([c.lo for c in shifted[::-1]], axis=-1),
+    )
+
+
+def _scans(formed: _Formed, degree: int) -> Float64[np.ndarray, "loop angle"]:
+    """Return the angles of the scans: even steps, finer to both ends, to poles and resonances."""
+    roots, count = formed.roots.shape[1], 2 * _TO_ENDS + 24 + (8 + 2 * _TO_POLES) * degree
+    even_count = (
+        count - 2 * _TO_ENDS - len(formed.poles) * (2 * _TO_POLES + 1) - roots * 2 * _TO_ROOTS
+    )
+    step = np.pi / even_count
+    even = step * (np.arange(even_count) + 0.5)
+    to_end = np.geomspace(_FIRST, even[0], _TO_ENDS, endpoint=False)
+    to_pole = np.geomspace(_CLOSEST, step, _TO_POLES)
+    near = formed.poles[:, None] + np.concatenate([-to_pole, [0.0], to_pole])
+    shared = np.concatenate([to_end, even, np.pi - to_end, near.ravel()])
+    angle, width = np.moveaxis(formed.roots, 2, 0)[..., None]
+    growth = np.linspace(-1.0, 1.0, 2 * _TO_ROOTS)
+    farthest = np.maximum(np.arcsinh(np.maximum(angle, 2.0 * step) / width), 1.0)
+    around = angle + width * np.sinh(farthest * growth)
+    mirrored = np.pi - abs(np.pi - np.where(around < 0.0, -_MIRRORED * around, around))
+    own = np.clip(mirrored, 2.0 * _FIRST, np.pi - 2.0 * _FIRST).reshape(len(angle), -1)
+    return np.sort(np.concatenate([np.tile(shared, (len(own), 1)), own], axis=1))

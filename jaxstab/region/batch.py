@@ -1,0 +1,588 @@
+"""Limits of many loops at once, in one program of JAX: any plant, estimator, filter and delay.
+
+A loop is its triple: p(z) = base + alpha stiffness + beta damping. All triples of a batch have one
+degree: p(z) times a power of z has more roots at 0, and the same stable set. On the unit circle
+p = 0 gives the curve, by Cramer's rule,
+
+    alpha = Im(conj(R) base) / det,     beta = -Im(conj(S) base) / det,     det = Im(conj(S) R).
+
+Where det = 0 the curve goes to infinity: these *poles* follow from the estimator alone, so that all
+branches are known before the scan. The program, for each loop:
+
+1. *Scan.* At each angle p is divided by the pair on the circle, z^2 - 2 cos(th) z + 1, and the
+   recursion of Schur and Cohn tells whether all other roots are inside: there the curve bounds the
+   stable set (lemma G1 of docs/proofs.md). Neighbouring angles that pass are one piece.
+2. *Ends.* A piece ends where another root reaches the circle: z = 1 or z = -1, where the margin
+   p(1) or p(-1) changes its sign, or else another pair, at a corner with another piece. Bisection
+   brackets the end, Newton's method solves for the corner.
+3. *Loops.* Seen in the direction in which the stable set is on the left, each piece is followed by
+   the one that begins where it ends, or by the next one along the line of a real root, or around
+   the crossing of both lines. Each piece must follow exactly one.
+4. *Component.* A wall with small gains is enclosed by one of the loops: that is the component of
+   walls that are reached by turning gains up from 0.
+5. *Extremes.* The largest alpha and beta of its closure are at corners, or where the curve turns:
+   the best angles of the scan are refined by Newton's method.
+
+Each step has a test, and a loop that fails one of them is UNRESOLVED: pieces that do not join, more
+of them than there is room for, no or several loops around small gains, extremes that do not
+converge, whose rounding errors are large, or beside which stable and unstable walls are not where
+they should be. What no test notices is a component that is cut in two, or dented, between two
+angles of the scan. Small angles are evaluated in powers of z - 1, as elsewhere (``exact``).
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jax import lax
+from jaxtyping import Bool, Float64
+
+from jaxstab.arrays import Array, repeat
+from jaxstab.region.corners import Branch
+from jaxstab.rounding import UNIT
+
+SLOTS = 6  # pieces of one loop
+_REFINED = 32  # loops at once: what they need stays in the cache
+_CLEAR = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
+_LOWERED = 8  # steps of the recursion between which its arrays get shorter
+_HALVINGS = 8  # of the brackets of ends
+_NEWTON_STEPS = 16
+_TOLERANCE = 1e-10  # of Newton's steps, in radians
+_SLACK = 1e-6  # of angles beside their brackets
+_CANDIDATES = 3  # places where the curve turns that are refined
+_LOWER = 5e-3  # beside the largest value: how much less the others have to be
+_LOST = 1e-10  # of an extreme, by rounding
+_PARALLEL = 1e-3  # the sine of the angle at a corner
+_ASIDE = 1e-6  # of the component's size: where walls beside the extremes are tested
+_SMALL = jnp.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # gains, beside the size of the stable set
+_RATIOS = jnp.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
+
+
+class Triples(NamedTuple):
+    """Loops of one degree, by their coefficients; the first axis is that of the loops.
+
+    Attributes:
+        straight: base, stiffness and damping in powers of z, the highest one first.
+        shifted: the same in powers of z - 1.
+        close: where abs(z - 1) is less, powers of z - 1 have the smaller terms; for each part.
+        ends: the same three parts of p(1) and of (-1)^n p(-1), up to positive factors.
+        angles: of the scan, ascending in (0, pi); the poles are among them.
+    """
+
+    straight: Float64[Array, "*loop 3 coefficient"]
+    shifted: Float64[Array, "*loop 3 coefficient"]
+    close: Float64[Array, "*loop 3"]
+    ends: Float64[Array, "*loop 2 3"]
+    angles: Float64[Array, "*loop angle"]
+
+
+class Extremes(NamedTuple):
+    """The walls (alpha, beta) of the largest alpha and of the largest beta, and what is known.
+
+    ``failures`` has a bit for each test of the module's text that failed; 0 is resolved.
+    """
+
+    walls: Float64[Array, "*loop 2 2"]
+    failures: Array
+
+
+class _Scan(NamedTuple):
+    passes: Bool[Array, " angle"]
+    walls: Float64[Array, "2 angle"]
+    sense: Float64[Array, " angle"]
+
+
+class _Ends(NamedTuple):
+    """The ends of pieces: row 0 at the smaller angle, row 1 at the larger one."""
+
+    exists: Array  # (piece,)
+    next_to: Array  # (2, piece) number of the scan's angle next to it
+    theta: Array  # (2, piece)
+    branch: Array  # (2, piece)
+    width: Array  # (2, piece) of the bracket
+    pinned: Array  # (2, piece)
+
+
+@jax.jit
+def extremes(triples: Triples) -> Extremes:
+    """Return the extreme walls of the components that hold small gains."""
+    scans = lax.map(_scan, triples)
+    found: Extremes = lax.map(lambda one: _extremes(*one), (triples, scans), batch_size=_REFINED)
+    return found
+
+
+# ------------------------------------------------------------------------ the curve and its roots
+def _curve(loop: Triples, theta: Array) -> tuple[Array, Array]:
+    """Return alpha and beta (2, angle), and det, at angles of any shape."""
+    (base, stiffness, damping) = _values(loop, theta)
+    det = _cross(stiffness, damping)
+    walls = jnp.stack([_cross(damping, base), -_cross(stiffness, base)]) / det
+    return walls, det
+
+
+def _wall(loop: Triples, theta: Array) -> Array:
+    return _curve(loop, theta)[0]
+
+
+def _cross(one: tuple[Array, Array], other: tuple[Array, Array]) -> Array:
+    """Return the imaginary part of other times the conjugate of one."""
+    return one[0] * other[1] - one[1] * other[0]
+
+
+def _values(loop: Triples, theta: Array) -> list[tuple[Array, Array]]:
+    """Return the three parts at exp(i theta), as real and imaginary parts."""
+    sine, half = jnp.sin(theta), jnp.sin(0.5 * theta)
+    step = -2.0 * half * half
+    axes = tuple(range(1, theta.ndim + 1))
+
+    def horner(falling: Array, real: Array) -> tuple[Array, Array]:
+        """Return (part, angle) of the three."""
+
+        def next_power(
+            value: tuple[Array, Array], power: Array
+        ) -> tuple[tuple[Array, Array], None]:
+            x, y = value
+            moved = x * real - y * sine + jnp.expand_dims(power, axes)
+            return (moved, x * sine + y * real), None
+
+        zeros = jnp.zeros((3, *theta.shape))
+        return lax.scan(next_power, (zeros, zeros), falling.T)[0]
+
+    straight, shifted = horner(loop.straight, 1.0 + step), horner(loop.shifted, step)
+    is_close = 2.0 * half < jnp.expand_dims(loop.close, axes)
+    real, imag = (
+        jnp.where(is_close, near, far) for near, far in zip(shifted, straight, strict=True)
+    )
+    return list(zip(real, imag, strict=True))
+
+
+def _margins(loop: Triples, walls: Array) -> Array:
+    """Return p(1) and (-1)^n p(-1) of walls (2, ...), up to positive factors."""
+    base, stiffness, damping = (
+        loop.ends[:, k].reshape(2, *(1 for _ in walls.shape[1:])) for k in range(3)
+    )
+    return base + (stiffness * walls[0] + damping * walls[1])
+
+
+def _are_inside(loop: Triples, walls: Array, total: Array, product: float, removed: int) -> Array:
+    """Return where all roots are inside but two, which p is divided by.
+
+    Args:
+        loop: one loop.
+        walls: alpha and beta (2, wall).
+        total: sum of these two.
+        product: of them; the divisor is z^2 - total z + product.
+        removed: 2, or 0 if p is not divided at all.
+    """
+
+    def divided(last: tuple[Array, Array], part: Array) -> tuple[tuple[Array, Array], Array]:
+        value = part[0] + (part[1] * walls[0] + part[2] * walls[1])
+        value = value + total * last[1] - product * last[0]
+        return (last[1], value), value
+
+    nothing = jnp.zeros_like(walls[0])
+    count = loop.straight.shape[1] - removed
+    _, falling = lax.scan(divided, (nothing, nothing), loop.straight.T[:count])
+
+    def lowered(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        falling, rising, inside = state
+        reflection = rising[0] / falling[0]
+        lower = rising - reflection * falling
+        return (
+            falling - reflection * rising,
+            jnp.concatenate([lower[1:], jnp.zeros_like(lower[:1])]),
+            inside & (abs(reflection) < 1.0 - _CLEAR),
+        )
+
+    state = falling, falling[::-1], jnp.ones(nothing.shape, bool)
+    while count > 1:
+        steps = min(_LOWERED, count - 1)
+        falling, rising, inside = repeat(steps, lowered, state)
+        count -= steps
+        state = falling[:count], rising[:count], inside
+    return state[2]
+
+
+def _bounds(loop: Triples, theta: Array) -> tuple[Array, Array, Array]:
+    """Return the curve, det, and where it bounds the stable set: all other roots are inside."""
+    walls, det = _curve(loop, theta)
+    inside = _are_inside(loop, walls, 2.0 * jnp.cos(theta), 1.0, 2)
+    return walls, det, inside & jnp.all(_margins(loop, walls) > 0.0, axis=0)
+
+
+def _are_stable(loop: Triples, walls: Array) -> Array:
+    """Return which walls (2, wall) are stable."""
+    inside = _are_inside(loop, walls, jnp.zeros_like(walls[0]), 0.0, 0)
+    return inside & jnp.all(_margins(loop, walls) > 0.0, axis=0)
+
+
+def _scan(loop: Triples) -> _Scan:
+    walls, det, passes = _bounds(loop, loop.angles)
+    return _Scan(passes, walls, jnp.sign(det))
+
+
+# ------------------------------------------------------------------------ pieces and loops
+def _ends_of(loop: Triples, scan: _Scan) -> tuple[_Ends, Array]:
+    """Return the ends of the pieces, bracketed, and whether there is room for all."""
+    passes, angles = scan.passes, loop.angles
+    last = len(angles) - 1
+    is_first = passes & ~jnp.append(False, passes[:-1])
+    is_last = passes & ~jnp.append(passes[1:], False)
+    number = jnp.arange(1, SLOTS + 1)
+    index = jnp.stack([jnp.searchsorted(jnp.cumsum(one), number) for one in (is_first, is_last)])
+    exists = index[0] <= last
+    index = jnp.minimum(index, last)
+    beyond = index + jnp.array([[-1], [1]])
+    pinned = (beyond < 0) | (beyond > last)
+    inner = angles[index]
+    outer = jnp.where(pinned, inner, angles[jnp.clip(beyond, 0, last)])
+
+    def halved(both: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = 0.5 * (both[0] + both[1])
+        inside = _bounds(loop, middle.ravel())[2].reshape(middle.shape)
+        return jnp.where(inside, middle, both[0]), jnp.where(inside, both[1], middle)
+
+    inner, outer = repeat(_HALVINGS, halved, (inner, outer))
+    margins = _margins(loop, _wall(loop, outer))
+    met = jnp.where(margins[1] <= 0.0, Branch.Z_MINUS_ONE, Branch.CURVE)
+    met = jnp.where(margins[0] <= 0.0, Branch.Z_PLUS_ONE, met)
+    at_limit = jnp.array([[Branch.Z_PLUS_ONE], [Branch.Z_MINUS_ONE]])
+    return _Ends(
+        exists=exists,
+        next_to=index,
+        theta=0.5 * (inner + outer),
+        branch=jnp.where(pinned, at_limit, met),
+        width=abs(outer - inner),
+        pinned=pinned,
+    ), jnp.sum(is_first) <= SLOTS
+
+
+class _Corners(NamedTuple):
+    """The ends in the direction of travel: row 0 where pieces begin, row 1 where they end."""
+
+    exists: Array
+    theta: Array
+    branch: Array
+    walls: Array  # (2, row, piece)
+    slopes: Array  # in the direction of travel
+    following: Array  # piece that begins nearest to the end of each
+    is_solved: Array  # (piece,)
+    is_lower: Array  # (2, piece) whether the end is the piece's smallest angle
+    next_to: Array
+
+
+def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corners:
+    """Return the corners at the ends of pieces, solved for."""
+    forward = sense > 0.0
+
+    def turned(rows: Array) -> Array:
+        return jnp.where(forward, rows, rows[::-1])
+
+    theta, branch, width, pinned, index = map(
+        turned, (ends.theta, ends.branch, ends.width, ends.pinned, ends.next_to)
+    )
+    rough = _wall(loop, theta) / size[:, None, None]
+    is_open = ends.exists & (branch == Branch.CURVE)
+    gaps = jnp.sum((rough[:, 1, :, None] - rough[:, 0, None, :]) ** 2, axis=0)
+    gaps = jnp.where(is_open[1][:, None] & is_open[0] & jnp.isfinite(gaps), gaps, jnp.inf)
+    following, preceding = jnp.argmin(gaps, axis=1), jnp.argmin(gaps, axis=0)
+    partner = jnp.stack([theta[1][preceding], theta[0][following]])
+    is_mutual = preceding[following] == jnp.arange(SLOTS)
+
+    def mismatch(angles: Array, known: tuple[Array, ...]) -> Array:
+        start, kind, is_fixed = known
+        walls = _wall(loop, angles)
+        gap = (walls[:, 0] - walls[:, 1]) / size
+        margin = _margins(loop, walls[:, 0]) / (abs(loop.ends[:, 0]) + abs(loop.ends[:, 1:]) @ size)
+        margin = jnp.where(kind == Branch.Z_PLUS_ONE, margin[0], margin[1])
+        on_line = jnp.stack(
+            [jnp.where(is_fixed, angles[0] - start[0], margin), angles[1] - start[1]]
+        )
+        return jnp.where((kind == Branch.CURVE) & ~is_fixed, gap, on_line)
+
+    start = jnp.stack([theta, partner], axis=-1)
+    fixed = pinned | ~ends.exists
+    solution, is_solved = jax.vmap(jax.vmap(partial(_root, mismatch)))(
+        start, (start, branch, fixed)
+    )
+    moved = abs(solution[..., 0] - theta) <= width + _SLACK
+    is_solved = pinned | (is_solved & moved)
+    theta = jnp.where(pinned, theta, solution[..., 0])
+    walls, slopes = jax.jvp(partial(_wall, loop), (theta,), (jnp.ones_like(theta),))
+    closes = (branch[1] != Branch.CURVE) | is_mutual
+    return _Corners(
+        exists=ends.exists,
+        theta=theta,
+        branch=branch,
+        walls=walls,
+        slopes=slopes * jnp.where(forward, 1.0, -1.0),
+        following=following,
+        is_solved=jnp.all(is_solved, axis=0) & closes,
+        is_lower=turned(jnp.array([[True], [False]]) & ends.exists),
+        next_to=index,
+    )
+
+
+def _root(function: Any, start: Array, known: Any) -> tuple[Array, Array]:
+    """Return a root, and whether Newton's method converged to it."""
+    solver: Any = optx.Newton(rtol=_TOLERANCE, atol=_TOLERANCE)
+    found: Any = optx.root_find(
+        function, solver, start, args=known, max_steps=_NEWTON_STEPS, throw=False
+    )
+    return found.value, found.result == optx.RESULTS.successful
+
+
+class _Links(NamedTuple):
+    successor: Array
+    via: Array
+    is_linked: Array  # whether it has one, and is one's
+    crossing: Array  # the wall of both lines
+
+
+def _linked(loop: Triples, corners: _Corners) -> _Links:
+    """Return what follows each piece, and whether by way of the crossing of both lines."""
+    base, normal = loop.ends[:, 0], loop.ends[:, 1:]
+    along = jnp.stack([normal[:, 1], -normal[:, 0]], axis=1)  # the stable side is on the left
+    det = normal[0, 0] * normal[1, 1] - normal[0, 1] * normal[1, 0]
+    crossing = (
+        jnp.stack(
+            [
+                base[1] * normal[0, 1] - base[0] * normal[1, 1],
+                base[0] * normal[1, 0] - base[1] * normal[0, 0],
+            ]
+        )
+        / det
+    )
+    line = jnp.where(corners.branch[1] == Branch.Z_MINUS_ONE, 1, 0)
+    begins, ends = (jnp.einsum("lw,wp->lp", along, corners.walls[:, row]) for row in range(2))
+    corner = along @ crossing
+    number = jnp.arange(SLOTS)
+    own = corners.exists & (corners.branch[0] == line[:, None] + Branch.Z_PLUS_ONE)
+    other = corners.exists & (corners.branch[0] == Branch.Z_MINUS_ONE - line[:, None])
+    here = ends[line, number]
+    ahead = jnp.where(own, begins[line] - here[:, None], -jnp.inf)
+    around = jnp.where(other, begins[1 - line] - corner[1 - line][:, None], -jnp.inf)
+    to_corner = corner[line] - here
+    turns = jnp.sum(along[line] * normal[1 - line], axis=1) < 0.0  # runs into the other line
+    turns = turns & jnp.isfinite(to_corner) & (to_corner >= 0.0)
+    ahead = jnp.where(ahead > 0.0, ahead, jnp.inf)
+    around = jnp.where(around > 0.0, around, jnp.inf)
+    nearest = jnp.min(ahead, axis=1)
+    via = turns & (to_corner < nearest)
+    successor = jnp.argmin(jnp.where(via[:, None], around, ahead), axis=1)
+    is_linked = jnp.isfinite(jnp.where(via, jnp.min(around, axis=1), nearest))
+    on_curve = corners.branch[1] == Branch.CURVE
+    successor = jnp.where(on_curve, corners.following, successor)
+    predecessors = jnp.sum(corners.exists[:, None] & (successor[:, None] == number), axis=0)
+    # Where the lines cross all other roots are inside.
+    zero = jnp.zeros(1)
+    is_stable = _are_inside(loop, crossing[:, None], zero, -1.0, 2)[0]
+    via = via & ~on_curve & corners.exists
+    is_linked = (on_curve | is_linked) & (predecessors == 1) & (~via | is_stable)
+    return _Links(successor, via, is_linked, crossing)
+
+
+def _loops(successor: Array) -> Array:
+    """Return for each piece the least number of its loop's pieces."""
+    label = jnp.arange(SLOTS)
+    for _ in range(SLOTS.bit_length()):
+        label, successor = jnp.minimum(label, label[successor]), successor[successor]
+    return label
+
+
+def _are_around(
+    loop: Triples, scan: _Scan, corners: _Corners, links: _Links, label: Array, points: Array
+) -> Array:
+    """Return which loops (point, label) enclose points (2, point), by the rule of odd crossings."""
+    piece = jnp.cumsum(scan.passes & ~jnp.append(False, scan.passes[:-1])) - 1
+    labels = label[jnp.minimum(piece, SLOTS - 1)]
+    is_edge = scan.passes[:-1] & scan.passes[1:]
+    beside = scan.walls[:, corners.next_to]  # (2, row, piece)
+    first = corners.walls[:, 0][:, links.successor]
+    last = corners.walls[:, 1]
+    middle = jnp.where(links.via, links.crossing[:, None], first)
+    here = [scan.walls[:, :-1], corners.walls[:, 0], beside[:, 1], last, middle]
+    there = [scan.walls[:, 1:], beside[:, 0], last, middle, first]
+    exist = jnp.concatenate([is_edge, *[corners.exists] * 4])
+    of_loop = jnp.concatenate([labels[:-1], *[label] * 4])
+    (x0, y0), (x1, y1) = jnp.concatenate(here, axis=1), jnp.concatenate(there, axis=1)
+    x, y = points[..., None]
+    meets = exist & ((y0 > y) != (y1 > y))
+    share = (y - y0) / jnp.where(y1 == y0, 1.0, y1 - y0)
+    meets = meets & (x0 + share * (x1 - x0) > x)
+    members = of_loop[:, None] == jnp.arange(SLOTS)
+    return (meets.astype(jnp.float64) @ members.astype(jnp.float64)) % 2.0 == 1.0
+
+
+# ------------------------------------------------------------------------ extremes
+def _extremes(loop: Triples, scan: _Scan) -> Extremes:
+    """Return the extreme walls of one loop."""
+    on = scan.passes
+    size = jnp.max(jnp.where(on, abs(scan.walls), 0.0), axis=1)
+    size = jnp.where(size > 0.0, size, 1.0)
+    ends, fits = _ends_of(loop, scan)
+    sense = scan.sense[ends.next_to]
+    corners = _corners_of(loop, ends, sense[0], size)
+    links = _linked(loop, corners)
+    label = _loops(links.successor)
+    is_joined = jnp.all(~corners.exists | (corners.is_solved & links.is_linked))
+
+    small, starts = _small_walls(loop, size)
+    around = _are_around(loop, scan, corners, links, label, small) & (jnp.arange(SLOTS) == label)
+    main = jnp.argmax(around[0])
+    is_around = starts & jnp.all(jnp.sum(around, axis=1) == 1) & jnp.all(around[:, main])
+
+    piece = jnp.cumsum(on & ~jnp.append(False, on[:-1])) - 1
+    in_main = on & (label[jnp.clip(piece, 0, SLOTS - 1)] == main)
+    of_main = corners.exists & (label == main)
+    found = partial(_largest, loop, scan, corners, links, (in_main, of_main), size)
+    walls, are_sound = jax.vmap(found)(jnp.arange(2))
+    tests = jnp.append(jnp.stack([fits, corners.exists[0], is_joined, is_around]), are_sound)
+    return Extremes(walls, jnp.sum((~tests).astype(jnp.int32) << jnp.arange(len(tests))))
+
+
+def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
+    """Return two walls (2, point) that are stable with all smaller ones, and whether there are."""
+    alpha = _SMALL * _RATIOS[:, None] * size[0]
+    beta = jnp.broadcast_to(_SMALL * size[1], alpha.shape)
+    stable = _are_stable(loop, jnp.stack([alpha.ravel(), beta.ravel()])).reshape(alpha.shape)
+    reach = jnp.sum(jnp.cumprod(stable, axis=1), axis=1)
+    best = jnp.argmax(reach)
+    count = reach[best]
+    number = jnp.clip(jnp.stack([count - 1, count - 2]), 0)
+    return jnp.stack([alpha[best, number], beta[best, number]]), count >= 3
+
+
+def _largest(
+    loop: Triples,
+    scan: _Scan,
+    corners: _Corners,
+    links: _Links,
+    members: tuple[Array, Array],
+    size: Array,
+    axis: Array,
+) -> tuple[Array, Array]:
+    """Return the wall of the largest alpha or beta, and which tests it passes."""
+    in_main, of_main = members
+    values, at_corners, unit = scan.walls[axis], corners.walls[axis], size[axis]
+    count, angles = len(values), loop.angles
+    next_angle = angles[corners.next_to]
+    # The largest values of the scan between their neighbours. The curve between a corner and the
+    # nearest angle of the scan may turn, too.
+    on_pieces = jnp.where(in_main, values, -jnp.inf)
+    before, after = jnp.append(-jnp.inf, on_pieces[:-1]), jnp.append(on_pieces[1:], -jnp.inf)
+    next_value = values[corners.next_to]
+    is_beside = of_main & (at_corners >= next_value)
+    is_less = jnp.any(
+        (corners.next_to[..., None] == jnp.arange(count)) & is_beside[..., None], axis=(0, 1)
+    )
+    tops = (on_pieces >= before) & (on_pieces >= after) & ~is_less
+    rises = corners.slopes[axis] * jnp.array([[1.0], [-1.0]]) > 0.0
+    bulges = is_beside & rises & (corners.theta != next_angle)
+    scores = jnp.concatenate(
+        [jnp.where(tops, on_pieces, -jnp.inf), jnp.where(bulges, at_corners, -jnp.inf).ravel()]
+    )
+    chosen = []
+    for _ in range(_CANDIDATES + 1):
+        number = jnp.argmax(scores)
+        chosen.append((number, scores[number]))
+        scores = scores.at[number].set(-jnp.inf)
+    *numbers, _ = (number for number, _ in chosen)
+    *scores_of, rest = (score for _, score in chosen)
+    number, best = jnp.stack(numbers), jnp.stack(scores_of)
+    exists = jnp.isfinite(best)
+
+    bulge = jnp.clip(number - count, 0, 2 * SLOTS - 1)
+    at = jnp.where(number < count, number, corners.next_to.ravel()[bulge])
+    is_near = of_main & (corners.next_to == at[:, None, None])
+    low = jnp.where(is_near & corners.is_lower, corners.theta, -jnp.inf)
+    high = jnp.where(is_near & ~corners.is_lower, corners.theta, jnp.inf)
+    lower = jnp.maximum(jnp.max(low, axis=(1, 2)), angles[jnp.maximum(at - 1, 0)])
+    upper = jnp.minimum(jnp.min(high, axis=(1, 2)), angles[jnp.minimum(at + 1, count - 1)])
+    between = jnp.stack([corners.theta.ravel()[bulge], next_angle.ravel()[bulge]])
+    lower = jnp.where(number < count, lower, jnp.min(between, axis=0))
+    upper = jnp.where(number < count, upper, jnp.max(between, axis=0))
+    ends = _wall(loop, jnp.stack([lower, upper]))[axis]
+    start = _vertex(jnp.stack([lower, angles[at], upper]), values[at], ends)
+    start = jnp.where(number < count, start, 0.5 * (lower + upper))
+    start = jnp.where(exists, start, start[0])  # all wait for the slowest
+
+    def slope(theta: Array, _: None) -> Array:
+        return jax.jvp(lambda x: _wall(loop, x)[axis] / unit, (theta,), (jnp.ones_like(theta),))[1]
+
+    theta, solved = jax.vmap(lambda x: _root(slope, x, None))(start)
+    is_between = (theta >= lower - _SLACK) & (theta <= upper + _SLACK)
+    solved = exists & solved & is_between
+    smooth = _wall(loop, jnp.where(solved, theta, angles[at]))
+    solved = solved & (smooth[axis] >= best - _TOLERANCE * unit)
+    turn = jnp.argmax(jnp.where(solved, smooth[axis], -jnp.inf))
+
+    crossing = jnp.broadcast_to(links.crossing[:, None], (2, SLOTS))
+    every = jnp.concatenate([corners.walls[:, 0], corners.walls[:, 1], crossing], axis=1)
+    may = jnp.concatenate([of_main[None], of_main[None], (of_main & links.via)[None]]).ravel()
+    at_every = jnp.where(may, every[axis], -jnp.inf)
+    corner = jnp.argmax(at_every)
+    is_smooth = solved[turn] & (smooth[axis, turn] > at_every[corner])
+    wall = jnp.where(is_smooth, smooth[:, turn], every[:, corner])
+    value = wall[axis]
+    enough = value - _LOWER * abs(value)
+    is_refined = jnp.all(solved | (best <= enough)) & (rest <= enough)
+
+    # Stable walls on one side, unstable ones on the other.
+    straight = jnp.where(jnp.arange(2) == axis, -1.0, 0.0)
+    direction = jnp.where(is_smooth, straight, _bisector(loop, corners, links, corner, size))
+    away = _ASIDE * size * direction
+    beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
+    theta_at = jnp.where(is_smooth, theta[turn], corners.theta.ravel()[corner % (2 * SLOTS)])
+    lost = _rounding(loop, theta_at, wall, axis) / unit
+    is_exact = (lost < _LOST) & jnp.isfinite(value)
+    return wall, jnp.stack([is_refined, beside[0] & ~beside[1], is_exact])
+
+
+def _vertex(angles: Array, middle: Array, beside: Array) -> Array:
+    """Return where the parabola through three points has its top."""
+    before, after = angles[1] - angles[0], angles[2] - angles[1]
+    rise, fall = (middle - beside[0]) / before, (beside[1] - middle) / after
+    bend = (fall - rise) / (before + after)
+    top = angles[1] - 0.5 * (rise / jnp.where(bend < 0.0, bend, -jnp.inf) + before)
+    return jnp.clip(top, angles[0], angles[2])
+
+
+def _bisector(loop: Triples, corners: _Corners, links: _Links, corner: Array, size: Array) -> Array:
+    """Return the direction into the stable set at a corner, in units of the set's size."""
+    along = jnp.stack([loop.ends[:, 2], -loop.ends[:, 1]], axis=1)  # of both lines
+    slopes = corners.slopes / size[:, None, None]
+    lines = along / size
+    slopes, lines = (
+        slopes / jnp.linalg.norm(slopes, axis=0),
+        lines / jnp.linalg.norm(lines, axis=1)[:, None],
+    )
+    row, piece = corner // SLOTS, corner % SLOTS
+    branch = corners.branch[jnp.minimum(row, 1), piece]
+    line = lines[jnp.where(branch == Branch.Z_MINUS_ONE, 1, 0)]
+    is_open = corners.exists & (corners.branch[1] == Branch.CURVE)
+    preceding = jnp.argmax((corners.following == piece) & is_open)
+    is_curve = branch == Branch.CURVE
+    begins, ends = slopes[:, 0], slopes[:, 1]
+    into = jnp.where(is_curve, ends[:, preceding], line)
+    out_of = jnp.where(is_curve, begins[:, corners.following[piece]], line)
+    other = lines[jnp.where(branch == Branch.Z_MINUS_ONE, 0, 1)]
+    at_begin, at_end, at_crossing = begins[:, piece] - into, out_of - ends[:, piece], other - line
+    return jnp.where(row == 0, at_begin, jnp.where(row == 1, at_end, at_crossing))
+
+
+def _rounding(loop: Triples, theta: Array, wall: Array, axis: Array) -> Array:
+    """Bound what rounding moves a wall by, roughly."""
+    half = abs(2.0 * jnp.sin(0.5 * theta))
+    degree = loop.straight.shape[1] - 1
+    powers = half ** jnp.arange(degree, -1, -1)
+    sizes = jnp.where(
+        half < loop.close, abs(loop.shifted) @ powers, jnp.sum(abs(loop.straight), axis=1)
+    )
+    values = _values(loop, theta)
+    det = abs(_cross(values[1], values[2]))
+    moduli = jnp.stack([jnp.hypot(*value) for value in values])
+    total = sizes[0] + abs(wall[0]) * sizes[1] + abs(wall[1]) * sizes[2]
+    return 8.0 * UNIT * total * moduli[2 - axis] / det

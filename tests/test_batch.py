@@ -1,0 +1,88 @@
+"""Limits of batches of loops on JAX, against balls of python-flint and single answers."""
+
+import numpy as np
+import pytest
+
+import jaxstab
+from benchmarks.limits_of import is_wrong
+from benchmarks.truth.filtered import FilteredLoop, average, difference
+from jaxstab import Device, HapticLoop, Velocity, limits_of
+from jaxstab.results import RegionStatus
+
+PERIOD = 1e-3
+COUNT = 72  # loops, enough for a batch
+
+
+def loops(rng: np.random.Generator) -> list[HapticLoop]:
+    """Masses with a window of 3 samples and delays to 3 samples, some of them on springs."""
+    return [
+        HapticLoop(
+            device_mass=float(rng.uniform(0.05, 2.0)),
+            device_damping=float(10 ** rng.uniform(-2, 0.5)),
+            hand_stiffness=float(rng.choice([0.0, 10 ** rng.uniform(0, 3)])),
+            delay=float(rng.choice([0.0, 1.0, 2.0, rng.uniform(0.1, 2.9)])) * PERIOD,
+            sample_time=PERIOD,
+            velocity=Velocity.difference(samples=3),
+        )
+        for _ in range(COUNT)
+    ]
+
+
+@pytest.fixture(scope="module")
+def batch() -> tuple[list[HapticLoop], jaxstab.results.ManyLimits]:
+    many = loops(np.random.default_rng(33))
+    return many, limits_of(many)
+
+
+def test_walls_just_inside_are_stable_and_just_outside_are_not(
+    batch: tuple[list[HapticLoop], jaxstab.results.ManyLimits],
+) -> None:
+    many, limits = batch
+    assert np.all(limits.status == RegionStatus.COMPLETE)
+    for index, loop in enumerate(many[:24]):
+        balls = FilteredLoop(**loop.slice, velocity=difference(3), position=average(1)).balls()
+
+        stiffest, damped = limits.stiffness[index], limits.damping[index]
+        # The most damped wall is a corner, most often: inside of it K is a little larger.
+        aside = limits.at_stiffness[index] + 1e-6 * stiffest
+        walls = [(stiffest * one, limits.at_damping[index]) for one in (1 - 1e-8, 1 + 1e-8)]
+        walls += [(aside, damped * one) for one in (1 - 1e-4, 1 + 1e-4)]
+        stable = [balls.is_stable(loop.alpha(k), loop.beta(b)) for k, b in walls]
+        assert stable == [True, False, True, False]
+
+
+def test_limits_are_those_of_each_loop(
+    batch: tuple[list[HapticLoop], jaxstab.results.ManyLimits],
+) -> None:
+    many, limits = batch
+    assert np.mean(limits.is_single) < 0.05
+    assert not any(is_wrong(limits, index, loop.limits()) for index, loop in enumerate(many))
+
+
+def test_an_undamped_free_mass_has_the_known_limits() -> None:
+    masses = np.linspace(0.1, 2.0, COUNT)
+    known = {1: 12.0 - 8.0 * np.sqrt(2.0), 2: 6.0 - 4.0 * np.sqrt(2.0)}
+    for samples, alpha in known.items():
+        window = Velocity.difference(samples=samples)
+        many = [
+            HapticLoop(device_mass=m, device_damping=0.0, sample_time=PERIOD, velocity=window)
+            for m in masses.tolist()
+        ]
+        stiffness = limits_of(many).stiffness
+        assert stiffness == pytest.approx(alpha * masses / PERIOD**2, rel=1e-9)
+
+
+def test_few_loops_are_answered_one_by_one(rng: np.random.Generator) -> None:
+    many = loops(rng)[:2]
+    limits = limits_of(many)
+    assert limits.is_single.all()
+    assert limits.stiffness.tolist() == [loop.limits().stiffness for loop in many]
+    assert limits_of([]).stiffness.shape == (0,)
+
+
+def test_what_is_no_loop_is_refused() -> None:
+    with pytest.raises(TypeError, match="loops has 3; give a HapticLoop for each"):
+        limits_of([3])  # type: ignore[list-item]
+    spring = Device.transfer_function([1.0, 0.0], [0.1, 1.0, 10.0])
+    with pytest.raises(ValueError, match="does not give way to a constant force"):
+        limits_of([HapticLoop(device=spring, sample_time=PERIOD)])
