@@ -13,7 +13,9 @@ from benchmarks.truth import filtered
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.paper import passive_region
+from jaxstab.point import verdict
 from jaxstab.ranges import HandRange, RobustStatus, robust_region
+from jaxstab.ranges.robust import failures
 from jaxstab.region import stable_region
 
 NYQUIST = pi**2 + 0.25  # for delta = 1
@@ -184,3 +186,32 @@ def test_the_robust_limit_of_a_loop_with_a_window_is_bounded_from_both_sides() -
     for beta in loop.beta(np.linspace(0.4, 2.0, 5) * found.damping):
         codes = [judge.code(loop.alpha(1.001 * found.limit), float(beta)) for judge in judges]
         assert Verdict.UNSTABLE in codes
+
+
+@pytest.mark.parametrize(("axis", "end"), [("gamma", "low"), ("gamma", "high"), ("delta", "low")])
+def test_a_root_near_an_end_of_a_range_is_not_missed(axis: str, end: str) -> None:
+    """A small square of walls that only the outer twentieth of a range of hands makes unstable."""
+    rng = np.random.default_rng(2012)
+    tried = 0
+    while tried < 5:
+        wall = by_name(rng.uniform(-0.1, 0.2), rng.uniform(-0.2, 1.2), 0.02, 0.02, 1.0)
+        inner, outer = rng.uniform(0.01, 0.2, 2)
+        if (inner < outer) != (end == "high"):
+            inner, outer = outer, inner
+        codes = verdict(**wall | {axis: np.array([inner, outer])})
+        if codes.tolist() != [Verdict.STABLE, Verdict.UNSTABLE]:
+            continue
+        for _ in range(40):  # the hand where the wall is on the boundary
+            middle = 0.5 * (inner + outer)
+            is_stable = verdict(**wall | {axis: middle}) == Verdict.STABLE
+            inner, outer = (middle, outer) if is_stable else (inner, middle)
+        width = 0.5 * inner if end == "low" else 0.05
+        far = inner - width if end == "high" else inner + width
+        near = inner + (inner - far) / 19.0
+        ranges = {"gamma": (0.02, 0.02), "delta": (0.02, 0.02)}
+        ranges[axis] = (min(near, far), max(near, far))
+        center = np.array([wall["alpha"], wall["beta"]])
+        square = center + 1e-7 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        left = failures(square, ranges["gamma"], ranges["delta"], 1.0, filters=None)
+        assert len(left)
+        tried += 1
