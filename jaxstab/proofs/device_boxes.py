@@ -69,7 +69,7 @@ class HeldDevice(NamedTuple):
     grip: tuple[float, float] | None
 
     @classmethod
-    def of(cls, device: Device, period: float) -> "HeldDevice":
+    def from_device(cls, device: Device, period: float) -> "HeldDevice":
         """Return a device, for some sampling period in s.
 
         Raises:
@@ -361,7 +361,7 @@ class DeviceBoxes:
         first_row: FirstRow | None = None,
     ) -> None:
         self._period = float(loop.sample_time)
-        self._device = HeldDevice.of(device, self._period)
+        self._device = HeldDevice.from_device(device, self._period)
         self._extent, self._first_row = extent, first_row
         filters = known_filters(**loop.filters)
         self._cells = None if filters is None else filter_cells(filters)
