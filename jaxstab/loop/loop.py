@@ -54,8 +54,7 @@ class HapticLoop(LoopParameters):
     lists of loops ``jaxstab.common_region``. Regions, limits, tuning and motions need a device that
     moves under a constant force: one with zero DC gain, G(0) = 0, raises ValueError.
 
-    Source: eqs. (1) and (12), Table I. Unless a method says otherwise, its source is eq. (9) of
-    Hulin, Preusche, Hirzinger (2008); regions and limits: see ``jaxstab.stable_region``.
+    Source: eqs. (1) and (12), Table I of Hulin, Preusche, Hirzinger (2008), as in all methods.
 
     Args:
         sample_time: sampling period T in s, > 0.
@@ -89,22 +88,6 @@ class HapticLoop(LoopParameters):
         (0.1, 0.0, 0.015, 0.0)
         >>> round(plain.alpha(2000.0), 9), plain.beta(20.0), round(plain.damping(0.2), 9)
         (0.02, 0.2, 20.0)
-        >>> plain.region().status.words, round(plain.limits().damping, 3)
-        ('the boundary closes to loops', 202.009)
-        >>> plain.stiffness_limits(20.0).round(1).tolist()
-        [0.0, 35325.0]
-        >>> plain.damping_limits(20000.0).round(3).tolist()
-        [9.457, 181.026]
-        >>> round(float(plain.boundary_distance(1000.0, 10.0)), 6)
-        0.01
-        >>> plain.spectral_radius(1000.0, 10.0)
-        0.9407239707335... +/- ... (proved)
-        >>> abs(plain.poles(1000.0, 10.0)).round(4).tolist()
-        [0.9407, 0.9407, 0.0559]
-        >>> round(float(plain.oscillation(20000.0, 20.0).frequency), 1)  # Hz
-        77.5
-        >>> round(float(plain.settling_time(1000.0, 20.0).value), 3)  # s
-        0.069
     """
 
     def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
@@ -123,6 +106,13 @@ class HapticLoop(LoopParameters):
         Raises: see ``jaxstab.conventions``; ValueError also for a delay longer than 500 samples and
         for a device with zero DC gain: the boundary is computed from 1/G(0) on. TypeError if JAX
         traces a loop with an estimator or a filter; ``limits`` takes it.
+
+        Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.region().status.words
+            'the boundary closes to loops'
         """
         if is_any_traced(self):
             return traced_region(self)
@@ -136,6 +126,13 @@ class HapticLoop(LoopParameters):
         differentiable once in all numbers of the loop, and islands are left out.
 
         Raises: as ``region``.
+
+        Source: eq. (9) by the D-decomposition.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(loop.limits().damping, 3)
+            202.009
         """
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
@@ -153,6 +150,13 @@ class HapticLoop(LoopParameters):
             differentiable JAX arrays.
 
         Raises: see ``jaxstab.conventions``.
+
+        Source: eq. (9) by the D-decomposition.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.stiffness_limits(20.0).round(1).tolist()
+            [0.0, 35325.0]
         """
         return self._reachable().stiffness_limits(damping)
 
@@ -160,6 +164,13 @@ class HapticLoop(LoopParameters):
         """The smallest and the largest stable damping at given stiffnesses in N/m, any shape.
 
         Array (*grid, 2) in N s/m, otherwise as for ``stiffness_limits``.
+
+        Raises: see ``jaxstab.conventions``. Source: eq. (9) by the D-decomposition.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.damping_limits(20000.0).round(3).tolist()
+            [9.457, 181.026]
         """
         return self._reachable().damping_limits(stiffness)
 
@@ -175,6 +186,13 @@ class HapticLoop(LoopParameters):
             another one is outside do not count. It is -inf where no wall is stable and NaN if the
             loop's region is UNRESOLVED. JAX arrays and tracers of gains give JAX arrays,
             differentiable once in the gains.
+
+        Source: eq. (9) by the D-decomposition.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.boundary_distance(1000.0, 10.0)), 6)
+            0.01
         """
         return self.region().distance(stiffness, damping)
 
@@ -375,6 +393,11 @@ class HapticLoop(LoopParameters):
         Raises: see ``jaxstab.conventions``; ValueError also for an unknown ``resolve``.
 
         Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+            >>> loop.verdict(50000.0, 30.0)
+            <Verdict.UNSTABLE: 2>
         """
         wall = self._wall(stiffness, damping)
         if self.body is None:
@@ -386,6 +409,13 @@ class HapticLoop(LoopParameters):
         """The largest modulus of the loop's poles at walls, with a proved error bound.
 
         Args and Raises: see ``jaxstab.conventions``; bound and status: ``jaxstab.spectral_radius``.
+
+        Source: eq. (9).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.spectral_radius(1000.0, 10.0)
+            0.9407239707335... +/- ... (proved)
         """
         wall = self._wall(stiffness, damping)
         if self.body is None:
@@ -396,6 +426,13 @@ class HapticLoop(LoopParameters):
         """The poles z of the loop at walls, (*grid, degree), the one of the largest modulus first.
 
         Args and Raises: see ``jaxstab.conventions``. Accuracy: see ``jaxstab.closed_loop_poles``.
+
+        Source: eq. (9).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> abs(loop.poles(1000.0, 10.0)).round(4).tolist()
+            [0.9407, 0.9407, 0.0559]
         """
         wall = self._wall(stiffness, damping)
         if self.body is None:
@@ -406,7 +443,7 @@ class HapticLoop(LoopParameters):
         """How far stiffness, damping and delay of the loop at walls may change, each alone.
 
         Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces gains and the
-        device is not one mass.
+        device is not one mass. Source: eq. (9) on the unit circle.
 
         Returns:
             Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, for JAX too. No extra
@@ -446,6 +483,11 @@ class HapticLoop(LoopParameters):
         """Damping ratio and frequency in Hz of the slowest mode of the loop at walls.
 
         Args and Raises: see ``jaxstab.conventions``. Source: as ``jaxstab.dominant_mode``; Table I.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.oscillation(20000.0, 20.0).frequency), 1)  # Hz
+            77.5
         """
         mode = mode_of(self.poles(stiffness, damping))
         return Oscillation(mode.damping_ratio, mode.frequency / (2.0 * np.pi * self.sample_time))
@@ -478,6 +520,11 @@ class HapticLoop(LoopParameters):
         Raises: see ``jaxstab.conventions``; filters and the horizon must be concrete.
 
         Source: the loop of eqs. (1)-(5), Table I; lemmas M1 to M3 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> round(float(loop.settling_time(1000.0, 20.0).value), 3)
+            0.069
         """
         self._refuse_tracers("settling_time")
         options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}

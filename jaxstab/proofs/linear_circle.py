@@ -342,7 +342,7 @@ def delayed_device(device: SampledDevice, filters: Filters | None) -> DelayedDev
 
 
 def delay_models(device: DelayedDevice, boxes: DelayBoxes) -> tuple[Models, Reals]:
-    """Models of g over boxes (the axes: delay, theta), and a lower bound of |D| - |F| or |F| - |D|.
+    """Models of g over boxes (the axes: delay, theta), and a lower bound of ||D| - |F||.
 
     Each box lies within one piece. Where the bound is positive, no delay that differs by whole
     samples brings a root onto the circle at these angles.
