@@ -395,8 +395,8 @@ class HapticLoop(LoopParameters):
         Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
 
         Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-            >>> loop.verdict(50000.0, 30.0)
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.verdict(50000.0, 20.0)
             <Verdict.UNSTABLE: 2>
         """
         wall = self._wall(stiffness, damping)

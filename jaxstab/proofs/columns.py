@@ -749,7 +749,7 @@ def _gaps(
 
 
 def _limits(
-    strips: Strips, codes: Int8[np.ndarray, "column gap"], columns: Columns, asked: Domain
+    strips: Strips, codes: Int8[np.ndarray, "column gap"], columns: Columns, requested: Domain
 ) -> tuple[Planes, Planes]:
     """The strips below and above the stable gap of each column.
 
@@ -766,7 +766,7 @@ def _limits(
     first, count = np.argmax(is_stable, axis=1), is_stable.sum(axis=1)
     last = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
     low, high = strips.ends(columns)
-    is_seen = np.any((high >= asked.alpha[0]) & (low <= asked.alpha[1]), axis=0)
+    is_seen = np.any((high >= requested.alpha[0]) & (low <= requested.alpha[1]), axis=0)
     hiding = is_seen & _may_hide(strips, codes)
     number = np.arange(strips.centre.shape[1])
     beside = (number == first[:, None]) | (number == first[:, None] - 1)

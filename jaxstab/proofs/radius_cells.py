@@ -2,7 +2,8 @@
 
 In the middle of a cell the k outermost roots are taken, for the least k of 1 ... 4 for which a
 circle separates them from the others all over the cell. They are one or two real roots, a conjugate
-pair, both or two pairs; or two or three roots that may meet, which are enclosed together.
+pair, a real root and a pair, or two pairs; or two or three roots that may meet, which are enclosed
+together.
 """
 
 from enum import IntEnum
