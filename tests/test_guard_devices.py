@@ -130,7 +130,7 @@ def assert_boxes_hold(seed: int, boxes: int) -> tuple[float, int]:
     starts, ends = low + (high - low) * place, low + (high - low) * (place + size)
     center, half = 0.5 * (starts + ends), 0.5 * (ends - starts)
     free, _ = proof.judged(center, half)
-    device = HeldDevice.of(loop.device, PERIOD)
+    device = HeldDevice.from_device(loop.device, PERIOD)
     for box in range(boxes):
         at, by = center[:, box : box + 1], half[:, box : box + 1]
         is_fast = at[6] + by[6] > 1.0
@@ -188,7 +188,7 @@ def assert_first_rows_hold(seed: int, boxes: int) -> int:
         (begins & ~is_near, proof._grow),
     ):
         rises[which] = method(center[:, which], half[:, which])[0]
-    device, count = HeldDevice.of(loop.device, PERIOD), 0
+    device, count = HeldDevice.from_device(loop.device, PERIOD), 0
     for box in np.flatnonzero(rises)[:4]:
         for share in (1e-3, 1.0):
             x = rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], 7)

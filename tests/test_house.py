@@ -143,6 +143,7 @@ def undocumented(function: ast.FunctionDef) -> set[str]:
     text = ast.get_docstring(function) or ""
     given = function.args
     arguments = {one.arg for one in (*given.posonlyargs, *given.args, *given.kwonlyargs)}
+    arguments -= {"self", "cls"}
     if re.search(r"(?m)^Args and Raises: see ``jaxstab\.conventions``", text):
         return arguments - SHARED.keys()
     section = re.search(r"(?m)^Args:\n((?:    .*\n?|\n)*)", text)
@@ -152,7 +153,7 @@ def undocumented(function: ast.FunctionDef) -> set[str]:
     links = re.findall(r"(?m)^    ([\w, ]+): see ``jaxstab\.conventions``\.$", section[1])
     linked = {name for names in links for name in names.split(", ")}
     wrong = linked - (arguments & SHARED.keys())
-    public = {name for name in arguments if name not in ("self", "cls") and name[0] != "_"}
+    public = {name for name in arguments if name[0] != "_"}
     return wrong | (public - own_lines - linked)
 
 

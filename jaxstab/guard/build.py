@@ -1,6 +1,6 @@
 """Building a guard: limits a little below the exact ones, lowered until they are proved.
 
-What is not proved within a number of boxes is not granted.
+A cell that is not proved within a number of boxes grants no wall.
 """
 
 from collections.abc import Callable
@@ -47,26 +47,22 @@ def proved(
     most: tuple[int, int],
     tell: Callable[[int], None],
 ) -> tuple[Cells, int]:
-    """Return the cells for which no wall has a root on the unit circle, and how many boxes it took.
+    """The cells for which no wall has a root on the unit circle, and the number of boxes it took.
 
-    Args:
-        loop: the loop; its device's mass, its hand and its delay are not used.
-        hands: the range of hands.
-        grid: what is to be proved.
-        cells: the cells of the grid to prove.
-        most: boxes that a cell, and all cells together, may take.
-        tell: is told, now and then, how many of the cells are proved.
+    A cell, and all cells together, may take at most ``most`` boxes; ``tell`` is called now and then
+    with the number of cells that are proved. Of the loop, the device's mass, the hand and the delay
+    are not used.
     """
     boxes = grid_boxes(device_of(loop), loop, hands, grid)
     others = [*vars(hands).values(), (0.0, pi * (1.0 + BEYOND))]
     waiting, is_proved, count = np.flatnonzero(cells), np.zeros(cells.size, bool), 0
     while waiting.size and count < most[1]:
         effort = min(most[0], most[1] - count)
-        some = np.arange(min(waiting.size, _AT_ONCE, (most[1] - count) // effort))
-        places = [(first, first + 1.0) for first in np.unravel_index(waiting[some], cells.shape)]
-        paving = paved_device(boxes, some, [*places, *others], _NARROWEST, effort=effort)
-        is_proved[waiting[some]] = ~np.isin(some, paving.boxes.index)
-        waiting, count = waiting[some.size :], count + int(paving.judged.sum())
+        block = np.arange(min(waiting.size, _AT_ONCE, (most[1] - count) // effort))
+        places = [(first, first + 1.0) for first in np.unravel_index(waiting[block], cells.shape)]
+        paving = paved_device(boxes, block, [*places, *others], _NARROWEST, effort=effort)
+        is_proved[waiting[block]] = ~np.isin(block, paving.boxes.index)
+        waiting, count = waiting[block.size :], count + int(paving.judged.sum())
         tell(int(is_proved.sum()))
     return is_proved.reshape(cells.shape), count
 
@@ -74,7 +70,7 @@ def proved(
 def are_stable(
     loop: LoopParameters, hands: HandRange, grid: Grid, places: Float64[np.ndarray, "3 place"]
 ) -> Bool[np.ndarray, " place"]:
-    """Return where the wall of the largest stiffness is proved stable for a random hand."""
+    """Where the wall of the largest stiffness is proved stable for a random hand."""
     rng = np.random.default_rng(2008)
     share = rng.random((3, places.shape[1]))
     ranges = vars(hands).values()
@@ -93,7 +89,7 @@ def are_stable(
 def _is_stable(
     loop: LoopParameters, wall: tuple[float, float], place: tuple[float, float], arm: Arms
 ) -> bool:
-    """Return the verdict on a wall (K, B) of a device of some mass, at a delay, with some arm."""
+    """Whether a wall (K, B) of a device with a mass and an arm is proved stable at a delay."""
     mass, delay = place
     held = LoopParameters(
         sample_time=loop.sample_time,
@@ -117,7 +113,7 @@ _LOWER = 0.05  # of a limit whose proof was given up, in the first round
 _LOWER_ALL = 0.08  # of the largest limit of the same mass and delay, added to that limit
 _LITTLE = 0.05  # of the largest limit: no less is granted without damping, or at the largest one
 _ATTEMPTS = 12
-_FINER = 4  # parts of a cell, in which largest dampings are looked at
+_FINER = 4  # parts of a cell, in which largest dampings are computed
 _FEWEST, _ROUNDS = 2000, 8  # boxes of a cell in the first round, or a part of all boxes
 _MORE = 1.5  # times as many boxes, and as much to take from the limits, in the next round
 _SQUARE = (0, 0), (0, 1), (1, 0), (1, 1)
@@ -129,7 +125,7 @@ _ENOUGH = 0.99  # of the stiffness at which a hand becomes unstable
 
 
 class _Work(NamedTuple):
-    """How many boxes may be looked at, how many a cell takes, and how many seconds one takes."""
+    """The largest number of boxes, the usual number per cell, and the seconds per box."""
 
     most: int
     usual: int
@@ -150,16 +146,16 @@ def build_guard(
     cells: tuple[int, int, int] = CELLS,
     progress: Callable[[float], None] | None = None,
 ) -> Guard:
-    """Return the guard of a loop: walls that are proved stable for all hands, masses and delays.
+    """The guard of a loop: walls that are proved stable for all hands, masses and delays.
 
     Where nothing could be proved within 2 million boxes of loops, about 20 s of CPU time (1
     million and 40 s with modes, actuators or a grip), the guard grants no wall. Mass, hand, delay
     and both gains are constant while the wall is touched.
 
     Args:
-        loop: the loop, with its velocity estimator and position filter. The mass of its device,
-            its hand and its delay are not used. The vibration modes, the actuators and the grip of
-            a device of its own are.
+        loop: the loop, with its velocity estimator and position filter, and the vibration modes,
+            actuators and grip of its ``device``. The mass of its device, its hand and its delay are
+            not used.
         hands: the range of hands.
         mass: the lowest and the highest mass of the device in kg, over its postures for example.
         delay: the shortest and the longest delay of the loop in s.
@@ -168,9 +164,9 @@ def build_guard(
         progress: called with the share of the proof that is done.
 
     Raises:
-        ValueError: a range is empty or out of order, or the number of cells no power of two.
-        NotImplementedError: the loop has a device of its own that is not a mass with vibration
-            modes, actuators and one hand of mass, spring and damper, behind a grip or not.
+        ValueError: a range is empty or out of order, or a number of cells is not a power of two.
+        NotImplementedError: the loop has a ``device`` that is not a mass with vibration modes,
+            actuators and one hand of mass, spring and damper, behind a grip or not.
         RuntimeError: no wall at all could be proved.
 
     Source: lemmas B10, B15 and B20 of docs/proofs.md.
@@ -202,11 +198,11 @@ def build_guard(
 
 
 class GuardPlan(NamedTuple):
-    """What the proof of a guard takes.
+    """The work of proving a guard.
 
     Attributes:
         cells: of mass, delay and damping, each of which is proved for all hands and angles.
-        most_boxes: boxes of loops that may be looked at.
+        most_boxes: largest number of boxes of loops.
         seconds: of CPU time that this takes on an ordinary computer, usually and at most.
     """
 
@@ -223,7 +219,7 @@ class GuardPlan(NamedTuple):
 
 
 def plan_guard(loop: LoopParameters, cells: tuple[int, int, int] = CELLS) -> GuardPlan:
-    """Return what ``build_guard`` would compute, and about how long that takes."""
+    """The work of ``build_guard``, and about how long it takes."""
     count, work = int(np.prod(cells)), _work_of(loop)
     usual = _SECONDS + min(count * work.usual, work.most) * work.seconds
     return GuardPlan(count, work.most, (usual, _SECONDS + work.most * work.seconds))
@@ -239,7 +235,7 @@ def _first_grid(
     nodes: list[np.ndarray],
     cells: tuple[int, int, int],
 ) -> tuple[Grid, tuple[float, float]]:
-    """Return limits a little below the boundaries at the nodes, and the units of the table."""
+    """Limits a little below the boundaries at the nodes, and the units of the table."""
     tops = _tops(loop, hands, nodes) * (1.0 - _PULL_TOP)
     is_good = np.isfinite(tops) & (tops > 0.0)
     if not is_good.any():
@@ -270,20 +266,18 @@ def _proved(
     unit: float,
     progress: Callable[[float], None],
 ) -> tuple[Grid, Cells]:
-    """Return a grid whose limits are lowered until they are proved, and which cells are.
-
-    Each round may take more boxes for a cell than the one before, of limits that are lower by more.
-    A cell keeps the limits with which it was proved, whatever its neighbours were lowered to.
-    """
+    """A grid whose limits are lowered until they are proved, and the cells that are."""
+    # Each round may take more boxes for a cell than the one before, of limits that are lower by
+    # more. A cell keeps the limits with which it was proved, even if its neighbours are lowered.
     left, is_proved = _work_of(loop).most, np.zeros(grid.cells, bool)
     each, share = float(max(_FEWEST, left // (_ROUNDS * is_proved.size))), _LOWER
     hopeful, limit = ~is_proved, np.full(grid.limit.shape, np.inf)
     while left > 0 and hopeful.any():
         tell = partial(_tell, progress, int(is_proved.sum()), is_proved.size)
-        found, count = proved(loop, hands, grid, hopeful, (int(each), left), tell)
-        is_proved, left = is_proved | found, left - count
-        limit = np.where(_are_corners(grid, found), np.minimum(limit, grid.limit), limit)
-        # Where no stiffness was left to take away nothing else would help.
+        newly, count = proved(loop, hands, grid, hopeful, (int(each), left), tell)
+        is_proved, left = is_proved | newly, left - count
+        limit = np.where(_are_corners(grid, newly), np.minimum(limit, grid.limit), limit)
+        # A cell whose limits are all 0 cannot be lowered further.
         hopeful = ~is_proved & (np.maximum.reduce(_corners(grid)) > 0.0)
         grid = _lowered(grid, hopeful, unit, share)
         each, share = each * _MORE, min(share * _MORE, 1.0)
@@ -292,7 +286,7 @@ def _proved(
 
 
 def _corners(grid: Grid) -> list[np.ndarray]:
-    """Return the limits at the eight corners of each cell."""
+    """The limits at the eight corners of each cell."""
     first, second, third = grid.cells
     return [
         grid.limit[a : a + first, b : b + second, c : c + third] for a, b, c in np.ndindex(2, 2, 2)
@@ -306,11 +300,9 @@ def _tell(progress: Callable[[float], None], before: int, cells: int, more: int)
 def _granted_rows(
     loop: LoopParameters, hands: HandRange, grid: Grid, is_proved: Cells
 ) -> Int64[np.ndarray, "mass delay 2"]:
-    """Return the first and the last node of the damping between which each cell is proved stable.
-
-    Of several such stretches it is the one that grants most. One verdict a cell of mass and delay
-    says that all of its walls are stable.
-    """
+    """The first and the last node of the damping between which each cell is proved stable."""
+    # Of several such stretches it is the one that grants most. One verdict per cell of mass and
+    # delay is enough for all of its walls.
     rows = np.zeros((*grid.cells[:2], 2), np.int64)
     corners = [grid.limit[a : a + grid.cells[0], d : d + grid.cells[1]] for a, d in _SQUARE]
     least = np.minimum.reduce(corners)
@@ -356,7 +348,7 @@ def _in_samples(loop: LoopParameters, delay: Range) -> Range:
 
 
 def _tops(loop: LoopParameters, hands: HandRange, nodes: list[np.ndarray]) -> np.ndarray:
-    """Return largest dampings at nodes, low enough for those between nodes."""
+    """Largest dampings at nodes, low enough for those between nodes."""
     fine = [
         np.interp(np.arange((axis.size - 1) * _FINER + 1) / _FINER, np.arange(axis.size), axis)
         for axis in nodes
@@ -374,13 +366,13 @@ def _tops(loop: LoopParameters, hands: HandRange, nodes: list[np.ndarray]) -> np
 
 
 def _coded(values: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return values rounded down to multiples of a power of two, and that unit."""
+    """Values rounded down to multiples of a power of two, and that unit."""
     unit = 2.0 ** frexp(float(np.max(values)) / _CODES)[1]
     return np.floor(values / unit) * unit, unit
 
 
 def _are_corners(grid: Grid, cells: Cells) -> Bool[np.ndarray, "_ _ _"]:
-    """Say which nodes are corners of some cells."""
+    """Which nodes are corners of these cells."""
     corners = np.zeros(grid.limit.shape, bool)
     for corner in np.ndindex(2, 2, 2):
         corners[tuple(np.stack(np.nonzero(cells)) + np.array(corner)[:, None])] = True
@@ -388,14 +380,14 @@ def _are_corners(grid: Grid, cells: Cells) -> Bool[np.ndarray, "_ _ _"]:
 
 
 def _lowered(grid: Grid, cells: Cells, unit: float, share: float = _LOWER) -> Grid:
-    """Return a grid whose limits at all corners of some cells are lower."""
+    """A grid whose limits at all corners of these cells are lower."""
     by = share * (grid.limit + _LOWER_ALL * grid.limit.max(axis=-1, keepdims=True))
     lower = np.floor(np.maximum(grid.limit - by, 0.0) / unit) * unit
     return grid._replace(limit=np.where(_are_corners(grid, cells), lower, grid.limit))
 
 
 def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
-    """Return a grid lowered where it is not below the boundaries between its nodes."""
+    """A grid lowered where it is not below the boundaries between its nodes."""
     counts = tuple(count * part for count, part in zip(grid.cells, _PARTS, strict=True))
     sizes = tuple(count + 1 for count in counts)
     places = np.indices(sizes).reshape(3, -1) / np.array(_PARTS)[:, None]
@@ -413,8 +405,8 @@ def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: floa
         ]
     )
     for _ in range(_ATTEMPTS):
-        own = interpolated(grid.limit, places).reshape(exact.shape)
-        above = places[:, (own > _ENOUGH * exact).ravel()]
+        limit = interpolated(grid.limit, places).reshape(exact.shape)
+        above = places[:, (limit > _ENOUGH * exact).ravel()]
         if not above.shape[1]:
             break
         is_above = np.zeros(grid.cells, bool)

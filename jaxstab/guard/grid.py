@@ -51,12 +51,9 @@ class Grid(NamedTuple):
 
 
 def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Grid) -> DeviceBoxes:
-    """Return the loops of boxes, each in a cell of a grid, whose walls are those up to its limits.
+    """The loops of boxes, each in a cell of a grid, whose walls are those up to its limits.
 
-    The first three axes are in cells; lemma B20 of docs/proofs.md.
-
-    Raises:
-        NotImplementedError: as ``DeviceBoxes``.
+    The first three axes are in cells; lemma B20 of docs/proofs.md. Errors: as ``DeviceBoxes``.
     """
     count = grid.cells[2]
     corners = grid.limit[:, :, 0]
@@ -96,15 +93,15 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
 
 def _limits_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
     """Bound the limit from above, by models without a rest, over boxes within a cell."""
-    known = _model(grid.limit, low, high)
+    model = _model(grid.limit, low, high)
     slack = _SLACK * float(np.max(grid.limit))
-    return replace(known, centre=known.centre + known.rest + slack, rest=np.zeros_like(known.rest))
+    return replace(model, centre=model.centre + model.rest + slack, rest=np.zeros_like(model.rest))
 
 
 def _tops_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
     """Enclose the largest damping over boxes of mass and delay within a cell."""
-    known = _model(grid.top, low, high)
-    return replace(known, rest=known.rest + _SLACK * known.centre)
+    model = _model(grid.top, low, high)
+    return replace(model, rest=model.rest + _SLACK * model.centre)
 
 
 def step_of(nodes: Float64[np.ndarray, " node"]) -> float:

@@ -54,7 +54,7 @@ class Guard:
     Mass, hand, delay and both gains are constant while the wall is touched.
 
     Attributes:
-        loop: the loop; its own mass, hand and delay are replaced by those of the ranges.
+        loop: the loop; its mass, hand and delay are replaced by those of the ranges.
         hands: the range of hands.
         mass: the lowest and the highest mass of the device in kg.
         delay: the shortest and the longest delay in s.
@@ -67,8 +67,15 @@ class Guard:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
         >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-        >>> print(f"{guard.largest_stiffness(20.0, mass=0.25, delay=1e-3):.0f} N/m")
-        9692 N/m
+        >>> guard.largest_stiffness([0.0, 20.0], mass=0.25, delay=1.05e-3).round().tolist()
+        [0.0, 9430.0]
+        >>> place = {"mass": np.array([0.25]), "delay": np.array([1e-3])}
+        >>> print(f"{guard.exact_stiffness(np.full((1, 1, 1), 20.0), **place).item():.3g} N/m")
+        1.22e+04 N/m
+        >>> round(guard.granted, 2), guard.costliest.mass, guard.costliest.delay
+        (0.88, 0.24, 0.0011)
+        >>> "double omega_guard_largest_stiffness(double damping" in guard.header("omega_guard")
+        True
     """
 
     loop: LoopParameters
@@ -82,7 +89,7 @@ class Guard:
     def largest_stiffness(
         self, damping: Numbers, *, mass: Numbers, delay: Numbers
     ) -> Float64[np.ndarray, "*grid"]:
-        """Return the stiffness up to which all walls are proved stable, as the C header does.
+        """The stiffness up to which all walls are proved stable, as the C header computes it.
 
         Args:
             damping: B in N s/m, any shape; all broadcast.
@@ -91,13 +98,6 @@ class Guard:
 
         Returns:
             Stiffness in N/m; 0 where nothing is proved, as outside the ranges.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-            >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-            >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-            >>> guard.largest_stiffness([0.0, 20.0], mass=0.25, delay=1.05e-3).round().tolist()
-            [0.0, 9430.0]
         """
         values = np.broadcast_arrays(
             *(np.asarray(value, np.float64) for value in (damping, mass, delay))
@@ -130,9 +130,9 @@ class Guard:
         mass: Float64[np.ndarray, " mass"],
         delay: Float64[np.ndarray, " delay"],
     ) -> Float64[np.ndarray, "mass delay damping"]:
-        """Return the stiffness at which the first of some hands of the range becomes unstable.
+        """The stiffness at which the first of the sampled hands of the range becomes unstable.
 
-        They are the corners of the range; for a device of its own, three along each quantity.
+        They are the corners of the range; with a ``device``, three along each quantity.
 
         Args:
             damping: B in N s/m for each mass and delay.
@@ -141,15 +141,6 @@ class Guard:
 
         Returns:
             Stiffness in N/m, good to about 1e-3; 0 where no stiffness is stable.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-            >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-            >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-            >>> place = {"mass": np.array([0.25]), "delay": np.array([1e-3])}
-            >>> exact = guard.exact_stiffness(np.full((1, 1, 1), 20.0), **place)
-            >>> print(f"{float(exact[0, 0, 0]):.3g} N/m")
-            1.22e+04 N/m
         """
         boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
         limits = boundary.largest_stiffness(damping)
@@ -158,15 +149,7 @@ class Guard:
 
     @property
     def granted(self) -> float:
-        """The mean granted stiffness over the mean stable one, over the whole range.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-            >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-            >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-            >>> round(guard.granted, 2)
-            0.88
-        """
+        """The mean granted stiffness over the mean stable one, over the whole range."""
         mass, delay = (
             low + (high - low) * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
             for low, high in (self.mass, self.delay)
@@ -176,20 +159,12 @@ class Guard:
         damping = boundary.largest_damping()[..., None] * share
         limits = boundary.largest_stiffness(damping)
         exact = np.where(np.isfinite(limits), limits, 0.0)
-        own = self.largest_stiffness(damping, mass=mass[:, None, None], delay=delay[:, None])
-        return float(np.sum(own) / np.sum(exact))
+        proved = self.largest_stiffness(damping, mass=mass[:, None, None], delay=delay[:, None])
+        return float(np.sum(proved) / np.sum(exact))
 
     @property
     def costliest(self) -> Costliest:
-        """The corner of mass, delay and hand that costs most of the stiffness.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-            >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-            >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-            >>> guard.costliest.mass, guard.costliest.delay
-            (0.24, 0.0011)
-        """
+        """The corner of mass, delay and hand that costs most of the stiffness."""
         mass, delay = np.array(self.mass), np.array(self.delay)
         boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
         share = (np.arange(_DAMPINGS) + 0.5) / _DAMPINGS
@@ -217,24 +192,16 @@ class Guard:
         )
 
     def header(self, name: str, about: str = "", units: tuple[str, str, str] = _LINE) -> str:
-        """Return a C99 header with NAME_clamp and NAME_largest_stiffness.
+        """A C99 header with NAME_clamp and NAME_largest_stiffness.
 
         Args:
             name: the beginning of all names in the header.
-            about: lines that say for which loop the guard is made, printable and without "*/".
+            about: lines that describe the loop of the guard, printable and without "*/".
             units: of mass, stiffness and damping.
 
         Raises:
             ValueError: the name is not valid in C, ``about`` or a unit would not stay in a comment,
                 or the header would be larger than 1 MB.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-            >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-            >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-            >>> header = guard.header("omega_guard")
-            >>> "double omega_guard_largest_stiffness(double damping" in header
-            True
         """
         checked_name(name)
         for kind, text in (("about", about), *(("units", unit) for unit in units)):
@@ -303,7 +270,7 @@ def _version() -> str:
 
 
 def _table(values: np.ndarray) -> str:
-    """Return whole numbers as an initialiser, a row of the last axis on lines of its own."""
+    """Return whole numbers as an initialiser; each row of the last axis begins a line."""
     if values.ndim > 1:
         return ",\n".join("{" + _table(row) + "}" for row in values)
     lines, line = [], ""

@@ -91,7 +91,7 @@ def boundary_of(
     """Return the boundary for devices of some masses, at delays in samples."""
     if loop.device is None:
         return _of_masses(loop, hands, mass, delay)
-    device = HeldDevice.of(loop.device, loop.sample_time)
+    device = HeldDevice.from_device(loop.device, loop.sample_time)
     return _of_devices(device, loop, hands, mass, delay)
 
 

@@ -42,12 +42,12 @@ Wall = tuple[float, float]
 
 
 class WorstLoop(NamedTuple):
-    """What is known of a wall for all loops between two, and the worst of those tried.
+    """The verdict on a wall for all loops between two, and the worst of those tried.
 
     Attributes:
         verdict: STABLE is proved for every loop between the two, UNSTABLE for ``loop``.
         loop: the loop of the largest spectral radius of those that were tried.
-        share: where it is on the way from the first loop (0) to the last (1).
+        share: its position between the first loop (0) and the last (1).
         radius: its spectral radius.
 
     Example:
@@ -70,11 +70,11 @@ class LoopsBetween:
 
     Each number that differs runs straight from its value in the first loop to that in the last, all
     of them together: an interval of one parameter, or a line through the space of several, and not
-    the box of all their combinations. Whatever a device, a hand, its grip, an actuator, a low pass
-    and a delay are made of may differ; the sampling period, windows, orders, state spaces and
-    transfer functions in z may not. ``jaxstab.common_region`` takes it in place of a list.
+    the box of all their combinations. Any number of a device, a hand, its grip, an actuator, a low
+    pass and a delay may differ; the sampling period, windows, orders, state spaces and transfer
+    functions in z may not. ``jaxstab.common_region`` takes it in place of a list.
 
-    What is proved holds for every loop between the two, both included, the numbers being exact and
+    A proof holds for every loop between the two, both included, the numbers being exact and
     constant while the wall is touched: a delay that moves within the interval is not covered. A
     filter whose cut-off differs has the exact coefficients that belong to each cut-off, and a part
     of the device that the position does not show for one of the values counts as part of the loop.
@@ -84,21 +84,24 @@ class LoopsBetween:
         last: another one of the same sampling period and of the same parts.
 
     Raises:
-        TypeError: one of them is no HapticLoop, or JAX traces it.
+        TypeError: one of them is not a HapticLoop, or JAX traces it.
         ValueError: they differ in more than numbers.
 
-    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008) for ranges of hands; lemma B17 of
-    docs/proofs.md.
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008) for ranges of hands; lemmas B4, B5 and
+    B17 of docs/proofs.md.
 
     Example:
-        >>> from dataclasses import replace
-        >>> mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
-        >>> soft = jaxstab.Device.modes([mode], mass=0.25, damping=0.1)
-        >>> other = replace(mode, frequency=90.0)
-        >>> stiff = jaxstab.Device.modes([other], mass=0.25, damping=0.1)
-        >>> ends = [jaxstab.HapticLoop(device=one, sample_time=1e-3) for one in (soft, stiff)]
-        >>> jaxstab.Verdict(jaxstab.LoopsBetween(*ends).verdict(1000.0, 1.0)).name
-        'STABLE'
+        >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
+        >>> loops = jaxstab.LoopsBetween(light, heavy)
+        >>> loops.loop(0.25).device_mass, loops.verdict([1e4, 1e5], 20.0).tolist()
+        (0.125, [1, 2])
+        >>> worst = loops.worst_loop(1e5, 20.0)
+        >>> worst.verdict.name, round(worst.loop.device_mass, 3)
+        ('UNSTABLE', 0.1)
+        >>> limit = loops.robust_limit()
+        >>> limit.is_proved, round(limit.limit)
+        (True, 70643)
     """
 
     first: HapticLoop
@@ -113,88 +116,49 @@ class LoopsBetween:
 
     @cached_property
     def family(self) -> LoopFamily:
-        """The mathematics of it."""
+        """The loops as functions of the share."""
         return LoopFamily.between(self.first, self.last)
 
     @cached_property
     def _merged(self) -> dict[str, Any]:
         return {
-            one.name: merged(getattr(self.first, one.name), getattr(self.last, one.name))
-            for one in fields(self.first)
+            field.name: merged(getattr(self.first, field.name), getattr(self.last, field.name))
+            for field in fields(self.first)
         }
 
     def loop(self, share: float) -> HapticLoop:
-        """Return the loop that a share of the way is between the two, its numbers rounded.
+        """The loop at a share in [0, 1] of the way between the two, its numbers rounded.
 
-        Args:
-            share: 0 for the first loop, 1 for the last.
-
-        Raises:
-            TypeError: the share is no number.
-            ValueError: it is not in [0, 1].
-
-        Example:
-            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
-            >>> jaxstab.LoopsBetween(light, heavy).loop(0.25).device_mass
-            0.125
+        Raises: see ``jaxstab.conventions``.
         """
         share = checked_number("share", share, 0.0, 1.0)
-        return HapticLoop(**{name: value_at(one, share) for name, one in self._merged.items()})
+        return HapticLoop(**{name: value_at(pair, share) for name, pair in self._merged.items()})
 
     def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[np.ndarray, "*grid"]:
-        """Return proved codes of ``Verdict`` for walls and all of the loops.
+        """Proved codes of ``Verdict`` for walls and all of the loops.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
+        Args and Raises: see ``jaxstab.conventions``.
 
         Returns:
             STABLE where a wall is proved stable in every loop between the two, UNSTABLE where one
-            of them is proved to have a root on the unit circle or outside, UNDECIDED else.
-
-        Raises:
-            ValueError: a gain is infinite or NaN.
-
-        Source: lemmas B4, B5 and B17 of docs/proofs.md.
-
-        Example:
-            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
-            >>> jaxstab.LoopsBetween(light, heavy).verdict([1e4, 1e5], 20.0).tolist()
-            [1, 2]
+            of them is proved to have a root on the unit circle or outside, UNDECIDED elsewhere.
         """
         gains = (checked_gain("stiffness", stiffness), checked_gain("damping", damping))
         grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
         return family_verdicts(self.family, grid.reshape(-1, 2)).reshape(grid.shape[:-1])
 
     def worst_loop(self, stiffness: float, damping: float) -> WorstLoop:
-        """Return whether a wall is stable in all of the loops, and the worst that was found.
+        """Whether a wall is stable in all of the loops, and the worst of those tried.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
+        UNDECIDED where all loops that were tried are stable, but not all others could be proved.
 
-        Returns:
-            WorstLoop; UNDECIDED where all loops that were tried are stable, but not all others
-            could be proved.
-
-        Raises:
-            TypeError: a gain is not one real number.
-            ValueError: a gain is infinite or NaN.
-
-        Source: lemmas B4, B5 and B17 of docs/proofs.md.
-
-        Example:
-            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
-            >>> worst = jaxstab.LoopsBetween(light, heavy).worst_loop(1e5, 20.0)
-            >>> worst.verdict.name, round(worst.loop.device_mass, 3)
-            ('UNSTABLE', 0.1)
+        Args and Raises: see ``jaxstab.conventions``; the gains are single numbers.
         """
         wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
         radii: dict[float, float] = {}
 
         def judge(shares: Shares) -> WorstLoop:
-            """Return the worst of the loops at shares and of all that were tried before."""
+            """The worst of the loops at shares and of all that were tried before."""
             for share in map(float, shares):
                 if share not in radii:
                     radii[share] = float(self.loop(share).spectral_radius(*wall).value)
@@ -203,13 +167,13 @@ class LoopsBetween:
             return WorstLoop(Verdict(int(loop.verdict(*wall))), loop, share, radii[share])
 
         def unproved(numbers: list[int]) -> dict[int, Shares]:
-            """Return shares next to the first one at which a root may be on the circle."""
+            """Shares next to the first one at which a root may be on the circle."""
             roots = first_roots(self.family, np.array([wall] * len(numbers)).reshape(-1, 2))
             if roots is None:
                 return {number: np.zeros(0) for number in numbers}
             after = roots.low[:, None] + np.append(0.0, 2.0 ** -np.arange(4.0, 40.0))
             return {
-                n: one[one <= 1.0] for n, one in zip(numbers, after, strict=True) if one[0] < inf
+                n: row[row <= 1.0] for n, row in zip(numbers, after, strict=True) if row[0] < inf
             }
 
         worst = judge(np.linspace(0.0, 1.0, _TRIED))
@@ -221,21 +185,10 @@ class LoopsBetween:
         return worst_of_range([worst], unproved, lambda _, shares: judge(shares), _MOST_TRIED)[0]
 
     def robust_limit(self) -> RobustLimit:
-        """Return the largest stiffness, and its damping, that all of the loops allow.
+        """The largest stiffness, and its damping, that all of the loops allow.
 
-        Returns:
-            RobustLimit: with ``is_proved`` the wall is proved stable in every loop between the two.
-            Its ``limit`` is that of the exact regions of the loops that were tried: computed, and
-            no proof.
-
-        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B17 of docs/proofs.md.
-
-        Example:
-            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
-            >>> found = jaxstab.LoopsBetween(light, heavy).robust_limit()
-            >>> found.is_proved, round(found.limit)
-            (True, 70643)
+        With ``is_proved`` the wall is proved stable in every loop between the two. ``limit`` is
+        that of the exact regions of the loops that were tried: computed, not proved.
         """
         tried = TriedLoops(self)
         found = search(partial(stiffest_wall, tried.loops), tried.unproved, tried.add, PULLS)
@@ -253,7 +206,7 @@ Intervals = Float64[np.ndarray, "row _ 2"]
 
 
 def regions_of(loops: Sequence[HapticLoop]) -> dict[HapticLoop, WallRegion]:
-    """Return the stable walls of loops: those that small gains lead to, if there are any.
+    """The stable walls of loops: the component that contains small gains, if there is one.
 
     Regions that are UNRESOLVED are left out; a proof for the range covers these loops, too.
     """
@@ -266,7 +219,7 @@ def regions_of(loops: Sequence[HapticLoop]) -> dict[HapticLoop, WallRegion]:
 
 
 def common_polygon(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
-    """Return a polygon of walls that all of some loops have, pulled in by a share of its size."""
+    """A polygon of walls that all of the loops have, pulled in by a share of its size."""
     regions = regions_of(loops).values()
     if not regions:
         return None
@@ -276,14 +229,10 @@ def common_polygon(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
 
 
 def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
-    """Return a polygon of walls that all regions have, by rows; no point where no row has one.
+    """A polygon of walls that all regions have, by rows; no point where no row has one.
 
-    Of several intervals of a row it is the widest. What lies between two rows may be missed, and of
-    the polygon nothing is proved.
-
-    Args:
-        regions: at least one, none of them empty.
-        count: of rows.
+    Of several intervals of a row it takes the widest. Walls between two rows may be missed, and
+    nothing is proved of the polygon. No region may be empty.
     """
     low, high = common_rows(regions)
     if not low < high:
@@ -292,7 +241,7 @@ def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
 
 
 def stiffest_wall(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
-    """Return the stiffest wall of some loops, pulled down by a share of its stiffness."""
+    """The stiffest wall that all of the loops have, pulled down by a share of its stiffness."""
     regions = regions_of(loops)
     if not regions:
         return None
@@ -323,13 +272,13 @@ def stiffest_wall(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
 
 
 def common_rows(regions: Sequence[WallRegion]) -> tuple[float, float]:
-    """Return the dampings between which all regions may have a wall."""
+    """The dampings between which all regions may have a wall."""
     tops = [region.outline[:, 1] for region in regions]
     return max(top.min() for top in tops), min(top.max() for top in tops)
 
 
 def common_limits(regions: Sequence[WallRegion], rows: Rows) -> tuple[Rows, Rows]:
-    """Return the ends of the widest interval of stiffness that all regions have in each row."""
+    """The ends of the widest interval of stiffness that all regions have in each row."""
     shared = reduce(_shared, (region.stiffness_intervals(rows) for region in regions))
     if not shared.shape[1]:
         return np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
@@ -340,7 +289,7 @@ def common_limits(regions: Sequence[WallRegion], rows: Rows) -> tuple[Rows, Rows
 
 
 def _shared(one: Intervals, other: Intervals) -> Intervals:
-    """Return the intervals that two sets of intervals share; NaN for none."""
+    """The intervals that two sets of intervals share; NaN for none."""
     low = np.maximum(one[:, :, None, 0], other[:, None, :, 0])
     high = np.minimum(one[:, :, None, 1], other[:, None, :, 1])
     both = np.where((low < high)[..., None], np.stack([low, high], axis=-1), np.nan)
@@ -350,7 +299,7 @@ def _shared(one: Intervals, other: Intervals) -> Intervals:
 
 _FIRST = (0.0, 0.25, 0.5, 0.75, 1.0)
 
-_CLOSEST = 2.0**-10  # of the way: there is no loop tried between two that are so close
+_CLOSEST = 2.0**-10  # of the way: between two loops that are closer no other one is tried
 
 _AT_ONCE = 3  # loops that are added
 
@@ -358,18 +307,18 @@ Shares = Float64[np.ndarray, " share"]
 
 
 class TriedLoops:
-    """Loops between two that are tried: where a proof fails, those half way between join."""
+    """The loops between two that are tried: where a proof fails, those half way between join."""
 
     def __init__(self, between: LoopsBetween) -> None:
         self.between, self.shares = between, [*_FIRST]
         self.loops = [*map(between.loop, self.shares)]
 
     def unproved(self, walls: Points) -> Shares | None:
-        """Return shares at which walls could not be proved."""
+        """Shares at which walls could not be proved; None if nothing can be proved."""
         return failures(self.between.family, walls)
 
     def add(self, shares: Shares) -> bool:
-        """Add the loops in the middle of the gaps in which most of some shares are."""
+        """Add the loops in the middle of the gaps in which most of the shares are."""
         last = len(self.shares) - 1
         numbers = np.clip(np.searchsorted(self.shares, shares, "right"), 1, last)
         numbers, counts = np.unique(numbers, return_counts=True)
@@ -385,8 +334,8 @@ class TriedLoops:
 
 # A loop with any device, held by all hands of a range, its device of any mass of another one.
 #
-# Some hands are tried, and all others are proved in boxes (``DeviceBoxes``). Devices of
-# which boxes know nothing are proved where one number varies, as the loops between two.
+# Some hands are tried, and all others are proved in boxes (``DeviceBoxes``). Devices that these
+# boxes do not cover are proved where one number varies, as the loops between two.
 
 _VALUES = 3  # values of each number that varies
 
@@ -401,20 +350,10 @@ _ROUNDED_UP = 1.0 + 1e-9
 
 @dataclass(frozen=True)
 class LoopsWithHands:
-    """A loop with its device and all hands of a range, in place of the hand that it has.
+    """A loop with its device and all hands of a range, in place of its hand; a grip stays.
 
-    A grip stays.
-
-    Args:
-        loop: the loop, with its device.
-        device: the device.
-        hands: the range of hands.
-        mass: the lowest and the highest mass of the device in kg; None for its own.
-
-    Raises:
-        TypeError: ``hands`` is no range of hands.
-        ValueError: a range is out of order, the device has several hands, or no mass that could
-            vary.
+    ``mass`` is the lowest and the highest mass of the device in kg, None for its own. Errors: as
+    ``HapticLoop.worst_hand``.
     """
 
     loop: "HapticLoop"
@@ -427,7 +366,7 @@ class LoopsWithHands:
         if len(self.device.hands) > 1:
             raise ValueError(
                 f"the device ({self.device}) is held by {len(self.device.hands)} hands; give one "
-                "that has a single hand, in place of which those of the range hold it."
+                "that has a single hand, which the hands of the range replace."
             )
         if self.mass is not None and self._own_mass is None:
             raise ValueError(
@@ -436,7 +375,7 @@ class LoopsWithHands:
             )
 
     def worst(self, stiffness: float, damping: float) -> WorstHand:
-        """Return whether a wall is stable for all of them, and the worst that was found."""
+        """Whether a wall is stable for all of them, and the worst of those tried."""
         wall = stiffness, damping
 
         def judge(_: int, rows: Hands) -> WorstHand:
@@ -445,7 +384,7 @@ class LoopsWithHands:
         def unproved(numbers: list[int]) -> dict[int, Hands]:
             try:
                 return {n: left for n in numbers if len(left := self._unproved(wall))}
-            except NotImplementedError:  # boxes know nothing of such a device
+            except NotImplementedError:  # boxes do not cover such a device
                 return {n: np.zeros((0, 4)) for n in numbers}
 
         sampled = [judge(0, self._spread(_VALUES))]
@@ -456,13 +395,13 @@ class LoopsWithHands:
         return worst
 
     def robust_limit(self) -> RobustLimit:
-        """Return the stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
+        """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
         loops = [self._held(row) for row in self._spread(2)]
         return limit_for_hands(loops, stiffest_wall, self.worst)
 
     @cached_property
     def _between(self) -> LoopsBetween | None:
-        """The loops between two that these are; None where more than one number varies."""
+        """They as the loops between two; None where more than one number varies."""
         ends = [self.hands.mass, self.hands.stiffness, self.hands.damping, self._masses]
         if sum(low < high for low, high in ends) > 1:
             return None
@@ -485,7 +424,6 @@ class LoopsWithHands:
         return np.array([(*hand, mass) for hand, mass in product(hands, masses)])
 
     def _held(self, row: np.ndarray) -> "HapticLoop":
-        """Return the loop with a hand, and with a mass of the device."""
         mass, stiffness, damping, own = row.tolist()
         hand = Hand.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
         grip = self.device.hands[0].grip if self.device.hands else None
@@ -495,13 +433,8 @@ class LoopsWithHands:
         return replace(self.loop, device=free.held_by(replace(hand, grip=grip)))
 
     def _unproved(self, wall: Wall) -> Hands:
-        """Return hands, and masses of the device, at which a root on the circle is not excluded.
-
-        Boxes of both and of the angle are halved (lemma B21 of docs/proofs.md).
-
-        Raises:
-            NotImplementedError: as ``proofs.device_boxes.DeviceBoxes``.
-        """
+        """Hands, and masses of the device, at which a root on the circle is not excluded."""
+        # Boxes of both and of the angle are halved (lemma B21 of docs/proofs.md).
         loop, hands, mass = self.loop, self.hands, self._masses
         device = self._held(self._spread(1)[0]).device
         assert device is not None
@@ -522,7 +455,7 @@ class LoopsWithHands:
 
 
 def _worst_of(loops: "list[HapticLoop]", wall: tuple[float, float]) -> WorstHand:
-    """Return the verdict on a wall in the loop of the largest radius; of unstable ones, if any."""
+    """The verdict on a wall in the loop of the largest radius; of unstable ones, if any."""
     codes = np.array([loop.verdict(*wall) for loop in loops])
     poles = [np.abs(np.asarray(loop.poles(*wall))).max() for loop in loops]
     unstable = codes == Verdict.UNSTABLE

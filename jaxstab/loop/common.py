@@ -31,7 +31,7 @@ _WIDER = 1.0, 2.0, 4.0  # times the tolerance, by which a polygon is pulled in
 
 @dataclass(frozen=True)
 class CommonRegion:
-    """Walls that are stable in every one of several loops, reached by turning gains up from 0.
+    """Walls that are stable in each of several loops, in the component that contains small gains.
 
     Attributes:
         loops: the loops; of all loops between two, those that were tried.
@@ -41,14 +41,18 @@ class CommonRegion:
             unless the status is PROVED.
         tolerance: how far the outline was pulled in to be proved, as a share of its size: the
             intersection of the regions is larger by about as much.
-        between: all of the loops where they are those between two; what is proved holds for all.
+        between: all of the loops where they are those between two; the proof then holds for all.
 
     Example:
         >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
         >>> common = jaxstab.common_region([light, heavy])
-        >>> common.status.name, bool(common.contains(5000.0, 50.0))
-        ('PROVED', True)
+        >>> common.status.name, common.contains(5000.0, [50.0, 500.0]).tolist()
+        ('PROVED', [True, False])
+        >>> common.verdict([5000.0, 200000.0], 50.0).tolist()
+        [1, 2]
+        >>> print(f"{common.stiffest.stiffness:.0f} N/m at {common.stiffest.damping:.1f} N s/m")
+        69796 N/m at 82.5 N s/m
     """
 
     loops: "tuple[HapticLoop, ...]"
@@ -59,71 +63,38 @@ class CommonRegion:
 
     @property
     def stiffest(self) -> Gains:
-        """The vertex of the largest stiffness; NaN without an outline.
-
-        Example:
-            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
-            >>> common = jaxstab.common_region([light, heavy])
-            >>> print(f"{common.stiffest.stiffness:.0f} N/m at {common.stiffest.damping:.1f} N s/m")
-            69796 N/m at 82.5 N s/m
-        """
+        """The vertex of the largest stiffness; NaN without an outline."""
         if not len(self.outline):
             return Gains(np.nan, np.nan)
         stiffness, damping = self.outline[np.argmax(self.outline[:, 0])].tolist()
         return Gains(stiffness, damping)
 
     def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[np.ndarray, "*grid"]:
-        """Return proved codes of ``Verdict`` for walls in all of the loops together.
+        """Proved codes of ``Verdict`` for walls in all of the loops together.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
+        Args and Raises: see ``jaxstab.conventions``.
 
         Returns:
             STABLE where a wall is proved stable in every loop, outside the outline too; UNSTABLE
             where it is proved unstable in one loop; otherwise UNDECIDED.
-
-        Raises:
-            ValueError: a gain is infinite or NaN.
-
-        Example:
-            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
-            >>> common = jaxstab.common_region([light, heavy])
-            >>> common.verdict([5000.0, 200000.0], 50.0).tolist()
-            [1, 2]
         """
         if self.between is not None:
             return self.between.verdict(stiffness, damping)
         codes = np.stack([np.asarray(loop.verdict(stiffness, damping)) for loop in self.loops])
         is_stable = np.all(codes == Verdict.STABLE, axis=0)
-        known = np.where(is_stable, Verdict.STABLE, Verdict.UNDECIDED)
+        stable = np.where(is_stable, Verdict.STABLE, Verdict.UNDECIDED)
         is_unstable = np.any(codes == Verdict.UNSTABLE, axis=0)
-        return np.asarray(np.where(is_unstable, Verdict.UNSTABLE, known), np.int8)
+        return np.asarray(np.where(is_unstable, Verdict.UNSTABLE, stable), np.int8)
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[np.ndarray, "*grid"]:
-        """Return where walls are proved stable in every loop; see ``verdict``.
-
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
-
-        Raises:
-            ValueError: a gain is infinite or NaN.
-
-        Example:
-            >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> heavy = jaxstab.HapticLoop(device_mass=0.2, device_damping=1.5, sample_time=1e-3)
-            >>> common = jaxstab.common_region([light, heavy])
-            >>> common.contains(5000.0, [50.0, 500.0]).tolist()
-            [True, False]
-        """
+        """Where walls are proved stable in every loop; see ``verdict``."""
         return np.asarray(self.verdict(stiffness, damping) == Verdict.STABLE)
 
 
 def common_region(
     loops: "Sequence[HapticLoop] | LoopsBetween", *, tolerance: float = 0.02
 ) -> CommonRegion:
-    """Return the walls that are stable in each of several loops, with a polygon that is proved.
+    """The walls that are stable in each of several loops, with a proved polygon.
 
     The loops of a list may differ in everything: devices, hands, estimators, delays, sampling
     periods. The answer holds for these loops alone, not for loops between them. For an interval of
@@ -137,10 +108,8 @@ def common_region(
     Returns:
         CommonRegion with its status. An empty one is an answer, not an error.
 
-    Raises:
-        ValueError: there is no loop, the tolerance is out of range, or a device does not give way
-            to a constant force.
-        TypeError: JAX traces a loop.
+    Raises: see ``jaxstab.conventions``; ValueError also if there is no loop, or a device has zero
+    DC gain.
 
     Source: sec. VIII of Hulin, Preusche, Hirzinger (2008) for ranges of hands; lemmas B11, B13 and
     B17 of docs/proofs.md.
@@ -176,7 +145,7 @@ def _proved_region(
     tolerance: float,
     between: LoopsBetween | None = None,
 ) -> CommonRegion:
-    """Return the region that a search finds from some loops, to which it may add others."""
+    """The region that a search finds from sampled loops, to which it may add others."""
     pulls = [times * tolerance for times in _WIDER]
     found = search(partial(common_polygon, loops), unproved, add, pulls)
     if found.guess is None or not found.is_proved:
@@ -195,8 +164,8 @@ def _is_proved(loop: LoopParameters, outline: Points) -> bool:
     hand, filters = ((gamma, gamma), (delta, delta)), given_filters(**loop.filters)
     is_free = not len(failures(walls, *hand, delay, filters=filters))
     alpha, beta = walls[0]
-    one = verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, **loop.filters)
-    return is_free and int(one) == Verdict.STABLE
+    code = verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, **loop.filters)
+    return is_free and int(code) == Verdict.STABLE
 
 
 # The wall with the smallest worst settling time over several loops: a search on grids.
@@ -248,12 +217,12 @@ def tune_for_all(
     level: float = 0.02,
     excitation: Excitation = "force",
 ) -> CommonWall:
-    """Return the wall whose longest settling time over several loops is the shortest one found.
+    """The wall whose longest settling time over several loops is the shortest one found.
 
     The answer holds for these loops alone: give the corners of your ranges of hands, masses and
-    delays, and some loops between. The search covers the walls that are reached by turning gains up
-    from 0 in the first loop. Among walls that are equally fast at worst, the one that is fastest on
-    average is returned.
+    delays, and some loops between. The search covers the stable component of the first loop that
+    contains small gains. Among walls that are equally fast at worst, the one that is fastest on
+    average is returned. That no other wall is faster is not proved.
 
     Args:
         loops: at least one.
@@ -261,12 +230,8 @@ def tune_for_all(
         level: half width of the band of the settling time, between 0 and 1.
         excitation: what the settling time refers to, see ``jaxstab.settling_samples``.
 
-    Returns:
-        CommonWall. That no other wall is faster is not proved.
-
-    Raises:
-        ValueError: there is no loop, an argument is out of range, or an unknown word.
-        TypeError: an argument is not one number, or JAX traces a loop.
+    Raises: see ``jaxstab.conventions``; ValueError also if there is no loop, or for an unknown
+    word.
 
     Source: the loop of eqs. (1)-(5); settling as in later papers of Hulin, Preusche, Hirzinger.
 
@@ -293,13 +258,13 @@ def tune_for_all(
         region = loops[0].region()
         is_reached = np.asarray((region.main or region).contains(*walls))
         walls = [gains[is_reached] for gains in walls]
-        found = _times(loops, walls, times.max(), level, excitation, horizon)
-        while not np.isfinite(found.max(axis=0)).any() and zoom == 0 and horizon < _MOST:
+        settling = _times(loops, walls, times.max(), level, excitation, horizon)
+        while not np.isfinite(settling.max(axis=0)).any() and zoom == 0 and horizon < _MOST:
             horizon *= _LONGER
-            found = _times(loops, walls, times.max(), level, excitation, horizon)
-        if found.shape[1]:
-            first = int(np.lexsort((found.mean(axis=0), found.max(axis=0)))[0])
-            value = found[:, first]
+            settling = _times(loops, walls, times.max(), level, excitation, horizon)
+        if settling.shape[1]:
+            first = int(np.lexsort((settling.mean(axis=0), settling.max(axis=0)))[0])
+            value = settling[:, first]
             if (value.max(), value.mean()) < (times.max(), times.mean()):
                 times, best = value, (float(walls[0][first]), float(walls[1][first]))
         if not np.isfinite(times.max()):
@@ -326,7 +291,7 @@ def settling_times(
         [(loop.alpha(stiffness), loop.beta(damping), *loop.slice.values()) for loop in loops]
     )
     alpha, beta, gamma, delta, delay = points.T
-    found = settling_samples(
+    settling = settling_samples(
         alpha,
         beta,
         gamma=gamma,
@@ -337,12 +302,12 @@ def settling_times(
         horizon=_MOST,
         **first.filters,
     )
-    samples = np.asarray(found.value)
+    samples = np.asarray(settling.value)
     return np.where(np.isnan(samples), np.inf, samples * first.sample_time)
 
 
 def _are_alike(one: "HapticLoop", other: "HapticLoop") -> bool:
-    """Return whether two loops have one controller, but for the delay."""
+    """Whether two loops have the same controller, apart from the delay."""
     return (one.sample_time, one.filters) == (other.sample_time, other.filters)
 
 
@@ -353,7 +318,7 @@ def _in_floats(loop: "HapticLoop") -> Any:
 
 
 def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
-    """Return a grid that spans the walls that turning gains up from 0 reaches."""
+    """A grid that spans the stable component that contains small gains."""
     region = loop.region()
     outline = (region.main or region).outline
     if not len(outline):
@@ -373,7 +338,7 @@ def _times(
     excitation: Excitation,
     horizon: int,
 ) -> Float64[np.ndarray, "loop wall"]:
-    """Return settling times in s; infinite where none is proved, or one is longer than allowed."""
+    """Settling times in s; infinite where none is proved, or one is longer than allowed."""
     times = np.full((len(loops), len(walls[0])), np.inf)
     hopeful = np.arange(len(walls[0]))
     for number, loop in enumerate(loops):
@@ -381,10 +346,10 @@ def _times(
         settling = loop.settling_time(
             stiffness, damping, level=level, excitation=excitation, horizon=horizon
         )
-        found = np.asarray(settling.value)
-        found = np.where(found <= longest, found, np.inf)  # NaN is not proved
-        times[number, hopeful] = found
-        hopeful = hopeful[np.isfinite(found)]
+        value = np.asarray(settling.value)
+        value = np.where(value <= longest, value, np.inf)  # NaN is not proved
+        times[number, hopeful] = value
+        hopeful = hopeful[np.isfinite(value)]
         if not len(hopeful):
             times[number:] = np.inf
             break

@@ -36,10 +36,10 @@ class HapticLoop(LoopParameters):
     """A haptic device held by a hand, and the sampled loop that renders a virtual wall on it.
 
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
-    there is a filter, and B times the estimated velocity. The loop answers questions by methods:
-    about a wall (K, B) ``verdict``, ``spectral_radius``, ``poles``, ``margins``,
-    ``settling_time``, ``oscillation``, ``simulate``; about all walls ``region``, ``limits``,
-    ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; about all hands
+    there is a filter, and B times the estimated velocity. Methods about one wall (K, B):
+    ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``settling_time``, ``oscillation``,
+    ``amplitude``, ``simulate``; about all walls: ``region``, ``limits``, ``stiffness_limits``,
+    ``damping_limits``, ``boundary_distance``, ``tune``; about all hands of a range:
     ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
 
     A loop is a pytree: JAX traces its numbers, the cut-offs of filters among them, but not windows
@@ -49,12 +49,12 @@ class HapticLoop(LoopParameters):
     checked.
 
     The fields ``device_mass`` to ``hand_stiffness`` describe device and hand as one mass;
-    ``device`` alone takes any linear system, with its hands. With a ``device``, ``worst_hand`` and
-    ``robust_limit`` put other hands in place of its own; ask ``jaxstab.LoopsBetween`` about other
-    intervals, ``jaxstab.common_region`` about lists of loops. A device that does not give way to a
-    constant force, G(0) = 0, has only verdicts, radii, poles and margins.
+    ``device`` alone takes any linear system, with its hands; ``worst_hand`` and ``robust_limit``
+    then put other hands in place of these. For other intervals see ``jaxstab.LoopsBetween``, for
+    lists of loops ``jaxstab.common_region``. Regions, limits, tuning and motions need a device that
+    moves under a constant force: one with zero DC gain, G(0) = 0, raises ValueError.
 
-    Source: eqs. (1) and (12), Table I.
+    Source: eqs. (1) and (12), Table I of Hulin, Preusche, Hirzinger (2008), as in all methods.
 
     Args:
         sample_time: sampling period T in s, > 0.
@@ -63,26 +63,26 @@ class HapticLoop(LoopParameters):
         hand_mass: mass of the hand and arm in kg, >= 0.
         hand_damping: damping of the hand in N s/m, >= 0.
         hand_stiffness: stiffness of the hand in N/m, >= 0.
-        delay: time delay t_d of the loop in s, >= 0, beside the half sample of the hold.
+        delay: time delay t_d of the loop in s, >= 0, in addition to the half sample of the hold.
         velocity: how the controller estimates the velocity, windows in samples or s, cut-offs in
             Hz; None for the difference over one sample, the wall of the paper.
         position: how the controller filters the position; None for no filter.
         device: any linear device, in place of the masses, dampings and stiffness above. A device
-            that is one mass with hands glued to it gets the same answers, bit for bit.
+            that is one mass with hands rigidly attached gets the same answers, bit for bit.
 
     Raises:
-        TypeError: a value is not a real number, or not of its class, or ``device`` is given beside
-            fields of device or hand.
-        ValueError: a value is NaN, infinite or outside its range; a window is no whole number of
-            samples, or a filter does not go with the sampling period.
+        TypeError: a value is not a real number, or not of its class, or ``device`` is given as well
+            as fields of device or hand.
+        ValueError: a value is NaN, infinite or outside its range; a window is not a whole number of
+            samples, or a filter is incompatible with the sampling period.
 
     Example:
         >>> loop = jaxstab.HapticLoop(
         ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
         ...     velocity=jaxstab.Velocity.difference(window=0.02),
         ... )
-        >>> round(loop.limits().stiffness)
-        2035
+        >>> round(loop.limits().stiffness), loop.verdict(5000.0, 30.0)
+        (2035, <Verdict.UNSTABLE: 2>)
         >>> plain = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> plain.mass, plain.gamma, round(plain.delta, 9), plain.delay_samples
         (0.1, 0.0, 0.015, 0.0)
@@ -91,24 +91,23 @@ class HapticLoop(LoopParameters):
     """
 
     def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
-        """Return the set of all stable walls, in its connected parts.
+        """The set of all stable walls, in its connected parts.
+
+        A loop that JAX traces, without estimator and filter, is answered by
+        ``jaxstab.region_outline``.
 
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the
                 region's diameter, > 1e-10. Everything else is measured on the exact boundary.
 
         Returns:
-            WallRegion of NumPy arrays, with its status. A loop that JAX traces, without estimator
-            and filter, is answered by ``jaxstab.region_outline``.
+            WallRegion of NumPy arrays, with its status.
 
-        Raises:
-            ValueError: the dimensionless parameters are out of range, the delay is longer than 500
-                samples, or the device does not give way to a constant force, G(0) = 0: the
-                boundary is computed from 1/G(0) on.
-            TypeError: JAX traces a loop with an estimator or a filter; ``limits`` takes it.
+        Raises: see ``jaxstab.conventions``; ValueError also for a delay longer than 500 samples and
+        for a device with zero DC gain: the boundary is computed from 1/G(0) on. TypeError if JAX
+        traces a loop with an estimator or a filter; ``limits`` takes it.
 
-        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition; see
-        ``jaxstab.stable_region``.
+        Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -120,16 +119,15 @@ class HapticLoop(LoopParameters):
         return wall_region(self.in_floats(), tolerance)
 
     def limits(self) -> WallLimits:
-        """Return the largest stiffness and the largest damping that the loop allows.
+        """The largest stiffness and the largest damping that the loop allows.
 
-        They hold for the walls that are reached by turning gains up from 0; the limits of islands,
-        which are not reached so, follow separately. For a loop that JAX traces, the limits are
+        They hold for the stable component that contains small gains; the limits of islands, which
+        are not connected to it, follow separately. For a loop that JAX traces, the limits are
         differentiable once in all numbers of the loop, and islands are left out.
 
-        Raises:
-            ValueError: as ``region``.
+        Raises: as ``region``.
 
-        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+        Source: eq. (9) by the D-decomposition.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -143,22 +141,17 @@ class HapticLoop(LoopParameters):
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the smallest and the largest stable stiffness at given dampings.
-
-        Args:
-            damping: B in N s/m, any shape.
+        """The smallest and the largest stable stiffness at given dampings in N s/m, any shape.
 
         Returns:
-            Array (*grid, 2) in N/m, for the walls reached by turning gains up from 0 if there are
-            any. NaN where no stiffness is stable, and everywhere if the loop's region is
-            UNRESOLVED. Of several intervals the one that reaches farthest is given. JAX arrays and
-            tracers give differentiable JAX arrays.
+            Array (*grid, 2) in N/m, for the component that contains small gains if there is one.
+            NaN where no stiffness is stable, and everywhere if the loop's region is UNRESOLVED. Of
+            several intervals it is the one that extends farthest. JAX arrays and tracers give
+            differentiable JAX arrays.
 
-        Raises:
-            ValueError: a damping is infinite or NaN, or a parameter of the loop is out of range.
-            RuntimeError: JAX arrays are given without x64.
+        Raises: see ``jaxstab.conventions``.
 
-        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+        Source: eq. (9) by the D-decomposition.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -168,19 +161,11 @@ class HapticLoop(LoopParameters):
         return self._reachable().stiffness_limits(damping)
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
-        """Return the smallest and the largest stable damping at given stiffnesses.
+        """The smallest and the largest stable damping at given stiffnesses in N/m, any shape.
 
-        Args:
-            stiffness: K in N/m, any shape.
+        Array (*grid, 2) in N s/m, otherwise as for ``stiffness_limits``.
 
-        Returns:
-            Array (*grid, 2) in N s/m, otherwise as for ``stiffness_limits``.
-
-        Raises:
-            ValueError: a stiffness is infinite or NaN, or a parameter of the loop is out of range.
-            RuntimeError: JAX arrays are given without x64.
-
-        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+        Raises: see ``jaxstab.conventions``. Source: eq. (9) by the D-decomposition.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -190,10 +175,9 @@ class HapticLoop(LoopParameters):
         return self._reachable().damping_limits(stiffness)
 
     def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
-        """Return how far walls are from the edge of the stable set, in the (alpha, beta) plane.
+        """How far walls are from the edge of the stable set, in the (alpha, beta) plane.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
+        Args and Raises: see ``jaxstab.conventions``.
 
         Returns:
             The Euclidean distance to the edge of the stable set in units of alpha and beta,
@@ -203,11 +187,7 @@ class HapticLoop(LoopParameters):
             loop's region is UNRESOLVED. JAX arrays and tracers of gains give JAX arrays,
             differentiable once in the gains.
 
-        Raises:
-            ValueError: a gain is infinite or NaN, or a parameter of the loop is out of range.
-            RuntimeError: JAX arrays are given without x64.
-
-        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
+        Source: eq. (9) by the D-decomposition.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -226,13 +206,13 @@ class HapticLoop(LoopParameters):
         encoder: float | None = None,
         chatter: float | None = None,
     ) -> OptimalWall:
-        """Return the wall (K, B) that comes to rest fastest, or the best B for a given K.
+        """The wall (K, B) that comes to rest fastest, or the best B for a given K.
 
         This is a search for one loop, without vmap or derivatives; ``jaxstab.minimize_radius`` has
         both over gamma and delta. The best gains for the radius are sensitive: next to a triple
         pole the radius grows with the cube root of a change, so gains of six digits may miss the
         smallest radius by 0.01. With an estimator, a filter or a device that is not one mass, the
-        search covers the walls reached by turning gains up from 0; where small gains are not
+        search covers the stable component that contains small gains; where small gains are not
         stable, it covers an island, and the status says so. With such a device, a wall that keeps
         ringing within the band and decays sixteen times more slowly than the wall of the smallest
         radius does not count as settled.
@@ -252,18 +232,14 @@ class HapticLoop(LoopParameters):
             bound, settling time in s (infinite without a stable wall), a TuningStatus, and how far
             in m the encoder can drive the position, proved.
 
-        Raises:
-            ValueError: an argument is outside its range, infinite or NaN, or an unknown word, or
-                the device does not give way to a constant force.
-            TypeError: an argument is not one number.
-            RuntimeError: JAX arrays are given without x64.
+        Raises: see ``jaxstab.conventions``; ValueError also for an unknown word. All are single
+        numbers.
 
         Source: eq. (9); settling as in later papers of the same authors.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> best = loop.tune()
-            >>> print(f"settles in {1e3 * best.settling_time:.0f} ms")
+            >>> print(f"settles in {1e3 * loop.tune().settling_time:.0f} ms")
             settles in 6 ms
         """
         self._refuse_tracers("tune")
@@ -278,7 +254,7 @@ class HapticLoop(LoopParameters):
         *,
         mass: Range | None = None,
     ) -> WorstHand:
-        """Return whether a wall is stable for every hand of a range, and the worst of them.
+        """Whether a wall is stable for every hand of a range, and the worst of the sampled hands.
 
         Each hand, like the rest of the loop, is constant while the wall is touched.
 
@@ -292,10 +268,8 @@ class HapticLoop(LoopParameters):
             ``device`` is proved if it is a mass with or without modes and actuators, a grip has a
             spring, and grip or hand a damper; any other one if a single number varies.
 
-        Raises:
-            TypeError: a gain is not one real number.
-            ValueError: a gain is infinite or NaN, or a range is out of order; a ``device`` has
-                several hands, or no mass that could vary.
+        Raises: see ``jaxstab.conventions``; ValueError also if a range is out of order, or a
+        ``device`` has several hands, or no mass that could vary.
 
         Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6, B21 of docs/proofs.md.
 
@@ -314,10 +288,10 @@ class HapticLoop(LoopParameters):
         return ranges.worst_hand(self, hands, stiffness, damping, mass)
 
     def robust_limit(self, hands: HandRange, *, mass: Range | None = None) -> RobustLimit:
-        """Return the largest stiffness, and its damping, that every hand of a range allows.
+        """The largest stiffness, and its damping, that every hand of a range allows.
 
         The corners of the range, and the hands at which a proof failed, set the limit. With a
-        ``device`` it is that of their exact regions: computed, and no proof.
+        ``device`` it is that of their exact regions: computed, not proved.
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
@@ -366,24 +340,17 @@ class HapticLoop(LoopParameters):
         return plot_loop(self, ax)
 
     def to_control(self, stiffness: float, damping: float) -> Any:
-        """Return the open loop of a wall as a transfer function in z of python-control.
+        """The open loop of a wall as a transfer function in z of python-control.
 
         It is G(z) (K P(z) + B V(z)), with device, hold and delay in G: closed with a feedback of -1
         it has the poles of the loop, and its frequency response shows the margins in a Nyquist
         plot.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
+        Args and Raises: see ``jaxstab.conventions``; ImportError without python-control. The gains
+        are single numbers.
 
         Returns:
             ``control.TransferFunction`` with dt = T; coefficients rounded to float64.
-
-        Raises:
-            ImportError: python-control is not installed.
-            TypeError: a gain is not one real number, or JAX traces the loop.
-            ValueError: a gain is infinite or NaN.
-
-        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008), before the loop is closed.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -399,10 +366,10 @@ class HapticLoop(LoopParameters):
         alpha = self.alpha(checked_number("stiffness", stiffness))
         beta = self.beta(checked_number("damping", damping))
         loop = self.linear
-        columns = zip(loop.stiffness, loop.damping, strict=True)
-        above = [float((one * alpha + other * beta).rounded()) for one, other in columns]
-        below = [float(one.rounded()) for one in loop.base]
-        return TransferFunction(above, below, dt=float(self.sample_time))
+        pairs = zip(loop.stiffness, loop.damping, strict=True)
+        numerator = [float((k * alpha + b * beta).rounded()) for k, b in pairs]
+        denominator = [float(coefficient.rounded()) for coefficient in loop.base]
+        return TransferFunction(numerator, denominator, dt=float(self.sample_time))
 
     def _reachable(self) -> WallRegion:
         region = self.region()
@@ -423,17 +390,13 @@ class HapticLoop(LoopParameters):
             are proofs for the loop's dimensionless numbers, which carry a few roundings. The int8
             of one wall prints its name.
 
-        Raises:
-            ValueError: a gain is infinite or NaN, or resolve is unknown.
-            RuntimeError: JAX arrays are given without x64.
+        Raises: see ``jaxstab.conventions``; ValueError also for an unknown ``resolve``.
 
         Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
 
         Example:
-            >>> window = jaxstab.Velocity.difference(window=0.02)
-            >>> device = {"device_mass": 0.25, "device_damping": 0.1}
-            >>> loop = jaxstab.HapticLoop(**device, sample_time=1e-3, delay=1e-3, velocity=window)
-            >>> loop.verdict(5000.0, 30.0)
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.verdict(50000.0, 20.0)
             <Verdict.UNSTABLE: 2>
         """
         wall = self._wall(stiffness, damping)
@@ -443,19 +406,11 @@ class HapticLoop(LoopParameters):
         return point.verdict(*wall, **self.slice, resolve=resolve, **self.filters)
 
     def spectral_radius(self, stiffness: Numbers, damping: Numbers) -> SpectralRadius:
-        """Return the largest modulus of the loop's poles at walls, with a proved error bound.
+        """The largest modulus of the loop's poles at walls, with a proved error bound.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
+        Args and Raises: see ``jaxstab.conventions``; bound and status: ``jaxstab.spectral_radius``.
 
-        Returns:
-            SpectralRadius per sample, with its bound and status; see ``jaxstab.spectral_radius``.
-
-        Raises:
-            ValueError: a gain is infinite or NaN.
-            RuntimeError: JAX arrays are given without x64.
-
-        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008).
+        Source: eq. (9).
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -468,19 +423,11 @@ class HapticLoop(LoopParameters):
         return point.spectral_radius(*wall, **self.slice, **self.filters)
 
     def poles(self, stiffness: Numbers, damping: Numbers) -> Complex128[Array, "*grid degree"]:
-        """Return the poles z of the loop at walls, the one of the largest modulus first.
+        """The poles z of the loop at walls, (*grid, degree), the one of the largest modulus first.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
+        Args and Raises: see ``jaxstab.conventions``. Accuracy: see ``jaxstab.closed_loop_poles``.
 
-        Returns:
-            Array of shape (*grid, degree); see ``jaxstab.closed_loop_poles``.
-
-        Raises:
-            ValueError: a gain is infinite or NaN.
-            RuntimeError: JAX arrays are given without x64.
-
-        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008).
+        Source: eq. (9).
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -493,22 +440,15 @@ class HapticLoop(LoopParameters):
         return point.closed_loop_poles(*wall, **self.slice, **self.filters)
 
     def margins(self, stiffness: Numbers, damping: Numbers) -> Margins:
-        """Return how far stiffness, damping and delay of the loop at walls may change, each alone.
+        """How far stiffness, damping and delay of the loop at walls may change, each alone.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
+        Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces gains and the
+        device is not one mass. Source: eq. (9) on the unit circle.
 
         Returns:
             Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, for JAX too. No extra
             delay is proved (NaN) for a device that is not one mass and has poles of a hundred rad
             per sample or more.
-
-        Raises:
-            ValueError: a gain is infinite or NaN.
-            TypeError: JAX traces gains, and the device is not one mass.
-            RuntimeError: JAX arrays are given without x64.
-
-        Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle.
 
         Example:
             >>> loop = jaxstab.HapticLoop(
@@ -529,30 +469,20 @@ class HapticLoop(LoopParameters):
                 sampled, *wall, velocity=self.velocity, position=self.position
             )
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
-        found = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
+        margins = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
         return WallMargins(
-            found.verdict,
-            self.stiffness(found.stiffness),
-            self.damping(found.damping),
-            found.stiffness_gain,
-            found.damping_gain,
-            self.sample_time * found.extra_delay,
+            margins.verdict,
+            self.stiffness(margins.stiffness),
+            self.damping(margins.damping),
+            margins.stiffness_gain,
+            margins.damping_gain,
+            self.sample_time * margins.extra_delay,
         )
 
     def oscillation(self, stiffness: Numbers, damping: Numbers) -> Oscillation:
-        """Return damping ratio and frequency in Hz of the slowest mode of the loop at walls.
+        """Damping ratio and frequency in Hz of the slowest mode of the loop at walls.
 
-        Args:
-            stiffness, damping: see ``jaxstab.conventions``.
-
-        Returns:
-            Oscillation of arrays of the broadcast shape, the frequency in Hz.
-
-        Raises:
-            ValueError: a gain is infinite or NaN.
-            RuntimeError: JAX arrays are given without x64.
-
-        Source: as ``jaxstab.dominant_mode``; Table I.
+        Args and Raises: see ``jaxstab.conventions``. Source: as ``jaxstab.dominant_mode``; Table I.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -571,7 +501,7 @@ class HapticLoop(LoopParameters):
         excitation: Excitation = "force",
         horizon: int = HORIZON,
     ) -> Settling:
-        """Return the time in s until the position stays within a tolerance of its final value.
+        """The time in s until the position stays within a tolerance of its final value.
 
         It is ``jaxstab.settling_samples`` times the sample time; the tolerance is explained there.
         A count of samples jumps from number to number, so it has no useful derivative; that of
@@ -587,11 +517,7 @@ class HapticLoop(LoopParameters):
         Returns:
             Settling with ``value`` in s and ``status``, a SettlingStatus.
 
-        Raises:
-            ValueError: an argument is outside its range, infinite or NaN, or the excitation is
-                unknown.
-            TypeError: a filter is traced, or the horizon is not a whole number.
-            RuntimeError: JAX arrays are given without x64.
+        Raises: see ``jaxstab.conventions``; filters and the horizon must be concrete.
 
         Source: the loop of eqs. (1)-(5), Table I; lemmas M1 to M3 of docs/proofs.md.
 
@@ -623,7 +549,7 @@ class HapticLoop(LoopParameters):
         friction: Numbers = 0.0,
         noise: Numbers = 0.0,
     ) -> Amplitude:
-        """Bound what a quantised encoder, a quantised force, friction and noise do at walls.
+        """Bound the effect of a quantised encoder, a quantised force, friction and noise at walls.
 
         The loop is compared with the same loop without any of these, started and pushed alike. The
         answer bounds how far the two are apart at all times; as the undisturbed one comes to rest
@@ -631,31 +557,27 @@ class HapticLoop(LoopParameters):
         ``jaxstab.amplitude``.
 
         Args:
-            stiffness: K in N/m, any shape; like all arguments it broadcasts.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
             encoder: resolution of the position in m, which is rounded to the nearest multiple.
             force_step: resolution of the force in N, which is rounded to the nearest multiple.
             friction: largest Coulomb friction of the device in N, treated as any force at the
                 handle that is never larger.
-            noise: largest error of the position in m, beside that of the resolution.
+            noise: largest error of the position in m, in addition to that of the resolution.
 
         Returns:
             Amplitude in m, m/s and N; infinite where nothing is proved, as at the boundary of
             stability and beyond it.
 
-        Raises:
-            ValueError: an argument is negative, infinite or NaN, nothing disturbs the loop, or the
-                device does not give way to a constant force.
-            TypeError: a filter is traced.
-            RuntimeError: JAX arrays are given without x64.
+        Raises: see ``jaxstab.conventions``; ValueError also if nothing disturbs the loop. Filters
+        must be concrete.
 
         Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5);
         lemmas M3 to M8 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> found = loop.amplitude(1000.0, 20.0, encoder=1e-5)
-            >>> f"{found.position:.1e} m, {found.force:.2f} N"
+            >>> amplitude = loop.amplitude(1000.0, 20.0, encoder=1e-5)
+            >>> f"{amplitude.position:.1e} m, {amplitude.force:.2f} N"
             '6.3e-06 m, 0.24 N'
         """
         self._refuse_tracers("amplitude")
@@ -665,7 +587,7 @@ class HapticLoop(LoopParameters):
                 *self._device_and_filters, stiffness, damping, **causes, noise=noise
             )
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
-        found = motion.amplitude(
+        amplitude = motion.amplitude(
             *self._wall(stiffness, damping),
             **self.slice,
             encoder=checked("encoder", encoder, 0.0),
@@ -675,11 +597,11 @@ class HapticLoop(LoopParameters):
             **self.filters,
         )
         return WallAmplitude(
-            found.position,
-            found.velocity / self.sample_time,
-            found.force * unit,
-            found.force_per_count * unit,
-            found.status,
+            amplitude.position,
+            amplitude.velocity / self.sample_time,
+            amplitude.force * unit,
+            amplitude.force_per_count * unit,
+            amplitude.status,
         )
 
     def simulate(
@@ -698,16 +620,15 @@ class HapticLoop(LoopParameters):
 
         Device and hand move in continuous time. At every sample the wall computes -K x - B v from
         the position x, filtered if there is a filter, and the estimated velocity v; this force
-        begins to act after the delay and is held for one sample. Before time 0 the device stood
-        where it starts, held there by the hand, and no force was on its way.
+        begins to act after the delay and is held for one sample. Before time 0 the device was at
+        rest where it starts, held there by the hand, and no force was on its way.
 
         Args:
-            stiffness: K in N/m, any shape; broadcasts with the four other arrays.
-            damping: B in N s/m.
+            stiffness, damping: see ``jaxstab.conventions``.
             samples: how many samples to simulate, from time 0 on.
             force: a step in N from time 0 on: the hand begins to push, at the handle.
             initial_velocity: in m/s at time 0: an impact on the wall, or a blow of this velocity
-                times the mass. A device of several masses was thrown by a blow at the handle.
+                times the mass. A device of several masses was struck at the handle.
             initial_position: in m at time 0, the penetration if positive.
             between: how many equidistant points to return between two samples.
             unilateral: the wall pushes or pulls only while the sampled position is positive
@@ -718,10 +639,8 @@ class HapticLoop(LoopParameters):
             Response at samples * (between + 1) times; exact up to rounding at each of them, and
             differentiable in all arrays.
 
-        Raises:
-            ValueError: a gain is infinite or NaN, nothing moves the device, a count is too small, a
-                blow cannot throw the device, or it does not give way to a constant force.
-            RuntimeError: JAX arrays are given without x64.
+        Raises: see ``jaxstab.conventions``; ValueError also if nothing moves the device, a count is
+        too small, or a blow cannot set the device in motion.
 
         Source: eqs. (1)-(5) and Fig. 2 of Hulin, Preusche, Hirzinger (2008); Remark 1.
 
@@ -748,18 +667,17 @@ class HapticLoop(LoopParameters):
     def _device_and_filters(self) -> tuple[Device, float, float, Filters | None]:
         """Device, sampling period in s, delay in samples, estimator and filter in SI units."""
         loop = self.in_floats()
-        assert loop.device is not None  # asked only where the device is not one mass
+        assert loop.device is not None  # called only where the device is not one mass
         filters = given_filters(loop.velocity, loop.position)
         return loop.device, loop.sample_time, loop.delay_samples, filters
 
     def _wall(self, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
-        """Return alpha and beta of walls."""
         require_x64(stiffness, damping)
         alpha = self.alpha(checked_gain("stiffness", stiffness))
         return alpha, self.beta(checked_gain("damping", damping))
 
     def _refuse_tracers(self, method: str) -> None:
-        """Refuse a loop that JAX traces where what answers searches outside of JAX."""
+        """Refuse a loop that JAX traces: the method searches outside of JAX."""
         if is_any_traced(self):
             raise TypeError(
                 f"{method} takes no loop that JAX traces: give one of concrete numbers, made "

@@ -2,7 +2,7 @@
 
 At the stiffest wall a pair of roots is on the circle where the boundary turns, or two roots are on
 it at once, at a corner. Both are equations for the wall and the roots' angles, which the implicit
-function theorem differentiates by all that the loop is made of.
+function theorem differentiates by all numbers of the loop.
 """
 
 from math import pi
@@ -64,7 +64,7 @@ def moving_limits(loop: LoopParameters) -> WallLimits:
 
 
 def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
-    """Return the two extreme walls that are reachable, or of all, and the status of the region."""
+    """The two extreme walls of the reachable part, or of all, and the status of the region."""
     main = region.main
     of = region if main is None else main
     loop, rows = region.loop, []
@@ -84,7 +84,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
 
 
 def _moved(loop: LoopParameters, parts: _Parts, extreme: _Extreme, axis: int) -> Gains:
-    """Return an extreme wall, and how it moves when the loop does."""
+    """An extreme wall, with its derivatives by the numbers of the loop."""
     is_corner = ~jnp.isnan(extreme.second)
     start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.second, 0.0)])
 
@@ -107,14 +107,14 @@ def _moved(loop: LoopParameters, parts: _Parts, extreme: _Extreme, axis: int) ->
 
 
 def _parts(loop: LoopParameters) -> _Parts:
-    """Return the parts of p(z), from p(z) of three walls."""
+    """The parts of p(z), from p(z) of three walls."""
     gains = jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
     base, *others = characteristic_polynomial(*gains, **loop.slice, **loop.filters)
     return base, others[0] - base, others[1] - base
 
 
 def _on_circle(polynomial: Array, angle: Array) -> tuple[Array, Array]:
-    """Return a polynomial at exp(i angle), and its derivative by the angle, both turned back."""
+    """A polynomial at exp(i angle), and its derivative by the angle, both turned back."""
     degree = len(polynomial) - 1
     powers = jnp.arange(degree, -1, -1) - 0.5 * degree
     terms = polynomial * jnp.exp(1j * powers * angle)
@@ -122,7 +122,7 @@ def _on_circle(polynomial: Array, angle: Array) -> tuple[Array, Array]:
 
 
 def _root_equations(value: Array, angle: Array, start: Array) -> Array:
-    """Return the residual, 0 where a root is on the circle; a real root keeps its angle."""
+    """The residual, 0 where a root is on the circle; a real root keeps its angle."""
     is_real = (start < _REAL) | (start > pi - _REAL)
     end = jnp.round(start / pi) * pi
     # At a real root the value, turned back, is real or imaginary.

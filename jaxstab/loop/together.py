@@ -1,7 +1,7 @@
-"""Walls in loops of their own, asked together.
+"""Batched evaluation of (loop, wall) pairs.
 
 Loops of one mass with the same estimator and filter are points of one array. Any other loop is
-asked by itself, about all of its walls.
+evaluated by itself, at all of its walls.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,7 +45,7 @@ class _Points(NamedTuple):
 
 def verdicts(walls: Walls) -> Int8[np.ndarray, " wall"]:
     """Return ``HapticLoop.verdict`` of each wall."""
-    return _asked(walls, lambda points: point.verdict(**points.numbers), HapticLoop.verdict)
+    return _batched(walls, lambda points: point.verdict(**points.numbers), HapticLoop.verdict)
 
 
 def spectral_radii(walls: Walls) -> SpectralRadius:
@@ -54,7 +54,7 @@ def spectral_radii(walls: Walls) -> SpectralRadius:
     def of_points(points: _Points) -> SpectralRadius:
         return point.spectral_radius(**points.numbers)
 
-    return _asked(walls, of_points, HapticLoop.spectral_radius)
+    return _batched(walls, of_points, HapticLoop.spectral_radius)
 
 
 def oscillations(walls: Walls) -> Oscillation:
@@ -64,68 +64,68 @@ def oscillations(walls: Walls) -> Oscillation:
         ratio, frequency = motion.dominant_mode(**points.numbers)
         return Oscillation(ratio, frequency / (2.0 * np.pi * points.period))
 
-    return _asked(walls, of_points, HapticLoop.oscillation)
+    return _batched(walls, of_points, HapticLoop.oscillation)
 
 
 def boundary_distances(walls: Walls) -> Column:
-    """Return ``HapticLoop.boundary_distance`` of each wall: each loop has a boundary of its own."""
-    return _asked(walls, None, HapticLoop.boundary_distance)
+    """Return ``HapticLoop.boundary_distance`` of each wall: each loop has another boundary."""
+    return _batched(walls, None, HapticLoop.boundary_distance)
 
 
 def wall_margins(walls: Walls) -> Margins:
     """Return ``HapticLoop.margins`` of each wall."""
 
     def of_points(points: _Points) -> WallMargins:
-        found = ranges.margins(**points.numbers)
+        margins = ranges.margins(**points.numbers)
         return WallMargins(
-            found.verdict,
-            found.stiffness * (points.mass / points.period**2)[:, None],
-            found.damping * (points.mass / points.period)[:, None],
-            found.stiffness_gain,
-            found.damping_gain,
-            points.period * found.extra_delay,
+            margins.verdict,
+            margins.stiffness * (points.mass / points.period**2)[:, None],
+            margins.damping * (points.mass / points.period)[:, None],
+            margins.stiffness_gain,
+            margins.damping_gain,
+            points.period * margins.extra_delay,
         )
 
-    return _asked(walls, of_points, HapticLoop.margins)
+    return _batched(walls, of_points, HapticLoop.margins)
 
 
 def settling_times(walls: Walls, levels: Sequence[float], horizon: int) -> list[Settling]:
     """Return ``HapticLoop.settling_time`` of each wall, for each level."""
 
     def of_points(points: _Points) -> list[Settling]:
-        found = settling_at_levels(**points.numbers, levels=levels, horizon=horizon)
-        return [SettlingTime(count * points.period, status) for count, status in found]
+        settlings = settling_at_levels(**points.numbers, levels=levels, horizon=horizon)
+        return [SettlingTime(count * points.period, status) for count, status in settlings]
 
     def of_loop(loop: HapticLoop, *gains: Column) -> list[Settling]:
         return [loop.settling_time(*gains, level=level, horizon=horizon) for level in levels]
 
-    return _asked(walls, of_points, of_loop)
+    return _batched(walls, of_points, of_loop)
 
 
 def amplitudes(walls: Walls, encoder: Column) -> Amplitude:
-    """Return ``HapticLoop.amplitude`` of each wall, for its own resolution of the position in m."""
+    """Return ``HapticLoop.amplitude`` of each wall, each with a resolution of the position in m."""
 
     def of_points(points: _Points, encoder: Column) -> Amplitude:
-        found = motion.amplitude(**points.numbers, encoder=encoder)
+        amplitude = motion.amplitude(**points.numbers, encoder=encoder)
         unit = points.mass / points.period**2  # N that are 1 where 1 m is
-        return found._replace(
-            velocity=found.velocity / points.period,
-            force=found.force * unit,
-            force_per_count=found.force_per_count * unit,
+        return amplitude._replace(
+            velocity=amplitude.velocity / points.period,
+            force=amplitude.force * unit,
+            force_per_count=amplitude.force_per_count * unit,
         )
 
-    return _asked(walls, of_points, HapticLoop.amplitude, encoder=encoder)
+    return _batched(walls, of_points, HapticLoop.amplitude, encoder=encoder)
 
 
-def _asked(
+def _batched(
     walls: Walls,
     of_points: Callable[..., Answer] | None,
     of_loop: Callable[..., Answer],
     **columns: Column,
 ) -> Answer:
-    """Return arrays over the walls, put together from what the functions return for some of them.
+    """Arrays over the walls, joined from those of groups of walls.
 
-    One takes points, the other a loop, stiffnesses and dampings; both take columns of the walls.
+    One function takes points, the other a loop, stiffnesses and dampings; both take columns.
     """
     groups = alike(
         loop if of_points is None or loop.body is None else tuple(loop.filters.values())
@@ -133,22 +133,22 @@ def _asked(
     )
     answers = []
     for numbers in groups:
-        some = [walls[number] for number in numbers]
-        own = {name: column[numbers] for name, column in columns.items()}
-        loop, gains = some[0].loop, np.array([gains for _, gains in some]).T
+        group = [walls[number] for number in numbers]
+        values = {name: column[numbers] for name, column in columns.items()}
+        loop, gains = group[0].loop, np.array([gains for _, gains in group]).T
         if of_points is None or loop.body is None:
-            answers.append(of_loop(loop, *gains, **own))
+            answers.append(of_loop(loop, *gains, **values))
         else:
-            answers.append(of_points(_points(some, *gains), **own))
+            answers.append(of_points(_points(group, *gains), **values))
     order = np.argsort(np.concatenate(groups))
     return tree_map(lambda *parts: np.concatenate(parts)[order], *answers)
 
 
 def _points(walls: Walls, stiffness: Column, damping: Column) -> _Points:
-    known = {
+    plants = {
         loop: (loop.mass, loop.sample_time, *loop.slice.values())
         for loop in dict.fromkeys(loop for loop, _ in walls)
     }
-    mass, period, *plant = np.array([known[loop] for loop, _ in walls]).T
+    mass, period, *plant = np.array([plants[loop] for loop, _ in walls]).T
     alpha, beta = stiffness * (period**2 / mass), damping * (period / mass)
     return _Points(by_name(alpha, beta, *plant) | walls[0].loop.filters, mass, period)

@@ -32,19 +32,19 @@ class Chatter(NamedTuple):
     encoder: float
     limit: float = np.inf
 
-    def of(self, loop: LoopParameters, alpha: Any, beta: Any) -> np.ndarray:
-        """Return proved amplitudes of walls in m."""
+    def amplitudes(self, loop: LoopParameters, alpha: Any, beta: Any) -> np.ndarray:
+        """Proved amplitudes of walls in m."""
         sampled = loop.sampled
         if sampled is None:
-            found = amplitude(alpha, beta, **loop.slice, encoder=self.encoder, **loop.filters)
+            driven = amplitude(alpha, beta, **loop.slice, encoder=self.encoder, **loop.filters)
         else:
             filters = given_filters(loop.velocity, loop.position)
-            found = device_amplitude(
+            driven = device_amplitude(
                 *(sampled.device, sampled.sample_time, sampled.delay, filters),
                 *(loop.stiffness(alpha), loop.damping(beta)),
                 encoder=self.encoder,
             )
-        return np.asarray(found.position)
+        return np.asarray(driven.position)
 
 
 class CalmWall(NamedTuple):
@@ -58,11 +58,9 @@ class CalmWall(NamedTuple):
 def fastest_calm_wall(
     loop: LoopParameters, objective: Objective, chatter: Chatter, alpha: float | None
 ) -> CalmWall:
-    """Return the wall with the smallest objective among those found within the limit.
-
-    The first grid spans the walls reached by turning gains up from 0; each further grid surrounds
-    the best wall so far. Among equally fast walls the calmest one is taken.
-    """
+    """The wall with the smallest objective among those found within the limit."""
+    # The first grid spans the component that contains small gains; each further grid surrounds the
+    # best wall so far. Among equally fast walls the calmest one is taken.
     best, least, status = (np.nan, np.nan), (np.inf, np.inf), TuningStatus.NOT_CALM
     region = _searched(loop)
     if not len(region.points):
@@ -76,7 +74,7 @@ def fastest_calm_wall(
         alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
         inside = np.asarray(region.contains(alphas, betas))
         reached = np.full(alphas.shape, np.inf)
-        reached[inside] = chatter.of(loop, alphas[inside], betas[inside])
+        reached[inside] = chatter.amplitudes(loop, alphas[inside], betas[inside])
         calm = np.flatnonzero(reached <= chatter.limit)
         if calm.size:
             values = np.nan_to_num(np.asarray(objective(alphas[calm], betas[calm])), nan=np.inf)
@@ -93,7 +91,7 @@ def fastest_calm_wall(
 
 
 def _searched(loop: LoopParameters) -> StableRegion:
-    """Return the component of small gains, or all of the region where small gains do not hold."""
+    """The component that contains small gains, or the whole region where small gains fail."""
     region = wall_region(loop.in_floats(), TOLERANCE).region
     return region.main or region
 
@@ -147,7 +145,7 @@ def optimal_wall(
     def settling(alphas: Numbers, betas: Numbers) -> np.ndarray:
         return np.asarray(tuned.settling(alphas, betas, level, excitation).value)
 
-    reached = np.nan if chatter is None else float(chatter.of(loop, *wall))
+    reached = np.nan if chatter is None else float(chatter.amplitudes(loop, *wall))
     is_stable = status != TuningStatus.NO_STABLE_GAINS
     if chatter is not None and is_stable and not reached <= chatter.limit:
         objective = radii if goal == "radius" else settling
@@ -176,12 +174,7 @@ def _tuned(loop: LoopParameters) -> TunedLoop:
 
 
 def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:
-    """Return the limit on what an encoder may do, if an encoder is given.
-
-    Raises:
-        TypeError: a limit is given without an encoder, or a value is not one number.
-        ValueError: a value is not positive and finite.
-    """
+    """The limit on how far an encoder may drive the position, if an encoder is given."""
     if encoder is None:
         if limit is not None:
             raise TypeError(f"chatter is {limit!r} without encoder; give its resolution in m.")

@@ -3,8 +3,8 @@
 In a column the boundary is a few strips, each within an error of a plane over its parameters:
 the line of a root at 1, the parts of the curve (``enclosure``), and the line of a root at -1.
 Between two strips, and below and above them all, no root crosses the unit circle, so one certified
-verdict holds for the whole gap. Nothing has to be known about the shape of the stable set. Where
-strips meet, or more than one gap is stable, what lies between stays undecided.
+verdict holds for the whole gap. The shape of the stable set may be arbitrary. Where strips meet, or
+more than one gap is stable, the alphas between them stay undecided.
 """
 
 from collections.abc import Callable
@@ -52,10 +52,8 @@ class Columns:
 
     @cached_property
     def corners(self) -> Float64[np.ndarray, "corner column variable"]:
-        """The corners of the columns, as deviations from their centres.
-
-        What is affine in each variable, products taken as products, is largest at one of them.
-        """
+        """The corners of the columns, as deviations from their centres."""
+        # A function that is affine in each variable, products included, is largest at one of them.
         count = min(self.half.shape[1], SQUARE + 1)
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * count), axis=-1).reshape(-1, 1, count)
         return with_products(self.half[:, :count] * signs)
@@ -127,10 +125,8 @@ def distances(
     middle: Float64[np.ndarray, " run"],
     slope: Float64[np.ndarray, "run variable"],
 ) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
-    """Return the lowest and the highest that each patch is above its run's surface in its column.
-
-    Many patches are looked at block by block, which bounds the memory.
-    """
+    """The smallest and largest distance of each patch above its run's surface, in its column."""
+    # Many patches are taken block by block, which bounds the memory.
     blocks = (slice(i, i + _BLOCK) for i in range(0, max(runs.patch.size, 1), _BLOCK))
     parts = [
         _distances_of(
@@ -155,11 +151,9 @@ def _distances_of(
     middle: Float64[np.ndarray, " run"],
     slope: Float64[np.ndarray, "run variable"],
 ) -> tuple[Float64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
-    """Return the distances of a block of patches.
-
-    Another slope along beta may be taken for a patch, if what it differs by is added for all beta
-    of the column: those that level a patch along theta, or the delay, are tried (lemma B16).
-    """
+    """The distances of a block of patches."""
+    # Another slope along beta may be taken for a patch, if the difference is added for all beta of
+    # the column: the slopes that level a patch along theta, or the delay, are tried (lemma B16).
     alpha, gain, patch = patches.alpha, patches.beta, runs.patch
     own, of_beta = alpha.slope[:, patch], gain.slope[:, patch]
     goal, rest, moved = _surface_in_patches(patches, columns, runs, slope)
@@ -256,11 +250,9 @@ def _tilted_inside(
 def surfaces(
     patches: Patches, columns: Columns, runs: Runs, height: float
 ) -> tuple[Float64[np.ndarray, " run"], Float64[np.ndarray, "run variable"]]:
-    """Return surfaces along runs: alpha in the middle of the column, and how it changes.
-
-    Any surface would be correct; these follow the patches in the middle of the column along beta,
-    and for early and late delays the patches that are there then.
-    """
+    """Surfaces along runs: alpha in the middle of the column, and its slopes."""
+    # Any surface would be correct; these follow the patches in the middle of the column along beta,
+    # and for early and late delays the patches that are there then.
     column, half_delay = runs.column[runs.start], columns.half_delay
     typical, away = _in_the_middle(patches, columns, runs, 0.0)
     of_alpha, of_beta = patches.alpha.slope[:, typical], patches.beta.slope[:, typical]
@@ -369,10 +361,7 @@ def strips_of(
     domain: Domain,
     filters: Filters | None = None,
 ) -> Strips:
-    """Return the strips of all columns: first the line of a root at 1, then others in any order.
-
-    ``filters`` are the velocity estimator and the position filter, in units of one sample.
-    """
+    """The strips of all columns: first the line of a root at 1, then others in any order."""
     height = domain.alpha[1] - domain.alpha[0]
     cell = (beta[-1] - beta[0]) / (beta.size - 1)
     per_cell = _PATCHES_PER_MOVING_CELL if columns.half_delay else _PATCHES_PER_CELL
@@ -454,7 +443,7 @@ def _line_strips(columns: Columns, hands: HandBoxes, domain: Domain, ends: Ends)
 def _minus_line(
     value: LinearModel, weight: LinearModel, columns: Columns, domain: Domain, ends: Ends
 ) -> tuple[LinearModel, float, Float64[np.ndarray, " column"]]:
-    """Return the line of a root at -1: alpha at beta = 0, per beta, and its error in each column.
+    """The line of a root at -1: alpha at beta = 0, per beta, and its error in each column.
 
     The error is NaN where no wall of the domain is on the line, and infinite where all may be.
     """
@@ -620,20 +609,19 @@ def stable_columns(
     filters: Filters | None = None,
     half_delay: float = 0.0,
 ) -> StableColumns:
-    """Return which alphas of a domain are proved stable in each column.
+    """The alphas of a domain that are proved stable in each column.
 
     Args:
         beta: edges of the cells along beta, ascending.
         hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples.
+        delay: see ``jaxstab.conventions``.
         domain: of alpha and beta.
         filters: velocity estimator and position filter in units of one sample, whose gain P(1) is
             not 0; None for the difference over one sample. Then a column may have several stable
-            gaps, and between the first and the last of them nothing is said.
+            gaps, and the alphas between the first and the last of them stay undecided.
         half_delay: largest distance of the delay from this one; no whole sample may lie between.
 
-    Raises:
-        ValueError: gamma, delta or delay is outside the range of the model, or P(1) is 0.
+    Raises: see ``jaxstab.conventions``; ValueError also if P(1) is 0.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle, and the certified
     verdict; lemmas B8, B12 and B16 of docs/proofs.md.
@@ -661,7 +649,7 @@ def column_gaps(
     domain: Domain,
     filters: Filters | None = None,
 ) -> ColumnGaps:
-    """Return the proved verdicts of each column of a domain, gap by gap.
+    """The proved verdicts of each column of a domain, gap by gap.
 
     Args, errors and source: as ``stable_columns``.
     """
@@ -680,10 +668,8 @@ def column_gaps(
 def _gap_verdicts(
     strips: Strips, columns: Columns, domain: Domain, filters: Filters | None
 ) -> Int8[np.ndarray, "column gap"]:
-    """Return a verdict for each gap of a domain, from below; NOT_COMPUTED where there is none.
-
-    A gap is connected: where it is not all along its column strips are straight, and it is convex.
-    """
+    """A verdict for each gap of a domain, from below; NOT_COMPUTED where there is none."""
+    # A gap is connected: where it does not span its column, strips are straight, and it is convex.
     inside = columns.corners[..., : SQUARE + 1] * _INSIDE
     middle = np.zeros_like(inside[:1])
     if columns.half_delay:  # the square of the delay is not free
@@ -763,24 +749,24 @@ def _gaps(
 
 
 def _limits(
-    strips: Strips, codes: Int8[np.ndarray, "column gap"], columns: Columns, asked: Domain
+    strips: Strips, codes: Int8[np.ndarray, "column gap"], columns: Columns, requested: Domain
 ) -> tuple[Planes, Planes]:
-    """Return the strips below and above the stable gap of each column.
+    """The strips below and above the stable gap of each column.
 
-    The strips of a column part its gaps: gap k is between the strips k - 1 and k. There are three
-    cases. (1) One gap is stable, and no strip but the two beside it may hide stable walls: these
-    are the limits. (2) Several gaps are stable, or a strip elsewhere, within what was asked for,
-    may hide stable walls: both limits are the flat span from the lowest to the highest of all
-    these strips, its error half of its length, so that nothing in it is called stable or unstable.
-    (3) A gap is undecided, a strip has no bound, or a span is open at one end: the limits are 0
-    with an infinite error, and nothing is said. Where nothing is stable and nothing hides, they
-    are infinite.
+    The strips of a column separate its gaps: gap k is between the strips k - 1 and k. There are
+    three cases. (1) One gap is stable, and no strip but the two next to it may hide stable walls:
+    these are the limits. (2) Several gaps are stable, or a strip elsewhere within the requested
+    domain may hide stable walls: both limits are the flat span from the lowest to the highest of
+    all these strips, its error half of its length, so that nothing in it is called stable or
+    unstable. (3) A gap is undecided, a strip has no bound, or a span is open at one end: the limits
+    are 0 with an infinite error, which states nothing. Where nothing is stable and nothing hides,
+    they are infinite.
     """
     is_stable = codes == Verdict.STABLE
     first, count = np.argmax(is_stable, axis=1), is_stable.sum(axis=1)
     last = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
     low, high = strips.ends(columns)
-    is_seen = np.any((high >= asked.alpha[0]) & (low <= asked.alpha[1]), axis=0)
+    is_seen = np.any((high >= requested.alpha[0]) & (low <= requested.alpha[1]), axis=0)
     hiding = is_seen & _may_hide(strips, codes)
     number = np.arange(strips.centre.shape[1])
     beside = (number == first[:, None]) | (number == first[:, None] - 1)

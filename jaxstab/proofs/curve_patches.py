@@ -1,8 +1,8 @@
-"""The boundary over whole boxes of hands, enclosed: where roots can lie on the unit circle.
+"""The boundary over boxes of (gamma, delta), enclosed: where roots can lie on the unit circle.
 
 The closed form (``curve``), evaluated in linear models of theta, gamma and delta, gives patches of
 the curve with a proved error. Patches that meet a domain of (alpha, beta) are halved in theta until
-they are short. With h = 1 - cos(theta) and the line of a root at 1 written out by hand,
+they are short. With h = 1 - cos(theta) and the line of a root at 1 written explicitly,
 
     alpha = -gamma + h lift,
 
@@ -81,7 +81,7 @@ class Domain(NamedTuple):
 
 
 class Patches(NamedTuple):
-    """Parts of the curve over boxes of hands, in the order of the boxes and then of theta.
+    """Parts of the curve over boxes of (gamma, delta), in the order of the boxes and then of theta.
 
     They are linear models in theta and the variables of the plant; where their rest is infinite,
     the curve may be anywhere.
@@ -125,7 +125,7 @@ def curve_patches(
 
     Args:
         hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples.
+        delay: see ``jaxstab.conventions``.
         domain: of the gains.
         width: patches are halved until theta moves alpha and beta by no more than this.
         filters: velocity estimator and position filter, in units of one sample.
@@ -228,11 +228,9 @@ class _Curve(NamedTuple):
     def halvings(
         self, width: tuple[float, float], before: Float64[np.ndarray, "2 patch"]
     ) -> Float64[np.ndarray, " patch"]:
-        """Return how often to halve patches until theta moves them no farther than it should.
-
-        That is a width, or what is unknown; a large unknown is halved, too, unless it is more than
-        half of that ``before`` the last halvings.
-        """
+        """How often to halve patches until theta moves them no farther than it should."""
+        # That is a width, or the unknown part of the patch; a large unknown part is halved, too,
+        # unless it is more than half of that ``before`` the last halvings.
         most, square = np.zeros(self.lift.rest.shape), self.square
         for gain, wanted, former in zip((self.alpha, self.beta.value), width, before, strict=True):
             moves = 2.0 * np.abs(gain.slope[0]) * gain.half[0]

@@ -59,7 +59,7 @@ class HeldDevice(NamedTuple):
         stiffness: to the ground, k T^2.
         modes: angular frequency, damping ratio and mass of the vibration modes.
         lags: angular frequencies of the actuators.
-        grip: stiffness and damping between the arm and the device; None if they are glued.
+        grip: stiffness and damping between the arm and the device; None if rigidly attached.
     """
 
     damping: float
@@ -69,12 +69,11 @@ class HeldDevice(NamedTuple):
     grip: tuple[float, float] | None
 
     @classmethod
-    def of(cls, device: Device, period: float) -> "HeldDevice":
-        """Return a device, for some sampling period in s.
+    def from_device(cls, device: Device, period: float) -> "HeldDevice":
+        """A device, for some sampling period in s.
 
-        Raises:
-            NotImplementedError: the device has no mass that could change, or the hand is none of
-                one mass, spring and damper, or slips out of its grip.
+        NotImplementedError: the device has no mass that could change, or the hand is not one mass,
+        spring and damper, or slips out of its grip.
         """
         body = _body_of(device)
         springs = body.stiffness if isinstance(body, MassSpringDamper) else 0.0
@@ -138,10 +137,7 @@ class HeldDevice(NamedTuple):
         delay: Float64[np.ndarray, " delay"],
         theta: Float64[np.ndarray, " angle"],
     ) -> Complex128[np.ndarray, "delay arm angle"]:
-        """Return sampled position over force on the unit circle, to 1e-3 or so.
-
-        Source: the sum of aliases, lemma B20 of docs/proofs.md.
-        """
+        """Sampled position over force on the unit circle, to about 1e-3 (lemma B20)."""
         turns = theta + 2.0 * pi * np.arange(-_ALIASES, _ALIASES + 1)[:, None]
         arms = Arms(*(np.reshape(part, (-1, 1, 1)) for part in arm))
         above, below = self.parts(1j * turns, mass, arms)
@@ -153,14 +149,10 @@ class HeldDevice(NamedTuple):
     def largest_compliance(
         self, mass: tuple[float, float], arm: tuple[float, float], beyond: float
     ) -> float:
-        """Return a bound of w^2 |N/D| at s = i w for w >= beyond; infinite where none is known.
+        """A bound of w^2 |N/D| at s = i w for w >= beyond; infinite if unknown (lemma B20).
 
-        Args:
-            mass: the smallest and the largest one of the device.
-            arm: the largest stiffness and the smallest damping of the arm, of any mass.
-            beyond: an angle in radians per sample.
-
-        Source: lemma B20 of docs/proofs.md.
+        ``mass`` is the smallest and the largest one of the device, ``arm`` the largest stiffness
+        and the smallest damping of the arm, of any mass; ``beyond`` an angle in rad per sample.
         """
         light = off = 0.0
         for moved, damper, spring in self._bodies(mass[0], beyond):
@@ -292,7 +284,7 @@ _ROUNDING = 1e-14  # of a number
 
 
 class Extent(NamedTuple):
-    """What boxes hold, as models over them, beside the arm and the angle.
+    """Models of mass, delay and wall over boxes; the arm and the angle are axes of the boxes.
 
     Attributes:
         mass: of the device in kg.
@@ -308,7 +300,7 @@ class Extent(NamedTuple):
 
 
 class FirstRow(NamedTuple):
-    """Boxes whose walls, all of them, are multiples of others and begin with no wall.
+    """Boxes whose walls are all multiples of others and begin with no wall.
 
     Attributes:
         holds: returns which boxes are of that kind, for their middles.
@@ -342,13 +334,13 @@ class DeviceBoxes:
         loop: its loop; the delay is not used.
         mass: the smallest and the largest mass of the device in kg.
         arm: the largest stiffness in N/m and the smallest damping in N s/m of the arm.
-        extent: returns what boxes hold, for their middles and half-widths.
+        extent: returns the ``Extent`` of boxes, for their middles and half-widths.
         first_row: which of them begin with no wall; then boxes hold all stiffnesses from none up
             to that of the extent. Without it they hold that stiffness alone.
 
     Raises:
         NotImplementedError: the device is of another kind, or has modes far above half of the
-            sampling rate, or has a hand that nothing damps.
+            sampling rate, or has a hand without damping.
     """
 
     def __init__(
@@ -361,7 +353,7 @@ class DeviceBoxes:
         first_row: FirstRow | None = None,
     ) -> None:
         self._period = float(loop.sample_time)
-        self._device = HeldDevice.of(device, self._period)
+        self._device = HeldDevice.from_device(device, self._period)
         self._extent, self._first_row = extent, first_row
         filters = known_filters(**loop.filters)
         self._cells = None if filters is None else filter_cells(filters)
@@ -527,8 +519,8 @@ class _Aliases(NamedTuple):
     """The aliases whose sum is R.
 
     Attributes:
-        followed: which ones are followed, as k of theta + 2 pi k, and what each is at most.
-        tail: what all others are at most.
+        followed: which ones are followed, as k of theta + 2 pi k, and a bound of each.
+        tail: a bound of the sum of all others.
     """
 
     followed: tuple[tuple[int, float], ...]

@@ -88,11 +88,9 @@ def exclude_any_delay(center: Loops, radius: Loops, filters: Filters | None = No
 def is_free(
     value: Complexes, moves: Complex128[np.ndarray, "variable boxes"], rest: Reals
 ) -> Bool[np.ndarray, " boxes"]:
-    """Return in which boxes value + sum_k x_k moves_k, |x_k| <= 1, stays off a disc about 0.
-
-    It does where a straight line separates the two. The lines tried are across the value and, best
-    for a sum of segments, along each of them.
-    """
+    """In which boxes value + sum_k x_k moves_k, |x_k| <= 1, stays off a disc about 0."""
+    # It does where a straight line separates the two. The lines tried are across the value and,
+    # best for a sum of segments, along each of them.
     size = np.abs(value)
     clear = size * (size - rest) > np.sum(np.abs(_along(value, moves)), axis=0)
     unsure = np.flatnonzero(~clear)
@@ -255,10 +253,7 @@ class Models(NamedTuple):
 
 
 def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> FirstRoots:
-    """Return where, within some boxes of lines, a root is on the unit circle for the first time.
-
-    ``filters`` are the velocity estimator and the position filter, in units of one sample.
-    """
+    """Where, within boxes of lines, a root is on the unit circle for the first time."""
     with np.errstate(all="ignore"):
         plants = accurate_plant(*lines.start[2:])
     return search(lines.start.shape[1], parts, lambda some: _models(lines, plants, some, filters))

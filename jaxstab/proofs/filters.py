@@ -698,10 +698,8 @@ def _real_and_imaginary(
 def _next_to_minus_one(
     chain: list[Factor], middle: Cells, half: Cells, is_wide: bool
 ) -> tuple[Series, Series]:
-    """Return the parts from those of the function of -z, of theta' = pi - theta.
-
-    With s' = 1 + 1/z a function zero' + slope' s' is zero' + 2 slope' - slope' s.
-    """
+    """The parts from those of the function of -z, of theta' = pi - theta."""
+    # With s' = 1 + 1/z a function zero' + slope' s' is zero' + 2 slope' - slope' s.
     mirror = _Algebra.over((np.pi - middle) + PI_REST, half, is_wide)
     parts = mirror.product([(turned(above), turned(below)) for above, below in chain])
     count = len(middle)
@@ -783,11 +781,9 @@ class _Algebra(NamedTuple):
 
 
 def _cosines(ascending: Polynomial) -> tuple[list[float], list[float]]:
-    """Return weights of cosines of the rise and the slope of a polynomial in 1/z.
-
-    With U_k = sin((k + 1) theta)/sin(theta), 1/z^k is U_(k-1) - U_(k-2) - U_(k-1) s, and a U is a
-    sum of cosines; (cos(k theta) - 1)/h is minus k and twice those below k, weighted (Fejer).
-    """
+    """Weights of cosines of the rise and the slope of a polynomial in 1/z."""
+    # With U_k = sin((k + 1) theta)/sin(theta), 1/z^k is U_(k-1) - U_(k-2) - U_(k-1) s, and a U is a
+    # sum of cosines; (cos(k theta) - 1)/h is minus k and twice those below k, weighted (Fejer).
     count = len(ascending)
     weights = [Fraction(float(pair.hi)) + Fraction(float(pair.lo)) for pair in ascending]
     zero, slope, rise = ([Fraction(0)] * count for _ in range(3))

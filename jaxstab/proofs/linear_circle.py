@@ -5,7 +5,7 @@ With x = 1/z the polynomial of a loop, divided by a power of z and by the filter
     g = D(x) + alpha F_K(x) + beta F_B(x),      F_K = x^lag N P,      F_B = x^lag N V,
 
 three functions of the angle alone. Taylor series of each over cells of it, with bounds (lemma B10
-of docs/proofs.md), give models of them over boxes, whose sums and products are one of g
+of docs/proofs.md), give models of them over boxes, whose sums and products give a model of g
 (``jaxstab.proofs.enclosures``, lemma B13). Below follow plants that depend on one more number: for
 any delay, and for all loops between two (lemmas B14, B17).
 """
@@ -162,10 +162,10 @@ def line_models(cells: FilterCells, lines: GainLines, parts: Parts) -> Models:
 def _expanded(
     free: LinearModel, force: LinearModel, lost: Reals, turns: Reals | float = 0.0
 ) -> Models:
-    """Return g = D + F (alpha P + beta V), from D and the rest of it, behind so many turns.
+    """The sum g = D + F (alpha P + beta V) of two models, the second behind a number of turns.
 
-    How much each axis moves g, with its part of the rest, says which one to halve. Values have
-    ``lost`` about so much: where the rest is little more, halving is in vain.
+    The moves of g by each axis, with its part of the rest, say which axis to halve. ``lost`` bounds
+    the rounding of values: where the rest is little more, halving is in vain.
     """
     g = free + force
     reach = np.abs(free.slope) + np.abs(force.slope)
@@ -193,9 +193,9 @@ class PieceBoxes(NamedTuple):
 
 
 def over_pieces(pieces: Sequence[Piece], boxes: PieceBoxes, axes: int) -> tuple[LinearModel, Reals]:
-    """Return N of pieces over boxes, and how much of its rest is rounding.
+    """N of pieces over boxes, and the rounding in its rest.
 
-    The number and the angle are the last two of some axes.
+    The number and the angle are the last two of ``axes`` axes.
     """
     is_far = boxes.theta > 0.5 * np.pi
     columns = np.empty((5, boxes.theta.size), complex)
@@ -342,10 +342,10 @@ def delayed_device(device: SampledDevice, filters: Filters | None) -> DelayedDev
 
 
 def delay_models(device: DelayedDevice, boxes: DelayBoxes) -> tuple[Models, Reals]:
-    """Return g over boxes (the axes: delay, theta), and how far |D| is from |F| in them.
+    """Models of g over boxes (the axes: delay, theta), and a lower bound of ||D| - |F||.
 
-    Each box lies within one piece. The second result is a lower bound: where it is positive, no
-    delay that differs by whole samples brings a root onto the circle at these angles.
+    Each box lies within one piece. Where the bound is positive, no delay that differs by whole
+    samples brings a root onto the circle at these angles.
     """
     gains, delay, theta, by_delay, by_theta = boxes
     whole = np.floor(delay)

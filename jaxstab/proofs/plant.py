@@ -1,7 +1,8 @@
-"""The plant's coefficients over whole boxes of hands, enclosed.
+"""The plant's coefficients over boxes of (gamma, delta), enclosed.
 
-How far they can bend follows from lemmas B1 and B2 of docs/proofs.md: the plant's response to an
-impulse stays below t, its velocity below 1, and derivatives by gamma and delta are convolutions.
+Bounds of their second derivatives follow from lemmas B1 and B2 of docs/proofs.md: the plant's
+response to an impulse stays below t, its velocity below 1, and derivatives by gamma and delta are
+convolutions.
 """
 
 from functools import partial
@@ -145,9 +146,9 @@ def quick_errors(gamma: Array) -> tuple[Array, Array]:
 
 
 def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
-    """Return the slice for radius 1 in plain float64: quick to compile and to differentiate.
+    """The slice for radius 1 in plain float64: quick to compile and to differentiate.
 
-    Good to about 1e-14 of one, where ``slice_coefficients`` gives each value digits of its own.
+    Absolute errors are about 1e-14; ``slice_coefficients`` is accurate relative to each value.
     """
     xp = namespace(gamma, delta, delay)
     plant = quick_plant(gamma, delta, delay)
@@ -324,8 +325,7 @@ def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> Pla
         half_delay: largest distance of the delay from this one, between the whole samples around
             it; if it is not 0, the delay is a variable of the models, with its products.
 
-    Raises:
-        ValueError: gamma, delta or delay is outside the range of the model.
+    Raises: see ``jaxstab.conventions``.
     """
     h_gamma, h_delta = hands.half_gamma, hands.half_delta
     still = np.zeros_like(h_gamma)
@@ -365,10 +365,7 @@ def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> Pla
 
 
 def _delay_moves(hands: HandBoxes, delay: float) -> dict[str, Float64[np.ndarray, "order box"]]:
-    """Return the first and half of the second derivatives of N by the delay.
-
-    Those of others are 0. See lemma B16.
-    """
+    """The first and half of the second derivatives of N by the delay; others are 0 (lemma B16)."""
     part = delay - np.floor(delay)
     (went, early), (gone, velocity) = (
         motion(hands.gamma, hands.delta, np.full_like(hands.gamma, time))

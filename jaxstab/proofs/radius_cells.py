@@ -1,8 +1,9 @@
 """The spectral radius all over cells, from the roots that can be outermost there (lemma B19).
 
 In the middle of a cell the k outermost roots are taken, for the least k of 1 ... 4 for which a
-circle parts them from the others all over the cell. They are a real root or two, a conjugate pair,
-both or two of these; or two or three that may meet, and are kept together.
+circle separates them from the others all over the cell. They are one or two real roots, a conjugate
+pair, a real root and a pair, or two pairs; or two or three roots that may meet, which are enclosed
+together.
 """
 
 from enum import IntEnum
@@ -107,10 +108,9 @@ class CellPolynomial(NamedTuple):
         return CellPolynomial(terms, rest + 2.0 * self.degree * EPS * size)
 
     def by_powers_of(self, factor: list[Array]) -> list[list[Quadratic]]:
-        """Return c_0, c_1 ... of lower degree than a monic f with p = c_0 + c_1 f + c_2 f^2 + ...
+        """c_0, c_1 ... of lower degree than a monic f with p = c_0 + c_1 f + c_2 f^2 + ...
 
-        Args:
-            factor: the coefficients of f after the first, highest power first, numbers.
+        ``factor`` has the coefficients of f after the first, highest power first, numbers.
         """
         parts, left, k = [], self, len(factor)
         while left.degree >= k:
@@ -144,20 +144,9 @@ def cell_polynomial(
     half_delay: float,
     filters: Filters | None = None,
 ) -> CellPolynomial:
-    """Enclose the characteristic polynomial over cells.
+    """Enclose the characteristic polynomial p of eq. (9), times a power of z, over cells.
 
-    Args:
-        walls: boxes of alpha and beta.
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3], one for each of those.
-        delay: the middle delay t_d/T >= 0 in samples.
-        half_delay: how far the delay is from this at most, between two whole samples.
-        filters: velocity estimator and position filter, in units of one sample.
-
-    Returns:
-        p of eq. (9), times a power of z.
-
-    Raises:
-        ValueError: gamma, delta or delay is outside the range of the model.
+    Arguments and errors: as ``radius_surfaces``.
     """
     plant = _plants(hands, delay, half_delay)
     base, stiffness, damping = _multipliers(int(delay) + 1, filters)
@@ -302,11 +291,11 @@ class Followed(NamedTuple):
     Attributes:
         factor: the coefficients of the monic f after the first, highest power of z first.
         remainder: bounds of the coefficients of p modulo f, in powers of z - ``centre``.
-        centre: what is taken from z before p is divided by f.
-        radius: the modulus of the roots of f, as a function; of no meaning where ``error`` is
+        centre: subtracted from z before p is divided by f.
+        radius: the modulus of the roots of f, as a function; meaningless where ``error`` is
             infinite, as where a pair meets on the real line.
-        error: how far roots of p, one for each of f, are from these at most.
-        move: how far the roots of f are from where they start.
+        error: largest distance of roots of p, one for each of f, from these.
+        move: distance of the roots of f from where they start.
         apart: half of the distance of two conjugate roots; infinite for a real root.
     """
 
@@ -467,14 +456,14 @@ def _shifted(factor: list[Quadratic], to: Quadratic) -> list[Quadratic]:
 def _newton(
     p: CellPolynomial, start: list[Array]
 ) -> tuple[list[Quadratic], list[Quadratic], list[Quadratic]]:
-    """Return f, p modulo f, and (p - that)/f modulo f, each highest power first.
+    """f, p modulo f, and (p - that)/f modulo f, each highest power first.
 
     f_0 is the factor in the middle of the cell. With p = c_0 + c_1 f_0 + c_2 f_0^2 + ..., deg c_j
     less than that of f, and f_0 = f + e, p modulo f is c_0 + c_1 e + ..., as small as e is. A step
-    of Newton's method adds to f what makes that 0 to first order: ``inverse`` is the inverse of
-    f -> c_1 f modulo f_0, taken in the middle alone. The first step makes it small of second order,
-    the next one of third, which quadratics do not resolve. Nothing rests on how good f is: its
-    rests are dropped on the way, and what is returned of p is that of the f which is returned.
+    of Newton's method adds to f a term that makes that 0 to first order: ``inverse`` is the inverse
+    of f -> c_1 f modulo f_0, taken in the middle alone. The first step makes it small of second
+    order, the next one of third, which quadratics do not resolve. No proof depends on how good f
+    is: its rests are dropped on the way, and p modulo f is that of the f which is returned.
     """
     parts = p.by_powers_of(start)
     factor = [Quadratic.constant(value) for value in start]
@@ -576,15 +565,10 @@ def _distance(left: Array, steepness: Array, bend: Array) -> Array:
 
 
 def least_size(coefficients: list[Quadratic], roots: Roots, circle: Array) -> Array:
-    """Bound a monic polynomial from below on circles around 0, over cells.
+    """A lower bound of a monic polynomial on circles around 0, over cells.
 
-    Args:
-        coefficients: from the first one, which is 1.
-        roots: of the polynomial in the middle of each cell, (root, cell).
-        circle: radius for each cell.
-
-    Returns:
-        A bound; where it is positive, as many roots are beyond the circle all over the cell.
+    Where it is positive, as many roots are beyond the circle all over the cell as in its middle.
+    ``coefficients`` begin with 1; ``roots`` are those in the middle of each cell, (root, cell).
     """
     degree = len(coefficients) - 1
     known = np.zeros((degree + 1, circle.size), complex)
@@ -641,7 +625,7 @@ class SurfaceKind(IntEnum):
 
 
 class RadiusSurfaces(NamedTuple):
-    """What is proved of the spectral radius in cells.
+    """Proved surfaces of the spectral radius in cells.
 
     Attributes:
         kind: a ``SurfaceKind`` of each cell.
@@ -681,14 +665,11 @@ def radius_surfaces(
         walls: boxes of alpha and beta.
         hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3], one for each of those.
         delay: the middle delay t_d/T >= 0 in samples.
-        half_delay: how far the delay is from this at most, between two whole samples.
+        half_delay: largest distance of the delay from the middle, between two whole samples.
         filters: velocity estimator and position filter, in units of one sample.
 
-    Raises:
-        ValueError: gamma, delta or delay is outside the range of the model.
-
-    Source: Rouche's theorem, for the characteristic polynomial of eq. (9) of Hulin, Preusche,
-    Hirzinger (2008).
+    Raises: see ``jaxstab.conventions``. Source: Rouche's theorem, for the characteristic polynomial
+    of eq. (9) of Hulin, Preusche, Hirzinger (2008).
     """
     known = RadiusSurfaces.unknown(walls.alpha.size)
     for start in range(0, walls.alpha.size, _CELLS):

@@ -1,8 +1,8 @@
-"""What holds for every loop of a range: the boxes, the proof and the search of all such claims.
+"""Proof and search of claims about every loop of a range, over boxes of its parameters.
 
 A range is a box of loops. Each axis is one quantity that varies: a mass, a stiffness or a damping
-of device or hand, the delay, a cut-off, the way along an edge of walls, and always theta, the angle
-of a root on the unit circle. Hands of a range, loops between two, robust regions, margins and
+of device or hand, the delay, a cut-off, the position along an edge of walls, and always theta, the
+angle of a root on the unit circle. Hands of a range, loops between two, robust regions, margins and
 guards differ in their axes and in how the characteristic function g is enclosed over a box
 (``jaxstab.proofs``); the three arguments below are the same for all of them.
 
@@ -15,15 +15,15 @@ guards differ in their axes and in how the characteristic function g is enclosed
    B6 for hands of one mass, B17 between two loops, B21 for hands of a device). For a closed polygon
    it is enough that no wall on its edges has such a root: no curve of walls with a root on the
    circle can lie inside without crossing the edges (B7, with filters and any device B11).
-3. *Sampled loops bound the answer, the proof confirms it.* What all sampled loops allow, the
-   stiffest wall or a polygon of walls, is too large, so it is pulled in a little and proved for the
+3. *Sampled loops bound the answer, the proof confirms it.* The stiffest wall, or the polygon of
+   walls, that all sampled loops allow is too large, so it is pulled in a little and proved for the
    whole range. Where the proof fails, loops from there join the sample; where that adds none, it is
    pulled in further (``search``).
 
 A sampled loop that is proved unstable refutes a wall. A box that can be neither halved nor proved
 free shows nothing: the wall is undecided. The walls that the samples suggest, the order in which
 boxes are halved and the work after which a proof is given up decide how much is proved, but never
-whether what is proved is true.
+whether a proof is valid.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -66,7 +66,7 @@ class ParameterBox:
         axes: the names of the axes.
         center: the middles.
         half: the half-widths; an axis of half-width zero is not halved.
-        index: what each box belongs to, a wall or an edge, for example.
+        index: the number of the wall or edge, for example, to which each box belongs.
     """
 
     axes: tuple[str, ...]
@@ -76,7 +76,7 @@ class ParameterBox:
 
     @classmethod
     def of(cls, index: Int64[np.ndarray, " box"], **axes: tuple[Any, Any]) -> "ParameterBox":
-        """Return one box for each index, from the middle and the half-width of each named axis."""
+        """One box for each index, from the middle and the half-width of each named axis."""
         center, half = (
             np.stack([np.broadcast_to(np.float64(v), index.shape) for v in values], axis=-1)
             for values in zip(*axes.values(), strict=True)
@@ -84,7 +84,7 @@ class ParameterBox:
         return cls(tuple(axes), center, half, index)
 
     def __getitem__(self, axis: str) -> tuple[Reals, Reals]:
-        """Return the middles and the half-widths along an axis."""
+        """The middles and the half-widths along an axis."""
         row = self.axes.index(axis)
         return self.center[:, row], self.half[:, row]
 
@@ -112,9 +112,9 @@ class ParameterBox:
             prove: the proof of boxes.
             smallest: half-widths, of each axis or of all: axes are not halved at or below them.
             most: boxes that may be open at once; the proof is given up where there are more.
-            most_each: boxes of one index that may be open at once. Like ``effort`` this makes what
-                becomes of an index independent of the others.
-            effort: boxes of one index that may be looked at in all.
+            most_each: boxes of one index that may be open at once. Like ``effort`` this makes the
+                result for an index independent of the others.
+            effort: boxes of one index that may be judged in all.
         """
         boxes, left = self, [self.select(slice(0))]
         finished, judged = True, np.zeros(int(self.index.max(initial=-1)) + 1, np.int64)
@@ -137,7 +137,7 @@ class ParameterBox:
         return Paving(joined(left), finished, judged)
 
     def _proof(self, prove: Callable[["ParameterBox"], Proof]) -> Proof:
-        """Return the proof of a part of the boxes after the other: each needs 100 numbers or so."""
+        """The proof of the boxes in blocks: each box needs about 100 numbers."""
         starts = range(0, max(self.count, 1), _AT_ONCE)
         proofs = (prove(self.select(slice(start, start + _AT_ONCE))) for start in starts)
         return Proof(*map(np.concatenate, zip(*proofs, strict=True)))
@@ -152,7 +152,7 @@ class ParameterBox:
         return joined([lower, ParameterBox(self.axes, self.center + shift, half, self.index)])
 
     def moved(self, moves: Mapping[tuple[str, str], Reals]) -> Moves:
-        """Return how far each axis moves each parameter of a loop, from names of both."""
+        """How far each axis moves each parameter of a loop, from names of both."""
         by_axis = np.zeros((len(self.axes), len(Loops._fields), self.count))
         for (axis, parameter), far in moves.items():
             by_axis[self.axes.index(axis), Loops._fields.index(parameter)] = far
@@ -160,12 +160,12 @@ class ParameterBox:
 
 
 class Paving(NamedTuple):
-    """What paving leaves: the boxes that could not be proved, and how much work it was.
+    """The boxes that paving could not prove, and the work that it took.
 
     Attributes:
         boxes: those that are too small to be halved, and those of proofs that were given up.
         finished: whether no proof was given up.
-        judged: how many boxes of each index were looked at.
+        judged: how many boxes of each index were judged.
     """
 
     boxes: ParameterBox
@@ -185,13 +185,13 @@ def excluded(
     by_axis: Moves,
     radius: Loops | None = None,
 ) -> Proof:
-    """Return the proof that loops of one mass have no root on the unit circle.
+    """The proof that loops of one mass have no root on the unit circle.
 
     Args:
         test: ``proofs.exclusion.exclude``, or a test like it.
         center: the loops in the middle of the boxes.
         by_axis: how far each axis moves them.
-        radius: what covers the loops of a box; None for the sum over the axes.
+        radius: half-widths that cover the loops of a box; None for the sum over the axes.
     """
     exclusion = test(center, radius or Loops(*by_axis.sum(axis=0)))
     return Proof(exclusion.free, np.sum(exclusion.slopes * by_axis, axis=1).T)
@@ -204,10 +204,10 @@ def paved_device(
     smallest: float,
     **limits: int,
 ) -> Paving:
-    """Return what paving leaves of boxes of a held device, from the ends along its axes.
+    """The paving of boxes of a held device, from the ends along its axes.
 
     Axes are not halved at or below ``smallest`` of their first half-width; ``limits`` are those of
-    the work, as of ``ParameterBox.paved``.
+    ``ParameterBox.paved``.
     """
     pairs = [(low, 0.5 * (high - low)) for low, high in ends]
     axes = {n: (low + half, half) for n, (low, half) in zip(NAMES, pairs, strict=True)}
@@ -229,7 +229,7 @@ def verdicts_of_range(
     sampled: Int8[np.ndarray, "wall loop"],
     prove: Callable[[Int64[np.ndarray, " likely"]], Int8[np.ndarray, " likely"]],
 ) -> Int8[np.ndarray, " wall"]:
-    """Return codes of ``Verdict`` for walls and all loops of a range.
+    """Codes of ``Verdict`` for walls and all loops of a range.
 
     Args:
         sampled: the verdicts on the walls in sampled loops.
@@ -250,7 +250,7 @@ def worst_of_range(
     judge: Callable[[int, np.ndarray], _Worst],
     most: int,
 ) -> list[_Worst]:
-    """Return what is known of walls for all loops of a range, and the worst loop of each.
+    """The verdicts on walls for all loops of a range, and the worst loop of each.
 
     Args:
         sampled: for each wall the worst one of the sampled loops.
@@ -260,7 +260,7 @@ def worst_of_range(
         most: such loops that are judged, spread over all of them.
     """
     answers = list(sampled)
-    hopeful = [number for number, one in enumerate(answers) if one.verdict == Verdict.STABLE]
+    hopeful = [n for n, answer in enumerate(answers) if answer.verdict == Verdict.STABLE]
     for number, failed in unproved(hopeful).items():
         worst, count = answers[number], min(len(failed), most)
         if count:
@@ -276,7 +276,7 @@ def worst_of_range(
 
 
 class RobustStatus(Status):
-    """What is known of a robust region.
+    """The status of a robust region.
 
     Example:
         >>> jaxstab.results.RobustStatus(1).words
@@ -293,7 +293,7 @@ class RobustLimit(NamedTuple):
     """The stiffest wall for all hands of a range, in SI units; NaN where there is none.
 
     Attributes:
-        stiffness: K of a wall 1 % below the stiffest one that was found, or up to 8 % below where
+        stiffness: K of a wall 1 % below the stiffest wall of the search, or up to 8 % below where
             the proof failed closer to it.
         damping: B of that wall.
         is_proved: whether that wall is proved stable for every hand.
@@ -304,8 +304,8 @@ class RobustLimit(NamedTuple):
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> found = loop.robust_limit(jaxstab.HandRange(mass=(0.0, 1.0)))
-        >>> found.is_proved, found.stiffness < found.limit
+        >>> limit = loop.robust_limit(jaxstab.HandRange(mass=(0.0, 1.0)))
+        >>> limit.is_proved, limit.stiffness < limit.limit
         (True, True)
     """
 
@@ -321,7 +321,7 @@ class Guess(NamedTuple):
 
     Attributes:
         walls: one wall, or the vertices of a closed polygon; no row if nothing is allowed.
-        limit: the stiffness that they allow at most.
+        limit: the largest stiffness that they allow.
         loop: the sampled loop that allows least there.
     """
 
@@ -342,7 +342,7 @@ class Found(NamedTuple):
 
     @property
     def status(self) -> RobustStatus:
-        """What is known of a polygon."""
+        """The status of a polygon."""
         if self.is_proved:
             return RobustStatus.PROVED
         is_empty = self.guess is not None and not len(self.guess.walls)
@@ -358,10 +358,11 @@ def search(
     add: Callable[[Any], bool],
     pulls: Sequence[float],
 ) -> Found:
-    """Return walls that sampled loops allow, and whether they are proved for the whole range.
+    """Walls that sampled loops allow, and whether they are proved for the whole range.
 
     Args:
-        guess: returns what the sampled loops allow, pulled in by a share; None if it is not known.
+        guess: returns the walls that the sampled loops allow, pulled in by a share; None if
+            unknown.
         unproved: returns loops at which a wall, or a polygon with all that is inside, is not
             proved; none is a proof for the whole range. None if nothing can be proved.
         add: adds such loops to the sample; returns whether there is a new one.
@@ -389,7 +390,7 @@ def limit_for_hands(
     guess: Callable[[list[Any], float], Guess | None],
     worst: Callable[[float, float], Any],
 ) -> RobustLimit:
-    """Return the stiffest wall for all hands of a range.
+    """The stiffest wall for all hands of a range.
 
     Args:
         loops: with sampled hands, to which those that refute a wall are added.
@@ -398,11 +399,11 @@ def limit_for_hands(
     """
 
     def unproved(walls: Points) -> list[Any]:
-        found = worst(*walls[0].tolist())
-        return [] if found.verdict == Verdict.STABLE else [found]
+        hand = worst(*walls[0].tolist())
+        return [] if hand.verdict == Verdict.STABLE else [hand]
 
-    def add(found: list[Any]) -> bool:
-        new = [one.loop for one in found if one.verdict == Verdict.UNSTABLE]
+    def add(hands: list[Any]) -> bool:
+        new = [hand.loop for hand in hands if hand.verdict == Verdict.UNSTABLE]
         new = [loop for loop in new if loop not in loops]
         loops.extend(new)
         return bool(new)
@@ -411,7 +412,7 @@ def limit_for_hands(
 
 
 def limit_of(found: Found, loop: Any) -> RobustLimit:
-    """Return the limit that a search has found; ``loop`` is named where none sets it."""
+    """The limit from the result of a search; ``loop`` is returned where no loop sets it."""
     guess = found.guess or NOTHING
     stiffness, damping = guess.walls[0].tolist() if len(guess.walls) else (nan, nan)
     return RobustLimit(stiffness, damping, found.is_proved, guess.limit, guess.loop or loop)

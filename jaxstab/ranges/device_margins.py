@@ -37,10 +37,10 @@ from jaxstab.ranges.margins import (
     joined_angles,
 )
 
-# How much longer the delay of a loop with any linear device may become: proved.
+# Extra delay of a loop with any linear device: proved.
 #
 # As for one mass (``first_crossings``), only the angles at which |D| = |N| |H| for some fraction of
-# a sample matter; at these the search looks for the first delay with a root on the circle.
+# a sample matter; at these the first delay with a root on the circle is searched.
 
 Walls = Float64[np.ndarray, "wall 2"]
 
@@ -54,12 +54,10 @@ _MOST_PARTS = 20_000  # of a stretch of delay
 def extra_delays(
     device: SampledDevice, walls: Walls, filters: Filters | None
 ) -> Float64[np.ndarray, " wall"]:
-    """Return by how many samples the delay of stable walls (alpha, beta) may at least grow.
+    """By how many samples the delay of stable walls (alpha, beta) may at least grow.
 
-    It is infinite where no root ever reaches the circle up to ``MOST_DELAY``, and NaN for a device
-    that is too fast for what proves it.
-
-    Source: lemmas B5 and B14 of docs/proofs.md.
+    Infinite where no root reaches the circle up to ``MOST_DELAY``, and NaN for a device that is too
+    fast for the proof. Source: lemmas B5 and B14 of docs/proofs.md.
     """
     delayed = delayed_device(device, filters)
     if delayed is None:
@@ -74,7 +72,7 @@ def extra_delays(
         return search(len(walls), parts, partial(_models, delayed, walls, start, length))
 
     def longest(angles: Parts) -> np.ndarray:
-        """Return stretches that are not cut into more parts than are looked at together."""
+        """The longest stretches that are not cut into more parts than are evaluated together."""
         parts = np.bincount(angles.line, minlength=len(walls)) * len(delayed.pieces)
         return np.maximum(1.0, _MOST_PARTS / np.maximum(parts, 1))
 
@@ -87,14 +85,14 @@ def _critical_angles(
     numbers: np.ndarray,
     smallest: Float64[np.ndarray, "2"],
 ) -> Parts:
-    """Return the angles at which some delay may put a root of some walls on the circle."""
+    """The angles at which some delay may put a root of some walls on the circle."""
 
     def prove(boxes: ParameterBox) -> Proof:
         (fraction, by_fraction), (angle, by_angle) = boxes["fraction"], boxes["angle"]
         gains = walls[boxes.index].T
         over = DelayBoxes(gains, fraction, pi * angle, by_fraction, pi * by_angle)
-        found, apart = models(device, over)
-        return Proof(apart > 0.0, found.bends.T)
+        enclosure, apart = models(device, over)
+        return Proof(apart > 0.0, enclosure.bends.T)
 
     angles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
     grid = np.meshgrid(numbers, np.arange(len(device.pieces)), angles, indexing="ij")
@@ -118,7 +116,7 @@ def _in_pieces(
         t = np.clip([0.0, *((ends - first) / length[wall]), 1.0], 0.0, 1.0)
         which = np.flatnonzero(angles.line == wall)
         number, piece = (
-            one.ravel() for one in np.meshgrid(which, np.arange(len(t) - 1), indexing="ij")
+            x.ravel() for x in np.meshgrid(which, np.arange(len(t) - 1), indexing="ij")
         )
         low = np.stack([t[piece], angles.low[1, number]])
         high = np.stack([t[piece + 1], angles.high[1, number]])
@@ -154,12 +152,11 @@ def device_margins(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Margins:
-    """Return how far K, B and the delay of a wall on any linear device may change, one at a time.
+    """Margins of walls on any linear device, one quantity changed at a time.
 
     Args:
         device: with its hands and actuators, sampled: ``sampled_device``.
-        stiffness: K in N/m, any shape; broadcasts with the damping.
-        damping: B in N s/m.
+        stiffness, damping: see ``jaxstab.conventions``.
         velocity: the velocity estimator in SI units; None for the difference over one sample.
         position: the position filter in SI units; None for none.
 
@@ -168,11 +165,7 @@ def device_margins(
         beyond the sampling rate no extra delay is proved (NaN): from about a hundred rad per sample
         on, or some thousand if the poles decay.
 
-    Raises:
-        ValueError: a gain is infinite or NaN.
-        TypeError: velocity or position is no estimator or filter, or JAX traces its parameters.
-
-    Source: lemmas B5, B13 and B14 of docs/proofs.md.
+    Raises: see ``jaxstab.conventions``. Source: lemmas B5, B13 and B14 of docs/proofs.md.
 
     Example:
         >>> device = jaxstab.Device.mass_spring_damper(0.1, damping=1.5)
@@ -191,9 +184,9 @@ def device_margins(
     codes = np.empty(len(walls), np.int8)
     ends, later = np.full((len(walls), 4), nan), np.full(len(walls), nan)
     for first in range(0, len(walls), _AT_ONCE):
-        some = slice(first, first + _AT_ONCE)
-        codes[some], ends[some] = device_ends(device, walls[some], filters)
-        stable = first + np.flatnonzero(codes[some] == Verdict.STABLE)
+        block = slice(first, first + _AT_ONCE)
+        codes[block], ends[block] = device_ends(device, walls[block], filters)
+        stable = first + np.flatnonzero(codes[block] == Verdict.STABLE)
         if stable.size:
             later[stable] = extra_delays(device, walls[stable], filters)
     shape = grid[0].shape
@@ -220,18 +213,16 @@ def is_stable_along(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Bool[np.ndarray, " device"]:
-    """Return for which devices all walls on and inside a closed polygon are proved stable.
+    """For which devices all walls on and inside a closed polygon are proved stable.
 
-    In this way the intersection of the regions of several devices, pulled in a little, is proved to
-    be a robust region of all of them.
+    This proves that the intersection of the regions of several devices, pulled in a little, is a
+    robust region of all of them. Source: lemmas B11 and B13 of docs/proofs.md.
 
     Args:
         devices: sampled devices.
         outline: vertices (K, B) of the polygon in N/m and N s/m, the first one not repeated.
         velocity: the velocity estimator in SI units; None for the difference over one sample.
         position: the position filter in SI units; None for none.
-
-    Source: lemmas B11 and B13 of docs/proofs.md.
     """
     filters = known_filters(velocity, position)
     proved = np.zeros(len(devices), bool)
@@ -239,15 +230,15 @@ def is_stable_along(
         start = (outline * [device.stiffness_unit, device.damping_unit]).T
         lines = GainLines(start, np.roll(start, -1, axis=1) - start)
         roots = _first_roots(device, lines, filters)
-        one = linear_verdict(start[0, :1], start[1, :1], device.loop(filters))
-        proved[number] = np.all(roots.low == inf) and one.item() == Verdict.STABLE
+        code = linear_verdict(start[0, :1], start[1, :1], device.loop(filters))
+        proved[number] = np.all(roots.low == inf) and code.item() == Verdict.STABLE
     return proved
 
 
 def device_ends(
     device: SampledDevice, walls: Walls, filters: Filters | None
 ) -> tuple[np.ndarray, Float64[np.ndarray, "wall 4"]]:
-    """Return the verdicts on walls (alpha, beta) and, for stable walls, the ends of both gains."""
+    """The verdicts on walls (alpha, beta) and, for stable walls, the ends of both gains."""
     loop = device.loop(filters)
     codes = np.asarray(linear_verdict(walls[:, 0], walls[:, 1], loop))
     ends = np.full((len(walls), 4), nan)

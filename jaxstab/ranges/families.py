@@ -24,11 +24,9 @@ _SAFE = 1.0 + 2.0**-50
 
 
 def first_roots(family: LoopFamily, walls: Walls) -> FirstRoots | None:
-    """Return where along t a root of walls (K, B) is first on the unit circle.
+    """Where along t a root of walls (K, B) is first on the unit circle (lemmas B4 and B17).
 
     No root is there where ``low`` is infinite. None for loops that need too many pieces.
-
-    Source: lemmas B4 and B17 of docs/proofs.md.
     """
     cells = family_cells(family)
     if cells is None:
@@ -60,16 +58,14 @@ def _wall_models(cells: FamilyCells, walls: Walls, parts: Parts) -> Models:
     middle, half = 0.5 * (parts.low + parts.high), 0.5 * (parts.high - parts.low) * _SAFE
     place = PieceBoxes(piece, *middle, *half)
     gains = walls[wall].T
-    found = models(cells, FamilyBoxes(gains, np.zeros_like(gains), place))
-    return found._replace(moves=found.moves[1:], bends=found.bends[1:])
+    over = models(cells, FamilyBoxes(gains, np.zeros_like(gains), place))
+    return over._replace(moves=over.moves[1:], bends=over.bends[1:])
 
 
 def family_verdicts(family: LoopFamily, walls: Walls) -> Int8[np.ndarray, " wall"]:
-    """Return codes of ``Verdict`` for walls (K, B) and all loops between two.
+    """Codes of ``Verdict`` for walls (K, B) and all loops between two (lemmas B4, B5 and B17).
 
-    STABLE is proved of all, UNSTABLE of one of them, that it has a root on the circle or outside.
-
-    Source: lemmas B4, B5 and B17 of docs/proofs.md.
+    STABLE is proved of all loops; UNSTABLE of one: it has a root on the circle or outside.
     """
 
     def prove(likely: Int64[np.ndarray, " likely"]) -> Int8[np.ndarray, " likely"]:
@@ -91,12 +87,10 @@ def _end_verdicts(family: LoopFamily, share: int, walls: Walls) -> Int8[np.ndarr
 
 
 def failures(family: LoopFamily, outline: Walls) -> Float64[np.ndarray, " t"] | None:
-    """Return some t at which walls of a closed polygon could not be proved; none is a proof.
+    """Some t at which walls of a closed polygon could not be proved; an empty array is a proof.
 
     The polygon has vertices (K, B); a single one is one wall. None for loops that need too many
-    pieces.
-
-    Source: lemmas B11 and B17 of docs/proofs.md.
+    pieces. Source: lemmas B11 and B17 of docs/proofs.md.
     """
     roots = first_roots(family, outline)
     if roots is None:
@@ -110,7 +104,7 @@ def failures(family: LoopFamily, outline: Walls) -> Float64[np.ndarray, " t"] | 
 
 
 def _failures_on_edges(family: LoopFamily, outline: Walls) -> Float64[np.ndarray, " t"]:
-    """Return some t at which walls (alpha, beta) of edges could not be proved free of roots."""
+    """Some t at which walls (alpha, beta) of edges could not be proved free of roots."""
     cells = family_cells(family)
     assert cells is not None
     following = np.roll(outline, -1, axis=0)
@@ -122,8 +116,8 @@ def _failures_on_edges(family: LoopFamily, outline: Walls) -> Float64[np.ndarray
         edge, piece = np.divmod(boxes.index, len(cells.pieces))
         place = PieceBoxes(piece, t, pi * angle, by_t, pi * by_angle)
         along = half[edge].T
-        found = models(cells, FamilyBoxes(middle[edge].T + along * shift, along * by_shift, place))
-        return Proof(is_free(*found[:3]), found.bends.T)
+        over = models(cells, FamilyBoxes(middle[edge].T + along * shift, along * by_shift, place))
+        return Proof(is_free(*over[:3]), over.bends.T)
 
     index, angle = (
         part.ravel() for part in np.indices((len(outline) * len(cells.pieces), _ANGLES // 4))

@@ -93,12 +93,12 @@ class Rows(NamedTuple):
     damping: Values
 
     def some(self, which: Bool[np.ndarray, " row"]) -> "Rows":
-        """Return some of them."""
+        """The rows that are chosen."""
         return Rows(*(column[which] for column in self))
 
 
 class WorstHand(NamedTuple):
-    """What is known about a wall for all hands of a range, with the worst hand that was sampled.
+    """The verdict on a wall for all hands of a range, with the worst hand that was sampled.
 
     A ``verdict`` of STABLE is proved for every hand. UNSTABLE is proved for ``loop``, the loop with
     the worst hand: the sampled hand with the largest spectral ``radius``.
@@ -144,9 +144,9 @@ def _worst_at_once(walls: Sequence[HeldWall]) -> list[WorstHand]:
     among = {kind: spread_bodies(*kind, _SAMPLES) for kind in kinds}
 
     def unproved(numbers: list[int]) -> dict[int, Hands]:
-        """Nearly all walls need few boxes; those that need more are looked at one by one."""
-        hard = _left([walls[number] for number in numbers], _FEW_BOXES)
-        alone = {numbers[one]: _left([walls[numbers[one]]], _MOST_BOXES) for one in hard}
+        # Nearly all walls need few boxes; those that need more are proved one by one.
+        hard = [numbers[n] for n in _left([walls[number] for number in numbers], _FEW_BOXES)]
+        alone = {number: _left([walls[number]], _MOST_BOXES) for number in hard}
         return {number: left[0] for number, left in alone.items() if left}
 
     def judge(number: int, hands: Hands) -> WorstHand:
@@ -156,7 +156,7 @@ def _worst_at_once(walls: Sequence[HeldWall]) -> list[WorstHand]:
 
 
 def _worst_of(walls: Sequence[HeldWall], among: Sequence[Hands]) -> list[WorstHand]:
-    """Return for each wall the verdict on the worst of some hands, which are given for each."""
+    """For each wall the verdict on the worst of the hands given for it."""
     loop = walls[0].loop
     plants, rows = _plants(walls, among)
     rows = rows.some(_may_be_worst(loop, plants, rows))
@@ -166,9 +166,10 @@ def _worst_of(walls: Sequence[HeldWall], among: Sequence[Hands]) -> list[WorstHa
     ends = np.searchsorted(rows.wall, np.arange(len(walls) + 1))
     answers = []
     for number, wall in enumerate(walls):
-        own = slice(ends[number], ends[number + 1])
-        unstable = codes[own] == Verdict.UNSTABLE
-        worst = own.start + int(np.argmax(np.where(unstable | ~unstable.any(), radii[own], -1.0)))
+        of_wall = slice(ends[number], ends[number + 1])
+        unstable = codes[of_wall] == Verdict.UNSTABLE
+        place = np.argmax(np.where(unstable | ~unstable.any(), radii[of_wall], -1.0))
+        worst = of_wall.start + int(place)
         hand = plants.hand[rows.plant[worst]]
         code, radius = Verdict(int(codes[worst])), float(radii[worst])
         answers.append(WorstHand(code, held(wall.loop, hand), radius))
@@ -176,7 +177,7 @@ def _worst_of(walls: Sequence[HeldWall], among: Sequence[Hands]) -> list[WorstHa
 
 
 def _plants(walls: Sequence[HeldWall], among: Sequence[Hands]) -> tuple[Plants, Rows]:
-    """Return device and hands, once where walls have them in common, and rows of all walls."""
+    """Device and hands, once where walls have them in common, and rows of all walls."""
     numbers: dict[Any, int] = {}
     parts: list[Plants] = []
     start, own = [0], []
@@ -207,7 +208,7 @@ def _plants_of(loop: LoopParameters, hands: Hands) -> Plants:
 
 
 def _are_outermost(hands: Hands) -> Bool[np.ndarray, " hand"]:
-    """Return which hands are farthest towards a corner of their range."""
+    """Which hands are farthest towards a corner of their range."""
     low, span = hands.min(axis=0), np.ptp(hands, axis=0)
     places = (hands - low) / np.where(span > 0.0, span, 1.0)
     towards = np.array(list(product((-1.0, 1.0), repeat=hands.shape[1])))
@@ -217,19 +218,17 @@ def _are_outermost(hands: Hands) -> Bool[np.ndarray, " hand"]:
 
 
 def _may_be_worst(loop: LoopParameters, plants: Plants, rows: Rows) -> Bool[np.ndarray, " row"]:
-    """Say which hands may have the largest radius, or may be proved unstable, of each wall.
-
-    The outermost ones have some radius. A recursion in float64 leaves out the hands whose poles are
-    all in a smaller circle.
-    """
+    """Which hands may have the largest radius, or may be proved unstable, of each wall."""
+    # The radii of the outermost hands are computed. A recursion in float64 leaves out the hands
+    # whose poles are all in a smaller circle.
     chosen = plants.is_outermost[rows.plant] | (loop.delay_samples > _LONG)
     if chosen.all():
         return chosen
     outer, inner = rows.some(chosen), rows.some(~chosen)
-    some = np.asarray(spectral_radius(**_points(loop, plants, outer), **loop.filters).value)
+    radii = np.asarray(spectral_radius(**_points(loop, plants, outer), **loop.filters).value)
     radius = np.zeros(rows.wall[-1] + 1)
-    np.maximum.at(radius, outer.wall, some)
-    # Next to the circle all may be the only one that is proved unstable.
+    np.maximum.at(radius, outer.wall, radii)
+    # Next to the circle any of them may be the only one that is proved unstable.
     radius = np.where(radius > _CERTAIN, radius, np.minimum(radius, 1.0)) * (1.0 - _ASIDE)
     points = _points(loop, plants, inner)
     base, stiffness, damping = _rough_polynomials(loop, plants)[..., inner.plant]
@@ -241,12 +240,12 @@ def _may_be_worst(loop: LoopParameters, plants: Plants, rows: Rows) -> Bool[np.n
 def _rough_polynomials(
     loop: LoopParameters, plants: Plants
 ) -> Float64[np.ndarray, "3 coefficient plant"]:
-    """Return what p(z) is without a wall, and what stiffness and damping add, in plain float64."""
+    """p(z) without a wall, and the terms that stiffness and damping add, in plain float64."""
     whole, fraction = divmod(loop.delay_samples, 1.0)
     filters = known_filters(**loop.filters)
     if filters is not None:
         linear = filtered_loop(plants.gamma, plants.delta, int(whole), fraction, filters)
-        rounded = [[one.rounded() for one in part] for part in linear[:3]]
+        rounded = [[coefficient.rounded() for coefficient in part] for part in linear[:3]]
         return np.array([[np.broadcast_to(c, len(plants.gamma)) for c in p] for p in rounded])
     plant = quick_plant(plants.gamma, plants.delta, np.float64(loop.delay_samples))
     parts = np.zeros((3, int(whole) + 5, len(plants.gamma)))
@@ -260,7 +259,7 @@ def _rough_polynomials(
 
 
 def _points(loop: LoopParameters, plants: Plants, rows: Rows) -> dict[str, Any]:
-    """Return alpha, beta, gamma, delta and the delay of walls with hands, by name."""
+    """Alpha, beta, gamma, delta and the delay of walls with hands, by name."""
     alpha = rows.stiffness * plants.alpha[rows.plant]
     beta = rows.damping * plants.beta[rows.plant]
     gamma, delta = plants.gamma[rows.plant], plants.delta[rows.plant]
@@ -268,9 +267,9 @@ def _points(loop: LoopParameters, plants: Plants, rows: Rows) -> dict[str, Any]:
 
 
 def _left(walls: Sequence[HeldWall], most: int) -> dict[int, Hands]:
-    """Return hands at which a root on the circle could not be excluded, by the number of the wall.
+    """Hands at which a root on the circle could not be excluded, by the number of the wall.
 
-    The axes of the boxes are parts of the intervals of 1/m, of k and b of the hand, and of theta
+    The axes of the boxes are shares of the intervals of 1/m, of k and b of the hand, and of theta
     from 0 to pi; ``most`` boxes of each wall are open at once.
     """
     if not walls:
@@ -279,8 +278,8 @@ def _left(walls: Sequence[HeldWall], most: int) -> dict[int, Hands]:
     span = high - low
     varies = np.where(span > 0.0, 0.5, 0.0)
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls]).T
-    known = (wall.loop for wall in walls)
-    loops = np.array([(x.sample_time, x.device_damping, x.delay_samples) for x in known]).T
+    numbers = [(w.loop.sample_time, w.loop.device_damping, w.loop.delay_samples) for w in walls]
+    loops = np.array(numbers).T
 
     def prove(boxes: ParameterBox) -> Proof:
         wall = boxes.index
@@ -326,13 +325,13 @@ def _ends(wall: HeldWall) -> tuple[Range, Range, Range]:
 
 
 def _moved(wall: HeldWall) -> Range:
-    """Return the lowest and the highest mass of device and hand."""
+    """The lowest and the highest mass of device and hand together."""
     low, high = (sum(both) for both in zip(wall.masses, wall.hands.mass, strict=True))
     return low, high
 
 
 def spread_hands(hands: HandRange, count: int) -> Float64[np.ndarray, "hand 3"]:
-    """Return hands spread over the range, with stiffnesses spaced evenly in frequency."""
+    """Hands spread over the range, with stiffnesses spaced evenly in frequency."""
     ends = (hands.mass, tuple(sqrt(end) for end in hands.stiffness), hands.damping)
     axes = [np.linspace(low, high, count if low < high else 1) for low, high in ends]
     axes[1] = axes[1] ** 2
@@ -341,7 +340,7 @@ def spread_hands(hands: HandRange, count: int) -> Float64[np.ndarray, "hand 3"]:
 
 
 def spread_bodies(hands: HandRange, mass: Range, count: int) -> Hands:
-    """Return hands spread over the range, and masses of the device that grow with theirs."""
+    """Hands spread over the range, and masses of the device that grow with theirs."""
     varies = hands.mass[0] < hands.mass[1] or mass[0] < mass[1]
     both = [np.linspace(*ends, count if varies else 1) for ends in (hands.mass, mass)]
     others = spread_hands(replace(hands, mass=(0.0, 0.0)), count)[:, 1:].tolist()
@@ -350,18 +349,18 @@ def spread_bodies(hands: HandRange, mass: Range, count: int) -> Hands:
 
 
 def held(loop: Loop, hand: Float64[np.ndarray, " 4"]) -> Loop:
-    """Return the loop with a hand of (mass, stiffness, damping), and a mass of the device."""
+    """The loop with a hand of (mass, stiffness, damping), and a mass of the device."""
     names = ("hand_mass", "hand_stiffness", "hand_damping", "device_mass")
     return replace(loop, **dict(zip(names, hand.tolist(), strict=True)))
 
 
 def masses_of(loop: LoopParameters, mass: Range | None) -> Range:
-    """Return the masses that a device of one mass may have: those given, or its own."""
+    """The masses that a device of one mass may have: those given, or that of the loop."""
     return mass or (float(loop.device_mass), float(loop.device_mass))
 
 
 def checked_range(hands: object, mass: Range | None = None) -> None:
-    """Refuse what is no range of hands, and ends of a range that are out of order or negative."""
+    """Validate hands and masses: TypeError unless a HandRange; ends in order and not negative."""
     if mass is not None and not 0.0 < mass[0] <= mass[1] < np.inf:
         raise ValueError(
             f"mass is {mass}; give the lowest mass of the device, > 0, and the highest one."

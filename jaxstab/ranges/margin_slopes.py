@@ -1,6 +1,6 @@
-"""Margins under JAX: the search is called back, derivatives follow from the crossing it finds.
+"""Margins under JAX: the search is called back, derivatives follow from the crossing it returns.
 
-How a crossing moves with the loop follows from the two equations for a root on the circle, by the
+The derivatives of a crossing follow from the two equations for a root on the circle, by the
 implicit function theorem.
 """
 
@@ -26,7 +26,7 @@ _REAL = 2.0**-29  # of pi: a root this near to the real axis is taken for real
 def moving_steps(
     point: Float64[Array, "*grid 5"], filters: Filters | None = None
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid way"]]:
-    """Return codes of verdicts, and the steps to the first crossings with their derivatives."""
+    """Codes of verdicts, and the steps to the first crossings with their derivatives."""
     found = _called_back(jax.lax.stop_gradient(point), filters)
     steps = [
         _moving(point, found[..., 1 + 2 * way], found[..., 2 + 2 * way], axis, filters)
@@ -53,7 +53,7 @@ def _search(filters: Filters | None, point: Array) -> Float64[np.ndarray, "*grid
 
 @partial(jax.custom_jvp, nondiff_argnums=(3, 4))
 def _moving(point: Array, step: Array, angle: Array, axis: int, filters: Filters | None) -> Array:
-    """Return the steps along an axis to the crossings, and how they move when the points do."""
+    """The steps along an axis to the crossings, with their derivatives by the points."""
     del point, angle, axis, filters
     return step
 
@@ -71,7 +71,7 @@ def _moving_jvp(
 
 @lru_cache(maxsize=16)
 def _slopes(filters: Filters | None) -> Callable[..., Array]:
-    """Return what gives the derivatives of a step by the point, from p(z) = 0 at both its ends."""
+    """A function for the derivatives of a step by the point, from p(z) = 0 at the crossing."""
 
     def slopes(point: Array, step: Array, angle: Array, axis: Array) -> Array:
         end = jnp.round(angle)
@@ -96,7 +96,7 @@ def _slopes(filters: Filters | None) -> Callable[..., Array]:
 def _circle(
     loop: Array, theta: Array, is_real: Array, filters: Filters | None
 ) -> tuple[Array, Array]:
-    """Return the real part of g, and the imaginary one, which without filters is over a sine."""
+    """The real part of g, and the imaginary one, which without filters is over a sine."""
     alpha, beta, gamma, delta, delay = loop
     if filters is None:
         return circle_equations(quick_slice(gamma, delta, delay), alpha, beta, theta)

@@ -44,7 +44,7 @@ Walls = Float64[np.ndarray, "wall 5"]
 
 Column = Float64[np.ndarray, " wall"]
 
-MOST_DELAY = 1024.0  # samples: further delay is not looked at
+MOST_DELAY = 1024.0  # samples: longer extra delays are not tried
 _ALPHA, _BETA, _DELAY = (AXES.index(name) for name in ("alpha", "beta", "delay"))
 GAIN_WAYS = ((_ALPHA, -1.0), (_ALPHA, 1.0), (_BETA, -1.0), (_BETA, 1.0))
 WAYS = (*GAIN_WAYS, (_DELAY, 1.0))
@@ -62,7 +62,7 @@ _FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was f
 _MOST_ANGLES = 2000  # such boxes of a wall at once
 _TOUCHING = 1e-9
 _LONGER = 4.0  # each stretch of delay than the one before
-SAFE = 1.0 - 2.0**-48  # a step loses less when it is computed
+SAFE = 1.0 - 2.0**-48  # rounding changes a step by less
 
 
 class Crossings(NamedTuple):
@@ -75,7 +75,7 @@ class Crossings(NamedTuple):
 def first_crossings(
     walls: Walls, filters: Filters | None = None
 ) -> Float64[np.ndarray, "wall found"]:
-    """Return the verdict on each wall and then, each way of ``WAYS``, a step and an angle.
+    """The verdict on each wall and then, each way of ``WAYS``, a step and an angle.
 
     Within the signed step no root reaches the circle; the step of the delay is infinite if no root
     ever does. The angle is that of the root which reaches the circle, in units of pi. Both are NaN
@@ -85,13 +85,13 @@ def first_crossings(
     counts = _angle_counts(walls)
     parts = np.linspace(0, counts.sum(), ceil(counts.sum() / _ANGLES_AT_ONCE) + 1)
     ends = np.searchsorted(np.cumsum(counts), parts[1:-1])
-    for some, rows in zip(np.split(walls, ends), np.split(table, ends), strict=True):
-        if not len(some):
+    for block, rows in zip(np.split(walls, ends), np.split(table, ends), strict=True):
+        if not len(block):
             continue
-        rows[:, 0] = _verdicts(some.T[:2], some, filters)
+        rows[:, 0] = _verdicts(block.T[:2], block, filters)
         stable = rows[:, 0] == Verdict.STABLE
         if stable.any():
-            ways = [*_along_gains(some[stable], filters), _along_delay(some[stable], filters)]
+            ways = [*_along_gains(block[stable], filters), _along_delay(block[stable], filters)]
             rows[stable, 1:] = np.stack([column for way in ways for column in way], axis=-1)
     return table
 
@@ -104,7 +104,7 @@ def _verdicts(
 
 
 def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
-    """Return gamma, delta and delay of walls, once if they are those of all: quicker to prove."""
+    """Gamma, delta and delay of walls, once if they are those of all: quicker to prove."""
     plants = walls.T[2:]
     return plants[:, 0] if np.all(plants == plants[:, :1]) else plants
 
@@ -127,11 +127,11 @@ def along_gains(
     verdicts: Callable[[np.ndarray, np.ndarray], np.ndarray],
     roots: Callable[[np.ndarray, np.ndarray], FirstRoots],
 ) -> list[Crossings]:
-    """Return how far stable walls may go each way of the gains.
+    """How far stable walls may go each way of the gains.
 
     Args:
         gains: alpha and beta of the walls.
-        first: the least first step, and into how many it is doubled until a wall is unstable.
+        first: the least first step, and the number of steps, each twice as long as the one before.
         verdicts: returns codes of other gains of walls, of which the numbers are given.
         roots: returns the first roots on lines from walls, by their starts and changes.
     """
@@ -151,14 +151,14 @@ def along_gains(
     reach = np.minimum(reach, 2.0 ** (count - 1) * start)
     change = np.zeros((2, *reach.shape))
     change[axes, np.arange(len(axes))] = signs[:, None] * reach
-    found = roots(np.tile(gains, len(axes)), change.reshape(2, -1))
-    low, angle = (part.reshape(reach.shape) for part in (found.low, found.theta / pi))
+    crossing = roots(np.tile(gains, len(axes)), change.reshape(2, -1))
+    low, angle = (x.reshape(reach.shape) for x in (crossing.low, crossing.theta / pi))
     step = signs[:, None] * (np.minimum(low, 1.0) * reach * SAFE)
     return [Crossings(*way) for way in zip(step, angle, strict=True)]
 
 
 def _all_angles(walls: Walls, ways: int) -> Parts:
-    """Return boxes of all angles of lines, the real roots in the middle of the first and last."""
+    """Boxes of all angles of lines, the real roots in the middle of the first and last."""
     count = np.tile(_angle_counts(walls), ways)
     line = np.repeat(np.arange(count.size), count + 1)
     number = np.arange(line.size) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
@@ -191,33 +191,33 @@ def first_delays(
     roots: Callable[[Parts, Column, Column], FirstRoots],
     longest: Callable[[Parts], Column | float] = lambda angles: inf,
 ) -> Crossings:
-    """Return how much longer the delay of stable walls may become, up to ``MOST_DELAY``.
+    """How much longer the delay of stable walls may become, up to ``MOST_DELAY``.
 
     Args:
         count: the number of walls.
         critical: returns the angles at which some delay may put a root of chosen walls on the
             circle, coarse or fine.
-        roots: returns the first roots at such angles along stretches of more delay, from where
-            each begins, and how long it is.
-        longest: returns how long a stretch may be at most.
+        roots: returns the first roots at such angles along stretches of more delay, from the
+            beginning and the length of each.
+        longest: returns the largest length of a stretch.
     """
     angles = critical(np.arange(count), False)
     begin, angle = np.zeros(count), np.full(count, nan)
-    # Within one turn of the phase at a critical angle a root meets the circle: about so long.
+    # Within about one turn of the phase at a critical angle a root meets the circle.
     highest = np.full(count, -inf)
     np.maximum.at(highest, angles.line, angles.high[1])
     stretch = np.where(highest > 0.0, 2.0 * pi / np.where(highest > 0.0, highest, 1.0), MOST_DELAY)
     step = np.full(count, inf)
     is_open = highest > -inf
     while is_open.any():
-        some = angles.some(is_open[angles.line])
-        length = np.minimum(np.minimum(stretch, MOST_DELAY - begin), longest(some))
-        found = roots(some, begin, length)
-        is_found = np.isfinite(found.low)
-        part = np.where(is_found, found.low, 0.0)
-        step = np.where(is_found, begin + length * part * SAFE, step)
-        angle = np.where(is_found, found.theta / pi, angle)
-        is_open &= ~is_found & (begin + length < MOST_DELAY)
+        open_angles = angles.some(is_open[angles.line])
+        length = np.minimum(np.minimum(stretch, MOST_DELAY - begin), longest(open_angles))
+        crossing = roots(open_angles, begin, length)
+        crosses = np.isfinite(crossing.low)
+        share = np.where(crosses, crossing.low, 0.0)
+        step = np.where(crosses, begin + length * share * SAFE, step)
+        angle = np.where(crosses, crossing.theta / pi, angle)
+        is_open &= ~crosses & (begin + length < MOST_DELAY)
         if not begin.any() and is_open.any():
             angles = critical(np.flatnonzero(is_open), True)
             is_open &= np.isin(np.arange(count), angles.line)
@@ -231,7 +231,7 @@ def _critical_angles(
     smallest: Float64[np.ndarray, "2"],
     filters: Filters | None,
 ) -> Parts:
-    """Return the angles at which some delay may put a root of some walls on the circle."""
+    """The angles at which some delay may put a root of some walls on the circle."""
     prove = partial(_proof, walls, partial(exclude_any_delay, filters=filters))
     boxes = _angles_and_fractions(numbers)
     boxes = _finer_angles(boxes.select(~prove(boxes).free))
@@ -239,13 +239,13 @@ def _critical_angles(
 
 
 def joined_angles(boxes: ParameterBox) -> Parts:
-    """Return the angles of boxes of fractions of the delay and theta / pi, indexed by walls."""
+    """The angles of boxes of fractions of the delay and theta / pi, indexed by walls."""
     wall = boxes.index
     middle, half = (pi * angle for angle in boxes["angle"])
     low, high = middle - half, middle + half
     order = np.lexsort((low, wall))
     wall, low, high = wall[order], low[order], high[order]
-    # Those that touch are one
+    # Intervals that touch are joined.
     ends, number = np.unique(high, return_inverse=True)
     high = ends[np.maximum.accumulate(number + ends.size * wall) - ends.size * wall]
     is_apart = (np.diff(wall) > 0) | (low[1:] > high[:-1] + _TOUCHING)
@@ -257,7 +257,7 @@ def joined_angles(boxes: ParameterBox) -> Parts:
 
 
 def _angles_and_fractions(numbers: Int64[np.ndarray, " some"]) -> ParameterBox:
-    """Return boxes of the fraction of the delay and theta / pi, indexed by walls."""
+    """Boxes of the fraction of the delay and theta / pi, indexed by walls."""
     fractions, angles = ((np.arange(n) + 0.5) / n for n in (_FRACTIONS, _DELAY_ANGLES))
     wall, fraction, angle = (
         part.ravel() for part in np.meshgrid(numbers, fractions, angles, indexing="ij")
@@ -300,7 +300,7 @@ _MOST_ROWS = 8  # of many walls
 
 
 class MarginNames(NamedTuple):
-    """What the rows of a table of margins are called, with their units."""
+    """The names of the rows of a table of margins, with their units."""
 
     stiffness: str
     damping: str
@@ -312,12 +312,7 @@ IN_SI_UNITS = MarginNames("K (N/m)", "B (N s/m)", "extra delay (s)")
 
 
 def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
-    """Return the table: of one wall a row for each quantity, of many a row for each wall.
-
-    Args:
-        margins: the fields of a ``Margins``.
-        names: of the rows.
-    """
+    """A ``Margins`` as a table: of one wall a row per quantity, of many a row per wall."""
     if not are_numbers(margins):
         return f"Margins{tuple(margins)}"
     verdict, stiffness, damping, stiffness_gain, damping_gain, extra_delay = margins
@@ -370,9 +365,9 @@ class Margins(NamedTuple):
     """How much a wall may change; NaN throughout for a wall that is not proved stable.
 
     All numbers are proved: the wall stays stable that far. They fall short of the first root on the
-    circle by at most about 1e-9 of the way there, or by what rounding hides: where |p(z)| somewhere
-    on the circle is below about 1e-13 of its largest term, per sample of delay, it cannot be told
-    from 0. With filters rounding hides about ten times as much. A few extra delays of tens of
+    circle by at most about 1e-9 of the way there, or by the effect of rounding: where |p(z)|
+    somewhere on the circle is below about 1e-13 of its largest term, per sample of delay, it cannot
+    be told from 0. With filters this is about ten times as much. A few extra delays of tens of
     samples fall short by more, because the search is given up for a wall whose roots stay next to
     the circle at nearly all angles.
     The table rounds limits inwards, and prints 0 for one below 1e-9 of its interval, such as a
@@ -403,7 +398,7 @@ class Margins(NamedTuple):
     extra_delay: Float64[Array, "*grid"]
 
     def __repr__(self) -> str:
-        """Return a table: a row for each quantity of one wall, or one for each of some walls."""
+        """A table: a row for each quantity of one wall, or one for each of several walls."""
         return margins_text(self, DIMENSIONLESS)
 
 
@@ -411,7 +406,7 @@ class WallMargins(Margins):
     """Margins in SI units, with these units in their printed table."""
 
     def __repr__(self) -> str:
-        """Return the table of ``Margins`` with units."""
+        """The table of ``Margins`` with units."""
         return margins_text(self, IN_SI_UNITS)
 
 
@@ -426,37 +421,25 @@ def margins(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Margins:
-    """Return how far alpha, beta and delay may change, one at a time, before a loop is unstable.
+    """How far alpha, beta and delay may change, one at a time, before a loop is unstable.
 
     With JAX arrays the search is called back from JAX, so it works under jit and vmap. It is
     differentiable once in every argument, the delay too. Where two crossings come first at once,
     the derivative is that of one of them; it is NaN where the margin is infinite or the loop not
     stable.
 
-    Args:
-        alpha: wall stiffness K T^2/m, any shape; like all arguments it broadcasts.
-        beta: wall damping B T/m.
-        gamma: physical stiffness k T^2/m in [0, 1e4].
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
+    Args and Raises: see ``jaxstab.conventions``; here JAX may trace the delay.
 
     Returns:
         Margins: intervals of alpha and beta, and samples.
-
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN.
-        TypeError: velocity or position is no estimator or filter, or JAX traces its parameters.
-        RuntimeError: JAX arrays are given without x64.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; lemmas B5 and B10 of
     docs/proofs.md.
 
     Example:
         >>> window = jaxstab.Velocity.difference(samples=20)
-        >>> found = margins(0.003, 0.04, gamma=0.0, delta=0.001, delay=1.0, velocity=window)
-        >>> float(found.stiffness_gain)
+        >>> wall = {"gamma": 0.0, "delta": 0.001, "delay": 1.0, "velocity": window}
+        >>> float(margins(0.003, 0.04, **wall).stiffness_gain)
         2.7159...
     """
     filters = known_filters(velocity, position)
@@ -497,7 +480,7 @@ def _margins(point: Array, code: Array, steps: Array) -> Margins:
 
 
 def _end(xp: Any, gain: Array, step: Array) -> Array:
-    """Return gain + step, but not a rounding error farther."""
+    """The gain after a step, but not a rounding error farther."""
     end = gain + step
     return xp.where(xp.isfinite(end), end - xp.sign(step) * _ROUNDING * abs(end), end)
 

@@ -77,9 +77,9 @@ class RobustRegion:
     repeated; no vertex for an empty region. With the status PROVED every wall inside and on it is
     stable for every hand. ``hands`` are the sampled (gamma, delta): the true region lies inside of
     the intersection of their stable regions, which is larger than the outline by about
-    ``tolerance`` of its size. The intersection is looked for on 129 rows of damping: EMPTY is no
-    proof that there is none between them. With ``filters``, velocity estimator and position filter
-    in units of one sample, it is that of the components that hold small gains, or of the largest
+    ``tolerance`` of its size. The intersection is searched on 129 rows of damping: EMPTY does not
+    prove that there is none between them. With ``filters``, velocity estimator and position filter
+    in units of one sample, it is that of the components that contain small gains, or of the largest
     one of a hand that has no such component.
 
     Example:
@@ -109,32 +109,17 @@ class RobustRegion:
         return vertex
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
-        """Return where walls are proved stable for all hands of the range.
+        """Where walls are proved stable for all hands of the range, outside the outline too.
 
-        Each wall is proved anew, so the answer may be True outside the outline too.
-
-        Args:
-            alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
-            beta: wall damping B T/m.
-
-        Raises:
-            ValueError: alpha or beta is NaN or infinite.
+        Args and Raises: see ``jaxstab.conventions``.
         """
         return np.asarray(self.verdict(alpha, beta) == Verdict.STABLE)
 
     def verdict(self, alpha: Numbers, beta: Numbers) -> Int8[np.ndarray, "*grid"]:
-        """Return a proved code of ``Verdict`` for each wall and all hands of the range.
+        """A proved code of ``Verdict`` for each wall and all hands of the range.
 
-        Args:
-            alpha: wall stiffness K T^2/m, any shape; it broadcasts with beta.
-            beta: wall damping B T/m.
-
-        Returns:
-            STABLE where the wall is proved stable for every hand, UNSTABLE where it is proved
-            unstable for one of them, otherwise UNDECIDED.
-
-        Raises:
-            ValueError: alpha or beta is NaN or infinite.
+        STABLE where the wall is proved stable for every hand, UNSTABLE where it is proved unstable
+        for one of them, otherwise UNDECIDED. Args and Raises: see ``jaxstab.conventions``.
         """
         gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
         grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
@@ -143,7 +128,7 @@ class RobustRegion:
         def prove(likely: Int64[np.ndarray, " likely"]) -> Int8[np.ndarray, " likely"]:
             range_of_hands = self.gamma, self.delta, self.delay
             left = [failures(walls[[n]], *range_of_hands, filters=self.filters) for n in likely]
-            codes = [Verdict.UNDECIDED if len(one) else Verdict.STABLE for one in left]
+            codes = [Verdict.UNDECIDED if len(hands) else Verdict.STABLE for hands in left]
             return np.array(codes, np.int8)
 
         sampled = _verdicts(walls, self.hands, self.delay, self.filters)
@@ -159,25 +144,20 @@ def robust_region(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> RobustRegion:
-    """Return the walls that are stable for every hand with gamma and delta in given ranges.
+    """The walls that are stable for every hand with gamma and delta in given ranges.
 
     Args:
         gamma: lower and upper end of the physical stiffness k T^2/m in [0, 1e4]; Nyquist frequency
             is at pi^2 + delta^2/4. Equal ends fix it.
         delta: lower and upper end of the physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, whole or fractional.
+        delay, velocity, position: see ``jaxstab.conventions``.
         tolerance: how far the polygon is pulled in to be proved, as a share of its size, in
             [1e-3, 0.5].
-        velocity: the velocity estimator in units of one sample; None for the difference over one.
-        position: the position filter in units of one sample; None for none.
 
     Returns:
         RobustRegion with its status. An empty region is an answer, not an error.
 
-    Raises:
-        ValueError: an end is outside its range or NaN, the ends are in the wrong order, or the
-            tolerance is out of range.
-        TypeError: velocity or position is no estimator or filter, or JAX traces its parameters.
+    Raises: see ``jaxstab.conventions``; ValueError also for ends in the wrong order.
 
     Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B7 and B11 of docs/proofs.md.
 
@@ -218,7 +198,7 @@ class _Sample:
         self.add(np.stack(np.meshgrid(stiffness, damping), axis=-1).reshape(-1, 2))
 
     def add(self, hands: Hands) -> bool:
-        """Add hands; those already there are passed over."""
+        """Add hands that are not there yet."""
         before = len(self.hands)
         for hand in hands:
             if not np.any(np.all(self.hands == hand, axis=1)):
@@ -236,11 +216,9 @@ class _Sample:
         return len(self.hands) > before
 
     def polygon(self, pull: float) -> Guess | None:
-        """Return a polygon of the spans of some rows of the intersection, pulled in by a share.
-
-        Slices of which a row is not one interval are not known; the span would hold unstable walls,
-        and the proof would fail. An intersection may be missed that lies between two rows.
-        """
+        """A polygon of the spans of some rows of the intersection, pulled in by a share."""
+        # No slice is known with a row of several intervals; its span would hold unstable walls, and
+        # the proof would fail. An intersection that lies between two rows may be missed.
         if not self.regions:
             return None
         if any(region.is_empty for region in self.regions):
@@ -250,10 +228,10 @@ class _Sample:
         return Guess(pulled_in(polygon_of_rows(self._limits, low, high), pull))
 
     def unproved(self, walls: Points) -> Hands:
-        """Return hands at which walls of the polygon are not proved."""
+        """Hands at which walls of the polygon are not proved."""
         left = failures(walls, *self.range, filters=self.filters)
-        one = _verdicts(walls[:1], self.hands[:1], self.range[2], self.filters)
-        return left if len(left) or np.all(one == Verdict.STABLE) else self.hands[:1]
+        code = _verdicts(walls[:1], self.hands[:1], self.range[2], self.filters)
+        return left if len(left) or np.all(code == Verdict.STABLE) else self.hands[:1]
 
     def _limits(self, rows: Rows) -> tuple[Rows, Rows]:
         limits = np.stack([np.asarray(region.alpha_limits(rows)) for region in self.regions])
@@ -264,13 +242,9 @@ class _Sample:
 def polygon_of_rows(
     limits: Callable[[Rows], tuple[Rows, Rows]], low: float, high: float, count: int = _ROWS
 ) -> Points:
-    """Return a polygon of the spans of rows from low to high; no point if no row has one.
+    """A polygon of the spans of rows from low to high; no point if no row has one.
 
-    Args:
-        limits: takes rows, returns the left and the right end of each.
-        low: the lowest row.
-        high: the highest row.
-        count: number of rows.
+    ``limits`` takes rows, and returns the left and the right end of each.
     """
     for _ in range(3):  # the spans may end before the rows do
         rows = np.linspace(low, high, count + 2)[1:-1]
@@ -287,14 +261,14 @@ def polygon_of_rows(
 
 
 def reachable(region: StableRegion, filters: Filters | None) -> StableRegion:
-    """Return the part of a hand's region that counts: with filters, one component."""
+    """The part of a hand's region that counts: with filters, one component."""
     if filters is None or region.is_empty:
         return region
     return region.main or region.components[0]
 
 
 def pulled_in(outline: Points, tolerance: float) -> Points:
-    """Return the outline shrunk towards its centroid."""
+    """The outline shrunk towards its centroid."""
     if not len(outline):
         return outline
     following = np.roll(outline, -1, axis=0)
@@ -307,7 +281,7 @@ def pulled_in(outline: Points, tolerance: float) -> Points:
 def failures(
     outline: Points, gamma: Range, delta: Range, delay: float, *, filters: Filters | None
 ) -> Hands:
-    """Return some hands at which walls on a closed polygon could not be proved; none is a proof.
+    """Some hands at which walls on a closed polygon could not be proved; none is a proof.
 
     The axes of the boxes are the way along an edge, from -1 to 1, gamma, delta and theta.
     """
@@ -349,7 +323,6 @@ def failures(
 def _verdicts(
     walls: Points, hands: Hands, delay: float, filters: Filters | None
 ) -> Int8[np.ndarray, "points hands"]:
-    """Return the verdicts on all walls for all hands."""
     arguments = walls[:, :1], walls[:, 1:], hands[:, 0], hands[:, 1]
     return np.asarray(verdict(**by_name(*arguments, delay), **as_keywords(filters)))
 
@@ -372,7 +345,7 @@ def robust_limit(loop: Loop, hands: HandRange, mass: Range | None = None) -> Rob
 
 
 class _Columns(NamedTuple):
-    """Columns of the damping, and what some hands allow there; -inf where it is nothing."""
+    """Columns of the damping, and the stiffness that all hands allow there; -inf where none."""
 
     begin: np.ndarray
     end: np.ndarray
@@ -399,7 +372,7 @@ class _Gaps(NamedTuple):
 
 
 def _common_limit(loops: list[Loop], pull: float) -> Guess:
-    """Return the stiffest wall that some loops allow, pulled down by a share of its stiffness."""
+    """The stiffest wall that all of the loops allow, pulled down by a share of its stiffness."""
     span = _common_span(loops)
     if span is None:
         return NOTHING
@@ -407,8 +380,8 @@ def _common_limit(loops: list[Loop], pull: float) -> Guess:
     columns = _judged(loops, edges, span)
     for _ in range(_ROUNDS):
         best = int(np.argmax(columns.high))
-        found = columns.high[best]
-        enough = found + _NEAR * abs(found) if np.isfinite(found) else found
+        stiffest = columns.high[best]
+        enough = stiffest + _NEAR * abs(stiffest) if np.isfinite(stiffest) else stiffest
         hopeful = columns.most > enough
         if not hopeful.any():
             break
@@ -441,7 +414,7 @@ def _common_limit(loops: list[Loop], pull: float) -> Guess:
 
 
 def _common_span(loops: list[Loop]) -> _Span | None:
-    """Return the span of stiffness and damping that all stable regions share, in SI units."""
+    """The span of stiffness and damping that all stable regions share, in SI units."""
     low, high, setter = np.full(2, -np.inf), np.full(2, np.inf), 0
     for number, loop in enumerate(loops):
         region = stable_region(
@@ -472,12 +445,12 @@ def _gaps(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain
     parts = []
     for loop in loops:
         hand = HandBoxes(*(np.array([v]) for v in (loop.gamma, loop.delta, 0.0, 0.0)))
-        own = Domain(
+        scaled = Domain(
             (loop.alpha(domain.alpha[0]), loop.alpha(domain.alpha[1])),
             (loop.beta(domain.beta[0]), loop.beta(domain.beta[1])),
         )
         filters = known_filters(**loop.filters)
-        gaps = column_gaps(loop.beta(edges), hand, loop.delay_samples, own, filters)
+        gaps = column_gaps(loop.beta(edges), hand, loop.delay_samples, scaled, filters)
         parts.append([loop.stiffness(gaps.low[0]), loop.stiffness(gaps.high[0]), gaps.verdict[0]])
     low, high, verdict = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     # All hands end at the same stiffness, which rounding must not take apart.
@@ -488,11 +461,9 @@ def _gaps(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain
 
 
 def _not_unstable(gaps: _Gaps, span: _Span) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest stiffness of each column that is in no unstable gap, and whose gap begins.
-
-    The union of open gaps ends below at the lower end of a gap that is in no other. Where none
-    reaches the end of the span nothing is known there.
-    """
+    """The largest stiffness of each column in no unstable gap, and the hand that sets it."""
+    # The union of open gaps ends below at the lower end of a gap that is in no other. Where no gap
+    # reaches the end of the span, no verdict is known there.
     unstable = gaps.verdict == Verdict.UNSTABLE
     low, high = np.where(unstable, [gaps.low, gaps.high], np.nan)
     top = span.domain.alpha[1]
@@ -505,7 +476,7 @@ def _not_unstable(gaps: _Gaps, span: _Span) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _stable(gaps: _Gaps, hands: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the highest interval of stiffness of each column in stable gaps of all hands."""
+    """The highest interval of stiffness of each column in stable gaps of all hands."""
     stable = gaps.verdict == Verdict.STABLE
     low, high = np.where(stable, [gaps.low, gaps.high], np.nan)
     holds = (low[:, None] < high[:, :, None]) & (high[:, :, None] <= high[:, None])
@@ -519,6 +490,6 @@ def _stable(gaps: _Gaps, hands: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _divided(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return edges that divide columns; between them may be others."""
+    """Edges that divide columns; other columns may lie between."""
     part = np.arange(_FINER + 1) / _FINER
     return np.unique(np.concatenate([np.outer(begin, 1.0 - part) + np.outer(end, part)]))
