@@ -445,8 +445,7 @@ def linear_region(
             diameter, > 1e-10.
 
     Raises:
-        ValueError: the plant does not give way to a constant force, N(1) = 0, by which the curve is
-            divided near z = 1.
+        ValueError: the plant has zero DC gain, N(1) = 0, by which the curve is divided near z = 1.
     """
     if float(plant.at_one[0].value.hi) == 0.0:
         raise ValueError(
