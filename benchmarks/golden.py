@@ -467,7 +467,11 @@ def compare(quick: bool, path: Path = PATH) -> int:
         differ = [k for k, v in recorded[name].items() if now.get(k) != v]
         for key in differ:
             print(f"note: {key} was {recorded[name][key]} and is {now.get(key)}; bits may differ")
-    found = list(changes(recorded["answers"], hashes(questions(quick))))
+    known = recorded["answers"]
+    for name in sorted(set(COUNTS) - set(known)):
+        print(f"note: {name} is not recorded yet")
+    asked = (question for question in questions(quick) if question.name in known)
+    found = list(changes(known, hashes(asked)))
     old = recorded_answers(recorded["commit"], [one.question for one in found]) if found else []
     if old is None:
         print(f"note: git does not have {recorded['commit']}; recorded values cannot be shown")

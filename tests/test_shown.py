@@ -183,7 +183,7 @@ def test_an_atlas_draws_the_verdicts_of_a_plane() -> None:
     axes = atlas.plot(Figure().subplots(), delay=float(atlas.delays[-1]))
     (mesh,) = axes.collections
     assert set(np.unique(mesh.get_array())) <= {1, 2, 3}
-    with pytest.raises(ValueError, match="none of this atlas"):
+    with pytest.raises(ValueError, match="is not in this atlas"):
         atlas.plot(Figure().subplots(), delay=77.0)
 
 
