@@ -77,6 +77,10 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
     says, and first compiled in about half a minute (``use_compilation_cache`` keeps that). Loops
     that it does not resolve, and those of smaller batches, are answered one by one.
 
+    A batch has tests in place of the audit of a single region: what none of them would notice is a
+    stable set that is cut or dented between two of the 548 to 1,348 angles of its scan. Of 1,197
+    random loops (delays to 30 samples, windows to 20, filters, modes) none was wrong.
+
     Args:
         loops: any number of loops of concrete numbers, of any estimators, filters, devices and
             delays. Batches of loops with the same estimator and filter are the fastest.
