@@ -1,4 +1,4 @@
-"""Docstrings as griffe reads them: ``Examples:`` in the plural, shared arguments written out."""
+"""Docstrings as griffe reads them: ``Examples:``, and shared arguments and errors in full."""
 
 import re
 from typing import Any
@@ -7,20 +7,43 @@ import griffe
 
 from jaxstab import conventions
 
-_SHARED = re.compile(r"(?m)^( *)([\w, ]+): see ``jaxstab\.conventions``\.$")
-_ARGUMENTS = dict(re.findall(r"(?m)^    (\w+): (.+)$", conventions.__doc__ or ""))
+_DOC = conventions.__doc__ or ""
+_SEE = r"see ``jaxstab\.conventions``"
+_SHARED = re.compile(rf"(?m)^( +)([\w, ]+): {_SEE}\.$")
+_BOTH = re.compile(rf"(?m)^Args and Raises: {_SEE}")
+_RAISES = re.compile(rf"(?m)^Raises: {_SEE}((?:.|\n(?!\s*\n))*)")
+_ALSO = re.compile(r"; (\w+) also (?:for |if )?((?:.|\n)*)")
+_ARGUMENTS = dict(re.findall(r"(?m)^    (\w+): (.+)$", _DOC))
+_ERRORS = re.findall(r"(\w+Error) for ([^;]+?)(?:;|\.$)", " ".join(_DOC.split("raise:")[1].split()))
 
 
 class Examples(griffe.Extension):
-    """Rename the sections ``Example:``, and give each shared argument its text."""
+    """Rename the sections ``Example:``, and write out the arguments and errors that are shared."""
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Rename the section of one docstring and fill in its arguments."""
-        if obj.docstring is not None:
-            text = re.sub(r"(?m)^Example:$", "Examples:", obj.docstring.value)
-            obj.docstring.value = _SHARED.sub(_written_out, text)
+        """Change one docstring."""
+        if obj.docstring is None:
+            return
+        text = re.sub(r"(?m)^Example:$", "Examples:", obj.docstring.value)
+        names = [one.name for one in getattr(obj, "parameters", ()) if one.name in _ARGUMENTS]
+        shared = "Args:\n" + _lines("    ", [(name, _ARGUMENTS[name]) for name in names])
+        text = _BOTH.sub(f"{shared}\n\nRaises: see ``jaxstab.conventions``", text)
+        obj.docstring.value = _SHARED.sub(_arguments, _RAISES.sub(_errors, text))
 
 
-def _written_out(line: re.Match[str]) -> str:
+def _lines(indent: str, pairs: list[tuple[str, str]]) -> str:
+    return "\n".join(f"{indent}{name}: {words}" for name, words in pairs)
+
+
+def _arguments(line: re.Match[str]) -> str:
     indent, names = line.groups()
-    return "\n".join(f"{indent}{name}: {_ARGUMENTS[name]}" for name in names.split(", "))
+    return _lines(indent, [(name, _ARGUMENTS[name]) for name in names.split(", ")])
+
+
+def _errors(section: re.Match[str]) -> str:
+    rest = " ".join(section[1].split())
+    also = _ALSO.match(rest)
+    more = [(also[1], also[2])] if also else []
+    after = "" if also else rest.strip("; .")
+    listed = "Raises:\n" + _lines("    ", [*_ERRORS, *more])
+    return f"{listed}\n\n{after[:1].upper()}{after[1:]}." if after else listed
