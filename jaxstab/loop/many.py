@@ -7,7 +7,6 @@ groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 """
 
 from collections.abc import Hashable, Iterator, Sequence
-from itertools import accumulate
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.region import RegionStatus
-from jaxstab.region.filtered_curve import Angles, of_filters, resonances_of
+from jaxstab.region.filtered_curve import Angles, about_one, of_filters, resonances_of
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -38,6 +37,7 @@ _NARROWEST, _NO_RESONANCE = 1e-6, 0.05  # distances from the circle
 _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
 
 Column = Float64[np.ndarray, " loop"]
+Floats = Float64[np.ndarray, "loop part power"]
 Indices = Int64[np.ndarray, " _"]
 Walls = Float64[np.ndarray, "loop 2 2"]
 
@@ -234,7 +234,7 @@ def _triples(formed: list[_Formed], degree: int) -> "Triples":
     straight = _joined([_parts(one, degree) for one in formed])
     ends = np.concatenate([_ends(one) for one in formed])
     scans = [_scans(one, degree) for one in formed]
-    shifted, rounded = _shifted(straight).rounded(), straight.rounded()
+    shifted, rounded = _shifted(straight), straight.rounded()
     powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
     is_less = abs(shifted) @ powers < np.sum(abs(rounded), axis=-1)[..., None]
     close = np.max(np.where(is_less, _STEPS, 0.0), axis=-1)
@@ -271,19 +271,11 @@ def _ends(formed: _Formed) -> Float64[np.ndarray, "loop 2 3"]:
     return np.moveaxis(np.array(values), 2, 0)
 
 
-def _shifted(falling: DoubleDouble) -> DoubleDouble:
-    """Return the coefficients in powers of z - 1, by one division after the other."""
-    columns = [
-        DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in range(falling.hi.shape[-1])
-    ]
-    rest, shifted = columns, []
-    while rest:
-        *rest, value = accumulate(rest, DoubleDouble.__add__)
-        shifted.append(value)
-    return DoubleDouble(
-        np.stack([c.hi for c in shifted[::-1]], axis=-1),
-        np.stack([c.lo for c in shifted[::-1]], axis=-1),
-    )
+def _shifted(falling: DoubleDouble) -> Floats:
+    """Return the coefficients in powers of z - 1, in float64."""
+    powers = range(falling.hi.shape[-1])
+    columns = tuple(DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in powers)
+    return np.stack([column.rounded() for column in about_one(columns)], axis=-1)
 
 
 def _scans(formed: _Formed, degree: int) -> Float64[np.ndarray, "loop angle"]:

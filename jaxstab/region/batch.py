@@ -41,11 +41,11 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, repeat
 from jaxstab.region.corners import Branch
+from jaxstab.region.pieces import reflected
 from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
 _REFINED = 32  # loops at once: what they need stays in the cache
-_CLEAR = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
 _LOWERED = 8  # steps of the recursion between which its arrays get shorter
 _HALVINGS = 8  # of the brackets of ends
 _NEWTON_STEPS = 16
@@ -186,20 +186,10 @@ def _are_inside(loop: Triples, walls: Array, total: Array, product: float, remov
     count = loop.straight.shape[1] - removed
     _, falling = lax.scan(divided, (nothing, nothing), loop.straight.T[:count])
 
-    def lowered(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        falling, rising, inside = state
-        reflection = rising[0] / falling[0]
-        lower = rising - reflection * falling
-        return (
-            falling - reflection * rising,
-            jnp.concatenate([lower[1:], jnp.zeros_like(lower[:1])]),
-            inside & (abs(reflection) < 1.0 - _CLEAR),
-        )
-
     state = falling, falling[::-1], jnp.ones(nothing.shape, bool)
     while count > 1:
         steps = min(_LOWERED, count - 1)
-        falling, rising, inside = repeat(steps, lowered, state)
+        falling, rising, inside = repeat(steps, reflected, state)
         count -= steps
         state = falling[:count], rising[:count], inside
     return state[2]

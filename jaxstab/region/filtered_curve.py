@@ -60,7 +60,7 @@ class Around(NamedTuple):
     def of(cls, polynomial: Polynomial) -> "Around":
         """Return a polynomial with its powers of s; rounding errors count as 0."""
         nothing = _NOTHING * size_of(polynomial)
-        shifted = (c if abs(c.hi) >= nothing else _VANISHING for c in _shifted(polynomial))
+        shifted = (c if abs(c.hi) >= nothing else _VANISHING for c in about_one(polynomial))
         return cls(polynomial, tuple(shifted))
 
     def times(self, other: "Around") -> "Around":
@@ -119,7 +119,7 @@ def power(degree: int) -> Polynomial:
     return (DoubleDouble(1.0, 0.0), *(_VANISHING,) * degree)
 
 
-def _shifted(polynomial: Polynomial) -> Polynomial:
+def about_one(polynomial: Polynomial) -> Polynomial:
     """Return the coefficients in powers of z - 1, by one division after the other."""
     rest, coefficients = polynomial, []
     while len(rest) > 1:

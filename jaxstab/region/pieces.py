@@ -148,17 +148,23 @@ def _all_inside(falling: Array) -> Array:
     if xp is np:
         return _passes(falling.reshape(len(falling), -1), is_clear.ravel()).reshape(is_clear.shape)
 
-    def step(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        falling, rising, inside = state
-        reflection = rising[0] / falling[0]
-        lower = rising - reflection * falling
-        return (
-            falling - reflection * rising,
-            xp.concatenate([lower[1:], xp.zeros_like(lower[:1])]),
-            inside & (abs(reflection) < 1.0 - _MARGIN),
-        )
+    return repeat(len(falling) - 1, reflected, (falling, falling[::-1], is_clear))[2]
 
-    return repeat(len(falling) - 1, step, (falling, falling[::-1], is_clear))[2]
+
+def reflected(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """One step of Schur and Cohn: a polynomial, its reverse, and whether all so far are inside.
+
+    The degree falls by one; the first axis keeps its length, with noise and zeros behind.
+    """
+    falling, rising, inside = state
+    xp = namespace(falling)
+    reflection = rising[0] / falling[0]
+    lower = rising - reflection * falling
+    return (
+        falling - reflection * rising,
+        xp.concatenate([lower[1:], xp.zeros_like(lower[:1])]),
+        inside & (abs(reflection) < 1.0 - _MARGIN),
+    )
 
 
 def _passes(falling: Array, is_clear: Array) -> Array:
