@@ -83,6 +83,9 @@ def test_few_loops_are_answered_one_by_one(rng: np.random.Generator) -> None:
 def test_what_is_no_loop_is_refused() -> None:
     with pytest.raises(TypeError, match="loops has 3; give a HapticLoop for each"):
         limits_of([3])  # type: ignore[list-item]
+    loop = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD)
+    with pytest.raises(TypeError, match="give a list of HapticLoop"):
+        limits_of(loop)  # type: ignore[arg-type]
     spring = Device.transfer_function([1.0, 0.0], [0.1, 1.0, 10.0])
     with pytest.raises(ValueError, match="zero DC gain"):
         limits_of([HapticLoop(device=spring, sample_time=PERIOD)])

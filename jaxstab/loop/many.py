@@ -6,7 +6,7 @@ samples of delay are formed together, in pairs of float64. What a program does n
 groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 """
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -89,7 +89,7 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
         ManyLimits of NumPy arrays in the order of the loops.
 
     Raises:
-        TypeError: an item is no HapticLoop, or JAX traces it.
+        TypeError: this is no list, or an item is no HapticLoop, or JAX traces it.
         ValueError: as ``HapticLoop.region``, for any of the loops.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
@@ -102,6 +102,8 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
         >>> jaxstab.limits_of(loops).stiffness.round().tolist()
         [68763.0, 137392.0]
     """
+    if not isinstance(loops, Iterable):
+        raise TypeError(f"loops is {loops!r}; give a list of HapticLoop.")
     many = [_in_floats(loop) for loop in loops]
     alone = np.ones(len(many), bool)
     answers = ManyLimits(
