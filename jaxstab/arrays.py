@@ -70,6 +70,11 @@ def is_jax(value: object) -> bool:
     return hasattr(jax, "Array") and isinstance(value, jax.Array)  # type: ignore[union-attr]
 
 
+def is_any_jax(*trees: object) -> bool:
+    """Return whether a leaf of nested values is a JAX array or a tracer."""
+    return "jax" in sys.modules and any(map(is_jax, leaves(trees, plain=False)))
+
+
 def is_traced(value: object) -> bool:
     """Return whether JAX traces a value, so that only jit, vmap or grad know it."""
     return is_jax(value) and isinstance(value, sys.modules["jax"].core.Tracer)
@@ -91,7 +96,7 @@ def namespace(*values: object) -> Any:
     """Return ``jax.numpy`` if a leaf of the values is a JAX array or a tracer, else ``numpy``."""
     if _unregistered and hasattr(sys.modules.get("jax"), "Array"):  # JAX is loaded by now
         _register()
-    if "jax" in sys.modules and any(map(is_jax, leaves(values, plain=False))):
+    if is_any_jax(values):
         import jax.numpy
 
         return jax.numpy
@@ -256,6 +261,14 @@ def scan(count: int, step: Callable[[Tree], tuple[Tree, Array]], start: Tree) ->
     from jax import lax
 
     return lax.scan(lambda state, _: step(state), start, None, length=count)[1]
+
+
+def with_values(array: Array, indices: np.ndarray, values: Array) -> Array:
+    """Return an array with values at flat indices; one of NumPy is changed in place."""
+    if is_jax(array):
+        return array.ravel().at[indices].set(values).reshape(array.shape)
+    array.flat[indices] = values
+    return array
 
 
 def first_indices(mask: Array, count: int) -> Array:

@@ -32,6 +32,7 @@ MANY = 1 << 15
 MANY_PLANTS = 1 << 16
 MANY_COEFFICIENTS = 1 << 20
 MANY_ANGLES = 1 << 18
+_FOR_A_CORE = 1 << 17  # points from which on a second core pays
 _WIDE: dict[str, Any] = {
     "xla_cpu_prefer_vector_width": 512
 }  # bits; XLA prefers half of what the CPU has
@@ -107,10 +108,51 @@ def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any)
 
 
 def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
-    """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out."""
+    """Call a JAX function of points in float64, on grids of few sizes; NumPy in and out.
+
+    A large grid is cut across its longest axis, and each core of the CPU computes a part: a program
+    in tiles uses one core alone.
+    """
+    shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
+    count = min(_cores(), prod(shape) // _FOR_A_CORE, max(shape, default=0) // 2)
+    if count < 2:
+        return _on_few_sizes(function, shape, arguments)
+    from concurrent.futures import ThreadPoolExecutor  # slow to import
+
+    axis = int(np.argmax(shape)) - len(shape)
+    ends = [shape[axis] * part // count for part in range(count + 1)]
+
+    def of_core(start: int, stop: int) -> Result:
+        def cut(leaf: Any) -> Any:
+            has_axis = np.ndim(leaf) >= -axis and np.shape(leaf)[axis] > 1
+            return leaf.take(range(start, stop), axis) if has_axis else leaf
+
+        own = (*shape[:axis], stop - start, *shape[len(shape) + axis + 1 :])
+        return _on_few_sizes(function, own, tree_map(cut, arguments))
+
+    def joined(*parts: np.ndarray) -> np.ndarray:
+        has_axis = parts[0].ndim >= -axis and parts[0].shape[axis] > 1
+        return np.concatenate(parts, axis) if has_axis else parts[0]
+
+    with ThreadPoolExecutor(count) as pool:
+        return tree_map(joined, *pool.map(of_core, ends[:-1], ends[1:]))
+
+
+def _cores() -> int:
+    """Return how many cores of the CPU this process has, if JAX computes there."""
+    import jax
+
+    if jax.default_backend() != "cpu":
+        return 1
+    affinity = getattr(os, "sched_getaffinity", None)  # of Linux
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+def _on_few_sizes(
+    function: Callable[..., Result], shape: tuple[int, ...], arguments: tuple[Any, ...]
+) -> Result:
     # Each axis is filled up with its last points to a length of five binary digits, which is at
     # most 6 % more; so grids of new sizes are rarely compiled anew.
-    shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     filled = [_few_digits(length) for length in shape]
 
     def fill(leaf: Any) -> Any:

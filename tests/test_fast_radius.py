@@ -172,6 +172,15 @@ class TestFastRadius:
         assert (np.abs(fast.value - companion.value) <= fast.error + companion.error).all()
         assert (fast.status == RadiusStatus.PROVED).all()
 
+    def test_arrays_of_jax_give_arrays_of_jax_as_honest(self, rng: np.random.Generator) -> None:
+        alpha, beta = gains_around_the_stable_set(rng, 1.0, 40)
+        scenes = np.array([alpha, beta, *np.broadcast_to([[0.3], [0.1], [1.0]], (3, 40))])
+        gains = jnp.asarray(alpha)[:, None], jnp.asarray(beta)[:, None]
+        radius = jaxstab.spectral_radius(*gains, gamma=np.full(1, 0.3), delta=0.1, delay=1.0)
+        assert all(isinstance(column, jax.Array) and column.shape == (40, 1) for column in radius)
+        assert (np.asarray(radius.error) < 1e-12).all()
+        assert_honest(jax.tree.map(np.ravel, radius), scenes)
+
     def test_gains_beyond_all_float64_can_square_are_answered(self) -> None:
         radius = jaxstab.spectral_radius(
             np.array([1e100, -1e120]), 1.0, gamma=0.1, delta=0.1, delay=0

@@ -13,6 +13,8 @@ from benchmarks import truth
 from benchmarks.truth.balls import ExactPlant, moduli, true_code
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 from jaxstab import Verdict, characteristic_polynomial, verdict
+from jaxstab.batches import compiled
+from jaxstab.point import verdicts
 from jaxstab.point.radius import radius_error
 
 DELAYS = (0.0, 0.25, 1.0, 1.5, 2.0, 2.75, 5.0, 7.3, 8.0, 20.0, 33.0, 59.5, 60.0)
@@ -106,6 +108,26 @@ def test_the_verdict_of_a_large_grid_is_that_of_its_points(rng: np.random.Genera
     some = rng.integers(0, (150, 70), (50, 2))
     points = verdict(alpha[some[:, 0], 0], beta[0, some[:, 1]], **HAPTIC, delay=4.0)
     np.testing.assert_array_equal(grid[some[:, 0], some[:, 1]], points)
+
+
+@pytest.mark.parametrize("delay", [1.0, 14.5])
+def test_the_verdict_of_a_large_grid_is_the_same_on_one_core_and_on_three(
+    delay: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Long delays have a program without a loop for many points."""
+    alpha, beta = np.linspace(0.0, 1.0, 71) / (1.0 + delay) ** 2, np.linspace(0.0, 1.0, 53)[:, None]
+    points = {"gamma": 1e-3, "delta": np.array([0.015, 0.2])[:, None, None], "delay": delay}
+    alone = verdict(alpha, beta, **points)
+    monkeypatch.setattr("jaxstab.batches._FOR_A_CORE", 10)
+    monkeypatch.setattr("jaxstab.batches._cores", lambda: 3)
+    monkeypatch.setattr("jaxstab.point.verdicts._PAYS_FROM", 10)
+    for kernel in ("_short_codes", "_long_codes"):
+        many = compiled(
+            static=["degree"] * (kernel == "_short_codes"), many=10, pointwise=True, wide=True
+        )
+        plain = getattr(verdicts, kernel).__wrapped__
+        monkeypatch.setattr(verdicts, kernel, many(plain))
+    np.testing.assert_array_equal(verdict(alpha, beta, **points), alone)
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.vmap])

@@ -16,8 +16,17 @@ from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Int64
 
-from jaxstab.arrays import Array, is_jax, namespace, repeat
+from jaxstab.arrays import (
+    Array,
+    is_any_jax,
+    is_jax,
+    namespace,
+    repeat,
+    tree_map,
+    with_values,
+)
 from jaxstab.batches import MANY, compiled, lists, on_few_sizes, over_tiles
 from jaxstab.model import polynomial_degree
 from jaxstab.point.poles import looked_up
@@ -466,8 +475,8 @@ _SHORTEST_LIST = 8
 _BLOCK = 2**21  # points of a larger grid that are computed at once
 
 Values = np.ndarray[Any, np.dtype[Any]]
-
-Answer = tuple[Values, Values]  # value and error
+Indices = Int64[np.ndarray, " point"]
+Answer = tuple[Array, Array]  # value and error
 
 
 class _Try(NamedTuple):
@@ -478,45 +487,55 @@ class _Try(NamedTuple):
     longest_list: int
 
 
-def fast_radius(parameters: list[Values], shape: tuple[int, ...], delay: float) -> Answer:
+def fast_radius(parameters: list[Array], shape: tuple[int, ...], delay: float) -> Answer:
     """Value and error of the spectral radius, by XLA; the error is inf if nothing is proved.
 
     ``parameters`` are alpha, beta, gamma, delta, checked; the delay is at most LONGEST_DELAY.
+    Arrays of JAX stay on their device, where only the indices of open points come from outside.
     """
-    value, error = np.empty(shape), np.empty(shape)
     first, *others = _tries(delay)
-    if value.size > _LIST:
-        for part, block in _blocks(parameters, shape):
-            value[part], error[part] = _tried(_loop(block, delay), delay, first)
+    if is_any_jax(parameters):
+        loop = _loop(parameters, delay)
+        answer = _radius(loop, degree=polynomial_degree(delay), effort=first)
+        value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
     else:
-        _try_list(value, error, parameters, np.arange(value.size), delay, first)
+        value, error = np.empty(shape), np.empty(shape)
+        if value.size > _LIST:
+            for part, block in _blocks(parameters, shape):
+                value[part], error[part] = _tried(_loop(block, delay), delay, first)
+        else:
+            _try_list((value, error), parameters, np.arange(value.size), delay, first)
     for effort in others:
-        still_open = np.flatnonzero(~(error <= TOLERANCE))
-        _try_list(value, error, parameters, still_open, delay, effort)
+        still_open = np.flatnonzero(~np.asarray(error <= TOLERANCE))
+        value, error = _try_list((value, error), parameters, still_open, delay, effort)
     return value, error
 
 
 def _try_list(
-    value: Values,
-    error: Values,
-    parameters: list[Values],
-    indices: Values,
-    delay: float,
-    effort: _Try,
-) -> None:
-    """Write the results at flat indices."""
+    answer: Answer, parameters: list[Array], indices: Indices, delay: float, effort: _Try
+) -> Answer:
+    """Return the answer with new results at flat indices."""
+    shape = answer[0].shape
     plants = prod(np.broadcast_shapes(*(hand.shape for hand in parameters[2:])))
     shared = _loop(parameters, delay) if plants <= indices.size else None
-    for part, padded in lists(indices, effort.longest_list, _SHORTEST_LIST):
+    # An accelerator computes a long list as quickly as a short one, and compiles for each length.
+    shortest = effort.longest_list if is_any_jax(parameters) else _SHORTEST_LIST
+    columns: list[Answer] = []
+    for part, padded in lists(indices, effort.longest_list, shortest):
         if shared:
-            loop = Loop(*looked_up(shared, value.shape, padded))
+            loop = Loop(*looked_up(shared, shape, padded))
         else:
-            loop = _loop(looked_up(parameters, value.shape, padded), delay)
-        for result, column in zip((value, error), _tried(loop, delay, effort), strict=True):
-            result.flat[part] = column[: part.size]
+            loop = _loop(looked_up(parameters, shape, padded), delay)
+        value, error = _tried(loop, delay, effort)
+        columns.append((value[: part.size], error[: part.size]))
+    if columns:
+        xp = namespace(columns)
+        joined = [xp.concatenate(column) for column in zip(*columns, strict=True)]
+        answer = tree_map(lambda old, new: with_values(old, indices, new), answer, tuple(joined))
+    return answer
 
 
-def _loop(parameters: list[Values], delay: float) -> Loop:
+def _loop(parameters: list[Array], delay: float) -> Loop:
     """Return loops with their plants, which are computed on the smallest grid that holds them."""
     alpha, beta, gamma, delta = parameters
     fraction = delay % 1.0
@@ -525,10 +544,11 @@ def _loop(parameters: list[Values], delay: float) -> Loop:
 
 
 def _tried(loop: Loop, delay: float, effort: _Try) -> Answer:
-    return on_few_sizes(partial(_radius, degree=polynomial_degree(delay), effort=effort), loop)
+    radius = partial(_radius, degree=polynomial_degree(delay), effort=effort)
+    return radius(loop) if is_any_jax(loop) else on_few_sizes(radius, loop)
 
 
-def _radius(loop: Loop, *, degree: int, effort: _Try) -> tuple[Array, Array]:
+def _radius(loop: Loop, *, degree: int, effort: _Try) -> Answer:
     root = dominant_root(
         loop, degree=degree, doublings=effort.doublings, corrections=effort.corrections
     )

@@ -124,7 +124,7 @@ def looked_up(
     index = np.unravel_index(points, shape or (1,))
 
     def repeated(values: Any) -> Any:
-        return np.broadcast_to(values, shape or (1,))[index]
+        return namespace(values).broadcast_to(values, shape or (1,))[index]
 
     def kept(values: Any) -> Any:
         return values.reshape(()) if values.size == 1 else repeated(values)

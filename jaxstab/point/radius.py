@@ -35,6 +35,7 @@ from jaxstab.arrays import (
     namespace,
     repeat_while,
     tree_map,
+    with_values,
 )
 from jaxstab.batches import MANY, compiled, over_tiles
 from jaxstab.conventions import RadiusStatus, Verdict
@@ -407,13 +408,18 @@ def spectral_radius(
         checked_delta(delta),
         checked_delay(delay),
     )
-    points = [np.asarray(value, np.float64) for value in checked_arguments]
+    is_fast, xp = method == "fast" and not filters, namespace(arguments)
+    # Many points of one delay stay where JAX has them; other questions are NumPy's.
+    shape = np.broadcast_shapes(*map(np.shape, checked_arguments))
+    own = xp if is_fast and _is_for_many(shape, checked_arguments[-1]) else np
+    points = [own.asarray(value, np.float64) for value in checked_arguments[:-1]]
+    points.append(np.asarray(checked_arguments[-1], np.float64))
     if filters:
         value, error = filtered_radius(Points(*points), filters)
     else:
-        value, error = _concrete_radius(points, is_fast=method == "fast")
-    found, xp = _believed(value, error, points[2], points[3]), namespace(arguments)
-    return found if xp is np else tree_map(xp.asarray, found)
+        value, error = _concrete_radius(points, is_fast=is_fast)
+    answer = _believed(value, error, points[2], points[3])
+    return answer if xp is own else tree_map(xp.asarray, answer)
 
 
 def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
@@ -429,7 +435,7 @@ def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> Spect
     return _with_status(*both)
 
 
-def _concrete_radius(points: list[Values], *, is_fast: bool) -> tuple[Values, Values]:
+def _concrete_radius(points: list[Array], *, is_fast: bool) -> tuple[Array, Array]:
     *parameters, delay = points
     shape = np.broadcast_shapes(*(values.shape for values in points))
     if delay.size == 1:
@@ -444,19 +450,28 @@ def _concrete_radius(points: list[Values], *, is_fast: bool) -> tuple[Values, Va
 
 
 def _of_delay(
-    parameters: list[Values], shape: tuple[int, ...], delay: float, *, is_fast: bool
-) -> tuple[Values, Values]:
-    if is_fast and delay <= LONGEST_DELAY and prod(shape) >= MANY:
+    parameters: list[Array], shape: tuple[int, ...], delay: float, *, is_fast: bool
+) -> tuple[Array, Array]:
+    if is_fast and _is_for_many(shape, delay):
         value, error = fast_radius(parameters, shape, delay)
     else:
         value, error = np.zeros(shape), np.full(shape, np.inf)
-    still_open = np.flatnonzero(~(error <= TOLERANCE))
+    still_open = np.flatnonzero(~np.asarray(error <= TOLERANCE))
     for start in range(0, still_open.size, _LIST):
         part = still_open[start : start + _LIST]
-        best = _few(looked_up(parameters, shape, part), delay, is_fast=is_fast)
-        closer = ~(best[1] >= error.flat[part])
-        value.flat[part[closer]], error.flat[part[closer]] = (column[closer] for column in best)
+        listed = tree_map(np.asarray, looked_up(parameters, shape, part))
+        best = _few(listed, delay, is_fast=is_fast)
+        closer = ~(best[1] >= np.asarray(error.ravel()[part]))
+        value, error = (
+            with_values(column, part[closer], new[closer])
+            for column, new in zip((value, error), best, strict=True)
+        )
     return value, error
+
+
+def _is_for_many(shape: tuple[int, ...], delay: Values | float) -> bool:
+    """Return whether points are enough to compile for, and of one delay that is not too long."""
+    return prod(shape) >= MANY and np.size(delay) == 1 and bool(delay <= LONGEST_DELAY)
 
 
 def _few(parameters: list[Values], delay: float, *, is_fast: bool) -> tuple[Values, Values]:

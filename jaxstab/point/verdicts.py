@@ -17,13 +17,14 @@ at the degree that its delay gives. NumPy and XLA run the same kernels (``batche
 
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from math import prod
 from typing import Any, Generic, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace, pytree, tree_map
-from jaxstab.batches import MANY, compiled, lists, over_tiles
+from jaxstab.batches import MANY, TILE, compiled, lists, over_tiles
 from jaxstab.conventions import Verdict
 from jaxstab.model import (
     DoubleDouble,
@@ -228,6 +229,11 @@ def _has_outer_root(
 # Plants are computed once, in double-double (lemma V7 of docs/proofs.md). Source: eq. (9).
 
 HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a loop
+
+# A loop writes all of its state to memory in each step. Without it a point takes a half to a third
+# of the time at delays of 10 and 20, but each degree compiles for about a second.
+_HIGHEST_OF_MANY = 26
+_PAYS_FROM = 1 << 20  # points
 _LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
 
 
@@ -445,8 +451,10 @@ def verdict(
 
 
 def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
-    """Return the codes of points; XLA compiles once for all long delays."""
-    if degree <= HIGHEST_UNROLLED:
+    """Return the codes of points; unless they are many, XLA compiles once for all long delays."""
+    shapes = (np.shape(values) for values in arguments[:3])
+    are_many = prod(np.broadcast_shapes(*shapes)) >= _PAYS_FROM
+    if degree <= (_HIGHEST_OF_MANY if are_many else HIGHEST_UNROLLED):
         return _short_codes(arguments, degree=degree)
     return _long_codes(arguments, degree)
 
@@ -454,7 +462,9 @@ def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
 @compiled(static=["degree"], many=MANY, wide=True, pointwise=True)
 def _short_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
     codes = partial(loop_codes, unit=UNIT, degree=degree)
-    return codes(*arguments) if degree <= 4 else over_tiles(codes, arguments)
+    if degree <= 4:
+        return codes(*arguments)
+    return over_tiles(codes, arguments, TILE if degree <= HIGHEST_UNROLLED else _TILE)
 
 
 @compiled(many=MANY, wide=True, pointwise=True)
