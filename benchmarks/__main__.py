@@ -21,6 +21,7 @@ BENCHMARKS = (
     "answers",
     "resolution",
     "throughput",
+    "accelerator",
     "estimators",
     "filling",
     "scaling",

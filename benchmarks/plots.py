@@ -113,6 +113,18 @@ def _throughput(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
+def _accelerator(rows: list[Row]) -> Figure:
+    figure, axes = _panels(1, 2, "Dense grids that stay on the device")
+    for panel, section in zip(axes[0], ("verdict", "spectral_radius"), strict=True):
+        _lines(
+            panel, [row for row in rows if row["section"] == section], "delay", "seconds_per_point"
+        )
+        panel.set(
+            yscale="log", title=section, xlabel="delay in samples", ylabel="seconds per point"
+        )
+    return _with_legend(figure, axes)
+
+
 def _estimators(rows: list[Row]) -> Figure:
     figure, axes = _panels(1, 2, "Dense slices with velocity estimators beside eigenvalues")
     columns = {
@@ -383,6 +395,7 @@ _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "answers": _answers,
     "resolution": _resolution,
     "throughput": _throughput,
+    "accelerator": _accelerator,
     "estimators": _estimators,
     "filling": _filling,
     "scaling": _scaling,

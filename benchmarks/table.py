@@ -14,6 +14,7 @@ from benchmarks.record import Record, Row
 ROOT = Path(__file__).parents[1]
 README, PAGE = ROOT / "README.md", ROOT / "docs" / "accuracy.md"
 _BEGIN, _END = "<!-- table of benchmarks: begin -->", "<!-- table of benchmarks: end -->"
+_DEVICES = "<!-- table of devices: begin -->", "<!-- table of devices: end -->"
 
 _HEADING = ("task", "method", "run time", "error", "LAPACK's CPU time is so many times")
 _DELAYS = (0.0, 1.0, 5.0, 20.0, 60.0)  # of the throughput: the plot has others, and more rivals
@@ -52,12 +53,19 @@ def markdown(records: list[Record], *, brief: bool = False) -> str:
 
 def put_into_pages(records: list[Record]) -> None:
     """Replace what is between the markers in the README and in docs/accuracy.md."""
+    devices = [one for one in records if one["benchmark"] == "accelerator"]
     for page in (README, PAGE):
         text = page.read_text(encoding="utf-8")
-        between = f"{_BEGIN}\n{markdown(records, brief=page == README)}\n{_END}"
-        pattern = f"{re.escape(_BEGIN)}.*{re.escape(_END)}"
-        new = re.sub(pattern, lambda _, table=between: table, text, flags=re.DOTALL)
-        page.write_text(new, encoding="utf-8")
+        text = _replaced(text, (_BEGIN, _END), markdown(records, brief=page == README))
+        if page == PAGE and devices:
+            text = _replaced(text, _DEVICES, accelerated(devices))
+        page.write_text(text, encoding="utf-8")
+
+
+def _replaced(text: str, markers: tuple[str, str], table: str) -> str:
+    begin, end = markers
+    pattern = f"{re.escape(begin)}.*{re.escape(end)}"
+    return re.sub(pattern, lambda _: f"{begin}\n{table}\n{end}", text, flags=re.DOTALL)
 
 
 def _caption(records: list[Record]) -> str:
@@ -108,6 +116,21 @@ def _throughput(rows: list[Row]) -> Iterator[Line]:
             task = f"slice of {row['batch']:,} points, delay {row['delay']:g}"
             time = f"{_time(row['seconds_per_point'])} per point"
             yield task, row["method"], time, _error(row["error"]), ratios
+
+
+def accelerated(records: list[Record]) -> str:
+    """Return the table of dense grids on accelerators, and on two cores beside them."""
+    lines = []
+    for one in records:
+        for host, device in zip(one["rows"][::2], one["rows"][1::2], strict=True):
+            kind = "radius" if host["section"] == "spectral_radius" else host["section"]
+            times = [_time(row["seconds_per_point"]) for row in (device, host)]
+            name = device["method"]
+            ratio = f"{device['times_two_cores']:,.0f}"
+            cells = f"{kind}, delay {host['delay']:g}", name, *times, ratio, _error(device["error"])
+            lines.append(f"| {' | '.join(cells)} |")
+    head = "| task | device | per point | per point, two cores | ratio | contradictions |"
+    return "\n".join([head, "| --- | --- | --- | --- | --- | --- |", *lines])
 
 
 def _estimators(rows: list[Row]) -> Iterator[Line]:
