@@ -10,11 +10,11 @@ boundary.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import zip_longest
 from typing import Any
 
 import control
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxstab
@@ -22,14 +22,19 @@ from benchmarks.record import Row
 from benchmarks.rivals import LAPACK_WORK, LoopFamily, jax_eigenvalues, largest_modulus
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth.slices import ExactSlice
-from jaxstab.batches import compiled
+from jaxstab.arrays import namespace, repeat
+from jaxstab.batches import MANY, TILE, compiled, over_tiles
 from jaxstab.conventions import Verdict
+from jaxstab.model import polynomial_degree
+from jaxstab.point.verdicts import float_plant
 
 GAMMA, DELTA = 1e-3, 0.015
 BAND = "largest distance from the boundary with a wrong or no verdict, relative to the region"
 RADIUS_ERROR = "largest error of the spectral radius by certified roots"
 
-_CHAINS = 8  # independent sums of the plain kernel, so that no operation waits for the one before
+PLAIN = "Schur-Cohn, not proved"
+_NO_ERROR = {"error": 0.0, "error_measure": "nothing is computed"}
+_HIGHEST_UNROLLED, _WITHOUT_TILES, _SHORT, _TILE = 26, 4, 12, 512  # the quickest of those tried
 _PYTHON_POINTS = 200  # for rivals that take one polynomial at a time
 _EIGENVALUES_ON_ACCELERATOR = 100
 
@@ -70,20 +75,22 @@ def _slice_rows(section: str, delay: float, side: int, small: bool) -> Iterator[
     exact = _exact(delay)
     judged = _judged(delay, 2 if small else 16)
     methods = {method.name: method for method in _methods(exact, side)}
-    limits = _limits(delay, side**2)
-    calls = {name: method.call for name, method in methods.items()} | limits
+    writes = _writes(side**2)
+    calls = {name: method.call for name, method in methods.items()} | writes
     timings = interleaved(calls, budget=0.1 if small else 2.0, most=30)
-    for name, method in methods.items():
+    for name in calls:
+        method = methods.get(name)
+        points = method.points if method else side**2
         yield {
             "section": section,
             "method": name,
             "delay": delay,
             "batch": side**2,
-            "points": method.points,
+            "points": points,
             **timings[name].columns(),
-            "seconds_per_point": timings[name].median / method.points,
-            **_errors(method, judged),
-            **_ratios(method, methods, timings, side**2),
+            "seconds_per_point": timings[name].median / points,
+            **(_errors(method, judged) if method else _NO_ERROR),
+            **(_ratios(method, methods, timings, side**2) if method else {}),
         }
 
 
@@ -113,10 +120,12 @@ def _methods(exact: ExactSlice, side: int) -> list[Method]:
     systems = [control.tf([1.0], polynomial, dt=True) for polynomial in polynomials]
 
     verdict = partial(_verdict, exact.delay)
+    plain = partial(_plain_verdict, exact.delay)
     radius = partial(_radius, exact.delay)
     companion = partial(_radius, exact.delay, method="companion")
     return [
         Method("verdict", True, side**2, partial(verdict, alpha, beta), verdict),
+        Method(PLAIN, True, side**2, partial(plain, alpha, beta), plain),
         Method(
             "spectral_radius",
             False,
@@ -222,16 +231,62 @@ def _errors(method: Method, judged: Judged) -> dict[str, Any]:
 # ---------------------------------------------------------------------------- the machine's limit
 
 
-def _limits(delay: float, points: int) -> dict[str, Callable[[], Any]]:
-    """Return what the machine needs for the arithmetic alone and for writing the results."""
-    x, y = jax.random.uniform(jax.random.key(0), (2, points), jnp.float64)
-    plain = _plain_kernel(arithmetic(delay))
+def _writes(points: int) -> dict[str, Callable[[], Any]]:
+    """Return what it takes to write the results alone."""
     codes, numbers = np.empty(points, np.int8), np.empty(points)
-    return {
-        "plain arithmetic": partial(plain, x, y),
-        "write int8": partial(codes.fill, 1),
-        "write float64": partial(numbers.fill, 1.0),
-    }
+    return {"write int8": partial(codes.fill, 1), "write float64": partial(numbers.fill, 1.0)}
+
+
+def _plain_verdict(delay: float, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """Return codes by the recursion of Schur and Cohn in float64, and prove nothing."""
+    fraction = delay % 1.0
+    numbers = map(np.asarray, (GAMMA, DELTA, fraction))
+    plant = float_plant(*numbers, is_fractional=fraction > 0.0)
+    degree = polynomial_degree(delay)
+    return np.asarray(_plain_codes(alpha, beta, plant, degree=degree))
+
+
+@compiled(static=["degree"], many=MANY, wide=True, pointwise=True)
+def _plain_codes(alpha: Any, beta: Any, plant: Any, *, degree: int) -> Any:
+    codes = partial(_plain, degree=degree)
+    if degree <= _WITHOUT_TILES:
+        return codes(alpha, beta, plant)
+    return over_tiles(codes, (alpha, beta, plant), TILE if degree <= _SHORT else _TILE)
+
+
+def _plain(alpha: Any, beta: Any, plant: Any, *, degree: int) -> Any:
+    """Lower the degree as ``verdict`` does, on the few coefficients that are not 0."""
+    xp = namespace(alpha, beta)
+    one = xp.ones_like(alpha + beta)
+    head = [one, one * plant.d1, one * plant.d0]  # of z^n and below
+    tail = [s * alpha - d * beta for s, d in zip(plant.stiff, plant.damp, strict=True)]
+    inside = one > 0.0
+
+    def lowered(state: tuple[list[Any], list[Any], Any]) -> tuple[list[Any], list[Any], Any]:
+        head, tail, inside = state
+        ratio = tail[0] / head[0]
+        pairs = list(zip_longest(head, tail, fillvalue=0.0))
+        head = [first - ratio * last for first, last in pairs]
+        tail = [last - ratio * first for first, last in pairs[1:]]
+        return head, tail, inside & (abs(ratio) < 1.0)
+
+    state, settled = (head, tail, inside), 2  # steps after which the lengths stay
+    for _ in range(min(degree - 3, settled)):
+        state = lowered(state)
+    remaining = max(degree - 3 - settled, 0)
+    if degree > _HIGHEST_UNROLLED:
+        state = repeat(remaining, lowered, state)
+    else:
+        for _ in range(remaining):
+            state = lowered(state)
+    head, tail, inside = state
+    cubic = [xp.zeros_like(one)] * 4
+    for power, (high, low) in enumerate(zip_longest(head, tail, fillvalue=0.0)):
+        cubic[power] = cubic[power] + high
+        cubic[3 - power] = cubic[3 - power] + low
+    a, b, c, d = cubic
+    inside = inside & (a + c > abs(b + d)) & (a > abs(d)) & (a * a - d * d > a * c - b * d)
+    return xp.where(inside, Verdict.STABLE, Verdict.UNSTABLE).astype(np.int8)
 
 
 def _ratios(
@@ -257,37 +312,5 @@ def _ratios(
         "memory_writes": per_point / memory,
     }
     if method.is_verdict:
-        ratios["share_of_plain_arithmetic"] = (
-            timings["plain arithmetic"].median / points / per_point
-        )
+        ratios["share_of_plain_recursion"] = timings[PLAIN].median / points / per_point
     return ratios
-
-
-@cache
-def arithmetic(delay: float) -> float:
-    """Return the operations of the verdict per point, as XLA counts them in the compiled code.
-
-    It counts the body of a loop once, so long delays are extrapolated: the recursion takes one more
-    step for each sample of delay.
-    """
-    if delay > 5.0:
-        slope = (arithmetic(5.0) - arithmetic(2.0)) / 3.0
-        return arithmetic(5.0) + slope * (delay - 5.0)
-    axis = np.linspace(0.0, 0.1, 64)
-    compiled = jax.jit(partial(_verdict, delay)).lower(axis, axis[:, None]).compile()
-    return float(compiled.cost_analysis()["flops"]) / axis.size**2
-
-
-@cache
-def _plain_kernel(operations: float) -> Callable[[jax.Array, jax.Array], jax.Array]:
-    """Return a kernel of so many multiplications and additions per point and nothing else."""
-    steps = max(round(operations / 2.0 / _CHAINS), 1)
-
-    @compiled(wide=True)
-    def kernel(x: jax.Array, y: jax.Array) -> jax.Array:
-        chains = [x + chain for chain in range(_CHAINS)]
-        for _ in range(steps):
-            chains = [chain * y + x for chain in chains]
-        return (sum(chains) > 0.0).astype(jnp.int8)
-
-    return kernel
