@@ -11,6 +11,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from functools import cache, partial, wraps
+from itertools import pairwise
 from math import prod
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -117,12 +118,12 @@ def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
     count = min(_cores(), prod(shape) // _FOR_A_CORE, max(shape, default=0) // 2)
     if count < 2:
         return _on_few_sizes(function, shape, arguments)
-    from concurrent.futures import ThreadPoolExecutor  # slow to import
-
     axis = int(np.argmax(shape)) - len(shape)
     ends = [shape[axis] * part // count for part in range(count + 1)]
 
-    def of_core(start: int, stop: int) -> Result:
+    def of_core(start_and_stop: tuple[int, int]) -> Result:
+        start, stop = start_and_stop
+
         def cut(leaf: Any) -> Any:
             has_axis = np.ndim(leaf) >= -axis and np.shape(leaf)[axis] > 1
             return leaf.take(range(start, stop), axis) if has_axis else leaf
@@ -134,8 +135,15 @@ def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
         has_axis = parts[0].ndim >= -axis and parts[0].shape[axis] > 1
         return np.concatenate(parts, axis) if has_axis else parts[0]
 
-    with ThreadPoolExecutor(count) as pool:
-        return tree_map(joined, *pool.map(of_core, ends[:-1], ends[1:]))
+    return tree_map(joined, *on_cores(of_core, list(pairwise(ends))))
+
+
+def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """Apply a function to items, as many at a time as the CPU has cores for JAX."""
+    from concurrent.futures import ThreadPoolExecutor  # slow to import
+
+    with ThreadPoolExecutor(_cores()) as pool:
+        return list(pool.map(function, items))
 
 
 def _cores() -> int:

@@ -7,13 +7,14 @@ groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import tree_map
-from jaxstab.batches import alike, in_float64, lists
+from jaxstab.batches import alike, in_float64, lists, on_cores
 from jaxstab.model import LoopParameters
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Velocity, given_filters
@@ -116,9 +117,10 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
         is_single=alone,
     )
     for members, triples in _groups(many):
-        for part, indices in lists(np.arange(len(members)), _AT_ONCE):
-            of_part = members[part]
-            walls = _extremes(triples, indices, len(part))
+        parts = list(lists(np.arange(len(members)), _AT_ONCE))
+        answered = on_cores(partial(_extremes, triples), [indices for _, indices in parts])
+        for (part, _), walls in zip(parts, answered, strict=True):
+            of_part, walls = members[part], walls[: part.size]
             resolved = np.isfinite(walls[:, 0, 0])
             for number, wall in zip(of_part[resolved].tolist(), walls[resolved], strict=True):
                 loop = many[number]
@@ -143,13 +145,13 @@ def _in_floats(loop: Any) -> "HapticLoop":
     return floats
 
 
-def _extremes(triples: "Triples", indices: Indices, count: int) -> Walls:
+def _extremes(triples: "Triples", indices: Indices) -> Walls:
     """Return the extreme walls of some loops, NaN where they are not resolved."""
     from jaxstab.region import batch
 
     given = tree_map(lambda column: column[indices], triples)
     walls, failures = in_float64(batch.extremes, given)
-    return np.where(failures[:, None, None] == 0, walls, np.nan)[:count]
+    return np.where(failures[:, None, None] == 0, walls, np.nan)
 
 
 class _Formed(NamedTuple):

@@ -46,6 +46,7 @@ from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
 _REFINED = 32  # loops at once: what they need stays in the cache
+_ROOM = 80  # beside half of the angles: about so many have p(1), p(-1) > 0
 _LOWERED = 8  # steps of the recursion between which its arrays get shorter
 _HALVINGS = 8  # of the brackets of ends
 _NEWTON_STEPS = 16
@@ -92,6 +93,7 @@ class _Scan(NamedTuple):
     passes: Bool[Array, " angle"]
     walls: Float64[Array, "2 angle"]
     sense: Float64[Array, " angle"]
+    fits: Bool[Array, ""]  # there was room for all angles where p(1), p(-1) > 0
 
 
 class _Ends(NamedTuple):
@@ -209,8 +211,17 @@ def _are_stable(loop: Triples, walls: Array) -> Array:
 
 
 def _scan(loop: Triples) -> _Scan:
-    walls, det, passes = _bounds(loop, loop.angles)
-    return _Scan(passes, walls, jnp.sign(det))
+    """Return where the curve bounds the stable set; the recursion runs where p(1), p(-1) let it."""
+    walls, det = _curve(loop, loop.angles)
+    is_candidate = jnp.all(_margins(loop, walls) > 0.0, axis=0)
+    count = len(loop.angles)
+    room = min(count, count // 2 + _ROOM)
+    index = jnp.searchsorted(jnp.cumsum(is_candidate), jnp.arange(1, room + 1))
+    chosen = jnp.minimum(index, count - 1)
+    total = 2.0 * jnp.cos(loop.angles[chosen])
+    inside = _are_inside(loop, walls[:, chosen], total, 1.0, 2)
+    passes = jnp.zeros(count, bool).at[index].set(inside, mode="drop")
+    return _Scan(passes, walls, jnp.sign(det), jnp.sum(is_candidate) <= room)
 
 
 # ------------------------------------------------------------------------ pieces and loops
@@ -429,6 +440,7 @@ def _extremes(loop: Triples, scan: _Scan) -> Extremes:
     of_main = corners.exists & (label == main)
     found = partial(_largest, loop, scan, corners, links, (in_main, of_main), size)
     walls, are_sound = jax.vmap(found)(jnp.arange(2))
+    fits = fits & scan.fits
     tests = jnp.append(jnp.stack([fits, corners.exists[0], is_joined, is_around]), are_sound)
     return Extremes(walls, jnp.sum((~tests).astype(jnp.int32) << jnp.arange(len(tests))))
 
