@@ -46,7 +46,7 @@ from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
 _REFINED = 32  # loops at once: what they need stays in the cache
-_ROOM = 80  # beside half of the angles: about so many have p(1), p(-1) > 0
+_ROOM = 260  # angles where p(1), p(-1) > 0: about half of all, but more of few
 _LOWERED = 8  # steps of the recursion between which its arrays get shorter
 _HALVINGS = 8  # of the brackets of ends
 _NEWTON_STEPS = 16
@@ -215,7 +215,7 @@ def _scan(loop: Triples) -> _Scan:
     walls, det = _curve(loop, loop.angles)
     is_candidate = jnp.all(_margins(loop, walls) > 0.0, axis=0)
     count = len(loop.angles)
-    room = min(count, count // 2 + _ROOM)
+    room = min(count, max(_ROOM, 5 * count // 8))
     index = jnp.searchsorted(jnp.cumsum(is_candidate), jnp.arange(1, room + 1))
     chosen = jnp.minimum(index, count - 1)
     total = 2.0 * jnp.cos(loop.angles[chosen])
