@@ -1,5 +1,7 @@
 """Limits of batches of loops on JAX, against balls of python-flint and single answers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,12 +82,30 @@ def test_few_loops_are_answered_one_by_one(rng: np.random.Generator) -> None:
     assert limits_of([]).stiffness.shape == (0,)
 
 
+def test_fields_of_one_loop_broadcast() -> None:
+    loop = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD)
+    delays, windows = np.array([[0.0], [PERIOD]]), [Velocity.difference(samples=n) for n in (1, 3)]
+    limits = limits_of(loop, delay=delays, velocity=windows)
+    assert limits.stiffness.shape == limits.status.shape == (2, 2)
+    for row, delay in enumerate(delays.ravel().tolist()):
+        for column, window in enumerate(windows):
+            alone = replace(loop, delay=delay, velocity=window).limits()
+            assert limits.stiffness[row, column] == alone.stiffness
+    assert limits_of(loop).stiffness.shape == ()
+
+
 def test_what_is_no_loop_is_refused() -> None:
     with pytest.raises(TypeError, match="loops has 3; give a HapticLoop for each"):
         limits_of([3])  # type: ignore[list-item]
     loop = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD)
     with pytest.raises(TypeError, match="give a list of HapticLoop"):
-        limits_of(loop)  # type: ignore[arg-type]
+        limits_of(0.1)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="delay is given beside a list; give one loop"):
+        limits_of([loop], delay=[0.0, 1e-3])
+    with pytest.raises(TypeError, match="'mass'"):
+        limits_of(loop, mass=[0.1, 0.2])
+    with pytest.raises(ValueError, match="device_mass is -1"):
+        limits_of(loop, device_mass=[0.1, -1.0])
     spring = Device.transfer_function([1.0, 0.0], [0.1, 1.0, 10.0])
     with pytest.raises(ValueError, match="zero DC gain"):
         limits_of([HapticLoop(device=spring, sample_time=PERIOD)])

@@ -7,6 +7,7 @@ groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -70,8 +71,10 @@ class ManyLimits(NamedTuple):
     is_single: Bool[np.ndarray, " loop"]
 
 
-def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
+def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> ManyLimits:
     """Return the largest stiffness and the largest damping that each of many loops allows.
+
+    Give a list of loops, or one loop and the fields that vary: arrays that broadcast.
 
     The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
     loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
@@ -85,12 +88,15 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
     Args:
         loops: any number of loops of concrete numbers, of any estimators, filters, devices and
             delays. Batches of loops with the same estimator and filter are the fastest.
+        **fields: beside one loop, fields of ``HapticLoop`` that replace its own, as arrays or
+            lists that broadcast: numbers in the units of these fields, or estimators and devices.
 
     Returns:
-        ManyLimits of NumPy arrays in the order of the loops.
+        ManyLimits of NumPy arrays in the order of the loops, or of the shape of the fields.
 
     Raises:
-        TypeError: this is no list, or an item is no HapticLoop, or JAX traces it.
+        TypeError: this is no list, or an item is no HapticLoop, or JAX traces it; a field is
+            unknown, or beside a list.
         ValueError: as ``HapticLoop.region``, for any of the loops.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
@@ -102,10 +108,12 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
         ... ]
         >>> jaxstab.limits_of(loops).stiffness.round().tolist()
         [68763.0, 137392.0]
+        >>> delays = np.array([[0.0], [1e-3]])
+        >>> jaxstab.limits_of(loops[0], device_mass=[0.1, 0.2], delay=delays).stiffness.round()
+        array([[ 68763., 137392.],
+               [ 14498.,  28945.]])
     """
-    if not isinstance(loops, Iterable):
-        raise TypeError(f"loops is {loops!r}; give a list of HapticLoop.")
-    many = [_in_floats(loop) for loop in loops]
+    many, shape = _varied(loops, fields)
     alone = np.ones(len(many), bool)
     answers = ManyLimits(
         stiffness=np.full(len(many), np.nan),
@@ -135,7 +143,24 @@ def limits_of(loops: "Sequence[HapticLoop]") -> ManyLimits:
         limits = many[number].limits()
         for column, value in zip(answers, limits[:6], strict=False):
             column[number] = value
-    return answers
+    return ManyLimits(*(column.reshape(shape) for column in answers))
+
+
+def _varied(loops: Any, fields: dict[str, Any]) -> "tuple[list[HapticLoop], tuple[int, ...]]":
+    """Return the loops, and the shape of their answers."""
+    if isinstance(loops, LoopParameters):
+        if not fields:
+            return [_in_floats(loops)], ()
+        columns = np.broadcast_arrays(*fields.values())
+        rows = zip(*(column.ravel().tolist() for column in columns), strict=True)
+        varied = (replace(loops, **dict(zip(fields, row, strict=True))) for row in rows)
+        return [_in_floats(loop) for loop in varied], columns[0].shape
+    if not isinstance(loops, Iterable):
+        raise TypeError(f"loops is {loops!r}; give a list of HapticLoop, or one.")
+    if fields:
+        raise TypeError(f"{next(iter(fields))} is given beside a list; give one loop that varies.")
+    many = [_in_floats(loop) for loop in loops]
+    return many, (len(many),)
 
 
 def _in_floats(loop: Any) -> "HapticLoop":
