@@ -77,6 +77,7 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "tune_for_all": ["loops"],
     "common_region": ["loops"],
     "limits_of": ["loops"],
+    "regions_of": ["loops"],
 }
 
 

@@ -17,6 +17,7 @@ from .loop import HapticLoop as HapticLoop
 from .loop import LoopsBetween as LoopsBetween
 from .loop import common_region as common_region
 from .loop import limits_of as limits_of
+from .loop import regions_of as regions_of
 from .loop import tune_for_all as tune_for_all
 from .model import Device as Device
 from .model import Filter as Filter

@@ -8,7 +8,7 @@ import pytest
 import jaxstab
 from benchmarks.limits_of import is_wrong
 from benchmarks.truth.filtered import FilteredLoop, average, difference
-from jaxstab import Device, HapticLoop, Velocity, limits_of
+from jaxstab import Device, HapticLoop, Velocity, limits_of, regions_of
 from jaxstab.results import RegionStatus
 
 PERIOD = 1e-3
@@ -31,9 +31,16 @@ def loops(rng: np.random.Generator) -> list[HapticLoop]:
 
 
 @pytest.fixture(scope="module")
-def batch() -> tuple[list[HapticLoop], jaxstab.results.ManyLimits]:
+def regions() -> tuple[list[HapticLoop], jaxstab.results.ManyRegions]:
     many = loops(np.random.default_rng(33))
-    return many, limits_of(many)
+    return many, regions_of(many)
+
+
+@pytest.fixture(scope="module")
+def batch(
+    regions: tuple[list[HapticLoop], jaxstab.results.ManyRegions],
+) -> tuple[list[HapticLoop], jaxstab.results.ManyLimits]:
+    return regions[0], regions[1].limits
 
 
 def test_walls_just_inside_are_stable_and_just_outside_are_not(
@@ -59,6 +66,35 @@ def test_limits_are_those_of_each_loop(
     many, limits = batch
     assert np.mean(limits.is_single) < 0.05
     assert not any(is_wrong(limits, index, loop.limits()) for index, loop in enumerate(many))
+
+
+def test_outlines_are_closed_and_on_the_boundary_of_each_loop(
+    regions: tuple[list[HapticLoop], jaxstab.results.ManyRegions],
+) -> None:
+    many, answer = regions
+    assert answer.outline.shape == (COUNT, 295, 2)
+    assert np.array_equal(answer.outline[:, 0], answer.outline[:, -1])
+    for index, loop in enumerate(many):
+        region = loop.region()
+        size = np.array(
+            [region.main.stiffest.stiffness, region.main.most_damped.damping]
+        )  # of the region
+        stiffness, damping = answer.outline[index].T
+        assert np.max(region.distance(stiffness, damping)) <= 1e-8 * np.hypot(*size)
+        assert answer.area[index] == pytest.approx(region.main.area, rel=1e-7)
+        # The polygon runs counter-clockwise; its chords leave out little of the region.
+        x, y = (answer.outline[index] / size).T
+        polygon = 0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) * np.prod(size)
+        assert polygon == pytest.approx(answer.area[index], rel=2e-3)
+
+
+def test_the_area_of_an_undamped_free_mass_is_the_known_one() -> None:
+    """Stable are 0 < alpha < 2 beta (2 - beta)/(beta + 2), 0 < beta < 2."""
+    masses = np.linspace(0.1, 2.0, 3)
+    loop = HapticLoop(device_mass=0.1, device_damping=0.0, sample_time=PERIOD)
+    area = regions_of(loop, device_mass=masses).area
+    known = 12.0 - 16.0 * np.log(2.0)
+    assert area == pytest.approx(known * masses**2 / PERIOD**3, rel=1e-7)
 
 
 def test_an_undamped_free_mass_has_the_known_limits() -> None:

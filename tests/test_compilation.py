@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WITHOUT_ARRAYS = {
     "common_region",
     "limits_of",
+    "regions_of",
     "tune_for_all",
     "trace_boundary",
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),

@@ -71,7 +71,7 @@ ELSEWHERE = {
     "stable_region": "test_region", "region_outline": "test_region",
     "robust_region": "test_robust", "trace_boundary": "test_trace",
     "amplitude": "test_amplitude", "common_region": "test_common_region",
-    "tune_for_all": "test_tuning_ranges", "limits_of": "test_batch",
+    "tune_for_all": "test_tuning_ranges", "limits_of": "test_batch", "regions_of": "test_batch",
 }  # fmt: skip
 
 

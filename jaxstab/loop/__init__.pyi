@@ -6,7 +6,9 @@ from .common import common_region as common_region
 from .common import tune_for_all as tune_for_all
 from .loop import HapticLoop as HapticLoop
 from .many import ManyLimits as ManyLimits
+from .many import ManyRegions as ManyRegions
 from .many import limits_of as limits_of
+from .many import regions_of as regions_of
 from .region import Gains as Gains
 from .region import WallLimits as WallLimits
 from .region import WallRegion as WallRegion

@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jax import lax
 from jaxtyping import Bool, Float64
@@ -45,8 +46,10 @@ from jaxstab.region.pieces import reflected
 from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
+_VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
 _REFINED = 32  # loops at once: what they need stays in the cache
 _ROOM = 260  # angles where p(1), p(-1) > 0: about half of all, but more of few
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _LOWERED = 8  # steps of the recursion between which its arrays get shorter
 _HALVINGS = 8  # of the brackets of ends
 _NEWTON_STEPS = 16
@@ -107,12 +110,28 @@ class _Ends(NamedTuple):
     pinned: Array  # (2, piece)
 
 
-@jax.jit
-def extremes(triples: Triples) -> Extremes:
-    """Return the extreme walls of the components that hold small gains."""
+class Outline(NamedTuple):
+    """The closed outline of the component that holds small gains, counter-clockwise.
+
+    Attributes:
+        vertices: walls (alpha, beta) on the exact boundary; the last ones repeat the first.
+        area: of the exact region.
+    """
+
+    vertices: Float64[Array, "*loop vertex 2"]
+    area: Float64[Array, "*loop"]
+
+
+@partial(jax.jit, static_argnames=["outlines"])
+def components(triples: Triples, *, outlines: bool = False) -> tuple[Extremes, Outline | None]:
+    """Return extreme walls of the components that hold small gains, and their outlines."""
     scans = lax.map(_scan, triples)
-    found: Extremes = lax.map(lambda one: _extremes(*one), (triples, scans), batch_size=_REFINED)
-    return found
+    solved = lax.map(lambda one: _extremes(*one), (triples, scans), batch_size=_REFINED)
+    pieces: _Component = solved[0]
+    extremes: Extremes = solved[1]
+    if not outlines:
+        return extremes, None
+    return extremes, lax.map(lambda one: _outline(*one), (triples, pieces))
 
 
 # ------------------------------------------------------------------------ the curve and its roots
@@ -122,6 +141,11 @@ def _curve(loop: Triples, theta: Array) -> tuple[Array, Array]:
     det = _cross(stiffness, damping)
     walls = jnp.stack([_cross(damping, base), -_cross(stiffness, base)]) / det
     return walls, det
+
+
+def _turned(one: Array, other: Array) -> Array:
+    """Return the cross product of walls (2, ...)."""
+    return one[0] * other[1] - one[1] * other[0]
 
 
 def _wall(loop: Triples, theta: Array) -> Array:
@@ -417,13 +441,22 @@ def _are_around(
     return (meets.astype(jnp.float64) @ members.astype(jnp.float64)) % 2.0 == 1.0
 
 
-# ------------------------------------------------------------------------ extremes
-def _extremes(loop: Triples, scan: _Scan) -> Extremes:
-    """Return the extreme walls of one loop."""
-    on = scan.passes
-    size = jnp.max(jnp.where(on, abs(scan.walls), 0.0), axis=1)
+# ------------------------------------------------------------------------ components and extremes
+class _Component(NamedTuple):
+    """The pieces of a loop, and which of them are of the component that holds small gains."""
+
+    size: Array  # of alpha and beta on all pieces
+    corners: _Corners
+    links: _Links
+    label: Array  # (piece,) of its loop
+    main: Array  # the label of the component
+    tests: Array
+
+
+def _component(loop: Triples, scan: _Scan) -> _Component:
+    size = jnp.max(jnp.where(scan.passes, abs(scan.walls), 0.0), axis=1)
     size = jnp.where(size > 0.0, size, 1.0)
-    ends, fits = _ends_of(loop, scan)
+    ends, has_room = _ends_of(loop, scan)
     sense = scan.sense[ends.next_to]
     corners = _corners_of(loop, ends, sense[0], size)
     links = _linked(loop, corners)
@@ -434,15 +467,68 @@ def _extremes(loop: Triples, scan: _Scan) -> Extremes:
     around = _are_around(loop, scan, corners, links, label, small) & (jnp.arange(SLOTS) == label)
     main = jnp.argmax(around[0])
     is_around = starts & jnp.all(jnp.sum(around, axis=1) == 1) & jnp.all(around[:, main])
+    tests = jnp.stack([has_room & scan.fits, corners.exists[0], is_joined, is_around])
+    return _Component(size, corners, links, label, main, tests)
 
+
+def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
+    """Return the pieces and the extreme walls of one loop."""
+    component = _component(loop, scan)
+    size, corners, links, label, main, tests = component
+    on = scan.passes
     piece = jnp.cumsum(on & ~jnp.append(False, on[:-1])) - 1
     in_main = on & (label[jnp.clip(piece, 0, SLOTS - 1)] == main)
     of_main = corners.exists & (label == main)
-    found = partial(_largest, loop, scan, corners, links, (in_main, of_main), size)
-    walls, are_sound = jax.vmap(found)(jnp.arange(2))
-    fits = fits & scan.fits
-    tests = jnp.append(jnp.stack([fits, corners.exists[0], is_joined, is_around]), are_sound)
-    return Extremes(walls, jnp.sum((~tests).astype(jnp.int32) << jnp.arange(len(tests))))
+    largest = partial(_largest, loop, scan, corners, links, (in_main, of_main), size)
+    walls, are_sound = jax.vmap(largest)(jnp.arange(2))
+    tests = jnp.append(tests, are_sound)
+    failures = jnp.sum((~tests).astype(jnp.int32) << jnp.arange(len(tests)))
+    return component, Extremes(walls, failures)
+
+
+# ------------------------------------------------------------------------ outlines
+def _outline(loop: Triples, component: _Component) -> Outline:
+    """Return the component's outline from piece to piece, and its area.
+
+    Vertices lie at about equal distances on each piece, in units of the component's size. The area
+    is the integral of (alpha dbeta - beta dalpha) / 2, by Gauss's rule between the vertices of a
+    piece, and exact on straight edges.
+    """
+    size, corners, links, label, main, _ = component
+
+    def followed(piece: Array, _: None) -> tuple[Array, Array]:
+        return links.successor[piece], piece
+
+    _, order = lax.scan(followed, main, length=SLOTS)
+    exists = jnp.arange(SLOTS) < jnp.sum(corners.exists & (label == main))
+    begin, end = corners.theta[:, order]
+    share = jnp.linspace(0.0, 1.0, _FINE)[:, None]
+    fine = begin + (end - begin) * share * share * (3.0 - 2.0 * share)  # finer at both ends
+    steps = jnp.diff(_wall(loop, fine) / size[:, None, None], axis=1)
+    length = jnp.cumsum(jnp.hypot(*steps), axis=0)
+    length = jnp.concatenate([jnp.zeros((1, SLOTS)), length])
+
+    def spread(at: Array, angles: Array) -> Array:
+        return jnp.interp(jnp.linspace(0.0, at[-1], _VERTICES), at, angles)
+
+    theta = jax.vmap(spread, (1, 1), 1)(length, fine).at[-1].set(end)
+    walls = _wall(loop, theta).at[:, 0].set(corners.walls[:, 0][:, order])
+    walls = walls.at[:, -1].set(corners.walls[:, 1][:, order])
+    first = jnp.roll(walls[:, 0], -1, axis=1)
+    first = jnp.where(jnp.roll(exists, -1), first, walls[:, :1, 0])  # closes the loop
+    corner = jnp.where(links.via[order], links.crossing[:, None], walls[:, -1])
+
+    middle, half = 0.5 * (theta[1:] + theta[:-1]), 0.5 * jnp.diff(theta, axis=0)
+    nodes = middle + half * _NODES[:, None, None]
+    at_nodes, slopes = jax.jvp(partial(_wall, loop), (nodes,), (jnp.ones_like(nodes),))
+    swept = jnp.sum(half * jnp.einsum("n,nsp->sp", _WEIGHTS, _turned(at_nodes, slopes)), axis=0)
+    swept = swept + _turned(walls[:, -1], corner) + _turned(corner, first)
+    area = 0.5 * jnp.sum(jnp.where(exists, swept, 0.0))
+
+    vertices = jnp.concatenate([walls, corner[:, None]], axis=1)
+    vertices = jnp.where(exists, vertices, walls[:, :1, :1])
+    closed = jnp.append(vertices.transpose(2, 1, 0).reshape(-1, 2), walls[:, 0, :1].T, axis=0)
+    return Outline(closed, area)
 
 
 def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
