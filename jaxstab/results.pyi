@@ -15,6 +15,7 @@ from .loop import ManyLimits as ManyLimits
 from .loop import OptimalWall as OptimalWall
 from .loop import WallLimits as WallLimits
 from .loop import WallRegion as WallRegion
+from .loop import WorstDelays as WorstDelays
 from .loop import WorstLoop as WorstLoop
 from .model import PlantCoefficients as PlantCoefficients
 from .motion import Amplitude as Amplitude

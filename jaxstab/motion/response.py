@@ -30,6 +30,7 @@ from jaxstab.batches import compiled
 from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, mechanics
+from jaxstab.model.device.periodic import Segments, segments_of
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.sections import Polynomial, Transfer
 from jaxstab.motion.contraction import Matrices, Systems
@@ -336,13 +337,14 @@ def simulate_device(
     initial_position: Numbers = 0.0,
     between: int = 0,
     unilateral: bool = False,
+    delays: tuple[float, ...] | None = None,
 ) -> Response:
     """Simulate a general device against a virtual wall; see ``HapticLoop.simulate``.
 
-    ``delay`` is in samples. The hand's force pulls at the handle, behind the actuators. A device
-    with an initial velocity was thrown by a blow at the handle; one with an initial position was at
-    rest there, its actuators without force. ValueError also if a blow cannot throw the device, or
-    it has zero DC gain.
+    ``delay`` is in samples, and so are ``delays``, which take its place in turn. The hand's force
+    pulls at the handle, behind the actuators. A device with an initial velocity was thrown by a
+    blow at the handle; one with an initial position was at rest there, its actuators without force.
+    ValueError also if a blow cannot throw the device, or it has zero DC gain.
     """
     require_x64(stiffness, damping, force, initial_velocity, initial_position)
     checked_count("samples", samples, 1)
@@ -367,17 +369,23 @@ def simulate_device(
                 "has not two degrees more in the denominator; give force or initial_position."
             )
         start = [one + k * velocity for one, k in zip(start, moves.thrown, strict=True)]
-    x, v, f = _simulate(
-        walls,
-        start,
-        moves.rows[-1],
-        moves.seen[:-1],
-        offsets[:-1] < fraction,
-        None if filters is None else Controller.from_filters(filters, sample_time),
-        samples=samples,
-        whole_delay=int(whole),
-        unilateral=unilateral,
-    )
+    controller = None if filters is None else Controller.from_filters(filters, sample_time)
+    if delays is None:
+        x, v, f = _simulate(
+            walls,
+            start,
+            moves.rows[-1],
+            moves.seen[:-1],
+            offsets[:-1] < fraction,
+            controller,
+            samples=samples,
+            whole_delay=int(whole),
+            unilateral=unilateral,
+        )
+    else:
+        effects = _effects(device, sample_time, segments_of(delays), offsets)
+        controller = controller or Controller.from_filters((Velocity(), Filter()), sample_time)
+        x, v, f = _simulate_in_turn(walls, start, effects, controller, samples, unilateral)
     time = np.arange(x.shape[-1]) * (sample_time / (between + 1))
     return Response(float_arrays(time, x)[0], x, v / sample_time, f)
 
@@ -474,6 +482,94 @@ def _simulate(
     held = xp.where(early, causes[-3][..., None], causes[-2][..., None])
     x, v, f = (xp.reshape(path, (*path.shape[:-2], -1)) for path in (*paths, held))
     return x, v, f
+
+
+class _Effect(NamedTuple):
+    """What moves the device in a sample, for one of the delays in turn.
+
+    states: rows of states, then of position and velocity at each time, of states and the push.
+    ages: how many samples old the forces are that act.
+    forces: the same rows, of these forces.
+    acting: which of them acts at each time.
+    """
+
+    states: Float64[np.ndarray, "row column"]
+    ages: tuple[int, ...]
+    forces: Float64[np.ndarray, "row age"]
+    acting: list[int]
+
+
+def _effects(
+    device: Device, sample_time: float, turns: list[Segments], offsets: np.ndarray
+) -> list[_Effect]:
+    """Return what happens in the samples of a turn, at times of each, the last one at its end."""
+    times = offsets.tolist()
+    starts = {start for segments in turns for _, start, _ in segments}
+    since = sorted({time - start for time in times for start in starts if start <= time})
+    moves = mechanics(device, sample_time, 0.0, tuple(since))
+    numbers = {time: number for number, time in enumerate(since)}
+
+    def rows(time: float) -> np.ndarray:
+        """Return rows of states, and of position and velocity, at a time since a force began."""
+        return np.concatenate([moves.rows[numbers[time]], moves.seen[numbers[time]]])
+
+    size = len(moves.at_rest)
+    nothing = np.zeros(size + 2)
+
+    def after(time: float, start: float) -> np.ndarray:
+        return rows(time - start)[:, size + 1] if start <= time else nothing
+
+    effects = []
+    for segments in turns:
+        blocks, forces = [], []
+        for time in times:
+            kept = slice(None, size) if time == 1.0 else slice(size, None)
+            columns = [
+                after(time, start) - (after(time, end) if end < 1.0 else nothing)
+                for _, start, end in segments
+            ]
+            blocks.append(np.delete(rows(time), [size, size + 1], axis=1)[kept])
+            forces.append(np.stack(columns, axis=1)[kept])
+        order = [len(times) - 1, *range(len(times) - 1)]
+        begins = [start for _, start, _ in segments]
+        effects.append(
+            _Effect(
+                np.concatenate([blocks[k] for k in order]),
+                tuple(age for age, *_ in segments),
+                np.concatenate([forces[k] for k in order]),
+                [int(np.searchsorted(begins, time, "right")) - 1 for time in times[:-1]],
+            )
+        )
+    return effects
+
+
+def _simulate_in_turn(
+    walls: list[Array],
+    start: list[Array],
+    effects: list[_Effect],
+    controller: Controller,
+    samples: int,
+    unilateral: bool,
+) -> tuple[Array, Array, Array]:
+    """Return position, velocity and force, as ``_simulate``, for delays that change in turn."""
+    alpha, beta, push = walls
+    states, memory = np.stack([*start, push]), controller.at_rest(start[0])
+    computed: list[np.ndarray] = []
+    motion: tuple[list[np.ndarray], ...] = ([], [], [])
+    x, v, f = motion
+    for sample in range(samples):
+        effect = effects[sample % len(effects)]
+        filtered, difference, memory = controller.step(states[0], memory)
+        force = -(alpha * filtered + beta * difference)
+        computed.append(force * (states[0] > 0.0) if unilateral else force)
+        forces = [computed[sample - age] if age <= sample else 0.0 * force for age in effect.ages]
+        moved = np.tensordot(effect.states, states, 1)
+        moved += np.tensordot(effect.forces, np.stack(forces), 1)
+        states = np.concatenate([moved[: len(start)], push[None]])
+        x.extend(moved[len(start) :: 2])
+        v.extend(moved[len(start) + 1 :: 2])
+        f.extend(forces[which] for which in effect.acting)
+    return np.stack(x, axis=-1), np.stack(v, axis=-1), np.stack(f, axis=-1)
 
 
 def _moved(rows: Any, causes: tuple[Array, ...]) -> tuple[Array, ...]:

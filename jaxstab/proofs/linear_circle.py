@@ -33,6 +33,7 @@ from jaxstab.proofs.filters import (
     Circle,
     Factor,
     FilterCells,
+    Functions,
     OverCells,
     Series,
     cells_of,
@@ -61,6 +62,11 @@ class GainLines(NamedTuple):
 @lru_cache(maxsize=16)
 def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
     """Return D, F_K and F_B over cells of the angle."""
+    return cells_of(loop_functions(device, filters))
+
+
+def loop_functions(device: SampledDevice, filters: Filters | None) -> Functions:
+    """Return series of D, F_K and F_B over cells."""
     plant, chains = device.plant, chains_of(device, filters)
     late = plant.lag + len(plant.denominator) - len(plant.numerator)
     shifted = plant.shifted or (None,) * 4
@@ -72,7 +78,7 @@ def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
         force = force * place.chain([(_delay(late), ONE)])
         return [free, *(force * place.chain(chain) for chain in chains)]
 
-    return cells_of(functions)
+    return functions
 
 
 def chains_of(device: SampledDevice, filters: Filters | None) -> tuple[list[Factor], list[Factor]]:
@@ -111,7 +117,7 @@ class Place(NamedTuple):
         """
         best = self.chain([(falling, ONE)])
         if about_one is None or about_minus_one is None:
-            return _spoilt(best, falling, error)
+            return spoilt(best, falling, error)
         degree = len(falling) - 1
         near = _in_steps(Circle.of(self.middle, self.half, self.is_wide), about_one)
         mirror = Circle.of((np.pi - self.middle) + PI_REST, self.half, self.is_wide)
@@ -124,7 +130,7 @@ class Place(NamedTuple):
                 np.where(is_better, other.value, best.value),
                 np.where(is_better, other.error, best.error),
             )
-        return _spoilt(best, falling, error)
+        return spoilt(best, falling, error)
 
 
 def _in_steps(circle: Circle, falling: Polynomial) -> Series:
@@ -139,7 +145,7 @@ def _in_steps(circle: Circle, falling: Polynomial) -> Series:
     return total
 
 
-def _spoilt(series: Series, falling: Polynomial, error: float) -> Series:
+def spoilt(series: Series, falling: Polynomial, error: float) -> Series:
     """Return a polynomial whose coefficients have errors that sum up to ``error`` at most."""
     degree = len(falling)
     lost = [float(error) * degree**k / factorial(k) for k in range(ORDERS)]
