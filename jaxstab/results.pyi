@@ -12,6 +12,7 @@ from .loop import CommonRegion as CommonRegion
 from .loop import CommonWall as CommonWall
 from .loop import Gains as Gains
 from .loop import ManyLimits as ManyLimits
+from .loop import MovingLimits as MovingLimits
 from .loop import OptimalWall as OptimalWall
 from .loop import WallLimits as WallLimits
 from .loop import WallRegion as WallRegion

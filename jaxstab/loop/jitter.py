@@ -6,14 +6,15 @@ J2). Between the two it is UNDECIDED.
 """
 
 from dataclasses import dataclass, replace
-from math import inf, isinf
+from math import inf, isinf, nan
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int8
+from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, named
 from jaxstab.conventions import Verdict
+from jaxstab.loop.region import TOLERANCE, wall_region
 from jaxstab.model import LoopParameters, checked_gain
 from jaxstab.model.device import Device, SampledDevice, sampled_device
 from jaxstab.model.filters import Filters, given_filters
@@ -34,6 +35,8 @@ from jaxstab.shown import shortened
 
 DelayRange = tuple[float, float]  # in s
 _CONSTANT = 5  # constant delays of a range that are tried
+_GRID, _ZOOMS = 16, 3  # gains tried on each axis, and how often around the best damping
+_BISECTIONS = 12
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,6 +63,35 @@ class WorstDelays:
         what = f"delays of {turn} ms in turn" if len(self.delays) > 1 else f"a delay of {turn} ms"
         how = "growth proved" if self.is_proved else "best of a search"
         return f"{what}: a factor of {self.growth:.6g} per sample ({how})"
+
+
+@dataclass(frozen=True, repr=False)
+class MovingLimits:
+    """The stiffest wall that is proved for every sequence of delays, of those that a search tried.
+
+    Attributes:
+        stiffness: K in N/m of the proved wall; NaN if none was found.
+        damping: its B in N s/m.
+        unstable_stiffness: K in N/m of a wall at the same damping that is proved unstable, the
+            lowest found; between the two nothing is known.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> loop.limits(delays=(0.0, 0.2e-3))
+        0 N/m
+    """
+
+    stiffness: float
+    damping: float
+    unstable_stiffness: float
+
+    def __repr__(self) -> str:
+        if not self.stiffness > 0.0:
+            return "no wall was found that is proved for every sequence of delays"
+        return (
+            f"K = {self.stiffness:.5g} N/m at B = {self.damping:.4g} N s/m is proved for every "
+            f"sequence of delays; K = {self.unstable_stiffness:.5g} N/m there is unstable"
+        )
 
 
 class MovingLoop(NamedTuple):
@@ -107,10 +139,7 @@ class MovingLoop(NamedTuple):
     def codes(self, walls: Walls) -> Int8[np.ndarray, " wall"]:
         """Return the verdicts on walls."""
         codes = np.full(len(walls), Verdict.UNDECIDED, np.int8)
-        proved = is_stable_for_all(
-            self.device, self.filters, walls, np.full(len(walls), self.factor)
-        )
-        codes[proved] = Verdict.STABLE
+        codes[self.is_proved(walls)] = Verdict.STABLE
         low, high, _ = self.delays
         for delay in np.linspace(low, high, _CONSTANT if high > low else 1).tolist():
             device = sampled_device(self.device.device, self.device.sample_time, delay)
@@ -123,6 +152,20 @@ class MovingLoop(NamedTuple):
             if self.worst(walls[number])[1]:
                 codes[number] = Verdict.UNSTABLE
         return codes
+
+    def is_proved(self, walls: Walls) -> Bool[np.ndarray, " wall"]:
+        """Return which walls are proved for every sequence of delays."""
+        factor = np.full(len(walls), self.factor)
+        return is_stable_for_all(self.device, self.filters, walls, factor)
+
+    def lowest_unstable(self, stiffness: float, damping: float) -> float:
+        """Return a stiffness above one that is STABLE, proved UNSTABLE, by bisection."""
+        low, high = stiffness, inf
+        for _ in range(_BISECTIONS):
+            tried = min(0.5 * (low + high), 2.0 * low)
+            is_unstable = self.codes(self.walls(tried, damping)[0])[0] == Verdict.UNSTABLE
+            low, high = (low, tried) if is_unstable else (tried, high)
+        return high
 
     def worst(self, wall: np.ndarray, *, is_thorough: bool = False) -> tuple[Growth, bool]:
         """Return the worst turn of delays that a search found, and whether it is proved to grow."""
@@ -149,6 +192,36 @@ def worst_delays(
     growth, is_proved = moving.worst(wall, is_thorough=True)
     turn = tuple(one * float(moving.loop.sample_time) for one in growth.turn)
     return WorstDelays(turn, growth.per_sample, is_proved)
+
+
+def limits_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingLimits:
+    """Return the stiffest proved wall that a search finds: ``HapticLoop.limits``."""
+    moving = MovingLoop.of(loop, delays, lost)
+    region = wall_region(moving.loop, TOLERANCE)
+    region = region.main or region
+    corner = np.max(region.outline, axis=0, initial=0.0)
+
+    def is_allowed(gains: Walls) -> np.ndarray:
+        allowed = np.asarray(region.contains(*gains.T))
+        allowed[allowed] = moving.is_proved(moving.walls(*gains[allowed].T)[0])
+        return allowed
+
+    low, high, best = 0.0, corner[1], np.zeros(2)
+    for _ in range(_ZOOMS):
+        dampings = np.linspace(low, high, _GRID + 1)[1:]
+        tried = np.outer(np.arange(1, _GRID + 1), np.full(_GRID, corner[0] / _GRID))
+        walls = np.stack(np.broadcast_arrays(tried, dampings), axis=-1)
+        allowed = is_allowed(walls.reshape(-1, 2)).reshape(tried.shape)
+        stiffest = np.max(np.where(allowed, tried, 0.0), axis=0)
+        for halving in range(1, _BISECTIONS):
+            more = stiffest + corner[0] / _GRID * 0.5**halving
+            stiffest = np.where(is_allowed(np.stack([more, dampings], axis=-1)), more, stiffest)
+        column, step = int(np.argmax(stiffest)), (high - low) / _GRID
+        best = np.array([stiffest[column], dampings[column]])
+        low, high = max(best[1] - step, 0.0), min(best[1] + step, corner[1])
+    if best[0] == 0.0:
+        return MovingLimits(nan, nan, nan)
+    return MovingLimits(*best.tolist(), moving.lowest_unstable(*best.tolist()))
 
 
 def jitter_margin(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from jaxtyping import Complex128, Float64, Int8
@@ -12,8 +12,10 @@ from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
 from jaxstab.conventions import Verdict
 from jaxstab.loop.jitter import (
     DelayRange,
+    MovingLimits,
     WorstDelays,
     jitter_margin,
+    limits_for_all,
     moving_verdict,
     simulate_moving,
     worst_delays,
@@ -127,22 +129,39 @@ class HapticLoop(LoopParameters):
             return traced_region(self)
         return wall_region(self.in_floats(), tolerance)
 
-    def limits(self) -> WallLimits:
+    @overload
+    def limits(self) -> WallLimits: ...
+
+    @overload
+    def limits(self, *, delays: DelayRange, lost: int = 0) -> MovingLimits: ...
+
+    def limits(
+        self, *, delays: DelayRange | None = None, lost: int = 0
+    ) -> WallLimits | MovingLimits:
         """The largest stiffness and the largest damping that the loop allows.
 
         They hold for the stable component that contains small gains; the limits of islands, which
         are not connected to it, follow separately. For a loop that JAX traces, the limits are
         differentiable once in all numbers of the loop, and islands are left out.
 
-        Raises: as ``region``.
+        Args:
+            delays, lost: as for ``verdict``: the stiffest wall, of those that a search tries, that
+                is proved for every sequence of these delays.
 
-        Source: eq. (9) by the D-decomposition.
+        Raises: as ``region`` and ``verdict``.
+
+        Source: eq. (9) by the D-decomposition; lemma J1 of docs/proofs.md for delays that move.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> round(loop.limits().damping, 3)
             202.009
+            >>> loop.limits(delays=(0.0, 0.2e-3)).stiffness < loop.limits().stiffness
+            True
         """
+        if delays is not None or lost:
+            self._refuse_tracers("limits with delays")
+            return limits_for_all(self, delays, lost)
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
 

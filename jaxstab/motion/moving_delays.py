@@ -2,17 +2,15 @@
 
 A sequence of N delays that repeats moves the loop by one matrix per turn
 (``jaxstab.model.device.periodic``); the N-th root of its spectral radius is the growth per sample.
-Sequences are searched in float64: all short patterns of the shortest and the longest delay, and
-turns that switch between the two in time with the loop's slowest oscillation (once and twice in its
-period: a delay that moves pumps it like a swing). The best of them are then changed one delay at a
-time as long as they grow faster (hill climbing). The search does not find the largest growth; what
-it returns is one sequence, and that its motion grows is proved in balls (lemma J2 of
-docs/proofs.md).
+Sequences are searched in float64: first all short patterns of the shortest and the longest delay,
+then the best of them are changed one delay at a time as long as they grow faster (hill climbing).
+The search does not find the largest growth; what it returns is one sequence, and that its motion
+grows is proved in balls (lemma J2 of docs/proofs.md).
 """
 
 from collections.abc import Iterator, Sequence
 from functools import cache, reduce
-from itertools import product
+from itertools import groupby, product
 from math import ceil, inf, isinf
 from typing import NamedTuple
 
@@ -27,11 +25,8 @@ Turn = tuple[float, ...]  # of delays in samples; infinite for a sample that is 
 _QUICK, _THOROUGH = 4, 7  # the longest patterns
 _LEVELS = 5  # delays of the range that hill climbing tries
 _LONGEST = 48  # turn of hill climbing
-_CLIMBERS = 4
-_TRIES = 400  # changes of each
+_TRIES = 300  # changes of the best pattern of each length
 _GAIN = 1e-9  # of the growth, that a change must bring
-_PERIODS, _SHARES = (0.5, 1.0, 1.5), (0.25, 0.5, 0.75)  # of an oscillation, of the longest delay
-_SLOWEST = 200  # samples of a turn
 
 
 class Range(NamedTuple):
@@ -50,11 +45,8 @@ class Range(NamedTuple):
         """Whether no more samples in a row are lost, around the turn."""
         if all(map(isinf, turn)):
             return False
-        row = longest = 0
-        for delay in (*turn, *turn):
-            row = row + 1 if isinf(delay) else 0
-            longest = max(longest, row)
-        return longest <= self.lost
+        rows = groupby((*turn, *turn), isinf)
+        return max((len([*row]) for is_lost, row in rows if is_lost), default=0) <= self.lost
 
 
 class Growth(NamedTuple):
@@ -78,7 +70,7 @@ def growing_turn(
     search = _Search(loop, delays)
     best = search.patterns(_THOROUGH if is_thorough else _QUICK)
     if is_thorough:
-        best = search.climbed(sorted(best + search.swings(), key=_fastest_first))
+        best = search.climbed(best)
     fastest = best[0]._replace(turn=_once(best[0].turn))
     growth = proved_growth(exact, fastest.turn) if fastest.per_sample > 1.0 else 0.0
     return fastest, growth > 1.0
@@ -115,7 +107,8 @@ class _Search:
         low, high, lost = self.delays
         letters = [*np.linspace(low, high, _LEVELS).tolist(), *[inf] * (lost > 0)]
         found = best[:1]
-        for growth in best[:_CLIMBERS]:
+        for length in range(2, len(max((one.turn for one in best), key=len)) + 1):
+            growth = next(one for one in best if len(one.turn) == length)
             for _ in range(_TRIES):
                 turn = _changed(growth.turn, letters, random)
                 if len(turn) <= _LONGEST and self.delays.allows(turn):
@@ -124,26 +117,6 @@ class _Search:
                     growth = other if is_better else growth
             found.append(growth)
         return sorted(found, key=_fastest_first)
-
-    def swings(self) -> list[Growth]:
-        """Return the growth of turns that switch in time with the slowest oscillation."""
-        return [self.growths([turn])[0] for turn in self._swings()]
-
-    def _swings(self) -> Iterator[Turn]:
-        low, high, _ = self.delays
-        lengths = set()
-        for delay in {low, high}:
-            eigenvalues = np.linalg.eigvals(self._matrix((delay,)))
-            angle = abs(np.angle(eigenvalues[np.argmax(np.abs(eigenvalues))]))
-            lengths |= {
-                (length, round(share * length))
-                for periods in _PERIODS
-                for length in [round(min(2.0 * np.pi * periods / max(angle, 1e-9), 1e9))]
-                for share in _SHARES
-            }
-        for length, late in sorted(lengths):
-            if 0 < late < length <= _SLOWEST:
-                yield (high,) * late + (low,) * (length - late)
 
     def _matrix(self, turn: Turn) -> np.ndarray:
         steps = map(self._step, segments_of(turn))

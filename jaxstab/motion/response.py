@@ -4,9 +4,11 @@ Between two events (a sample, the arrival of a delayed force) the force is const
 transition is exact there. This route shares the plant with p(z), but neither z nor polynomials.
 """
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache, reduce
+from itertools import pairwise
 from math import prod
 from operator import add, mul
 from typing import Any, NamedTuple
@@ -383,9 +385,9 @@ def simulate_device(
             unilateral=unilateral,
         )
     else:
-        effects = _effects(device, sample_time, segments_of(delays), offsets)
         controller = controller or Controller.from_filters((Velocity(), Filter()), sample_time)
-        x, v, f = _simulate_in_turn(walls, start, effects, controller, samples, unilateral)
+        given = walls, start, device, controller, segments_of(delays), offsets.tolist()
+        x, v, f = _simulate_in_turn(*given, sample_time, samples, unilateral)
     time = np.arange(x.shape[-1]) * (sample_time / (between + 1))
     return Response(float_arrays(time, x)[0], x, v / sample_time, f)
 
@@ -484,92 +486,44 @@ def _simulate(
     return x, v, f
 
 
-class _Effect(NamedTuple):
-    """What moves the device in a sample, for one of the delays in turn.
-
-    states: rows of states, then of position and velocity at each time, of states and the push.
-    ages: how many samples old the forces are that act.
-    forces: the same rows, of these forces.
-    acting: which of them acts at each time.
-    """
-
-    states: Float64[np.ndarray, "row column"]
-    ages: tuple[int, ...]
-    forces: Float64[np.ndarray, "row age"]
-    acting: list[int]
-
-
-def _effects(
-    device: Device, sample_time: float, turns: list[Segments], offsets: np.ndarray
-) -> list[_Effect]:
-    """Return what happens in the samples of a turn, at times of each, the last one at its end."""
-    times = offsets.tolist()
-    starts = {start for segments in turns for _, start, _ in segments}
-    since = sorted({time - start for time in times for start in starts if start <= time})
-    moves = mechanics(device, sample_time, 0.0, tuple(since))
-    numbers = {time: number for number, time in enumerate(since)}
-
-    def rows(time: float) -> np.ndarray:
-        """Return rows of states, and of position and velocity, at a time since a force began."""
-        return np.concatenate([moves.rows[numbers[time]], moves.seen[numbers[time]]])
-
-    size = len(moves.at_rest)
-    nothing = np.zeros(size + 2)
-
-    def after(time: float, start: float) -> np.ndarray:
-        return rows(time - start)[:, size + 1] if start <= time else nothing
-
-    effects = []
-    for segments in turns:
-        blocks, forces = [], []
-        for time in times:
-            kept = slice(None, size) if time == 1.0 else slice(size, None)
-            columns = [
-                after(time, start) - (after(time, end) if end < 1.0 else nothing)
-                for _, start, end in segments
-            ]
-            blocks.append(np.delete(rows(time), [size, size + 1], axis=1)[kept])
-            forces.append(np.stack(columns, axis=1)[kept])
-        order = [len(times) - 1, *range(len(times) - 1)]
-        begins = [start for _, start, _ in segments]
-        effects.append(
-            _Effect(
-                np.concatenate([blocks[k] for k in order]),
-                tuple(age for age, *_ in segments),
-                np.concatenate([forces[k] for k in order]),
-                [int(np.searchsorted(begins, time, "right")) - 1 for time in times[:-1]],
-            )
-        )
-    return effects
-
-
 def _simulate_in_turn(
     walls: list[Array],
     start: list[Array],
-    effects: list[_Effect],
+    device: Device,
     controller: Controller,
+    turns: list[Segments],
+    offsets: list[float],
+    period: float,
     samples: int,
     unilateral: bool,
 ) -> tuple[Array, Array, Array]:
     """Return position, velocity and force, as ``_simulate``, for delays that change in turn."""
+    pieces = []  # of each sample: the age of the force, the length, and whether it is looked at
+    for segments in turns:
+        begins = [begin for _, begin, _ in segments]
+        ends = pairwise(sorted({*begins, *offsets}))
+        ages = [(segments[bisect_right(begins, one) - 1][0], one, other) for one, other in ends]
+        pieces.append([(age, other - one, one in offsets) for age, one, other in ages])
+    lengths = tuple(sorted({length for some in pieces for _, length, _ in some}))
+    moves = mechanics(device, period, 0.0, (0.0, *lengths))
+    seen = np.delete(moves.seen[0], -3, axis=1)  # the force acts from the sample on
+    rows = dict(zip(lengths, np.delete(moves.rows[1:], -3, axis=2), strict=True))
     alpha, beta, push = walls
-    states, memory = np.stack([*start, push]), controller.at_rest(start[0])
-    computed: list[np.ndarray] = []
-    motion: tuple[list[np.ndarray], ...] = ([], [], [])
-    x, v, f = motion
+    states, memory = np.stack(start), controller.at_rest(start[0])
+    forces: list[np.ndarray] = []
+    motion: list[np.ndarray] = []
     for sample in range(samples):
-        effect = effects[sample % len(effects)]
         filtered, difference, memory = controller.step(states[0], memory)
         force = -(alpha * filtered + beta * difference)
-        computed.append(force * (states[0] > 0.0) if unilateral else force)
-        forces = [computed[sample - age] if age <= sample else 0.0 * force for age in effect.ages]
-        moved = np.tensordot(effect.states, states, 1)
-        moved += np.tensordot(effect.forces, np.stack(forces), 1)
-        states = np.concatenate([moved[: len(start)], push[None]])
-        x.extend(moved[len(start) :: 2])
-        v.extend(moved[len(start) + 1 :: 2])
-        f.extend(forces[which] for which in effect.acting)
-    return np.stack(x, axis=-1), np.stack(v, axis=-1), np.stack(f, axis=-1)
+        forces.append(force * (states[0] > 0.0) if unilateral else force)
+        for age, length, is_seen in pieces[sample % len(pieces)]:
+            acting = forces[sample - age] if age <= sample else 0.0 * force
+            causes = np.concatenate([states, acting[None], push[None]])
+            if is_seen:
+                motion.append(np.concatenate([np.tensordot(seen, causes, 1), acting[None]]))
+            states = np.tensordot(rows[length], causes, 1)
+    x, v, f = np.stack(motion, axis=-1)
+    return x, v, f
 
 
 def _moved(rows: Any, causes: tuple[Array, ...]) -> tuple[Array, ...]:

@@ -45,7 +45,7 @@ from jaxstab.proofs.filters import (
     constant,
     responses,
 )
-from jaxstab.proofs.linear_circle import Place, chains_of, loop_functions, spoilt
+from jaxstab.proofs.linear_circle import Place, loop_parts, spoilt
 from jaxstab.rounding import EPS
 
 Walls = Float64[np.ndarray, "wall 2"]
@@ -115,12 +115,12 @@ def largest_factors(device: SampledDevice, filters: Filters | None, walls: Walls
 @lru_cache(maxsize=16)
 def moving_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
     """D, F_K, F_B, then (1 - x) P and (1 - x) V, then Q over cells of the angle."""
-    loop, chains = loop_functions(device, filters), chains_of(device, filters)
     known = aliases(device)
 
     def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
         place = Place(middle, half, is_wide)
-        changes = [place.chain([(_DIFFERENCE, ONE), *chain]) for chain in chains]
+        free, force, *chains = loop_parts(device, filters, place)
+        change = place.chain([(_DIFFERENCE, ONE)])
         near = _in_cosines(middle, half, is_wide, known.about_one, known.errors[0])
         mirror = (np.pi - middle) + PI_REST
         far = _in_cosines(mirror, half, is_wide, known.about_minus_one, known.errors[1])
@@ -130,7 +130,8 @@ def moving_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
             np.where(is_better, near.value, far.value * signs),
             np.where(is_better, near.error, far.error),
         )
-        return [*loop(middle, half, is_wide), *changes, energy]
+        walls = [factor * chain for factor in (force, change) for chain in chains]
+        return [free, *walls, energy]
 
     return cells_of(functions)
 

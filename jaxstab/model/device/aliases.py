@@ -80,8 +80,8 @@ def _cosine_sum(device: SampledDevice) -> list["arb"]:
     order = len(below) - 1
     transition, gramian = _one_sample(below, speed)
     denominator = transition.charpoly()
-    units = flint.arb_mat([[int(i == j) for j in range(order)] for i in range(order)])
-    columns = [flint.arb_mat([[row[j]] for row in units.tolist()]) for j in range(order)]
+    units = [[int(i == j) for i in range(order)] for j in range(order)]
+    columns = [flint.arb_mat([unit]).transpose() for unit in units]
     rows = [
         flint.arb_poly(position_after(above, transition, denominator, column)) for column in columns
     ]
