@@ -26,6 +26,7 @@ _QUICK, _THOROUGH = 4, 7  # the longest patterns
 _LEVELS = 5  # delays of the range that hill climbing tries
 _LONGEST = 48  # turn of hill climbing
 _TRIES = 300  # changes of the best pattern of each length
+_EFFORT = 20_000_000  # the most changes times the cube of the states
 _GAIN = 1e-9  # of the growth, that a change must bring
 
 
@@ -106,10 +107,10 @@ class _Search:
         random = np.random.default_rng(0)
         low, high, lost = self.delays
         letters = [*np.linspace(low, high, _LEVELS).tolist(), *[inf] * (lost > 0)]
-        found = best[:1]
+        found, states = best[:1], len(self._matrix(best[0].turn))
         for length in range(2, len(max((one.turn for one in best), key=len)) + 1):
             growth = next(one for one in best if len(one.turn) == length)
-            for _ in range(_TRIES):
+            for _ in range(min(_TRIES, _EFFORT // states**3)):
                 turn = _changed(growth.turn, letters, random)
                 if len(turn) <= _LONGEST and self.delays.allows(turn):
                     other = self.growths([turn])[0]

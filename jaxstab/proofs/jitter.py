@@ -21,6 +21,7 @@ of each: the circle is covered, not sampled.
 
 from functools import lru_cache
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -30,10 +31,10 @@ from jaxstab.conventions import Verdict
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.aliases import aliases
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters
+from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.sections import ONE, Polynomial
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.enclosures import LinearModel, conjugate
+from jaxstab.proofs.enclosures import LinearModel, conjugate, phasor, variable
 from jaxstab.proofs.filters import (
     ORDERS,
     Cells,
@@ -43,9 +44,10 @@ from jaxstab.proofs.filters import (
     Series,
     cells_of,
     constant,
+    filter_cells,
     responses,
 )
-from jaxstab.proofs.linear_circle import Place, loop_parts, spoilt
+from jaxstab.proofs.linear_circle import Place, spoilt
 from jaxstab.rounding import EPS
 
 Walls = Float64[np.ndarray, "wall 2"]
@@ -90,7 +92,7 @@ def is_stable_for_all(
     proved = np.asarray(codes == Verdict.STABLE)
     moving = np.flatnonzero(proved & (factor > 0.0))
     if moving.size:
-        cells = moving_cells(device, filters)
+        cells = MovingCells.of(device, filters)
         proved[moving] = _is_contraction(cells, walls[moving], factor[moving])
     return proved
 
@@ -101,7 +103,7 @@ def largest_factors(device: SampledDevice, filters: Filters | None, walls: Walls
     It is the largest one, less the first of some shares with which the proof succeeds.
     """
     largest = np.zeros(len(walls))
-    least = _least_factors(moving_cells(device, filters), walls)
+    least = _least_factors(MovingCells.of(device, filters), walls)
     still = np.any(walls, axis=1)
     for share in _SHARES:
         chosen = np.flatnonzero((largest == 0.0) & still)
@@ -112,15 +114,39 @@ def largest_factors(device: SampledDevice, filters: Filters | None, walls: Walls
     return np.where(~still & (codes == Verdict.STABLE), inf, largest)
 
 
-@lru_cache(maxsize=16)
-def moving_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
-    """D, F_K, F_B, then (1 - x) P and (1 - x) V, then Q over cells of the angle."""
-    known = aliases(device)
+class MovingCells(NamedTuple):
+    """A loop on the circle: D, N, 1 - x and Q over cells of the angle; P and T V; F = x^lag N.
+
+    per_velocity: what beta is multiplied with for T V, rounded once: models count that.
+    """
+
+    device: FilterCells
+    filters: FilterCells
+    lag: float
+    per_velocity: float
+
+    @classmethod
+    def of(cls, device: SampledDevice, filters: Filters | None) -> "MovingCells":
+        """Return a loop; its parts are remembered."""
+        plant, period = device.plant, device.sample_time
+        lag = float(plant.lag + len(plant.denominator) - len(plant.numerator))
+        velocity, position = filters or (Velocity(), Filter())
+        chains = filter_cells((velocity.per_sample(period), position.per_sample(period)))
+        per_velocity = device.stiffness_unit / device.damping_unit / period
+        return cls(_device_cells(device), chains, lag, per_velocity)
+
+    def gains(self, walls: Walls) -> Walls:
+        """Return what P and T V are multiplied with."""
+        return walls * [1.0, self.per_velocity]
+
+
+@lru_cache(maxsize=64)
+def _device_cells(device: SampledDevice) -> FilterCells:
+    plant, known = device.plant, aliases(device)
+    shifted = plant.shifted or (None,) * 4
 
     def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
         place = Place(middle, half, is_wide)
-        free, force, *chains = loop_parts(device, filters, place)
-        change = place.chain([(_DIFFERENCE, ONE)])
         near = _in_cosines(middle, half, is_wide, known.about_one, known.errors[0])
         mirror = (np.pi - middle) + PI_REST
         far = _in_cosines(mirror, half, is_wide, known.about_minus_one, known.errors[1])
@@ -130,8 +156,9 @@ def moving_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
             np.where(is_better, near.value, far.value * signs),
             np.where(is_better, near.error, far.error),
         )
-        walls = [factor * chain for factor in (force, change) for chain in chains]
-        return [free, *walls, energy]
+        free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
+        force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
+        return [free, force, place.chain([(_DIFFERENCE, ONE)]), energy]
 
     return cells_of(functions)
 
@@ -148,7 +175,7 @@ def _in_cosines(
     return spoilt(total, rising, error * 2.0 ** len(rising))  # h^k has terms of 2^k in all
 
 
-def _is_contraction(cells: FilterCells, walls: Walls, factor: PerWall) -> Bool[np.ndarray, " wall"]:
+def _is_contraction(cells: MovingCells, walls: Walls, factor: PerWall) -> Bool[np.ndarray, " wall"]:
     """For which walls |g|^2 is proved to exceed factor Q |(1 - x) H|^2 on the whole circle."""
     is_open = np.ones(len(walls), bool)
     wall, box = (
@@ -174,27 +201,28 @@ def _is_contraction(cells: FilterCells, walls: Walls, factor: PerWall) -> Bool[n
 
 
 def excess(
-    cells: FilterCells,
+    cells: MovingCells,
     walls: Walls,
     factor: PerWall,
     some: tuple[Numbered, Numbered],
     boxes: int,
 ) -> LinearModel:
     """Return |g|^2 - factor Q |(1 - x) H|^2 of walls over boxes of so many of half a turn."""
-    wall, box = some
+    number, box = some
     known, index = np.unique(box, return_inverse=True)
     theta = np.pi * (known + 0.5) / boxes
     half = np.full(theta.shape, 0.5 * np.pi / boxes) + 8.0 * EPS
-    models = OverCells.of(cells, theta, half).values_along(1)
     index = np.ravel(index)
-    free, of_alpha, of_beta, change_alpha, change_beta, energy = (
+    free, force, change, energy, position, velocity = (
         LinearModel(one.centre[index], one.slope[:, index], one.rest[index], one.half)
-        for one in models
+        for part in (cells.device, cells.filters)
+        for one in OverCells.of(part, theta, half).values_along(1)
     )
-    alpha, beta = walls[wall].T
-    g = free + of_alpha * alpha + of_beta * beta
-    change = change_alpha * alpha + change_beta * beta
-    more: LinearModel = _square(g) - _real(energy) * _square(change) * factor[wall]
+    stiffness, damping = cells.gains(walls)[number].T
+    wall = position * stiffness + velocity * damping
+    late = variable(0, 1, theta[index], half[index]) * cells.lag
+    g = free + phasor(late) * force * wall
+    more: LinearModel = _square(g) - _real(energy) * _square(change * wall) * factor[number]
     return more
 
 
@@ -206,14 +234,16 @@ def _real(model: LinearModel) -> LinearModel:
     return LinearModel(model.centre.real, model.slope.real, model.rest, model.half)
 
 
-def _least_factors(cells: FilterCells, walls: Walls) -> PerWall:
+def _least_factors(cells: MovingCells, walls: Walls) -> PerWall:
     """Return the least |g|^2 / (Q |(1 - x) H|^2) of walls at some angles, without a bound."""
     theta = np.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
-    values = responses(cells, theta)[0]
+    free, force, change, energy = responses(cells.device, theta)[0]
+    position, velocity = responses(cells.filters, theta)[0]
+    force = force * np.exp(-1j * cells.lag * theta)
     least = np.empty(len(walls))
-    for number, (alpha, beta) in enumerate(walls):
-        g = values[0] + alpha * values[1] + beta * values[2]
-        change = alpha * values[3] + beta * values[4]
-        with np.errstate(divide="ignore"):
-            least[number] = np.min(np.abs(g) ** 2 / (values[5].real * np.abs(change) ** 2))
+    for number, (stiffness, damping) in enumerate(cells.gains(walls)):
+        wall = stiffness * position + damping * velocity
+        with np.errstate(all="ignore"):
+            ratios = np.abs((free + force * wall) / (change * wall)) ** 2 / energy.real
+        least[number] = np.min(ratios)
     return least

@@ -61,23 +61,18 @@ class GainLines(NamedTuple):
 @lru_cache(maxsize=16)
 def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
     """Return D, F_K and F_B over cells of the angle."""
-
-    def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
-        free, force, *chains = loop_parts(device, filters, Place(middle, half, is_wide))
-        return [free, *(force * chain for chain in chains)]
-
-    return cells_of(functions)
-
-
-def loop_parts(device: SampledDevice, filters: Filters | None, place: "Place") -> list[Series]:
-    """Return series of D, x^lag N, P and V over cells."""
     plant, chains = device.plant, chains_of(device, filters)
     late = plant.lag + len(plant.denominator) - len(plant.numerator)
     shifted = plant.shifted or (None,) * 4
-    free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
-    force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
-    force = force * place.chain([(_delay(late), ONE)])
-    return [free, force, *(place.chain(chain) for chain in chains)]
+
+    def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
+        place = Place(middle, half, is_wide)
+        free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
+        force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
+        force = force * place.chain([(_delay(late), ONE)])
+        return [free, *(force * place.chain(chain) for chain in chains)]
+
+    return cells_of(functions)
 
 
 def chains_of(device: SampledDevice, filters: Filters | None) -> tuple[list[Factor], list[Factor]]:
