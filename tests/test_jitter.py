@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float64
 
+from benchmarks import jitter as campaign
 from benchmarks.truth.moving import LOST, Moving, growth
 from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.loop.jitter import MovingLoop
@@ -30,6 +31,8 @@ DEVICES = {
     "fast actuator": FREE.with_actuator(5000.0),
     "mode": Device.modes([Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)], mass=0.25),
 }
+
+TOPPLING = Device.transfer_function([1.0], [0.1, 0.0, -1000.0])
 
 
 def window(samples: int, delay: float = 0.0) -> HapticLoop:
@@ -185,6 +188,35 @@ def test_a_wall_that_grows_is_found_proved_and_replayed() -> None:
     for delay in np.linspace(0.0, T, 5):
         constant = loop.simulate(*wall, delays=[delay], samples=2000, initial_position=1e-3)
         assert np.abs(constant.position[1000:]).max() < 1e-3
+
+
+def test_attacks_notice_a_factor_that_is_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = campaign.Case(HapticLoop(**LIGHT), moving(0.1, 0.05), 0, 8, 0)
+    wall = 6669.1, 71.60
+    attack = campaign.attacked(case, wall, np.random.default_rng(0))
+    assert attack[0] > 1.005
+    right = jitter.factor_of
+    monkeypatch.setattr("jaxstab.loop.jitter.factor_of", lambda samples: 0.01 * right(samples))
+    assert case.loop.verdict(*wall, delays=(0.0, T)) == Verdict.STABLE  # as it must not be
+
+
+@pytest.mark.campaign
+def test_no_proved_wall_grows_and_every_sequence_that_is_found_does() -> None:
+    assert campaign.main(small=True) == 0
+
+
+def test_the_stiffest_proved_wall_is_proved_and_next_to_one_that_is_not() -> None:
+    loop, delays = window(20, 0.8 * T), (0.8 * T, 1.2 * T)
+    limits = loop.limits(delays=delays)
+    assert loop.verdict(limits.stiffness, limits.damping, delays=delays) == Verdict.STABLE
+    assert limits.stiffness == pytest.approx(1737.5, rel=1e-3)  # by a scan of float64
+    stiff, damped = 1.005 * limits.stiffness, np.linspace(2.0, 40.0, 60)
+    assert not np.any(loop.verdict(stiff, damped, delays=delays) == Verdict.STABLE)
+    unstable = loop.verdict(limits.unstable_stiffness, limits.damping, delays=delays)
+    assert unstable == Verdict.UNSTABLE
+    assert limits.unstable_stiffness < 1.1 * limits.stiffness
+    none = HapticLoop(device=TOPPLING, sample_time=T, delay=20 * T)
+    assert "no wall was found" in repr(none.limits(delays=(20 * T, 21 * T)))
 
 
 def test_lost_samples_count_as_delay() -> None:

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, named
+from jaxstab.arrays import Array, Numbers, is_any_traced, named
 from jaxstab.conventions import Verdict
 from jaxstab.loop.region import TOLERANCE, wall_region
-from jaxstab.model import LoopParameters, checked_gain
+from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device import Device, SampledDevice, sampled_device
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.model.parameters import LONGEST_DELAY
@@ -78,7 +78,8 @@ class MovingLimits:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> loop.limits(delays=(0.0, 0.2e-3))
-        0 N/m
+        K = 28878 N/m at B = 51.69 N s/m is proved for every sequence of delays; K = 42992 N/m
+        there is unstable
     """
 
     stiffness: float
@@ -129,6 +130,9 @@ class MovingLoop(NamedTuple):
 
     def walls(self, stiffness: Numbers, damping: Numbers) -> tuple[Walls, tuple[int, ...]]:
         """Return gains as walls (alpha, beta), and the shape of their grid."""
+        require_x64(stiffness, damping)
+        if is_any_traced(stiffness, damping):
+            raise TypeError("gains are traced; give concrete ones, outside of jit, vmap and grad.")
         grid = np.broadcast_arrays(
             np.asarray(checked_gain("stiffness", stiffness), np.float64),
             np.asarray(checked_gain("damping", damping), np.float64),

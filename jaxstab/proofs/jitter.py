@@ -117,7 +117,7 @@ def largest_factors(device: SampledDevice, filters: Filters | None, walls: Walls
 class MovingCells(NamedTuple):
     """A loop on the circle: D, N, 1 - x and Q over cells of the angle; P and T V; F = x^lag N.
 
-    per_velocity: what beta is multiplied with for T V, rounded once: models count that.
+    per_velocity: what beta is multiplied with for T V; both roundings are counted by models.
     """
 
     device: FilterCells
