@@ -2,6 +2,7 @@
 
 from math import inf
 
+import jax
 import mpmath
 import numpy as np
 import pytest
@@ -358,6 +359,20 @@ def test_ranges_that_are_none_are_refused(
 ) -> None:
     with pytest.raises(error, match=words):
         MovingLoop.of(window(5), delays, lost)
+
+
+def test_traced_gains_are_refused() -> None:
+    loop, moving_delays = window(5), {"delays": (0.0, 1e-3)}
+    for ask in (
+        lambda gain: loop.verdict(gain, 1.0, **moving_delays),
+        lambda gain: loop.jitter_margin(gain, 1.0),
+        lambda gain: loop.simulate(gain, 1.0, force=1.0, delays=[0.0]).position,
+    ):
+        with pytest.raises(TypeError, match="outside of jit"):
+            jax.jit(ask)(100.0)
+    made = jax.jit(lambda mass: HapticLoop(**LIGHT | {"device_mass": mass}).jitter_margin(1.0, 1.0))
+    with pytest.raises(TypeError, match="jitter_margin takes no loop that JAX traces"):
+        made(0.1)
 
 
 @pytest.mark.parametrize("delays", [[], [inf], [-1e-3], [np.nan], [0.6]])

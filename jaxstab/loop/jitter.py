@@ -36,7 +36,7 @@ from jaxstab.shown import shortened
 DelayRange = tuple[float, float]  # in s
 _CONSTANT = 5  # constant delays of a range that are tried
 _GRID, _ZOOMS = 16, 3  # gains tried on each axis, and how often around the best damping
-_BISECTIONS = 12
+_BISECTIONS = 10  # of a stiffness
 
 
 @dataclass(frozen=True, repr=False)
@@ -131,8 +131,7 @@ class MovingLoop(NamedTuple):
     def walls(self, stiffness: Numbers, damping: Numbers) -> tuple[Walls, tuple[int, ...]]:
         """Return gains as walls (alpha, beta), and the shape of their grid."""
         require_x64(stiffness, damping)
-        if is_any_traced(stiffness, damping):
-            raise TypeError("gains are traced; give concrete ones, outside of jit, vmap and grad.")
+        _refuse_traced(stiffness, damping)
         grid = np.broadcast_arrays(
             np.asarray(checked_gain("stiffness", stiffness), np.float64),
             np.asarray(checked_gain("damping", damping), np.float64),
@@ -223,9 +222,10 @@ def limits_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingLimits
         column, step = int(np.argmax(stiffest)), (high - low) / _GRID
         best = np.array([stiffest[column], dampings[column]])
         low, high = max(best[1] - step, 0.0), min(best[1] + step, corner[1])
-    if best[0] == 0.0:
+    stiffness, damping = map(float, best)
+    if stiffness == 0.0:
         return MovingLimits(nan, nan, nan)
-    return MovingLimits(*best.tolist(), moving.lowest_unstable(*best.tolist()))
+    return MovingLimits(stiffness, damping, moving.lowest_unstable(stiffness, damping))
 
 
 def jitter_margin(
@@ -247,6 +247,7 @@ def simulate_moving(
     options: dict[str, Any],
 ) -> Response:
     """Return the motion of a loop whose delays change in turn: ``HapticLoop.simulate``."""
+    _refuse_traced(stiffness, damping, *options.values())
     given = np.asarray(delays, np.float64)
     if given.ndim != 1 or not given.size:
         raise TypeError(f"delays is {shortened(delays)}; give a sequence of delays in s.")
@@ -263,6 +264,13 @@ def simulate_moving(
     filters = given_filters(loop.velocity, loop.position)
     where = device.device, device.sample_time, 0.0, filters
     return simulate_device(*where, stiffness, damping, delays=turn, **options)
+
+
+def _refuse_traced(*values: Any) -> None:
+    if is_any_traced(*values):
+        raise TypeError(
+            "a value is traced; with delays give numbers, outside of jit and grad."
+        )
 
 
 def _checked_range(delays: Any) -> DelayRange:

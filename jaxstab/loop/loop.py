@@ -145,8 +145,9 @@ class HapticLoop(LoopParameters):
         differentiable once in all numbers of the loop, and islands are left out.
 
         Args:
-            delays, lost: as for ``verdict``: the stiffest wall, of those that a search tries, that
-                is proved for every sequence of these delays.
+            delays: as for ``verdict``; the answer is then the stiffest wall, of those that a
+                search tries, that is proved for every sequence of these delays.
+            lost: as for ``verdict``.
 
         Raises: as ``region`` and ``verdict``.
 
@@ -561,16 +562,17 @@ class HapticLoop(LoopParameters):
         delay by delay. That no other sequence is worse is not proved; ``verdict`` proves STABLE.
 
         Args:
-            stiffness, damping: see ``jaxstab.conventions``; single numbers.
-            delays, lost: as for ``verdict``.
+            stiffness, damping: see ``jaxstab.conventions``.
+            delays: as for ``verdict``.
+            lost: as for ``verdict``.
 
         Returns:
             WorstDelays, whose delays ``simulate`` takes.
 
-        Raises: as ``verdict``.
+        Raises: as ``verdict``; the gains are single numbers.
 
-        Source: exact discretisation of a force that switches within a sampling period; lemma J2 of
-        docs/proofs.md.
+        Source: the theorem of Floquet for a force that switches within a sampling period; lemma J2
+        of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.05, sample_time=1e-3)
