@@ -62,6 +62,8 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.spectral_radius": ["loop", 1000.0, 10.0],
     "HapticLoop.poles": ["loop", 1000.0, 10.0],
     "HapticLoop.margins": ["loop", 1000.0, 10.0],
+    "HapticLoop.jitter_margin": ["loop", 1000.0, 10.0],
+    "HapticLoop.worst_delays": ["loop", 1000.0, 10.0, {"delays": (0.0, 1e-3)}],
     "HapticLoop.settling_time": ["loop", 1000.0, 10.0],
     "HapticLoop.amplitude": ["loop", 1000.0, 10.0, {"encoder": 1e-5, "force_step": 0.01}],
     "HapticLoop.oscillation": ["loop", 1000.0, 10.0],

@@ -13,9 +13,11 @@ from .loop import CommonWall as CommonWall
 from .loop import Gains as Gains
 from .loop import ManyLimits as ManyLimits
 from .loop import ManyRegions as ManyRegions
+from .loop import MovingLimits as MovingLimits
 from .loop import OptimalWall as OptimalWall
 from .loop import WallLimits as WallLimits
 from .loop import WallRegion as WallRegion
+from .loop import WorstDelays as WorstDelays
 from .loop import WorstLoop as WorstLoop
 from .model import PlantCoefficients as PlantCoefficients
 from .motion import Amplitude as Amplitude

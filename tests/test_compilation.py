@@ -29,12 +29,16 @@ WITHOUT_ARRAYS = {
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
 }
 
+WITH_FLINT = {"HapticLoop.jitter_margin", "HapticLoop.worst_delays"}  # balls, for any loop
+
 WITHOUT_JAX = """
 import json, sys
 
+BLOCKED = sys.argv.pop(1).split()
+
 class NoJax:
     def find_spec(self, name, *_):
-        if name.partition(".")[0] in ("jax", "jaxlib", "flint"):  # flint is for general devices
+        if name.partition(".")[0] in ("jax", "jaxlib", *BLOCKED):
             raise ImportError("JAX was asked for")
 
 sys.meta_path.insert(0, NoJax())
@@ -67,7 +71,9 @@ def printed_by(script: str, *words: str, **environment: str) -> Any:
 
 @cache
 def without_jax() -> dict[str, str]:
-    return printed_by(WITHOUT_JAX, *sorted(COMPUTING_CALLS))
+    plain = sorted(COMPUTING_CALLS.keys() - WITH_FLINT)  # flint is for general devices
+    answers: dict[str, str] = printed_by(WITHOUT_JAX, "flint", *plain)
+    return answers | printed_by(WITHOUT_JAX, "", *sorted(WITH_FLINT))
 
 
 @cache

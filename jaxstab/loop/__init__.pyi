@@ -4,6 +4,8 @@ from .common import CommonRegion as CommonRegion
 from .common import CommonWall as CommonWall
 from .common import common_region as common_region
 from .common import tune_for_all as tune_for_all
+from .jitter import MovingLimits as MovingLimits
+from .jitter import WorstDelays as WorstDelays
 from .loop import HapticLoop as HapticLoop
 from .many import ManyLimits as ManyLimits
 from .many import ManyRegions as ManyRegions

@@ -1,7 +1,8 @@
 """The haptic loop: one value in SI units, its answers as methods."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from jaxtyping import Complex128, Float64, Int8
@@ -9,6 +10,16 @@ from jaxtyping import Complex128, Float64, Int8
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
 from jaxstab.conventions import Verdict
+from jaxstab.loop.jitter import (
+    DelayRange,
+    MovingLimits,
+    WorstDelays,
+    jitter_margin,
+    limits_for_all,
+    moving_verdict,
+    simulate_moving,
+    worst_delays,
+)
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, traced_region, wall_region
 from jaxstab.loop.tune import OptimalWall, checked_chatter, optimal_wall
 from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
@@ -118,22 +129,40 @@ class HapticLoop(LoopParameters):
             return traced_region(self)
         return wall_region(self.in_floats(), tolerance)
 
-    def limits(self) -> WallLimits:
+    @overload
+    def limits(self) -> WallLimits: ...
+
+    @overload
+    def limits(self, *, delays: DelayRange, lost: int = 0) -> MovingLimits: ...
+
+    def limits(
+        self, *, delays: DelayRange | None = None, lost: int = 0
+    ) -> WallLimits | MovingLimits:
         """The largest stiffness and the largest damping that the loop allows.
 
         They hold for the stable component that contains small gains; the limits of islands, which
         are not connected to it, follow separately. For a loop that JAX traces, the limits are
         differentiable once in all numbers of the loop, and islands are left out.
 
-        Raises: as ``region``.
+        Args:
+            delays: as for ``verdict``; the answer is then the stiffest wall, of those that a
+                search tries, that is proved for every sequence of these delays.
+            lost: as for ``verdict``.
 
-        Source: eq. (9) by the D-decomposition.
+        Raises: as ``region`` and ``verdict``.
+
+        Source: eq. (9) by the D-decomposition; lemma J1 of docs/proofs.md for delays that move.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> round(loop.limits().damping, 3)
             202.009
+            >>> loop.limits(delays=(0.0, 0.2e-3)).stiffness < loop.limits().stiffness
+            True
         """
+        if delays is not None or lost:
+            self._refuse_tracers("limits with delays")
+            return limits_for_all(self, delays, lost)
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
 
@@ -376,12 +405,25 @@ class HapticLoop(LoopParameters):
         return region if is_any_traced(self) else region.main or region
 
     def verdict(
-        self, stiffness: Numbers, damping: Numbers, *, resolve: str | None = None
+        self,
+        stiffness: Numbers,
+        damping: Numbers,
+        *,
+        delays: DelayRange | None = None,
+        lost: int = 0,
+        resolve: str | None = None,
     ) -> Int8[Array, "*grid"]:
         """Prove whether walls are stable: all roots of p(z) inside the unit circle.
 
+        With ``delays`` the delay of the loop may change from sample to sample. STABLE then means
+        stable for every sequence of delays of the range, UNSTABLE that a motion grows with one of
+        them, constant or in turn.
+
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
+            delays: the shortest and the longest delay in s, in place of the loop's; the newest
+                sample that has arrived sets the force.
+            lost: how many samples in a row may never arrive, with ``delays``.
             resolve: "exact" decides more of the walls next to the boundary; see
                 ``jaxstab.verdict``.
 
@@ -390,15 +432,24 @@ class HapticLoop(LoopParameters):
             are proofs for the loop's dimensionless numbers, which carry a few roundings. The int8
             of one wall prints its name.
 
-        Raises: see ``jaxstab.conventions``; ValueError also for an unknown ``resolve``.
+        Raises: see ``jaxstab.conventions``; ValueError also for an unknown ``resolve``, a range of
+        delays that is out of order or too long; TypeError if JAX traces a loop with ``delays``.
 
-        Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008).
+        Source: Schur-Cohn criterion (Jury 1964) for eq. (9) of Hulin, Preusche, Hirzinger (2008);
+        the small-gain theorem (Kao, Lincoln 2004) for delays that move: lemmas J1 and J2 of
+        docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> loop.verdict(50000.0, 20.0)
             <Verdict.UNSTABLE: 2>
+            >>> loop.verdict(20000.0, 60.0, delays=(0.0, 0.2e-3))
+            <Verdict.STABLE: 1>
         """
+        if delays is not None or lost:
+            self._refuse_tracers("verdict with delays")
+            checked_word("resolve", resolve or "exact", ("exact",))
+            return moving_verdict(self, stiffness, damping, delays, lost)
         wall = self._wall(stiffness, damping)
         if self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
@@ -478,6 +529,58 @@ class HapticLoop(LoopParameters):
             margins.damping_gain,
             self.sample_time * margins.extra_delay,
         )
+
+    def jitter_margin(self, stiffness: Numbers, damping: Numbers) -> Float64[np.ndarray, "*grid"]:
+        """How far the delay of each sample may exceed the loop's own, in s, proved.
+
+        The delay may change from sample to sample between ``delay`` and ``delay`` plus the margin;
+        the wall is stable for every such sequence. A lost sample counts as one sampling period.
+        The margin for a delay that is constant, ``margins(...).extra_delay``, is at least as large.
+
+        Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces the loop.
+
+        Returns:
+            The margins in s; 0 where nothing is proved, infinite without a wall on a stable device.
+
+        Source: the small-gain theorem (Kao, Lincoln 2004); lemma J1 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> constant = loop.margins(1000.0, 20.0).extra_delay
+            >>> print(f"{1e3 * loop.jitter_margin(1000.0, 20.0):.2f} of {1e3 * constant:.2f} ms")
+            4.19 of 5.76 ms
+        """
+        self._refuse_tracers("jitter_margin")
+        return jitter_margin(self, stiffness, damping)
+
+    def worst_delays(
+        self, stiffness: float, damping: float, *, delays: DelayRange, lost: int = 0
+    ) -> WorstDelays:
+        """Search for delays in turn that make a wall grow, and prove that it does.
+
+        All short patterns of the shortest and the longest delay are tried, and the best changed
+        delay by delay. That no other sequence is worse is not proved; ``verdict`` proves STABLE.
+
+        Args:
+            stiffness, damping: see ``jaxstab.conventions``.
+            delays: as for ``verdict``.
+            lost: as for ``verdict``.
+
+        Returns:
+            WorstDelays, whose delays ``simulate`` takes.
+
+        Raises: as ``verdict``; the gains are single numbers.
+
+        Source: the theorem of Floquet for a force that switches within a sampling period; lemma J2
+        of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.05, sample_time=1e-3)
+            >>> loop.worst_delays(6669.1, 71.60, delays=(0.0, 1e-3)).delays
+            (0.001, 0.001, 0.001, 0.0)
+        """
+        self._refuse_tracers("worst_delays")
+        return worst_delays(self, stiffness, damping, delays, lost)
 
     def oscillation(self, stiffness: Numbers, damping: Numbers) -> Oscillation:
         """Damping ratio and frequency in Hz of the slowest mode of the loop at walls.
@@ -615,6 +718,7 @@ class HapticLoop(LoopParameters):
         initial_position: Numbers = 0.0,
         between: int = 0,
         unilateral: bool = False,
+        delays: Sequence[float] | np.ndarray | None = None,
     ) -> Response:
         """Simulate the device, held by the hand, against a virtual wall at position 0.
 
@@ -634,6 +738,8 @@ class HapticLoop(LoopParameters):
             unilateral: the wall pushes or pulls only while the sampled position is positive
                 (Remark 1); otherwise it holds the device from both sides, as in the rest of the
                 paper.
+            delays: of the samples in s, repeated in turn, in place of the loop's delay; infinite
+                for a sample that is lost. The newest sample that has arrived sets the force.
 
         Returns:
             Response at samples * (between + 1) times; exact up to rounding at each of them, and
@@ -659,6 +765,8 @@ class HapticLoop(LoopParameters):
             "between": between,
             "unilateral": unilateral,
         }
+        if delays is not None:
+            return simulate_moving(self, stiffness, damping, delays, options)
         if self.body is None:
             return simulate_device(*self._device_and_filters, stiffness, damping, **options)
         return motion.simulate(self, stiffness, damping, **options)

@@ -4,9 +4,11 @@ Between two events (a sample, the arrival of a delayed force) the force is const
 transition is exact there. This route shares the plant with p(z), but neither z nor polynomials.
 """
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache, reduce
+from itertools import pairwise
 from math import prod
 from operator import add, mul
 from typing import Any, NamedTuple
@@ -30,6 +32,7 @@ from jaxstab.batches import compiled
 from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, mechanics
+from jaxstab.model.device.periodic import Segments, segments_of
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.sections import Polynomial, Transfer
 from jaxstab.motion.contraction import Matrices, Systems
@@ -336,13 +339,14 @@ def simulate_device(
     initial_position: Numbers = 0.0,
     between: int = 0,
     unilateral: bool = False,
+    delays: tuple[float, ...] | None = None,
 ) -> Response:
     """Simulate a general device against a virtual wall; see ``HapticLoop.simulate``.
 
-    ``delay`` is in samples. The hand's force pulls at the handle, behind the actuators. A device
-    with an initial velocity was thrown by a blow at the handle; one with an initial position was at
-    rest there, its actuators without force. ValueError also if a blow cannot throw the device, or
-    it has zero DC gain.
+    ``delay`` is in samples, and so are ``delays``, which take its place in turn. The hand's force
+    pulls at the handle, behind the actuators. A device with an initial velocity was thrown by a
+    blow at the handle; one with an initial position was at rest there, its actuators without force.
+    ValueError also if a blow cannot throw the device, or it has zero DC gain.
     """
     require_x64(stiffness, damping, force, initial_velocity, initial_position)
     checked_count("samples", samples, 1)
@@ -367,17 +371,23 @@ def simulate_device(
                 "has not two degrees more in the denominator; give force or initial_position."
             )
         start = [one + k * velocity for one, k in zip(start, moves.thrown, strict=True)]
-    x, v, f = _simulate(
-        walls,
-        start,
-        moves.rows[-1],
-        moves.seen[:-1],
-        offsets[:-1] < fraction,
-        None if filters is None else Controller.from_filters(filters, sample_time),
-        samples=samples,
-        whole_delay=int(whole),
-        unilateral=unilateral,
-    )
+    controller = None if filters is None else Controller.from_filters(filters, sample_time)
+    if delays is None:
+        x, v, f = _simulate(
+            walls,
+            start,
+            moves.rows[-1],
+            moves.seen[:-1],
+            offsets[:-1] < fraction,
+            controller,
+            samples=samples,
+            whole_delay=int(whole),
+            unilateral=unilateral,
+        )
+    else:
+        controller = controller or Controller.from_filters((Velocity(), Filter()), sample_time)
+        given = walls, start, device, controller, segments_of(delays), offsets.tolist()
+        x, v, f = _simulate_in_turn(*given, sample_time, samples, unilateral)
     time = np.arange(x.shape[-1]) * (sample_time / (between + 1))
     return Response(float_arrays(time, x)[0], x, v / sample_time, f)
 
@@ -473,6 +483,46 @@ def _simulate(
     paths = xp.einsum("ork,k...s->r...so", seen, causes)
     held = xp.where(early, causes[-3][..., None], causes[-2][..., None])
     x, v, f = (xp.reshape(path, (*path.shape[:-2], -1)) for path in (*paths, held))
+    return x, v, f
+
+
+def _simulate_in_turn(
+    walls: list[Array],
+    start: list[Array],
+    device: Device,
+    controller: Controller,
+    turns: list[Segments],
+    offsets: list[float],
+    period: float,
+    samples: int,
+    unilateral: bool,
+) -> tuple[Array, Array, Array]:
+    """Return position, velocity and force, as ``_simulate``, for delays that change in turn."""
+    pieces = []  # of each sample: the age of the force, the length, and whether it is looked at
+    for segments in turns:
+        begins = [begin for _, begin, _ in segments]
+        ends = pairwise(sorted({*begins, *offsets}))
+        ages = [(segments[bisect_right(begins, one) - 1][0], one, other) for one, other in ends]
+        pieces.append([(age, other - one, one in offsets) for age, one, other in ages])
+    lengths = tuple(sorted({length for some in pieces for _, length, _ in some}))
+    moves = mechanics(device, period, 0.0, (0.0, *lengths))
+    seen = np.delete(moves.seen[0], -3, axis=1)  # the force acts from the sample on
+    rows = dict(zip(lengths, np.delete(moves.rows[1:], -3, axis=2), strict=True))
+    alpha, beta, push = walls
+    states, memory = np.stack(start), controller.at_rest(start[0])
+    forces: list[np.ndarray] = []
+    motion: list[np.ndarray] = []
+    for sample in range(samples):
+        filtered, difference, memory = controller.step(states[0], memory)
+        force = -(alpha * filtered + beta * difference)
+        forces.append(force * (states[0] > 0.0) if unilateral else force)
+        for age, length, is_seen in pieces[sample % len(pieces)]:
+            acting = forces[sample - age] if age <= sample else 0.0 * force
+            causes = np.concatenate([states, acting[None], push[None]])
+            if is_seen:
+                motion.append(np.concatenate([np.tensordot(seen, causes, 1), acting[None]]))
+            states = np.tensordot(rows[length], causes, 1)
+    x, v, f = np.stack(motion, axis=-1)
     return x, v, f
 
 

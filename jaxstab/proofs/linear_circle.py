@@ -111,7 +111,7 @@ class Place(NamedTuple):
         """
         best = self.chain([(falling, ONE)])
         if about_one is None or about_minus_one is None:
-            return _spoilt(best, falling, error)
+            return spoilt(best, falling, error)
         degree = len(falling) - 1
         near = _in_steps(Circle.of(self.middle, self.half, self.is_wide), about_one)
         mirror = Circle.of((np.pi - self.middle) + PI_REST, self.half, self.is_wide)
@@ -124,7 +124,7 @@ class Place(NamedTuple):
                 np.where(is_better, other.value, best.value),
                 np.where(is_better, other.error, best.error),
             )
-        return _spoilt(best, falling, error)
+        return spoilt(best, falling, error)
 
 
 def _in_steps(circle: Circle, falling: Polynomial) -> Series:
@@ -139,7 +139,7 @@ def _in_steps(circle: Circle, falling: Polynomial) -> Series:
     return total
 
 
-def _spoilt(series: Series, falling: Polynomial, error: float) -> Series:
+def spoilt(series: Series, falling: Polynomial, error: float) -> Series:
     """Return a polynomial whose coefficients have errors that sum up to ``error`` at most."""
     degree = len(falling)
     lost = [float(error) * degree**k / factorial(k) for k in range(ORDERS)]

@@ -294,6 +294,17 @@ class Chatter(Answer):
 
 
 @dataclass(frozen=True)
+class Jitter(Answer):
+    """How far the delay may exceed that of the scene if it changes from sample to sample."""
+
+    is_part = True
+    absent = "none is proved"
+
+    extra_delay_moving: SpareTime
+    moving_is: str | None
+
+
+@dataclass(frozen=True)
 class WallCheck(Answer):
     """The answers about a wall: the requested measures.
 
@@ -312,6 +323,7 @@ class WallCheck(Answer):
     settling: Settling | None = None
     oscillation: Oscillation | None = None
     chatter: Chatter | None = None
+    jitter: Jitter | None = None
 
 
 @dataclass(frozen=True)
@@ -523,6 +535,13 @@ def _chatter(position: Values, force: Values, force_per_count: Values) -> Chatte
     return Chatter(most, float(force.max()), float(force_per_count[0]), words)
 
 
+def _jitters(walls: Sequence[_Wall]) -> list[Jitter]:
+    """Return how far the delay may move above that of the scene, with the worst hand alone."""
+    margins = [float(wall.known.loop.jitter_margin(*wall.gains)) for wall in walls]
+    words = ["for the worst hand" if wall.known.hand else None for wall in walls]
+    return [Jitter(*both) for both in zip([one or nan for one in margins], words, strict=True)]
+
+
 _MEASURES: dict[str, Callable[[Sequence[_Wall]], Sequence[Answer]]] = {
     "margins": _margins,
     "distance": _distances,
@@ -530,4 +549,5 @@ _MEASURES: dict[str, Callable[[Sequence[_Wall]], Sequence[Answer]]] = {
     "settling": _settlings,
     "oscillation": _oscillations,
     "chatter": _chatters,
+    "jitter": _jitters,
 }

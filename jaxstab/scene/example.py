@@ -46,7 +46,7 @@ damping = 12.0
 [wanted]                  # what `jaxstab scene FILE` answers
 answers = ["limits", "check"]    # of limits, check, tune, design
 # measures = ["margins"]  # check: beside the verdict of a wall; all of them by default:
-                          # margins, distance, radius, settling, oscillation, chatter
+                          # margins, distance, radius, settling, oscillation, chatter, jitter
 # at_damping = 20.0       # N s/m, limits: the stiffness allowed at this damping
 # at_stiffness = 1000.0   # N/m, limits: the damping allowed at this stiffness
 # safety = 0.8            # limits and design: what limits are multiplied by

@@ -383,7 +383,7 @@ class VelocityTable(_TimedTable):
 
 
 ANSWERS = ("limits", "check", "tune", "design")
-MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter")
+MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter", "jitter")
 _FEW_SAMPLES = 0.01  # of delay: more likely s
 _SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
 _LIGHT = 0.01

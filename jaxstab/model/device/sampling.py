@@ -100,7 +100,7 @@ class _Balls(NamedTuple):
     @property
     def are_known(self) -> bool:
         """Whether each coefficient is known to the digits that are wanted, or next to 0."""
-        return all(_is_known(polynomial) for pair in self for polynomial in pair)
+        return all(is_known(polynomial) for pair in self for polynomial in pair)
 
 
 @lru_cache(maxsize=64)
@@ -288,7 +288,8 @@ def _without(polynomial: "arb_poly", zeros: int) -> "arb_poly":
     return flint.arb_poly([flint.arb(0)] * zeros + polynomial.coeffs()[zeros:])
 
 
-def _is_known(polynomial: "arb_poly") -> bool:
+def is_known(polynomial: "arb_poly") -> bool:
+    """Whether each coefficient is known to the digits that are wanted, or next to 0."""
     coefficients = polynomial.coeffs()
     nothing = max((c.abs_lower() for c in coefficients), key=float) * _NOTHING
     return all(

@@ -1,0 +1,295 @@
+"""One loop whose delay moves from sample to sample: verdicts, margins, limits and sequences.
+
+A wall is STABLE if the small-gain theorem proves it for every sequence of delays of a range (lemma
+J1 of docs/proofs.md), and UNSTABLE if one sequence, constant or in turn, is proved to grow (lemma
+J2). Between the two it is UNDECIDED.
+"""
+
+from dataclasses import dataclass, replace
+from math import inf, isinf, nan
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8
+
+from jaxstab.arrays import Array, Numbers, is_any_traced, named
+from jaxstab.conventions import Verdict
+from jaxstab.loop.region import TOLERANCE, wall_region
+from jaxstab.model import LoopParameters, checked_gain, require_x64
+from jaxstab.model.device import Device, SampledDevice, sampled_device
+from jaxstab.model.filters import Filters, given_filters
+from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.motion.moving_delays import Growth, Range, growing_turn
+from jaxstab.motion.response import Response, simulate_device
+from jaxstab.numbers import checked_count, checked_number
+from jaxstab.point.verdicts import linear_verdict
+from jaxstab.proofs.jitter import (
+    Walls,
+    factor_of,
+    is_stable_for_all,
+    largest_factors,
+    samples_of,
+)
+from jaxstab.rounding import EPS
+from jaxstab.shown import shortened
+
+DelayRange = tuple[float, float]  # in s
+_CONSTANT = 5  # constant delays of a range that are tried
+_GRID, _ZOOMS = 16, 3  # gains tried on each axis, and how often around the best damping
+_BISECTIONS = 10  # of a stiffness
+
+
+@dataclass(frozen=True, repr=False)
+class WorstDelays:
+    """Delays in turn under which a wall grows, or decays most slowly: the worst a search found.
+
+    Attributes:
+        delays: one turn, in s; infinite for a sample that is lost.
+        growth: the factor per sample by which the motion grows, below 1 if it decays.
+        is_proved: whether it is proved that a motion grows.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.05, sample_time=1e-3)
+        >>> loop.worst_delays(6669.1, 71.60, delays=(0.0, 1e-3))
+        delays of 1, 1, 1, 0 ms in turn: a factor of 1.00916 per sample (growth proved)
+    """
+
+    delays: tuple[float, ...]
+    growth: float
+    is_proved: bool
+
+    def __repr__(self) -> str:
+        turn = ", ".join("lost" if isinf(one) else f"{1e3 * one:.6g}" for one in self.delays)
+        what = f"delays of {turn} ms in turn" if len(self.delays) > 1 else f"a delay of {turn} ms"
+        how = "growth proved" if self.is_proved else "best of a search"
+        return f"{what}: a factor of {self.growth:.6g} per sample ({how})"
+
+
+@dataclass(frozen=True, repr=False)
+class MovingLimits:
+    """The stiffest wall that is proved for every sequence of delays, of those that a search tried.
+
+    Attributes:
+        stiffness: K in N/m of the proved wall; NaN if none was found.
+        damping: its B in N s/m.
+        unstable_stiffness: K in N/m of a wall at the same damping that is proved unstable, the
+            lowest found; between the two nothing is known.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> loop.limits(delays=(0.0, 0.2e-3))
+        K = 28878 N/m at B = 51.69 N s/m is proved for every sequence of delays; K = 42992 N/m
+        there is unstable
+    """
+
+    stiffness: float
+    damping: float
+    unstable_stiffness: float
+
+    def __repr__(self) -> str:
+        if not self.stiffness > 0.0:
+            return "no wall was found that is proved for every sequence of delays"
+        return (
+            f"K = {self.stiffness:.5g} N/m at B = {self.damping:.4g} N s/m is proved for every "
+            f"sequence of delays; K = {self.unstable_stiffness:.5g} N/m there is unstable"
+        )
+
+
+class MovingLoop(NamedTuple):
+    """A loop whose delays lie in a range, in samples.
+
+    device: behind the shortest delay.
+    """
+
+    loop: LoopParameters
+    device: SampledDevice
+    filters: Filters | None
+    delays: Range
+
+    @classmethod
+    def of(cls, loop: LoopParameters, delays: Any, lost: Any = 0) -> "MovingLoop":
+        """Return a loop with a range of delays in s and of samples lost in a row."""
+        loop = loop.in_floats()
+        low, high = _checked_range(delays)
+        first, last = (replace(loop, delay=delay) for delay in (low, high))
+        lost = checked_count("lost", lost, 0)
+        if last.delay_samples + lost > LONGEST_DELAY:
+            raise ValueError(
+                f"lost is {lost}, of delays to {last.delay_samples:g} samples; give fewer, up to "
+                f"{LONGEST_DELAY:g} samples in all."
+            )
+        samples = Range(float(first.delay_samples), float(last.delay_samples), lost)
+        filters = given_filters(loop.velocity, loop.position)
+        return cls(first, _sampled(first), filters, samples)
+
+    @property
+    def factor(self) -> float:
+        """kappa^2 of lemma J1."""
+        low, high, lost = self.delays
+        return float(factor_of(np.array([(high - low) * (1.0 + 4.0 * EPS) + lost]))[0])
+
+    def walls(self, stiffness: Numbers, damping: Numbers) -> tuple[Walls, tuple[int, ...]]:
+        """Return gains as walls (alpha, beta), and the shape of their grid."""
+        require_x64(stiffness, damping)
+        _refuse_traced(stiffness, damping)
+        grid = np.broadcast_arrays(
+            np.asarray(checked_gain("stiffness", stiffness), np.float64),
+            np.asarray(checked_gain("damping", damping), np.float64),
+        )
+        units = self.device.stiffness_unit, self.device.damping_unit
+        return np.stack(grid, axis=-1).reshape(-1, 2) * units, grid[0].shape
+
+    def codes(self, walls: Walls) -> Int8[np.ndarray, " wall"]:
+        """Return the verdicts on walls."""
+        codes = np.full(len(walls), Verdict.UNDECIDED, np.int8)
+        codes[self.is_proved(walls)] = Verdict.STABLE
+        low, high, _ = self.delays
+        for delay in np.linspace(low, high, _CONSTANT if high > low else 1).tolist():
+            device = sampled_device(self.device.device, self.device.sample_time, delay)
+            rest = np.flatnonzero(codes == Verdict.UNDECIDED)
+            if rest.size:
+                alpha, beta = walls[rest].T
+                known = linear_verdict(alpha, beta, device.loop(self.filters))
+                codes[rest[np.asarray(known) == Verdict.UNSTABLE]] = Verdict.UNSTABLE
+        for number in np.flatnonzero(codes == Verdict.UNDECIDED):
+            if self.worst(walls[number])[1]:
+                codes[number] = Verdict.UNSTABLE
+        return codes
+
+    def is_proved(self, walls: Walls) -> Bool[np.ndarray, " wall"]:
+        """Return which walls are proved for every sequence of delays."""
+        factor = np.full(len(walls), self.factor)
+        return is_stable_for_all(self.device, self.filters, walls, factor)
+
+    def lowest_unstable(self, stiffness: float, damping: float) -> float:
+        """Return a stiffness above one that is STABLE, proved UNSTABLE, by bisection."""
+        low, high = stiffness, inf
+        for _ in range(_BISECTIONS):
+            tried = min(0.5 * (low + high), 2.0 * low)
+            is_unstable = self.codes(self.walls(tried, damping)[0])[0] == Verdict.UNSTABLE
+            low, high = (low, tried) if is_unstable else (tried, high)
+        return high
+
+    def worst(self, wall: np.ndarray, *, is_thorough: bool = False) -> tuple[Growth, bool]:
+        """Return the worst turn of delays that a search found, and whether it is proved to grow."""
+        gains = float(wall[0]), float(wall[1])
+        return growing_turn(self.device, self.filters, gains, self.delays, is_thorough=is_thorough)
+
+
+def moving_verdict(
+    loop: LoopParameters, stiffness: Numbers, damping: Numbers, delays: Any, lost: Any
+) -> Int8[Array, "*grid"]:
+    """Return the verdicts on walls for delays that move: ``HapticLoop.verdict``."""
+    moving = MovingLoop.of(loop, delays, lost)
+    walls, shape = moving.walls(stiffness, damping)
+    return named(moving.codes(walls).reshape(shape), Verdict)
+
+
+def worst_delays(
+    loop: LoopParameters, stiffness: float, damping: float, delays: Any, lost: Any
+) -> WorstDelays:
+    """Return the worst delays that a search found: ``HapticLoop.worst_delays``."""
+    moving = MovingLoop.of(loop, delays, lost)
+    gains = checked_number("stiffness", stiffness), checked_number("damping", damping)
+    (wall,), _ = moving.walls(*gains)
+    growth, is_proved = moving.worst(wall, is_thorough=True)
+    turn = tuple(one * float(moving.loop.sample_time) for one in growth.turn)
+    return WorstDelays(turn, growth.per_sample, is_proved)
+
+
+def limits_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingLimits:
+    """Return the stiffest proved wall that a search finds: ``HapticLoop.limits``."""
+    moving = MovingLoop.of(loop, delays, lost)
+    region = wall_region(moving.loop, TOLERANCE)
+    region = region.main or region
+    corner = np.max(region.outline, axis=0, initial=0.0)
+
+    def is_allowed(gains: Walls) -> np.ndarray:
+        allowed = np.asarray(region.contains(*gains.T))
+        allowed[allowed] = moving.is_proved(moving.walls(*gains[allowed].T)[0])
+        return allowed
+
+    low, high, best = 0.0, corner[1], np.zeros(2)
+    for _ in range(_ZOOMS):
+        dampings = np.linspace(low, high, _GRID + 1)[1:]
+        tried = np.outer(np.arange(1, _GRID + 1), np.full(_GRID, corner[0] / _GRID))
+        walls = np.stack(np.broadcast_arrays(tried, dampings), axis=-1)
+        allowed = is_allowed(walls.reshape(-1, 2)).reshape(tried.shape)
+        stiffest = np.max(np.where(allowed, tried, 0.0), axis=0)
+        for halving in range(1, _BISECTIONS):
+            more = stiffest + corner[0] / _GRID * 0.5**halving
+            stiffest = np.where(is_allowed(np.stack([more, dampings], axis=-1)), more, stiffest)
+        column, step = int(np.argmax(stiffest)), (high - low) / _GRID
+        best = np.array([stiffest[column], dampings[column]])
+        low, high = max(best[1] - step, 0.0), min(best[1] + step, corner[1])
+    stiffness, damping = map(float, best)
+    if stiffness == 0.0:
+        return MovingLimits(nan, nan, nan)
+    return MovingLimits(stiffness, damping, moving.lowest_unstable(stiffness, damping))
+
+
+def jitter_margin(
+    loop: LoopParameters, stiffness: Numbers, damping: Numbers
+) -> Float64[np.ndarray, "*grid"]:
+    """Return how far the delay may move above the loop's, in s: ``HapticLoop.jitter_margin``."""
+    moving = MovingLoop.of(loop, (float(loop.delay), float(loop.delay)))
+    walls, shape = moving.walls(stiffness, damping)
+    factors = largest_factors(moving.device, moving.filters, walls)
+    samples = samples_of(factors).reshape(shape)
+    return np.asarray(samples * float(moving.loop.sample_time) * (1.0 - EPS))
+
+
+def simulate_moving(
+    loop: LoopParameters,
+    stiffness: Numbers,
+    damping: Numbers,
+    delays: Any,
+    options: dict[str, Any],
+) -> Response:
+    """Return the motion of a loop whose delays change in turn: ``HapticLoop.simulate``."""
+    _refuse_traced(stiffness, damping, *options.values())
+    given = np.asarray(delays, np.float64)
+    if given.ndim != 1 or not given.size:
+        raise TypeError(f"delays is {shortened(delays)}; give a sequence of delays in s.")
+    known = given[np.isfinite(given)]
+    if np.any(np.isnan(given)) or np.any(given < 0.0) or not known.size:
+        raise ValueError(
+            f"delays is {shortened(delays)}; give delays >= 0 s, infinite for a lost sample, one "
+            "at least finite."
+        )
+    loop = loop.in_floats()
+    samples = {one: replace(loop, delay=one).delay_samples for one in set(known.tolist())}
+    turn = tuple(samples.get(one, inf) for one in given.tolist())
+    device = _sampled(replace(loop, delay=0.0))
+    filters = given_filters(loop.velocity, loop.position)
+    where = device.device, device.sample_time, 0.0, filters
+    return simulate_device(*where, stiffness, damping, delays=turn, **options)
+
+
+def _refuse_traced(*values: Any) -> None:
+    if is_any_traced(*values):
+        raise TypeError(
+            "a value is traced; with delays give numbers, outside of jit and grad."
+        )
+
+
+def _checked_range(delays: Any) -> DelayRange:
+    if np.shape(delays) != (2,):
+        raise TypeError(
+            f"delays is {shortened(delays)}; give the shortest and the longest delay in s, "
+            "(low, high)."
+        )
+    low, high = (checked_number("delays", delay, 0.0, unit="s") for delay in delays)
+    if low > high:
+        raise ValueError(f"delays are from {low:g} to {high:g} s; give the shortest one first.")
+    return low, high
+
+
+def _sampled(loop: LoopParameters) -> SampledDevice:
+    body = loop.body
+    device = loop.device
+    if device is None:
+        assert body is not None  # a loop without a device is one mass
+        mass, damping, stiffness = map(float, body)
+        device = Device.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
+    return sampled_device(device, float(loop.sample_time), float(loop.delay_samples))

@@ -1,0 +1,155 @@
+"""Delays that change in turn and make a wall grow: searched for, and proved to.
+
+A sequence of N delays that repeats moves the loop by one matrix per turn
+(``jaxstab.model.device.periodic``); the N-th root of its spectral radius is the growth per sample.
+Sequences are searched in float64: first all short patterns of the shortest and the longest delay,
+then the best of them are changed one delay at a time as long as they grow faster (hill climbing).
+The search does not find the largest growth; what it returns is one sequence, and that its motion
+grows is proved in balls (lemma J2 of docs/proofs.md).
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import cache, reduce
+from itertools import groupby, product
+from math import ceil, inf, isinf
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxstab.model.device import SampledDevice
+from jaxstab.model.device.periodic import PeriodicLoop, proved_growth, segments_of
+from jaxstab.model.filters import Filters
+
+Turn = tuple[float, ...]  # of delays in samples; infinite for a sample that is lost
+
+_QUICK, _THOROUGH = 4, 7  # the longest patterns
+_LEVELS = 5  # delays of the range that hill climbing tries
+_LONGEST = 48  # turn of hill climbing
+_TRIES = 300  # changes of the best pattern of each length
+_EFFORT = 20_000_000  # the most changes times the cube of the states
+_GAIN = 1e-9  # of the growth, that a change must bring
+
+
+class Range(NamedTuple):
+    """Delays between two, in samples, with at most so many samples in a row that are lost."""
+
+    low: float
+    high: float
+    lost: int = 0
+
+    @property
+    def oldest(self) -> int:
+        """The age in samples of the oldest force that may act."""
+        return ceil(self.high) + self.lost
+
+    def allows(self, turn: Turn) -> bool:
+        """Whether no more samples in a row are lost, around the turn."""
+        if all(map(isinf, turn)):
+            return False
+        rows = groupby((*turn, *turn), isinf)
+        return max((len([*row]) for is_lost, row in rows if is_lost), default=0) <= self.lost
+
+
+class Growth(NamedTuple):
+    """A turn of delays and the growth of its motion per sample, in float64."""
+
+    turn: Turn
+    per_sample: float
+
+
+def growing_turn(
+    device: SampledDevice,
+    filters: Filters | None,
+    wall: tuple[float, float],
+    delays: Range,
+    *,
+    is_thorough: bool,
+) -> tuple[Growth, bool]:
+    """The turn of the fastest growth that a search found, and whether it is proved to grow."""
+    exact = PeriodicLoop.of(device, filters, *wall)
+    loop = exact.rounded()
+    search = _Search(loop, delays)
+    best = search.patterns(_THOROUGH if is_thorough else _QUICK)
+    if is_thorough:
+        best = search.climbed(best)
+    fastest = best[0]._replace(turn=_once(best[0].turn))
+    growth = proved_growth(exact, fastest.turn) if fastest.per_sample > 1.0 else 0.0
+    return fastest, growth > 1.0
+
+
+class _Search:
+    """Turns of one wall, each sample's matrix formed once."""
+
+    def __init__(self, loop: PeriodicLoop, delays: Range) -> None:
+        self.delays = delays
+        self._step = cache(lambda segments: loop.step(segments, delays.oldest))
+
+    def growths(self, turns: Sequence[Turn]) -> list[Growth]:
+        """Return the growth of turns of one length."""
+        with np.errstate(all="ignore"):
+            matrices = np.stack([self._matrix(turn) for turn in turns])
+            matrices = np.where(np.isfinite(matrices), matrices, 0.0)
+            radii = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
+        each = radii ** (1.0 / len(turns[0]))
+        return [Growth(turn, float(one)) for turn, one in zip(turns, each, strict=True)]
+
+    def patterns(self, longest: int) -> list[Growth]:
+        """Return the growth of all patterns of the ends of the range, the fastest first."""
+        letters = sorted({self.delays.low, self.delays.high}) + [inf] * (self.delays.lost > 0)
+        found: list[Growth] = []
+        for length in range(1, longest + 1):
+            turns = [turn for turn in _turns(letters, length) if self.delays.allows(turn)]
+            found += self.growths(turns) if turns else []
+        return sorted(found, key=_fastest_first)
+
+    def climbed(self, best: list[Growth]) -> list[Growth]:
+        """Return what hill climbing makes of the fastest turns."""
+        random = np.random.default_rng(0)
+        low, high, lost = self.delays
+        letters = [*np.linspace(low, high, _LEVELS).tolist(), *[inf] * (lost > 0)]
+        found, states = best[:1], len(self._matrix(best[0].turn))
+        for length in range(2, len(max((one.turn for one in best), key=len)) + 1):
+            growth = next(one for one in best if len(one.turn) == length)
+            for _ in range(min(_TRIES, _EFFORT // states**3)):
+                turn = _changed(growth.turn, letters, random)
+                if len(turn) <= _LONGEST and self.delays.allows(turn):
+                    other = self.growths([turn])[0]
+                    is_better = other.per_sample > growth.per_sample * (1.0 + _GAIN)
+                    growth = other if is_better else growth
+            found.append(growth)
+        return sorted(found, key=_fastest_first)
+
+    def _matrix(self, turn: Turn) -> np.ndarray:
+        steps = map(self._step, segments_of(turn))
+        return reduce(lambda total, step: step @ total, steps)
+
+
+def _once(turn: Turn) -> Turn:
+    """Return the shortest turn that a turn repeats."""
+    lengths = (length for length in range(1, len(turn) + 1) if len(turn) % length == 0)
+    return next(turn[:n] for n in lengths if turn[:n] * (len(turn) // n) == turn)
+
+
+def _fastest_first(growth: Growth) -> tuple[float, int]:
+    return -growth.per_sample, len(growth.turn)
+
+
+def _turns(letters: Sequence[float], length: int) -> Iterator[Turn]:
+    """Yield turns of a length, each once up to rotation, and no repetition of a shorter one."""
+    for turn in product(letters, repeat=length):
+        rotated = [turn[k:] + turn[:k] for k in range(1, length)]
+        if all(turn < other for other in rotated):
+            yield turn
+
+
+def _changed(turn: Turn, letters: Sequence[float], random: np.random.Generator) -> Turn:
+    """Return a turn with one delay changed, added or left out, or all of it doubled."""
+    place, kind = int(random.integers(len(turn))), random.random()
+    letter = letters[int(random.integers(len(letters)))]
+    if kind < 0.6:
+        return (*turn[:place], letter, *turn[place + 1 :])
+    if kind < 0.8:
+        return (*turn[:place], letter, *turn[place:])
+    if kind < 0.95:
+        return (*turn[:place], *turn[place + 1 :]) or turn
+    return turn * 2

@@ -1,0 +1,249 @@
+"""Loops whose delay moves from sample to sample: stable for every sequence of delays, proved.
+
+Let the delay of each sample lie between L and L + J, in samples, and let the newest sample that has
+arrived set the force. The force then differs from that of the loop with the delay L by the last
+changes of the computed force: in energy by at most
+
+    kappa^2 = n^2 + (2 n + 1) f,      J = n + f,      n = floor(J),
+
+times that of these changes. The difference comes back through the device, with all aliases
+(``model.device.aliases``). With x = 1/z, g the polynomial of the loop of delay L (as in
+``linear_circle``), H = alpha P + beta V the wall and Q = A^2 |D|^2 the aliases, the way round is a
+contraction if on the whole unit circle
+
+    |g|^2 > kappa^2 Q |(1 - x) H|^2,
+
+and then, if the loop of delay L is stable, so is every sequence (the small-gain theorem; Kao,
+Lincoln 2004; lemma J1 of docs/proofs.md). A sample that is lost is one that arrives a sample later.
+Both sides are enclosed over boxes of the angle, which are halved until the inequality holds in all
+of each: the circle is covered, not sampled.
+"""
+
+from functools import lru_cache
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from jaxstab.arrays import PI_REST
+from jaxstab.conventions import Verdict
+from jaxstab.model.device import SampledDevice
+from jaxstab.model.device.aliases import aliases
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import Filter, Filters, Velocity
+from jaxstab.model.sections import ONE, Polynomial
+from jaxstab.point.verdicts import linear_verdict
+from jaxstab.proofs.enclosures import LinearModel, conjugate, phasor, variable
+from jaxstab.proofs.filters import (
+    ORDERS,
+    Cells,
+    Circle,
+    FilterCells,
+    OverCells,
+    Series,
+    cells_of,
+    constant,
+    filter_cells,
+    responses,
+)
+from jaxstab.proofs.linear_circle import Place, spoilt
+from jaxstab.rounding import EPS
+
+Walls = Float64[np.ndarray, "wall 2"]
+PerWall = Float64[np.ndarray, " wall"]
+Numbers = Float64[np.ndarray, " number"]
+Numbered = Int64[np.ndarray, " box"]
+
+_FIRST_BOXES = 64  # of half a turn
+_HALVINGS = 24
+_MOST_BOXES = 4096  # of a wall at once, beyond which it is given up
+_AT_ONCE = 1 << 16  # boxes, of all walls
+_ANGLES = 4096  # at which the largest factor is looked for
+_SHARES = (1e-3, 1e-2, 0.05, 0.2, 0.5)  # by which it is lowered until it is proved
+_DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # 1 - x
+
+
+def factor_of(samples: Numbers) -> Numbers:
+    """Return kappa^2 of delays that move by J samples, rounded up."""
+    whole = np.floor(samples)
+    factor: Numbers = whole**2 + (2.0 * whole + 1.0) * (samples - whole)
+    return factor * (1.0 + 8.0 * EPS)
+
+
+def samples_of(factor: Numbers) -> Numbers:
+    """Return J of kappa^2, rounded down."""
+    factor = factor * (1.0 - 16.0 * EPS)
+    whole = np.floor(np.sqrt(factor))
+    whole = np.where(whole**2 > factor, whole - 1.0, whole)
+    with np.errstate(invalid="ignore"):
+        samples = whole + np.minimum((factor - whole**2) / (2.0 * whole + 1.0), 1.0)
+    return np.where(np.isinf(factor), factor, samples * (1.0 - 8.0 * EPS))
+
+
+def is_stable_for_all(
+    device: SampledDevice, filters: Filters | None, walls: Walls, factor: PerWall
+) -> Bool[np.ndarray, " wall"]:
+    """Which walls (alpha, beta) are proved stable for every sequence of delays.
+
+    ``factor`` is kappa^2 of each wall; the delay of the device is the shortest one, L.
+    """
+    codes = np.asarray(linear_verdict(walls[:, 0], walls[:, 1], device.loop(filters)))
+    proved = np.asarray(codes == Verdict.STABLE)
+    moving = np.flatnonzero(proved & (factor > 0.0))
+    if moving.size:
+        cells = MovingCells.of(device, filters)
+        proved[moving] = _is_contraction(cells, walls[moving], factor[moving])
+    return proved
+
+
+def largest_factors(device: SampledDevice, filters: Filters | None, walls: Walls) -> PerWall:
+    """A kappa^2 with which walls are proved stable; 0 where none is, infinite where any is.
+
+    It is the largest one, less the first of some shares with which the proof succeeds.
+    """
+    largest = np.zeros(len(walls))
+    least = _least_factors(MovingCells.of(device, filters), walls)
+    still = np.any(walls, axis=1)
+    for share in _SHARES:
+        chosen = np.flatnonzero((largest == 0.0) & still)
+        tried = least[chosen] * (1.0 - share)
+        proved = is_stable_for_all(device, filters, walls[chosen], tried)
+        largest[chosen[proved]] = tried[proved]
+    codes = np.asarray(linear_verdict(walls[:, 0], walls[:, 1], device.loop(filters)))
+    return np.where(~still & (codes == Verdict.STABLE), inf, largest)
+
+
+class MovingCells(NamedTuple):
+    """A loop on the circle: D, N, 1 - x and Q over cells of the angle; P and T V; F = x^lag N.
+
+    per_velocity: what beta is multiplied with for T V; both roundings are counted by models.
+    """
+
+    device: FilterCells
+    filters: FilterCells
+    lag: float
+    per_velocity: float
+
+    @classmethod
+    def of(cls, device: SampledDevice, filters: Filters | None) -> "MovingCells":
+        """Return a loop; its parts are remembered."""
+        plant, period = device.plant, device.sample_time
+        lag = float(plant.lag + len(plant.denominator) - len(plant.numerator))
+        velocity, position = filters or (Velocity(), Filter())
+        chains = filter_cells((velocity.per_sample(period), position.per_sample(period)))
+        per_velocity = device.stiffness_unit / device.damping_unit / period
+        return cls(_device_cells(device), chains, lag, per_velocity)
+
+    def gains(self, walls: Walls) -> Walls:
+        """Return what P and T V are multiplied with."""
+        return walls * [1.0, self.per_velocity]
+
+
+@lru_cache(maxsize=64)
+def _device_cells(device: SampledDevice) -> FilterCells:
+    plant, known = device.plant, aliases(device)
+    shifted = plant.shifted or (None,) * 4
+
+    def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
+        place = Place(middle, half, is_wide)
+        near = _in_cosines(middle, half, is_wide, known.about_one, known.errors[0])
+        mirror = (np.pi - middle) + PI_REST
+        far = _in_cosines(mirror, half, is_wide, known.about_minus_one, known.errors[1])
+        signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
+        is_better = near.error[0] <= far.error[0]
+        energy = Series(
+            np.where(is_better, near.value, far.value * signs),
+            np.where(is_better, near.error, far.error),
+        )
+        free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
+        force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
+        return [free, force, place.chain([(_DIFFERENCE, ONE)]), energy]
+
+    return cells_of(functions)
+
+
+def _in_cosines(
+    middle: Cells, half: Cells, is_wide: bool, rising: Polynomial, error: float
+) -> Series:
+    """Return a polynomial in 1 - cos(theta); its coefficients err by ``error`` in all."""
+    circle = Circle.of(middle, half, is_wide)
+    h = Series(circle.step.value.real, circle.step.error)
+    total = constant(0.0, len(middle))
+    for coefficient in rising[::-1]:
+        total = total * h + circle.known(coefficient, rising)
+    return spoilt(total, rising, error * 2.0 ** len(rising))  # h^k has terms of 2^k in all
+
+
+def _is_contraction(cells: MovingCells, walls: Walls, factor: PerWall) -> Bool[np.ndarray, " wall"]:
+    """For which walls |g|^2 is proved to exceed factor Q |(1 - x) H|^2 on the whole circle."""
+    is_open = np.ones(len(walls), bool)
+    wall, box = (
+        part.ravel()
+        for part in np.meshgrid(np.arange(len(walls)), np.arange(_FIRST_BOXES), indexing="ij")
+    )
+    for halving in range(_HALVINGS + 1):
+        left = []
+        for first in range(0, wall.size, _AT_ONCE):
+            some = wall[first : first + _AT_ONCE], box[first : first + _AT_ONCE]
+            more = excess(cells, walls, factor, some, _FIRST_BOXES << halving)
+            is_open[some[0][more.high < 0.0]] = False
+            left.append(~(more.low > 0.0))
+        unsure = np.concatenate(left) & is_open[wall] if left else np.zeros(0, bool)
+        wall, box = wall[unsure], box[unsure]
+        if not wall.size:
+            return is_open
+        is_open &= np.bincount(wall, minlength=len(walls)) <= _MOST_BOXES
+        wall, box = np.repeat(wall, 2), np.repeat(2 * box, 2)
+        box[1::2] += 1
+    is_open[wall] = False
+    return is_open
+
+
+def excess(
+    cells: MovingCells,
+    walls: Walls,
+    factor: PerWall,
+    some: tuple[Numbered, Numbered],
+    boxes: int,
+) -> LinearModel:
+    """Return |g|^2 - factor Q |(1 - x) H|^2 of walls over boxes of so many of half a turn."""
+    number, box = some
+    known, index = np.unique(box, return_inverse=True)
+    theta = np.pi * (known + 0.5) / boxes
+    half = np.full(theta.shape, 0.5 * np.pi / boxes) + 8.0 * EPS
+    index = np.ravel(index)
+    free, force, change, energy, position, velocity = (
+        LinearModel(one.centre[index], one.slope[:, index], one.rest[index], one.half)
+        for part in (cells.device, cells.filters)
+        for one in OverCells.of(part, theta, half).values_along(1)
+    )
+    stiffness, damping = cells.gains(walls)[number].T
+    wall = position * stiffness + velocity * damping
+    late = variable(0, 1, theta[index], half[index]) * cells.lag
+    g = free + phasor(late) * force * wall
+    more: LinearModel = _square(g) - _real(energy) * _square(change * wall) * factor[number]
+    return more
+
+
+def _square(model: LinearModel) -> LinearModel:
+    return _real(model * conjugate(model))
+
+
+def _real(model: LinearModel) -> LinearModel:
+    return LinearModel(model.centre.real, model.slope.real, model.rest, model.half)
+
+
+def _least_factors(cells: MovingCells, walls: Walls) -> PerWall:
+    """Return the least |g|^2 / (Q |(1 - x) H|^2) of walls at some angles, without a bound."""
+    theta = np.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
+    free, force, change, energy = responses(cells.device, theta)[0]
+    position, velocity = responses(cells.filters, theta)[0]
+    force = force * np.exp(-1j * cells.lag * theta)
+    least = np.empty(len(walls))
+    for number, (stiffness, damping) in enumerate(cells.gains(walls)):
+        wall = stiffness * position + damping * velocity
+        with np.errstate(all="ignore"):
+            ratios = np.abs((free + force * wall) / (change * wall)) ** 2 / energy.real
+        least[number] = np.min(ratios)
+    return least

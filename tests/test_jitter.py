@@ -1,0 +1,381 @@
+"""Delays that move: proofs for every sequence, against simulations that share no code with them."""
+
+from math import inf
+
+import jax
+import mpmath
+import numpy as np
+import pytest
+from jaxtyping import Float64
+
+from benchmarks import jitter as campaign
+from benchmarks.truth.moving import LOST, Moving, growth
+from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
+from jaxstab.loop.jitter import MovingLoop
+from jaxstab.model.device import SampledDevice, sampled_device
+from jaxstab.model.device.aliases import aliases
+from jaxstab.model.device.periodic import segments_of
+from jaxstab.proofs import jitter
+
+T = 1e-3
+LIGHT = {"device_mass": 0.1, "device_damping": 0.05, "sample_time": T}
+OMEGA = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": T}
+ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
+FREE = Device.mass_spring_damper(0.25, damping=0.1)
+DEVICES = {
+    "free mass without a damper": Device.mass_spring_damper(0.25),
+    "free mass": FREE,
+    "mass on a spring": Device.mass_spring_damper(0.25, damping=0.1, stiffness=40.0),
+    "grip and actuator": FREE.with_actuator(200.0).held_by(
+        ARM.with_grip(stiffness=2000.0, damping=4.0)
+    ),
+    "fast actuator": FREE.with_actuator(5000.0),
+    "mode": Device.modes([Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)], mass=0.25),
+}
+
+TOPPLING = Device.transfer_function([1.0], [0.1, 0.0, -1000.0])
+
+
+def window(samples: int, delay: float = 0.0) -> HapticLoop:
+    return HapticLoop(**OMEGA, delay=delay, velocity=Velocity.difference(samples=samples))
+
+
+def moving(mass: float, damping: float, samples: int = 1, smoothing: float = 0.0) -> Moving:
+    return Moving((1.0,), (mass, damping, 0.0), T, samples, smoothing)
+
+
+# ------------------------------------------------------------------------------ lemma J1's parts
+@pytest.mark.parametrize("name", DEVICES)
+def test_the_sum_over_aliases_is_that_of_the_device_in_continuous_time(name: str) -> None:
+    device = sampled_device(DEVICES[name], T, 0.0)
+    known = aliases(device)
+    above, below = (
+        [float(c) for c in part] for part in (_floats(DEVICES[name], True), _floats(DEVICES[name]))
+    )
+    denominator = [float(c.rounded()) for c in device.plant.denominator]
+    turns = np.arange(-4000, 4001)
+    for theta in (0.05, 0.5, 1.5, 2.5, 3.1):
+        s = 1j * (theta + 2.0 * np.pi * turns) / T
+        true = np.sum(np.abs(np.polyval(above, s) / np.polyval(below, s)) ** 2)
+        true *= abs(np.polyval(denominator, np.exp(1j * theta))) ** 2 / device.stiffness_unit**2
+        h = 1.0 - np.cos(theta)
+        for powers, at in ((known.about_one, h), (known.about_minus_one, 2.0 - h)):
+            value = sum(float(c.rounded()) * at**k for k, c in enumerate(powers))
+            assert value == pytest.approx(true, rel=1e-8, abs=1e-13)
+
+
+def _floats(device: Device, is_above: bool = False) -> list[float]:
+    from jaxstab.model.device.parts import balls_of, working_precision
+
+    with working_precision(256):
+        part = device.compliance()[0 if is_above else 1]
+        return [float(ball.mid()) for ball in balls_of(part)][::-1]
+
+
+def test_the_factor_is_the_largest_energy_of_the_difference() -> None:
+    random = np.random.default_rng(1)
+    parts = 40
+    for _ in range(60):
+        most = int(random.integers(0, 5 * parts))
+        samples = 60
+        force = np.cumsum(random.standard_normal(samples))
+        delays = random.integers(0, most + 1, samples) if most else np.zeros(samples, int)
+        if random.random() < 0.5:  # the worst: always the oldest, forces that grow alike
+            delays[:], force = most, np.arange(1.0, samples + 1.0)
+        change = np.diff(force, prepend=0.0)
+        difference = 0.0
+        for now in range(samples * parts):
+            arrived = np.flatnonzero(np.arange(samples) * parts + delays <= now)
+            late = force[arrived[-1]] if arrived.size else 0.0
+            difference += (late - force[now // parts]) ** 2 / parts
+        bound = float(jitter.factor_of(np.array([most / parts]))[0])
+        assert difference <= bound * np.sum(change**2) * (1.0 + 1e-9)
+        if most and np.all(delays == most):
+            assert difference >= 0.7 * bound * np.sum(change[most // parts + 1 :] ** 2)
+
+
+def test_the_factor_and_its_inverse_are_rounded_to_the_safe_side() -> None:
+    random = np.random.default_rng(2)
+    samples = np.concatenate([random.uniform(0.0, 500.0, 2000), np.arange(501.0), [1e-9, 1e-300]])
+    factors = jitter.factor_of(samples)
+    for one, factor in zip(samples.tolist(), factors.tolist(), strict=True):
+        whole = mpmath.floor(one)
+        assert factor >= whole**2 + (2 * whole + 1) * (mpmath.mpf(one) - whole)
+    back = jitter.samples_of(factors)
+    assert np.all(back <= samples)
+    assert np.allclose(back, samples, rtol=1e-13)
+    assert jitter.samples_of(np.array([0.0, inf])).tolist() == [0.0, inf]
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_boxes_enclose_both_sides_of_the_inequality(name: str) -> None:
+    delay, factor = 0.3, 0.7
+    device = sampled_device(DEVICES[name], T, delay)
+    filters = Velocity.difference(samples=5) * Filter.low_pass(200.0), Filter.low_pass(300.0)
+    loop = HapticLoop(
+        device=DEVICES[name],
+        sample_time=T,
+        delay=delay * T,
+        velocity=filters[0],
+        position=filters[1],
+    )
+    wall = 800.0, 3.0
+    gains = np.array([[wall[0] * device.stiffness_unit, wall[1] * device.damping_unit]])
+    cells = jitter.MovingCells.of(device, filters)
+    above, below = _floats(DEVICES[name], True), _floats(DEVICES[name])
+    turns = np.arange(-20000, 20001)
+    base = [float(c.rounded()) for c in loop.linear.base]
+    random = np.random.default_rng(3)
+    q, p = np.exp(-2.0 * np.pi * 200.0 * T), np.exp(-2.0 * np.pi * 300.0 * T)
+    for boxes in (64, 1024, 1 << 16):
+        chosen = random.integers(0, boxes, 40)
+        model = jitter.excess(cells, gains, np.array([factor]), (0 * chosen, chosen), boxes)
+        for k, box in enumerate(chosen):
+            theta = np.pi * (box + random.random()) / boxes
+            z = np.exp(1j * theta)
+            s = 1j * (theta + 2.0 * np.pi * turns) / T
+            response = np.polyval(above, s) / np.polyval(below, s)
+            hold = (1.0 - np.exp(-s * T)) / (s * T) * np.exp(-s * delay * T)
+            velocity = (1.0 - z**-5) / (5 * T) * (1.0 - q) * z / (z - q)
+            controller = wall[0] * (1.0 - p) * z / (z - p) + wall[1] * velocity
+            true = np.abs(1.0 + np.sum(response * hold) * controller) ** 2
+            true -= factor * np.sum(np.abs(response) ** 2) * np.abs((z - 1.0) * controller) ** 2
+            size = np.abs(1.0 + np.sum(response * hold) * controller) ** 2
+            d = np.abs(np.polyval(_denominator(device), z)) ** 2
+            slack = 1e-6 * size * d + 1e-13
+            assert model.low[k] - slack <= true * d <= model.high[k] + slack
+    assert len(base) > 3
+
+
+def _denominator(device: SampledDevice) -> list[float]:
+    return [float(c.rounded()) for c in device.plant.denominator]
+
+
+# -------------------------------------------------------------------------- verdicts, from outside
+@pytest.mark.parametrize(
+    ("loop", "truth", "delays", "walls"),
+    [
+        (HapticLoop(**LIGHT), moving(0.1, 0.05), (0.0, 1.0), [(5900.0, 10.0), (13700.0, 40.0)]),
+        (window(20), moving(0.25, 0.1, 20), (0.75, 1.25), [(1300.0, 5.0), (1690.0, 12.8)]),
+        (window(20), moving(0.25, 0.1, 20), (1.0, 2.0), [(1132.0, 5.0), (1455.0, 12.8)]),
+    ],
+    ids=["one sample", "window of 20, half a sample", "window of 20, one sample"],
+)
+def test_walls_that_are_proved_survive_attacks(
+    loop: HapticLoop, truth: Moving, delays: tuple[float, float], walls: list[tuple[float, float]]
+) -> None:
+    low, high = (delay * T for delay in delays)
+    for wall in walls:
+        assert loop.verdict(*wall, delays=(low, high)) == Verdict.STABLE
+        random = np.random.default_rng(4)
+        ends = round(8 * delays[0]), round(8 * delays[1])
+        turns = [random.integers(ends[0], ends[1] + 1, 12) for _ in range(30)]
+        turns += [np.where(np.arange(n) < k, *ends) for n in (2, 3, 4, 6, 12) for k in range(1, n)]
+        sequences = np.array([np.tile(turn, 2400 // len(turn)) for turn in turns])
+        assert np.all(growth(truth.positions(*wall, sequences), 12) < 1.0)
+
+
+def test_a_wall_that_grows_is_found_proved_and_replayed() -> None:
+    loop, wall = HapticLoop(**LIGHT), (6669.1, 71.60)
+    assert loop.verdict(*wall, delays=(0.0, T)) == Verdict.UNSTABLE
+    worst = loop.worst_delays(*wall, delays=(0.0, T))
+    assert worst.is_proved
+    assert worst.growth == pytest.approx(1.0091580212, abs=1e-9)
+    parts = np.round(8 * np.array(worst.delays) / T).astype(int)
+    run = moving(0.1, 0.05).positions(*wall, np.tile(parts, (1, 600)))
+    assert growth(run, len(parts))[0] == pytest.approx(worst.growth, abs=1e-6)
+    motion = loop.simulate(*wall, delays=worst.delays, samples=2000, initial_position=1e-3)
+    assert np.abs(motion.position).max() > 10.0
+    for delay in np.linspace(0.0, T, 5):
+        constant = loop.simulate(*wall, delays=[delay], samples=2000, initial_position=1e-3)
+        assert np.abs(constant.position[1000:]).max() < 1e-3
+
+
+def test_attacks_notice_a_factor_that_is_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = campaign.Case(HapticLoop(**LIGHT), moving(0.1, 0.05), 0, 8, 0)
+    wall = 6669.1, 71.60
+    attack = campaign.attacked(case, wall, np.random.default_rng(0))
+    assert attack[0] > 1.005
+    right = jitter.factor_of
+    monkeypatch.setattr("jaxstab.loop.jitter.factor_of", lambda samples: 0.01 * right(samples))
+    assert case.loop.verdict(*wall, delays=(0.0, T)) == Verdict.STABLE  # as it must not be
+
+
+@pytest.mark.campaign
+def test_no_proved_wall_grows_and_every_sequence_that_is_found_does() -> None:
+    assert campaign.main(small=True) == 0
+
+
+def test_the_stiffest_proved_wall_is_proved_and_next_to_one_that_is_not() -> None:
+    loop, delays = window(20, 0.8 * T), (0.8 * T, 1.2 * T)
+    limits = loop.limits(delays=delays)
+    assert loop.verdict(limits.stiffness, limits.damping, delays=delays) == Verdict.STABLE
+    assert limits.stiffness == pytest.approx(1737.5, rel=1e-3)  # by a scan of float64
+    stiff, damped = 1.005 * limits.stiffness, np.linspace(2.0, 40.0, 60)
+    assert not np.any(loop.verdict(stiff, damped, delays=delays) == Verdict.STABLE)
+    unstable = loop.verdict(limits.unstable_stiffness, limits.damping, delays=delays)
+    assert unstable == Verdict.UNSTABLE
+    assert limits.unstable_stiffness < 1.1 * limits.stiffness
+    none = HapticLoop(device=TOPPLING, sample_time=T, delay=20 * T)
+    assert "no wall was found" in repr(none.limits(delays=(20 * T, 21 * T)))
+
+
+def test_lost_samples_count_as_delay() -> None:
+    loop, wall = window(20, delay=T), (1200.0, 10.0)
+    assert loop.verdict(*wall, delays=(T, T), lost=0) == Verdict.STABLE
+    assert loop.verdict(*wall, delays=(T, T), lost=1) == Verdict.STABLE
+    assert loop.verdict(*wall, delays=(T, T), lost=1) == loop.verdict(*wall, delays=(T, 2 * T))
+    stiff = (1700.0, 12.0)
+    assert loop.verdict(*stiff, delays=(T, T)) == Verdict.STABLE
+    worst = loop.worst_delays(*stiff, delays=(T, T), lost=2)
+    assert worst.is_proved
+    assert inf in worst.delays
+    turn = np.array([LOST if one == inf else 8 for one in worst.delays])
+    run = moving(0.25, 0.1, 20).positions(*stiff, np.tile(turn, (1, 4000 // len(turn))))
+    assert growth(run, len(turn))[0] == pytest.approx(worst.growth, abs=1e-4)
+    assert growth(run, len(turn))[0] > 1.0
+
+
+def test_constant_delays_are_judged_as_before() -> None:
+    random = np.random.default_rng(5)
+    for _ in range(6):
+        delay = float(random.uniform(0.0, 3.0)) * T
+        loop = window(int(random.integers(1, 12)), delay)
+        stiffness, damping = random.uniform(0.0, 8000.0, 40), random.uniform(0.0, 60.0, 40)
+        moved = loop.verdict(stiffness, damping, delays=(delay, delay))
+        assert np.array_equal(moved, loop.verdict(stiffness, damping))
+
+
+def test_no_wall_is_proved_that_a_constant_delay_of_the_range_makes_unstable() -> None:
+    grid = np.meshgrid(np.linspace(0.0, 16000.0, 40), np.linspace(0.5, 100.0, 40))
+    codes = HapticLoop(**LIGHT).verdict(*grid, delays=(0.0, T))
+    for delay in np.linspace(0.0, T, 7):
+        constant = HapticLoop(**LIGHT, delay=delay).verdict(*grid)
+        assert not np.any((codes == Verdict.STABLE) & (constant == Verdict.UNSTABLE))
+    assert np.count_nonzero(codes == Verdict.STABLE) > 400
+
+
+# ------------------------------------------------------------------------------------- margins
+def test_the_margin_is_proved_and_no_larger_than_that_of_a_constant_delay() -> None:
+    for loop in (HapticLoop(**LIGHT), window(20, T), HapticLoop(device=DEVICES["mode"], **AT)):
+        for wall in ((300.0, 3.0), (900.0, 8.0))[: 1 + (loop.device is None)]:
+            margin = float(loop.jitter_margin(*wall))
+            low = float(loop.delay)
+            assert 0.0 < margin <= float(loop.margins(*wall).extra_delay) * (1.0 + 1e-9)
+            proved = loop.verdict(*wall, delays=(low, low + margin * (1.0 - 1e-12)))
+            assert proved == Verdict.STABLE
+            beyond = loop.verdict(*wall, delays=(low, low + 1.01 * margin))
+            assert beyond != Verdict.STABLE
+
+
+AT = {"sample_time": T, "delay": 0.5e-3}
+
+
+def test_margins_of_walls_that_are_none() -> None:
+    spring = HapticLoop(device=Device.mass_spring_damper(0.25, damping=0.5, stiffness=40.0), **AT)
+    margins = spring.jitter_margin([0.0, 1e6], [0.0, 1.0])
+    assert margins.tolist() == [inf, 0.0]
+
+
+# ---------------------------------------------------------------------------------- simulations
+@pytest.mark.parametrize("options", [{}, {"between": 3}, {"unilateral": True}])
+@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 1.7])
+def test_delays_in_turn_that_are_alike_move_as_a_constant_delay(
+    delay: float, options: dict[str, bool | int]
+) -> None:
+    pushed = {"samples": 200, "initial_velocity": 0.1, "force": 0.5, **options}
+    filtered = Velocity.difference(samples=3) * Filter.low_pass(100.0)
+    loops = [
+        HapticLoop(**LIGHT, delay=delay * T, velocity=filtered),
+        HapticLoop(device=DEVICES["grip and actuator"], sample_time=T, delay=delay * T),
+    ]
+    for loop in loops:
+        one = loop.simulate([800.0, 900.0], 5.0, **pushed)
+        other = loop.simulate([800.0, 900.0], 5.0, delays=[delay * T] * 3, **pushed)
+        for a, b in zip(one, other, strict=True):
+            assert np.allclose(a, b, rtol=0.0, atol=1e-11 * np.abs(a).max())
+
+
+def test_a_simulated_sequence_is_that_of_an_independent_one() -> None:
+    random = np.random.default_rng(6)
+    parts = random.integers(0, 25, 40)
+    parts[[3, 17]] = LOST
+    delays = np.where(parts == LOST, inf, parts * (T / 8))
+    truth = moving(0.25, 0.1, 4)
+    states = truth.positions(700.0, 5.0, np.tile(parts, (1, 5)), seed=1)[0]
+    # The same motion as the sum of two that begin with a position and with a velocity.
+    loop = window(4)
+    given = {"delays": delays, "samples": 200}
+    moved = loop.simulate(700.0, 5.0, initial_velocity=1.0, **given).position
+    other = _velocity_start(truth, parts)
+    assert np.allclose(moved, other, rtol=0.0, atol=1e-10 * np.abs(other).max())
+    assert np.abs(states).max() > 0.0
+
+
+def _velocity_start(truth: Moving, parts: np.ndarray) -> Float64[np.ndarray, " sample"]:
+    """The motion from a unit velocity, from two random starts whose positions cancel."""
+    wall, sequence = (700.0, 5.0), np.tile(parts, (1, 5))
+    runs = [truth.positions(*wall, sequence, seed=seed, rest=True)[0] for seed in (1, 2)]
+    mixed = runs[0] / runs[0][0] - runs[1] / runs[1][0]
+    return mixed / _first_velocity(mixed)
+
+
+def _first_velocity(mixed: np.ndarray) -> float:
+    decay = 0.1 / 0.25
+    return float(mixed[1] * decay / (1.0 - np.exp(-decay * T)))
+
+
+def test_segments_are_those_of_the_newest_sample() -> None:
+    assert segments_of([1.0, 1.0, 1.0, 0.0])[3] == ((0, 0.0, 1.0),)
+    assert segments_of([0.5]) == [((1, 0.0, 0.5), (0, 0.5, 1.0))]
+    turn = [0.25, 2.75, inf]
+    for k, segments in enumerate(segments_of(turn)):
+        for age, start, end in segments:
+            middle = k + 30 + 0.5 * (start + end)
+            arrived = [j for j in range(60) if j + turn[j % 3] <= middle]
+            assert max(arrived) == k + 30 - age
+        assert segments[0][1] == 0.0
+        assert segments[-1][2] == 1.0
+
+
+# --------------------------------------------------------------------------------------- refusals
+@pytest.mark.parametrize(
+    ("delays", "lost", "error", "words"),
+    [
+        ((1e-3, 0.0), 0, ValueError, "the shortest one first"),
+        ((-1e-3, 0.0), 0, ValueError, "delays is -0.001"),
+        ((0.0, 0.6), 0, ValueError, "500 samples"),
+        ((0.0, 0.499), 2, ValueError, "500 samples in all"),
+        ((0.0,), 0, TypeError, "the shortest and the longest"),
+        (1e-3, 0, TypeError, "the shortest and the longest"),
+        ((0.0, np.nan), 0, ValueError, "delays is nan"),
+        ((0.0, 1e-3), -1, ValueError, "lost is -1"),
+        ((0.0, 1e-3), 1.5, TypeError, "lost is 1.5"),
+        (None, 1, TypeError, "the shortest and the longest"),
+    ],
+)
+def test_ranges_that_are_none_are_refused(
+    delays: object, lost: object, error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error, match=words):
+        MovingLoop.of(window(5), delays, lost)
+
+
+def test_traced_gains_are_refused() -> None:
+    loop, moving_delays = window(5), {"delays": (0.0, 1e-3)}
+    for ask in (
+        lambda gain: loop.verdict(gain, 1.0, **moving_delays),
+        lambda gain: loop.jitter_margin(gain, 1.0),
+        lambda gain: loop.simulate(gain, 1.0, force=1.0, delays=[0.0]).position,
+    ):
+        with pytest.raises(TypeError, match="outside of jit"):
+            jax.jit(ask)(100.0)
+    made = jax.jit(lambda mass: HapticLoop(**LIGHT | {"device_mass": mass}).jitter_margin(1.0, 1.0))
+    with pytest.raises(TypeError, match="jitter_margin takes no loop that JAX traces"):
+        made(0.1)
+
+
+@pytest.mark.parametrize("delays", [[], [inf], [-1e-3], [np.nan], [0.6]])
+def test_sequences_that_are_none_are_refused(delays: list[float]) -> None:
+    with pytest.raises((TypeError, ValueError), match=r"delays? "):
+        window(5).simulate(100.0, 1.0, initial_velocity=0.1, delays=delays)
