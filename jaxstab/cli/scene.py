@@ -15,9 +15,9 @@ import click
 
 from jaxstab.cli.options import (
     at_work,
+    file_in,
     number_or_range,
     output_file,
-    page_file,
     picture_file,
     write_beside,
 )
@@ -526,7 +526,7 @@ def _print(scene: "Scene", answer: "Answer", as_json: bool) -> None:
     "-o",
     "--output",
     type=Path,
-    callback=page_file,
+    callback=file_in(".html", ".htm"),
     default=Path("walls.html"),
     show_default=True,
     help="HTML file to write.",

@@ -60,8 +60,8 @@ def draw_atlas(
             f"this atlas holds {', '.join(atlas.products)}; a picture needs one of "
             f"{', '.join(sorted(set().union(*_ANSWERED_BY.values())))}."
         )
-    figure = Figure(figsize=(_WIDTH * len(numbers) + 0.9, _HEIGHT * len(rows) + 1.0))
-    figure.set_layout_engine("constrained")
+    size = _WIDTH * len(numbers) + 0.9, _HEIGHT * len(rows) + 1.0
+    figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(len(rows), len(numbers), squeeze=False)
     for column, number in zip(panels.T, numbers, strict=True):
         alpha, beta = _raster(atlas, number)

@@ -37,8 +37,7 @@ def panels(
 ) -> tuple[Figure, list[list[Axes]]]:
     """Return a figure with panels of the (alpha, beta) plane, row by row."""
     size = (_PANEL[0] * columns * width, (_PANEL[1] * rows + 0.4) * height)
-    figure = Figure(figsize=size)
-    figure.set_layout_engine("constrained")
+    figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     for panel in grid[-1]:
         panel.set_xlabel(ALPHA_LABEL)

@@ -24,7 +24,7 @@ from jaxstab.tuning.component import (
     component_of,
     searched_component,
 )
-from jaxstab.tuning.radius import Walls, filtered_walls, minimize_radius, smallest_radius, walls_of
+from jaxstab.tuning.radius import Walls, mass_walls, minimize_radius, smallest_radius, walls_of
 
 Plant = tuple[float, float, float]
 
@@ -41,7 +41,7 @@ class MassLoop(NamedTuple):
     @classmethod
     def from_plant(cls, plant: Plant, filters: Filters | None) -> "MassLoop":
         """Return a loop whose search covers the component of small gains, if there is one."""
-        return cls(plant, filters, searched_component(*plant, filters) if filters else ALL_GAINS)
+        return cls(plant, filters, searched_component(*plant, filters))
 
     def anywhere(self) -> "MassLoop":
         """Return the same loop with a search that covers all gains."""
@@ -59,7 +59,7 @@ class MassLoop(NamedTuple):
         """Return the radii of walls; with filters, infinite for walls outside the search."""
         if self.filters is None:
             return np.asarray(self.spectral_radius(alpha, beta).value)
-        walls = filtered_walls(*self.plant, self.filters)
+        walls = mass_walls(*self.plant, self.filters)
         return _radii(walls._replace(component=self.component), self.verdicts, alpha, beta)
 
     def decays(self, alpha: np.ndarray, beta: np.ndarray, slowest: float) -> np.ndarray:
