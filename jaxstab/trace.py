@@ -83,9 +83,8 @@ class Monomials(NamedTuple):
 def monomials(plane: tuple[str, str], window: Window, fixed: Mapping[str, Numbers]) -> Monomials:
     """Return the map from a plane to the parameters, for each of the fixed values.
 
-    Raises:
-        ValueError: unknown, missing or doubled names, values outside their range, an empty window,
-            lists of fixed values of several lengths.
+    ValueError: unknown, missing or doubled names, values outside their range, an empty window,
+    lists of fixed values of several lengths.
     """
     _check_names(plane, fixed)
     table = _table(plane)

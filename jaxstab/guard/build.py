@@ -198,12 +198,10 @@ def build_guard(
 
 
 class GuardPlan(NamedTuple):
-    """The work of proving a guard.
+    """The work of proving a guard: cells of mass, delay and damping, each for all hands and angles.
 
-    Attributes:
-        cells: of mass, delay and damping, each of which is proved for all hands and angles.
-        most_boxes: largest number of boxes of loops.
-        seconds: of CPU time that this takes on an ordinary computer, usually and at most.
+    ``most_boxes`` is the largest number of boxes of loops, ``seconds`` the CPU time that this takes
+    on an ordinary computer, usually and at most.
     """
 
     cells: int

@@ -587,13 +587,8 @@ class StableColumns(NamedTuple):
 class ColumnGaps(NamedTuple):
     """Open intervals of alpha in which no root crosses the unit circle anywhere in a column.
 
-    Each gap has one verdict for all beta, gamma and delta of its closed column. Entries without
-    ``low < high`` are padding.
-
-    Attributes:
-        low: lower ends, shape (box, beta cell, gap), from below.
-        high: upper ends, of the same shape.
-        verdict: codes of ``jaxstab.Verdict``, of the same shape.
+    Each gap, (box, beta cell, gap) from below, has one verdict for all beta, gamma and delta of its
+    closed column. Entries without ``low < high`` are padding.
     """
 
     low: Float64[np.ndarray, "box beta_cell gap"]
@@ -611,17 +606,10 @@ def stable_columns(
 ) -> StableColumns:
     """The alphas of a domain that are proved stable in each column.
 
-    Args:
-        beta: edges of the cells along beta, ascending.
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
-        delay: see ``jaxstab.conventions``.
-        domain: of alpha and beta.
-        filters: velocity estimator and position filter in units of one sample, whose gain P(1) is
-            not 0; None for the difference over one sample. Then a column may have several stable
-            gaps, and the alphas between the first and the last of them stay undecided.
-        half_delay: largest distance of the delay from this one; no whole sample may lie between.
-
-    Raises: see ``jaxstab.conventions``; ValueError also if P(1) is 0.
+    ``beta`` are the edges of the cells, ascending, ``half_delay`` the largest distance of the delay
+    from this one, with no whole sample between. Filters, per sample, have a gain P(1) other than 0
+    (ValueError). With them a column may have several stable gaps, and the alphas between the first
+    and the last of them stay undecided.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle, and the certified
     verdict; lemmas B8, B12 and B16 of docs/proofs.md.

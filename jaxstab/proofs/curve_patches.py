@@ -119,17 +119,11 @@ def curve_patches(
     filters: Filters | None = None,
     half_delay: float = 0.0,
 ) -> Patches:
-    """Enclose the curve of a pair of roots on the unit circle where it may meet a domain.
+    """Enclose the curve of a pair of roots on the unit circle where it may meet a domain of gains.
 
     It is left out beyond the line of a root at 1: p(1) < 0 there, so a real root is always outside.
-
-    Args:
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
-        delay: see ``jaxstab.conventions``.
-        domain: of the gains.
-        width: patches are halved until theta moves alpha and beta by no more than this.
-        filters: velocity estimator and position filter, in units of one sample.
-        half_delay: largest distance of the delay from this one, between whole samples.
+    Patches are halved until theta moves alpha and beta by no more than ``width``. ``half_delay`` is
+    the largest distance of the delay from this one, between whole samples.
     """
     parts = CurveParts.of(plant_models(hands, delay, half_delay))
     turns = int(np.floor(delay)) + 1

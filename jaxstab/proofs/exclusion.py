@@ -108,13 +108,9 @@ def expansion(
     plant: QuickPlant | None = None,
     filters: Filters | None = None,
 ) -> Expansion:
-    """Expand g over boxes; see lemmas B3 and B10.
+    """Expand g over boxes center +- radius; see lemmas B3 and B10.
 
-    Args:
-        center: of the boxes.
-        radius: half-widths, >= 0.
-        plant: the plant at the centre, if it is known.
-        filters: velocity estimator and position filter, in units of one sample.
+    The plant at the centre may be given; the filters are in units of one sample.
     """
     if plant is None:
         hand = (np.maximum(value, 0.0) for value in center[2:5])

@@ -140,15 +140,11 @@ Factor = tuple[Polynomial, Polynomial]  # numerator and denominator in 1/z, lowe
 
 
 class FilterCells(NamedTuple):
-    """Cells of theta from below 0 to beyond pi, ascending; the position filter is before V.
+    """Cells of theta from below 0 to beyond pi, ascending: middles, half widths and lower ends.
 
-    Attributes:
-        middle: of the cells.
-        half: half their widths.
-        first: their lower ends.
-        series: Taylor coefficients of P and V in each cell, lowest order first.
-        lost: bounds of the errors of these series' sums, then of their derivatives.
-        steepness: bounds of |P'|, |V'|, |P''| and |V''| in 2^k cells from each one on.
+    ``series`` are the Taylor coefficients of P and V, lowest order first, ``lost`` bounds of the
+    errors of their sums, then of their derivatives; ``steepness`` bounds |P'|, |V'|, |P''| and
+    |V''| in 2^k cells from each one on.
     """
 
     middle: Cells

@@ -302,10 +302,8 @@ def _shifted(powers: Float64[np.ndarray, "box power"], by: int) -> Float64[np.nd
 class DelayedDevice(NamedTuple):
     """A device and filters on the circle, for all delays.
 
-    Attributes:
-        plain: D, P and V over cells of the angle.
-        pieces: of the fraction of the delay.
-        ends: of the pieces, ascending, from 0 to 1.
+    ``plain`` are D, P and V over cells of the angle; ``pieces`` of the fraction of the delay have
+    the ``ends``, from 0 to 1.
     """
 
     plain: FilterCells
@@ -397,10 +395,7 @@ class FamilyCells(NamedTuple):
 class FamilyBoxes(NamedTuple):
     """Boxes of walls along edges, of t and of angles, each in one piece.
 
-    Attributes:
-        gains: (alpha, beta) in the middle of the edge.
-        edge: half of the edge.
-        place: the piece, t and angle, with their half-widths.
+    ``gains`` are (alpha, beta) in the middle of the edge, ``edge`` half of it.
     """
 
     gains: Walls

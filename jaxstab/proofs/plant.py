@@ -319,13 +319,9 @@ class CurveParts(NamedTuple):
 def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> PlantModels:
     """Enclose the plant's coefficients: secants give the slopes, the table bounds the remainder.
 
-    Args:
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, of which the fraction enters.
-        half_delay: largest distance of the delay from this one, between the whole samples around
-            it; if it is not 0, the delay is a variable of the models, with its products.
-
-    Raises: see ``jaxstab.conventions``.
+    ``hands`` are boxes of gamma in [0, 1e4] and delta in [0, 1e3]. ``half_delay`` is the largest
+    distance of the delay from this one, between the whole samples around it; if it is not 0, the
+    delay is a variable of the models, with its products.
     """
     h_gamma, h_delta = hands.half_gamma, hands.half_delta
     still = np.zeros_like(h_gamma)

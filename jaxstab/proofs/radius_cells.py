@@ -68,12 +68,10 @@ class WallBoxes(NamedTuple):
 
 
 class CellPolynomial(NamedTuple):
-    """A monic polynomial over cells, highest power first.
+    """A monic polynomial over cells, highest power first: terms of coefficients, and their rest.
 
-    Attributes:
-        terms: of each coefficient, (coefficient, term, cell): those of ``Quadratic``, then the
-            products of a wall and two variables of the plant.
-        rest: bound of what these leave, (coefficient, cell).
+    The terms (coefficient, term, cell) are those of ``Quadratic``, then the products of a wall and
+    two variables of the plant.
     """
 
     terms: Array
@@ -659,14 +657,10 @@ def radius_surfaces(
     half_delay: float,
     filters: Filters | None = None,
 ) -> RadiusSurfaces:
-    """Enclose the spectral radius over cells.
+    """Enclose the spectral radius over cells: boxes of walls, and of hands, one for each of those.
 
-    Args:
-        walls: boxes of alpha and beta.
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3], one for each of those.
-        delay: the middle delay t_d/T >= 0 in samples.
-        half_delay: largest distance of the delay from the middle, between two whole samples.
-        filters: velocity estimator and position filter, in units of one sample.
+    Hands have gamma in [0, 1e4] and delta in [0, 1e3]; ``half_delay`` is the largest distance of
+    the delay, in samples, from its middle, between two whole samples. Filters are per sample.
 
     Raises: see ``jaxstab.conventions``. Source: Rouche's theorem, for the characteristic polynomial
     of eq. (9) of Hulin, Preusche, Hirzinger (2008).

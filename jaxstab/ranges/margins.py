@@ -127,13 +127,11 @@ def along_gains(
     verdicts: Callable[[np.ndarray, np.ndarray], np.ndarray],
     roots: Callable[[np.ndarray, np.ndarray], FirstRoots],
 ) -> list[Crossings]:
-    """How far stable walls may go each way of the gains.
+    """How far stable walls (alpha, beta) may go each way of the gains.
 
-    Args:
-        gains: alpha and beta of the walls.
-        first: the least first step, and the number of steps, each twice as long as the one before.
-        verdicts: returns codes of other gains of walls, of which the numbers are given.
-        roots: returns the first roots on lines from walls, by their starts and changes.
+    ``first`` is the least first step, and the number of steps, each twice as long as the one
+    before. ``verdicts`` returns the codes of other gains of walls, given by their numbers,
+    ``roots`` the first roots on lines from walls, by their starts and changes.
     """
     axes, signs = (np.array(column) for column in zip(*GAIN_WAYS, strict=True))
     least, count = first
@@ -191,15 +189,11 @@ def first_delays(
     roots: Callable[[Parts, Column, Column], FirstRoots],
     longest: Callable[[Parts], Column | float] = lambda angles: inf,
 ) -> Crossings:
-    """How much longer the delay of stable walls may become, up to ``MOST_DELAY``.
+    """How much longer the delay of ``count`` stable walls may become, up to ``MOST_DELAY``.
 
-    Args:
-        count: the number of walls.
-        critical: returns the angles at which some delay may put a root of chosen walls on the
-            circle, coarse or fine.
-        roots: returns the first roots at such angles along stretches of more delay, from the
-            beginning and the length of each.
-        longest: returns the largest length of a stretch.
+    ``critical`` returns the angles at which some delay may put a root of chosen walls on the
+    circle, coarse or fine; ``roots`` the first roots at such angles along stretches of more delay,
+    from the beginning and the length of each; ``longest`` the largest length of a stretch.
     """
     angles = critical(np.arange(count), False)
     begin, angle = np.zeros(count), np.full(count, nan)

@@ -170,10 +170,7 @@ def slice_coefficients(
 ) -> SliceCoefficients:
     """Return the coefficients of the boundary for slices of any shape; the delay may be traced.
 
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008); each value is formed in double-double.
+    Each value is formed in double-double. Raises: see ``jaxstab.conventions``. Source: eq. (9).
     """
     if is_traced(delay):
         whole = namespace(delay).floor(delay)

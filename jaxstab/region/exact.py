@@ -66,13 +66,10 @@ class ExactGains(NamedTuple):
 
 
 def exact_gains(pairs: Pairs, theta: DoubleDouble, *, with_slopes: bool) -> ExactGains:
-    """Return points of the curve at angles between 0 and pi.
+    """Return points of the curve at angles between 0 and pi; their slopes take as long again.
 
-    Args:
-        pairs: base, stiffness and damping in powers of zeta and of zeta - 1, lowest power first,
-            on the halves of z = zeta and of z = -zeta.
-        theta: the angles, on one axis.
-        with_slopes: whether slopes are wanted, which take as long again; else they are empty.
+    ``pairs`` are base, stiffness and damping in powers of zeta and of zeta - 1, lowest power first,
+    on the halves of z = zeta and of z = -zeta.
     """
     width = max(1, _AT_ONCE // pairs.shape[-1])
     starts = range(0, max(len(theta.hi), 1), width)
@@ -312,12 +309,9 @@ _CLOSEST = 1e-9  # what counts as the distance of a pole on the circle
 
 
 def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> FilteredCurve:
-    """Return a curve as it is evaluated in double-double.
+    """Return a curve as it is evaluated in double-double, drawn out around the angles ``centers``.
 
-    Args:
-        curve: as it is evaluated in float64.
-        pairs: the parts of p(z), as ``exact_points`` takes them.
-        centers: angles around which the curve is drawn out.
+    ``pairs`` are the parts of p(z), as ``exact_gains`` takes them.
     """
     lines = [line.angle + side * line.half_width for line in curve.lines for side in (-1.0, 1.0)]
     stretches = stretches_around(centers, np.array(lines))

@@ -242,13 +242,10 @@ class _Links(NamedTuple):
 def find_pieces(
     c: SliceCoefficients, angles: Array, *, length: int, slots: int | None = None
 ) -> Pieces:
-    """Return the pieces of one slice that a scan over these angles finds.
+    """Return the pieces of one slice that a scan over these angles, in (0, pi) in order, finds.
 
-    Args:
-        c: the coefficients of the slice.
-        angles: of the scan, in (0, pi) and in order.
-        length: that of the polynomials with the other roots: floor(delay) + 3, or more.
-        slots: the largest number of pieces and the length of the arrays; JAX needs it.
+    ``length`` is that of the polynomials with the other roots: floor(delay) + 3, or more; ``slots``
+    the largest number of pieces and the length of the arrays, which JAX needs.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots. Differentiable in the slice by the theorem of the implicit function.

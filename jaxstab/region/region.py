@@ -64,18 +64,12 @@ Walls = Float64[np.ndarray, "2 _"]
 
 
 def fails_audit(c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
-    """Return whether a wall inside is proved unstable, or one outside stable.
+    """Return whether a verdict proves a wall inside unstable, or one outside stable.
 
     Where a mode is next to undamped, an outline also fails if no wall beside it is proved stable.
     An outline without a loop claims that no wall is stable; gains of all sizes are tried then. An
-    outline that stays away from its curve whatever the number of vertices follows nothing but
-    rounding.
-
-    Args:
-        c: the coefficients of the slice.
-        outline: of the region.
-        loop: the same loop, by which verdicts are proved.
-        deviation: of the outline from its curve.
+    outline that stays away from its curve (``deviation``) whatever the number of vertices follows
+    nothing but rounding.
     """
     size = int(outline.size)
     if size == 0:
@@ -435,17 +429,11 @@ def _region(
 def linear_region(
     plant: SampledPlant, velocity: Transfer, position: Transfer, tolerance: float
 ) -> StableRegion:
-    """Return the set of all stable (alpha, beta) of a loop.
+    """Return the set of all stable (alpha, beta) of a loop, with T V(z) less (1 - 1/z), and P(z).
 
-    Args:
-        plant: of one number each.
-        velocity: T V(z) less its factor (1 - 1/z).
-        position: P(z).
-        tolerance: largest distance between the polygon and the boundary, as a share of the region's
-            diameter, > 1e-10.
-
-    Raises:
-        ValueError: the plant has zero DC gain, N(1) = 0, by which the curve is divided near z = 1.
+    The tolerance, > 1e-10, is the largest distance between the polygon and the boundary, as a share
+    of the region's diameter. ValueError: the plant has zero DC gain, N(1) = 0, by which the curve
+    is divided near z = 1.
     """
     if float(plant.at_one[0].value.hi) == 0.0:
         raise ValueError(

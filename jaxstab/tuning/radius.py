@@ -189,11 +189,9 @@ Angles = Float64[np.ndarray, " angle"]
 
 
 class Walls(NamedTuple):
-    """All walls of a loop, among which the best one is searched.
+    """All walls of a loop, p(z) of each, among which the best one of a component is searched.
 
-    family: p(z) of each.
-    angles: angles of pairs on a circle, for a scan.
-    component: the component of the stable set that is searched.
+    ``angles`` are those of pairs on a circle, for a scan.
     """
 
     family: Family

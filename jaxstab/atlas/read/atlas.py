@@ -325,19 +325,32 @@ class Atlas:
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> atlas.products, atlas.delays.tolist()
-        (('verdict', 'alpha_limits', 'spectral_radius'), [0.0, 1.0, 1.5])
+        >>> atlas.products, atlas.delays.tolist(), atlas.filters is None
+        (('verdict', 'alpha_limits', 'spectral_radius'), [0.0, 1.0, 1.5], True)
         >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
         {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
-        >>> atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
-        [1, 2]
-        >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, gamma=0.0005, delta=0.01, delay=1.0))
-        <Verdict.STABLE: 1>
-        >>> round(float(atlas.alpha_limits(0.3, gamma=0.0005, delta=0.01, delay=1.0).upper), 6)
-        0.136525
+        >>> hand = {"gamma": 0.0005, "delta": 0.01, "delay": 1.0}
+        >>> answer = atlas.query([0.05, 0.2], beta=0.3, **hand)
+        >>> statuses = map(jaxstab.results.QueryStatus, answer.status.tolist())
+        >>> answer.verdict.tolist(), [status.name for status in statuses]
+        ([1, 2], ['CELL', 'CELL'])
+        >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, **hand)), round(atlas.decided_fraction(1), 1)
+        (<Verdict.STABLE: 1>, 1.0)
+        >>> limits = atlas.alpha_limits([0.3, 0.5], **hand)
+        >>> (limits.upper - limits.upper_error).round(4).tolist()  # proved stable up to here
+        [0.1358, 0.1435]
+        >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.5)
+        >>> bool(largest.alpha <= largest.bound), round(float(largest.beta), 2)
+        (True, 0.35)
         >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
         >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0))
         <Verdict.STABLE: 1>
+        >>> low, high = atlas.common_alpha_limits(0.3, **hands, delay=1.0)
+        >>> low < high, round(high, 2)
+        (True, 0.13)
+        >>> atlas.to_xarray()["verdict"].dims
+        ('alpha_node', 'beta_node', 'gamma', 'delta', 'delay')
+        >>> axes = atlas.plot(delay=1.0)
     """
 
     arrays: Mapping[str, NDArray[Any]]
@@ -363,12 +376,7 @@ class Atlas:
 
     @cached_property
     def filters(self) -> tuple[Any, Any] | None:
-        """The Velocity and the Filter, per sample; None for the one-sample difference alone.
-
-        Example:
-            >>> str(jaxstab.open_atlas("data/golden/atlas-v3-window.h5").filters[0])
-            'the difference over a window of 5 samples'
-        """
+        """The Velocity and the Filter, per sample; None for the one-sample difference alone."""
         from jaxstab.atlas.format.spec import filters_of
 
         return filters_of(self.spec)
@@ -378,13 +386,7 @@ class Atlas:
         return nodes_of(self.arrays, delay_number)
 
     def decided_fraction(self, delay_number: int) -> float:
-        """Return the share of the volume at one delay in which a query between nodes is decided.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> round(atlas.decided_fraction(1), 1)
-            1.0
-        """
+        """Return the share of the volume at one delay in which a query between nodes is decided."""
         nodes = self.nodes(delay_number)
         if self._table is not None:
             return self._table.decided_share(float(self.delays[delay_number]))
@@ -430,13 +432,6 @@ class Atlas:
                 the atlas; or the atlas has another estimator or filter than the named one.
 
         Source: ``jaxstab.proofs.columns``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> answer = atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0)
-            >>> statuses = map(jaxstab.results.QueryStatus, answer.status.tolist())
-            >>> answer.verdict.tolist(), [status.name for status in statuses]
-            ([1, 2], ['CELL', 'CELL'])
         """
         checked_word("outside", outside, ("error", "undecided"))
         self._check_filters(velocity, position)
@@ -498,12 +493,6 @@ class Atlas:
             TypeError: an argument is not made of real numbers.
             ValueError: a value is NaN, infinite or outside of the atlas, or the atlas holds no
                 limits of alpha.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> limits = atlas.alpha_limits([0.3, 0.5], gamma=0.0005, delta=0.01, delay=1.0)
-            >>> (limits.upper - limits.upper_error).round(4).tolist()  # proved stable up to here
-            [0.1358, 0.1435]
         """
         table, points = self._table_and_points(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
@@ -518,12 +507,6 @@ class Atlas:
         """The largest stable alpha, the beta where it is, and a proved bound.
 
         Arguments, errors and source: as ``alpha_limits``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.5)
-            >>> bool(largest.alpha <= largest.bound), round(float(largest.beta), 2)
-            (True, 0.35)
         """
         table, points = self._table_and_points(delay, gamma=gamma, delta=delta)
         largest = table.max_alpha(*(point.reshape(-1) for point in points))
@@ -536,12 +519,6 @@ class Atlas:
 
         STABLE if proved for the whole box, UNSTABLE if proved at one point of it, else UNDECIDED.
         Source: as ``alpha_limits``; errors too, and ValueError for a range whose ends are swapped.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
-            >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0)).name
-            'STABLE'
         """
         table = self._table_over(alpha, beta, gamma, delta, delay)
         return np.int8(table.worst_verdict(alpha, beta, gamma, delta, delay))
@@ -553,13 +530,6 @@ class Atlas:
 
         It is empty where its first end is not less. Arguments, errors and source: as
         ``worst_verdict``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
-            >>> low, high = atlas.common_alpha_limits(0.3, **hands, delay=1.0)
-            >>> low < high, round(high, 2)
-            (True, 0.13)
         """
         table = self._table_over(None, beta, gamma, delta, delay)
         return table.common_limits(beta, gamma, delta, delay)
@@ -640,13 +610,7 @@ class Atlas:
         return self._table_and_points(checked_number("delay", delay), **ranges, **numbers)[0]
 
     def to_xarray(self) -> Any:
-        """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.to_xarray()["verdict"].dims
-            ('alpha_node', 'beta_node', 'gamma', 'delta', 'delay')
-        """
+        """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed."""
         try:
             import xarray
         except ImportError as error:
@@ -753,9 +717,6 @@ class Atlas:
         Raises:
             ValueError: gamma or delta is outside of the atlas, the delay is not one of the atlas,
                 or the atlas holds no verdicts.
-
-        Example:
-            >>> axes = jaxstab.open_atlas("data/golden/atlas-v3.h5").plot(delay=1.0)
         """
         from jaxstab.pictures.atlas import plot_atlas
 
