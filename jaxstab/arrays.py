@@ -245,19 +245,6 @@ def repeat_while(
     return result
 
 
-def scan(count: int, step: Callable[[Tree], tuple[Tree, Array]], start: Tree) -> Array:
-    """Apply a step a number of times and return the notes of all steps, stacked."""
-    if namespace(start) is np:
-        notes = []
-        for _ in range(count):
-            start, note = step(start)
-            notes.append(note)
-        return np.stack(notes)
-    from jax import lax
-
-    return lax.scan(lambda state, _: step(state), start, None, length=count)[1]
-
-
 def first_indices(mask: Array, count: int) -> Array:
     """Return the indices of the first ``count`` true entries on the last axis, then its length.
 

@@ -11,7 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxstab.arrays import Array, constant, first_indices, kept, namespace, scan, stored, tree_map
+from jaxstab.arrays import (
+    Array,
+    constant,
+    first_indices,
+    kept,
+    namespace,
+    repeat_and_keep,
+    stored,
+    tree_map,
+)
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import (
     SliceCoefficients,
@@ -204,7 +213,7 @@ def _sequence(pieces: Pieces) -> tuple[Array, Array]:
         return (visited, xp.where(closed, fresh, following)), xp.stack([current, closed])
 
     start = (xp.zeros(len(number), bool), xp.argmin(~pieces.exists))
-    order, closed = scan(len(number), step, start).T
+    order, closed = repeat_and_keep(len(number), step, start)[1].T
     return order, xp.cumsum(closed) - closed
 
 

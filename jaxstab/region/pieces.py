@@ -16,7 +16,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Array, constant, first_indices, kept, namespace, repeat, scan, stored
+from jaxstab.arrays import (
+    Array,
+    constant,
+    first_indices,
+    kept,
+    namespace,
+    repeat,
+    repeat_and_keep,
+    stored,
+)
 from jaxstab.model import companion_matrix
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.corners import Branch, Scales, nearest_branch, scales, solved_corners
@@ -135,7 +144,7 @@ def _series_of_inverse(total: Array, product: float, length: int) -> Array:
         return (total * last - product * last_but_one, last), last
 
     xp = namespace(total)
-    return scan(length, step, (xp.ones_like(total), xp.zeros_like(total)))
+    return repeat_and_keep(length, step, (xp.ones_like(total), xp.zeros_like(total)))[1]
 
 
 def _all_inside(falling: Array) -> Array:

@@ -28,6 +28,7 @@ from jaxstab.model.device.sampling import (
     in_fastest_time,
     in_samples,
     in_samples_over,
+    of_samples,
     position_after,
     sampled_device,
     without_force,
@@ -274,7 +275,7 @@ def _lost(polynomial: "arb_poly") -> "arb":
 
 
 if TYPE_CHECKING:
-    from flint import acb, acb_mat, acb_poly, arb, arb_mat
+    from flint import acb, acb_poly, arb, arb_mat
 
 _BITS = (256, 1024)
 _NODES = 22  # of a piece
@@ -370,7 +371,7 @@ class LoopFamily:
             return None
         has_fraction = self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
         part = _value(self.delay, t) - whole if has_fraction else None
-        force, free = _of_samples(*parts, part)
+        force, free = of_samples(*parts, part)
         velocity, position = self.filters
         above_k, below_k = _changing(position, t, period)
         above_b, below_b = _changing(velocity.filter, t, period)
@@ -488,27 +489,6 @@ def _interpolation(bits: int) -> "tuple[list[arb], arb_mat]":
     with working_precision(bits):
         points = [flint.arb(cos(pi * (2 * k + 1) / (2 * _NODES))) for k in range(_NODES)]
         return points, flint.arb_mat([[x**j for j in range(_NODES)] for x in points]).inv()
-
-
-def _of_samples(
-    above: list["acb"], below: list["acb"], part: "acb | None"
-) -> "tuple[acb_poly, acb_poly]":
-    """Return N(z) and D(z); with a fraction of a sample, N has a sample of delay more."""
-    import flint
-
-    above, below, speed = in_fastest_time(above, below)
-    sample = held(below, speed)
-    transition = without_force(sample)
-    denominator = transition.charpoly()
-
-    def force(column: "acb_mat") -> "acb_poly":
-        return flint.acb_poly(position_after(above, transition, denominator, column))
-
-    whole = force(force_of(sample))
-    if part is None:
-        return whole, denominator
-    later = force(force_of(held(below, (1 - part) * speed)))
-    return flint.acb_poly([-1, 1]) * later + whole, denominator
 
 
 def _device_of(loop: LoopParameters) -> Device:
