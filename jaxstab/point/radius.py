@@ -181,16 +181,11 @@ def _value(coefficients: DoubleDouble, z: Values) -> Values:
     square = DoubleDouble.of(z.real) * z.real + DoubleDouble.of(z.imag) * z.imag
     zero = total - total
     before, last = zero, zero
-    for column in _columns(coefficients):
-        before, last = last, column + (total * last - square * before)
+    for power in range(len(coefficients.hi)):
+        before, last = last, coefficients[power] + (total * last - square * before)
     # The remainder is ``before`` (z - total) + ``last``, and z - total is minus the conjugate.
     real = last - before * z.real
     return real.rounded() + 1j * (before * z.imag).rounded()
-
-
-def _columns(coefficients: DoubleDouble) -> list[DoubleDouble]:
-    pairs = zip(coefficients.hi, coefficients.lo, strict=True)
-    return [DoubleDouble(hi, lo) for hi, lo in pairs]
 
 
 @compiled(static=["unit"])

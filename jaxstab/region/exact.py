@@ -3,7 +3,7 @@
 from fractions import Fraction
 from functools import cache, lru_cache
 from math import comb, factorial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
@@ -33,6 +33,8 @@ _TERMS = 10  # of the series of sine and cosine, for angles up to 0.1
 
 Angles = Float64[np.ndarray, " _"]
 
+Part = TypeVar("Part")
+
 Pairs = Float64[np.ndarray, "half form pair part coefficient"]
 
 
@@ -54,8 +56,7 @@ class _Complex(NamedTuple):
 
     def part(self, *index: slice | None) -> "_Complex":
         """Return what an index of arrays gives."""
-        real, imag = (DoubleDouble(one.hi[index], one.lo[index]) for one in self)
-        return _Complex(real, imag)
+        return _Complex(self.real[index], self.imag[index])
 
 
 class ExactGains(NamedTuple):
@@ -73,14 +74,7 @@ def exact_gains(pairs: Pairs, theta: DoubleDouble, *, with_slopes: bool) -> Exac
     """
     width = max(1, _AT_ONCE // pairs.shape[-1])
     starts = range(0, max(len(theta.hi), 1), width)
-    thetas = (DoubleDouble(*(one[k : k + width] for one in (theta.hi, theta.lo))) for k in starts)
-    parts = [_gains(pairs, part, with_slopes) for part in thetas]
-    if len(parts) == 1:
-        return parts[0]
-    alpha, beta, lift = (_joined([part.values[k] for part in parts]) for k in range(3))
-    slopes = zip(*(part.slopes for part in parts), strict=True)
-    alpha_slope, beta_slope, lift_slope = (np.concatenate(each) for each in slopes)
-    return ExactGains((alpha, beta, lift), (alpha_slope, beta_slope, lift_slope))
+    return _joined([_gains(pairs, theta[k : k + width], with_slopes) for k in starts])
 
 
 def determinants(pairs: Pairs, theta: DoubleDouble) -> Array:
@@ -135,10 +129,13 @@ def _wall_value(rows: list[_Complex], alpha: DoubleDouble, beta: DoubleDouble) -
     return real + 1j * imag
 
 
-def _joined(parts: list[DoubleDouble]) -> DoubleDouble:
-    return DoubleDouble(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("hi", "lo"))
-    )
+def _joined(parts: list[Part], axis: int = 0) -> Part:
+    """Return numbers, or tuples of them, one after the other."""
+    return tree_map(lambda *arrays: np.concatenate(arrays, axis), *parts)
+
+
+def _where(condition: Array, one: DoubleDouble, other: DoubleDouble) -> DoubleDouble:
+    return tree_map(lambda a, b: np.where(condition, a, b), one, other)
 
 
 def _numbers(columns: Float64[np.ndarray, "2 part"]) -> list[DoubleDouble]:
@@ -149,9 +146,8 @@ def _folded(theta: DoubleDouble) -> tuple[Array, DoubleDouble]:
     """Return which angles are in the upper half, and the angles u of zeta, none of them 0."""
     upper = theta.hi > np.pi / 2
     beyond = -theta + DoubleDouble.of(np.full_like(theta.hi, np.pi)) + PI_REST
-    high, low = np.where(upper, [beyond.hi, beyond.lo], [theta.hi, theta.lo])
-    is_least = high < _LEAST
-    return upper, DoubleDouble(np.where(is_least, _LEAST, high), np.where(is_least, 0.0, low))
+    folded = _where(upper, beyond, theta)
+    return upper, _where(folded.hi < _LEAST, DoubleDouble(_LEAST, 0.0), folded)
 
 
 def _gains(pairs: Pairs, theta: DoubleDouble, with_slopes: bool) -> ExactGains:
@@ -163,9 +159,7 @@ def _gains(pairs: Pairs, theta: DoubleDouble, with_slopes: bool) -> ExactGains:
     alpha, beta = damping.cross(base) / below, base.cross(stiffness) / below
     at_one = _numbers(pairs[0, 1, :, :, 0])
     line = -at_one[0] / at_one[1]
-    side = DoubleDouble(
-        *(np.where(upper, *each) for each in ((cosine.hi, sine.hi), (cosine.lo, sine.lo)))
-    )
+    side = _where(upper, cosine, sine)
     height = (side * side).scaled(2.0)  # 1 - cos(theta)
     lift = (alpha - line) / height
     if not with_slopes:
@@ -188,16 +182,9 @@ def _rows(
     """Return base, stiffness and damping at zeta, and their slopes."""
     is_close = 2.0 * sine.hi < _CLOSE
     count = pairs.shape[-1]
-    coefficients = DoubleDouble(
-        *np.moveaxis(pairs, 2, 0)[:, upper.astype(int), is_close.astype(int)]
-    )
-    number = _Complex(
-        DoubleDouble(
-            np.where(is_close, (sine * sine).scaled(-2.0).hi, zeta.real.hi),
-            np.where(is_close, (sine * sine).scaled(-2.0).lo, zeta.real.lo),
-        ),
-        zeta.imag,
-    )
+    chosen = np.moveaxis(pairs, 2, 0)[:, upper.astype(int), is_close.astype(int)]
+    coefficients = DoubleDouble(*chosen)
+    number = _Complex(_where(is_close, (sine * sine).scaled(-2.0), zeta.real), zeta.imag)
     if not with_slopes:
         return _sums(coefficients, _powers(number, count)), []
     rows, slopes = _rows_at(coefficients, number)
@@ -210,7 +197,7 @@ def _rows_at(coefficients: DoubleDouble, number: _Complex) -> tuple[list[_Comple
     count = coefficients.hi.shape[-1]
     powers = _powers(number, count)
     order = np.arange(1.0, count)
-    higher = DoubleDouble(coefficients.hi[..., 1:], coefficients.lo[..., 1:]) * order
+    higher = coefficients[..., 1:] * order
     lower = powers.part(slice(None), slice(count - 1))
     return _sums(coefficients, powers), _sums(higher, lower)
 
@@ -230,18 +217,9 @@ def _total(terms: DoubleDouble) -> DoubleDouble:
     """Return the sum over the last axis, half and half."""
     while (count := terms.hi.shape[-1]) > 1:
         middle = count // 2
-        first, second, rest = (
-            DoubleDouble(terms.hi[..., part], terms.lo[..., part])
-            for part in (slice(middle), slice(middle, 2 * middle), slice(2 * middle, None))
-        )
-        halved = first + second
-        terms = DoubleDouble(
-            *(
-                np.concatenate(each, axis=-1)
-                for each in ((halved.hi, rest.hi), (halved.lo, rest.lo))
-            )
-        )
-    return DoubleDouble(terms.hi[..., 0], terms.lo[..., 0])
+        halved = terms[..., :middle] + terms[..., middle : 2 * middle]
+        terms = _joined([halved, terms[..., 2 * middle :]], -1)
+    return terms[..., 0]
 
 
 def _powers(number: _Complex, count: int) -> _Complex:
@@ -250,15 +228,7 @@ def _powers(number: _Complex, count: int) -> _Complex:
     one = DoubleDouble.of(np.ones_like(number.real.hi))
     powers, next_power = _Complex(one, DoubleDouble.of(np.zeros_like(one.hi))), number
     while powers.real.hi.shape[1] < count:
-        higher = powers.times(next_power)
-        powers = _Complex(
-            *(
-                DoubleDouble(
-                    *(np.concatenate(each, axis=1) for each in ((a.hi, b.hi), (a.lo, b.lo)))
-                )
-                for a, b in zip(powers, higher, strict=True)
-            )
-        )
+        powers = _joined([powers, powers.times(next_power)], 1)
         next_power = next_power.times(next_power)
     return powers.part(slice(None), slice(count))
 
@@ -282,8 +252,7 @@ def _half_turn(u: DoubleDouble) -> tuple[DoubleDouble, DoubleDouble]:
     both = DoubleDouble.of(np.zeros((2, *square.hi.shape)))
     for term in _terms():
         both = both * square + term
-    sine, cosine = _unstacked(DoubleDouble(both.hi.T, both.lo.T))
-    sine = sine * x
+    sine, cosine = both[0] * x, both[1]
     for _ in range(_HALVINGS):
         sine, cosine = (sine * cosine).scaled(2.0), _versed(sine)
     return sine, cosine
@@ -386,7 +355,7 @@ def all_inside(
         chosen = np.flatnonzero(outside == one)
         for start in range(0, chosen.size, _COEFFICIENTS):
             some = chosen[start : start + _COEFFICIENTS]
-            gains = (DoubleDouble(wall.hi[some], wall.lo[some]) for wall in walls)
+            gains = (wall[some] for wall in walls)
             inside.flat[some] = _are_left(_with_gains(parts, *gains))
     return inside
 
@@ -403,9 +372,7 @@ def _power_on_circle(
 
 
 def _with_gains(parts: DoubleDouble, alpha: DoubleDouble, beta: DoubleDouble) -> DoubleDouble:
-    base, stiffness, damping = (
-        DoubleDouble(parts.hi[:, k, None], parts.lo[:, k, None]) for k in range(3)
-    )
+    base, stiffness, damping = (parts[:, k, None] for k in range(3))
     return base + (stiffness * alpha + damping * beta)
 
 
@@ -435,12 +402,9 @@ def angles_on_circle(
         modulus = np.abs(1.0 + step)
         is_near = np.abs(modulus - 1.0) < _NEAR_CIRCLE * np.minimum(1.0, np.abs(step))
         rough = step[is_near & (step.imag > 0.0)]
-        stiffness_gain, damping_gain = (DoubleDouble(one.hi[k], one.lo[k]) for one in (alpha, beta))
-        polished, excess = polished_angles(curve.pairs, stiffness_gain, damping_gain, rough)
-        chosen = np.abs(excess) < within
-        angles.append(DoubleDouble(polished.hi[chosen], polished.lo[chosen]))
-    high, low = ([getattr(one, name) for one in angles] for name in ("hi", "lo"))
-    return DoubleDouble(np.concatenate(high), np.concatenate(low))
+        polished, excess = polished_angles(curve.pairs, alpha[k], beta[k], rough)
+        angles.append(polished[np.abs(excess) < within])
+    return _joined(angles)
 
 
 def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
@@ -453,9 +417,8 @@ def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
     for more in range(1, degree + 1):
         power = power * move
         ways = np.array([float(comb(k, more)) for k in range(degree, more - 1, -1)])[:, None]
-        higher = DoubleDouble(falling.hi[:-more], falling.lo[:-more]) * power * ways
-        moved = (np.pad(one, ((more, 0), (0, 0))) for one in (higher.hi, higher.lo))
-        total = total + DoubleDouble(*moved)
+        higher = falling[:-more] * power * ways
+        total = total + tree_map(lambda part, by=more: np.pad(part, ((by, 0), (0, 0))), higher)
     return total
 
 
@@ -464,9 +427,8 @@ def _to_half_plane(falling: DoubleDouble, radius: DoubleDouble) -> DoubleDouble:
     degree = len(falling.hi) - 1
     total, factor = DoubleDouble.of(np.zeros_like(falling.hi)), DoubleDouble.of(1.0)
     for power in range(degree + 1):
-        index = degree - power
-        one = DoubleDouble(falling.hi[index], falling.lo[index]) * factor
-        total = total + DoubleDouble(one.hi[None], one.lo[None]) * _binomials(degree, power)
+        one = falling[degree - power] * factor
+        total = total + one[None] * _binomials(degree, power)
         factor = factor * radius.scaled(2.0)
     return total
 
@@ -480,14 +442,11 @@ def _binomials(degree: int, power: int) -> Float64[np.ndarray, "coefficient 1"]:
 
 def _are_left(falling: DoubleDouble) -> Bool[np.ndarray, " wall"]:
     """Return where all roots have negative real parts (Routh 1877)."""
-    even, odd = (DoubleDouble(falling.hi[k::2], falling.lo[k::2]) for k in (0, 1))
+    even, odd = falling[::2], falling[1::2]
     is_left = np.ones(falling.hi.shape[1], bool)
     while len(odd.hi):
         is_left = is_left & (odd.hi[0] * even.hi[0] > 0.0)
-        ratio = DoubleDouble(even.hi[0], even.lo[0]) / DoubleDouble(odd.hi[0], odd.lo[0])
-        length = len(even.hi) - 1
-        lower = DoubleDouble(even.hi[1:], even.lo[1:])
-        missing = length - (len(odd.hi) - 1)
-        above = [np.pad(part[1:], ((0, missing), (0, 0))) for part in (odd.hi, odd.lo)]
-        even, odd = odd, lower - DoubleDouble(*above) * ratio
+        ratio, missing = even[0] / odd[0], len(even.hi) - len(odd.hi)
+        above = tree_map(lambda part, by=missing: np.pad(part, ((0, by), (0, 0))), odd[1:])
+        even, odd = odd, even[1:] - above * ratio
     return is_left

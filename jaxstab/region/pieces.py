@@ -602,7 +602,7 @@ def lone_partners(c: SliceCoefficients, pieces: Pieces) -> DoubleDouble:
     near = np.min(np.abs(angles.hi[:, None] - known), axis=1, initial=np.inf)
     _, first = np.unique(np.round(angles.hi / _APART), return_index=True)
     chosen = first[(away[first] > _APART) & (near[first] > _APART)][:_MOST_CENTERS]
-    return DoubleDouble(angles.hi[chosen], angles.lo[chosen])
+    return angles[chosen]
 
 
 def nearly_stable(c: SliceCoefficients, angles: Angles, outside: float, *, length: int) -> Angles:
