@@ -143,6 +143,11 @@ def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
     return result
 
 
+def at(tree: Tree, index: Any) -> Tree:
+    """Return a tree of what stands at an index of each array: ``(..., i)`` for the last axis."""
+    return tree_map(lambda values: values[index], tree)
+
+
 def pytree(cls: Class) -> Class:
     """Make a dataclass a pytree of JAX; if JAX is not loaded yet, it learns of it at first use.
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, is_traced, namespace
+from jaxstab.arrays import Array, Numbers, at, is_traced, namespace
 from jaxstab.batches import lists
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import LoopParameters, characteristic_polynomial, companion_matrix
@@ -619,7 +619,7 @@ class _Tracer:
             if is_start.any():
                 _, first = np.unique(number[chosen[is_start]], return_index=True)
                 first = np.flatnonzero(is_start)[first]
-                begins = Corrected(*(column[first] for column in starts))
+                begins = at(starts, first)
                 followed = follow(begins, lanes.select(first), self.resolution)
                 for search, path in zip(number[chosen[first]].tolist(), followed, strict=True):
                     self.paths[search // 3].append((_KINDS[search % 3], path))

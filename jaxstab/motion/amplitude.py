@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, named, namespace
+from jaxstab.arrays import Array, Numbers, at, float_arrays, is_traced, named, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
@@ -74,7 +74,7 @@ def impulse_sums(systems: Systems) -> Float64[np.ndarray, "loop output input"]:
     with np.errstate(all="ignore"):
         for doublings in np.unique(new.doublings[new.doublings >= 0]).tolist():
             for some in _parts(new, doublings):
-                sums[some] = _sums(new.chosen(some), doublings)
+                sums[some] = _sums(at(new, some), doublings)
     return sums
 
 

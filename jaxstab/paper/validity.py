@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, namespace
+from jaxstab.arrays import Array, Numbers, at, namespace
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import (
     DoubleDouble,
@@ -217,7 +217,7 @@ def sign_changes(series: Series) -> SignChanges:
     kept.append(_unproved(owner, low, high))
     together = [np.concatenate(column) for column in zip(*kept, strict=True)]
     order = np.lexsort((together[1], together[0]))
-    return SignChanges(*(column[order] for column in together))
+    return at(SignChanges(*together), order)
 
 
 def _bounds(series: Series) -> _Bounds:
@@ -339,9 +339,6 @@ class _Question(NamedTuple):
         """The effective delay t_r in samples."""
         return 0.5 + self.delay
 
-    def select(self, chosen: np.ndarray) -> "_Question":
-        return _Question(*(values[chosen] for values in self))
-
 
 def linear_validity(
     level: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
@@ -385,7 +382,7 @@ def linear_validity(
     grids = np.broadcast_arrays(*(np.asarray(value, np.float64) for value in values))
     question = _Question(*(np.ravel(grid) for grid in grids))
     answers = [
-        _answers(question.select(np.arange(start, min(start + _CHUNK, grids[0].size))))
+        _answers(at(question, np.arange(start, min(start + _CHUNK, grids[0].size))))
         for start in range(0, max(grids[0].size, 1), _CHUNK)
     ]
     columns = [
@@ -401,7 +398,7 @@ def _answers(question: _Question) -> LinearValidity:
     changes = sign_changes(series)
     ones = np.ones_like(question.delay)
     slices = slice_coefficients(question.gamma, question.delta, question.delay, ones)
-    owners = question.select(changes.owner)
+    owners = at(question, changes.owner)
     curve = _Curve(
         owners,
         SliceCoefficients(

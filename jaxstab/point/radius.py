@@ -28,6 +28,7 @@ from jaxstab.arrays import (
     Array,
     Numbers,
     are_numbers,
+    at,
     constant,
     is_any_traced,
     leaves,
@@ -72,7 +73,6 @@ from jaxstab.point.schur_cohn import (
     decide,
     leading,
     loop_coefficients,
-    part_of,
     polynomial_codes,
     size,
     size_sum,
@@ -203,7 +203,7 @@ def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, uni
 def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) -> Array:
     """Return the codes of p(scale z) / scale^n; see ``dense_radius_error`` for the arguments."""
     xp = namespace(coefficients, error, scale)
-    columns = [part_of(coefficients, index) for index in range(len(leading(coefficients)))]
+    columns = [at(coefficients, index) for index in range(len(leading(coefficients)))]
     inverse, power = columns[0] / scale, columns[0]  # the first coefficient is 1
     scaled: list[Number] = []
     for column in columns:

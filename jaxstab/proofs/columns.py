@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
+from jaxstab.arrays import at
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
@@ -328,10 +329,6 @@ class Strips(NamedTuple):
     error: Float64[np.ndarray, "column strip"]
     folds: Bool[np.ndarray, "column strip"]
 
-    def some(self, which: np.ndarray) -> "Strips":
-        """Return the strips of some of the columns."""
-        return Strips(*(part[which] for part in self))
-
     def straightened(self, columns: Columns) -> "Strips":
         """Return the strips with the square and products of the delay as parts of their errors."""
         if not columns.half_delay:
@@ -619,7 +616,7 @@ def stable_columns(
     lower, upper = (np.empty((columns.centre.shape[0], len(TERMS))) for _ in range(2))
     rest = np.arange(columns.centre.shape[0])
     for ordered in (above_line, apart) if holds_line(filters) else (apart,):
-        some, there = strips.some(rest), columns.some(rest)
+        some, there = at(strips, rest), columns.some(rest)
         some = _straight_where_partial(ordered, some, there, domain)
         codes = _gap_verdicts(some, there, domain, filters)
         lower[rest], upper[rest] = _limits(some, codes, there, domain)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from jaxstab.arrays import PI_REST
+from jaxstab.arrays import PI_REST, at
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, pieces_of, pieces_of_delay
 from jaxstab.model.double_double import DoubleDouble
@@ -402,11 +402,6 @@ class FamilyBoxes(NamedTuple):
     edge: Walls
     place: PieceBoxes
 
-    def some(self, which: np.ndarray) -> "FamilyBoxes":
-        """Return some of them."""
-        place = PieceBoxes(*(part[which] for part in self.place))
-        return FamilyBoxes(self.gains[:, which], self.edge[:, which], place)
-
 
 @lru_cache(maxsize=16)
 def family_cells(family: LoopFamily) -> FamilyCells | None:
@@ -433,7 +428,7 @@ def family_models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
     places = np.empty(count, np.int64)
     places[order] = np.arange(count)
     some = [
-        _models(cells, boxes.some(order[first : first + _IN_CACHE]))
+        _models(cells, at(boxes, (..., order[first : first + _IN_CACHE])))
         for first in range(0, count, _IN_CACHE)
     ]
     parts = (np.concatenate(part, axis=-1) for part in zip(*some, strict=True))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.arrays import at
 from jaxstab.model import companion_matrix
 from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import loop_factors
@@ -62,10 +63,6 @@ class WallBoxes(NamedTuple):
     half_alpha: Array
     half_beta: Array
 
-    def some(self, cells: NDArray[np.intp]) -> "WallBoxes":
-        """Return chosen boxes."""
-        return WallBoxes(*(values[cells] for values in self))
-
 
 class CellPolynomial(NamedTuple):
     """A monic polynomial over cells, highest power first: terms of coefficients, and their rest.
@@ -81,10 +78,6 @@ class CellPolynomial(NamedTuple):
     def degree(self) -> int:
         """The degree."""
         return len(self.terms) - 1
-
-    def some(self, cells: NDArray[np.intp]) -> "CellPolynomial":
-        """Return the polynomials of chosen cells."""
-        return CellPolynomial(self.terms[..., cells], self.rest[:, cells])
 
     def coefficient(self, number: int) -> Quadratic:
         """Return a coefficient as a quadratic."""
@@ -304,16 +297,6 @@ class Followed(NamedTuple):
     error: Array
     move: Array
     apart: Array
-
-    def some(self, cells: NDArray[np.intp]) -> "Followed":
-        """Return what belongs to chosen cells."""
-
-        def chosen(part: Quadratic) -> Quadratic:
-            return Quadratic(part.terms[:, cells], part.rest[cells])
-
-        factor, left = [chosen(part) for part in self.factor], [r[cells] for r in self.remainder]
-        numbers = (part[cells] for part in (self.error, self.move, self.apart))
-        return Followed(factor, left, self.centre[cells], chosen(self.radius), *numbers)
 
     @property
     def lowest(self) -> Array:
@@ -668,7 +651,7 @@ def radius_surfaces(
     known = RadiusSurfaces.unknown(walls.alpha.size)
     for start in range(0, walls.alpha.size, _CELLS):
         cells = slice(start, min(start + _CELLS, walls.alpha.size))
-        some = WallBoxes(*(part[cells] for part in walls)), HandBoxes(*(p[cells] for p in hands))
+        some = at((walls, hands), cells)
         part = _of_cells(cell_polynomial(*some, delay, half_delay, filters))
         known.kind[cells] = part.kind
         known.terms[..., cells], known.error[:, cells] = part.terms, part.error
@@ -682,14 +665,14 @@ def _of_cells(p: CellPolynomial) -> RadiusSurfaces:
         cells = np.flatnonzero((known.kind == SurfaceKind.NONE) & _may_be_outer(roots, count))
         if cells.size:
             enclose = _enclose_one if count <= 2 else _enclose_two
-            enclose(p.some(cells), roots[:, cells], count, cells, known)
+            enclose(at(p, (..., cells)), roots[:, cells], count, cells, known)
     for count in range(2, min(3, p.degree) + 1):
         cells = np.flatnonzero((known.kind == SurfaceKind.NONE) & _may_be_outer(roots, count))
         if cells.size:
-            _enclose_meeting(p.some(cells), roots[:, cells], count, cells, known)
+            _enclose_meeting(at(p, (..., cells)), roots[:, cells], count, cells, known)
     cells = np.flatnonzero(known.kind == SurfaceKind.NONE)
     if cells.size:
-        _enclose_roughly(p.some(cells), roots[:, cells], cells, known)
+        _enclose_roughly(at(p, (..., cells)), roots[:, cells], cells, known)
     return known
 
 
@@ -732,7 +715,7 @@ def _enclose_one(
     if count == 2:
         is_proved &= roots[0].imag != 0.0
     some = np.flatnonzero(is_proved)
-    terms, error = _surface(outer.some(some))
+    terms, error = _surface(at(outer, (..., some)))
     known.put(cells[some], SurfaceKind.ONE, [terms], [error])
 
 
@@ -802,7 +785,7 @@ def _enclose_two(
         away = np.abs(pair - other) - first.move - second.move
         is_proved &= away > first.error + second.error
     some = np.flatnonzero(is_proved)
-    surfaces = (_surface(followed.some(some)) for followed in (first, second))
+    surfaces = (_surface(at(followed, (..., some))) for followed in (first, second))
     terms, errors = zip(*surfaces, strict=True)
     known.put(cells[some], SurfaceKind.LARGER, list(terms), list(errors))
 

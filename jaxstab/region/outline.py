@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxstab.arrays import (
     Array,
+    at,
     constant,
     first_indices,
     kept,
@@ -113,7 +114,7 @@ def polygon(
     count = xp.where(resolved, xp.sum(marks.exists), 0)
     chosen = chosen[xp.clip(xp.arange(points), 0, xp.maximum(count - 1, 0))]
     at_marks = _points(c, marks)
-    marks = tree_map(lambda x: x[chosen], marks)
+    marks = at(marks, chosen)
     branches, angles = _edges(pieces, marks)
     corners = at_marks[room:][: 3 * slots]
     return Outline(
@@ -139,7 +140,7 @@ def _ends(pieces: Pieces, loop: Array) -> tuple[list[_Marks], Array]:
     end = partial(
         _marks, theta=pieces.end, low=pieces.end_low, branch=pieces.end_branch, piece=number
     )
-    closing = tree_map(lambda x: x[first], begin(_ON_PIECE, exists=pieces.exists))
+    closing = at(begin(_ON_PIECE, exists=pieces.exists), first)
     return [
         begin(_ON_PIECE, exists=pieces.exists),
         end(_ON_PIECE, exists=pieces.exists),
@@ -301,7 +302,7 @@ def _points(c: SliceCoefficients, marks: _Marks) -> Array:
 def _edges(pieces: Pieces, marks: _Marks) -> tuple[Array, Array]:
     """Return for the edge after each vertex its branch and the angles at its ends."""
     xp = namespace(pieces, marks)
-    here, there = (tree_map(lambda x, part=part: x[part], marks) for part in (_HERE, _THERE))
+    here, there = (at(marks, part) for part in (_HERE, _THERE))
     same_piece = (here.piece == there.piece) & (there.stage == _ON_PIECE)
     left = pieces.end_branch[here.piece]
     other_line = Branch.Z_PLUS_ONE + Branch.Z_MINUS_ONE - left
