@@ -12,12 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 import jaxstab
-from jaxstab.cli.options import (
-    at_work,
-    file_in,
-    keep_programs,
-    output_file,
-)
+from jaxstab.cli.options import at_work, file_in, keep_programs, output_file
 from jaxstab.cli.scene import scene_of, warn
 from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import Verdict

@@ -61,6 +61,13 @@ def write_beside(data: bytes, path: Path) -> None:
     click.echo(f"jaxstab: wrote {path}", err=True)
 
 
+def draw(figure: Any, path: Path) -> None:
+    """Write a figure of matplotlib beside an answer, in the format that its name ends in."""
+    from jaxstab.pictures.style import picture
+
+    write_beside(picture(figure, path.suffix[1:]), path)
+
+
 def keep_programs() -> None:
     """Keep compiled programs for the next process of this user."""
     with suppress(OSError):  # without a cache it only takes longer
