@@ -211,15 +211,11 @@ def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
     when it is imported, or at once if it is already loaded. Numbers and small NumPy arrays never
     need the folder.
 
-    Args:
-        folder: of the cache; by default ``JAX_COMPILATION_CACHE_DIR`` where that is set, else
-            ``jaxstab`` in the user's folder of caches (``XDG_CACHE_HOME`` or ``~/.cache``).
+    By default in ``JAX_COMPILATION_CACHE_DIR`` where that is set, else in ``jaxstab`` in the user's
+    folder of caches (``XDG_CACHE_HOME`` or ``~/.cache``). Returns the folder, which is made if it
+    is missing.
 
-    Returns:
-        The folder, which is made if it is missing.
-
-    Raises:
-        OSError: the folder cannot be made.
+    Raises: OSError if the folder cannot be made.
 
     Example:
         >>> import jaxstab

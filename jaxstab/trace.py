@@ -528,9 +528,8 @@ def trace_boundary(
         BoundaryTrace, or a list of them where a fixed quantity is a list. In theory a closed branch
         smaller than three resolutions may be missed where it lies next to another branch.
 
-    Raises:
-        ValueError: a name is unknown, missing or doubled, a value outside its range, a window
-            empty, the resolution out of range, lists of several lengths.
+    Raises: see ``jaxstab.conventions``; ValueError also if a name is unknown, missing or doubled, a
+    window empty, or lists are of several lengths.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; pseudo-arclength
     continuation (Keller 1977); exclusion boxes, ``exclude`` of jaxstab/proofs/exclusion.py.

@@ -91,13 +91,8 @@ class Guard:
     ) -> Float64[np.ndarray, "*grid"]:
         """The stiffness up to which all walls are proved stable, as the C header computes it.
 
-        Args:
-            damping: B in N s/m, any shape; all broadcast.
-            mass: of the device in kg.
-            delay: in s.
-
-        Returns:
-            Stiffness in N/m; 0 where nothing is proved, as outside the ranges.
+        In N/m; 0 where nothing is proved, as outside the ranges. Arrays of damping in N s/m, mass
+        of the device in kg and delay in s have any shape and broadcast.
         """
         values = np.broadcast_arrays(
             *(np.asarray(value, np.float64) for value in (damping, mass, delay))
@@ -132,15 +127,8 @@ class Guard:
     ) -> Float64[np.ndarray, "mass delay damping"]:
         """The stiffness at which the first of the sampled hands of the range becomes unstable.
 
-        They are the corners of the range; with a ``device``, three along each quantity.
-
-        Args:
-            damping: B in N s/m for each mass and delay.
-            mass: of the device in kg.
-            delay: in s.
-
-        Returns:
-            Stiffness in N/m, good to about 1e-3; 0 where no stiffness is stable.
+        They are the corners of the range; with a ``device``, three along each quantity. In N/m,
+        good to about 1e-3; 0 where no stiffness is stable. Units as in ``largest_stiffness``.
         """
         boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
         limits = boundary.largest_stiffness(damping)

@@ -83,9 +83,8 @@ class LoopsBetween:
         first: a loop of concrete numbers.
         last: another one of the same sampling period and of the same parts.
 
-    Raises:
-        TypeError: one of them is not a HapticLoop, or JAX traces it.
-        ValueError: they differ in more than numbers.
+    Raises: TypeError if one of them is not a HapticLoop, or JAX traces it; ValueError if they
+    differ in more than numbers.
 
     Source: sec. VIII of Hulin, Preusche, Hirzinger (2008) for ranges of hands; lemmas B4, B5 and
     B17 of docs/proofs.md.

@@ -304,11 +304,7 @@ def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
 
 
 def traced_region(loop: LoopParameters) -> WallRegion:
-    """Return the stable walls of a loop that JAX traces, in arrays of fixed sizes.
-
-    Raises:
-        TypeError: the loop has an estimator or a filter.
-    """
+    """Return the walls of a traced loop in arrays of fixed sizes; TypeError with a filter."""
     if given_filters(**loop.filters):
         raise TypeError(
             "the region of a loop with an estimator or a filter is searched outside of JAX: call "

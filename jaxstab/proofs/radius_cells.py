@@ -18,12 +18,11 @@ from jaxstab.arrays import at
 from jaxstab.model import companion_matrix
 from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import loop_factors
-from jaxstab.model.plant import pairs_error, plant_coefficients
 from jaxstab.model.sections import UNIT
 from jaxstab.model.sections import product as polynomial_product
 from jaxstab.proofs.enclosures import PLACES, TERMS, VARIABLES, Array, Quadratic
-from jaxstab.proofs.plant import BENDS, HandBoxes, motion
-from jaxstab.rounding import EPS, OVERLAP, PLANT_MODEL, UNDERFLOW
+from jaxstab.proofs.plant import BENDS, HandBoxes, delay_moves, stencil
+from jaxstab.rounding import EPS, OVERLAP, PLANT_MODEL
 
 # The characteristic polynomial over cells of (alpha, beta, gamma, delta, delay), to second order.
 #
@@ -200,28 +199,22 @@ def _plants(hands: HandBoxes, delay: float, half_delay: float) -> dict[str, Quad
 def _plant(hands: HandBoxes, delay: float, half_delay: float) -> dict[str, Quadratic]:
     """Enclose the plant's coefficients: parabolas through three points, and what these leave."""
     h_gamma, h_delta = hands.half_gamma, hands.half_delta
-    still = np.zeros_like(h_gamma)
-    gamma = np.maximum(hands.gamma + np.stack([still, -h_gamma, h_gamma, still, still]), 0.0)
-    delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
-    values = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
-    moves = _delay_moves(gamma, delta, delay) if half_delay else {}
+    gamma, delta, values, lost = stencil(hands, delay)
+    moves = delay_moves(gamma, delta, delay) if half_delay else {}
     highest = gamma.max(axis=0), delta.max(axis=0)
-    # More than a rounding is lost of N where it nearly vanishes, and of D where it decays.
-    lost = 8.0 * np.asarray(pairs_error(*highest))
-    size_n = np.sqrt(np.max(np.asarray(values.sum), axis=0))
     plant = {}
     for name, (third_gamma, third_delta) in _THIRD.items():
-        at = np.asarray(getattr(values, name))
+        middle, *ends = values[name]
         terms = np.zeros((TERMS, h_gamma.size))
-        terms[0] = at[0]
-        for variable, below, above in ((2, at[1], at[2]), (3, at[3], at[4])):
+        terms[0] = middle
+        for variable, below, above in ((2, *ends[:2]), (3, *ends[2:])):
             terms[1 + variable] = 0.5 * (above - below)
-            terms[PLACES[variable, variable]] = 0.5 * (above + below) - at[0]
+            terms[PLACES[variable, variable]] = 0.5 * (above + below) - middle
         # A parabola through -1, 0 and 1 leaves |third derivative| x (1 - x^2)/6 at most.
         rest = BENDS[name].mixed * h_gamma * h_delta
         rest += 0.0642 * (third_gamma * h_gamma**3 + third_delta * h_delta**3)
-        rest += lost * (1.0 if name in ("d1", "d0") else size_n) + UNDERFLOW
-        rest += PLANT_MODEL * (np.max(np.abs(at), axis=0) + half_delay)
+        rest += lost[name]
+        rest += PLANT_MODEL * (np.max(np.abs(values[name]), axis=0) + half_delay)
         if name in moves:
             _add_moves(terms, moves[name], half_delay)
             rest += _rest_of_delay(name, hands, highest, half_delay)
@@ -248,17 +241,6 @@ def _rest_of_delay(name: str, hands: HandBoxes, highest: tuple[Array, Array], ha
     third = BENDS[name].delay_thrice * (highest[0] + highest[1]) / 6.0
     times = 2.0 if name == "n1" else 1.0
     return half * times * slope + 0.5 * half**2 * bend + half**3 * third
-
-
-def _delay_moves(gamma: Array, delta: Array, delay: float) -> dict[str, Array]:
-    """Return first and half of the second derivatives of N by the delay; those of D are 0 (B16)."""
-    part = delay - np.floor(delay)
-    went, early = motion(gamma, delta, np.full_like(gamma, 1.0 - part))
-    gone, velocity = motion(gamma, delta, np.full_like(gamma, part))
-    fading = np.exp(-delta * (1.0 - part))
-    n2 = np.stack([-early, 0.5 * (1.0 - delta * early - gamma * went)])
-    n0 = fading * np.stack([velocity, 0.5 * (1.0 - gamma * gone)])
-    return {"n2": n2, "n1": -n2 - n0, "n0": n0}
 
 
 # A root, or a pair of roots, of p that is followed to second order through cells (lemma B19).

@@ -149,9 +149,7 @@ def boundary_curve(
         alpha = K T^2/m and beta = B T/m, of the broadcast shape. Differentiable in every argument
         but the whole part of the delay.
 
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) solved for (alpha, beta).
 

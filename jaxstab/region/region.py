@@ -283,9 +283,8 @@ def stable_region(
     that all components are found (docs/proofs.md, G1 to G3).
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], a number like all arguments.
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T in samples, whole or fractional, in [0, 500].
+        gamma, delta: see ``jaxstab.conventions``.
+        delay: time delay t_d/T in samples, whole or fractional, in [0, 500]; a number, like all.
         radius: the circle's radius in (0, 1]: 1 for stability, less for a decay rate.
         tolerance: largest distance between the polygon and the boundary, as a share of the
             region's diameter, > 1e-10.
@@ -296,9 +295,8 @@ def stable_region(
     Returns:
         StableRegion of NumPy arrays, with its status. An empty region is an answer, not an error.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN.
-        TypeError: an argument is traced by JAX (``region_outline`` takes tracers), or no number.
+    Raises: see ``jaxstab.conventions``; no argument may be traced (``region_outline`` takes
+    tracers).
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
 
@@ -342,10 +340,8 @@ def region_outline(
     a cut that went unnoticed.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], a scalar; traced or not.
-        delta: physical damping b T/m in [0, 1e3], a scalar; traced or not.
-        delay: time delay t_d/T >= 0 in samples, concrete.
-        radius: the circle's radius in (0, 1], a scalar; traced or not.
+        gamma, delta, delay: see ``jaxstab.conventions``.
+        radius: the circle's radius in (0, 1], a scalar like these; may be traced, as gamma, delta.
         points: length of the outline; the last point is repeated where fewer are needed.
         slots: the largest number of pieces of the curve; a set with more of them is UNRESOLVED.
         fineness: into how many parts each step of the scan is divided.
@@ -354,10 +350,7 @@ def region_outline(
         StableRegion of arrays of fixed sizes, of JAX where an argument is. There ``max_alpha``,
         ``max_beta``, ``outline`` and the limits are differentiable once in gamma, delta and radius.
 
-    Raises:
-        ValueError: a concrete argument is outside its range, or ``points`` is too small.
-        TypeError: the delay is traced, or a count is no whole number.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``; ValueError also if ``points`` is too small.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
 

@@ -113,9 +113,7 @@ class FittedAxis:
         least: the first node is not above it; None for that of the stable region alone.
         most: the last node is not below it; likewise.
 
-    Raises:
-        TypeError: ``count`` is not a whole number, or an end is not a number.
-        ValueError: ``count`` is too small, or an end is not finite.
+    Raises: see ``jaxstab.conventions``.
 
     Example:
         >>> jaxstab.AtlasSpec(alpha=jaxstab.FittedAxis(64)).alpha
@@ -144,9 +142,7 @@ class ToleranceAxis:
         tolerance: how far the boundary of a stable region may move from one node to the next, as a
             share of the region's extents in alpha and beta; in [0.001, 1].
 
-    Raises:
-        TypeError: a value is not a real number.
-        ValueError: a value is out of range.
+    Raises: see ``jaxstab.conventions``.
 
     Example:
         >>> axis = jaxstab.ToleranceAxis(0.0, 0.001, tolerance=0.01)
@@ -186,9 +182,8 @@ class AtlasSpec:
 
     Nodes are finite and ascending, and stored as tuples of floats.
 
-    Raises:
-        TypeError: a value is not of the kind above.
-        ValueError: a value is out of range, out of order, or the atlas would be too large.
+    Raises: see ``jaxstab.conventions``; ValueError also for nodes out of order, or a too large
+    atlas.
 
     Example:
         >>> spec = jaxstab.AtlasSpec(delay=(0.0, 0.5, 1.0), products=("verdict", "alpha_limits"))
@@ -227,9 +222,7 @@ class AtlasSpec:
     def from_file(cls, path: str | PathLike[str]) -> "AtlasSpec":
         """Read a TOML file.
 
-        Raises:
-            OSError: the file cannot be read.
-            TypeError, ValueError: as for ``from_toml``, with the name of the file.
+        Raises: as ``from_toml``, with the name of the file; OSError if it cannot be read.
 
         Example:
             >>> spec = jaxstab.AtlasSpec.from_file("data/specs/window.toml")
@@ -252,9 +245,8 @@ class AtlasSpec:
         ``stop`` and ``tolerance``. The tables ``velocity`` and ``position`` are of
         ``jaxstab.atlas.format.spec``.
 
-        Raises:
-            ValueError: the text is no TOML, or has an unknown name or a bad value.
-            TypeError: a value is of the wrong kind.
+        Raises: see ``jaxstab.conventions``; ValueError also if it is no TOML, or has an unknown
+        name.
 
         Example:
             >>> spec = jaxstab.AtlasSpec.from_toml("velocity = {window_samples = 20}")

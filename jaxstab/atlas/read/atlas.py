@@ -168,17 +168,11 @@ class LoopAtlas:
     def stiffness_limits(self, damping: Numbers) -> Floats:
         """The interval of stiffness in which every wall is proved stable, rounded inwards.
 
-        Args:
-            damping: see ``jaxstab.conventions``.
-
         Returns:
             Array (*grid, 2) in N/m, an open interval within that of ``HapticLoop.stiffness_limits``
             and within the atlas; NaN where no stiffness is proved stable.
 
-        Raises:
-            TypeError, ValueError: as ``Atlas.alpha_limits``.
-
-        Source: ``jaxstab.proofs.columns``; Table I.
+        Raises: as ``Atlas.alpha_limits``. Source: ``jaxstab.proofs.columns``; Table I.
         """
         (given,) = all_checked([damping], ["damping"])
         beta = np.asarray(self.loop.beta(given))
@@ -188,8 +182,7 @@ class LoopAtlas:
     def largest_stiffness(self) -> LargestStiffness:
         """The largest stable stiffness, its damping, and a proved bound.
 
-        Raises:
-            ValueError: the atlas holds no limits of alpha.
+        Raises: ValueError if the atlas holds no limits of alpha.
 
         Source: ``jaxstab.proofs.columns``; Table I.
         """
@@ -426,10 +419,8 @@ class Atlas:
                 another one refuses. Without it and ``position`` the atlas answers for its own.
             position: likewise, the position filter.
 
-        Raises:
-            TypeError: an argument is not made of real numbers.
-            ValueError: a value is NaN or infinite or, unless ``outside`` is "undecided", outside of
-                the atlas; or the atlas has another estimator or filter than the named one.
+        Raises: see ``jaxstab.conventions``; ValueError also for points outside of the atlas, unless
+        ``outside`` is "undecided", and if it has another estimator or filter than the named one.
 
         Source: ``jaxstab.proofs.columns``.
         """
@@ -489,10 +480,8 @@ class Atlas:
 
         Arguments and source as ``query``.
 
-        Raises:
-            TypeError: an argument is not made of real numbers.
-            ValueError: a value is NaN, infinite or outside of the atlas, or the atlas holds no
-                limits of alpha.
+        Raises: see ``jaxstab.conventions``; ValueError also for values outside of the atlas, and if
+        it holds no limits of alpha.
         """
         table, points = self._table_and_points(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
@@ -628,13 +617,8 @@ class Atlas:
     def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
         """The boundary of the stable region of a slice that is a node, with its corners.
 
-        Args:
-            gamma, delta, delay: see ``jaxstab.conventions``.
-
-        Raises:
-            ValueError: a value is no node, or the atlas holds no outlines.
-
-        Source: ``jaxstab.stable_region``.
+        Args and Raises: see ``jaxstab.conventions``; ValueError also if a value is no node, or the
+        atlas holds no outlines. Source: ``jaxstab.stable_region``.
 
         Example:
             >>> axes = {"gamma": (0.0,), "delta": (0.015,), "delay": (1.0,)}
@@ -647,14 +631,9 @@ class Atlas:
     def for_loop(self, loop: Any) -> LoopAtlas:
         """This atlas for a loop's walls (K, B), in SI units.
 
-        Args:
-            loop: a HapticLoop whose device and hand are one mass; gamma, delta, delay and its
-                estimator must be those of the atlas.
-
-        Raises:
-            TypeError: it is no HapticLoop, JAX traces it, or its device is not one mass.
-            ValueError: its gamma, delta or delay is outside of the atlas or between its delays, or
-                its estimator or filter is another.
+        Raises: TypeError if it is no HapticLoop, JAX traces it, or its device and hand are not one
+        mass; ValueError if its gamma, delta or delay is outside of the atlas or between its delays,
+        or its estimator or filter is another.
 
         Source: Table I of Hulin, Preusche, Hirzinger (2008).
 
@@ -710,13 +689,12 @@ class Atlas:
 
         Args:
             ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
-            gamma: physical stiffness k T^2/m of the plane; None for the node in the middle.
-            delta: physical damping b T/m of the plane; None for the node in the middle.
+            gamma: of the plane; None for the node in the middle.
+            delta: of the plane; None for the node in the middle.
             delay: a delay of the atlas, in samples; None for its first one.
 
-        Raises:
-            ValueError: gamma or delta is outside of the atlas, the delay is not one of the atlas,
-                or the atlas holds no verdicts.
+        Raises: ValueError if gamma or delta is outside of the atlas, the delay is not one of it,
+        or it holds no verdicts.
         """
         from jaxstab.pictures.atlas import plot_atlas
 
@@ -728,9 +706,8 @@ def open_atlas(path: str | PathLike[str]) -> Atlas:
 
     An array over nodes or cells is unpacked by the first question that needs it.
 
-    Raises:
-        OSError: the file is missing or unreadable.
-        ValueError: it is foreign, damaged, of another version of the schema, or beyond 2 GiB.
+    Raises: OSError if the file is missing or unreadable; ValueError if it is foreign, damaged, of
+    another version of the schema, or beyond 2 GiB.
 
     Example:
         >>> jaxstab.open_atlas("data/golden/atlas-v3.h5").delays.tolist()

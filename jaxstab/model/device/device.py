@@ -104,8 +104,7 @@ class Hand:
     ) -> "Hand":
         """An arm of one mass on a spring and a damper to the ground, in kg, N s/m, N/m, each >= 0.
 
-        Raises:
-            TypeError, ValueError: a value is not a real number, or out of range.
+        Raises: see ``jaxstab.conventions``.
         """
         return cls(
             MassSpringDamper(
@@ -124,9 +123,8 @@ class Hand:
             denominator: the same; its degree is at most two below that of the numerator, as the
                 force on a mass is m s^2.
 
-        Raises:
-            TypeError: the coefficients are not numbers.
-            ValueError: a polynomial is 0, or the degrees do not fit.
+        Raises: see ``jaxstab.conventions``; ValueError also if a polynomial is 0, or the degrees do
+        not fit.
 
         Example:
             >>> print(jaxstab.Hand.transfer_function([1.0, 5.0, 300.0], [1.0]))
@@ -138,9 +136,8 @@ class Hand:
     def with_grip(self, *, stiffness: float, damping: float = 0.0) -> "Hand":
         """The same arm behind a grip: a massless spring and damper in parallel, in N/m and N s/m.
 
-        Raises:
-            TypeError: a value is not a real number.
-            ValueError: a value is negative, both are 0, or there is a grip already.
+        Raises: see ``jaxstab.conventions``; ValueError also if both are 0, or there is a grip
+        already.
         """
         if self.grip is not None:
             raise ValueError(f"the hand has a grip of {self.grip}; give one to a hand without.")
@@ -208,8 +205,7 @@ class Device:
     ) -> "Device":
         """A device of one mass > 0 at the handle in kg, damping and stiffness >= 0 to the ground.
 
-        Raises:
-            TypeError, ValueError: a value is not a real number, or out of range.
+        Raises: see ``jaxstab.conventions``.
         """
         return cls(
             MassSpringDamper(
@@ -230,9 +226,8 @@ class Device:
             mass: of the rigid body in kg, > 0; None for a structure that is fixed to the ground.
             damping: of the rigid body in N s/m, >= 0.
 
-        Raises:
-            TypeError: a mode is not a Mode, or a value not a real number.
-            ValueError: a value is out of range, or there is neither a mode nor a mass.
+        Raises: see ``jaxstab.conventions``; TypeError also if a mode is not a Mode, ValueError if
+        there is neither a mode nor a mass.
 
         Example:
             >>> mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
@@ -260,9 +255,8 @@ class Device:
             denominator: the same, of a higher degree, up to 40; [m, b, k] below [1] is a
                 mass-spring-damper.
 
-        Raises:
-            TypeError: the coefficients are not numbers.
-            ValueError: a polynomial is 0, or the degrees do not fit.
+        Raises: see ``jaxstab.conventions``; ValueError also if a polynomial is 0, or the degrees do
+        not fit.
 
         Example:
             >>> jaxstab.Device.transfer_function([1.0], [0.25, 0.1, 0.0]).poles().tolist()
@@ -283,10 +277,8 @@ class Device:
             B: of shape (n, 1) or (n,).
             C: of shape (1, n) or (n,).
 
-        Raises:
-            TypeError: a matrix is not made of real numbers.
-            ValueError: the shapes do not fit, the position never moves, or a hidden state is
-                unstable.
+        Raises: see ``jaxstab.conventions``; ValueError also if the shapes do not fit, the position
+        never moves, or a hidden state is unstable.
 
         Example:
             >>> device = jaxstab.Device.state_space([[0, 1], [0, -0.4]], [[0], [4]], [[1, 0]])
@@ -340,8 +332,7 @@ class Device:
         Args:
             bandwidth: at which the force is 3 dB too weak, in Hz, > 0.
 
-        Raises:
-            TypeError, ValueError: the bandwidth is not a real number, or out of range.
+        Raises: see ``jaxstab.conventions``.
 
         Example:
             >>> device = jaxstab.Device.mass_spring_damper(0.25, damping=0.1).with_actuator(500.0)

@@ -77,10 +77,8 @@ class SampledDevice:
 def sampled_device(device: Device, sample_time: float, delay: float) -> SampledDevice:
     """A device, with its hands and actuators, behind a zero-order hold and a delay in samples.
 
-    Raises:
-        TypeError: a number is not a real number.
-        ValueError: a number is out of range, the delay's being [0, 500], or the device moves by
-            more or less within a sample than float64 can say.
+    Raises: see ``jaxstab.conventions``, the range of the delay being [0, 500]; ValueError also if
+    the device moves by more or less within a sample than float64 can say.
 
     Source: the modified z-transform; Van Loan (1978) for the exponential.
     """
