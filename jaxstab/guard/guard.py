@@ -193,7 +193,8 @@ class Guard:
         """
         checked_name(name)
         for kind, text in (("about", about), *(("units", unit) for unit in units)):
-            _checked_comment(kind, text)
+            if "*/" in text or printable(text, "\n") != text:  # it would end the comment
+                raise ValueError(f"{kind} is {shortened(text)}; give printable lines without '*/'.")
         grid, (stiffness_step, damping_step) = self.grid, self.units
         masses, delays, rows = grid.limit.shape
         values = {
@@ -242,13 +243,6 @@ def checked_name(name: str) -> str:
             "first."
         )
     return name
-
-
-def _checked_comment(name: str, text: str) -> str:
-    """Return a text that stays within a comment of C, or raise ValueError."""
-    if "*/" in text or printable(text, "\n") != text:
-        raise ValueError(f"{name} is {shortened(text)}; give printable lines without '*/'.")
-    return text
 
 
 def _version() -> str:

@@ -283,7 +283,8 @@ def settling_times(
 ) -> Float64[np.ndarray, " loop"]:
     """Return the settling time of one wall in s for each loop; infinite where none is proved."""
     first = loops[0]
-    if any(loop.body is None or not _are_alike(loop, first) for loop in loops):
+    controller = first.sample_time, first.filters  # but for the delay
+    if any(loop.body is None or (loop.sample_time, loop.filters) != controller for loop in loops):
         wall = [np.array([stiffness]), np.array([damping])]
         single = [_times([loop], wall, np.inf, level, excitation, _MOST) for loop in loops]
         return np.concatenate(single)[:, 0]
@@ -304,11 +305,6 @@ def settling_times(
     )
     samples = np.asarray(settling.value)
     return np.where(np.isnan(samples), np.inf, samples * first.sample_time)
-
-
-def _are_alike(one: "HapticLoop", other: "HapticLoop") -> bool:
-    """Whether two loops have the same controller, apart from the delay."""
-    return (one.sample_time, one.filters) == (other.sample_time, other.filters)
 
 
 def _in_floats(loop: "HapticLoop") -> Any:

@@ -174,8 +174,9 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     ``design_loop`` the wanted stiffness and the regions that just allow it. ValueError: no wall is
     stable.
     """
+    judged = replace(scene, wanted=replace(scene.wanted, measures=()))
     checked = answer if isinstance(answer, Check) else None
-    loop, walls = loop_of(scene), (checked or _judged(scene)).walls if scene.walls else {}
+    loop, walls = loop_of(scene), (checked or check_walls(judged)).walls if scene.walls else {}
     everything = wall_region(loop)
     if everything.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
@@ -247,10 +248,6 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         for panel in planes:
             name_walls(panel, walls)
     return figure
-
-
-def _judged(scene: Scene) -> Check:
-    return check_walls(replace(scene, wanted=replace(scene.wanted, measures=())))
 
 
 def _draw_legend(figure: Figure, panel: Axes, most: int) -> None:

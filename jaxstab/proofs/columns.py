@@ -752,7 +752,9 @@ def _limits(
     last = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
     low, high = strips.ends(columns)
     is_seen = np.any((high >= requested.alpha[0]) & (low <= requested.alpha[1]), axis=0)
-    hiding = is_seen & _may_hide(strips, codes)
+    # Strips between unstable gaps that do not fold hide no stable alphas.
+    between_unstable = (codes[:, :-1] == Verdict.UNSTABLE) & (codes[:, 1:] == Verdict.UNSTABLE)
+    hiding = is_seen & (strips.folds | ~between_unstable)
     number = np.arange(strips.centre.shape[1])
     beside = (number == first[:, None]) | (number == first[:, None] - 1)
     hiding &= ~((count == 1)[:, None] & beside)
@@ -774,15 +776,6 @@ def _limits(
         limit = limit.replaced(hides, span).replaced(lost, unknown)
         limits.append(_planes(limit, columns))
     return limits[0], limits[1]
-
-
-def _may_hide(
-    strips: Strips, codes: Int8[np.ndarray, "column gap"]
-) -> Bool[np.ndarray, "column strip"]:
-    """Say which strips may hide stable alphas: not those between unstable gaps that do not fold."""
-    between_unstable = (codes[:, :-1] == Verdict.UNSTABLE) & (codes[:, 1:] == Verdict.UNSTABLE)
-    hides: Bool[np.ndarray, "column strip"] = strips.folds | ~between_unstable
-    return hides
 
 
 class _Limits(NamedTuple):

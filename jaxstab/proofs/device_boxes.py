@@ -18,7 +18,7 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.model import Device, LoopParameters
 from jaxstab.model import Hand as Arm
-from jaxstab.model.device.parts import MassSpringDamper, Mode, Modes
+from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import known_filters
 from jaxstab.proofs.enclosures import (
     LinearModel,
@@ -79,7 +79,10 @@ class HeldDevice(NamedTuple):
         return cls(
             body.damping * period,
             springs * period**2,
-            tuple(_mode_in_samples(mode, period) for mode in modes),
+            tuple(
+                (2.0 * pi * mode.frequency * period, mode.damping_ratio, mode.modal_mass)
+                for mode in modes
+            ),
             tuple(2.0 * pi * hertz * period for hertz in device.bandwidths),
             (grips[0].stiffness * period**2, grips[0].damping * period) if grips else None,
         )
@@ -205,10 +208,6 @@ def _body_of(device: Device) -> MassSpringDamper | Modes:
             f"spring and damper, behind a grip with a spring or glued; this device is {device}."
         )
     return body
-
-
-def _mode_in_samples(mode: Mode, period: float) -> tuple[float, float, float]:
-    return 2.0 * pi * mode.frequency * period, mode.damping_ratio, mode.modal_mass
 
 
 # Where a straight line parts all loops of a box, and of all stiffnesses up to a limit, from 0.

@@ -69,7 +69,7 @@ def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
         place = Place(middle, half, is_wide)
         free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
         force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
-        force = force * place.chain([(_delay(late), ONE)])
+        force = force * place.chain([((DoubleDouble(0.0, 0.0),) * late + ONE, ONE)])
         return [free, *(force * place.chain(chain) for chain in chains)]
 
     return cells_of(functions)
@@ -80,11 +80,6 @@ def chains_of(device: SampledDevice, filters: Filters | None) -> tuple[list[Fact
     of_position, of_velocity = factors_of(filters or (Velocity(), Filter()), device.sample_time)
     unit = DoubleDouble.of(device.stiffness_unit / device.damping_unit) / device.sample_time
     return of_position, [((unit,), ONE), *of_velocity]
-
-
-def _delay(samples: int) -> Polynomial:
-    zero = DoubleDouble(0.0, 0.0)
-    return (zero,) * samples + ONE
 
 
 class Place(NamedTuple):

@@ -34,13 +34,12 @@ from jaxstab.arrays import (
 from jaxstab.batches import MANY_ANGLES, compiled
 from jaxstab.model import checked_delta, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import PlantPairs, plant_pairs
 from jaxstab.model.sections import Transfer
 from jaxstab.numbers import checked
-from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve, mass_system
+from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve
 from jaxstab.region.filtered_points import filtered_point
 
 # Sine, cosine and sin(x) / x of positive angles, with derivatives to full precision.
@@ -182,13 +181,6 @@ def slice_coefficients(
         return _slice_coefficients(gamma, size, turns, plant)
     single = _slice_coefficients(float(gamma), float(size), float(turns), tree_map(float, plant))
     return tree_map(np.float64, single)
-
-
-def mass_coefficients(
-    gamma: float, delta: float, delay: float, filters: Filters
-) -> SliceCoefficients:
-    """Return the coefficients of the boundary of one slice with filters, for radius 1."""
-    return filtered_coefficients(*mass_system(gamma, delta, delay, filters))
 
 
 def filtered_coefficients(

@@ -352,11 +352,12 @@ def all_inside(
     outside = np.maximum(within - 1.0, _power_on_circle(curve, *walls))
     for one in np.unique(outside).tolist():
         parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], one)
+        base, stiffness, damping = (parts[:, k, None] for k in range(3))
         chosen = np.flatnonzero(outside == one)
         for start in range(0, chosen.size, _COEFFICIENTS):
             some = chosen[start : start + _COEFFICIENTS]
-            gains = (wall[some] for wall in walls)
-            inside.flat[some] = _are_left(_with_gains(parts, *gains))
+            alpha, beta = (wall[some] for wall in walls)
+            inside.flat[some] = _are_left(base + (stiffness * alpha + damping * beta))
     return inside
 
 
@@ -369,11 +370,6 @@ def _power_on_circle(
     share = np.clip(np.nan_to_num(share, nan=1.0), _SMALLEST_ANGLE, 1.0)
     steps: np.ndarray = np.floor(np.log(share) / np.log(_STEP))
     return _ON_CIRCLE * _STEP**steps
-
-
-def _with_gains(parts: DoubleDouble, alpha: DoubleDouble, beta: DoubleDouble) -> DoubleDouble:
-    base, stiffness, damping = (parts[:, k, None] for k in range(3))
-    return base + (stiffness * alpha + damping * beta)
 
 
 @lru_cache(maxsize=64)

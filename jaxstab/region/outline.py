@@ -95,7 +95,9 @@ def polygon(
     slots = len(pieces.exists)
     order, loop = _sequence(pieces)
     pieces = tree_map(lambda x: x[order] if x.ndim else x, pieces)
-    nodes, tangents = stored(_survey(c, pieces, _nodes(points)))
+    nodes, tangents = stored(
+        _survey(c, pieces, min(max(points // 8 + 1, _FEWEST_NODES), _MOST_NODES))
+    )
     extremes, fits = _turning_points(c, pieces, nodes, tangents, slots)
     ends, closes = _ends(pieces, loop)
     extra = _together(*ends, extremes)
@@ -189,10 +191,6 @@ def _merged(many: Array, few: Array) -> Array:
     passed = xp.sum(rank[:, None] <= number, axis=0)
     latest = xp.maximum(passed - 1, 0)
     return xp.where(rank[latest] == number, len(many) + order[latest], number - passed)
-
-
-def _nodes(points: int) -> int:
-    return min(max(points // 8 + 1, _FEWEST_NODES), _MOST_NODES)
 
 
 def extra_vertices(slots: int) -> int:

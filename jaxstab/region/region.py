@@ -56,7 +56,7 @@ _WALLS = 24  # on each side
 _FROM_CORNER = 10.0 ** -np.arange(1.0, 6.0)  # shares of an edge that ends at a corner
 _UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
 _SHORTEST = 1e-8  # of the outline's size: an edge next to a corner
-_GAINS = np.geomspace(1e-8, 1.0, 9)  # of alpha and of beta, of both signs
+_GAINS = np.append(np.outer([-1.0, 1.0], np.geomspace(1e-8, 1.0, 9)), 0.0)  # alpha and beta
 
 Edges = Float64[np.ndarray, "_ 4"]
 
@@ -73,7 +73,7 @@ def fails_audit(c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviat
     """
     size = int(outline.size)
     if size == 0:
-        alpha, beta = _walls_of_all_sizes()
+        alpha, beta = np.stack(np.meshgrid(_GAINS, _GAINS)).reshape(2, -1)
         return bool(np.any(linear_verdict(alpha, beta, loop) == Verdict.STABLE))
     if deviation > _ROUGH:
         return True
@@ -142,11 +142,6 @@ def _on_edges(
     first, last = outline.angles[edges].T
     curved = np.stack(curve_and_lift(c, first + (last - first) * shares)[:2], axis=1)
     return np.where((outline.branches[edges] == Branch.CURVE)[:, None], curved, straight)
-
-
-def _walls_of_all_sizes() -> Walls:
-    gains = np.concatenate([-_GAINS, [0.0], _GAINS])
-    return np.stack(np.meshgrid(gains, gains), axis=0).reshape(2, -1)
 
 
 # The outline of one slice, with as many angles and digits as it needs. NumPy only.

@@ -129,7 +129,9 @@ class Answer:
         lines = []
         units = self._units(units)
         for (*outer, name), value in self._entries():
-            words = _HEADINGS[outer[0]].format(name) if outer else _spaced(_named(name, units))
+            words = (
+                _HEADINGS[outer[0]].format(name) if outer else _named(name, units).replace("_", " ")
+            )
             if not isinstance(value, Answer):
                 lines.append(_line(indent, words, self._words(name, value, units)))
             elif value.is_part or name == "inputs":
@@ -252,10 +254,6 @@ def in_words(value: str | IntEnum) -> str:
 def _named(name: str, units: Units) -> str:
     """Return the key of a quantity: inertia in place of mass for what turns."""
     return name.replace(Units.LINE.moved, units.moved)
-
-
-def _spaced(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _line(indent: str, name: str, words: str) -> str:
