@@ -76,9 +76,7 @@ class Filter:
     def low_pass(cls, cutoff: Numbers, *, order: int = 1) -> "Filter":
         """First-order low passes in a row, each ((1 - q) z / (z - q)), q = exp(-2 pi f T).
 
-        Args:
-            cutoff: f in Hz, > 0.
-            order: how many, from 1 to 40.
+        The cut-off f is in Hz; there are from 1 to 40 of them.
 
         Raises: see ``jaxstab.conventions``.
         """
@@ -88,9 +86,7 @@ class Filter:
     def butterworth(cls, cutoff: Numbers, *, order: int) -> "Filter":
         """Butterworth's low pass by the bilinear transform, its cut-off prewarped.
 
-        Args:
-            cutoff: f in Hz, below half of the sampling rate.
-            order: from 1 to 40.
+        The cut-off is in Hz, below half of the sampling rate, the order from 1 to 40.
 
         Raises: see ``jaxstab.conventions``; ValueError also for a cut-off above half of the
         sampling rate, where that is known.
@@ -103,8 +99,7 @@ class Filter:
     def exponential(cls, factor: Numbers) -> "Filter":
         """Exponential smoothing: y_k = y_(k-1) + factor (x_k - y_(k-1)).
 
-        Args:
-            factor: in [2^-53, 1], so that 1 - factor is below 1 in float64; 1 filters nothing.
+        The factor is in [2^-53, 1], so that 1 - factor is below 1 in float64; 1 filters nothing.
 
         Raises: see ``jaxstab.conventions``.
         """
@@ -195,9 +190,8 @@ class Velocity:
     def difference(cls, samples: int | None = None, *, window: float | None = None) -> "Velocity":
         """The difference over a window: (x_k - x_(k-n)) / (n T).
 
-        Args:
-            samples: n, from 1 to 200; 1 is the wall of the paper.
-            window: n T in s, in place of ``samples``; 15 ms in CHAI3D.
+        The window is n from 1 to 200 ``samples``, or n T in s; the wall of the paper has n = 1,
+        CHAI3D 15 ms.
 
         Raises: as ``Filter.average``.
         """

@@ -167,10 +167,8 @@ class AtlasSpec:
     """The axes and products of an atlas; without arguments, the paper's haptic range (15).
 
     Args:
-        alpha: nodes, two or more, or a FittedAxis for each delay.
-        beta: nodes, two or more, or a FittedAxis for each delay.
-        gamma: nodes, one or more, or a ToleranceAxis.
-        delta: nodes, one or more, or a ToleranceAxis.
+        alpha: nodes, two or more, or a FittedAxis for each delay; so is beta.
+        gamma: nodes, one or more, or a ToleranceAxis; so is delta.
         delay: delays t_d/T in [0, 100], whole or fractional; each has its own grid.
         products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "outline" and
             "summary"; by default the first three.
@@ -187,8 +185,13 @@ class AtlasSpec:
 
     Example:
         >>> spec = jaxstab.AtlasSpec(delay=(0.0, 0.5, 1.0), products=("verdict", "alpha_limits"))
-        >>> spec.delay
-        (0.0, 0.5, 1.0)
+        >>> spec.delay, jaxstab.AtlasSpec.from_toml(spec.to_toml()) == spec
+        ((0.0, 0.5, 1.0), True)
+        >>> spec = jaxstab.AtlasSpec.from_toml("velocity = {window_samples = 20}")
+        >>> str(spec.filters[0]), spec.delay_cells
+        ('the difference over a window of 20 samples', 0)
+        >>> jaxstab.AtlasSpec.from_file("data/specs/window.toml").delay
+        (1.0, 2.0, 3.0)
     """
 
     alpha: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 128))
@@ -223,11 +226,6 @@ class AtlasSpec:
         """Read a TOML file.
 
         Raises: as ``from_toml``, with the name of the file; OSError if it cannot be read.
-
-        Example:
-            >>> spec = jaxstab.AtlasSpec.from_file("data/specs/window.toml")
-            >>> spec.delay, spec.products
-            ((1.0, 2.0, 3.0), ('verdict', 'alpha_limits'))
         """
         table = read_table(path, "specification")
         try:
@@ -247,11 +245,6 @@ class AtlasSpec:
 
         Raises: see ``jaxstab.conventions``; ValueError also if it is no TOML, or has an unknown
         name.
-
-        Example:
-            >>> spec = jaxstab.AtlasSpec.from_toml("velocity = {window_samples = 20}")
-            >>> str(spec.filters[0]), spec.delay_cells
-            ('the difference over a window of 20 samples', 0)
         """
         return cls._from_table(parsed(text))
 
@@ -268,13 +261,7 @@ class AtlasSpec:
         return known_filters(self.velocity, self.position)
 
     def to_toml(self) -> str:
-        """Return the text from which ``from_toml`` makes an equal specification.
-
-        Example:
-            >>> spec = jaxstab.AtlasSpec(delay=(1.0,))
-            >>> jaxstab.AtlasSpec.from_toml(spec.to_toml()) == spec
-            True
-        """
+        """Return the text from which ``from_toml`` makes an equal specification."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         given = {name: value for name, value in values.items() if value is not None}
         entries = (f"{name} = {_toml(value)}" for name, value in given.items())
