@@ -195,12 +195,9 @@ class LoopsBetween:
 
 
 # Walls that several sampled loops share, by rows of the damping (``ranges.box``).
-_ROWS = 33
-
-_ZOOMS = 5
+_ROWS, _ZOOMS = 33, 5
 
 Rows = Float64[np.ndarray, " row"]
-
 Intervals = Float64[np.ndarray, "row _ 2"]
 
 
@@ -297,9 +294,7 @@ def _shared(one: Intervals, other: Intervals) -> Intervals:
 
 
 _FIRST = (0.0, 0.25, 0.5, 0.75, 1.0)
-
 _CLOSEST = 2.0**-10  # of the way: between two loops that are closer no other one is tried
-
 _AT_ONCE = 3  # loops that are added
 
 Shares = Float64[np.ndarray, " share"]
@@ -337,13 +332,9 @@ class TriedLoops:
 # boxes do not cover are proved where one number varies, as the loops between two.
 
 _VALUES = 3  # values of each number that varies
-
 _MOST_TRIED = 64  # loops of those that could not be proved
-
 _SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
-
 _MOST = 40_000  # boxes at once
-
 _ROUNDED_UP = 1.0 + 1e-9
 
 

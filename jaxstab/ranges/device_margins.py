@@ -33,6 +33,7 @@ from jaxstab.ranges.margins import (
     Margins,
     WallMargins,
     along_gains,
+    factor,
     first_delays,
     joined_angles,
 )
@@ -191,19 +192,10 @@ def device_margins(
             later[stable] = extra_delays(device, walls[stable], filters)
     shape = grid[0].shape
     limits = [ends[:, :2] / units[0], ends[:, 2:] / units[1]]
-    factors = [
-        np.where(gain > 0.0, limit[:, 1].reshape(shape) / np.where(gain > 0.0, gain, 1.0), inf)
-        for gain, limit in zip(grid, limits, strict=True)
-    ]
-    unknown = np.reshape(codes != Verdict.STABLE, shape)
-    return WallMargins(
-        codes.reshape(shape),
-        limits[0].reshape(*shape, 2),
-        limits[1].reshape(*shape, 2),
-        np.where(unknown, nan, factors[0]),
-        np.where(unknown, nan, factors[1]),
-        device.sample_time * later.reshape(shape),
-    )
+    stiff, damp = (limit.reshape(*shape, 2) for limit in limits)
+    factors = factor(np, stiff[..., 1], grid[0]), factor(np, damp[..., 1], grid[1])
+    extra = device.sample_time * later.reshape(shape)
+    return WallMargins(codes.reshape(shape), stiff, damp, *factors, extra)
 
 
 def is_stable_along(

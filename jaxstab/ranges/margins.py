@@ -467,8 +467,8 @@ def _margins(point: Array, code: Array, steps: Array) -> Margins:
         code,
         alphas,
         betas,
-        _factor(xp, alphas[..., 1], point[..., 0]),
-        _factor(xp, betas[..., 1], point[..., 1]),
+        factor(xp, alphas[..., 1], point[..., 0]),
+        factor(xp, betas[..., 1], point[..., 1]),
         steps[..., -1],
     )
 
@@ -479,7 +479,8 @@ def _end(xp: Any, gain: Array, step: Array) -> Array:
     return xp.where(xp.isfinite(end), end - xp.sign(step) * _ROUNDING * abs(end), end)
 
 
-def _factor(xp: Any, most: Array, gain: Array) -> Array:
+def factor(xp: Any, most: Array, gain: Array) -> Array:
+    """By what a gain may be multiplied; NaN where nothing is known of it."""
     without = xp.where(xp.isnan(most), most, inf)
     is_positive = gain > 0.0
     return xp.where(is_positive, most / xp.where(is_positive, gain, 1.0), without)

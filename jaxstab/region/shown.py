@@ -65,10 +65,9 @@ class ShownRegion:
 
     def _repr_html_(self) -> str:
         """Return the picture and the words for a notebook."""
-        from jaxstab.pictures.style import region_html
+        from jaxstab.pictures.style import html_of
 
-        region: Any = self
-        return region_html(region)
+        return html_of(self, self.plot)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the region: walls reached by turning gains up from 0 in blue, islands in purple.

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.arrays import tree_map
 from jaxstab.atlas.format.schema import VARIABLES, attributes_of, head_attributes
 from jaxstab.atlas.format.variables import SPEC
 from jaxstab.atlas.products.limits import (
@@ -444,7 +445,7 @@ class Atlas:
         if exact:
             own = self.filters or (None, None)
             settle(where, answer, dict(zip(("velocity", "position"), own, strict=True)))
-        return answer.reshaped(shape)
+        return tree_map(lambda values: values.reshape(shape), answer)
 
     def verdict(
         self,
@@ -673,9 +674,9 @@ class Atlas:
         )
 
     def _repr_html_(self) -> str:
-        from jaxstab.pictures.atlas import atlas_html
+        from jaxstab.pictures.style import html_of
 
-        return atlas_html(self)
+        return html_of(self, self.plot, (5.0, 3.5))
 
     def plot(
         self,

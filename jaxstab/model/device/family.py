@@ -110,7 +110,7 @@ def has_spans(value: Any) -> bool:
 #
 # (lemma B14 of docs/proofs.md). The pieces are halved, in balls, until the polynomials are right.
 if TYPE_CHECKING:
-    from flint import acb_poly, arb, arb_mat, arb_poly
+    from flint import acb, acb_poly, arb, arb_mat, arb_poly
 
 _FIRST_BITS, _MOST_BITS = 512, 1 << 12
 _ORDER = 14  # of the polynomials, at most
@@ -273,9 +273,6 @@ def _lost(polynomial: "arb_poly") -> "arb":
 
     return sum((one.rad() for one in polynomial.coeffs()), flint.arb(0))
 
-
-if TYPE_CHECKING:
-    from flint import acb, acb_poly, arb, arb_mat
 
 _BITS = (256, 1024)
 _NODES = 22  # of a piece

@@ -155,9 +155,6 @@ def _float(ball: "arb") -> float:
 # derivatives are bounded within the pieces. The effect of a blow at the handle on later states is
 # known likewise.
 
-if TYPE_CHECKING:
-    from flint import arb, arb_mat
-
 _MOST_PIECES = 24  # of a sample
 
 

@@ -146,9 +146,6 @@ def _ring() -> "fmpq_mpoly_ctx":
     return fmpq_mpoly_ctx.get(("s", "pi", "t"), "lex")
 
 
-if TYPE_CHECKING:
-    from flint import fmpq_mpoly
-
 HIGHEST_ORDER = 40
 
 Coefficients = Sequence[float] | Sequence[int] | np.ndarray[Any, np.dtype[Any]]
