@@ -269,7 +269,6 @@ class Followed(NamedTuple):
             infinite, as where a pair meets on the real line.
         error: largest distance of roots of p, one for each of f, from these.
         move: distance of the roots of f from where they start.
-        apart: half of the distance of two conjugate roots; infinite for a real root.
     """
 
     factor: list[Quadratic]
@@ -278,7 +277,6 @@ class Followed(NamedTuple):
     radius: Quadratic
     error: Array
     move: Array
-    apart: Array
 
     @property
     def lowest(self) -> Array:
@@ -302,9 +300,8 @@ def follow_root(p: CellPolynomial, root: Array) -> Followed:
     bend = _bend(p, root.astype(complex), move)
     error = _distance(left.size, np.abs(slope.middle) - slope.swing, bend)
     error = np.where(np.abs(root) > move + _FARTHEST, error, np.inf)
-    endless = np.full_like(root, np.inf)
-    still = np.zeros_like(root)
-    return Followed([factor], [left.size], still, position.times(sign), error, move, endless)
+    centre = np.zeros_like(root)
+    return Followed([factor], [left.size], centre, position.times(sign), error, move)
 
 
 def follow_pair(p: CellPolynomial, total: Array, product: Array) -> Followed:
@@ -329,7 +326,7 @@ def follow_pair(p: CellPolynomial, total: Array, product: Array) -> Followed:
     moved_back = (minus_sum.plus(-2.0 * centre), constant - minus_sum.times(centre))
     factor = [moved_back[0], moved_back[1].plus(centre**2)]
     sizes = [part.size for part in left]
-    return Followed(factor, sizes, centre, factor[1].root(), error, move, 0.5 * distance)
+    return Followed(factor, sizes, centre, factor[1].root(), error, move)
 
 
 class Cluster(NamedTuple):
