@@ -7,7 +7,7 @@ loop is written differently from a Python loop.
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field, fields, is_dataclass
 from enum import IntEnum
 from functools import cache
@@ -146,6 +146,12 @@ def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
 def at(tree: Tree, index: Any) -> Tree:
     """Return a tree of what stands at an index of each array: ``(..., i)`` for the last axis."""
     return tree_map(lambda values: values[index], tree)
+
+
+def joined(trees: Sequence[Tree], axis: int = 0) -> Tree:
+    """Return a tree of the arrays of all trees, one after the other along an axis."""
+    xp = namespace(trees)
+    return tree_map(lambda *arrays: xp.concatenate(arrays, axis), *trees)
 
 
 def pytree(cls: Class) -> Class:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int8, Int64
 
-from jaxstab.arrays import Numbers
+from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
@@ -487,11 +487,8 @@ def first_roots(family: LoopFamily, walls: Walls) -> FirstRoots | None:
     if cells is None:
         return None
     walls = walls * _units(family)
-    parts = [
-        _first_roots(cells, walls[first : first + _WALLS_AT_ONCE])
-        for first in range(0, max(len(walls), 1), _WALLS_AT_ONCE)
-    ]
-    return FirstRoots(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    starts = range(0, max(len(walls), 1), _WALLS_AT_ONCE)
+    return joined([_first_roots(cells, walls[i : i + _WALLS_AT_ONCE]) for i in starts])
 
 
 def _first_roots(cells: FamilyCells, walls: Walls) -> FirstRoots:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, at, namespace
+from jaxstab.arrays import Array, Numbers, at, joined, namespace
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import (
     DoubleDouble,
@@ -80,7 +80,7 @@ def largest_value(
     rows = max(1, _AT_ONCE // cells)
     parts = range(0, len(weights), rows)
     answers = [_largest_value(weights[start : start + rows], basis, cells) for start in parts]
-    return LargestValue(*map(np.concatenate, zip(*answers, strict=True)))
+    return joined(answers)
 
 
 def _largest_value(weights: np.ndarray, basis: np.ndarray, cells: int) -> LargestValue:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import at
+from jaxstab.arrays import at, joined
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
@@ -367,7 +367,7 @@ def strips_of(
     ends = Ends(1.0, (1.0, 2.0), 0.0) if filters is None else _checked_ends(filters)
     patches = curve_patches(hands, columns.delay, wide, width, filters, columns.half_delay)
     lines = _line_strips(columns, hands, wide, ends)
-    return _joined(lines, _curve_strips(patches, columns, beta, height))
+    return joined([lines, _curve_strips(patches, columns, beta, height)], 1)
 
 
 def apart(strips: Strips, columns: Columns) -> Strips:
@@ -387,7 +387,7 @@ def above_line(strips: Strips, columns: Columns) -> Strips:
         Strips(*(part[:, some] for part in strips._replace(centre=centre)))
         for some in (slice(0, 1), slice(1, None))
     )
-    return _joined(line, _merged(others, columns, high[..., :1]))
+    return joined([line, _merged(others, columns, high[..., :1])], 1)
 
 
 def holds_line(filters: Filters | None) -> bool:
@@ -499,10 +499,6 @@ def _no_strips(columns: Columns, count: int) -> Strips:
     return Strips(
         nothing, np.full((*shape, variables), np.nan), nothing.copy(), np.zeros(shape, bool)
     )
-
-
-def _joined(one: Strips, other: Strips) -> Strips:
-    return Strips(*(np.concatenate(parts, axis=1) for parts in zip(one, other, strict=True)))
 
 
 def _merged(strips: Strips, columns: Columns, line: np.ndarray | float = -np.inf) -> Strips:

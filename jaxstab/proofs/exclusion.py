@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int64
 
-from jaxstab.arrays import at
+from jaxstab.arrays import at, joined
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.filters import Gains, Wall, wall_over
 from jaxstab.proofs.plant import (
@@ -271,12 +271,9 @@ def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> Fi
             _keep(found, at(shrunk, (..., is_open & is_done)))
             is_open &= ~is_done
             bends = np.where(size > _FINEST, models.bends * (size / before), -1.0)
-            parts = _joined_parts(
-                at(shrunk, (..., is_open & has_shrunk)),
-                _halved_parts(
-                    at(shrunk, (..., is_open & ~has_shrunk)), bends[:, is_open & ~has_shrunk]
-                ),
-            )
+            wide = is_open & ~has_shrunk
+            halves = _halved_parts(at(shrunk, (..., wide)), bends[:, wide])
+            parts = joined([at(shrunk, (..., is_open & has_shrunk)), halves], -1)
     return found
 
 
@@ -341,12 +338,4 @@ def _halved_parts(parts: Parts, bends: np.ndarray) -> Parts:
     middle = 0.5 * (parts.low[axis, box] + parts.high[axis, box])
     low, high = parts.low.copy(), parts.high.copy()
     low[axis, box] = high[axis, box] = middle
-    return _joined_parts(Parts(parts.line, parts.low, high), Parts(parts.line, low, parts.high))
-
-
-def _joined_parts(one: Parts, other: Parts) -> Parts:
-    return Parts(
-        np.concatenate([one.line, other.line]),
-        np.concatenate([one.low, other.low], axis=1),
-        np.concatenate([one.high, other.high], axis=1),
-    )
+    return joined([Parts(parts.line, parts.low, high), Parts(parts.line, low, parts.high)], -1)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab.arrays import PI_REST, Array, at
+from jaxstab.arrays import PI_REST, Array, at, joined
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.sections import ONE, Polynomial, Transfer, size_of
@@ -188,7 +188,7 @@ def cells_of(functions: Functions) -> FilterCells:
             break
         middle, half = known.middle[~enough], 0.5 * known.half[~enough]
         middle, half = np.concatenate([middle - half, middle + half]), np.tile(half, 2)
-    whole = _Known(*(np.concatenate(parts) for parts in zip(*done, strict=True)))
+    whole = joined(done)
     whole = at(whole, np.argsort(whole.middle))
     ends = whole.middle + whole.half
     return FilterCells(

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from jaxstab.arrays import PI_REST, at
+from jaxstab.arrays import PI_REST, at, joined
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, pieces_of, pieces_of_delay
 from jaxstab.model.double_double import DoubleDouble
@@ -426,8 +426,7 @@ def family_models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
         _models(cells, at(boxes, (..., order[first : first + _IN_CACHE])))
         for first in range(0, count, _IN_CACHE)
     ]
-    parts = (np.concatenate(part, axis=-1) for part in zip(*some, strict=True))
-    return Models(*(part[..., places] for part in parts))
+    return at(joined(some, -1), (..., places))
 
 
 def _models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:

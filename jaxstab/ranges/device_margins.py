@@ -11,7 +11,7 @@ from math import inf, nan, pi
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Numbers
+from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
 from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
@@ -122,8 +122,7 @@ def _in_pieces(
         low = np.stack([t[piece], angles.low[1, number]])
         high = np.stack([t[piece + 1], angles.high[1, number]])
         parts.append(Parts(angles.line[number], low, high))
-    line, low, high = zip(*parts, strict=True)
-    return Parts(np.concatenate(line), np.concatenate(low, axis=1), np.concatenate(high, axis=1))
+    return joined(parts, -1)
 
 
 def _models(

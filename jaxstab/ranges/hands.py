@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.arrays import at
+from jaxstab.arrays import at, joined
 from jaxstab.batches import by_kind
 from jaxstab.conventions import Verdict
 from jaxstab.model import LoopParameters, by_name
@@ -188,7 +188,7 @@ def _plants(walls: Sequence[HeldWall], among: Sequence[Hands]) -> tuple[Plants, 
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls])
     wall_numbers = np.repeat(np.arange(len(walls)), counts)
     rows = Rows(wall_numbers, np.concatenate(own), *gains[wall_numbers].T)
-    return Plants(*map(np.concatenate, zip(*parts, strict=True))), rows
+    return joined(parts), rows
 
 
 def _plants_of(loop: LoopParameters, hands: Hands) -> Plants:

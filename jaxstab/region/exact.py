@@ -3,12 +3,12 @@
 from fractions import Fraction
 from functools import cache, lru_cache
 from math import comb, factorial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.arrays import PI_REST, Array, tree_map
+from jaxstab.arrays import PI_REST, Array, joined, tree_map
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.filtered_curve import FilteredCurve, standing_for, stretches_around, true_angles
 from jaxstab.region.roots import bracketed_root
@@ -32,8 +32,6 @@ _POLISHING, _POLISHED = 3, 1e-3  # steps, and the longest one beside the root
 _TERMS = 10  # of the series of sine and cosine, for angles up to 0.1
 
 Angles = Float64[np.ndarray, " _"]
-
-Part = TypeVar("Part")
 
 Pairs = Float64[np.ndarray, "half form pair part coefficient"]
 
@@ -74,7 +72,7 @@ def exact_gains(pairs: Pairs, theta: DoubleDouble, *, with_slopes: bool) -> Exac
     """
     width = max(1, _AT_ONCE // pairs.shape[-1])
     starts = range(0, max(len(theta.hi), 1), width)
-    return _joined([_gains(pairs, theta[k : k + width], with_slopes) for k in starts])
+    return joined([_gains(pairs, theta[k : k + width], with_slopes) for k in starts])
 
 
 def determinants(pairs: Pairs, theta: DoubleDouble) -> Array:
@@ -127,11 +125,6 @@ def _wall_value(rows: list[_Complex], alpha: DoubleDouble, beta: DoubleDouble) -
     parts = zip(*rows, strict=True)
     real, imag = ((base + one * alpha + two * beta).rounded() for base, one, two in parts)
     return real + 1j * imag
-
-
-def _joined(parts: list[Part], axis: int = 0) -> Part:
-    """Return numbers, or tuples of them, one after the other."""
-    return tree_map(lambda *arrays: np.concatenate(arrays, axis), *parts)
 
 
 def _where(condition: Array, one: DoubleDouble, other: DoubleDouble) -> DoubleDouble:
@@ -206,11 +199,7 @@ def _sums(coefficients: DoubleDouble, powers: _Complex) -> list[_Complex]:
     """Return sums of coefficients (angle, part, power) times powers (angle, power)."""
     columns = powers.part(slice(None), None)
     real, imag = (_total(coefficients * part) for part in columns)
-    return [_Complex(*parts) for parts in zip(_unstacked(real), _unstacked(imag), strict=True)]
-
-
-def _unstacked(both: DoubleDouble) -> list[DoubleDouble]:
-    return [DoubleDouble(*pair) for pair in zip(both.hi.T, both.lo.T, strict=True)]
+    return [_Complex(real[:, k], imag[:, k]) for k in range(real.hi.shape[1])]
 
 
 def _total(terms: DoubleDouble) -> DoubleDouble:
@@ -218,7 +207,7 @@ def _total(terms: DoubleDouble) -> DoubleDouble:
     while (count := terms.hi.shape[-1]) > 1:
         middle = count // 2
         halved = terms[..., :middle] + terms[..., middle : 2 * middle]
-        terms = _joined([halved, terms[..., 2 * middle :]], -1)
+        terms = joined([halved, terms[..., 2 * middle :]], -1)
     return terms[..., 0]
 
 
@@ -228,7 +217,7 @@ def _powers(number: _Complex, count: int) -> _Complex:
     one = DoubleDouble.of(np.ones_like(number.real.hi))
     powers, next_power = _Complex(one, DoubleDouble.of(np.zeros_like(one.hi))), number
     while powers.real.hi.shape[1] < count:
-        powers = _joined([powers, powers.times(next_power)], 1)
+        powers = joined([powers, powers.times(next_power)], 1)
         next_power = next_power.times(next_power)
     return powers.part(slice(None), slice(count))
 
@@ -400,7 +389,7 @@ def angles_on_circle(
         rough = step[is_near & (step.imag > 0.0)]
         polished, excess = polished_angles(curve.pairs, alpha[k], beta[k], rough)
         angles.append(polished[np.abs(excess) < within])
-    return _joined(angles)
+    return joined(angles)
 
 
 def _about(falling: DoubleDouble, move: float) -> DoubleDouble:

@@ -16,6 +16,7 @@ from jaxstab.arrays import (
     at,
     constant,
     first_indices,
+    joined,
     kept,
     namespace,
     repeat_and_keep,
@@ -100,14 +101,14 @@ def polygon(
     )
     extremes, fits = _turning_points(c, pieces, nodes, tangents, slots)
     ends, closes = _ends(pieces, loop)
-    extra = _together(*ends, extremes)
+    extra = joined([*ends, extremes])
     room = points - len(extra.theta)
     if xp is np and room < points // 2:  # NumPy makes more room
         room = points // 2
         points = room + len(extra.theta)
     spread = _spread(pieces, nodes, tangents, room)
     chosen = _merged(_keys(pieces, spread), _keys(pieces, extra))
-    marks = _together(spread, extra)
+    marks = joined([spread, extra])
     resolved = pieces.resolved & fits
     if length is not None:
         known, tested = constant((c, spread.theta[_TESTED]))
@@ -167,10 +168,6 @@ def _on_curve(pieces: Pieces, piece: Array, theta: Array, exists: Array) -> _Mar
     low = xp.where(begins, pieces.begin_low[piece], 0.0)
     low = xp.where(ends, pieces.end_low[piece], low)
     return _marks(_ON_PIECE, piece=piece, theta=theta, low=low, exists=exists, branch=branch)
-
-
-def _together(*marks: _Marks) -> _Marks:
-    return tree_map(lambda *parts: namespace(parts).concatenate(parts), *marks)
 
 
 def _keys(pieces: Pieces, marks: _Marks) -> Array:

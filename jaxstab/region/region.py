@@ -5,7 +5,7 @@ from math import ceil, sqrt
 import numpy as np
 from jaxtyping import Float64, Int
 
-from jaxstab.arrays import Numbers, is_traced, namespace, stored, tree_map
+from jaxstab.arrays import Numbers, is_traced, joined, namespace, stored
 from jaxstab.batches import compiled
 from jaxstab.conventions import Verdict
 from jaxstab.model import require_x64
@@ -187,7 +187,7 @@ def resolved_outline(
         more = lone_partners(exact, pieces)
         if not more.hi.size:
             break
-        centers = tree_map(lambda *both: np.concatenate(both), centers, more)
+        centers = joined([centers, more])
     if rough is not None and not _is_known(outline):
         return c, rough
     return exact, outline
