@@ -7,7 +7,7 @@ loop is written differently from a Python loop.
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field, fields, is_dataclass
 from enum import IntEnum
 from functools import cache
@@ -148,6 +148,17 @@ def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
     return result
 
 
+def at(tree: Tree, index: Any) -> Tree:
+    """Return a tree of what stands at an index of each array: ``(..., i)`` for the last axis."""
+    return tree_map(lambda values: values[index], tree)
+
+
+def joined(trees: Sequence[Tree], axis: int = 0) -> Tree:
+    """Return a tree of the arrays of all trees, one after the other along an axis."""
+    xp = namespace(trees)
+    return tree_map(lambda *arrays: xp.concatenate(arrays, axis), *trees)
+
+
 def pytree(cls: Class) -> Class:
     """Make a dataclass a pytree of JAX; if JAX is not loaded yet, it learns of it at first use.
 
@@ -248,19 +259,6 @@ def repeat_while(
 
     result: Tree = lax.while_loop(is_open, step, start)
     return result
-
-
-def scan(count: int, step: Callable[[Tree], tuple[Tree, Array]], start: Tree) -> Array:
-    """Apply a step a number of times and return the notes of all steps, stacked."""
-    if namespace(start) is np:
-        notes = []
-        for _ in range(count):
-            start, note = step(start)
-            notes.append(note)
-        return np.stack(notes)
-    from jax import lax
-
-    return lax.scan(lambda state, _: step(state), start, None, length=count)[1]
 
 
 def with_values(array: Array, indices: np.ndarray, values: Array) -> Array:

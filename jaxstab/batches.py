@@ -261,15 +261,11 @@ def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
     when it is imported, or at once if it is already loaded. Numbers and small NumPy arrays never
     need the folder.
 
-    Args:
-        folder: of the cache; by default ``JAX_COMPILATION_CACHE_DIR`` where that is set, else
-            ``jaxstab`` in the user's folder of caches (``XDG_CACHE_HOME`` or ``~/.cache``).
+    By default in ``JAX_COMPILATION_CACHE_DIR`` where that is set, else in ``jaxstab`` in the user's
+    folder of caches (``XDG_CACHE_HOME`` or ``~/.cache``). Returns the folder, which is made if it
+    is missing.
 
-    Returns:
-        The folder, which is made if it is missing.
-
-    Raises:
-        OSError: the folder cannot be made.
+    Raises: OSError if the folder cannot be made.
 
     Example:
         >>> import jaxstab
@@ -308,17 +304,10 @@ def on_host(
 ) -> Result:
     """Call a NumPy function of arrays that all have one shape, also from JAX, jit and vmap.
 
-    A search that branches for each loop is not a kernel for XLA, so JAX gives its arrays to NumPy
-    and continues with the answer. The answer has no derivative: that of a count is 0, any other one
-    is refused by JAX.
-
-    Args:
-        function: takes NumPy arrays, returns a tree of NumPy arrays of the same shape; it must not
-            call JAX.
-        arrays: its arguments, broadcast to the shape.
-        shape: of arguments and results.
-        like: a tree like the result, with the dtype in place of each array.
-        is_count: whether the results jump between constants.
+    A search that branches for each loop is not a kernel for XLA, so JAX gives its arrays, broadcast
+    to ``shape``, to NumPy and continues with the answer: a tree ``like`` the given one of dtypes,
+    of that shape. The function must not call JAX. The answer has no derivative: that of counts
+    (``is_count``) is 0, any other one is refused by JAX.
     """
     xp = namespace(arrays)
     arrays = tuple(xp.broadcast_to(array, shape) for array in arrays)

@@ -154,17 +154,22 @@ def checked_label(kind: str, name: str) -> str:
     return name
 
 
+def number(allowed: str, is_allowed: Callable[[float], bool]) -> Check:
+    """Return the check of a finite number, which says what is allowed."""
+
+    def check(value: Any) -> float:
+        given = _finite(value)
+        if given == inf or not is_allowed(given):
+            raise ValueError(f"give {allowed}")
+        return given
+
+    return check
+
+
 def quantity(unit: str, *, is_positive: bool = False) -> Check:
     """Return the check of a finite number in a unit, not negative."""
     allowed = f"a finite number {'> 0' if is_positive else '>= 0'} in {unit}"
-
-    def check(value: Any) -> float:
-        number = _finite(value)
-        if number < 0.0 or (is_positive and number == 0.0) or number == inf:
-            raise ValueError(f"give {allowed}")
-        return number
-
-    return check
+    return number(allowed, lambda value: value > 0.0 or (value == 0.0 and not is_positive))
 
 
 def interval(unit: str, *, is_positive: bool = False) -> Check:
@@ -206,20 +211,11 @@ def _similar(name: str, known: list[str]) -> str | None:
     return max(begins, key=len) if begins else small[near[0]] if near else None
 
 
-def share(value: Any) -> float:
-    """Return a number above 0 and not above 1."""
-    number = _finite(value)
-    if not 0.0 < number <= 1.0:
-        raise ValueError("give a number above 0 and at most 1")
-    return number
+share = number("a number above 0 and at most 1", lambda value: 0.0 < value <= 1.0)
 
-
-def tolerance(value: Any) -> float:
-    """Return a number >= 0 and below 1."""
-    number = _finite(value)
-    if not 0.0 <= number < 1.0:
-        raise ValueError("give a number >= 0 and below 1, such as 0.1 for 10 %")
-    return number
+tolerance = number(
+    "a number >= 0 and below 1, such as 0.1 for 10 %", lambda value: 0.0 <= value < 1.0
+)
 
 
 def whole(low: int, high: int) -> Check:
@@ -243,14 +239,7 @@ def coefficients(value: Any) -> tuple[float, ...]:
 
 def not_zero(unit: str) -> Check:
     """Return the check of a finite number in a unit, positive or negative."""
-
-    def check(value: Any) -> float:
-        number = _finite(value)
-        if number in (0.0, inf):
-            raise ValueError(f"give a finite number in {unit}, not 0")
-        return number
-
-    return check
+    return number(f"a finite number in {unit}, not 0", bool)
 
 
 def nested(kind: type["Table"]) -> Check:
@@ -313,7 +302,7 @@ def _finite(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return inf
     try:
-        number = float(value)
+        given = float(value)
     except OverflowError:
         return inf
-    return number if isfinite(number) else inf
+    return given if isfinite(given) else inf

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, is_traced, namespace
+from jaxstab.arrays import Array, Numbers, at, is_traced, namespace
 from jaxstab.batches import lists
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import LoopParameters, characteristic_polynomial, companion_matrix
@@ -83,9 +83,8 @@ class Monomials(NamedTuple):
 def monomials(plane: tuple[str, str], window: Window, fixed: Mapping[str, Numbers]) -> Monomials:
     """Return the map from a plane to the parameters, for each of the fixed values.
 
-    Raises:
-        ValueError: unknown, missing or doubled names, values outside their range, an empty window,
-            lists of fixed values of several lengths.
+    ValueError: unknown, missing or doubled names, values outside their range, an empty window,
+    lists of fixed values of several lengths.
     """
     _check_names(plane, fixed)
     table = _table(plane)
@@ -529,9 +528,8 @@ def trace_boundary(
         BoundaryTrace, or a list of them where a fixed quantity is a list. In theory a closed branch
         smaller than three resolutions may be missed where it lies next to another branch.
 
-    Raises:
-        ValueError: a name is unknown, missing or doubled, a value outside its range, a window
-            empty, the resolution out of range, lists of several lengths.
+    Raises: see ``jaxstab.conventions``; ValueError also if a name is unknown, missing or doubled, a
+    window empty, or lists are of several lengths.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; pseudo-arclength
     continuation (Keller 1977); exclusion boxes, ``exclude`` of jaxstab/proofs/exclusion.py.
@@ -620,7 +618,7 @@ class _Tracer:
             if is_start.any():
                 _, first = np.unique(number[chosen[is_start]], return_index=True)
                 first = np.flatnonzero(is_start)[first]
-                begins = Corrected(*(column[first] for column in starts))
+                begins = at(starts, first)
                 followed = follow(begins, lanes.select(first), self.resolution)
                 for search, path in zip(number[chosen[first]].tolist(), followed, strict=True):
                     self.paths[search // 3].append((_KINDS[search % 3], path))

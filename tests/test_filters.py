@@ -30,7 +30,8 @@ from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
 from jaxstab.model.sections import Section
 from jaxstab.point.schur_cohn import dense_codes, rounded_loop, without_zeros
-from jaxstab.region.curve import curve_and_lift, mass_coefficients
+from jaxstab.region.curve import curve_and_lift, filtered_coefficients
+from jaxstab.region.filtered_curve import mass_system
 from jaxstab.rounding import UNIT
 from jaxstab.tables import parsed
 
@@ -589,7 +590,7 @@ def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(numbe
     # W is up to 1e16 at z = -1, or V is: divided by z + 1 they took 8 to 16 digits.
     loop = MassLoop.drawn(np.random.default_rng([20121120, number]))
     angles = np.linspace(1.6, 3.1, 12)
-    coefficients = mass_coefficients(*loop.plant, loop.filters[:2])
+    coefficients = filtered_coefficients(*mass_system(*loop.plant, loop.filters[:2]))
     walls = np.stack(curve_and_lift(coefficients, angles)[:2], axis=1)
     truths = np.array([loop.balls.wall_with_roots_at(theta) for theta in angles.tolist()])
     size = np.max(np.abs(truths), axis=1, keepdims=True)

@@ -12,12 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 import jaxstab
-from jaxstab.cli.options import (
-    at_work,
-    keep_programs,
-    output_file,
-    spec_file,
-)
+from jaxstab.cli.options import at_work, file_in, keep_programs, output_file
 from jaxstab.cli.scene import scene_of, warn
 from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import Verdict
@@ -222,7 +217,7 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
     "-o",
     "--output",
     type=Path,
-    callback=spec_file,
+    callback=file_in(".toml"),
     help="TOML file to write, which meets the wish.",
 )
 def plan(file: Path | None, spec: Path | None, output: Path | None, **wishes: float | None) -> None:

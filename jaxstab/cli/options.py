@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -24,28 +24,20 @@ def number_or_range(_: click.Context, option: click.Parameter, text: str | None)
     return numbers if len(numbers) > 1 else numbers[0]
 
 
-def picture_file(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
-    """Return the name of a picture, of which the end is its format."""
-    if path is None:
-        return None
-    if path.suffix not in (".png", ".svg"):
-        raise click.BadParameter(f"{path} ends in neither .png nor .svg.", param=option)
-    return output_file(context, option, path)
+def file_in(*endings: str) -> Callable[..., Path | None]:
+    """Return the check of the name of a file that may be written, with one of some endings."""
+    words = f"ends in neither {' nor '.join(endings)}"
+    words = words if len(endings) > 1 else f"does not end in {endings[0]}"
+
+    def check(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+        if path is not None and path.suffix not in endings:
+            raise click.BadParameter(f"{path} {words}.", param=option)
+        return output_file(context, option, path)
+
+    return check
 
 
-def page_file(context: click.Context, option: click.Parameter, path: Path) -> Path:
-    """Return the name of a page for browsers."""
-    if path.suffix not in (".html", ".htm"):
-        raise click.BadParameter(f"{path} ends in neither .html nor .htm.", param=option)
-    output_file(context, option, path)
-    return path
-
-
-def spec_file(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
-    """Return the name of a specification of an atlas."""
-    if path is not None and path.suffix != ".toml":
-        raise click.BadParameter(f"{path} does not end in .toml.", param=option)
-    return output_file(context, option, path)
+picture_file = file_in(".png", ".svg")
 
 
 def output_file(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
@@ -69,18 +61,17 @@ def write_beside(data: bytes, path: Path) -> None:
     click.echo(f"jaxstab: wrote {path}", err=True)
 
 
+def draw(figure: Any, path: Path) -> None:
+    """Write a figure of matplotlib beside an answer, in the format that its name ends in."""
+    from jaxstab.pictures.style import picture
+
+    write_beside(picture(figure, path.suffix[1:]), path)
+
+
 def keep_programs() -> None:
     """Keep compiled programs for the next process of this user."""
     with suppress(OSError):  # without a cache it only takes longer
         jaxstab.use_compilation_cache()
-
-
-def png_file(context: click.Context, option: click.Parameter, path: Path) -> Path:
-    """Return the name of a picture that can only be a PNG."""
-    if path.suffix == ".svg":
-        raise click.BadParameter(f"{path} does not end in .png.", param=option)
-    picture_file(context, option, path)
-    return path
 
 
 @contextmanager

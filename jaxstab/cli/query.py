@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxstab
-from jaxstab.cli.options import keep_programs, png_file
+from jaxstab.cli.options import file_in, keep_programs
 from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.tables import parsed, text_of
@@ -120,7 +120,7 @@ def query(
 @click.command()
 @click.argument("file", type=Path)
 @click.option(
-    "-o", "--output", type=Path, required=True, callback=png_file, help="PNG file to write."
+    "-o", "--output", type=Path, required=True, callback=file_in(".png"), help="PNG file to write."
 )
 @click.option("--gamma", type=float, help="Physical stiffness; default: the smallest.")
 @click.option("--delta", type=float, help="Physical damping; default: the smallest.")

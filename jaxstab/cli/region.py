@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from jaxstab.cli.options import at_work, picture_file, write_beside
+from jaxstab.cli.options import at_work, draw, picture_file
 
 _FIGURES = range(4, 11)
 _DIGITS = 10
@@ -56,10 +56,8 @@ def region(
         facts = region_facts(gamma=gamma, delta=delta, delay=delay, radius=radius)
     if output:
         from jaxstab.pictures.paper import region_figure
-        from jaxstab.pictures.style import picture
 
-        drawn = picture(region_figure(gamma, delta, delay, radius), output.suffix[1:])
-        write_beside(drawn, output)
+        draw(region_figure(gamma, delta, delay, radius), output)
     if as_json:
         inputs = {name: facts.pop(name) for name in _INPUTS}
         units = dict.fromkeys([*inputs, *(name for name in facts if facts[name] is not None)], "1")

@@ -15,53 +15,56 @@ import click
 
 from jaxstab.cli.options import (
     at_work,
+    draw,
+    file_in,
     number_or_range,
     output_file,
-    page_file,
     picture_file,
     write_beside,
 )
 from jaxstab.shown import printable, shortened
 
-# Options that describe scenes, and the tables of scenes that files and options make.
 if TYPE_CHECKING:
-    from jaxstab.scene import Scene
+    from jaxstab.scene import Answer, Scene
+    from jaxstab.scene.many import Row, Variant
+
+# Options that describe scenes, and the tables of scenes that files and options make.
+
+
+_OPTIONS: dict[str, tuple[str, str, Any, str]] = {  # table and key of a scene, kind, help
+    "device": ("device", "preset", str, "A device by name; jaxstab scene presets lists them."),
+    "mass": ("device", "mass", number_or_range, "Of the device in kg; LOW:HIGH for a range."),
+    "inertia": (
+        "device",
+        "inertia",
+        number_or_range,
+        "In kg m^2, for a device that turns; LOW:HIGH for a range.",
+    ),
+    "damping": ("device", "damping", float, "Damping of the device in N s/m (N m s/rad)."),
+    "hand_mass": ("hand", "mass", number_or_range, "In kg; LOW:HIGH for a range."),
+    "hand_inertia": ("hand", "inertia", number_or_range, "In kg m^2; LOW:HIGH for a range."),
+    "hand_stiffness": ("hand", "stiffness", number_or_range, "In N/m; LOW:HIGH for a range."),
+    "hand_damping": ("hand", "damping", number_or_range, "In N s/m; LOW:HIGH for a range."),
+    "sample_time": ("controller", "sample_time", float, "Sampling period T in s."),
+    "delay": ("controller", "delay", float, "Time delay of the loop in s."),
+    "delay_samples": ("controller", "delay_samples", float, "The same in samples."),
+    "window": ("velocity", "window", float, "Velocity: difference over this window in s."),
+    "window_samples": ("velocity", "window_samples", int, "The same in samples."),
+    "cutoff": ("velocity", "cutoff", float, "Velocity: low pass at this cut-off in Hz."),
+    "estimator": (
+        "velocity",
+        "preset",
+        str,
+        "Velocity as this software estimates it; jaxstab scene presets lists names.",
+    ),
+}
 
 
 def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add what describes a scene: a file, options that go before it, and the form of the answer."""
     decorations = (
         click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
-        click.option("--device", help="A device by name; jaxstab scene presets lists them."),
-        click.option(
-            "--mass", callback=number_or_range, help="Of the device in kg; LOW:HIGH for a range."
-        ),
-        click.option(
-            "--inertia",
-            callback=number_or_range,
-            help="In kg m^2, for a device that turns; LOW:HIGH for a range.",
-        ),
-        click.option("--damping", type=float, help="Damping of the device in N s/m (N m s/rad)."),
-        click.option("--hand-mass", callback=number_or_range, help="In kg; LOW:HIGH for a range."),
-        click.option(
-            "--hand-inertia", callback=number_or_range, help="In kg m^2; LOW:HIGH for a range."
-        ),
-        click.option(
-            "--hand-stiffness", callback=number_or_range, help="In N/m; LOW:HIGH for a range."
-        ),
-        click.option(
-            "--hand-damping", callback=number_or_range, help="In N s/m; LOW:HIGH for a range."
-        ),
-        click.option("--sample-time", type=float, help="Sampling period T in s."),
-        click.option("--delay", type=float, help="Time delay of the loop in s."),
-        click.option("--delay-samples", type=float, help="The same in samples."),
-        click.option("--window", type=float, help="Velocity: difference over this window in s."),
-        click.option("--window-samples", type=int, help="The same in samples."),
-        click.option("--cutoff", type=float, help="Velocity: low pass at this cut-off in Hz."),
-        click.option(
-            "--estimator",
-            help="Velocity as this software estimates it; jaxstab scene presets lists names.",
-        ),
+        *(_scene_option(name, kind, words) for name, (_, _, kind, words) in _OPTIONS.items()),
         click.option(
             "--wall",
             type=(str, float, float),
@@ -88,6 +91,11 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for decoration in reversed(decorations):
         command = decoration(command)
     return command
+
+
+def _scene_option(name: str, kind: Any, words: str) -> Any:
+    reads = {"callback": kind} if kind is number_or_range else {"type": kind}
+    return click.option(f"--{name.replace('_', '-')}", **reads, help=words)
 
 
 _DESCRIBES = ("device", "mass", "inertia", "damping", "sample_time", "wall", "sweep")
@@ -131,62 +139,33 @@ def sentence_of(error: OSError) -> str:
     return f"cannot {'use' if error.filename else 'write'} {error.filename or 'stdout'}: {reason}."
 
 
-_VELOCITY = {
-    "window": "window",
-    "window_samples": "window_samples",
-    "cutoff": "cutoff",
-    "estimator": "preset",
-}
+_WANTED = ["at_damping", "at_stiffness", "stiffness", "safety", "mass_tolerance", "delay_tolerance"]
 
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    keys = {
-        "device": ("device", "preset"),
-        "mass": ("device", "mass"),
-        "inertia": ("device", "inertia"),
-        "damping": ("device", "damping"),
-        "hand_mass": ("hand", "mass"),
-        "hand_inertia": ("hand", "inertia"),
-        "hand_stiffness": ("hand", "stiffness"),
-        "hand_damping": ("hand", "damping"),
-        "sample_time": ("controller", "sample_time"),
-        "delay": ("controller", "delay"),
-        "delay_samples": ("controller", "delay_samples"),
-        "at_damping": ("wanted", "at_damping"),
-        "at_stiffness": ("wanted", "at_stiffness"),
-        "stiffness": ("wanted", "stiffness"),
-        "safety": ("wanted", "safety"),
-        "mass_tolerance": ("wanted", "mass_tolerance"),
-        "delay_tolerance": ("wanted", "delay_tolerance"),
-    }
-    merged = {"device": {}, "controller": {}} | table
-    options = {option: value for option, value in given.items() if value is not None}
-    sections = {section for option, (section, _) in keys.items() if option in options}
-    if options.get("wall"):
-        sections.add("walls")
-    if any(not isinstance(merged.get(section, {}), dict) for section in sections):
-        return merged  # which is refused
-    if "delay" in options or "delay_samples" in options:  # in place of one in either unit
-        kept = merged["controller"].items()
-        merged["controller"] = {key: value for key, value in kept if "delay" not in key}
-    velocity = {key: options[option] for option, key in _VELOCITY.items() if option in options}
-    if velocity and isinstance(merged["controller"], dict):  # in place of all that the file says
-        merged["controller"] = merged["controller"] | {"velocity": velocity}
-    for option, (section, key) in keys.items():
-        if option in options:
-            merged[section] = merged.get(section, {}) | {key: options[option]}
-    walls = {}
-    for name, stiffness, damping in options.get("wall", ()):
+    places = {option: place[:2] for option, place in _OPTIONS.items()}
+    places |= {option: ("wanted", option) for option in _WANTED}
+    chosen: dict[str, dict[str, Any]] = {}
+    for option, (section, key) in places.items():
+        if given.get(option) is not None:
+            chosen.setdefault(section, {})[key] = given[option]
+    if "velocity" in chosen:  # in place of all that the file says
+        chosen.setdefault("controller", {})["velocity"] = chosen.pop("velocity")
+    for name, stiffness, damping in given.get("wall", ()):
+        walls = chosen.setdefault("walls", {})
         if name in walls:
             raise ValueError(f"wall {name} is given twice; give each wall another name.")
         walls[name] = {"stiffness": stiffness, "damping": damping}
-    return merged | ({"walls": merged.get("walls", {}) | walls} if walls else {})
+    merged = {"device": {}, "controller": {}} | table
+    if any(not isinstance(merged.get(section, {}), dict) for section in chosen):
+        return merged  # which is refused
+    if {"delay", "delay_samples"} & chosen.get("controller", {}).keys():  # in either unit
+        kept = merged["controller"].items()
+        merged["controller"] = {key: value for key, value in kept if "delay" not in key}
+    return merged | {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
 
 
 # Many scenes in one process: a table, CSV, JSON, and a picture that compares them.
-if TYPE_CHECKING:
-    from jaxstab.scene.many import Row, Variant
-
 _SHOWN = {
     "best.largest_stiffness",
     "best.at_damping",
@@ -307,10 +286,9 @@ def _paths(rows: list["Row"]) -> list[str]:
 
 def _draw_rows(rows: list["Row"], file: Path) -> None:
     from jaxstab.pictures.scene import comparison_figure
-    from jaxstab.pictures.style import picture
 
     answered: list[Variant] = [row.variant for row in rows if row.answer]
-    write_beside(picture(comparison_figure(answered), file.suffix[1:]), file)
+    draw(comparison_figure(answered), file)
 
 
 def _refuse_some(rows: list["Row"]) -> None:
@@ -321,10 +299,6 @@ def _refuse_some(rows: list["Row"]) -> None:
             f"{len(wrong)} of {len(rows)} scenes were refused; the first, {first.variant.name}: "
             f"{first.refusal}"
         )
-
-
-if TYPE_CHECKING:
-    from jaxstab.scene import Answer, Scene
 
 
 class _FileOrCommand(click.Group):
@@ -491,9 +465,8 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
 
 def _draw(scene: "Scene", answer: Any, file: Path) -> None:
     from jaxstab.pictures.scene import scene_figure
-    from jaxstab.pictures.style import picture
 
-    write_beside(picture(scene_figure(scene, answer), file.suffix[1:]), file)
+    draw(scene_figure(scene, answer), file)
 
 
 FUNCTIONS = {
@@ -526,7 +499,7 @@ def _print(scene: "Scene", answer: "Answer", as_json: bool) -> None:
     "-o",
     "--output",
     type=Path,
-    callback=page_file,
+    callback=file_in(".html", ".htm"),
     default=Path("walls.html"),
     show_default=True,
     help="HTML file to write.",
@@ -622,9 +595,8 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     publish(header_of(scene, made, name).encode(), output)
     if plot:
         from jaxstab.pictures.scene import guard_figure
-        from jaxstab.pictures.style import picture
 
-        write_beside(picture(guard_figure(made, scene.units), plot.suffix[1:]), plot)
+        draw(guard_figure(made, scene.units), plot)
     click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{guard_about(scene, made)}")
 
 

@@ -181,9 +181,10 @@ def build_guard(
     _check(loop, hands, mass, delay, cells)
     progress = progress or (lambda _: None)
     progress(0.0)
+    period = loop.sample_time
     nodes = [
-        np.linspace(*ends, count + 1)
-        for ends, count in ((mass, cells[0]), (_in_samples(loop, delay), cells[1]))
+        np.linspace(*mass, cells[0] + 1),
+        np.linspace(delay[0] / period, delay[1] / period, cells[1] + 1),
     ]
     grid, units = _first_grid(loop, hands, nodes, cells)
     grid = _below_curves(loop, hands, grid, units[0])
@@ -198,12 +199,10 @@ def build_guard(
 
 
 class GuardPlan(NamedTuple):
-    """The work of proving a guard.
+    """The work of proving a guard: cells of mass, delay and damping, each for all hands and angles.
 
-    Attributes:
-        cells: of mass, delay and damping, each of which is proved for all hands and angles.
-        most_boxes: largest number of boxes of loops.
-        seconds: of CPU time that this takes on an ordinary computer, usually and at most.
+    ``most_boxes`` is the largest number of boxes of loops, ``seconds`` the CPU time that this takes
+    on an ordinary computer, usually and at most.
     """
 
     cells: int
@@ -341,10 +340,6 @@ def _check(
     for count in cells:
         if count < 1 or count & (count - 1):
             raise ValueError(f"cells are {cells}; give powers of two.")
-
-
-def _in_samples(loop: LoopParameters, delay: Range) -> Range:
-    return delay[0] / loop.sample_time, delay[1] / loop.sample_time
 
 
 def _tops(loop: LoopParameters, hands: HandRange, nodes: list[np.ndarray]) -> np.ndarray:

@@ -30,12 +30,9 @@ _SLACK = 1e-9  # of the largest value: more than the arithmetic of the header ro
 class Grid(NamedTuple):
     """Limits at nodes, between which a guard interpolates linearly in mass, delay and damping.
 
-    Attributes:
-        mass: of the device at the nodes in kg, evenly spaced.
-        delay: at the nodes in samples, evenly spaced.
-        top: the largest damping in N s/m, shape (mass, delay).
-        limit: the largest stiffness in N/m at evenly spaced dampings from 0 to the largest one,
-            shape (mass, delay, damping).
+    The nodes of mass in kg and of delay in samples are evenly spaced. ``top`` is the largest
+    damping in N s/m, ``limit`` the largest stiffness in N/m at evenly spaced dampings from 0 to
+    that one.
     """
 
     mass: Float64[np.ndarray, " mass"]

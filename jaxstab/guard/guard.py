@@ -91,13 +91,8 @@ class Guard:
     ) -> Float64[np.ndarray, "*grid"]:
         """The stiffness up to which all walls are proved stable, as the C header computes it.
 
-        Args:
-            damping: B in N s/m, any shape; all broadcast.
-            mass: of the device in kg.
-            delay: in s.
-
-        Returns:
-            Stiffness in N/m; 0 where nothing is proved, as outside the ranges.
+        In N/m; 0 where nothing is proved, as outside the ranges. Arrays of damping in N s/m, mass
+        of the device in kg and delay in s have any shape and broadcast.
         """
         values = np.broadcast_arrays(
             *(np.asarray(value, np.float64) for value in (damping, mass, delay))
@@ -132,15 +127,8 @@ class Guard:
     ) -> Float64[np.ndarray, "mass delay damping"]:
         """The stiffness at which the first of the sampled hands of the range becomes unstable.
 
-        They are the corners of the range; with a ``device``, three along each quantity.
-
-        Args:
-            damping: B in N s/m for each mass and delay.
-            mass: of the device in kg.
-            delay: in s.
-
-        Returns:
-            Stiffness in N/m, good to about 1e-3; 0 where no stiffness is stable.
+        They are the corners of the range; with a ``device``, three along each quantity. In N/m,
+        good to about 1e-3; 0 where no stiffness is stable. Units as in ``largest_stiffness``.
         """
         boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
         limits = boundary.largest_stiffness(damping)
@@ -205,7 +193,8 @@ class Guard:
         """
         checked_name(name)
         for kind, text in (("about", about), *(("units", unit) for unit in units)):
-            _checked_comment(kind, text)
+            if "*/" in text or printable(text, "\n") != text:  # it would end the comment
+                raise ValueError(f"{kind} is {shortened(text)}; give printable lines without '*/'.")
         grid, (stiffness_step, damping_step) = self.grid, self.units
         masses, delays, rows = grid.limit.shape
         values = {
@@ -254,13 +243,6 @@ def checked_name(name: str) -> str:
             "first."
         )
     return name
-
-
-def _checked_comment(name: str, text: str) -> str:
-    """Return a text that stays within a comment of C, or raise ValueError."""
-    if "*/" in text or printable(text, "\n") != text:
-        raise ValueError(f"{name} is {shortened(text)}; give printable lines without '*/'.")
-    return text
 
 
 def _version() -> str:

@@ -31,11 +31,9 @@ Curves = Float64[np.ndarray, "mass delay hand angle"]
 class Boundary(NamedTuple):
     """Walls with a root on the unit circle, for each mass, delay and corner of the hands.
 
-    Attributes:
-        stiffness: of walls with a pair of roots, in N/m.
-        damping: of the same in N s/m.
-        joined: whether two consecutive points are on one branch.
-        line: walls with a root at -1: the coefficients of K and B, and their sum.
+    ``stiffness`` in N/m and ``damping`` in N s/m are of walls with a pair of roots; two consecutive
+    points are on one branch where ``joined``. ``line``: the coefficients of K and B of walls with a
+    root at -1, and their sum.
     """
 
     stiffness: Curves

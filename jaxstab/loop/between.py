@@ -8,9 +8,9 @@ from math import inf, nan, pi
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int8
+from jaxtyping import Float64, Int8, Int64
 
-from jaxstab.arrays import Numbers
+from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
@@ -18,20 +18,32 @@ from jaxstab.model import Device, Hand, checked_gain
 from jaxstab.model.device.family import LoopFamily, merged, value_at
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.numbers import checked_number
+from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.device_boxes import BEYOND, DELAY, MASS, Boxes, DeviceBoxes, Extent, along
+from jaxstab.proofs.exclusion import FirstRoots, Models, Parts, is_free
+from jaxstab.proofs.exclusion import search as search_roots
+from jaxstab.proofs.linear_circle import (
+    FamilyBoxes,
+    FamilyCells,
+    PieceBoxes,
+    family_cells,
+    family_models,
+)
 from jaxstab.ranges import RobustLimit, WorstHand
 from jaxstab.ranges.box import (
     NOTHING,
     PULLS,
     Guess,
+    ParameterBox,
     Points,
+    Proof,
     limit_for_hands,
     limit_of,
     paved_device,
     search,
+    verdicts_of_range,
     worst_of_range,
 )
-from jaxstab.ranges.families import failures, family_verdicts, first_roots
 from jaxstab.ranges.hands import HandRange, Hands, Range, checked_range, spread_hands
 from jaxstab.ranges.robust import polygon_of_rows, pulled_in
 from jaxstab.region import RegionStatus
@@ -83,9 +95,8 @@ class LoopsBetween:
         first: a loop of concrete numbers.
         last: another one of the same sampling period and of the same parts.
 
-    Raises:
-        TypeError: one of them is not a HapticLoop, or JAX traces it.
-        ValueError: they differ in more than numbers.
+    Raises: TypeError if one of them is not a HapticLoop, or JAX traces it; ValueError if they
+    differ in more than numbers.
 
     Source: sec. VIII of Hulin, Preusche, Hirzinger (2008) for ranges of hands; lemmas B4, B5 and
     B17 of docs/proofs.md.
@@ -196,12 +207,9 @@ class LoopsBetween:
 
 
 # Walls that several sampled loops share, by rows of the damping (``ranges.box``).
-_ROWS = 33
-
-_ZOOMS = 5
+_ROWS, _ZOOMS = 33, 5
 
 Rows = Float64[np.ndarray, " row"]
-
 Intervals = Float64[np.ndarray, "row _ 2"]
 
 
@@ -298,9 +306,7 @@ def _shared(one: Intervals, other: Intervals) -> Intervals:
 
 
 _FIRST = (0.0, 0.25, 0.5, 0.75, 1.0)
-
 _CLOSEST = 2.0**-10  # of the way: between two loops that are closer no other one is tried
-
 _AT_ONCE = 3  # loops that are added
 
 Shares = Float64[np.ndarray, " share"]
@@ -338,13 +344,9 @@ class TriedLoops:
 # boxes do not cover are proved where one number varies, as the loops between two.
 
 _VALUES = 3  # values of each number that varies
-
 _MOST_TRIED = 64  # loops of those that could not be proved
-
 _SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
-
 _MOST = 40_000  # boxes at once
-
 _ROUNDED_UP = 1.0 + 1e-9
 
 
@@ -463,3 +465,126 @@ def _worst_of(loops: "list[HapticLoop]", wall: tuple[float, float]) -> WorstHand
     loop = loops[number]
     radius = float(loop.spectral_radius(*wall).value)
     return WorstHand(Verdict(int(codes[number])), loop, radius)
+
+
+# Walls (K, B), and polygons of walls, that are stable in all loops between two, proved.
+
+Walls = Float64[np.ndarray, "wall 2"]
+
+_ANGLES = 64  # boxes at first, for half a turn
+_WALLS_AT_ONCE = 64  # walls
+_SMALLEST_BOX = np.array([2.0**-12, 2.0**-14, 2.0**-20])  # along the edge, of t, of theta / pi
+_MOST_BOXES = 100_000
+_SAFE = 1.0 + 2.0**-50
+
+
+def first_roots(family: LoopFamily, walls: Walls) -> FirstRoots | None:
+    """Where along t a root of walls (K, B) is first on the unit circle (lemmas B4 and B17).
+
+    No root is there where ``low`` is infinite. None for loops that need too many pieces.
+    """
+    cells = family_cells(family)
+    if cells is None:
+        return None
+    walls = walls * _units(family)
+    starts = range(0, max(len(walls), 1), _WALLS_AT_ONCE)
+    return joined([_first_roots(cells, walls[i : i + _WALLS_AT_ONCE]) for i in starts])
+
+
+def _first_roots(cells: FamilyCells, walls: Walls) -> FirstRoots:
+    pieces = len(cells.pieces)
+    # Roots at 0 and pi are within boxes.
+    edges = np.pi * (np.arange(_ANGLES + 2) - 0.5) / _ANGLES
+    line, angle = (one.ravel() for one in np.indices((len(walls) * pieces, _ANGLES + 1)))
+    ends = cells.ends[line % pieces].T
+    parts = Parts(line, np.stack([ends[0], edges[angle]]), np.stack([ends[1], edges[angle + 1]]))
+    roots = search_roots(len(walls) * pieces, parts, partial(_wall_models, cells, walls))
+    low, high, theta = (one.reshape(len(walls), pieces) for one in roots)
+    first = np.argmin(low, axis=1)
+    rows = np.arange(len(walls))
+    return FirstRoots(low[rows, first], high.min(axis=1), theta[rows, first])
+
+
+def _wall_models(cells: FamilyCells, walls: Walls, parts: Parts) -> Models:
+    wall, piece = np.divmod(parts.line, len(cells.pieces))
+    middle, half = 0.5 * (parts.low + parts.high), 0.5 * (parts.high - parts.low) * _SAFE
+    place = PieceBoxes(piece, *middle, *half)
+    gains = walls[wall].T
+    over = family_models(cells, FamilyBoxes(gains, np.zeros_like(gains), place))
+    return over._replace(moves=over.moves[1:], bends=over.bends[1:])
+
+
+def family_verdicts(family: LoopFamily, walls: Walls) -> Int8[np.ndarray, " wall"]:
+    """Codes of ``Verdict`` for walls (K, B) and all loops between two (lemmas B4, B5 and B17).
+
+    STABLE is proved of all loops; UNSTABLE of one: it has a root on the circle or outside.
+    """
+
+    def prove(likely: Int64[np.ndarray, " likely"]) -> Int8[np.ndarray, " likely"]:
+        codes = np.full(len(likely), Verdict.UNDECIDED, np.int8)
+        roots = first_roots(family, walls[likely])
+        if roots is not None:
+            codes[roots.low == inf] = Verdict.STABLE
+            codes[roots.high < inf] = Verdict.UNSTABLE
+        return codes
+
+    ends = np.stack([_end_verdicts(family, share, walls) for share in (0, 1)], axis=-1)
+    return verdicts_of_range(ends, prove)
+
+
+def _end_verdicts(family: LoopFamily, share: int, walls: Walls) -> Int8[np.ndarray, " wall"]:
+    device, filters = family.end(share)
+    alpha, beta = (walls * [device.stiffness_unit, device.damping_unit]).T
+    return np.asarray(linear_verdict(alpha, beta, device.loop(filters)))
+
+
+def failures(family: LoopFamily, outline: Walls) -> Float64[np.ndarray, " t"] | None:
+    """Some t at which walls of a closed polygon could not be proved; an empty array is a proof.
+
+    The polygon has vertices (K, B); a single one is one wall. None for loops that need too many
+    pieces. Source: lemmas B11 and B17 of docs/proofs.md.
+    """
+    roots = first_roots(family, outline)
+    if roots is None:
+        return None
+    failed = roots.low[np.isfinite(roots.low)]
+    if not failed.size and len(outline) > 1:
+        failed = _failures_on_edges(family, outline * _units(family))
+    if not failed.size and not np.all(_end_verdicts(family, 0, outline[:1]) == Verdict.STABLE):
+        return np.zeros(1)
+    return failed
+
+
+def _failures_on_edges(family: LoopFamily, outline: Walls) -> Float64[np.ndarray, " t"]:
+    """Some t at which walls (alpha, beta) of edges could not be proved free of roots."""
+    cells = family_cells(family)
+    assert cells is not None
+    following = np.roll(outline, -1, axis=0)
+    middle, half = 0.5 * (outline + following), 0.5 * (following - outline) * _SAFE
+
+    def prove(boxes: ParameterBox) -> Proof:
+        shift, t, angle = boxes.center.T
+        by_shift, by_t, by_angle = boxes.half.T * _SAFE
+        edge, piece = np.divmod(boxes.index, len(cells.pieces))
+        place = PieceBoxes(piece, t, pi * angle, by_t, pi * by_angle)
+        along = half[edge].T
+        over = family_models(
+            cells, FamilyBoxes(middle[edge].T + along * shift, along * by_shift, place)
+        )
+        return Proof(is_free(*over[:3]), over.bends.T)
+
+    index, angle = (
+        part.ravel() for part in np.indices((len(outline) * len(cells.pieces), _ANGLES // 4))
+    )
+    ends = cells.ends[index % len(cells.pieces)].T
+    boxes = ParameterBox.of(
+        index,
+        shift=(0.0, 1.0),
+        t=(0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])),
+        angle=((angle + 0.5) * 4.0 / _ANGLES, 2.0 / _ANGLES),
+    )
+    return boxes.paved(prove, _SMALLEST_BOX, most=_MOST_BOXES).boxes["t"][0]
+
+
+def _units(family: LoopFamily) -> Float64[np.ndarray, " 2"]:
+    return np.array([family.first.stiffness_unit, family.first.damping_unit])

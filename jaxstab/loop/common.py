@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float64, Int8
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.loop.between import LoopsBetween, TriedLoops, common_polygon
+from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import Gains
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
@@ -22,9 +23,6 @@ from jaxstab.ranges.device_margins import is_stable_along
 from jaxstab.ranges.robust import failures
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.gains import Grid
-
-if TYPE_CHECKING:
-    from jaxstab.loop.loop import HapticLoop
 
 _WIDER = 1.0, 2.0, 4.0  # times the tolerance, by which a polygon is pulled in
 
@@ -55,7 +53,7 @@ class CommonRegion:
         69796 N/m at 82.5 N s/m
     """
 
-    loops: "tuple[HapticLoop, ...]"
+    loops: tuple[HapticLoop, ...]
     status: RobustStatus
     outline: Points = field(repr=False)
     tolerance: float
@@ -92,7 +90,7 @@ class CommonRegion:
 
 
 def common_region(
-    loops: "Sequence[HapticLoop] | LoopsBetween", *, tolerance: float = 0.02
+    loops: Sequence[HapticLoop] | LoopsBetween, *, tolerance: float = 0.02
 ) -> CommonRegion:
     """The walls that are stable in each of several loops, with a proved polygon.
 
@@ -132,14 +130,14 @@ def common_region(
     if not given:
         raise ValueError("loops is empty; give at least one HapticLoop.")
 
-    def unproved(walls: Points) -> "list[HapticLoop]":
+    def unproved(walls: Points) -> list[HapticLoop]:
         return [loop for loop in given if not _is_proved(loop.in_floats(), walls)]
 
     return _proved_region(given, unproved, lambda _: False, tolerance)
 
 
 def _proved_region(
-    loops: "list[HapticLoop]",
+    loops: list[HapticLoop],
     unproved: Unproved,
     add: Callable[[Any], bool],
     tolerance: float,
@@ -170,15 +168,9 @@ def _is_proved(loop: LoopParameters, outline: Points) -> bool:
 
 # The wall with the smallest worst settling time over several loops: a search on grids.
 
-if TYPE_CHECKING:
-    from jaxstab.loop.loop import HapticLoop
-
 _POINTS = 25  # on an axis of the first grid
-
 _ZOOMS = 4
-
 _FIRST_HORIZON, _MOST = 64, 2**15  # samples within which a wall must have settled
-
 _LONGER = 8
 
 Walls = Float64[np.ndarray, " wall"]
@@ -206,12 +198,12 @@ class CommonWall(NamedTuple):
     stiffness: float
     damping: float
     settling_time: float
-    slowest: "HapticLoop"
+    slowest: HapticLoop
     status: TuningStatus
 
 
 def tune_for_all(
-    loops: "Sequence[HapticLoop]",
+    loops: Sequence[HapticLoop],
     *,
     stiffness: float | None = None,
     level: float = 0.02,
@@ -275,7 +267,7 @@ def tune_for_all(
 
 
 def settling_times(
-    loops: "Sequence[HapticLoop]",
+    loops: Sequence[HapticLoop],
     stiffness: float,
     damping: float,
     level: float = 0.02,
@@ -283,7 +275,8 @@ def settling_times(
 ) -> Float64[np.ndarray, " loop"]:
     """Return the settling time of one wall in s for each loop; infinite where none is proved."""
     first = loops[0]
-    if any(loop.body is None or not _are_alike(loop, first) for loop in loops):
+    controller = first.sample_time, first.filters  # but for the delay
+    if any(loop.body is None or (loop.sample_time, loop.filters) != controller for loop in loops):
         wall = [np.array([stiffness]), np.array([damping])]
         single = [_times([loop], wall, np.inf, level, excitation, _MOST) for loop in loops]
         return np.concatenate(single)[:, 0]
@@ -306,18 +299,13 @@ def settling_times(
     return np.where(np.isnan(samples), np.inf, samples * first.sample_time)
 
 
-def _are_alike(one: "HapticLoop", other: "HapticLoop") -> bool:
-    """Whether two loops have the same controller, apart from the delay."""
-    return (one.sample_time, one.filters) == (other.sample_time, other.filters)
-
-
-def _in_floats(loop: "HapticLoop") -> Any:
+def _in_floats(loop: HapticLoop) -> Any:
     if not isinstance(loop, LoopParameters):
         raise TypeError(f"loops has {loop!r}; give a HapticLoop for each.")
     return loop.in_floats()
 
 
-def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
+def _first_grid(loop: HapticLoop, stiffness: float | None) -> Grid | None:
     """A grid that spans the stable component that contains small gains."""
     region = loop.region()
     outline = (region.main or region).outline
@@ -331,7 +319,7 @@ def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
 
 
 def _times(
-    loops: "Sequence[HapticLoop]",
+    loops: Sequence[HapticLoop],
     walls: list[Walls],
     longest: float,
     level: float,

@@ -98,17 +98,38 @@ class WallRegion(ShownRegion):
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> loop.region()
+        >>> region = loop.region()
+        >>> region
         WallRegion (K, B): the boundary closes to loops
           stiffest     K = 70643 N/m at B = 82.549 N s/m
           most damped  B = 202 N s/m at K = 0 N/m
           islands      none found
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> region = loop.region()
         >>> region.status.name, region.is_empty, len(region.components), len(region.islands)
         ('COMPLETE', False, 1, 0)
         >>> f"{region.stiffest.stiffness:.1f} N/m, {region.most_damped.damping:.1f} N s/m"
         '70643.1 N/m, 202.0 N s/m'
+        >>> round(region.extent.damping, 1), round(region.limits().damping, 1)
+        (203.5, 202.0)
+        >>> [round(point.stiffness) for point in region.extremes]
+        [70643, 0]
+        >>> print(f"{region.area:.4g}")
+        9.526e+06
+        >>> region.outline.max(axis=0).round().tolist(), region.corners.round(1).tolist()
+        ([70643.0, 202.0], [[0.0, -1.5], [0.0, 202.0]])
+        >>> region.contains(2000.0, [20.0, 300.0]).tolist(), bool(region.main.contains(100.0, 1.0))
+        ([True, False], True)
+        >>> region.distance(2000.0, [20.0, 300.0]).round(6).tolist()
+        [0.02, -0.980116]
+        >>> region.stiffness_limits([20.0, 300.0]).round().tolist()
+        [[0.0, 35325.0], [nan, nan]]
+        >>> region.damping_limits(2000.0).round(3).tolist()
+        [-0.508, 200.014]
+        >>> region.stiffness_intervals(np.array([20.0])).round().tolist()  # one interval
+        [[[0.0, 35325.0]]]
+        >>> region.damping_intervals(np.array([2000.0])).round(3).tolist()
+        [[[-0.508, 200.014]]]
+        >>> region.in_si_units(np.array([0.02, 0.2])).round(6).tolist()
+        [2000.0, 20.0]
     """
 
     loop: LoopParameters
@@ -128,35 +149,17 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def outline(self) -> Float64[np.ndarray, "point 2"]:
-        """The outline as points (K, B), counter-clockwise; loop after loop, each of them closed.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().outline.max(axis=0).round().tolist()  # N/m, N s/m
-            [70643.0, 202.0]
-        """
+        """The outline as points (K, B), counter-clockwise; loop after loop, each of them closed."""
         return self.in_si_units(self.region.points)
 
     @property
     def corners(self) -> Float64[np.ndarray, "corner 2"]:
-        """The points (K, B) where two branches of the boundary meet.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().corners.round(1).tolist()
-            [[0.0, -1.5], [0.0, 202.0]]
-        """
+        """The points (K, B) where two branches of the boundary meet."""
         return self.in_si_units(self.region.corners)
 
     @cached_property
     def extent(self) -> Gains:
-        """How far the region reaches from end to end, in K and in B.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> round(loop.region().extent.damping, 1)
-            203.5
-        """
+        """How far the region reaches from end to end, in K and in B."""
         if not len(self.outline):
             return Gains(np.nan, np.nan)
         return Gains(*(float(size) for size in np.ptp(self.outline, axis=0)))
@@ -173,24 +176,12 @@ class WallRegion(ShownRegion):
 
     @property
     def extremes(self) -> tuple[Gains, Gains]:
-        """The points of the largest K and of the largest B.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> [round(point.stiffness) for point in loop.region().extremes]
-            [70643, 0]
-        """
+        """The points of the largest K and of the largest B."""
         return self.stiffest, self.most_damped
 
     @property
     def area(self) -> float:
-        """The area in N/m times N s/m, without holes.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> print(f"{loop.region().area:.4g}")
-            9.526e+06
-        """
+        """The area in N/m times N s/m, without holes."""
         return float(self.region.area) * self.loop.stiffness(1.0) * self.loop.damping(1.0)
 
     @cached_property
@@ -202,13 +193,7 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def main(self) -> "WallRegion | None":
-        """The walls reached by turning gains up from 0; None where small gains are not stable.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().main.contains(100.0, 1.0).tolist()
-            True
-        """
+        """The walls reached by turning gains up from 0; None where small gains are not stable."""
         return next((part for part in self.components[:1] if part._holds_small_gains), None)
 
     @property
@@ -221,13 +206,7 @@ class WallRegion(ShownRegion):
         return self.region.main is not None
 
     def limits(self) -> WallLimits:
-        """Return the stiffest and the most damped wall, and those of each island.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> round(loop.region().limits().damping, 1)
-            202.0
-        """
+        """Return the stiffest and the most damped wall, and those of each island."""
         islands = self.islands if len(self.components) > 1 else []
         limits = tuple(island._limits(is_reachable=False) for island in islands)
         return (self.main or self)._limits(is_reachable=self.main is not None, islands=limits)
@@ -241,11 +220,6 @@ class WallRegion(ShownRegion):
         """Return the smallest and the largest stable K at dampings B in N s/m.
 
         NaN where none is stable. Of several intervals the one that reaches farthest is given.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().stiffness_limits([20.0, 300.0]).round().tolist()
-            [[0.0, 35325.0], [nan, nan]]
         """
         require_x64(damping)
         (rows,) = float_arrays(self.loop.beta(checked_gain("damping", damping)))
@@ -256,11 +230,6 @@ class WallRegion(ShownRegion):
         """Return the smallest and the largest stable B at stiffnesses K in N/m.
 
         NaN where none is stable. Of several intervals the one that reaches farthest is given.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().damping_limits(2000.0).round(3).tolist()
-            [-0.508, 200.014]
         """
         require_x64(stiffness)
         (columns,) = float_arrays(self.loop.alpha(checked_gain("stiffness", stiffness)))
@@ -270,59 +239,30 @@ class WallRegion(ShownRegion):
     def stiffness_intervals(
         self, damping: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
-        """Return all intervals of stable K at dampings B in N s/m, ascending, then NaN.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().stiffness_intervals(np.array([20.0])).round().tolist()  # one interval
-            [[[0.0, 35325.0]]]
-        """
+        """Return all intervals of stable K at dampings B in N s/m, ascending, then NaN."""
         rows = self.loop.beta(np.asarray(checked_gain("damping", damping)))
         return self.loop.stiffness(self._intervals(rows, axis=1))
 
     def damping_intervals(
         self, stiffness: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
-        """Return all intervals of stable B at stiffnesses K in N/m, ascending, then NaN.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().damping_intervals(np.array([2000.0])).round(3).tolist()
-            [[[-0.508, 200.014]]]
-        """
+        """Return all intervals of stable B at stiffnesses K in N/m, ascending, then NaN."""
         columns = self.loop.alpha(np.asarray(checked_gain("stiffness", stiffness)))
         return self.loop.damping(self._intervals(columns, axis=0))
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().contains(2000.0, [20.0, 300.0]).tolist()
-            [True, False]
-        """
+        """Return whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
         return self.region.contains(*self._points(stiffness, damping))
 
     def distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
         """Return the Euclidean distance of walls to the boundary in units of alpha and beta.
 
         It is positive inside and negative outside, -inf for an empty region.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().distance(2000.0, [20.0, 300.0]).round(6).tolist()
-            [0.02, -0.980116]
         """
         return self.region.distance(*self._points(stiffness, damping))
 
     def in_si_units(self, points: Float64[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 2"]:
-        """Return points (alpha, beta) as (K, B).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.region().in_si_units(np.array([0.02, 0.2])).round(6).tolist()
-            [2000.0, 20.0]
-        """
+        """Return points (alpha, beta) as (K, B)."""
         return points * np.array([self.loop.stiffness(1.0), self.loop.damping(1.0)])
 
     def _points(self, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
@@ -364,11 +304,7 @@ def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
 
 
 def traced_region(loop: LoopParameters) -> WallRegion:
-    """Return the stable walls of a loop that JAX traces, in arrays of fixed sizes.
-
-    Raises:
-        TypeError: the loop has an estimator or a filter.
-    """
+    """Return the walls of a traced loop in arrays of fixed sizes; TypeError with a filter."""
     if given_filters(**loop.filters):
         raise TypeError(
             "the region of a loop with an estimator or a filter is searched outside of JAX: call "

@@ -13,7 +13,6 @@ from jaxstab.motion import amplitude
 from jaxstab.motion.amplitude import device_amplitude
 from jaxstab.motion.settling import Excitation, checked_level
 from jaxstab.numbers import checked_number, checked_word
-from jaxstab.region import StableRegion
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.gains import Grid, shortest_settling, smallest_radius_damping
 from jaxstab.tuning.loops import DeviceLoop, MassLoop, TunedLoop
@@ -62,7 +61,8 @@ def fastest_calm_wall(
     # The first grid spans the component that contains small gains; each further grid surrounds the
     # best wall so far. Among equally fast walls the calmest one is taken.
     best, least, status = (np.nan, np.nan), (np.inf, np.inf), TuningStatus.NOT_CALM
-    region = _searched(loop)
+    whole = wall_region(loop.in_floats(), TOLERANCE).region
+    region = whole.main or whole  # the component that contains small gains, if there is one
     if not len(region.points):
         return CalmWall(best, np.inf, TuningStatus.NO_STABLE_GAINS)
     (left, low), (right, high) = region.points.min(axis=0), region.points.max(axis=0)
@@ -88,12 +88,6 @@ def fastest_calm_wall(
             break
         grid = grid.around(best)
     return CalmWall(best, least[1], status)
-
-
-def _searched(loop: LoopParameters) -> StableRegion:
-    """The component that contains small gains, or the whole region where small gains fail."""
-    region = wall_region(loop.in_floats(), TOLERANCE).region
-    return region.main or region
 
 
 class OptimalWall(NamedTuple):

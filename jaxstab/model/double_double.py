@@ -49,6 +49,9 @@ class DoubleDouble:
         hi = xp.asarray(value, xp.float64)
         return DoubleDouble(hi, xp.zeros_like(hi))
 
+    def __getitem__(self, index: Any) -> "DoubleDouble":
+        return DoubleDouble(self.hi[index], self.lo[index])
+
     def __add__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
         if _are_floats(self, other):
             return _sum_of_floats(self, other)

@@ -61,10 +61,8 @@ class Filter:
             samples: n, from 1 to 200.
             window: n times the sampling period, in s, in place of ``samples``.
 
-        Raises:
-            TypeError: not exactly one of the two is given, or it is not a number of its kind.
-            ValueError: it is out of range; a window that is not a whole number of samples is
-                refused where the sampling period is known.
+        Raises: see ``jaxstab.conventions``; TypeError also if not exactly one is given. A window
+        that is not a whole number of samples is refused where the sampling period is known.
         """
         if (samples is None) == (window is None):
             raise TypeError("give samples or window, and not both.")
@@ -78,13 +76,9 @@ class Filter:
     def low_pass(cls, cutoff: Numbers, *, order: int = 1) -> "Filter":
         """First-order low passes in a row, each ((1 - q) z / (z - q)), q = exp(-2 pi f T).
 
-        Args:
-            cutoff: f in Hz, > 0.
-            order: how many, from 1 to 40.
+        The cut-off f is in Hz; there are from 1 to 40 of them.
 
-        Raises:
-            TypeError, ValueError: the cut-off is not a number, the order not whole, or out of
-                range.
+        Raises: see ``jaxstab.conventions``.
         """
         return cls((LowPass(_positive("cutoff", cutoff), _checked_order(order)),))
 
@@ -92,13 +86,10 @@ class Filter:
     def butterworth(cls, cutoff: Numbers, *, order: int) -> "Filter":
         """Butterworth's low pass by the bilinear transform, its cut-off prewarped.
 
-        Args:
-            cutoff: f in Hz, below half of the sampling rate.
-            order: from 1 to 40.
+        The cut-off is in Hz, below half of the sampling rate, the order from 1 to 40.
 
-        Raises:
-            TypeError, ValueError: the cut-off is not a number, the order not whole, or out of
-                range; a cut-off above half of the sampling rate is refused where that is known.
+        Raises: see ``jaxstab.conventions``; ValueError also for a cut-off above half of the
+        sampling rate, where that is known.
 
         Source: Butterworth (1930); the transfer function is that of ``scipy.signal.butter``.
         """
@@ -108,11 +99,9 @@ class Filter:
     def exponential(cls, factor: Numbers) -> "Filter":
         """Exponential smoothing: y_k = y_(k-1) + factor (x_k - y_(k-1)).
 
-        Args:
-            factor: in [2^-53, 1], so that 1 - factor is below 1 in float64; 1 filters nothing.
+        The factor is in [2^-53, 1], so that 1 - factor is below 1 in float64; 1 filters nothing.
 
-        Raises:
-            TypeError, ValueError: the factor is not a number, or out of range.
+        Raises: see ``jaxstab.conventions``.
         """
         return cls((Exponential(_positive("factor", factor, _LEAST_FACTOR, 1.0)),))
 
@@ -126,9 +115,8 @@ class Filter:
             numerator: coefficients, highest power of z first.
             denominator: the same; of a higher degree than the numerator or of the same.
 
-        Raises:
-            TypeError: the coefficients are not numbers.
-            ValueError: the filter is not proper, not stable, zero, or of an order above 40.
+        Raises: see ``jaxstab.conventions``; ValueError also if the filter is not proper, not
+        stable, zero, or of an order above 40.
         """
         return cls((Rational(*_checked_rational(numerator, denominator)),))
 
@@ -146,19 +134,16 @@ class Filter:
     def per_sample(self, sample_time: Numbers) -> "Filter":
         """The filter in units of a sampling period in s, as five-number functions take it.
 
-        Raises:
-            ValueError: a section is incompatible with the sampling period.
-            TypeError: the period is traced, and a window is given in s.
+        Raises: ValueError if a section is incompatible with the sampling period; TypeError if the
+        period is traced, and a window is given in s.
         """
         return Filter(tuple(section.per_sample(sample_time) for section in self.sections))
 
     def transfer(self, sample_time: Numbers = 1.0) -> Transfer:
         """The transfer function for a sampling period in s.
 
-        Raises:
-            ValueError: a section is incompatible with the sampling period, or there are too many
-                poles, samples or stages.
-            RuntimeError: a parameter is a JAX array, and JAX's x64 mode is off.
+        Raises: see ``jaxstab.conventions``; ValueError also if a section is incompatible with the
+        sampling period, or there are too many poles, samples or stages.
         """
         stages = self.stages(sample_time)
         if len(stages) > MOST_STAGES:
@@ -205,12 +190,10 @@ class Velocity:
     def difference(cls, samples: int | None = None, *, window: float | None = None) -> "Velocity":
         """The difference over a window: (x_k - x_(k-n)) / (n T).
 
-        Args:
-            samples: n, from 1 to 200; 1 is the wall of the paper.
-            window: n T in s, in place of ``samples``; 15 ms in CHAI3D.
+        The window is n from 1 to 200 ``samples``, or n T in s; the wall of the paper has n = 1,
+        CHAI3D 15 ms.
 
-        Raises:
-            TypeError, ValueError: as ``Filter.average``.
+        Raises: as ``Filter.average``.
         """
         return cls(Filter.average(samples, window=window))
 
@@ -238,9 +221,7 @@ class Velocity:
         The numerator's sum is 0 up to rounding, for a velocity is 0 at rest; its last coefficient
         counts as minus the sum of the others.
 
-        Raises:
-            TypeError: the coefficients are not numbers.
-            ValueError: as ``Filter.transfer_function``, or V(1) is not 0.
+        Raises: as ``Filter.transfer_function``; ValueError also if V(1) is not 0.
         """
         above, below = _checked_rational(numerator, denominator)
         rest = abs(float(sum(map(Fraction, above))))

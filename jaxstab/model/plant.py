@@ -22,7 +22,6 @@ keep their relative accuracy even at gamma = (2 pi)^2, delta = 0, where N(z) van
 from fractions import Fraction
 from functools import partial
 from math import factorial
-from operator import itemgetter
 from threading import Lock
 from typing import NamedTuple
 
@@ -32,6 +31,7 @@ from jaxtyping import Float64
 from jaxstab.arrays import (
     Array,
     Numbers,
+    at,
     constant,
     filled,
     float_arrays,
@@ -222,7 +222,7 @@ def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) ->
             step, after, before = (_hold(gamma, delta, length) for length in lengths)
         else:  # one batch: three times less to compile
             holds = _hold(gamma, delta, tree_map(lambda *t: xp.stack(t), *lengths))
-            step, after, before = (tree_map(itemgetter(part), holds) for part in range(3))
+            step, after, before = (at(holds, part) for part in range(3))
         n2, n0 = after.response(), after.decay * after.decay * before.reversed_response()
     d1 = (step.decay * step.kappa).scaled(-2.0)
     d0 = step.decay * step.decay

@@ -58,11 +58,8 @@ def characteristic_polynomial(
         Array of shape (*grid, degree + 1), differentiable in alpha, beta, gamma, delta, and in the
         cut-offs and factors of filters. Without filters the degree is 3 + ceil(delay).
 
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN, or a filter is
-            incompatible with a sampling period of 1.
-        TypeError: the delay is traced, or an array of delays meets filters and traced arguments.
-        RuntimeError: JAX arrays are given, and JAX's x64 mode is off.
+    Raises: see ``jaxstab.conventions``; ValueError also if a filter is incompatible with a sampling
+    period of 1, TypeError if an array of delays meets filters and traced arguments.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) divided by -2 c1 gamma.
 

@@ -165,7 +165,6 @@ class Average(Section):
         return f"a window of {window}"
 
     def per_sample(self, sample_time: Numbers) -> "Average":
-        """Return the section in units of a sampling period in s."""
         return Average(self.samples or _whole_samples(self.window, sample_time), None)
 
     @property
@@ -175,11 +174,9 @@ class Average(Section):
 
     @property
     def toml(self) -> dict[str, Any]:
-        """The keys and values of TOML."""
         return {"window_samples": self.length}
 
     def stages(self) -> list[Transfer]:
-        """Return the transfer functions, in units of one sample, whose product this is."""
         count = self.length
         part = DoubleDouble.of(1.0) / float(count)
         return [Transfer.of((part,) * count, ONE, count - 1)]
@@ -201,7 +198,6 @@ class LowPass(Section):
         return f"a low pass at {shown(self.cutoff)} Hz of order {self.order}"
 
     def per_sample(self, sample_time: Numbers) -> "LowPass":
-        """Return the section in units of a sampling period in s."""
         section = LowPass(self.cutoff * sample_time, self.order)
         pole = section.pole
         if not is_traced(pole) and not 0.0 < pole < 1.0:
@@ -218,7 +214,6 @@ class LowPass(Section):
         return _float(namespace(exponent).exp(exponent))
 
     def stages(self) -> list[Transfer]:
-        """Return the transfer functions, in units of one sample, whose product this is."""
         pole = self.pole
         gain = DoubleDouble.of(1.0) - pole
         one = Transfer.of((gain,), (DoubleDouble.of(1.0), -DoubleDouble.of(pole)), -1)
@@ -226,11 +221,9 @@ class LowPass(Section):
 
     @property
     def longest_sample_time(self) -> float:
-        """The longest sampling period in s: the pole is not 0 in float64."""
         return _FASTEST / float(self.cutoff)
 
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        """Return the factors of the transfer function in balls."""
         factor = 1 - (-2 * pi * (ball(self.cutoff) * period)).exp()
         return [(*_lag(factor), self.order)]
 
@@ -249,13 +242,11 @@ class Exponential(Section):
         return f"exponential smoothing by {shown(self.factor)}"
 
     def stages(self) -> list[Transfer]:
-        """Return the transfer functions, in units of one sample, whose product this is."""
         factor = DoubleDouble.of(_float(self.factor))
         pole = DoubleDouble.of(1.0) - factor
         return [Transfer.of((factor,), (DoubleDouble.of(1.0), -pole), -1)]
 
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        """Return the factors of the transfer function in balls."""
         del period, pi
         return [(*_lag(ball(self.factor)), 1)]
 
@@ -276,7 +267,6 @@ class Butterworth(Section):
         return f"a Butterworth filter at {shown(self.cutoff)} Hz of order {self.order}"
 
     def per_sample(self, sample_time: Numbers) -> "Butterworth":
-        """Return the section in units of a sampling period in s."""
         section = Butterworth(self.cutoff * sample_time, self.order)
         if not is_traced(section.cutoff) and section.cutoff >= 0.5:
             raise ValueError(
@@ -286,7 +276,6 @@ class Butterworth(Section):
         return section
 
     def stages(self) -> list[Transfer]:
-        """Return the transfer functions, in units of one sample, whose product this is."""
         angle = pi * self.cutoff
         warped = _float(namespace(angle).tan(angle))
         sections = [
@@ -298,16 +287,13 @@ class Butterworth(Section):
 
     @property
     def toml(self) -> dict[str, Any]:
-        """The keys and values of TOML."""
         return {**vars(self), "kind": self.kind}
 
     @property
     def longest_sample_time(self) -> float:
-        """The longest sampling period in s: the cut-off is below half of the sampling rate."""
         return _NYQUIST / float(self.cutoff)
 
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        """Return the factors of the transfer function in balls."""
         w = (pi * (ball(self.cutoff) * period)).tan()
         factors: list[Factor] = []
         for k in range(self.order // 2):
@@ -334,12 +320,10 @@ class Rational(Section):
         return f"a transfer function of order {len(self.denominator) - 1}"
 
     def stages(self) -> list[Transfer]:
-        """Return the transfer functions, in units of one sample, whose product this is."""
         return [_monic(tuple(map(DoubleDouble.of, self.numerator)), self.denominator)]
 
     @property
     def toml(self) -> dict[str, Any]:
-        """The keys and values of TOML."""
         return {"numerator": list(self.numerator), "denominator": list(self.denominator)}
 
 
@@ -353,11 +337,9 @@ class Differentiator(Rational):
     estimator: ClassVar[str] = "transfer_function"
 
     def per_sample(self, sample_time: Numbers) -> "Differentiator":
-        """Return the section of V(z) in 1/s in units of a sampling period in s."""
         return replace(self, period=self.period * sample_time)
 
     def stages(self) -> list[Transfer]:
-        """Return the transfer functions, in units of one sample, whose product this is."""
         steps = accumulate(map(DoubleDouble.of, self.numerator[:-1]), DoubleDouble.__add__)
         numerator = tuple(step * _float(self.period) for step in steps)
         transfer = _monic(numerator, self.denominator)
@@ -365,7 +347,6 @@ class Differentiator(Rational):
 
     @property
     def toml(self) -> dict[str, Any]:
-        """The keys and values of TOML."""
         numerator = [number * self.period for number in self.numerator]
         return {"numerator": numerator, "denominator": list(self.denominator)}
 

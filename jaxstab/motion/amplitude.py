@@ -6,16 +6,16 @@ any such disturbance is at most the sum of the moduli of its impulse response, a
 comes as close to that bound as one likes (lemma M6).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from decimal import ROUND_CEILING
 from functools import partial
 from math import ceil
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, named, namespace
+from jaxstab.arrays import Array, Numbers, at, float_arrays, is_traced, named, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
@@ -74,7 +74,7 @@ def impulse_sums(systems: Systems) -> Float64[np.ndarray, "loop output input"]:
     with np.errstate(all="ignore"):
         for doublings in np.unique(new.doublings[new.doublings >= 0]).tolist():
             for some in _parts(new, doublings):
-                sums[some] = _sums(new.chosen(some), doublings)
+                sums[some] = _sums(at(new, some), doublings)
     return sums
 
 
@@ -347,6 +347,9 @@ def _of_friction(
     return RAISED * np.minimum(curved, thrown)
 
 
+Kind = TypeVar("Kind", bound="Amplitude")
+
+
 class AmplitudeStatus(Status):
     """What is known about amplitudes; small integers, so that arrays store int8.
 
@@ -452,14 +455,10 @@ def amplitude(
         >>> round(float(found.position), 2)
         1.03
     """
-    given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
-    require_x64(alpha, beta, gamma, delta, *given.values())
+    require_x64(alpha, beta, gamma, delta)
     delay = checked_delay(delay)
     filters = given_filters(velocity, position)
-    names = tuple(given)
-    sizes = float_arrays(*(checked(name, given[name], 0.0) for name in names))
-    if not any(is_traced(size) or np.any(size) for size in sizes):
-        raise ValueError(f"{', '.join(names)} are all 0; give what disturbs the loop.")
+    sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     gamma, delta = float_arrays(checked_gamma(gamma), checked_delta(delta))
     fraction = delay % 1.0
@@ -480,13 +479,37 @@ def amplitude(
     sampled = Gains(*(_total(bounds, parts) for parts in zip(*found, strict=True)))
     is_proved = xp.isfinite(sum(gain.position for gain in found))
     bounded = _at_all_times(sampled, rubbing, gamma, delta, fraction)
+    return _answered(Amplitude, bounded, is_proved, errors, gains, bank)
+
+
+def _checked_disturbances(
+    encoder: Numbers, force_step: Numbers, friction: Numbers, noise: Numbers
+) -> list[Array]:
+    """The sizes of disturbances, not all of them 0."""
+    given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
+    require_x64(*given.values())
+    sizes = float_arrays(*(checked(name, value, 0.0) for name, value in given.items()))
+    if not any(is_traced(size) or np.any(size) for size in sizes):
+        raise ValueError(f"{', '.join(given)} are all 0; give what disturbs the loop.")
+    return sizes
+
+
+def _answered(
+    kind: type[Kind],
+    bounds: tuple[Array, Array, Array],
+    is_proved: Array,
+    resolution: Array,
+    gains: Sequence[Array],
+    bank: Bank,
+) -> Kind:
+    """The bounds of position, velocity and force, infinite where none is proved."""
+    xp = namespace(bounds, is_proved, resolution, gains)
+    x, v, force = (xp.where(is_proved, bound, xp.inf) for bound in bounds)
     status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
-    x, v, force = (xp.where(is_proved, bound, xp.inf) for bound in bounded)
     direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
-    per_count = errors * abs(gains[0] * direct[0] + gains[1] * direct[1])
-    answers = x, v, force, per_count, status.astype(np.int8)
-    complete = Amplitude(*xp.broadcast_arrays(*answers))
-    return complete._replace(status=named(complete.status, AmplitudeStatus))
+    per_count = resolution * abs(gains[0] * direct[0] + gains[1] * direct[1])
+    answers = kind(*xp.broadcast_arrays(x, v, force, per_count, status.astype(np.int8)))
+    return answers._replace(status=named(answers.status, AmplitudeStatus))
 
 
 def _total(sizes: tuple[Array, ...], gains: tuple[Array, ...]) -> Array:
@@ -562,11 +585,8 @@ def device_amplitude(
     ``delay`` is in samples. Friction acts at the handle, behind the actuators; an amplifier's steps
     come before them. ValueError also if the device has zero DC gain.
     """
-    given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
-    require_x64(stiffness, damping, *given.values())
-    sizes = float_arrays(*(checked(name, value, 0.0) for name, value in given.items()))
-    if not any(is_traced(size) or np.any(size) for size in sizes):
-        raise ValueError(f"{', '.join(given)} are all 0; give what disturbs the loop.")
+    require_x64(stiffness, damping)
+    sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
     bank, fraction = bank_for(filters, sample_time), delay % 1.0
     moves = mechanics(device, sample_time, fraction, (1.0,))
@@ -578,15 +598,9 @@ def device_amplitude(
     grid = xp.broadcast_shapes(*map(np.shape, lanes))
     search = partial(_bounds, plant=plant, sample_time=sample_time)
     x, v, force = on_host(search, *lanes, shape=grid, like=(np.float64,) * 3)
-    is_proved = xp.isfinite(x + v + force)
-    x, v, force = (xp.where(is_proved, one, xp.inf) for one in (x, v, force))
-    status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
-    direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
-    rate = gains[1] / sample_time
-    per_count = resolution * abs(gains[0] * direct[0] + rate * direct[1])
-    answers = x, v / sample_time, force, per_count, status.astype(np.int8)
-    found = WallAmplitude(*xp.broadcast_arrays(*answers))
-    return found._replace(status=named(found.status, AmplitudeStatus))
+    is_proved, per_sample = xp.isfinite(x + v + force), (gains[0], gains[1] / sample_time)
+    bounds = x, v / sample_time, force
+    return _answered(WallAmplitude, bounds, is_proved, resolution, per_sample, bank)
 
 
 def _bounds(

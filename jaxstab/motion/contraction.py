@@ -5,7 +5,7 @@ products do not grow. The coordinates are found without proof, from the sum of a
 which is doubled with each square of A. That they do what they should is proved afterwards.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int
@@ -70,10 +70,6 @@ class Contraction(NamedTuple):
     outputs_error: Float64[np.ndarray, "loop output"]
     norms: PerLoop
     doublings: Int[np.ndarray, " loop"]
-
-    def chosen(self, which: Any) -> "Contraction":
-        """Return some of the systems."""
-        return Contraction(*(field[which] for field in self))
 
 
 def contraction(systems: Systems) -> Contraction:

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float64, Int, Int8
 
-from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace
+from jaxstab.arrays import Array, Numbers, at, float_arrays, named, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
@@ -96,10 +96,6 @@ class Motion(NamedTuple):
         """Return twice as many stretches."""
         states = np.concatenate([self.states, _mapped(self.power, self.states)], axis=1)
         return self._replace(power=self.power @ self.power, states=states)
-
-    def chosen(self, which: Any) -> "Motion":
-        """Return the motion of some of the loops."""
-        return Motion(*(field[which] for field in self))
 
 
 def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop stretch row"]:
@@ -363,10 +359,6 @@ class _Search(NamedTuple):
         """Return a bound of all positions from the last stretch on (lemma M1)."""
         return RAISED_MANY * self.gain * (norm(self.motion.states[:, -1:]) + self.state_error)
 
-    def chosen(self, which: Any) -> "_Search":
-        number, motion, *columns = self
-        return _Search(number[which], motion.chosen(which), *(one[which] for one in columns))
-
 
 def _settle(
     *lanes: Array, bank: Bank, level: float, excitation: str, horizon: int
@@ -389,15 +381,15 @@ def _first_samples(
     first = np.full(len(loops.start), np.nan)
     new = contraction(loops.systems())
     stable = np.flatnonzero(new.doublings >= 0)
-    searches = [_Search.begun(stable, new.chosen(stable))] if stable.size else []
+    searches = [_Search.begun(stable, at(new, stable))] if stable.size else []
     while searches:
         search = searches.pop().searched(level, is_impact)
         proved = search.bound() <= level * search.peak
         first[search.number[proved]] = search.first[proved]
         if search.motion.samples >= horizon or np.all(proved):
             continue
-        search = search.chosen(~proved)
+        search = at(search, ~proved)
         parts = ceil(len(search.number) * search.motion.samples / _NUMBERS)
         lanes = np.array_split(np.arange(len(search.number)), parts)
-        searches += [search.chosen(part).doubled() for part in lanes if part.size]
+        searches += [at(search, part).doubled() for part in lanes if part.size]
     return first

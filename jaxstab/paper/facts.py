@@ -41,9 +41,9 @@ def region_facts(
     """The numbers of a stable region by name: floats, lists of floats, words or None.
 
     Points are [alpha, beta]. For radius 1 the facts include the largest passive alpha and the
-    points of the region's boundary up to which the linear condition errs by at most 2 % and 5 %,
-    along the boundary from alpha = -gamma; None where the region has no such point. Arguments,
-    errors and sources: as ``resolved_region``.
+    points up to which the linear condition errs by at most 2 % and 5 %, along the boundary from
+    alpha = -gamma; None where the region has none. Arguments, errors and sources: as
+    ``resolved_region``.
     """
     region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     extent = np.ptp(region.points, axis=0)

@@ -139,9 +139,7 @@ def plus_line(
     """
     require_x64(beta, gamma, delta, radius)
     coefficients = slice_coefficients(gamma, delta, delay, radius)
-    damping = float_arrays(checked_gain("beta", beta))[0]
-    with np.errstate(all="ignore"):
-        return plus_offset(coefficients) - damping * plus_slope(coefficients)
+    return _line(beta, plus_offset(coefficients), plus_slope(coefficients))
 
 
 def minus_line(
@@ -158,6 +156,10 @@ def minus_line(
     """
     require_x64(beta, gamma, delta, radius)
     coefficients = slice_coefficients(gamma, delta, delay, radius)
-    damping = float_arrays(checked_gain("beta", beta))[0]
+    return _line(beta, minus_offset(coefficients), minus_slope(coefficients))
+
+
+def _line(beta: Numbers, offset: Array, slope: Array) -> Array:
+    (damping,) = float_arrays(checked_gain("beta", beta))
     with np.errstate(all="ignore"):
-        return minus_offset(coefficients) - damping * minus_slope(coefficients)
+        return offset - damping * slope

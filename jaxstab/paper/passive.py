@@ -148,7 +148,7 @@ def _raised(need: Needs, directions: Points, delay: float) -> Needs:
 
 def _need_at(theta: Float64[np.ndarray, " points"], directions: Points, delay: float) -> Needs:
     fraction = delay - floor(delay)
-    real = series_values(directions @ _basis(delay)[:2], theta)[0]
+    real = series_values(directions @ _basis(delay)[:2], theta)
     alpha, beta = directions.T
     wall = alpha**2 + 4 * beta * (alpha + beta) * np.sin(theta / 2) ** 2
     need: Needs = 0.5 * (real + np.sqrt(real**2 + fraction * (1 - fraction) * wall))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, namespace
+from jaxstab.arrays import Array, Numbers, at, joined, namespace
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import (
     DoubleDouble,
@@ -32,6 +32,7 @@ from jaxstab.model.plant import may_cancel, pairs_error
 from jaxstab.numbers import checked
 from jaxstab.point import verdict
 from jaxstab.region.curve import SliceCoefficients, curve_and_lift, slice_coefficients
+from jaxstab.region.roots import bracketed_root
 from jaxstab.rounding import EPS
 
 # Proved facts about cosine series f(theta) = sum_k c_k cos(k theta) on [0, pi].
@@ -60,13 +61,11 @@ class LargestValue(NamedTuple):
     bound: Values
 
 
-def series_values(coefficients: Coefficients, theta: Values) -> tuple[Values, Values]:
-    """Return f and f' of each series at one angle each."""
-    order = np.arange(coefficients.shape[-1])
-    phase = theta[:, None] * order
-    value = np.sum(coefficients * np.cos(phase), axis=-1)
-    slope = -np.sum(coefficients * order * np.sin(phase), axis=-1)
-    return value, slope
+def series_values(coefficients: Coefficients, theta: Values) -> Values:
+    """Return the value of each series at one angle each."""
+    phase = theta[:, None] * np.arange(coefficients.shape[-1])
+    value: Values = np.sum(coefficients * np.cos(phase), axis=-1)
+    return value
 
 
 def largest_value(
@@ -81,7 +80,7 @@ def largest_value(
     rows = max(1, _AT_ONCE // cells)
     parts = range(0, len(weights), rows)
     answers = [_largest_value(weights[start : start + rows], basis, cells) for start in parts]
-    return LargestValue(*map(np.concatenate, zip(*answers, strict=True)))
+    return joined(answers)
 
 
 def _largest_value(weights: np.ndarray, basis: np.ndarray, cells: int) -> LargestValue:
@@ -218,7 +217,7 @@ def sign_changes(series: Series) -> SignChanges:
     kept.append(_unproved(owner, low, high))
     together = [np.concatenate(column) for column in zip(*kept, strict=True)]
     order = np.lexsort((together[1], together[0]))
-    return SignChanges(*(column[order] for column in together))
+    return at(SignChanges(*together), order)
 
 
 def _bounds(series: Series) -> _Bounds:
@@ -295,7 +294,6 @@ def _unproved(owner: Int64[np.ndarray, " cells"], low: Column, high: Column) -> 
 
 _STEP_BACK = 1e-6  # of alpha + gamma: how far inside of a boundary point its side is tested
 _CHUNK = 2048  # questions answered at once
-_NEWTON_STEPS = 60
 
 
 class ValidityStatus(Status):
@@ -341,9 +339,6 @@ class _Question(NamedTuple):
         """The effective delay t_r in samples."""
         return 0.5 + self.delay
 
-    def select(self, chosen: np.ndarray) -> "_Question":
-        return _Question(*(values[chosen] for values in self))
-
 
 def linear_validity(
     level: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
@@ -387,7 +382,7 @@ def linear_validity(
     grids = np.broadcast_arrays(*(np.asarray(value, np.float64) for value in values))
     question = _Question(*(np.ravel(grid) for grid in grids))
     answers = [
-        _answers(question.select(np.arange(start, min(start + _CHUNK, grids[0].size))))
+        _answers(at(question, np.arange(start, min(start + _CHUNK, grids[0].size))))
         for start in range(0, max(grids[0].size, 1), _CHUNK)
     ]
     columns = [
@@ -403,14 +398,16 @@ def _answers(question: _Question) -> LinearValidity:
     changes = sign_changes(series)
     ones = np.ones_like(question.delay)
     slices = slice_coefficients(question.gamma, question.delta, question.delay, ones)
-    owners = question.select(changes.owner)
+    owners = at(question, changes.owner)
     curve = _Curve(
         owners,
         SliceCoefficients(
             *(np.asarray(part)[changes.owner] for part in slices if part is not None)
         ),
     )
-    theta = _solved(curve, series.coefficients[changes.owner], changes)
+    ends = -changes.direction, changes.direction
+    with np.errstate(divide="ignore", invalid="ignore"):  # of steps, which are bisected then
+        theta = bracketed_root(_Curve.excess, curve, changes.low, changes.high, ends)
     alpha, beta, height = curve.point(theta)
     # Left of the line z = 1 the error rises where its numerator falls.
     rises = (changes.direction * height > 0) | (changes.direction == 0)
@@ -447,31 +444,6 @@ class _Curve(NamedTuple):
         return (beta + delta) / self.question.lag + gamma - (1.0 + level) * height
 
 
-def _solved(curve: _Curve, series: np.ndarray, changes: SignChanges) -> Values:
-    """Return the sign change in each cell: Newton's method, safeguarded by bisection."""
-    low, high = changes.low.copy(), changes.high.copy()
-    theta = 0.5 * (low + high)
-    for _ in range(_NEWTON_STEPS):
-        excess = changes.direction * curve.excess(theta)
-        low, high = np.where(excess < 0, theta, low), np.where(excess < 0, high, theta)
-        _, slope = series_values(series, theta)
-        slope = changes.direction * slope / (curve.question.lag * _square(curve.slices, theta))
-        following = theta - excess / np.where(slope == 0.0, np.inf, slope)
-        is_inside = (following >= low) & (following <= high)
-        following = np.where(is_inside, following, 0.5 * (low + high))
-        is_done = np.all(np.abs(following - theta) <= 2 * EPS * theta)
-        theta = following
-        if is_done:
-            break
-    return theta
-
-
-def _square(slices: SliceCoefficients, theta: Values) -> Values:
-    far = 2.0 * np.cos(0.5 * theta) ** 2
-    q = slices.sigma * far - slices.num_minus
-    return q**2 + (slices.nu * np.sin(theta)) ** 2
-
-
 def excess_series(level: Values, gamma: Values, delta: Values, delay: Values) -> Series:
     """Return |N|^2 t_r (alpha_lin - alpha - level (alpha + gamma)) as cosine series in theta."""
     whole = np.floor(delay)
@@ -492,21 +464,12 @@ def excess_series(level: Values, gamma: Values, delta: Values, delay: Values) ->
         level_, gamma_, delta_, lag = question[:, rows, None]
         damping, real, square = _wall_series(plant[:, rows], turns, 1)
         slope = (1 + level_) * lag
-        series[rows, columns] = (
-            damping
-            + slope * (damping - _times_cosine(damping) - real)
-            + (delta_ - level_ * lag * gamma_) * square
-        )
+        series[rows, columns] = damping + slope * (damping - _times_cosine(damping) - real)
+        series[rows, columns] += (delta_ - level_ * lag * gamma_) * square
         damping, real, square = _wall_series(sizes[:, rows], turns, -1)
-        errors[rows, columns] = (
-            16
-            * EPS
-            * (
-                damping
-                + slope * (damping + _times_cosine(damping) + real)
-                + (delta_ + level_ * lag * gamma_) * square
-            )
-        )
+        errors[rows, columns] = damping + slope * (damping + _times_cosine(damping) + real)
+        errors[rows, columns] += (delta_ + level_ * lag * gamma_) * square
+        errors[rows, columns] *= 16 * EPS
     start = _excess_at_corner(gamma, delta, delay - whole, pairs, size)
     return Series(series, errors, *start)
 
@@ -519,16 +482,8 @@ def _wall_series(
     d1, d0, n2, n1, n0 = plant
     # W = |N|^2 w: the powers turns + 3 down to turns - 1 of z. |N|^2 beta = Im W / sin(theta).
     powers = np.arange(turns + 3, turns - 2, -1)
-    products = -sign * np.stack(
-        [
-            n0,
-            n1 + d1 * n0,
-            n2 + d1 * n1 + d0 * n0,
-            d1 * n2 + d0 * n1,
-            d0 * n2,
-        ],
-        axis=-1,
-    )
+    rising = [n0, n1 + d1 * n0, n2 + d1 * n1 + d0 * n0, d1 * n2 + d0 * n1, d0 * n2]
+    products = -sign * np.stack(rising, axis=-1)
     ratios, cosines = np.zeros((2, 5, turns + 4))
     cosines[np.arange(5), np.abs(powers)] = 1.0
     for row, power in zip(ratios, powers, strict=True):  # sin(power theta) / sin(theta)

@@ -18,7 +18,6 @@ from jaxstab.pictures.style import (
     BETA_LABEL,
     SKY,
     hand_label,
-    html_with_picture,
     new_axes,
     picture,
 )
@@ -60,8 +59,8 @@ def draw_atlas(
             f"this atlas holds {', '.join(atlas.products)}; a picture needs one of "
             f"{', '.join(sorted(set().union(*_ANSWERED_BY.values())))}."
         )
-    figure = Figure(figsize=(_WIDTH * len(numbers) + 0.9, _HEIGHT * len(rows) + 1.0))
-    figure.set_layout_engine("constrained")
+    size = _WIDTH * len(numbers) + 0.9, _HEIGHT * len(rows) + 1.0
+    figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(len(rows), len(numbers), squeeze=False)
     for column, number in zip(panels.T, numbers, strict=True):
         alpha, beta = _raster(atlas, number)
@@ -108,16 +107,6 @@ def plot_atlas(
     panel.set_title(rf"{hand_label(*hand[:2])}, $d = {hand[2]:g}$", fontsize=10)
     panel.legend(handles=_legend(), fontsize=8, loc="upper right")
     return panel
-
-
-def atlas_html(atlas: Atlas) -> str:
-    """Return a picture of an atlas at its first delay, and a description of what it holds."""
-    figure = Figure(layout="constrained", figsize=(1.5 * _WIDTH, 1.2 * _HEIGHT))
-    try:
-        plot_atlas(atlas, figure.subplots(), None, None, None)
-    except ValueError:
-        return html_with_picture(repr(atlas), None)
-    return html_with_picture(repr(atlas), figure)
 
 
 def _raster(atlas: Atlas, number: int) -> tuple[Floats, Floats]:

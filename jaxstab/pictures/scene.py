@@ -174,8 +174,9 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     ``design_loop`` the wanted stiffness and the regions that just allow it. ValueError: no wall is
     stable.
     """
+    judged = replace(scene, wanted=replace(scene.wanted, measures=()))
     checked = answer if isinstance(answer, Check) else None
-    loop, walls = loop_of(scene), (checked or _judged(scene)).walls if scene.walls else {}
+    loop, walls = loop_of(scene), (checked or check_walls(judged)).walls if scene.walls else {}
     everything = wall_region(loop)
     if everything.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
@@ -189,8 +190,7 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
 
     narrow = bool(small) + bool(islands)
     widths = [_WIDTH] + [_ZOOM_WIDTH] * narrow + [_RESPONSE_WIDTH] * (checked is not None)
-    figure = Figure(figsize=(sum(widths), _HEIGHT))
-    figure.set_layout_engine("constrained")
+    figure = Figure(figsize=(sum(widths), _HEIGHT), layout="constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
     designed = _designed(scene, answer) if isinstance(answer, Design) else []
@@ -248,10 +248,6 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         for panel in planes:
             name_walls(panel, walls)
     return figure
-
-
-def _judged(scene: Scene) -> Check:
-    return check_walls(replace(scene, wanted=replace(scene.wanted, measures=())))
 
 
 def _draw_legend(figure: Figure, panel: Axes, most: int) -> None:
@@ -428,8 +424,7 @@ def comparison_figure(variants: Sequence[Variant]) -> Figure:
     regions = [reachable(wall_region(loop_of(scene))) for scene in scenes]
     swept = _swept_numbers(variants)
     colours = _colours(len(scenes), is_graded=swept is not None)
-    figure = Figure(figsize=_SIZE)
-    figure.set_layout_engine("constrained")
+    figure = Figure(figsize=_SIZE, layout="constrained")
     walls, largest = figure.subplots(1, 2, width_ratios=(3, 2))
     for variant, region, colour in zip(variants, regions, colours, strict=True):
         if not region.is_empty:
@@ -491,8 +486,7 @@ def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
     On the left for delays of the range, at the middle mass, on the right for masses, at the middle
     delay.
     """
-    figure = Figure(figsize=_SIZE)
-    figure.set_layout_engine("constrained")
+    figure = Figure(figsize=_SIZE, layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     middle = float(np.mean(guard.mass)), float(np.mean(guard.delay))
     for delay, colour in _coloured(guard.delay):

@@ -1,7 +1,7 @@
 """The style of all pictures: colours, sizes, labels; and how a figure becomes a file."""
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from io import BytesIO
 
@@ -37,8 +37,7 @@ def panels(
 ) -> tuple[Figure, list[list[Axes]]]:
     """Return a figure with panels of the (alpha, beta) plane, row by row."""
     size = (_PANEL[0] * columns * width, (_PANEL[1] * rows + 0.4) * height)
-    figure = Figure(figsize=size)
-    figure.set_layout_engine("constrained")
+    figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     for panel in grid[-1]:
         panel.set_xlabel(ALPHA_LABEL)
@@ -175,9 +174,14 @@ def new_axes() -> Axes:
     return pyplot.subplots(figsize=_SIZE, layout="constrained")[1]
 
 
-def html_with_picture(words: str, figure: Figure | None) -> str:
-    """Return HTML of words and, above them, a picture if there is one."""
-    if figure is None:
+def html_of(
+    thing: object, draw: Callable[[Axes], object], size: tuple[float, float] = _SIZE
+) -> str:
+    """Return HTML of the words of a thing and, above them, its picture if it can be drawn."""
+    words, figure = repr(thing), Figure(figsize=size, layout="constrained")
+    try:
+        draw(figure.subplots())
+    except ValueError:
         return f"<pre>{escape(words)}</pre>"
     image = b64encode(picture(figure, "png")).decode("ascii")
     alt = escape(words, quote=True).replace("\n", " ")
@@ -185,13 +189,3 @@ def html_with_picture(words: str, figure: Figure | None) -> str:
         f'<img alt="{alt}" style="max-width: 32em" src="data:image/png;base64,{image}">'
         f"<pre>{escape(words)}</pre>"
     )
-
-
-def region_html(region: Region) -> str:
-    """Return the picture and the words of a region."""
-    figure = Figure(figsize=_SIZE, layout="constrained")
-    try:
-        plot_region(region, figure.subplots())
-    except ValueError:
-        return html_with_picture(repr(region), None)
-    return html_with_picture(repr(region), figure)

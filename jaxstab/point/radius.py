@@ -28,6 +28,7 @@ from jaxstab.arrays import (
     Array,
     Numbers,
     are_numbers,
+    at,
     constant,
     is_any_traced,
     leaves,
@@ -73,7 +74,6 @@ from jaxstab.point.schur_cohn import (
     decide,
     leading,
     loop_coefficients,
-    part_of,
     polynomial_codes,
     size,
     size_sum,
@@ -182,16 +182,11 @@ def _value(coefficients: DoubleDouble, z: Values) -> Values:
     square = DoubleDouble.of(z.real) * z.real + DoubleDouble.of(z.imag) * z.imag
     zero = total - total
     before, last = zero, zero
-    for column in _columns(coefficients):
-        before, last = last, column + (total * last - square * before)
+    for power in range(len(coefficients.hi)):
+        before, last = last, coefficients[power] + (total * last - square * before)
     # The remainder is ``before`` (z - total) + ``last``, and z - total is minus the conjugate.
     real = last - before * z.real
     return real.rounded() + 1j * (before * z.imag).rounded()
-
-
-def _columns(coefficients: DoubleDouble) -> list[DoubleDouble]:
-    pairs = zip(coefficients.hi, coefficients.lo, strict=True)
-    return [DoubleDouble(hi, lo) for hi, lo in pairs]
 
 
 @compiled(static=["unit"])
@@ -209,7 +204,7 @@ def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, uni
 def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) -> Array:
     """Return the codes of p(scale z) / scale^n; see ``dense_radius_error`` for the arguments."""
     xp = namespace(coefficients, error, scale)
-    columns = [part_of(coefficients, index) for index in range(len(leading(coefficients)))]
+    columns = [at(coefficients, index) for index in range(len(leading(coefficients)))]
     inverse, power = columns[0] / scale, columns[0]  # the first coefficient is 1
     scaled: list[Number] = []
     for column in columns:
@@ -235,10 +230,12 @@ def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) 
 # Source: Schur-Cohn criterion (Jury 1964) for p(r z).
 
 
+Columns = tuple[Array, ...]
+
+
+@compiled()
 def radius_error(
-    coefficients: Float64[Array, "*grid coefficient"],
-    radius: Float64[Array, "*grid"],
-    coefficient_error: float = 2.0 * UNIT,
+    coefficients: Float64[Array, "*grid coefficient"], radius: Float64[Array, "*grid"]
 ) -> Float64[Array, "*grid"]:
     """Prove how far a spectral radius > 0 can be from the true one.
 
@@ -247,56 +244,31 @@ def radius_error(
     2^-6 radius cannot be proved, as when coefficients other than the first three and the last four
     are not zero.
 
-    ``coefficients`` are those of ``characteristic_polynomial`` for one delay, of degree >= 3, and
-    ``coefficient_error`` their relative uncertainty.
+    ``coefficients`` are those of ``characteristic_polynomial`` for one delay, of degree >= 3, each
+    within two roundings of the true one.
     """
     degree = coefficients.shape[-1] - 1
     if degree < 3:
         raise ValueError(f"coefficients are of degree {degree}; give polynomials of degree >= 3.")
-    return _radius_error(coefficients, radius, coefficient_error=coefficient_error)
-
-
-@compiled(static=["coefficient_error"])
-def _radius_error(coefficients: Array, radius: Array, *, coefficient_error: float) -> Array:
-    degree = coefficients.shape[-1] - 1
     xp = namespace(coefficients, radius)
     columns = [coefficients[..., index] for index in range(degree + 1)]
     tail = columns[: max(2, degree - 4) : -1]
     rest = sum(map(abs, columns[3 : degree + 1 - len(tail)]), xp.zeros_like(radius))
-    bound = partial(_ladder, degree=degree, coefficient_error=coefficient_error)
-    return over_tiles(bound, (tuple(columns[1:3]), tuple(tail), rest, radius))
+
+    def ladder(head: Columns, tail: Columns, rest: Array, radius: Array) -> Array:
+        return proved_error(lambda scale: _scaled_codes(head, tail, rest, scale, degree), radius)
+
+    return over_tiles(ladder, (tuple(columns[1:3]), tuple(tail), rest, radius))
 
 
-def _ladder(
-    head: tuple[Array, ...],
-    tail: tuple[Array, ...],
-    rest: Array,
-    radius: Array,
-    *,
-    degree: int,
-    coefficient_error: float,
-) -> Array:
-    def codes(scale: Array) -> Array:
-        return _scaled_codes(head, tail, rest, scale, degree, coefficient_error)
-
-    return proved_error(codes, radius)
-
-
-def _scaled_codes(
-    head: tuple[Array, ...],
-    tail: tuple[Array, ...],
-    rest: Array,
-    scale: Array,
-    degree: int,
-    coefficient_error: float,
-) -> Array:
+def _scaled_codes(head: Columns, tail: Columns, rest: Array, scale: Array, degree: int) -> Array:
     """Return the codes of p(scale z) / scale^degree, of which ``rest`` is left out."""
     xp = namespace(scale)
     inverse = 1.0 / scale
     head = tuple(value * inverse**power for power, value in enumerate(head, start=1))
     tail = tuple(value * inverse ** (degree - power) for power, value in enumerate(tail))
-    head_error = (coefficient_error + 10.0 * UNIT) * size_sum(head)
-    tail_error = (coefficient_error + (2 * degree + 6) * UNIT) * size_sum(tail)
+    head_error = 12.0 * UNIT * size_sum(head)
+    tail_error = (2 * degree + 8) * UNIT * size_sum(tail)
     left_out = rest * xp.maximum(inverse**3, inverse**degree)
     error = head_error + 2.0 * tail_error + 2.0 * left_out + 2.0 * UNIT + UNDERFLOW
     chain = Chain(1.0 - head[1], head, tail, 2.0 * head_error, error)

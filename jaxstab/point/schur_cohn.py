@@ -26,7 +26,7 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from jaxstab.arrays import Array, is_any_traced, kept, namespace, pytree, repeat, tree_map
+from jaxstab.arrays import Array, at, is_any_traced, kept, namespace, pytree, repeat, tree_map
 from jaxstab.conventions import Verdict
 from jaxstab.model import DoubleDouble
 from jaxstab.model.linear_loop import Affine, LinearLoop
@@ -277,7 +277,7 @@ def polynomial_codes(
         apart = partial(_dense_step, unit=unit, is_apart=True)
         state = _joined(repeat(degree + 1 - width, apart, state), unit)
     state = repeat(width - 3, partial(_dense_step, unit=unit), state)
-    gap = leading(part_of(state.falling, 0) - part_of(state.falling, 2))
+    gap = leading(at(state.falling, 0) - at(state.falling, 2))
     is_clear = (abs(gap) > (SAFETY * (degree - 1)) * state.error) & state.regular
     real_outside, no_real = large, is_clear
     for value, bound in ends:
@@ -342,14 +342,14 @@ def _ends(coefficients: Number, width: int) -> tuple[Number, Number]:
             last if width == len(values) else xp.concatenate([last[:-1], xp.zeros_like(last[:1])])
         )
 
-    return tree_map(lambda values: values[:width], coefficients), tree_map(rising, coefficients)
+    return at(coefficients, np.s_[:width]), tree_map(rising, coefficients)
 
 
 def _joined(state: _State[Number], unit: float) -> _State[Number]:
     """Return the polynomial of a degree so low that its two ends overlap (lemma V9)."""
     xp = namespace(state)
-    rest = tree_map(lambda values: values[-2::-1], state.rising)
-    sums = tree_map(lambda values: values[1:], state.falling) + rest
+    rest = at(state.rising, np.s_[-2::-1])
+    sums = at(state.falling, np.s_[1:]) + rest
     falling = tree_map(
         lambda first, others: xp.concatenate([first[:1], others]), state.falling, sums
     )
@@ -357,7 +357,7 @@ def _joined(state: _State[Number], unit: float) -> _State[Number]:
     return replace(
         state,
         falling=falling,
-        rising=tree_map(lambda values: values[::-1], falling),
+        rising=at(falling, np.s_[::-1]),
         error=state.error + rounded,
         drift=2.0 * state.drift + rounded,
     )
@@ -371,7 +371,7 @@ def _sum(*numbers: Number) -> Array:
 def _dense_step(state: _State[Number], unit: float, *, is_apart: bool = False) -> _State[Number]:
     """Lower the degree by one, and bound what exact steps with the same K could differ by."""
     falling, rising = state.falling, state.rising
-    first, last = part_of(falling, 0), part_of(rising, 0)
+    first, last = at(falling, 0), at(rising, 0)
     ratio = tree_map(kept, last / first)
     modulus = size(ratio)
     total = _sum(falling, rising) if is_apart else _sum(falling)
@@ -385,12 +385,6 @@ def _dense_step(state: _State[Number], unit: float, *, is_apart: bool = False) -
         outside=outside,
         drift=drifted(state.drift, modulus, size(first), total, unit),
     )
-
-
-def part_of(number: Number, index: int) -> Number:
-    """Return one index of the first axis."""
-    part: Number = tree_map(lambda values: values[index], number)
-    return part
 
 
 def _shifted(values: Array) -> Array:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
+from jaxstab.arrays import at, joined
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
@@ -328,10 +329,6 @@ class Strips(NamedTuple):
     error: Float64[np.ndarray, "column strip"]
     folds: Bool[np.ndarray, "column strip"]
 
-    def some(self, which: np.ndarray) -> "Strips":
-        """Return the strips of some of the columns."""
-        return Strips(*(part[which] for part in self))
-
     def straightened(self, columns: Columns) -> "Strips":
         """Return the strips with the square and products of the delay as parts of their errors."""
         if not columns.half_delay:
@@ -370,7 +367,7 @@ def strips_of(
     ends = Ends(1.0, (1.0, 2.0), 0.0) if filters is None else _checked_ends(filters)
     patches = curve_patches(hands, columns.delay, wide, width, filters, columns.half_delay)
     lines = _line_strips(columns, hands, wide, ends)
-    return _joined(lines, _curve_strips(patches, columns, beta, height))
+    return joined([lines, _curve_strips(patches, columns, beta, height)], 1)
 
 
 def apart(strips: Strips, columns: Columns) -> Strips:
@@ -390,7 +387,7 @@ def above_line(strips: Strips, columns: Columns) -> Strips:
         Strips(*(part[:, some] for part in strips._replace(centre=centre)))
         for some in (slice(0, 1), slice(1, None))
     )
-    return _joined(line, _merged(others, columns, high[..., :1]))
+    return joined([line, _merged(others, columns, high[..., :1])], 1)
 
 
 def holds_line(filters: Filters | None) -> bool:
@@ -504,10 +501,6 @@ def _no_strips(columns: Columns, count: int) -> Strips:
     )
 
 
-def _joined(one: Strips, other: Strips) -> Strips:
-    return Strips(*(np.concatenate(parts, axis=1) for parts in zip(one, other, strict=True)))
-
-
 def _merged(strips: Strips, columns: Columns, line: np.ndarray | float = -np.inf) -> Strips:
     """Put strips in order from below, those that touch somewhere in a column as one flat strip.
 
@@ -587,13 +580,8 @@ class StableColumns(NamedTuple):
 class ColumnGaps(NamedTuple):
     """Open intervals of alpha in which no root crosses the unit circle anywhere in a column.
 
-    Each gap has one verdict for all beta, gamma and delta of its closed column. Entries without
-    ``low < high`` are padding.
-
-    Attributes:
-        low: lower ends, shape (box, beta cell, gap), from below.
-        high: upper ends, of the same shape.
-        verdict: codes of ``jaxstab.Verdict``, of the same shape.
+    Each gap, (box, beta cell, gap) from below, has one verdict for all beta, gamma and delta of its
+    closed column. Entries without ``low < high`` are padding.
     """
 
     low: Float64[np.ndarray, "box beta_cell gap"]
@@ -611,17 +599,10 @@ def stable_columns(
 ) -> StableColumns:
     """The alphas of a domain that are proved stable in each column.
 
-    Args:
-        beta: edges of the cells along beta, ascending.
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
-        delay: see ``jaxstab.conventions``.
-        domain: of alpha and beta.
-        filters: velocity estimator and position filter in units of one sample, whose gain P(1) is
-            not 0; None for the difference over one sample. Then a column may have several stable
-            gaps, and the alphas between the first and the last of them stay undecided.
-        half_delay: largest distance of the delay from this one; no whole sample may lie between.
-
-    Raises: see ``jaxstab.conventions``; ValueError also if P(1) is 0.
+    ``beta`` are the edges of the cells, ascending, ``half_delay`` the largest distance of the delay
+    from this one, with no whole sample between. Filters, per sample, have a gain P(1) other than 0
+    (ValueError). With them a column may have several stable gaps, and the alphas between the first
+    and the last of them stay undecided.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle, and the certified
     verdict; lemmas B8, B12 and B16 of docs/proofs.md.
@@ -631,7 +612,7 @@ def stable_columns(
     lower, upper = (np.empty((columns.centre.shape[0], len(TERMS))) for _ in range(2))
     rest = np.arange(columns.centre.shape[0])
     for ordered in (above_line, apart) if holds_line(filters) else (apart,):
-        some, there = strips.some(rest), columns.some(rest)
+        some, there = at(strips, rest), columns.some(rest)
         some = _straight_where_partial(ordered, some, there, domain)
         codes = _gap_verdicts(some, there, domain, filters)
         lower[rest], upper[rest] = _limits(some, codes, there, domain)
@@ -767,7 +748,9 @@ def _limits(
     last = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
     low, high = strips.ends(columns)
     is_seen = np.any((high >= requested.alpha[0]) & (low <= requested.alpha[1]), axis=0)
-    hiding = is_seen & _may_hide(strips, codes)
+    # Strips between unstable gaps that do not fold hide no stable alphas.
+    between_unstable = (codes[:, :-1] == Verdict.UNSTABLE) & (codes[:, 1:] == Verdict.UNSTABLE)
+    hiding = is_seen & (strips.folds | ~between_unstable)
     number = np.arange(strips.centre.shape[1])
     beside = (number == first[:, None]) | (number == first[:, None] - 1)
     hiding &= ~((count == 1)[:, None] & beside)
@@ -789,15 +772,6 @@ def _limits(
         limit = limit.replaced(hides, span).replaced(lost, unknown)
         limits.append(_planes(limit, columns))
     return limits[0], limits[1]
-
-
-def _may_hide(
-    strips: Strips, codes: Int8[np.ndarray, "column gap"]
-) -> Bool[np.ndarray, "column strip"]:
-    """Say which strips may hide stable alphas: not those between unstable gaps that do not fold."""
-    between_unstable = (codes[:, :-1] == Verdict.UNSTABLE) & (codes[:, 1:] == Verdict.UNSTABLE)
-    hides: Bool[np.ndarray, "column strip"] = strips.folds | ~between_unstable
-    return hides
 
 
 class _Limits(NamedTuple):

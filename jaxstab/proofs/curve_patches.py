@@ -17,6 +17,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from jaxstab.arrays import at
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.enclosures import LinearModel, Moving
 from jaxstab.proofs.filters import (
@@ -43,16 +44,12 @@ class Intervals(NamedTuple):
     first: Patch
     last: Patch
 
-    def some(self, which: Bool[np.ndarray, " patch"] | Box | slice) -> "Intervals":
-        """Return some of them."""
-        return Intervals(self.box[which], self.first[which], self.last[which])
-
     def parts(self, halvings: Box) -> tuple[Box, "Intervals"]:
         """Return the equal parts after so many halvings, but none for 0, and whose part each is."""
         count = np.where(halvings > 0, 1 << halvings, 0)
         owner = np.repeat(np.arange(count.size), count)
         number = np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count)
-        whole, counts = self.some(owner), count[owner]
+        whole, counts = at(self, owner), count[owner]
 
         def edge(number: Box) -> Patch:  # neighbours have the same one
             inside = whole.first + (whole.last - whole.first) * (number / counts)
@@ -119,17 +116,11 @@ def curve_patches(
     filters: Filters | None = None,
     half_delay: float = 0.0,
 ) -> Patches:
-    """Enclose the curve of a pair of roots on the unit circle where it may meet a domain.
+    """Enclose the curve of a pair of roots on the unit circle where it may meet a domain of gains.
 
     It is left out beyond the line of a root at 1: p(1) < 0 there, so a real root is always outside.
-
-    Args:
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
-        delay: see ``jaxstab.conventions``.
-        domain: of the gains.
-        width: patches are halved until theta moves alpha and beta by no more than this.
-        filters: velocity estimator and position filter, in units of one sample.
-        half_delay: largest distance of the delay from this one, between whole samples.
+    Patches are halved until theta moves alpha and beta by no more than ``width``. ``half_delay`` is
+    the largest distance of the delay from this one, between whole samples.
     """
     parts = CurveParts.of(plant_models(hands, delay, half_delay))
     turns = int(np.floor(delay)) + 1
@@ -147,7 +138,7 @@ def curve_patches(
         halvings = np.zeros_like(left)
         for start in range(0, max(intervals.box.size, 1), _BLOCK):
             block = slice(start, start + _BLOCK)
-            some = intervals.some(block)
+            some = at(intervals, block)
             curve = curve_of(some)
             most = np.minimum(left[block], _AT_ONCE)
             wanted = np.minimum(curve.halvings(width, rests[:, block]), most)

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.model import Device, LoopParameters
 from jaxstab.model import Hand as Arm
-from jaxstab.model.device.parts import MassSpringDamper, Mode, Modes
+from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import known_filters
 from jaxstab.proofs.enclosures import (
     LinearModel,
@@ -54,12 +54,9 @@ class Arms(NamedTuple):
 class HeldDevice(NamedTuple):
     """A device of any mass in the hand of any arm, in units of one sample and kg.
 
-    Attributes:
-        damping: of the rigid body, b T.
-        stiffness: to the ground, k T^2.
-        modes: angular frequency, damping ratio and mass of the vibration modes.
-        lags: angular frequencies of the actuators.
-        grip: stiffness and damping between the arm and the device; None if rigidly attached.
+    The rigid body has the damping b T and the stiffness k T^2 to the ground. ``modes`` are angular
+    frequency, damping ratio and mass of the vibration modes, ``lags`` angular frequencies of the
+    actuators, ``grip`` its stiffness and damping; None if the arm is rigidly attached.
     """
 
     damping: float
@@ -82,7 +79,10 @@ class HeldDevice(NamedTuple):
         return cls(
             body.damping * period,
             springs * period**2,
-            tuple(_mode_in_samples(mode, period) for mode in modes),
+            tuple(
+                (2.0 * pi * mode.frequency * period, mode.damping_ratio, mode.modal_mass)
+                for mode in modes
+            ),
             tuple(2.0 * pi * hertz * period for hertz in device.bandwidths),
             (grips[0].stiffness * period**2, grips[0].damping * period) if grips else None,
         )
@@ -210,10 +210,6 @@ def _body_of(device: Device) -> MassSpringDamper | Modes:
     return body
 
 
-def _mode_in_samples(mode: Mode, period: float) -> tuple[float, float, float]:
-    return 2.0 * pi * mode.frequency * period, mode.damping_ratio, mode.modal_mass
-
-
 # Where a straight line parts all loops of a box, and of all stiffnesses up to a limit, from 0.
 
 Boxes = Float64[np.ndarray, "axis box"]
@@ -284,13 +280,10 @@ _ROUNDING = 1e-14  # of a number
 
 
 class Extent(NamedTuple):
-    """Models of mass, delay and wall over boxes; the arm and the angle are axes of the boxes.
+    """Models over boxes; the arm and the angle are axes of the boxes.
 
-    Attributes:
-        mass: of the device in kg.
-        delay: in samples.
-        stiffness: the largest one of the wall in N/m.
-        damping: of the wall in N s/m.
+    Mass of the device in kg, delay in samples, the wall's largest stiffness in N/m and its damping
+    in N s/m.
     """
 
     mass: LinearModel
@@ -302,10 +295,9 @@ class Extent(NamedTuple):
 class FirstRow(NamedTuple):
     """Boxes whose walls are all multiples of others and begin with no wall.
 
-    Attributes:
-        holds: returns which boxes are of that kind, for their middles.
-        walls: returns the largest stiffness in N/m, and the damping in N s/m, per unit of the
-            multiple, for the middles and half-widths of such boxes.
+    ``holds`` says, by their middles, which boxes are of that kind; ``walls`` returns, for middles
+    and half-widths of such boxes, the largest stiffness in N/m and the damping in N s/m per unit of
+    the multiple.
     """
 
     holds: Callable[[Boxes], Bool[np.ndarray, " box"]]
@@ -518,9 +510,8 @@ class DeviceBoxes:
 class _Aliases(NamedTuple):
     """The aliases whose sum is R.
 
-    Attributes:
-        followed: which ones are followed, as k of theta + 2 pi k, and a bound of each.
-        tail: a bound of the sum of all others.
+    ``followed`` are those that are followed, as k of theta + 2 pi k, each with a bound; ``tail`` is
+    a bound of the sum of all others.
     """
 
     followed: tuple[tuple[int, float], ...]

@@ -317,12 +317,7 @@ _MIXED = (FIRST != SECOND)[:, None]
 
 @dataclass(frozen=True)
 class Quadratic:
-    """A function over cells.
-
-    Attributes:
-        terms: constant, linear and quadratic terms, (TERMS, cell).
-        rest: bound of what these leave, (cell).
-    """
+    """A function over cells: terms of 0th, 1st and 2nd order, (TERMS, cell), and their rest."""
 
     terms: Array
     rest: Array

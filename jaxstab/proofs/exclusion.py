@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int64
 
+from jaxstab.arrays import at, joined
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.filters import Gains, Wall, wall_over
 from jaxstab.proofs.plant import (
@@ -108,13 +109,9 @@ def expansion(
     plant: QuickPlant | None = None,
     filters: Filters | None = None,
 ) -> Expansion:
-    """Expand g over boxes; see lemmas B3 and B10.
+    """Expand g over boxes center +- radius; see lemmas B3 and B10.
 
-    Args:
-        center: of the boxes.
-        radius: half-widths, >= 0.
-        plant: the plant at the centre, if it is known.
-        filters: velocity estimator and position filter, in units of one sample.
+    The plant at the centre may be given; the filters are in units of one sample.
     """
     if plant is None:
         hand = (np.maximum(value, 0.0) for value in center[2:5])
@@ -221,10 +218,6 @@ class Parts(NamedTuple):
     low: Ends
     high: Ends
 
-    def some(self, which: Bool[np.ndarray, " box"]) -> "Parts":
-        """Return some of them."""
-        return Parts(self.line[which], self.low[:, which], self.high[:, which])
-
 
 class FirstRoots(NamedTuple):
     """For each line: no root is on the circle before ``low``, and one is proved before ``high``.
@@ -247,10 +240,6 @@ class Models(NamedTuple):
     bends: np.ndarray  # (2, box): how much each axis moves g, and its rest
     rounding: np.ndarray
 
-    def some(self, which: Bool[np.ndarray, " box"]) -> "Models":
-        """Return some of them."""
-        return Models(*(part[..., which] for part in self))
-
 
 def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> FirstRoots:
     """Where, within boxes of lines, a root is on the unit circle for the first time."""
@@ -266,7 +255,7 @@ def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> Fi
         while parts.line.size:
             models = models_of(parts)
             is_open = ~is_free(*models[:3])
-            parts, models = parts.some(is_open), models.some(is_open)
+            parts, models = at((parts, models), (..., is_open))
             shrunk, is_proved = _shrunk(parts, models)
             np.minimum.at(found.high, shrunk.line[is_proved], shrunk.high[0, is_proved])
             is_open = np.all(shrunk.low <= shrunk.high, axis=0)
@@ -279,13 +268,12 @@ def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> Fi
             is_done = is_proved & is_narrow | is_rounded & (is_proved | is_flat)
             is_done |= np.all(size <= _FINEST, axis=0)
             is_done |= np.sum(is_open) > _MOST
-            _keep(found, shrunk.some(is_open & is_done))
+            _keep(found, at(shrunk, (..., is_open & is_done)))
             is_open &= ~is_done
             bends = np.where(size > _FINEST, models.bends * (size / before), -1.0)
-            parts = _joined_parts(
-                shrunk.some(is_open & has_shrunk),
-                _halved_parts(shrunk.some(is_open & ~has_shrunk), bends[:, is_open & ~has_shrunk]),
-            )
+            wide = is_open & ~has_shrunk
+            halves = _halved_parts(at(shrunk, (..., wide)), bends[:, wide])
+            parts = joined([at(shrunk, (..., is_open & has_shrunk)), halves], -1)
     return found
 
 
@@ -296,7 +284,7 @@ def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | N
     middle = lines.start[:, parts.line] + change * t
     center = Loops(*np.concatenate([middle, theta[None]]))
     moved = np.abs(change) * half[0]
-    plant = QuickPlant(*(part[parts.line] for part in plants))
+    plant = at(plants, parts.line)
     is_other = np.any(change[2:] != 0.0, axis=0)
     if np.any(is_other):
         others = quick_plant(*(np.maximum(value[is_other], 0.0) for value in center[2:5]))
@@ -350,12 +338,4 @@ def _halved_parts(parts: Parts, bends: np.ndarray) -> Parts:
     middle = 0.5 * (parts.low[axis, box] + parts.high[axis, box])
     low, high = parts.low.copy(), parts.high.copy()
     low[axis, box] = high[axis, box] = middle
-    return _joined_parts(Parts(parts.line, parts.low, high), Parts(parts.line, low, parts.high))
-
-
-def _joined_parts(one: Parts, other: Parts) -> Parts:
-    return Parts(
-        np.concatenate([one.line, other.line]),
-        np.concatenate([one.low, other.low], axis=1),
-        np.concatenate([one.high, other.high], axis=1),
-    )
+    return joined([Parts(parts.line, parts.low, high), Parts(parts.line, low, parts.high)], -1)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab.arrays import PI_REST, Array
+from jaxstab.arrays import PI_REST, Array, at, joined
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.sections import ONE, Polynomial, Transfer, size_of
@@ -140,15 +140,11 @@ Factor = tuple[Polynomial, Polynomial]  # numerator and denominator in 1/z, lowe
 
 
 class FilterCells(NamedTuple):
-    """Cells of theta from below 0 to beyond pi, ascending; the position filter is before V.
+    """Cells of theta from below 0 to beyond pi, ascending: middles, half widths and lower ends.
 
-    Attributes:
-        middle: of the cells.
-        half: half their widths.
-        first: their lower ends.
-        series: Taylor coefficients of P and V in each cell, lowest order first.
-        lost: bounds of the errors of these series' sums, then of their derivatives.
-        steepness: bounds of |P'|, |V'|, |P''| and |V''| in 2^k cells from each one on.
+    ``series`` are the Taylor coefficients of P and V, lowest order first, ``lost`` bounds of the
+    errors of their sums, then of their derivatives; ``steepness`` bounds |P'|, |V'|, |P''| and
+    |V''| in 2^k cells from each one on.
     """
 
     middle: Cells
@@ -187,13 +183,13 @@ def cells_of(functions: Functions) -> FilterCells:
         largest = np.fmax(largest, np.nanmax(abs(known.series[:, :, 0]), axis=0))
         enough = np.all(known.remainder <= _REMAINDER * (known.size + _SMALL * largest), axis=1)
         enough |= (halving == _MOST_HALVINGS) or (len(middle) > _MOST_CELLS)
-        done.append(known.some(enough))
+        done.append(at(known, enough))
         if enough.all():
             break
         middle, half = known.middle[~enough], 0.5 * known.half[~enough]
         middle, half = np.concatenate([middle - half, middle + half]), np.tile(half, 2)
-    whole = _Known(*(np.concatenate(parts) for parts in zip(*done, strict=True)))
-    whole = whole.some(np.argsort(whole.middle))
+    whole = joined(done)
+    whole = at(whole, np.argsort(whole.middle))
     ends = whole.middle + whole.half
     return FilterCells(
         middle=whole.middle,
@@ -248,10 +244,6 @@ class _Known(NamedTuple):
     series: np.ndarray
     lost: np.ndarray
     steepness: np.ndarray
-
-    def some(self, which: np.ndarray) -> "_Known":
-        """Return chosen cells, in any order."""
-        return _Known(*(part[which] for part in self))
 
 
 class Circle(NamedTuple):

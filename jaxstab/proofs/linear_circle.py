@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from jaxstab.arrays import PI_REST
+from jaxstab.arrays import PI_REST, at, joined
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, pieces_of, pieces_of_delay
 from jaxstab.model.double_double import DoubleDouble
@@ -69,7 +69,7 @@ def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
         place = Place(middle, half, is_wide)
         free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
         force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
-        force = force * place.chain([(_delay(late), ONE)])
+        force = force * place.chain([((DoubleDouble(0.0, 0.0),) * late + ONE, ONE)])
         return [free, *(force * place.chain(chain) for chain in chains)]
 
     return cells_of(functions)
@@ -80,11 +80,6 @@ def chains_of(device: SampledDevice, filters: Filters | None) -> tuple[list[Fact
     of_position, of_velocity = factors_of(filters or (Velocity(), Filter()), device.sample_time)
     unit = DoubleDouble.of(device.stiffness_unit / device.damping_unit) / device.sample_time
     return of_position, [((unit,), ONE), *of_velocity]
-
-
-def _delay(samples: int) -> Polynomial:
-    zero = DoubleDouble(0.0, 0.0)
-    return (zero,) * samples + ONE
 
 
 class Place(NamedTuple):
@@ -302,10 +297,8 @@ def _shifted(powers: Float64[np.ndarray, "box power"], by: int) -> Float64[np.nd
 class DelayedDevice(NamedTuple):
     """A device and filters on the circle, for all delays.
 
-    Attributes:
-        plain: D, P and V over cells of the angle.
-        pieces: of the fraction of the delay.
-        ends: of the pieces, ascending, from 0 to 1.
+    ``plain`` are D, P and V over cells of the angle; ``pieces`` of the fraction of the delay have
+    the ``ends``, from 0 to 1.
     """
 
     plain: FilterCells
@@ -397,20 +390,12 @@ class FamilyCells(NamedTuple):
 class FamilyBoxes(NamedTuple):
     """Boxes of walls along edges, of t and of angles, each in one piece.
 
-    Attributes:
-        gains: (alpha, beta) in the middle of the edge.
-        edge: half of the edge.
-        place: the piece, t and angle, with their half-widths.
+    ``gains`` are (alpha, beta) in the middle of the edge, ``edge`` half of it.
     """
 
     gains: Walls
     edge: Walls
     place: PieceBoxes
-
-    def some(self, which: np.ndarray) -> "FamilyBoxes":
-        """Return some of them."""
-        place = PieceBoxes(*(part[which] for part in self.place))
-        return FamilyBoxes(self.gains[:, which], self.edge[:, which], place)
 
 
 @lru_cache(maxsize=16)
@@ -438,11 +423,10 @@ def family_models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
     places = np.empty(count, np.int64)
     places[order] = np.arange(count)
     some = [
-        _models(cells, boxes.some(order[first : first + _IN_CACHE]))
+        _models(cells, at(boxes, (..., order[first : first + _IN_CACHE])))
         for first in range(0, count, _IN_CACHE)
     ]
-    parts = (np.concatenate(part, axis=-1) for part in zip(*some, strict=True))
-    return Models(*(part[..., places] for part in parts))
+    return at(joined(some, -1), (..., places))
 
 
 def _models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:

@@ -319,32 +319,22 @@ class CurveParts(NamedTuple):
 def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> PlantModels:
     """Enclose the plant's coefficients: secants give the slopes, the table bounds the remainder.
 
-    Args:
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3].
-        delay: time delay t_d/T >= 0 in samples, of which the fraction enters.
-        half_delay: largest distance of the delay from this one, between the whole samples around
-            it; if it is not 0, the delay is a variable of the models, with its products.
-
-    Raises: see ``jaxstab.conventions``.
+    ``hands`` are boxes of gamma in [0, 1e4] and delta in [0, 1e3]. ``half_delay`` is the largest
+    distance of the delay from this one, between the whole samples around it; if it is not 0, the
+    delay is a variable of the models, with its products.
     """
     h_gamma, h_delta = hands.half_gamma, hands.half_delta
-    still = np.zeros_like(h_gamma)
-    gamma = np.maximum(hands.gamma + np.stack([still, -h_gamma, h_gamma, still, still]), 0.0)
-    delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
-    values = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
-    half = np.stack([h_gamma, h_delta])
-    moves = _delay_moves(hands, delay) if half_delay else {}
+    gamma, delta, values, lost = stencil(hands, delay)
+    half, still = np.stack([h_gamma, h_delta]), np.zeros_like(h_gamma)
+    moves = delay_moves(hands.gamma, hands.delta, delay) if half_delay else {}
     if half_delay:
         of_delay = [np.full_like(h_gamma, by) for by in (half_delay, 0.5 * half_delay**2)]
         half = np.concatenate([half, of_delay, half_delay * half])
     third = (gamma.max(axis=0) + delta.max(axis=0)) * half_delay**3 / 6.0
     widths = gamma[2] - gamma[1], delta[4] - delta[3]
-    # More than a rounding is lost of N where it nearly vanishes, and of D where it decays.
-    lost = 8.0 * np.asarray(pairs_error(np.max(gamma, axis=0), np.max(delta, axis=0)))
-    size_n = np.sqrt(np.max(np.asarray(values.sum), axis=0))
 
     def model(name: str) -> LinearModel:
-        at = np.asarray(getattr(values, name))
+        at = values[name]
         slope = [_secant(at[1], at[2], widths[0]), _secant(at[3], at[4], widths[1])]
         # A secant differs from the tangent by as much as the function from its tangent.
         bend = BENDS[name]
@@ -356,7 +346,7 @@ def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> Pla
             rate, twice = moves.get(name, (still, still))
             slope += [rate, twice, still, still]
             centre = centre + twice * half[3]
-        rest += lost * (1.0 if name in ("d1", "d0") else size_n) + UNDERFLOW
+        rest += lost[name]
         return LinearModel(centre, np.stack(slope), rest, half, bool(half_delay))
 
     along_gamma = np.stack([np.ones_like(still), *[still] * (len(half) - 1)])
@@ -364,17 +354,37 @@ def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> Pla
     return PlantModels(exact, *map(model, PlantModels._fields[1:]))
 
 
-def _delay_moves(hands: HandBoxes, delay: float) -> dict[str, Float64[np.ndarray, "order box"]]:
+def stencil(
+    hands: HandBoxes, delay: float
+) -> tuple[Floats, Floats, dict[str, Floats], dict[str, Floats]]:
+    """Gamma, delta and the plant in the middle of boxes and at their ends, (5, box), and errors.
+
+    The ends are those of gamma, then of delta; the errors are of all five points, (box).
+    """
+    h_gamma, h_delta = hands.half_gamma, hands.half_delta
+    still = np.zeros_like(h_gamma)
+    gamma = np.maximum(hands.gamma + np.stack([still, -h_gamma, h_gamma, still, still]), 0.0)
+    delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
+    plant = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
+    values = {name: np.asarray(value) for name, value in plant._asdict().items()}
+    # More than a rounding is lost of N where it nearly vanishes, and of D where it decays.
+    lost = 8.0 * np.asarray(pairs_error(gamma.max(axis=0), delta.max(axis=0)))
+    size_n = np.sqrt(np.max(values["sum"], axis=0))
+    of_n = dict.fromkeys(values, lost * size_n + UNDERFLOW)
+    return gamma, delta, values, of_n | dict.fromkeys(("d1", "d0"), lost + UNDERFLOW)
+
+
+def delay_moves(
+    gamma: Floats, delta: Floats, delay: float
+) -> dict[str, Float64[np.ndarray, "order *box"]]:
     """The first and half of the second derivatives of N by the delay; others are 0 (lemma B16)."""
     part = delay - np.floor(delay)
     (went, early), (gone, velocity) = (
-        motion(hands.gamma, hands.delta, np.full_like(hands.gamma, time))
-        for time in (1.0 - part, part)
+        motion(gamma, delta, np.full_like(gamma, time)) for time in (1.0 - part, part)
     )
-    fading = np.exp(-hands.delta * (1.0 - part))
-    bend = 0.5 * (1.0 - hands.delta * early - hands.gamma * went)
-    n2 = np.stack([-early, bend])
-    n0 = fading * np.stack([velocity, 0.5 * (1.0 - hands.gamma * gone)])
+    fading = np.exp(-delta * (1.0 - part))
+    n2 = np.stack([-early, 0.5 * (1.0 - delta * early - gamma * went)])
+    n0 = fading * np.stack([velocity, 0.5 * (1.0 - gamma * gone)])
     return {"n2": n2, "n1": -n2 - n0, "n0": n0, "difference": 2.0 * (n2 + n0)}
 
 

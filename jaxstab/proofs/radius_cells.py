@@ -14,15 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.arrays import at
 from jaxstab.model import companion_matrix
 from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import loop_factors
-from jaxstab.model.plant import pairs_error, plant_coefficients
 from jaxstab.model.sections import UNIT
 from jaxstab.model.sections import product as polynomial_product
 from jaxstab.proofs.enclosures import PLACES, TERMS, VARIABLES, Array, Quadratic
-from jaxstab.proofs.plant import BENDS, HandBoxes, motion
-from jaxstab.rounding import EPS, OVERLAP, PLANT_MODEL, UNDERFLOW
+from jaxstab.proofs.plant import BENDS, HandBoxes, delay_moves, stencil
+from jaxstab.rounding import EPS, OVERLAP, PLANT_MODEL
 
 # The characteristic polynomial over cells of (alpha, beta, gamma, delta, delay), to second order.
 #
@@ -62,18 +62,12 @@ class WallBoxes(NamedTuple):
     half_alpha: Array
     half_beta: Array
 
-    def some(self, cells: NDArray[np.intp]) -> "WallBoxes":
-        """Return chosen boxes."""
-        return WallBoxes(*(values[cells] for values in self))
-
 
 class CellPolynomial(NamedTuple):
-    """A monic polynomial over cells, highest power first.
+    """A monic polynomial over cells, highest power first: terms of coefficients, and their rest.
 
-    Attributes:
-        terms: of each coefficient, (coefficient, term, cell): those of ``Quadratic``, then the
-            products of a wall and two variables of the plant.
-        rest: bound of what these leave, (coefficient, cell).
+    The terms (coefficient, term, cell) are those of ``Quadratic``, then the products of a wall and
+    two variables of the plant.
     """
 
     terms: Array
@@ -83,10 +77,6 @@ class CellPolynomial(NamedTuple):
     def degree(self) -> int:
         """The degree."""
         return len(self.terms) - 1
-
-    def some(self, cells: NDArray[np.intp]) -> "CellPolynomial":
-        """Return the polynomials of chosen cells."""
-        return CellPolynomial(self.terms[..., cells], self.rest[:, cells])
 
     def coefficient(self, number: int) -> Quadratic:
         """Return a coefficient as a quadratic."""
@@ -209,28 +199,22 @@ def _plants(hands: HandBoxes, delay: float, half_delay: float) -> dict[str, Quad
 def _plant(hands: HandBoxes, delay: float, half_delay: float) -> dict[str, Quadratic]:
     """Enclose the plant's coefficients: parabolas through three points, and what these leave."""
     h_gamma, h_delta = hands.half_gamma, hands.half_delta
-    still = np.zeros_like(h_gamma)
-    gamma = np.maximum(hands.gamma + np.stack([still, -h_gamma, h_gamma, still, still]), 0.0)
-    delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
-    values = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
-    moves = _delay_moves(gamma, delta, delay) if half_delay else {}
+    gamma, delta, values, lost = stencil(hands, delay)
+    moves = delay_moves(gamma, delta, delay) if half_delay else {}
     highest = gamma.max(axis=0), delta.max(axis=0)
-    # More than a rounding is lost of N where it nearly vanishes, and of D where it decays.
-    lost = 8.0 * np.asarray(pairs_error(*highest))
-    size_n = np.sqrt(np.max(np.asarray(values.sum), axis=0))
     plant = {}
     for name, (third_gamma, third_delta) in _THIRD.items():
-        at = np.asarray(getattr(values, name))
+        middle, *ends = values[name]
         terms = np.zeros((TERMS, h_gamma.size))
-        terms[0] = at[0]
-        for variable, below, above in ((2, at[1], at[2]), (3, at[3], at[4])):
+        terms[0] = middle
+        for variable, below, above in ((2, *ends[:2]), (3, *ends[2:])):
             terms[1 + variable] = 0.5 * (above - below)
-            terms[PLACES[variable, variable]] = 0.5 * (above + below) - at[0]
+            terms[PLACES[variable, variable]] = 0.5 * (above + below) - middle
         # A parabola through -1, 0 and 1 leaves |third derivative| x (1 - x^2)/6 at most.
         rest = BENDS[name].mixed * h_gamma * h_delta
         rest += 0.0642 * (third_gamma * h_gamma**3 + third_delta * h_delta**3)
-        rest += lost * (1.0 if name in ("d1", "d0") else size_n) + UNDERFLOW
-        rest += PLANT_MODEL * (np.max(np.abs(at), axis=0) + half_delay)
+        rest += lost[name]
+        rest += PLANT_MODEL * (np.max(np.abs(values[name]), axis=0) + half_delay)
         if name in moves:
             _add_moves(terms, moves[name], half_delay)
             rest += _rest_of_delay(name, hands, highest, half_delay)
@@ -259,17 +243,6 @@ def _rest_of_delay(name: str, hands: HandBoxes, highest: tuple[Array, Array], ha
     return half * times * slope + 0.5 * half**2 * bend + half**3 * third
 
 
-def _delay_moves(gamma: Array, delta: Array, delay: float) -> dict[str, Array]:
-    """Return first and half of the second derivatives of N by the delay; those of D are 0 (B16)."""
-    part = delay - np.floor(delay)
-    went, early = motion(gamma, delta, np.full_like(gamma, 1.0 - part))
-    gone, velocity = motion(gamma, delta, np.full_like(gamma, part))
-    fading = np.exp(-delta * (1.0 - part))
-    n2 = np.stack([-early, 0.5 * (1.0 - delta * early - gamma * went)])
-    n0 = fading * np.stack([velocity, 0.5 * (1.0 - gamma * gone)])
-    return {"n2": n2, "n1": -n2 - n0, "n0": n0}
-
-
 # A root, or a pair of roots, of p that is followed to second order through cells (lemma B19).
 #
 # A factor f of p, z - r or z^2 - s z + q, starts from the roots in the middle of a cell. Two steps
@@ -296,7 +269,6 @@ class Followed(NamedTuple):
             infinite, as where a pair meets on the real line.
         error: largest distance of roots of p, one for each of f, from these.
         move: distance of the roots of f from where they start.
-        apart: half of the distance of two conjugate roots; infinite for a real root.
     """
 
     factor: list[Quadratic]
@@ -305,17 +277,6 @@ class Followed(NamedTuple):
     radius: Quadratic
     error: Array
     move: Array
-    apart: Array
-
-    def some(self, cells: NDArray[np.intp]) -> "Followed":
-        """Return what belongs to chosen cells."""
-
-        def chosen(part: Quadratic) -> Quadratic:
-            return Quadratic(part.terms[:, cells], part.rest[cells])
-
-        factor, left = [chosen(part) for part in self.factor], [r[cells] for r in self.remainder]
-        numbers = (part[cells] for part in (self.error, self.move, self.apart))
-        return Followed(factor, left, self.centre[cells], chosen(self.radius), *numbers)
 
     @property
     def lowest(self) -> Array:
@@ -339,9 +300,8 @@ def follow_root(p: CellPolynomial, root: Array) -> Followed:
     bend = _bend(p, root.astype(complex), move)
     error = _distance(left.size, np.abs(slope.middle) - slope.swing, bend)
     error = np.where(np.abs(root) > move + _FARTHEST, error, np.inf)
-    endless = np.full_like(root, np.inf)
-    still = np.zeros_like(root)
-    return Followed([factor], [left.size], still, position.times(sign), error, move, endless)
+    centre = np.zeros_like(root)
+    return Followed([factor], [left.size], centre, position.times(sign), error, move)
 
 
 def follow_pair(p: CellPolynomial, total: Array, product: Array) -> Followed:
@@ -366,7 +326,7 @@ def follow_pair(p: CellPolynomial, total: Array, product: Array) -> Followed:
     moved_back = (minus_sum.plus(-2.0 * centre), constant - minus_sum.times(centre))
     factor = [moved_back[0], moved_back[1].plus(centre**2)]
     sizes = [part.size for part in left]
-    return Followed(factor, sizes, centre, factor[1].root(), error, move, 0.5 * distance)
+    return Followed(factor, sizes, centre, factor[1].root(), error, move)
 
 
 class Cluster(NamedTuple):
@@ -659,14 +619,10 @@ def radius_surfaces(
     half_delay: float,
     filters: Filters | None = None,
 ) -> RadiusSurfaces:
-    """Enclose the spectral radius over cells.
+    """Enclose the spectral radius over cells: boxes of walls, and of hands, one for each of those.
 
-    Args:
-        walls: boxes of alpha and beta.
-        hands: boxes of gamma in [0, 1e4] and delta in [0, 1e3], one for each of those.
-        delay: the middle delay t_d/T >= 0 in samples.
-        half_delay: largest distance of the delay from the middle, between two whole samples.
-        filters: velocity estimator and position filter, in units of one sample.
+    Hands have gamma in [0, 1e4] and delta in [0, 1e3]; ``half_delay`` is the largest distance of
+    the delay, in samples, from its middle, between two whole samples. Filters are per sample.
 
     Raises: see ``jaxstab.conventions``. Source: Rouche's theorem, for the characteristic polynomial
     of eq. (9) of Hulin, Preusche, Hirzinger (2008).
@@ -674,7 +630,7 @@ def radius_surfaces(
     known = RadiusSurfaces.unknown(walls.alpha.size)
     for start in range(0, walls.alpha.size, _CELLS):
         cells = slice(start, min(start + _CELLS, walls.alpha.size))
-        some = WallBoxes(*(part[cells] for part in walls)), HandBoxes(*(p[cells] for p in hands))
+        some = at((walls, hands), cells)
         part = _of_cells(cell_polynomial(*some, delay, half_delay, filters))
         known.kind[cells] = part.kind
         known.terms[..., cells], known.error[:, cells] = part.terms, part.error
@@ -688,14 +644,14 @@ def _of_cells(p: CellPolynomial) -> RadiusSurfaces:
         cells = np.flatnonzero((known.kind == SurfaceKind.NONE) & _may_be_outer(roots, count))
         if cells.size:
             enclose = _enclose_one if count <= 2 else _enclose_two
-            enclose(p.some(cells), roots[:, cells], count, cells, known)
+            enclose(at(p, (..., cells)), roots[:, cells], count, cells, known)
     for count in range(2, min(3, p.degree) + 1):
         cells = np.flatnonzero((known.kind == SurfaceKind.NONE) & _may_be_outer(roots, count))
         if cells.size:
-            _enclose_meeting(p.some(cells), roots[:, cells], count, cells, known)
+            _enclose_meeting(at(p, (..., cells)), roots[:, cells], count, cells, known)
     cells = np.flatnonzero(known.kind == SurfaceKind.NONE)
     if cells.size:
-        _enclose_roughly(p.some(cells), roots[:, cells], cells, known)
+        _enclose_roughly(at(p, (..., cells)), roots[:, cells], cells, known)
     return known
 
 
@@ -738,7 +694,7 @@ def _enclose_one(
     if count == 2:
         is_proved &= roots[0].imag != 0.0
     some = np.flatnonzero(is_proved)
-    terms, error = _surface(outer.some(some))
+    terms, error = _surface(at(outer, (..., some)))
     known.put(cells[some], SurfaceKind.ONE, [terms], [error])
 
 
@@ -808,7 +764,7 @@ def _enclose_two(
         away = np.abs(pair - other) - first.move - second.move
         is_proved &= away > first.error + second.error
     some = np.flatnonzero(is_proved)
-    surfaces = (_surface(followed.some(some)) for followed in (first, second))
+    surfaces = (_surface(at(followed, (..., some))) for followed in (first, second))
     terms, errors = zip(*surfaces, strict=True)
     known.put(cells[some], SurfaceKind.LARGER, list(terms), list(errors))
 

@@ -60,13 +60,9 @@ class Proof(NamedTuple):
 
 @dataclass(frozen=True)
 class ParameterBox:
-    """Boxes of loops, center +- half along axes that have names.
+    """Boxes of loops, center +- half along named axes; an axis of half-width 0 stays whole.
 
-    Attributes:
-        axes: the names of the axes.
-        center: the middles.
-        half: the half-widths; an axis of half-width zero is not halved.
-        index: the number of the wall or edge, for example, to which each box belongs.
+    ``index`` is the number of the wall or edge, for example, to which each box belongs.
     """
 
     axes: tuple[str, ...]
@@ -108,13 +104,10 @@ class ParameterBox:
     ) -> "Paving":
         """Halve boxes, each along the axis that matters most, until they are proved free of roots.
 
-        Args:
-            prove: the proof of boxes.
-            smallest: half-widths, of each axis or of all: axes are not halved at or below them.
-            most: boxes that may be open at once; the proof is given up where there are more.
-            most_each: boxes of one index that may be open at once. Like ``effort`` this makes the
-                result for an index independent of the others.
-            effort: boxes of one index that may be judged in all.
+        Axes are not halved at or below the half-widths ``smallest``, of each axis or of all. The
+        proof is given up where more than ``most`` boxes are open at once; of the boxes of one
+        index, where ``most_each`` are, or ``effort`` were judged in all. These two make the result
+        for an index independent of the others.
         """
         boxes, left = self, [self.select(slice(0))]
         finished, judged = True, np.zeros(int(self.index.max(initial=-1)) + 1, np.int64)
@@ -160,12 +153,9 @@ class ParameterBox:
 
 
 class Paving(NamedTuple):
-    """The boxes that paving could not prove, and the work that it took.
+    """The boxes that paving could not prove: too small to be halved, or of proofs given up.
 
-    Attributes:
-        boxes: those that are too small to be halved, and those of proofs that were given up.
-        finished: whether no proof was given up.
-        judged: how many boxes of each index were judged.
+    ``finished`` says that none was given up, ``judged`` how many boxes of each index were judged.
     """
 
     boxes: ParameterBox
@@ -185,13 +175,10 @@ def excluded(
     by_axis: Moves,
     radius: Loops | None = None,
 ) -> Proof:
-    """The proof that loops of one mass have no root on the unit circle.
+    """The proof, by a test, that loops of one mass have no root on the unit circle.
 
-    Args:
-        test: ``proofs.exclusion.exclude``, or a test like it.
-        center: the loops in the middle of the boxes.
-        by_axis: how far each axis moves them.
-        radius: half-widths that cover the loops of a box; None for the sum over the axes.
+    The test is ``proofs.exclusion.exclude``, or one like it. The axes of the boxes move their
+    centers ``by_axis``; ``radius`` covers the loops of a box, by default the sum over the axes.
     """
     exclusion = test(center, radius or Loops(*by_axis.sum(axis=0)))
     return Proof(exclusion.free, np.sum(exclusion.slopes * by_axis, axis=1).T)
@@ -229,12 +216,10 @@ def verdicts_of_range(
     sampled: Int8[np.ndarray, "wall loop"],
     prove: Callable[[Int64[np.ndarray, " likely"]], Int8[np.ndarray, " likely"]],
 ) -> Int8[np.ndarray, " wall"]:
-    """Codes of ``Verdict`` for walls and all loops of a range.
+    """Codes of ``Verdict`` for walls and all loops of a range, from those in sampled loops.
 
-    Args:
-        sampled: the verdicts on the walls in sampled loops.
-        prove: returns the codes of walls, given by their numbers, that are stable in one loop:
-            STABLE where no loop of the range has a root on the circle.
+    ``prove`` returns the codes of walls, given by their numbers, that are stable in one loop:
+    STABLE where no loop of the range has a root on the circle.
     """
     codes = np.full(len(sampled), Verdict.UNDECIDED, np.int8)
     unstable = np.any(sampled == Verdict.UNSTABLE, axis=1)
@@ -252,12 +237,10 @@ def worst_of_range(
 ) -> list[_Worst]:
     """The verdicts on walls for all loops of a range, and the worst loop of each.
 
-    Args:
-        sampled: for each wall the worst one of the sampled loops.
-        unproved: takes numbers of walls; returns, for those that are not proved, loops at which
-            a root on the circle could not be excluded, if any are known.
-        judge: returns the worst of such loops for a wall.
-        most: such loops that are judged, spread over all of them.
+    ``sampled`` has the worst of the sampled loops for each wall. ``unproved`` takes numbers of
+    walls and returns, for those that are not proved, loops at which a root on the circle could not
+    be excluded, if any are known; ``judge`` returns the worst of such loops for a wall, at ``most``
+    of them, spread over all.
     """
     answers = list(sampled)
     hopeful = [n for n, answer in enumerate(answers) if answer.verdict == Verdict.STABLE]
@@ -317,12 +300,10 @@ class RobustLimit(NamedTuple):
 
 
 class Guess(NamedTuple):
-    """Walls that all sampled loops of a range allow, pulled in a little.
+    """Walls that all sampled loops of a range allow, pulled in a little: one, or a polygon.
 
-    Attributes:
-        walls: one wall, or the vertices of a closed polygon; no row if nothing is allowed.
-        limit: the largest stiffness that they allow.
-        loop: the sampled loop that allows least there.
+    No row if nothing is allowed. ``limit`` is the largest stiffness that they allow, ``loop`` the
+    sampled loop that allows least there.
     """
 
     walls: Points
@@ -360,13 +341,10 @@ def search(
 ) -> Found:
     """Walls that sampled loops allow, and whether they are proved for the whole range.
 
-    Args:
-        guess: returns the walls that the sampled loops allow, pulled in by a share; None if
-            unknown.
-        unproved: returns loops at which a wall, or a polygon with all that is inside, is not
-            proved; none is a proof for the whole range. None if nothing can be proved.
-        add: adds such loops to the sample; returns whether there is a new one.
-        pulls: shares, ascending; the next one is tried where a failed proof adds no loop.
+    ``guess`` returns the walls that the sampled loops allow, pulled in by a share; None if unknown.
+    ``unproved`` returns loops at which a wall, or a polygon with all that is inside, is not proved;
+    none is a proof, and None says that nothing can be proved. ``add`` adds such loops to the sample
+    and says whether one is new; where none is, the next one of the ``pulls`` is tried.
     """
     number = 0
     for _ in range(_ATTEMPTS):
@@ -392,10 +370,9 @@ def limit_for_hands(
 ) -> RobustLimit:
     """The stiffest wall for all hands of a range.
 
-    Args:
-        loops: with sampled hands, to which those that refute a wall are added.
-        guess: returns the stiffest wall that loops allow, pulled down by a share.
-        worst: returns the worst hand of a wall (K, B), and whether all hands are proved.
+    ``loops`` have sampled hands; those that refute a wall are added. ``guess`` returns the stiffest
+    wall that loops allow, pulled down by a share, ``worst`` the worst hand of a wall (K, B), and
+    whether all hands are proved.
     """
 
     def unproved(walls: Points) -> list[Any]:

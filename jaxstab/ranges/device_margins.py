@@ -11,7 +11,7 @@ from math import inf, nan, pi
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Numbers
+from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
 from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
@@ -33,6 +33,7 @@ from jaxstab.ranges.margins import (
     Margins,
     WallMargins,
     along_gains,
+    factor,
     first_delays,
     joined_angles,
 )
@@ -121,8 +122,7 @@ def _in_pieces(
         low = np.stack([t[piece], angles.low[1, number]])
         high = np.stack([t[piece + 1], angles.high[1, number]])
         parts.append(Parts(angles.line[number], low, high))
-    line, low, high = zip(*parts, strict=True)
-    return Parts(np.concatenate(line), np.concatenate(low, axis=1), np.concatenate(high, axis=1))
+    return joined(parts, -1)
 
 
 def _models(
@@ -191,19 +191,10 @@ def device_margins(
             later[stable] = extra_delays(device, walls[stable], filters)
     shape = grid[0].shape
     limits = [ends[:, :2] / units[0], ends[:, 2:] / units[1]]
-    factors = [
-        np.where(gain > 0.0, limit[:, 1].reshape(shape) / np.where(gain > 0.0, gain, 1.0), inf)
-        for gain, limit in zip(grid, limits, strict=True)
-    ]
-    unknown = np.reshape(codes != Verdict.STABLE, shape)
-    return WallMargins(
-        codes.reshape(shape),
-        limits[0].reshape(*shape, 2),
-        limits[1].reshape(*shape, 2),
-        np.where(unknown, nan, factors[0]),
-        np.where(unknown, nan, factors[1]),
-        device.sample_time * later.reshape(shape),
-    )
+    stiff, damp = (limit.reshape(*shape, 2) for limit in limits)
+    factors = factor(np, stiff[..., 1], grid[0]), factor(np, damp[..., 1], grid[1])
+    extra = device.sample_time * later.reshape(shape)
+    return WallMargins(codes.reshape(shape), stiff, damp, *factors, extra)
 
 
 def is_stable_along(

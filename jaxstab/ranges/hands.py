@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from jaxstab.arrays import at, joined
 from jaxstab.batches import by_kind
 from jaxstab.conventions import Verdict
 from jaxstab.model import LoopParameters, by_name
@@ -92,10 +93,6 @@ class Rows(NamedTuple):
     stiffness: Values
     damping: Values
 
-    def some(self, which: Bool[np.ndarray, " row"]) -> "Rows":
-        """The rows that are chosen."""
-        return Rows(*(column[which] for column in self))
-
 
 class WorstHand(NamedTuple):
     """The verdict on a wall for all hands of a range, with the worst hand that was sampled.
@@ -159,7 +156,7 @@ def _worst_of(walls: Sequence[HeldWall], among: Sequence[Hands]) -> list[WorstHa
     """For each wall the verdict on the worst of the hands given for it."""
     loop = walls[0].loop
     plants, rows = _plants(walls, among)
-    rows = rows.some(_may_be_worst(loop, plants, rows))
+    rows = at(rows, _may_be_worst(loop, plants, rows))
     points = _points(loop, plants, rows)
     radii = np.asarray(spectral_radius(**points, **loop.filters).value)
     codes = np.asarray(verdict(**points, **loop.filters))
@@ -191,7 +188,7 @@ def _plants(walls: Sequence[HeldWall], among: Sequence[Hands]) -> tuple[Plants, 
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls])
     wall_numbers = np.repeat(np.arange(len(walls)), counts)
     rows = Rows(wall_numbers, np.concatenate(own), *gains[wall_numbers].T)
-    return Plants(*map(np.concatenate, zip(*parts, strict=True))), rows
+    return joined(parts), rows
 
 
 def _plants_of(loop: LoopParameters, hands: Hands) -> Plants:
@@ -224,7 +221,7 @@ def _may_be_worst(loop: LoopParameters, plants: Plants, rows: Rows) -> Bool[np.n
     chosen = plants.is_outermost[rows.plant] | (loop.delay_samples > _LONG)
     if chosen.all():
         return chosen
-    outer, inner = rows.some(chosen), rows.some(~chosen)
+    outer, inner = at(rows, chosen), at(rows, ~chosen)
     radii = np.asarray(spectral_radius(**_points(loop, plants, outer), **loop.filters).value)
     radius = np.zeros(rows.wall[-1] + 1)
     np.maximum.at(radius, outer.wall, radii)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
+from jaxstab.arrays import Array, Numbers, are_numbers, at, float_arrays, is_jax, namespace
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
@@ -127,13 +127,11 @@ def along_gains(
     verdicts: Callable[[np.ndarray, np.ndarray], np.ndarray],
     roots: Callable[[np.ndarray, np.ndarray], FirstRoots],
 ) -> list[Crossings]:
-    """How far stable walls may go each way of the gains.
+    """How far stable walls (alpha, beta) may go each way of the gains.
 
-    Args:
-        gains: alpha and beta of the walls.
-        first: the least first step, and the number of steps, each twice as long as the one before.
-        verdicts: returns codes of other gains of walls, of which the numbers are given.
-        roots: returns the first roots on lines from walls, by their starts and changes.
+    ``first`` is the least first step, and the number of steps, each twice as long as the one
+    before. ``verdicts`` returns the codes of other gains of walls, given by their numbers,
+    ``roots`` the first roots on lines from walls, by their starts and changes.
     """
     axes, signs = (np.array(column) for column in zip(*GAIN_WAYS, strict=True))
     least, count = first
@@ -191,15 +189,11 @@ def first_delays(
     roots: Callable[[Parts, Column, Column], FirstRoots],
     longest: Callable[[Parts], Column | float] = lambda angles: inf,
 ) -> Crossings:
-    """How much longer the delay of stable walls may become, up to ``MOST_DELAY``.
+    """How much longer the delay of ``count`` stable walls may become, up to ``MOST_DELAY``.
 
-    Args:
-        count: the number of walls.
-        critical: returns the angles at which some delay may put a root of chosen walls on the
-            circle, coarse or fine.
-        roots: returns the first roots at such angles along stretches of more delay, from the
-            beginning and the length of each.
-        longest: returns the largest length of a stretch.
+    ``critical`` returns the angles at which some delay may put a root of chosen walls on the
+    circle, coarse or fine; ``roots`` the first roots at such angles along stretches of more delay,
+    from the beginning and the length of each; ``longest`` the largest length of a stretch.
     """
     angles = critical(np.arange(count), False)
     begin, angle = np.zeros(count), np.full(count, nan)
@@ -210,7 +204,7 @@ def first_delays(
     step = np.full(count, inf)
     is_open = highest > -inf
     while is_open.any():
-        open_angles = angles.some(is_open[angles.line])
+        open_angles = at(angles, (..., is_open[angles.line]))
         length = np.minimum(np.minimum(stretch, MOST_DELAY - begin), longest(open_angles))
         crossing = roots(open_angles, begin, length)
         crosses = np.isfinite(crossing.low)
@@ -473,8 +467,8 @@ def _margins(point: Array, code: Array, steps: Array) -> Margins:
         code,
         alphas,
         betas,
-        _factor(xp, alphas[..., 1], point[..., 0]),
-        _factor(xp, betas[..., 1], point[..., 1]),
+        factor(xp, alphas[..., 1], point[..., 0]),
+        factor(xp, betas[..., 1], point[..., 1]),
         steps[..., -1],
     )
 
@@ -485,7 +479,8 @@ def _end(xp: Any, gain: Array, step: Array) -> Array:
     return xp.where(xp.isfinite(end), end - xp.sign(step) * _ROUNDING * abs(end), end)
 
 
-def _factor(xp: Any, most: Array, gain: Array) -> Array:
+def factor(xp: Any, most: Array, gain: Array) -> Array:
+    """By what a gain may be multiplied; NaN where nothing is known of it."""
     without = xp.where(xp.isnan(most), most, inf)
     is_positive = gain > 0.0
     return xp.where(is_positive, most / xp.where(is_positive, gain, 1.0), without)

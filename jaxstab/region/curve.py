@@ -34,13 +34,12 @@ from jaxstab.arrays import (
 from jaxstab.batches import MANY_ANGLES, compiled
 from jaxstab.model import checked_delta, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters
 from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import PlantPairs, plant_pairs
 from jaxstab.model.sections import Transfer
 from jaxstab.numbers import checked
-from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve, mass_system
+from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve
 from jaxstab.region.filtered_points import filtered_point
 
 # Sine, cosine and sin(x) / x of positive angles, with derivatives to full precision.
@@ -149,9 +148,7 @@ def boundary_curve(
         alpha = K T^2/m and beta = B T/m, of the broadcast shape. Differentiable in every argument
         but the whole part of the delay.
 
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) solved for (alpha, beta).
 
@@ -170,10 +167,7 @@ def slice_coefficients(
 ) -> SliceCoefficients:
     """Return the coefficients of the boundary for slices of any shape; the delay may be traced.
 
-    Raises:
-        ValueError: a concrete argument is outside its range, infinite or NaN.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008); each value is formed in double-double.
+    Each value is formed in double-double. Raises: see ``jaxstab.conventions``. Source: eq. (9).
     """
     if is_traced(delay):
         whole = namespace(delay).floor(delay)
@@ -187,13 +181,6 @@ def slice_coefficients(
         return _slice_coefficients(gamma, size, turns, plant)
     single = _slice_coefficients(float(gamma), float(size), float(turns), tree_map(float, plant))
     return tree_map(np.float64, single)
-
-
-def mass_coefficients(
-    gamma: float, delta: float, delay: float, filters: Filters
-) -> SliceCoefficients:
-    """Return the coefficients of the boundary of one slice with filters, for radius 1."""
-    return filtered_coefficients(*mass_system(gamma, delta, delay, filters))
 
 
 def filtered_coefficients(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.arrays import PI_REST, Array, tree_map
+from jaxstab.arrays import PI_REST, Array, joined, tree_map
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.filtered_curve import FilteredCurve, standing_for, stretches_around, true_angles
 from jaxstab.region.roots import bracketed_root
@@ -54,8 +54,7 @@ class _Complex(NamedTuple):
 
     def part(self, *index: slice | None) -> "_Complex":
         """Return what an index of arrays gives."""
-        real, imag = (DoubleDouble(one.hi[index], one.lo[index]) for one in self)
-        return _Complex(real, imag)
+        return _Complex(self.real[index], self.imag[index])
 
 
 class ExactGains(NamedTuple):
@@ -66,24 +65,14 @@ class ExactGains(NamedTuple):
 
 
 def exact_gains(pairs: Pairs, theta: DoubleDouble, *, with_slopes: bool) -> ExactGains:
-    """Return points of the curve at angles between 0 and pi.
+    """Return points of the curve at angles between 0 and pi; their slopes take as long again.
 
-    Args:
-        pairs: base, stiffness and damping in powers of zeta and of zeta - 1, lowest power first,
-            on the halves of z = zeta and of z = -zeta.
-        theta: the angles, on one axis.
-        with_slopes: whether slopes are wanted, which take as long again; else they are empty.
+    ``pairs`` are base, stiffness and damping in powers of zeta and of zeta - 1, lowest power first,
+    on the halves of z = zeta and of z = -zeta.
     """
     width = max(1, _AT_ONCE // pairs.shape[-1])
     starts = range(0, max(len(theta.hi), 1), width)
-    thetas = (DoubleDouble(*(one[k : k + width] for one in (theta.hi, theta.lo))) for k in starts)
-    parts = [_gains(pairs, part, with_slopes) for part in thetas]
-    if len(parts) == 1:
-        return parts[0]
-    alpha, beta, lift = (_joined([part.values[k] for part in parts]) for k in range(3))
-    slopes = zip(*(part.slopes for part in parts), strict=True)
-    alpha_slope, beta_slope, lift_slope = (np.concatenate(each) for each in slopes)
-    return ExactGains((alpha, beta, lift), (alpha_slope, beta_slope, lift_slope))
+    return joined([_gains(pairs, theta[k : k + width], with_slopes) for k in starts])
 
 
 def determinants(pairs: Pairs, theta: DoubleDouble) -> Array:
@@ -138,10 +127,8 @@ def _wall_value(rows: list[_Complex], alpha: DoubleDouble, beta: DoubleDouble) -
     return real + 1j * imag
 
 
-def _joined(parts: list[DoubleDouble]) -> DoubleDouble:
-    return DoubleDouble(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("hi", "lo"))
-    )
+def _where(condition: Array, one: DoubleDouble, other: DoubleDouble) -> DoubleDouble:
+    return tree_map(lambda a, b: np.where(condition, a, b), one, other)
 
 
 def _numbers(columns: Float64[np.ndarray, "2 part"]) -> list[DoubleDouble]:
@@ -152,9 +139,8 @@ def _folded(theta: DoubleDouble) -> tuple[Array, DoubleDouble]:
     """Return which angles are in the upper half, and the angles u of zeta, none of them 0."""
     upper = theta.hi > np.pi / 2
     beyond = -theta + DoubleDouble.of(np.full_like(theta.hi, np.pi)) + PI_REST
-    high, low = np.where(upper, [beyond.hi, beyond.lo], [theta.hi, theta.lo])
-    is_least = high < _LEAST
-    return upper, DoubleDouble(np.where(is_least, _LEAST, high), np.where(is_least, 0.0, low))
+    folded = _where(upper, beyond, theta)
+    return upper, _where(folded.hi < _LEAST, DoubleDouble(_LEAST, 0.0), folded)
 
 
 def _gains(pairs: Pairs, theta: DoubleDouble, with_slopes: bool) -> ExactGains:
@@ -166,9 +152,7 @@ def _gains(pairs: Pairs, theta: DoubleDouble, with_slopes: bool) -> ExactGains:
     alpha, beta = damping.cross(base) / below, base.cross(stiffness) / below
     at_one = _numbers(pairs[0, 1, :, :, 0])
     line = -at_one[0] / at_one[1]
-    side = DoubleDouble(
-        *(np.where(upper, *each) for each in ((cosine.hi, sine.hi), (cosine.lo, sine.lo)))
-    )
+    side = _where(upper, cosine, sine)
     height = (side * side).scaled(2.0)  # 1 - cos(theta)
     lift = (alpha - line) / height
     if not with_slopes:
@@ -191,16 +175,9 @@ def _rows(
     """Return base, stiffness and damping at zeta, and their slopes."""
     is_close = 2.0 * sine.hi < _CLOSE
     count = pairs.shape[-1]
-    coefficients = DoubleDouble(
-        *np.moveaxis(pairs, 2, 0)[:, upper.astype(int), is_close.astype(int)]
-    )
-    number = _Complex(
-        DoubleDouble(
-            np.where(is_close, (sine * sine).scaled(-2.0).hi, zeta.real.hi),
-            np.where(is_close, (sine * sine).scaled(-2.0).lo, zeta.real.lo),
-        ),
-        zeta.imag,
-    )
+    chosen = np.moveaxis(pairs, 2, 0)[:, upper.astype(int), is_close.astype(int)]
+    coefficients = DoubleDouble(*chosen)
+    number = _Complex(_where(is_close, (sine * sine).scaled(-2.0), zeta.real), zeta.imag)
     if not with_slopes:
         return _sums(coefficients, _powers(number, count)), []
     rows, slopes = _rows_at(coefficients, number)
@@ -213,7 +190,7 @@ def _rows_at(coefficients: DoubleDouble, number: _Complex) -> tuple[list[_Comple
     count = coefficients.hi.shape[-1]
     powers = _powers(number, count)
     order = np.arange(1.0, count)
-    higher = DoubleDouble(coefficients.hi[..., 1:], coefficients.lo[..., 1:]) * order
+    higher = coefficients[..., 1:] * order
     lower = powers.part(slice(None), slice(count - 1))
     return _sums(coefficients, powers), _sums(higher, lower)
 
@@ -222,29 +199,16 @@ def _sums(coefficients: DoubleDouble, powers: _Complex) -> list[_Complex]:
     """Return sums of coefficients (angle, part, power) times powers (angle, power)."""
     columns = powers.part(slice(None), None)
     real, imag = (_total(coefficients * part) for part in columns)
-    return [_Complex(*parts) for parts in zip(_unstacked(real), _unstacked(imag), strict=True)]
-
-
-def _unstacked(both: DoubleDouble) -> list[DoubleDouble]:
-    return [DoubleDouble(*pair) for pair in zip(both.hi.T, both.lo.T, strict=True)]
+    return [_Complex(real[:, k], imag[:, k]) for k in range(real.hi.shape[1])]
 
 
 def _total(terms: DoubleDouble) -> DoubleDouble:
     """Return the sum over the last axis, half and half."""
     while (count := terms.hi.shape[-1]) > 1:
         middle = count // 2
-        first, second, rest = (
-            DoubleDouble(terms.hi[..., part], terms.lo[..., part])
-            for part in (slice(middle), slice(middle, 2 * middle), slice(2 * middle, None))
-        )
-        halved = first + second
-        terms = DoubleDouble(
-            *(
-                np.concatenate(each, axis=-1)
-                for each in ((halved.hi, rest.hi), (halved.lo, rest.lo))
-            )
-        )
-    return DoubleDouble(terms.hi[..., 0], terms.lo[..., 0])
+        halved = terms[..., :middle] + terms[..., middle : 2 * middle]
+        terms = joined([halved, terms[..., 2 * middle :]], -1)
+    return terms[..., 0]
 
 
 def _powers(number: _Complex, count: int) -> _Complex:
@@ -253,15 +217,7 @@ def _powers(number: _Complex, count: int) -> _Complex:
     one = DoubleDouble.of(np.ones_like(number.real.hi))
     powers, next_power = _Complex(one, DoubleDouble.of(np.zeros_like(one.hi))), number
     while powers.real.hi.shape[1] < count:
-        higher = powers.times(next_power)
-        powers = _Complex(
-            *(
-                DoubleDouble(
-                    *(np.concatenate(each, axis=1) for each in ((a.hi, b.hi), (a.lo, b.lo)))
-                )
-                for a, b in zip(powers, higher, strict=True)
-            )
-        )
+        powers = joined([powers, powers.times(next_power)], 1)
         next_power = next_power.times(next_power)
     return powers.part(slice(None), slice(count))
 
@@ -285,8 +241,7 @@ def _half_turn(u: DoubleDouble) -> tuple[DoubleDouble, DoubleDouble]:
     both = DoubleDouble.of(np.zeros((2, *square.hi.shape)))
     for term in _terms():
         both = both * square + term
-    sine, cosine = _unstacked(DoubleDouble(both.hi.T, both.lo.T))
-    sine = sine * x
+    sine, cosine = both[0] * x, both[1]
     for _ in range(_HALVINGS):
         sine, cosine = (sine * cosine).scaled(2.0), _versed(sine)
     return sine, cosine
@@ -312,12 +267,9 @@ _CLOSEST = 1e-9  # what counts as the distance of a pole on the circle
 
 
 def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> FilteredCurve:
-    """Return a curve as it is evaluated in double-double.
+    """Return a curve as it is evaluated in double-double, drawn out around the angles ``centers``.
 
-    Args:
-        curve: as it is evaluated in float64.
-        pairs: the parts of p(z), as ``exact_points`` takes them.
-        centers: angles around which the curve is drawn out.
+    ``pairs`` are the parts of p(z), as ``exact_gains`` takes them.
     """
     lines = [line.angle + side * line.half_width for line in curve.lines for side in (-1.0, 1.0)]
     stretches = stretches_around(centers, np.array(lines))
@@ -389,11 +341,12 @@ def all_inside(
     outside = np.maximum(within - 1.0, _power_on_circle(curve, *walls))
     for one in np.unique(outside).tolist():
         parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], one)
+        base, stiffness, damping = (parts[:, k, None] for k in range(3))
         chosen = np.flatnonzero(outside == one)
         for start in range(0, chosen.size, _COEFFICIENTS):
             some = chosen[start : start + _COEFFICIENTS]
-            gains = (DoubleDouble(wall.hi[some], wall.lo[some]) for wall in walls)
-            inside.flat[some] = _are_left(_with_gains(parts, *gains))
+            alpha, beta = (wall[some] for wall in walls)
+            inside.flat[some] = _are_left(base + (stiffness * alpha + damping * beta))
     return inside
 
 
@@ -406,13 +359,6 @@ def _power_on_circle(
     share = np.clip(np.nan_to_num(share, nan=1.0), _SMALLEST_ANGLE, 1.0)
     steps: np.ndarray = np.floor(np.log(share) / np.log(_STEP))
     return _ON_CIRCLE * _STEP**steps
-
-
-def _with_gains(parts: DoubleDouble, alpha: DoubleDouble, beta: DoubleDouble) -> DoubleDouble:
-    base, stiffness, damping = (
-        DoubleDouble(parts.hi[:, k, None], parts.lo[:, k, None]) for k in range(3)
-    )
-    return base + (stiffness * alpha + damping * beta)
 
 
 @lru_cache(maxsize=64)
@@ -441,12 +387,9 @@ def angles_on_circle(
         modulus = np.abs(1.0 + step)
         is_near = np.abs(modulus - 1.0) < _NEAR_CIRCLE * np.minimum(1.0, np.abs(step))
         rough = step[is_near & (step.imag > 0.0)]
-        stiffness_gain, damping_gain = (DoubleDouble(one.hi[k], one.lo[k]) for one in (alpha, beta))
-        polished, excess = polished_angles(curve.pairs, stiffness_gain, damping_gain, rough)
-        chosen = np.abs(excess) < within
-        angles.append(DoubleDouble(polished.hi[chosen], polished.lo[chosen]))
-    high, low = ([getattr(one, name) for one in angles] for name in ("hi", "lo"))
-    return DoubleDouble(np.concatenate(high), np.concatenate(low))
+        polished, excess = polished_angles(curve.pairs, alpha[k], beta[k], rough)
+        angles.append(polished[np.abs(excess) < within])
+    return joined(angles)
 
 
 def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
@@ -459,9 +402,8 @@ def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
     for more in range(1, degree + 1):
         power = power * move
         ways = np.array([float(comb(k, more)) for k in range(degree, more - 1, -1)])[:, None]
-        higher = DoubleDouble(falling.hi[:-more], falling.lo[:-more]) * power * ways
-        moved = (np.pad(one, ((more, 0), (0, 0))) for one in (higher.hi, higher.lo))
-        total = total + DoubleDouble(*moved)
+        higher = falling[:-more] * power * ways
+        total = total + tree_map(lambda part, by=more: np.pad(part, ((by, 0), (0, 0))), higher)
     return total
 
 
@@ -470,9 +412,8 @@ def _to_half_plane(falling: DoubleDouble, radius: DoubleDouble) -> DoubleDouble:
     degree = len(falling.hi) - 1
     total, factor = DoubleDouble.of(np.zeros_like(falling.hi)), DoubleDouble.of(1.0)
     for power in range(degree + 1):
-        index = degree - power
-        one = DoubleDouble(falling.hi[index], falling.lo[index]) * factor
-        total = total + DoubleDouble(one.hi[None], one.lo[None]) * _binomials(degree, power)
+        one = falling[degree - power] * factor
+        total = total + one[None] * _binomials(degree, power)
         factor = factor * radius.scaled(2.0)
     return total
 
@@ -486,14 +427,11 @@ def _binomials(degree: int, power: int) -> Float64[np.ndarray, "coefficient 1"]:
 
 def _are_left(falling: DoubleDouble) -> Bool[np.ndarray, " wall"]:
     """Return where all roots have negative real parts (Routh 1877)."""
-    even, odd = (DoubleDouble(falling.hi[k::2], falling.lo[k::2]) for k in (0, 1))
+    even, odd = falling[::2], falling[1::2]
     is_left = np.ones(falling.hi.shape[1], bool)
     while len(odd.hi):
         is_left = is_left & (odd.hi[0] * even.hi[0] > 0.0)
-        ratio = DoubleDouble(even.hi[0], even.lo[0]) / DoubleDouble(odd.hi[0], odd.lo[0])
-        length = len(even.hi) - 1
-        lower = DoubleDouble(even.hi[1:], even.lo[1:])
-        missing = length - (len(odd.hi) - 1)
-        above = [np.pad(part[1:], ((0, missing), (0, 0))) for part in (odd.hi, odd.lo)]
-        even, odd = odd, lower - DoubleDouble(*above) * ratio
+        ratio, missing = even[0] / odd[0], len(even.hi) - len(odd.hi)
+        above = tree_map(lambda part, by=missing: np.pad(part, ((0, by), (0, 0))), odd[1:])
+        even, odd = odd, even[1:] - above * ratio
     return is_left

@@ -529,7 +529,7 @@ def standing_for(stretches: Sequence[Stretch], angles: DoubleDouble) -> Angles:
     size = angles.hi + 0.0
     for one in stretches:
         held = one.holds(size)
-        gap = (DoubleDouble(angles.hi[held], angles.lo[held]) - one.angle) - one.rest
+        gap = (angles[held] - one.angle) - one.rest
         share = np.arcsinh(gap.rounded() * np.sinh(one.growth) / one.half_width) / one.growth
         size[held] = one.angle + one.half_width * share
     return size

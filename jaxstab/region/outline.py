@@ -11,7 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxstab.arrays import Array, constant, first_indices, kept, namespace, scan, stored, tree_map
+from jaxstab.arrays import (
+    Array,
+    at,
+    constant,
+    first_indices,
+    joined,
+    kept,
+    namespace,
+    repeat_and_keep,
+    stored,
+    tree_map,
+)
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import (
     SliceCoefficients,
@@ -85,17 +96,19 @@ def polygon(
     slots = len(pieces.exists)
     order, loop = _sequence(pieces)
     pieces = tree_map(lambda x: x[order] if x.ndim else x, pieces)
-    nodes, tangents = stored(_survey(c, pieces, _nodes(points)))
+    nodes, tangents = stored(
+        _survey(c, pieces, min(max(points // 8 + 1, _FEWEST_NODES), _MOST_NODES))
+    )
     extremes, fits = _turning_points(c, pieces, nodes, tangents, slots)
     ends, closes = _ends(pieces, loop)
-    extra = _together(*ends, extremes)
+    extra = joined([*ends, extremes])
     room = points - len(extra.theta)
     if xp is np and room < points // 2:  # NumPy makes more room
         room = points // 2
         points = room + len(extra.theta)
     spread = _spread(pieces, nodes, tangents, room)
     chosen = _merged(_keys(pieces, spread), _keys(pieces, extra))
-    marks = _together(spread, extra)
+    marks = joined([spread, extra])
     resolved = pieces.resolved & fits
     if length is not None:
         known, tested = constant((c, spread.theta[_TESTED]))
@@ -104,7 +117,7 @@ def polygon(
     count = xp.where(resolved, xp.sum(marks.exists), 0)
     chosen = chosen[xp.clip(xp.arange(points), 0, xp.maximum(count - 1, 0))]
     at_marks = _points(c, marks)
-    marks = tree_map(lambda x: x[chosen], marks)
+    marks = at(marks, chosen)
     branches, angles = _edges(pieces, marks)
     corners = at_marks[room:][: 3 * slots]
     return Outline(
@@ -130,7 +143,7 @@ def _ends(pieces: Pieces, loop: Array) -> tuple[list[_Marks], Array]:
     end = partial(
         _marks, theta=pieces.end, low=pieces.end_low, branch=pieces.end_branch, piece=number
     )
-    closing = tree_map(lambda x: x[first], begin(_ON_PIECE, exists=pieces.exists))
+    closing = at(begin(_ON_PIECE, exists=pieces.exists), first)
     return [
         begin(_ON_PIECE, exists=pieces.exists),
         end(_ON_PIECE, exists=pieces.exists),
@@ -157,10 +170,6 @@ def _on_curve(pieces: Pieces, piece: Array, theta: Array, exists: Array) -> _Mar
     return _marks(_ON_PIECE, piece=piece, theta=theta, low=low, exists=exists, branch=branch)
 
 
-def _together(*marks: _Marks) -> _Marks:
-    return tree_map(lambda *parts: namespace(parts).concatenate(parts), *marks)
-
-
 def _keys(pieces: Pieces, marks: _Marks) -> Array:
     """Return numbers that grow along the boundary."""
     xp = namespace(marks)
@@ -179,10 +188,6 @@ def _merged(many: Array, few: Array) -> Array:
     passed = xp.sum(rank[:, None] <= number, axis=0)
     latest = xp.maximum(passed - 1, 0)
     return xp.where(rank[latest] == number, len(many) + order[latest], number - passed)
-
-
-def _nodes(points: int) -> int:
-    return min(max(points // 8 + 1, _FEWEST_NODES), _MOST_NODES)
 
 
 def extra_vertices(slots: int) -> int:
@@ -204,7 +209,7 @@ def _sequence(pieces: Pieces) -> tuple[Array, Array]:
         return (visited, xp.where(closed, fresh, following)), xp.stack([current, closed])
 
     start = (xp.zeros(len(number), bool), xp.argmin(~pieces.exists))
-    order, closed = scan(len(number), step, start).T
+    order, closed = repeat_and_keep(len(number), step, start)[1].T
     return order, xp.cumsum(closed) - closed
 
 
@@ -292,7 +297,7 @@ def _points(c: SliceCoefficients, marks: _Marks) -> Array:
 def _edges(pieces: Pieces, marks: _Marks) -> tuple[Array, Array]:
     """Return for the edge after each vertex its branch and the angles at its ends."""
     xp = namespace(pieces, marks)
-    here, there = (tree_map(lambda x, part=part: x[part], marks) for part in (_HERE, _THERE))
+    here, there = (at(marks, part) for part in (_HERE, _THERE))
     same_piece = (here.piece == there.piece) & (there.stage == _ON_PIECE)
     left = pieces.end_branch[here.piece]
     other_line = Branch.Z_PLUS_ONE + Branch.Z_MINUS_ONE - left

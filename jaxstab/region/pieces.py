@@ -16,7 +16,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Array, constant, first_indices, kept, namespace, repeat, scan, stored
+from jaxstab.arrays import (
+    Array,
+    constant,
+    first_indices,
+    kept,
+    namespace,
+    repeat,
+    repeat_and_keep,
+    stored,
+)
 from jaxstab.model import companion_matrix
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.corners import Branch, Scales, nearest_branch, scales, solved_corners
@@ -135,7 +144,7 @@ def _series_of_inverse(total: Array, product: float, length: int) -> Array:
         return (total * last - product * last_but_one, last), last
 
     xp = namespace(total)
-    return scan(length, step, (xp.ones_like(total), xp.zeros_like(total)))
+    return repeat_and_keep(length, step, (xp.ones_like(total), xp.zeros_like(total)))[1]
 
 
 def _all_inside(falling: Array) -> Array:
@@ -242,13 +251,10 @@ class _Links(NamedTuple):
 def find_pieces(
     c: SliceCoefficients, angles: Array, *, length: int, slots: int | None = None
 ) -> Pieces:
-    """Return the pieces of one slice that a scan over these angles finds.
+    """Return the pieces of one slice that a scan over these angles, in (0, pi) in order, finds.
 
-    Args:
-        c: the coefficients of the slice.
-        angles: of the scan, in (0, pi) and in order.
-        length: that of the polynomials with the other roots: floor(delay) + 3, or more.
-        slots: the largest number of pieces and the length of the arrays; JAX needs it.
+    ``length`` is that of the polynomials with the other roots: floor(delay) + 3, or more; ``slots``
+    the largest number of pieces and the length of the arrays, which JAX needs.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots. Differentiable in the slice by the theorem of the implicit function.
@@ -596,7 +602,7 @@ def lone_partners(c: SliceCoefficients, pieces: Pieces) -> DoubleDouble:
     near = np.min(np.abs(angles.hi[:, None] - known), axis=1, initial=np.inf)
     _, first = np.unique(np.round(angles.hi / _APART), return_index=True)
     chosen = first[(away[first] > _APART) & (near[first] > _APART)][:_MOST_CENTERS]
-    return DoubleDouble(angles.hi[chosen], angles.lo[chosen])
+    return angles[chosen]
 
 
 def nearly_stable(c: SliceCoefficients, angles: Angles, outside: float, *, length: int) -> Angles:

@@ -5,7 +5,7 @@ from math import ceil, sqrt
 import numpy as np
 from jaxtyping import Float64, Int
 
-from jaxstab.arrays import Numbers, is_traced, namespace, stored
+from jaxstab.arrays import Numbers, is_traced, joined, namespace, stored
 from jaxstab.batches import compiled
 from jaxstab.conventions import Verdict
 from jaxstab.model import require_x64
@@ -56,7 +56,7 @@ _WALLS = 24  # on each side
 _FROM_CORNER = 10.0 ** -np.arange(1.0, 6.0)  # shares of an edge that ends at a corner
 _UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
 _SHORTEST = 1e-8  # of the outline's size: an edge next to a corner
-_GAINS = np.geomspace(1e-8, 1.0, 9)  # of alpha and of beta, of both signs
+_GAINS = np.append(np.outer([-1.0, 1.0], np.geomspace(1e-8, 1.0, 9)), 0.0)  # alpha and beta
 
 Edges = Float64[np.ndarray, "_ 4"]
 
@@ -64,22 +64,16 @@ Walls = Float64[np.ndarray, "2 _"]
 
 
 def fails_audit(c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
-    """Return whether a wall inside is proved unstable, or one outside stable.
+    """Return whether a verdict proves a wall inside unstable, or one outside stable.
 
     Where a mode is next to undamped, an outline also fails if no wall beside it is proved stable.
     An outline without a loop claims that no wall is stable; gains of all sizes are tried then. An
-    outline that stays away from its curve whatever the number of vertices follows nothing but
-    rounding.
-
-    Args:
-        c: the coefficients of the slice.
-        outline: of the region.
-        loop: the same loop, by which verdicts are proved.
-        deviation: of the outline from its curve.
+    outline that stays away from its curve (``deviation``) whatever the number of vertices follows
+    nothing but rounding.
     """
     size = int(outline.size)
     if size == 0:
-        alpha, beta = _walls_of_all_sizes()
+        alpha, beta = np.stack(np.meshgrid(_GAINS, _GAINS)).reshape(2, -1)
         return bool(np.any(linear_verdict(alpha, beta, loop) == Verdict.STABLE))
     if deviation > _ROUGH:
         return True
@@ -150,11 +144,6 @@ def _on_edges(
     return np.where((outline.branches[edges] == Branch.CURVE)[:, None], curved, straight)
 
 
-def _walls_of_all_sizes() -> Walls:
-    gains = np.concatenate([-_GAINS, [0.0], _GAINS])
-    return np.stack(np.meshgrid(gains, gains), axis=0).reshape(2, -1)
-
-
 # The outline of one slice, with as many angles and digits as it needs. NumPy only.
 
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
@@ -198,8 +187,7 @@ def resolved_outline(
         more = lone_partners(exact, pieces)
         if not more.hi.size:
             break
-        both = (centers.hi, more.hi), (centers.lo, more.lo)
-        centers = DoubleDouble(*map(np.concatenate, both))
+        centers = joined([centers, more])
     if rough is not None and not _is_known(outline):
         return c, rough
     return exact, outline
@@ -290,9 +278,8 @@ def stable_region(
     that all components are found (docs/proofs.md, G1 to G3).
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], a number like all arguments.
-        delta: physical damping b T/m in [0, 1e3].
-        delay: time delay t_d/T in samples, whole or fractional, in [0, 500].
+        gamma, delta: see ``jaxstab.conventions``.
+        delay: time delay t_d/T in samples, whole or fractional, in [0, 500]; a number, like all.
         radius: the circle's radius in (0, 1]: 1 for stability, less for a decay rate.
         tolerance: largest distance between the polygon and the boundary, as a share of the
             region's diameter, > 1e-10.
@@ -303,9 +290,8 @@ def stable_region(
     Returns:
         StableRegion of NumPy arrays, with its status. An empty region is an answer, not an error.
 
-    Raises:
-        ValueError: an argument is outside its range, infinite or NaN.
-        TypeError: an argument is traced by JAX (``region_outline`` takes tracers), or no number.
+    Raises: see ``jaxstab.conventions``; no argument may be traced (``region_outline`` takes
+    tracers).
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
 
@@ -349,10 +335,8 @@ def region_outline(
     a cut that went unnoticed.
 
     Args:
-        gamma: physical stiffness k T^2/m in [0, 1e4], a scalar; traced or not.
-        delta: physical damping b T/m in [0, 1e3], a scalar; traced or not.
-        delay: time delay t_d/T >= 0 in samples, concrete.
-        radius: the circle's radius in (0, 1], a scalar; traced or not.
+        gamma, delta, delay: see ``jaxstab.conventions``.
+        radius: the circle's radius in (0, 1], a scalar like these; may be traced, as gamma, delta.
         points: length of the outline; the last point is repeated where fewer are needed.
         slots: the largest number of pieces of the curve; a set with more of them is UNRESOLVED.
         fineness: into how many parts each step of the scan is divided.
@@ -361,10 +345,7 @@ def region_outline(
         StableRegion of arrays of fixed sizes, of JAX where an argument is. There ``max_alpha``,
         ``max_beta``, ``outline`` and the limits are differentiable once in gamma, delta and radius.
 
-    Raises:
-        ValueError: a concrete argument is outside its range, or ``points`` is too small.
-        TypeError: the delay is traced, or a count is no whole number.
-        RuntimeError: JAX arrays are given without x64.
+    Raises: see ``jaxstab.conventions``; ValueError also if ``points`` is too small.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
 
@@ -435,17 +416,11 @@ def _region(
 def linear_region(
     plant: SampledPlant, velocity: Transfer, position: Transfer, tolerance: float
 ) -> StableRegion:
-    """Return the set of all stable (alpha, beta) of a loop.
+    """Return the set of all stable (alpha, beta) of a loop, with T V(z) less (1 - 1/z), and P(z).
 
-    Args:
-        plant: of one number each.
-        velocity: T V(z) less its factor (1 - 1/z).
-        position: P(z).
-        tolerance: largest distance between the polygon and the boundary, as a share of the region's
-            diameter, > 1e-10.
-
-    Raises:
-        ValueError: the plant has zero DC gain, N(1) = 0, by which the curve is divided near z = 1.
+    The tolerance, > 1e-10, is the largest distance between the polygon and the boundary, as a share
+    of the region's diameter. ValueError: the plant has zero DC gain, N(1) = 0, by which the curve
+    is divided near z = 1.
     """
     if float(plant.at_one[0].value.hi) == 0.0:
         raise ValueError(

@@ -45,14 +45,7 @@ class ShownRegion:
 
     @property
     def extremes(self) -> tuple[Any, Any]:
-        """The points of the largest stiffness and of the largest damping.
-
-        Example:
-            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0)
-            >>> stiffest, most_damped = region.extremes
-            >>> stiffest.round(4).tolist()
-            [0.1522, 0.4233]
-        """
+        """The points of the largest stiffness and of the largest damping."""
         region: Any = self
         return region.max_alpha, region.max_beta
 
@@ -72,24 +65,15 @@ class ShownRegion:
 
     def _repr_html_(self) -> str:
         """Return the picture and the words for a notebook."""
-        from jaxstab.pictures.style import region_html
+        from jaxstab.pictures.style import html_of
 
-        region: Any = self
-        return region_html(region)
+        return html_of(self, self.plot)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the region: walls reached by turning gains up from 0 in blue, islands in purple.
 
-        The former fill the axes; the islands are in a small map beside them.
-
-        Args:
-            ax: the axes to draw in; None makes a figure with matplotlib.pyplot.
-
-        Returns:
-            The axes.
-
-        Raises:
-            ValueError: the region is empty or unresolved, or made of arrays of JAX.
+        The former fill the axes (None: those of a new figure); the islands are in a small map
+        beside them. ValueError: the region is empty or unresolved, or made of arrays of JAX.
 
         Example:
             >>> axes = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0).plot()

@@ -132,15 +132,31 @@ class StableRegion(ShownRegion):
     Source: eq. (9) by the D-decomposition, keeping the pieces around the stable set.
 
     Example:
-        >>> round(float(jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0).area), 6)
-        0.909645
         >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
         >>> region.is_empty, region.loops, region.corners.round(6).tolist()
         (False, 1, [[0.0, 0.0], [0.0, 2.0]])
-        >>> region.rows_are_intervals, region.columns_are_intervals
-        (True, True)
+        >>> region.rows_are_intervals, region.columns_are_intervals, round(float(region.area), 6)
+        (True, True, 0.909645)
+        >>> region.extremes[1].round(6).tolist()  # of the largest beta
+        [0.0, 2.0]
         >>> len(region.points) - len(region.branch)  # a piece between two points each
         1
+        >>> region.alpha_limits([0.5, 3.0]).round(6).tolist()
+        [[0.0, 0.6], [nan, nan]]
+        >>> region.beta_limits(0.5).round(6).tolist()
+        [0.359612, 1.390388]
+        >>> region.contains(0.3, [0.1, 0.8]).tolist()
+        [False, True]
+        >>> region.distance(0.3, [0.1, 0.8]).round(6).tolist()
+        [-0.064915, 0.3]
+        >>> window = jaxstab.Velocity.difference(samples=20)
+        >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0004, delay=1.0, velocity=window)
+        >>> [round(float(part.area), 5) for part in region.components]
+        [0.00101, 0.00044]
+        >>> region.main.max_alpha.round(6).tolist()
+        [0.008138, 0.051276]
+        >>> [island.max_alpha.round(4).tolist() for island in region.islands]
+        [[0.0753, -0.4745]]
     """
 
     coefficients: SliceCoefficients
@@ -184,12 +200,6 @@ class StableRegion(ShownRegion):
 
         Velocity estimators can cut islands off. The list has every component whose boundary the
         search found; ``stable_region`` says what a search may miss.
-
-        Example:
-            >>> window = jaxstab.Velocity.difference(samples=20)
-            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0004, delay=1.0, velocity=window)
-            >>> [round(float(part.area), 5) for part in region.components]
-            [0.00101, 0.00044]
         """
         if int(self.outline.size) == 0:
             return []
@@ -201,27 +211,12 @@ class StableRegion(ShownRegion):
         """The component with small positive gains: the walls reached by turning gains up from 0.
 
         None where small positive gains are not stable.
-
-        Example:
-            >>> window = jaxstab.Velocity.difference(samples=20)
-            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0004, delay=1.0, velocity=window)
-            >>> main = region.main
-            >>> main.max_alpha.round(6).tolist()
-            [0.008138, 0.051276]
         """
         return next(filter(_holds_small_gains, self.components[:1]), None)
 
     @property
     def islands(self) -> list["StableRegion"]:
-        """The components that turning gains up from 0 does not reach, the largest first.
-
-        Example:
-            >>> window = jaxstab.Velocity.difference(samples=20)
-            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0004, delay=1.0, velocity=window)
-            >>> islands = region.islands
-            >>> [island.max_alpha.round(4).tolist() for island in islands]
-            [[0.0753, -0.4745]]
-        """
+        """The components that turning gains up from 0 does not reach, the largest first."""
         components = self.components
         return components[any(map(_holds_small_gains, components[:1])) :]
 
@@ -256,20 +251,9 @@ class StableRegion(ShownRegion):
     def alpha_limits(self, beta: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest alpha of the region at given betas.
 
-        Args:
-            beta: wall damping B T/m, any shape.
-
-        Returns:
-            Array (*grid, 2), differentiable; NaN where no alpha is in the region. Where
-            ``rows_are_intervals`` is False there may be unstable alpha between the two.
-
-        Raises:
-            ValueError: beta is NaN or infinite.
-
-        Example:
-            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
-            >>> region.alpha_limits([0.5, 3.0]).round(6).tolist()
-            [[0.0, 0.6], [nan, nan]]
+        NaN where no alpha is in the region. Where ``rows_are_intervals`` is False there may be
+        unstable alpha between the two. Array (*grid, 2), differentiable. Args and Raises: see
+        ``jaxstab.conventions``.
         """
         (rows,) = float_arrays(checked_gain("beta", beta))
         return measures.limits(self.coefficients, self.outline, rows, axis=1)
@@ -277,40 +261,16 @@ class StableRegion(ShownRegion):
     def beta_limits(self, alpha: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest beta of the region at given alphas.
 
-        Args:
-            alpha: wall stiffness K T^2/m, any shape.
-
-        Returns:
-            Array (*grid, 2), differentiable; NaN where no beta is in the region. Where
-            ``columns_are_intervals`` is False there may be unstable beta between the two.
-
-        Raises:
-            ValueError: alpha is NaN or infinite.
-
-        Example:
-            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
-            >>> region.beta_limits(0.5).round(6).tolist()
-            [0.359612, 1.390388]
+        NaN where no beta is in the region. Where ``columns_are_intervals`` is False there may be
+        unstable beta between the two. Else as ``alpha_limits``.
         """
         (columns,) = float_arrays(checked_gain("alpha", alpha))
         return measures.limits(self.coefficients, self.outline, columns, axis=0)
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether points lie inside the exact boundary.
+        """Return whether points lie inside the exact boundary; all False for UNRESOLVED.
 
-        Args:
-            alpha, beta: see ``jaxstab.conventions``.
-
-        Returns:
-            A boolean array of the broadcast shape; all False for UNRESOLVED, which claims nothing.
-
-        Raises:
-            ValueError: alpha or beta is NaN or infinite.
-
-        Example:
-            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
-            >>> region.contains(0.3, [0.1, 0.8]).tolist()
-            [False, True]
+        Args and Raises: see ``jaxstab.conventions``.
         """
         points = _checked_points(alpha, beta)
         return measures.contains(self.coefficients, self.outline, *points)
@@ -318,19 +278,7 @@ class StableRegion(ShownRegion):
     def distance(self, alpha: Numbers, beta: Numbers) -> Float64[Array, "*grid"]:
         """Return the Euclidean distance to the boundary, positive inside and negative outside.
 
-        Args:
-            alpha, beta: see ``jaxstab.conventions``.
-
-        Returns:
-            Array of the broadcast shape; -inf for an empty region, NaN for UNRESOLVED.
-
-        Raises:
-            ValueError: alpha or beta is NaN or infinite.
-
-        Example:
-            >>> region = jaxstab.stable_region(gamma=0.0, delta=0.0, delay=0.0)
-            >>> region.distance(0.3, [0.1, 0.8]).round(6).tolist()
-            [-0.064915, 0.3]
+        -inf for an empty region, NaN for UNRESOLVED. Args and Raises: see ``jaxstab.conventions``.
         """
         points = _checked_points(alpha, beta)
         return measures.distance(self.coefficients, self.outline, *points)

@@ -77,35 +77,20 @@ def rounded_gain(value: float) -> float:
 
 
 Stiffness = Annotated[float, Quantity("N/m")]
-
 Damping = Annotated[float, Quantity("N s/m")]
-
 Mass = Annotated[float, Quantity("kg")]
-
 Time = Annotated[float, Quantity("s")]
-
 Frequency = Annotated[float, Quantity("Hz")]
-
 Number = Annotated[float, Quantity()]
-
 Bound = Annotated[float, Quantity(digits=3, rounding=ROUND_CEILING, infinite="not proved")]
-
 LargestStiffness = Annotated[float, Quantity("N/m", _LIMIT_DIGITS, ROUND_FLOOR)]
-
 StiffnessBound = Annotated[float, Quantity("N/m", _LIMIT_DIGITS, ROUND_CEILING)]
-
 LargestDamping = Annotated[float, Quantity("N s/m", _LIMIT_DIGITS, ROUND_FLOOR)]
-
 LargestTime = Annotated[float, Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR)]
-
 StiffnessLimits = Annotated[tuple[float, float], IntervalQuantity("N/m", _LIMIT_DIGITS)]
-
 DampingLimits = Annotated[tuple[float, float], IntervalQuantity("N s/m", _LIMIT_DIGITS)]
-
 MassRange = Annotated[tuple[float, float], IntervalQuantity("kg")]
-
 StiffnessRange = Annotated[tuple[float, float], IntervalQuantity("N/m")]
-
 DampingRange = Annotated[tuple[float, float], IntervalQuantity("N s/m")]
 
 
@@ -144,7 +129,9 @@ class Answer:
         lines = []
         units = self._units(units)
         for (*outer, name), value in self._entries():
-            words = _HEADINGS[outer[0]].format(name) if outer else _spaced(_named(name, units))
+            words = (
+                _HEADINGS[outer[0]].format(name) if outer else _named(name, units).replace("_", " ")
+            )
             if not isinstance(value, Answer):
                 lines.append(_line(indent, words, self._words(name, value, units)))
             elif value.is_part or name == "inputs":
@@ -189,20 +176,22 @@ class Answer:
     def _units_of_keys(self, units: Units) -> dict[str, str]:
         """Return the unit of each key of a number, "1" where it has none."""
         units_by_key: dict[str, str] = {}
-        kind: Any = type(self)  # mypy holds it for not hashable
         for (*_, name), value in self._entries():
             if isinstance(value, Answer):
                 units_by_key |= value._units_of_keys(units)
             elif not isinstance(value, str | IntEnum):
-                units_by_key[_named(name, units)] = units.unit(_quantities(kind)[name].unit) or "1"
+                units_by_key[_named(name, units)] = units.unit(self._quantity(name).unit) or "1"
         return units_by_key
+
+    def _quantity(self, name: str) -> Quantity:
+        kind: Any = type(self)  # mypy holds it for not hashable
+        return _quantities(kind)[name]
 
     def _words(self, name: str, value: Any, units: Units) -> str:
         if isinstance(value, str | IntEnum):
             return in_words(value)
         is_absent = isnan(sum(value) if isinstance(value, tuple) else value)
-        kind: Any = type(self)  # mypy holds it for not hashable
-        return self.absent if is_absent else _quantities(kind)[name].words(value, units)
+        return self.absent if is_absent else self._quantity(name).words(value, units)
 
 
 @dataclass(frozen=True)
@@ -265,10 +254,6 @@ def in_words(value: str | IntEnum) -> str:
 def _named(name: str, units: Units) -> str:
     """Return the key of a quantity: inertia in place of mass for what turns."""
     return name.replace(Units.LINE.moved, units.moved)
-
-
-def _spaced(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _line(indent: str, name: str, words: str) -> str:

@@ -14,6 +14,7 @@ from jaxstab.loop import Gains, HapticLoop
 from jaxstab.scene.answers import basis_of
 from jaxstab.scene.loops import Member, corners_of, loop_of_member, ranges_of, walls_of
 from jaxstab.scene.scene import Scene
+from jaxstab.shown import printable
 
 Outside = Literal["error", "undecided"]
 
@@ -123,14 +124,10 @@ def spec_text(scene: Scene, name: str) -> str:
         *([] if basis.position is None else [f"position: {basis.position}"]),
     ]
     # A control character would end the comment.
-    return "".join(f"# {_printable(line)}\n" for line in lines) + "\n" + text
+    return "".join(f"# {printable(line)}\n" for line in lines) + "\n" + text
 
 
 def _nodes(name: str, values: list[float]) -> list[float]:
     low, high = min(values), max(values)
     nodes: list[float] = [low] if low == high else np.linspace(low, high, _NODES[name]).tolist()
     return nodes
-
-
-def _printable(line: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in line)

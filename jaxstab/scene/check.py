@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import inf, isfinite, isinf, isnan, nan
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -26,10 +26,12 @@ from jaxstab.loop.together import (
     wall_margins,
 )
 from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.motion import Amplitude as Amplitudes
 from jaxstab.motion import Oscillation as Mode
 from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
+from jaxstab.point import SpectralRadius
 from jaxstab.ranges import Margins as LoopMargins
 from jaxstab.ranges.hands import HeldWall, worst_hands
 from jaxstab.ranges.margins import MOST_DELAY
@@ -193,18 +195,10 @@ def common_outline(loops: list[HapticLoop]) -> Floats:
 _HORIZON = 2**17  # samples within which settling is looked for
 _LEVELS = 0.02, 0.05
 
-Asked = TypeVar("Asked")
-
-Values = Float64[np.ndarray, " hand"]
-
 LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
-
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
-
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
-
 SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "more than is searched")]
-
 SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any")]
 
 
@@ -341,16 +335,12 @@ class Check(Answer):
 
 @dataclass(frozen=True)
 class _Wall:
-    """A wall of a scene, the loops with the hands at the corners of its range, and the worst."""
+    """A wall of a scene, the loops with the hands at the corners of its range and the worst."""
 
     scene: Scene
     gains: Gains
     loops: list[HapticLoop]
     known: WorstHeld
-
-    @property
-    def at_worst(self) -> Rendered:
-        return Rendered(self.known.loop, self.gains)
 
     def wants(self, measure: str) -> bool:
         wanted = measure in self.scene.wanted.measures
@@ -367,13 +357,16 @@ def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
     """``check_walls`` of each scene, evaluated as one batch."""
     walls = _walls_of(scenes)
     measured: list[dict[str, Any]] = [{} for _ in walls]
-    for name, measure in _MEASURES.items():
+    for name, (ask, summarise) in _MEASURES.items():
         numbers = [number for number, wall in enumerate(walls) if wall.wants(name)]
         if numbers:
-            answers = measure([walls[number] for number in numbers])
-            for number, answer in zip(numbers, answers, strict=True):
-                measured[number][name] = answer
-    checked = (_wall_check(*both) for both in zip(walls, measured, strict=True))
+            wanting = [walls[number] for number in numbers]
+            for number, loops, answer in zip(numbers, *_over_hands(wanting, ask), strict=True):
+                measured[number][name] = summarise(walls[number], loops, answer)
+    checked = (
+        WallCheck(*wall.gains, wall.known.verdict, wall.known.tried, wall.known.hand, **answers)
+        for wall, answers in zip(walls, measured, strict=True)
+    )
     return [Check(basis_of(one), {name: next(checked) for name in one.walls}) for one in scenes]
 
 
@@ -386,7 +379,10 @@ def _walls_of(scenes: Sequence[Scene]) -> list[_Wall]:
         listed += [(scene, gains, loops) for gains in walls_of(scene).values()]
     has_hands = [hands_of(scene) is not None for scene, *_ in listed]
     known = by_kind(listed, has_hands, _known)
-    return [_Wall(*wall, held) for wall, held in zip(listed, known, strict=True)]
+    return [
+        _Wall(scene, gains, list(dict.fromkeys([*loops, held.loop])), held)
+        for (scene, gains, loops), held in zip(listed, known, strict=True)
+    ]
 
 
 def _known(walls: Sequence[tuple[Scene, Gains, list[HapticLoop]]]) -> list[WorstHeld]:
@@ -400,32 +396,23 @@ def _known(walls: Sequence[tuple[Scene, Gains, list[HapticLoop]]]) -> list[Worst
     ]
 
 
-def _wall_check(wall: _Wall, measures: dict[str, Any]) -> WallCheck:
-    verdict, _, hand, tried = wall.known
-    return WallCheck(*wall.gains, verdict, tried, hand, **measures)
-
-
 def _over_hands(
-    walls: Sequence[_Wall], ask: Callable[..., Asked], *columns: Sequence[float]
-) -> list[tuple[_Wall, list[HapticLoop], Asked]]:
-    """Return each wall with its loops, the one with the worst hand too, and what they answer.
-
-    The columns have a number for each wall, evaluated with each of its loops.
-    """
-    held = [list(dict.fromkeys([*wall.loops, wall.known.loop])) for wall in walls]
+    walls: Sequence[_Wall], ask: Callable[[Sequence[Rendered], Floats], Any]
+) -> tuple[list[list[HapticLoop]], list[Any]]:
+    """Return the loops of each wall, and what all of them answer, evaluated together."""
+    of_worst = ask in (_radii, _jitter_margins)
+    held = [[wall.known.loop] if of_worst else wall.loops for wall in walls]
     counts = [len(loops) for loops in held]
-    rendered = [
-        Rendered(loop, wall.gains)
-        for wall, loops in zip(walls, held, strict=True)
-        for loop in loops
-    ]
-    answers = ask(rendered, *(np.repeat(column, counts) for column in columns))
+    encoders = [wall.scene.device.encoder for wall in walls]
+    steps = [encoder.resolution if encoder else nan for encoder in encoders]
+    rendered = [Rendered(x, w.gains) for w, loops in zip(walls, held, strict=True) for x in loops]
+    answers = ask(rendered, np.repeat(steps, counts))
     ends = np.cumsum(counts)
     parts = [
         tree_map(lambda one, own=slice(end - count, end): one[own], answers)
         for count, end in zip(counts, ends, strict=True)
     ]
-    return list(zip(walls, held, parts, strict=True))
+    return held, parts
 
 
 def _among(words: str, loops: list[HapticLoop]) -> str | None:
@@ -435,10 +422,6 @@ def _among(words: str, loops: list[HapticLoop]) -> str | None:
 
 def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
     return None if wall.known.hand is None else held_by(loop, wall.scene)
-
-
-def _margins(walls: Sequence[_Wall]) -> list[Margins]:
-    return [_least_margins(*own) for own in _over_hands(walls, wall_margins)]
 
 
 def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -> Margins:
@@ -458,25 +441,17 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
     return float(without_noise(low, high - low)), float(without_noise(high, high - low))
 
 
-def _distances(walls: Sequence[_Wall]) -> list[Distance]:
-    """Return the least distance of each wall over its hands; NaN if one has no region."""
-    return [
-        Distance(float(np.min(distances)), _among("the least", loops))
-        for _, loops, distances in _over_hands(walls, boundary_distances)
-    ]
+def _least_distance(_: _Wall, loops: list[HapticLoop], distances: Floats) -> Distance:
+    """Return the least distance; NaN if a loop has no region."""
+    return Distance(float(np.min(distances)), _among("the least", loops))
 
 
-def _radii(walls: Sequence[_Wall]) -> list[Radius]:
-    value, error, _ = spectral_radii([wall.at_worst for wall in walls])
-    return [Radius(*both) for both in zip(value.tolist(), error.tolist(), strict=True)]
+def _radii(rendered: Sequence[Rendered], _: Floats) -> SpectralRadius:
+    return spectral_radii(rendered)
 
 
-def _settlings(walls: Sequence[_Wall]) -> list[Settling]:
-
-    def ask(rendered: Sequence[Rendered]) -> list[MotionSettling]:
-        return settling_times(rendered, _LEVELS, _HORIZON)
-
-    return [_longest(*own) for own in _over_hands(walls, ask)]
+def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
+    return Radius(float(radius.value[0]), float(radius.error[0]))
 
 
 def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettling]) -> Settling:
@@ -506,12 +481,8 @@ def settled(settling: MotionSettling) -> float:
     return inf if status == SettlingStatus.UNSTABLE else nan
 
 
-def _oscillations(walls: Sequence[_Wall]) -> list[Oscillation]:
-    """Return the slowest mode of each wall, with the hand for which it is damped least."""
-    return [_least_damped(*own) for own in _over_hands(walls, oscillations)]
-
-
 def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> Oscillation:
+    """Return the slowest mode, with the hand for which it is damped least."""
     ratios = np.asarray(modes.damping_ratio)
     index = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
     ratio, frequency = float(ratios[index]), float(modes.frequency[index])
@@ -519,35 +490,30 @@ def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> Oscillat
     return Oscillation(ratio, frequency, words, hand)
 
 
-def _chatters(walls: Sequence[_Wall]) -> list[Chatter]:
-    encoders = [wall.scene.device.encoder for wall in walls]
-    steps = [encoder.resolution for encoder in encoders if encoder is not None]  # all are wanted
-    return [
-        _chatter(amplitude.position, amplitude.force, amplitude.force_per_count)
-        for _, _, amplitude in _over_hands(walls, amplitudes, steps)
-    ]
-
-
-def _chatter(position: Values, force: Values, force_per_count: Values) -> Chatter:
-    hands = f", the largest of {len(position)} hands" if len(position) > 1 else ""
-    most = float(position.max())
+def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatter:
+    hands = f", the largest of {len(loops)} hands" if len(loops) > 1 else ""
+    most = float(amplitude.position.max())
     words = None if isinf(most) else f"proved{hands}"
-    return Chatter(most, float(force.max()), float(force_per_count[0]), words)
+    force = float(amplitude.force.max())
+    return Chatter(most, force, float(amplitude.force_per_count[0]), words)
 
 
-def _jitters(walls: Sequence[_Wall]) -> list[Jitter]:
+def _jitter_margins(rendered: Sequence[Rendered], _: Floats) -> Floats:
+    return np.array([float(one.loop.jitter_margin(*one.gains)) for one in rendered])
+
+
+def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
     """Return how far the delay may move above that of the scene, with the worst hand alone."""
-    margins = [float(wall.known.loop.jitter_margin(*wall.gains)) for wall in walls]
-    words = ["for the worst hand" if wall.known.hand else None for wall in walls]
-    return [Jitter(*both) for both in zip([one or nan for one in margins], words, strict=True)]
+    return Jitter(float(margin[0]) or nan, "for the worst hand" if wall.known.hand else None)
 
 
-_MEASURES: dict[str, Callable[[Sequence[_Wall]], Sequence[Answer]]] = {
-    "margins": _margins,
-    "distance": _distances,
-    "radius": _radii,
-    "settling": _settlings,
-    "oscillation": _oscillations,
-    "chatter": _chatters,
-    "jitter": _jitters,
+_MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
+    "margins": (lambda walls, _: wall_margins(walls), _least_margins),
+    "distance": (lambda walls, _: boundary_distances(walls), _least_distance),
+    "radius": (_radii, _radius),
+    "settling": (lambda walls, _: settling_times(walls, _LEVELS, _HORIZON), _longest),
+    "oscillation": (lambda walls, _: oscillations(walls), _least_damped),
+    "chatter": (amplitudes, _chatter),
+    "jitter": (_jitter_margins, _jitter),
 }
+"""What a measure evaluates, from walls and resolutions, and how it is summarised over the hands."""

@@ -35,15 +35,11 @@ def scene_guard(
 ) -> Guard:
     """The guard of a scene, for its hands: see ``jaxstab.build_guard``.
 
-    Args:
-        scene: the scene.
-        masses: of the device in kg; None for those of the scene, and if that is a single one for
-            0.8 to 1.25 times it, 0.96 to 1.04 of a device with modes, an actuator or a grip.
-        delays: in s; None for one sample less to one sample more than the scene's, a tenth of one
-            for such a device.
-        progress: called with the completed share of the proof.
-        cells: as of ``build_guard``; None for its default, and a single one of mass and delay for
-            such a device.
+    The masses, in kg, are by default those of the scene, and if that is a single one 0.8 to 1.25
+    times it, the delays, in s, one sample less to one sample more than the scene's; for a device
+    with modes, an actuator or a grip 0.96 to 1.04, and a tenth of a sample. The cells are by
+    default those of ``build_guard``, a single one of mass and delay for such a device. ``progress``
+    is called with the completed share of the proof.
     """
     _check_size(scene, delays, cells)
     loop = loop_of(scene)

@@ -42,27 +42,12 @@ class Units(Enum):
     LINE = "kg", "N/m", "N s/m", "m", "N", "mass"
     ROTATION = "kg m^2", "N m/rad", "N m s/rad", "rad", "N m", "inertia"
 
-    def __init__(
-        self, kilogram: str, stiffness: str, damping: str, length: str, force: str, moved: str
-    ) -> None:
-        self.kilogram = kilogram
-        self.stiffness = stiffness
-        self.damping = damping
-        self.length = length
-        self.force = force
-        self.moved = moved
+    def __init__(self, *words: str) -> None:
+        self.kilogram, self.stiffness, self.damping, self.length, self.force, self.moved = words
 
     def unit(self, of_line: str) -> str:
         """Return the unit that replaces one of linear motion."""
-        line = Units.LINE
-        pairs = {
-            line.kilogram: self.kilogram,
-            line.stiffness: self.stiffness,
-            line.damping: self.damping,
-            line.length: self.length,
-            line.force: self.force,
-        }
-        return pairs.get(of_line, of_line)
+        return dict(zip(Units.LINE.value, self.value, strict=True)).get(of_line, of_line)
 
     def translated(self, sentence: str) -> str:
         """Return a sentence with the units of motion along a line in these units."""
@@ -544,8 +529,7 @@ class Scene:
             _outside("hand.damping", hand.damping[1], *usual.hand_damping, damping),
             _outside("controller.sample_time", controller.sample_time, 1e-5, 0.05, "s"),
             _outside("the delay", controller.time_delay, 0.0, 2.0, "s"),
-            _many_samples(controller),
-            _few_samples(controller),
+            *_slips_of_delay(controller),
             _other_period(controller),
         ]
         for name, wall in self.walls.items():
@@ -643,18 +627,13 @@ def _unusual_mechanics(device: Device, hand: Hand, usual: _Usual) -> Iterator[st
         yield _outside("hand.grip.damping", grip.damping, *limits[1], units.damping)
 
 
-def _many_samples(controller: Controller) -> str:
-    """Return a warning for a delay that was meant in samples and given in s."""
-    if controller.samples < _MANY_SAMPLES:
-        return ""
-    return f"the delay is {controller.samples:g} samples; one in samples is given as delay_samples"
-
-
-def _few_samples(controller: Controller) -> str:
-    """Return a warning for a delay that was meant in s and given in samples."""
-    if not 0.0 < (controller.delay_samples or 0.0) < _FEW_SAMPLES:
-        return ""
-    return f"the delay is {controller.delay_samples:g} samples; one in s is given as delay"
+def _slips_of_delay(controller: Controller) -> Iterator[str]:
+    """Yield warnings for a delay that was given in s and meant in samples, or the other way."""
+    words = f"the delay is {controller.samples:g} samples"
+    if controller.samples >= _MANY_SAMPLES:
+        yield f"{words}; one in samples is given as delay_samples"
+    if 0.0 < (controller.delay_samples or 0.0) < _FEW_SAMPLES:
+        yield f"{words}; one in s is given as delay"
 
 
 def _other_period(controller: Controller) -> str:

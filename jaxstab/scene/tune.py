@@ -232,18 +232,14 @@ def _best(
         return BestWall(None, None, None, best.status, None)
     gains = Gains(best.stiffness, best.damping)
     rounded = Gains(rounded_gain(best.stiffness), rounded_gain(best.damping))
+    worst = worst_held([(scene, rounded)])[0] if hands else None
     return BestWall(
         _tuned(TunedWall, loop, gains, encoder),
         _tuned(RoundedWall, loop, rounded, encoder),
         best.stiffness / reachable(wall_region(loop)).stiffest.stiffness,
         best.status,
-        _over_hands(scene, rounded) if hands else None,
+        None if worst is None else worst.tried or worst.verdict,
     )
-
-
-def _over_hands(scene: Scene, gains: Gains) -> Verdict | str:
-    (worst,) = worst_held([(scene, gains)])
-    return worst.tried or worst.verdict
 
 
 def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: _Encoder) -> Tuning:

@@ -86,8 +86,12 @@ ALL_GAINS = Component()
 
 
 @lru_cache(maxsize=64)
-def searched_component(gamma: float, delta: float, delay: float, filters: Filters) -> Component:
+def searched_component(
+    gamma: float, delta: float, delay: float, filters: Filters | None
+) -> Component:
     """Return the component of small gains; if there is none, all gains and a status."""
+    if filters is None:  # the stable set was always seen to be one component
+        return ALL_GAINS
     velocity, position = filters
     return component_of(
         stable_region(gamma=gamma, delta=delta, delay=delay, velocity=velocity, position=position)

@@ -24,7 +24,7 @@ from jaxstab.tuning.component import (
     component_of,
     searched_component,
 )
-from jaxstab.tuning.radius import Walls, filtered_walls, minimize_radius, smallest_radius, walls_of
+from jaxstab.tuning.radius import Walls, mass_walls, minimize_radius, smallest_radius, walls_of
 
 Plant = tuple[float, float, float]
 
@@ -41,7 +41,7 @@ class MassLoop(NamedTuple):
     @classmethod
     def from_plant(cls, plant: Plant, filters: Filters | None) -> "MassLoop":
         """Return a loop whose search covers the component of small gains, if there is one."""
-        return cls(plant, filters, searched_component(*plant, filters) if filters else ALL_GAINS)
+        return cls(plant, filters, searched_component(*plant, filters))
 
     def anywhere(self) -> "MassLoop":
         """Return the same loop with a search that covers all gains."""
@@ -59,7 +59,7 @@ class MassLoop(NamedTuple):
         """Return the radii of walls; with filters, infinite for walls outside the search."""
         if self.filters is None:
             return np.asarray(self.spectral_radius(alpha, beta).value)
-        walls = filtered_walls(*self.plant, self.filters)
+        walls = mass_walls(*self.plant, self.filters)
         return _radii(walls._replace(component=self.component), self.verdicts, alpha, beta)
 
     def decays(self, alpha: np.ndarray, beta: np.ndarray, slowest: float) -> np.ndarray:
@@ -86,7 +86,7 @@ class MassLoop(NamedTuple):
 
 
 class DeviceLoop(NamedTuple):
-    """Any linear device, in its units; estimator and filter in SI units."""
+    """Any linear device, in its units, with the methods of ``MassLoop``; filters in SI units."""
 
     device: SampledDevice
     filters: Filters | None
@@ -98,19 +98,15 @@ class DeviceLoop(NamedTuple):
         return cls(device, filters, _device_walls(device, filters).component)
 
     def anywhere(self) -> "DeviceLoop":
-        """Return the same loop with a search that covers all gains."""
         return self._replace(component=ALL_GAINS)
 
     def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
-        """Return the codes of walls."""
         return np.asarray(linear_verdict(*_as_arrays(alpha, beta), self._linear))
 
     def spectral_radius(self, alpha: Any, beta: Any) -> SpectralRadius:
-        """Return the radii of walls, with bounds."""
         return linear_spectral_radius(*_as_arrays(alpha, beta), self._linear)
 
     def radii(self, alpha: Any, beta: Any) -> np.ndarray:
-        """Return the radii of walls, infinite for walls outside the search."""
         walls = _device_walls(self.device, self.filters)
         return _radii(walls._replace(component=self.component), self.verdicts, alpha, beta)
 
@@ -119,19 +115,15 @@ class DeviceLoop(NamedTuple):
         return _device_walls(self.device, self.filters).largest_pole(alpha, beta) <= slowest
 
     def smallest_radius(self) -> OptimalGains:
-        """Return the gains of the smallest radius."""
-        walls = _device_walls(self.device, self.filters)
-        return smallest_radius(walls, self.verdicts)
+        return smallest_radius(_device_walls(self.device, self.filters), self.verdicts)
 
     def settling(self, alpha: Any, beta: Any, level: float, excitation: Excitation) -> Settling:
-        """Return the settling of walls in samples."""
         one = self.device
         gains = np.asarray(alpha) / one.stiffness_unit, np.asarray(beta) / one.damping_unit
         loop = one.device, one.sample_time, one.delay, self.filters
         return device_settling_samples(*loop, *gains, level, excitation=excitation)
 
     def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        """Return how walls, side by side, come to rest."""
         one = self.device
         moves = mechanics(one.device, one.sample_time, one.delay % 1.0, (1.0,))
         bank = bank_for(self.filters, one.sample_time)

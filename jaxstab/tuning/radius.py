@@ -8,24 +8,22 @@ precision.
 See Blondel, Gurbuzbalaban, Megretski, Overton (2012) for why roots coalesce.
 """
 
-from collections.abc import Callable, Iterable
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Complex128, Float64, Int8
+from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_traced, namespace
+from jaxstab.arrays import Array, Numbers, at, constant, float_arrays, is_any_traced, namespace
 from jaxstab.batches import on_host
 from jaxstab.conventions import Verdict
 from jaxstab.model import (
-    PlantCoefficients,
     by_name,
     checked_delay,
     checked_delta,
     checked_gamma,
     companion_matrix,
-    plant_coefficients,
     require_x64,
 )
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
@@ -69,20 +67,6 @@ class Pair(NamedTuple):
     beta: Float64[Array, "*grid"]
     x: Float64[Array, "*grid"]
     y: Float64[Array, "*grid"]
-
-
-def family_of(plant: PlantCoefficients, whole_delay: int) -> Family:
-    """Return the polynomials of all walls at a plant, multiplied by z for a whole delay."""
-    xp = namespace(plant)
-    zero, one = xp.zeros_like(plant.d0), xp.ones_like(plant.d0)
-    before, after = [zero] * (whole_delay + 1), [zero] * (whole_delay + 2)
-    fall = plant.difference - plant.n0  # n2 - n1, to all of its digits for a whole delay
-    columns = (
-        [one, plant.d1, plant.d0, *after],
-        [*before, plant.n2, plant.n1, plant.n0, zero],
-        [*before, plant.n2, -fall, plant.n0 - plant.n1, -plant.n0],
-    )
-    return Family(*(xp.stack(column, axis=-1) for column in columns))
 
 
 def family_of_loop(loop: LinearLoop) -> Family:
@@ -205,11 +189,9 @@ Angles = Float64[np.ndarray, " angle"]
 
 
 class Walls(NamedTuple):
-    """All walls of a loop, among which the best one is searched.
+    """All walls of a loop, p(z) of each, among which the best one of a component is searched.
 
-    family: p(z) of each.
-    angles: angles of pairs on a circle, for a scan.
-    component: the component of the stable set that is searched.
+    ``angles`` are those of pairs on a circle, for a scan.
     """
 
     family: Family
@@ -230,15 +212,6 @@ class Walls(NamedTuple):
         return largest
 
 
-def searched(every: Iterable[Walls], shape: tuple[int, ...]) -> tuple[Array, ...]:
-    """Return alpha, beta, x and y of the best pairs of loops, and how each is known."""
-    with np.errstate(all="ignore"):  # gains overflow where no pair can be
-        best = [_best(walls) for walls in every]
-    pairs = np.array([pair for pair, _ in best]).reshape(-1, 4).T
-    kinds: Int8[np.ndarray, " plant"] = np.array([kind for _, kind in best], np.int8)
-    return *(part.reshape(shape) for part in pairs), kinds.reshape(shape)
-
-
 def scan_angles(length: int, zeros: Complex128[np.ndarray, " zero"]) -> Angles:
     """Return the angles of a scan: parts of a turn of z^m, finer to both ends and at zeros of N."""
     count = 24 + 8 * length
@@ -257,6 +230,13 @@ class _Point(NamedTuple):
     reached: float
     radius: float
     angle: float
+
+
+def _best_known(walls: Walls) -> tuple[Pair, int]:
+    """Return the best pair, and how it is known: by the search, or by the searched component."""
+    with np.errstate(all="ignore"):  # gains overflow where no pair can be
+        pair, kind = _best(walls)
+    return pair, walls.component.status or kind
 
 
 def _best(walls: Walls) -> tuple[Pair, int]:
@@ -322,7 +302,7 @@ def _triple_root(walls: Walls) -> tuple[Pair, int]:
     sizes, largest = abs(roots.x), walls.largest_pole(roots.alpha, roots.beta)
     is_real = (sizes > _SMALLEST) & (largest <= sizes * (1.0 + _MOST_NOISE))
     for number in np.argsort(np.where(is_real, sizes, np.inf))[: np.sum(is_real)]:
-        pair = multiple_root(walls.family, Pair(*(part[number] for part in roots)), is_triple=True)
+        pair = multiple_root(walls.family, at(roots, number), is_triple=True)
         is_same = abs(abs(pair.x) - sizes[number]) <= _AGREEMENT * sizes[number]
         if is_same and _holds(walls, pair):
             return pair, TuningStatus.TRIPLE_ROOT
@@ -402,7 +382,7 @@ def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, 
 
 def _pair_at(walls: Walls, point: _Point) -> Pair:
     radius, angle = np.array([point.radius]), np.array([point.angle])
-    return Pair(*(part[0] for part in _family_pairs(walls, radius, angle)))
+    return at(_family_pairs(walls, radius, angle), 0)
 
 
 def _zoomed(walls: Walls, low: float, high: float, angle: float) -> Pair:
@@ -427,7 +407,7 @@ def _zoomed(walls: Walls, low: float, high: float, angle: float) -> Pair:
         first, last = int(inside[0]), int(inside[-1])
         middle = 0 if first == 0 else last if last == len(columns) - 1 else (first + last) // 2
         middle = int(inside[np.argmin(np.abs(inside - middle))])
-        best = Pair(*(part[row, middle] for part in pairs))
+        best = at(pairs, (row, middle))
         angle = float(columns[middle])
         height, step = (box[1] - box[0]) / (_ROWS - 1), (right - left) / (_COLUMNS - 1)
         bottom = float(np.log(radii[row, 0]))
@@ -520,13 +500,18 @@ def minimize_radius(
     delay = checked_number("delay", delay, 0.0)
     filters = given_filters(velocity, position)
     gamma, delta = float_arrays(checked_gamma(gamma), checked_delta(delta))
-    family, fields = (
-        _filtered_pairs(gamma, delta, delay, filters) if filters else _pairs(gamma, delta, delay)
-    )
-    best, kind = Pair(*fields[:4]), fields[4]
+    if is_any_traced(filters):
+        raise TypeError(
+            "the best gains are searched for outside of JAX: give filters of concrete numbers, not "
+            "traced."
+        )
     xp = namespace(gamma, delta)
+    plants = xp.broadcast_arrays(gamma, delta)
+    search = partial(_searched, delay=delay, filters=filters)
+    *fields, kind = on_host(search, *plants, shape=plants[0].shape, like=_LIKE)
+    best = Pair(*fields)
     if xp is not np:
-        best = _followed(family, best, kind)
+        best = _followed(family_of_loop(_loop_of(plants[0], plants[1], delay, filters)), best, kind)
     scene = constant((best.alpha, best.beta, gamma, delta))
     codes = verdict(**by_name(*scene, delay), velocity=velocity, position=position)
     return _as_gains(best, kind, codes)
@@ -534,10 +519,8 @@ def minimize_radius(
 
 def smallest_radius(walls: Walls, verdicts: Callable[[Array, Array], Array]) -> OptimalGains:
     """Return the best gains of one loop among its ``walls``."""
-    *best, kind = searched([walls], ())
-    known = walls.component.status
-    kind = np.int8(known) if known != TuningStatus.NOT_COMPUTED else kind
-    return _as_gains(Pair(*best), kind, verdicts(best[0], best[1]))
+    best, kind = _best_known(walls)
+    return _as_gains(best, np.int8(kind), verdicts(best.alpha, best.beta))
 
 
 def _as_gains(best: Pair, kind: Array, codes: Array) -> OptimalGains:
@@ -548,63 +531,24 @@ def _as_gains(best: Pair, kind: Array, codes: Array) -> OptimalGains:
     return OptimalGains(best.alpha, best.beta, value, status)
 
 
-def _pairs(gamma: Array, delta: Array, delay: float) -> tuple[Family, tuple[Array, ...]]:
-    plant = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
-    fields = on_host(
-        lambda *fields: _searched(PlantCoefficients(*fields), int(delay)),
-        *plant,
-        shape=plant.d0.shape,
-        like=_LIKE,
-    )
-    return family_of(plant, int(delay)), fields
-
-
-def _searched(plant: PlantCoefficients, whole_delay: int) -> tuple[Array, ...]:
-    family = family_of(PlantCoefficients(*(np.ravel(field) for field in plant)), whole_delay)
-    zeros = np.stack([np.ravel(field) for field in (plant.n2, plant.n1, plant.n0)], axis=-1)
-    every = (
-        Walls(Family(*one), scan_angles(whole_delay + 3, np.roots(numerator) + 0j))
-        for *one, numerator in zip(*family, zeros, strict=True)
-    )
-    return searched(every, plant.d0.shape)
-
-
-def _filtered_pairs(
-    gamma: Array, delta: Array, delay: float, filters: Filters
-) -> tuple[Family, tuple[Array, ...]]:
-    if is_any_traced(filters):
-        raise TypeError(
-            "the best gains are searched for outside of JAX: give filters of concrete numbers, not "
-            "traced."
-        )
-    xp = namespace(gamma, delta)
-    gamma, delta = xp.broadcast_arrays(gamma, delta)
-    fields = on_host(
-        lambda *plants: _filtered_searched(plants, delay, filters),
-        gamma,
-        delta,
-        shape=gamma.shape,
-        like=_LIKE,
-    )
-    loop = filtered_loop(gamma, delta, int(delay), delay % 1.0, filters)
-    return family_of_loop(loop), fields
-
-
-def _filtered_searched(
-    plants: tuple[Array, ...], delay: float, filters: Filters
+def _searched(
+    gamma: Array, delta: Array, *, delay: float, filters: Filters | None
 ) -> tuple[Array, ...]:
-    gamma, delta = plants
-    pairs = zip(gamma.ravel().tolist(), delta.ravel().tolist(), strict=True)
-    every = [filtered_walls(*plant, delay, filters) for plant in pairs]
-    *pair, kind = searched(every, gamma.shape)
-    known = np.array([walls.component.status for walls in every]).reshape(gamma.shape)
-    return *pair, np.where(known == TuningStatus.NOT_COMPUTED, kind, known).astype(np.int8)
+    """Return alpha, beta, x and y of the best pairs of plants, and how each is known."""
+    plants = zip(gamma.ravel().tolist(), delta.ravel().tolist(), strict=True)
+    best = [_best_known(mass_walls(*plant, delay, filters)) for plant in plants]
+    pairs = np.array([pair for pair, _ in best]).reshape(-1, 4).T
+    kinds = np.array([kind for _, kind in best], np.int8)
+    return *(part.reshape(gamma.shape) for part in pairs), kinds.reshape(gamma.shape)
 
 
-def filtered_walls(gamma: float, delta: float, delay: float, filters: Filters) -> Walls:
-    """Return all walls of a loop with filters in units of one sample."""
-    plant = np.float64(gamma), np.float64(delta)
-    loop = filtered_loop(*plant, int(delay), delay % 1.0, filters)
+def _loop_of(gamma: Array, delta: Array, delay: float, filters: Filters | None) -> LinearLoop:
+    return filtered_loop(gamma, delta, int(delay), delay % 1.0, filters or (Velocity(), Filter()))
+
+
+def mass_walls(gamma: float, delta: float, delay: float, filters: Filters | None) -> Walls:
+    """Return all walls of a loop of one mass, its filters in units of one sample."""
+    loop = _loop_of(np.float64(gamma), np.float64(delta), delay, filters)
     return walls_of(loop, searched_component(gamma, delta, delay, filters))
 
 

@@ -113,9 +113,7 @@ class FittedAxis:
         least: the first node is not above it; None for that of the stable region alone.
         most: the last node is not below it; likewise.
 
-    Raises:
-        TypeError: ``count`` is not a whole number, or an end is not a number.
-        ValueError: ``count`` is too small, or an end is not finite.
+    Raises: see ``jaxstab.conventions``.
 
     Example:
         >>> jaxstab.AtlasSpec(alpha=jaxstab.FittedAxis(64)).alpha
@@ -144,9 +142,7 @@ class ToleranceAxis:
         tolerance: how far the boundary of a stable region may move from one node to the next, as a
             share of the region's extents in alpha and beta; in [0.001, 1].
 
-    Raises:
-        TypeError: a value is not a real number.
-        ValueError: a value is out of range.
+    Raises: see ``jaxstab.conventions``.
 
     Example:
         >>> axis = jaxstab.ToleranceAxis(0.0, 0.001, tolerance=0.01)
@@ -171,10 +167,8 @@ class AtlasSpec:
     """The axes and products of an atlas; without arguments, the paper's haptic range (15).
 
     Args:
-        alpha: nodes, two or more, or a FittedAxis for each delay.
-        beta: nodes, two or more, or a FittedAxis for each delay.
-        gamma: nodes, one or more, or a ToleranceAxis.
-        delta: nodes, one or more, or a ToleranceAxis.
+        alpha: nodes, two or more, or a FittedAxis for each delay; so is beta.
+        gamma: nodes, one or more, or a ToleranceAxis; so is delta.
         delay: delays t_d/T in [0, 100], whole or fractional; each has its own grid.
         products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "outline" and
             "summary"; by default the first three.
@@ -186,14 +180,18 @@ class AtlasSpec:
 
     Nodes are finite and ascending, and stored as tuples of floats.
 
-    Raises:
-        TypeError: a value is not of the kind above.
-        ValueError: a value is out of range, out of order, or the atlas would be too large.
+    Raises: see ``jaxstab.conventions``; ValueError also for nodes out of order, or a too large
+    atlas.
 
     Example:
         >>> spec = jaxstab.AtlasSpec(delay=(0.0, 0.5, 1.0), products=("verdict", "alpha_limits"))
-        >>> spec.delay
-        (0.0, 0.5, 1.0)
+        >>> spec.delay, jaxstab.AtlasSpec.from_toml(spec.to_toml()) == spec
+        ((0.0, 0.5, 1.0), True)
+        >>> spec = jaxstab.AtlasSpec.from_toml("velocity = {window_samples = 20}")
+        >>> str(spec.filters[0]), spec.delay_cells
+        ('the difference over a window of 20 samples', 0)
+        >>> jaxstab.AtlasSpec.from_file("data/specs/window.toml").delay
+        (1.0, 2.0, 3.0)
     """
 
     alpha: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 128))
@@ -227,14 +225,7 @@ class AtlasSpec:
     def from_file(cls, path: str | PathLike[str]) -> "AtlasSpec":
         """Read a TOML file.
 
-        Raises:
-            OSError: the file cannot be read.
-            TypeError, ValueError: as for ``from_toml``, with the name of the file.
-
-        Example:
-            >>> spec = jaxstab.AtlasSpec.from_file("data/specs/window.toml")
-            >>> spec.delay, spec.products
-            ((1.0, 2.0, 3.0), ('verdict', 'alpha_limits'))
+        Raises: as ``from_toml``, with the name of the file; OSError if it cannot be read.
         """
         table = read_table(path, "specification")
         try:
@@ -252,14 +243,8 @@ class AtlasSpec:
         ``stop`` and ``tolerance``. The tables ``velocity`` and ``position`` are of
         ``jaxstab.atlas.format.spec``.
 
-        Raises:
-            ValueError: the text is no TOML, or has an unknown name or a bad value.
-            TypeError: a value is of the wrong kind.
-
-        Example:
-            >>> spec = jaxstab.AtlasSpec.from_toml("velocity = {window_samples = 20}")
-            >>> str(spec.filters[0]), spec.delay_cells
-            ('the difference over a window of 20 samples', 0)
+        Raises: see ``jaxstab.conventions``; ValueError also if it is no TOML, or has an unknown
+        name.
         """
         return cls._from_table(parsed(text))
 
@@ -276,13 +261,7 @@ class AtlasSpec:
         return known_filters(self.velocity, self.position)
 
     def to_toml(self) -> str:
-        """Return the text from which ``from_toml`` makes an equal specification.
-
-        Example:
-            >>> spec = jaxstab.AtlasSpec(delay=(1.0,))
-            >>> jaxstab.AtlasSpec.from_toml(spec.to_toml()) == spec
-            True
-        """
+        """Return the text from which ``from_toml`` makes an equal specification."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         given = {name: value for name, value in values.items() if value is not None}
         entries = (f"{name} = {_toml(value)}" for name, value in given.items())

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.arrays import tree_map
 from jaxstab.atlas.format.schema import VARIABLES, attributes_of, head_attributes
 from jaxstab.atlas.format.variables import SPEC
 from jaxstab.atlas.products.limits import (
@@ -168,17 +169,11 @@ class LoopAtlas:
     def stiffness_limits(self, damping: Numbers) -> Floats:
         """The interval of stiffness in which every wall is proved stable, rounded inwards.
 
-        Args:
-            damping: see ``jaxstab.conventions``.
-
         Returns:
             Array (*grid, 2) in N/m, an open interval within that of ``HapticLoop.stiffness_limits``
             and within the atlas; NaN where no stiffness is proved stable.
 
-        Raises:
-            TypeError, ValueError: as ``Atlas.alpha_limits``.
-
-        Source: ``jaxstab.proofs.columns``; Table I.
+        Raises: as ``Atlas.alpha_limits``. Source: ``jaxstab.proofs.columns``; Table I.
         """
         (given,) = all_checked([damping], ["damping"])
         beta = np.asarray(self.loop.beta(given))
@@ -188,8 +183,7 @@ class LoopAtlas:
     def largest_stiffness(self) -> LargestStiffness:
         """The largest stable stiffness, its damping, and a proved bound.
 
-        Raises:
-            ValueError: the atlas holds no limits of alpha.
+        Raises: ValueError if the atlas holds no limits of alpha.
 
         Source: ``jaxstab.proofs.columns``; Table I.
         """
@@ -325,19 +319,32 @@ class Atlas:
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-        >>> atlas.products, atlas.delays.tolist()
-        (('verdict', 'alpha_limits', 'spectral_radius'), [0.0, 1.0, 1.5])
+        >>> atlas.products, atlas.delays.tolist(), atlas.filters is None
+        (('verdict', 'alpha_limits', 'spectral_radius'), [0.0, 1.0, 1.5], True)
         >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
         {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
-        >>> atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0).verdict.tolist()
-        [1, 2]
-        >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, gamma=0.0005, delta=0.01, delay=1.0))
-        <Verdict.STABLE: 1>
-        >>> round(float(atlas.alpha_limits(0.3, gamma=0.0005, delta=0.01, delay=1.0).upper), 6)
-        0.136525
+        >>> hand = {"gamma": 0.0005, "delta": 0.01, "delay": 1.0}
+        >>> answer = atlas.query([0.05, 0.2], beta=0.3, **hand)
+        >>> statuses = map(jaxstab.results.QueryStatus, answer.status.tolist())
+        >>> answer.verdict.tolist(), [status.name for status in statuses]
+        ([1, 2], ['CELL', 'CELL'])
+        >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, **hand)), round(atlas.decided_fraction(1), 1)
+        (<Verdict.STABLE: 1>, 1.0)
+        >>> limits = atlas.alpha_limits([0.3, 0.5], **hand)
+        >>> (limits.upper - limits.upper_error).round(4).tolist()  # proved stable up to here
+        [0.1358, 0.1435]
+        >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.5)
+        >>> bool(largest.alpha <= largest.bound), round(float(largest.beta), 2)
+        (True, 0.35)
         >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
         >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0))
         <Verdict.STABLE: 1>
+        >>> low, high = atlas.common_alpha_limits(0.3, **hands, delay=1.0)
+        >>> low < high, round(high, 2)
+        (True, 0.13)
+        >>> atlas.to_xarray()["verdict"].dims
+        ('alpha_node', 'beta_node', 'gamma', 'delta', 'delay')
+        >>> axes = atlas.plot(delay=1.0)
     """
 
     arrays: Mapping[str, NDArray[Any]]
@@ -363,12 +370,7 @@ class Atlas:
 
     @cached_property
     def filters(self) -> tuple[Any, Any] | None:
-        """The Velocity and the Filter, per sample; None for the one-sample difference alone.
-
-        Example:
-            >>> str(jaxstab.open_atlas("data/golden/atlas-v3-window.h5").filters[0])
-            'the difference over a window of 5 samples'
-        """
+        """The Velocity and the Filter, per sample; None for the one-sample difference alone."""
         from jaxstab.atlas.format.spec import filters_of
 
         return filters_of(self.spec)
@@ -378,13 +380,7 @@ class Atlas:
         return nodes_of(self.arrays, delay_number)
 
     def decided_fraction(self, delay_number: int) -> float:
-        """Return the share of the volume at one delay in which a query between nodes is decided.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> round(atlas.decided_fraction(1), 1)
-            1.0
-        """
+        """Return the share of the volume at one delay in which a query between nodes is decided."""
         nodes = self.nodes(delay_number)
         if self._table is not None:
             return self._table.decided_share(float(self.delays[delay_number]))
@@ -424,19 +420,10 @@ class Atlas:
                 another one refuses. Without it and ``position`` the atlas answers for its own.
             position: likewise, the position filter.
 
-        Raises:
-            TypeError: an argument is not made of real numbers.
-            ValueError: a value is NaN or infinite or, unless ``outside`` is "undecided", outside of
-                the atlas; or the atlas has another estimator or filter than the named one.
+        Raises: see ``jaxstab.conventions``; ValueError also for points outside of the atlas, unless
+        ``outside`` is "undecided", and if it has another estimator or filter than the named one.
 
         Source: ``jaxstab.proofs.columns``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> answer = atlas.query([0.05, 0.2], beta=0.3, gamma=0.0005, delta=0.01, delay=1.0)
-            >>> statuses = map(jaxstab.results.QueryStatus, answer.status.tolist())
-            >>> answer.verdict.tolist(), [status.name for status in statuses]
-            ([1, 2], ['CELL', 'CELL'])
         """
         checked_word("outside", outside, ("error", "undecided"))
         self._check_filters(velocity, position)
@@ -458,7 +445,7 @@ class Atlas:
         if exact:
             own = self.filters or (None, None)
             settle(where, answer, dict(zip(("velocity", "position"), own, strict=True)))
-        return answer.reshaped(shape)
+        return tree_map(lambda values: values.reshape(shape), answer)
 
     def verdict(
         self,
@@ -494,16 +481,8 @@ class Atlas:
 
         Arguments and source as ``query``.
 
-        Raises:
-            TypeError: an argument is not made of real numbers.
-            ValueError: a value is NaN, infinite or outside of the atlas, or the atlas holds no
-                limits of alpha.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> limits = atlas.alpha_limits([0.3, 0.5], gamma=0.0005, delta=0.01, delay=1.0)
-            >>> (limits.upper - limits.upper_error).round(4).tolist()  # proved stable up to here
-            [0.1358, 0.1435]
+        Raises: see ``jaxstab.conventions``; ValueError also for values outside of the atlas, and if
+        it holds no limits of alpha.
         """
         table, points = self._table_and_points(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
@@ -518,12 +497,6 @@ class Atlas:
         """The largest stable alpha, the beta where it is, and a proved bound.
 
         Arguments, errors and source: as ``alpha_limits``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> largest = atlas.max_alpha(gamma=0.0005, delta=0.01, delay=1.5)
-            >>> bool(largest.alpha <= largest.bound), round(float(largest.beta), 2)
-            (True, 0.35)
         """
         table, points = self._table_and_points(delay, gamma=gamma, delta=delta)
         largest = table.max_alpha(*(point.reshape(-1) for point in points))
@@ -536,12 +509,6 @@ class Atlas:
 
         STABLE if proved for the whole box, UNSTABLE if proved at one point of it, else UNDECIDED.
         Source: as ``alpha_limits``; errors too, and ValueError for a range whose ends are swapped.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
-            >>> jaxstab.Verdict(atlas.worst_verdict(0.05, 0.3, **hands, delay=1.0)).name
-            'STABLE'
         """
         table = self._table_over(alpha, beta, gamma, delta, delay)
         return np.int8(table.worst_verdict(alpha, beta, gamma, delta, delay))
@@ -553,13 +520,6 @@ class Atlas:
 
         It is empty where its first end is not less. Arguments, errors and source: as
         ``worst_verdict``.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> hands = {"gamma": (0.0, 0.001), "delta": (0.0, 0.015)}
-            >>> low, high = atlas.common_alpha_limits(0.3, **hands, delay=1.0)
-            >>> low < high, round(high, 2)
-            (True, 0.13)
         """
         table = self._table_over(None, beta, gamma, delta, delay)
         return table.common_limits(beta, gamma, delta, delay)
@@ -640,13 +600,7 @@ class Atlas:
         return self._table_and_points(checked_number("delay", delay), **ranges, **numbers)[0]
 
     def to_xarray(self) -> Any:
-        """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed.
-
-        Example:
-            >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
-            >>> atlas.to_xarray()["verdict"].dims
-            ('alpha_node', 'beta_node', 'gamma', 'delta', 'delay')
-        """
+        """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed."""
         try:
             import xarray
         except ImportError as error:
@@ -664,13 +618,8 @@ class Atlas:
     def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
         """The boundary of the stable region of a slice that is a node, with its corners.
 
-        Args:
-            gamma, delta, delay: see ``jaxstab.conventions``.
-
-        Raises:
-            ValueError: a value is no node, or the atlas holds no outlines.
-
-        Source: ``jaxstab.stable_region``.
+        Args and Raises: see ``jaxstab.conventions``; ValueError also if a value is no node, or the
+        atlas holds no outlines. Source: ``jaxstab.stable_region``.
 
         Example:
             >>> axes = {"gamma": (0.0,), "delta": (0.015,), "delay": (1.0,)}
@@ -683,14 +632,9 @@ class Atlas:
     def for_loop(self, loop: Any) -> LoopAtlas:
         """This atlas for a loop's walls (K, B), in SI units.
 
-        Args:
-            loop: a HapticLoop whose device and hand are one mass; gamma, delta, delay and its
-                estimator must be those of the atlas.
-
-        Raises:
-            TypeError: it is no HapticLoop, JAX traces it, or its device is not one mass.
-            ValueError: its gamma, delta or delay is outside of the atlas or between its delays, or
-                its estimator or filter is another.
+        Raises: TypeError if it is no HapticLoop, JAX traces it, or its device and hand are not one
+        mass; ValueError if its gamma, delta or delay is outside of the atlas or between its delays,
+        or its estimator or filter is another.
 
         Source: Table I of Hulin, Preusche, Hirzinger (2008).
 
@@ -730,9 +674,9 @@ class Atlas:
         )
 
     def _repr_html_(self) -> str:
-        from jaxstab.pictures.atlas import atlas_html
+        from jaxstab.pictures.style import html_of
 
-        return atlas_html(self)
+        return html_of(self, self.plot, (5.0, 3.5))
 
     def plot(
         self,
@@ -746,16 +690,12 @@ class Atlas:
 
         Args:
             ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
-            gamma: physical stiffness k T^2/m of the plane; None for the node in the middle.
-            delta: physical damping b T/m of the plane; None for the node in the middle.
+            gamma: of the plane; None for the node in the middle.
+            delta: of the plane; None for the node in the middle.
             delay: a delay of the atlas, in samples; None for its first one.
 
-        Raises:
-            ValueError: gamma or delta is outside of the atlas, the delay is not one of the atlas,
-                or the atlas holds no verdicts.
-
-        Example:
-            >>> axes = jaxstab.open_atlas("data/golden/atlas-v3.h5").plot(delay=1.0)
+        Raises: ValueError if gamma or delta is outside of the atlas, the delay is not one of it,
+        or it holds no verdicts.
         """
         from jaxstab.pictures.atlas import plot_atlas
 
@@ -767,9 +707,8 @@ def open_atlas(path: str | PathLike[str]) -> Atlas:
 
     An array over nodes or cells is unpacked by the first question that needs it.
 
-    Raises:
-        OSError: the file is missing or unreadable.
-        ValueError: it is foreign, damaged, of another version of the schema, or beyond 2 GiB.
+    Raises: OSError if the file is missing or unreadable; ValueError if it is foreign, damaged, of
+    another version of the schema, or beyond 2 GiB.
 
     Example:
         >>> jaxstab.open_atlas("data/golden/atlas-v3.h5").delays.tolist()

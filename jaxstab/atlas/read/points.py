@@ -64,15 +64,6 @@ class AtlasAnswer:
     radius_error: Floats
     status: NDArray[np.int8]
 
-    def reshaped(self, shape: tuple[int, ...]) -> "AtlasAnswer":
-        """Return the same answer with arrays of another shape."""
-        return AtlasAnswer(
-            self.verdict.reshape(shape),
-            self.spectral_radius.reshape(shape),
-            self.radius_error.reshape(shape),
-            self.status.reshape(shape),
-        )
-
 
 def no_answer(size: int, *, has_verdicts: bool) -> AtlasAnswer:
     """Return an answer that says nothing yet."""

@@ -338,9 +338,8 @@ def plan_resolution(
             alpha at their delay; from 1e-9 to 1.
         size: of the file in bytes, at most.
 
-    Raises:
-        TypeError: not exactly one wish is given, or it is no number.
-        ValueError: it is out of range, or no resolution meets it; at a delay no loop is stable.
+    Raises: see ``jaxstab.conventions``; TypeError also if not exactly one wish is given, ValueError
+    if no resolution meets it, or no loop is stable at a delay.
 
     Example:
         >>> spec = jaxstab.AtlasSpec(

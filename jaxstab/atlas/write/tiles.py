@@ -426,7 +426,8 @@ def _copy_tiles(
         with shards.opened(plan, tile) as image:
             for name, part in image.items():
                 if plan.is_gridded(name):
-                    first = _place(plan, name, tile)
+                    dimensions = VARIABLES[name].dimensions
+                    first = tuple(plan.numbers(one, tile).start for one in dimensions)
                     starts = product(*map(range, [0] * part.ndim, part.shape, part.chunks))
                     of_chunks = part.attrs[VALUES_DIGEST].decode().split(" ")
                     for start, digest in zip(starts, of_chunks, strict=True):
@@ -440,10 +441,6 @@ def _copy_tiles(
                     filled[name] += length
         stream.check()
     return digests
-
-
-def _place(plan: Plan, name: str, tile: Tile) -> tuple[int, ...]:
-    return tuple(plan.numbers(dimension, tile).start for dimension in VARIABLES[name].dimensions)
 
 
 def _chunked(datasets: Mapping[str, h5py.Dataset], digests: _Digests) -> Iterator[Chunked]:

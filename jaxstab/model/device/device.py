@@ -93,6 +93,8 @@ class Hand:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
         >>> str(arm.with_grip(stiffness=2000.0, damping=4.0))
         'a hand of 1 kg, 5 N s/m, 300 N/m behind a grip of 4 N s/m, 2000 N/m'
+        >>> print(jaxstab.Hand.transfer_function([1.0, 5.0, 300.0], [1.0]))
+        a hand of a transfer function in s of order 0
     """
 
     dynamics: MassSpringDamper | TransferFunction
@@ -104,8 +106,7 @@ class Hand:
     ) -> "Hand":
         """An arm of one mass on a spring and a damper to the ground, in kg, N s/m, N/m, each >= 0.
 
-        Raises:
-            TypeError, ValueError: a value is not a real number, or out of range.
+        Raises: see ``jaxstab.conventions``.
         """
         return cls(
             MassSpringDamper(
@@ -119,18 +120,11 @@ class Hand:
     def transfer_function(cls, numerator: Coefficients, denominator: Coefficients) -> "Hand":
         """An arm by its dynamic stiffness Z(s) = force / displacement, in N/m.
 
-        Args:
-            numerator: coefficients in s, highest power first; [m, b, k] is a mass-spring-damper.
-            denominator: the same; its degree is at most two below that of the numerator, as the
-                force on a mass is m s^2.
+        Coefficients have the highest power first; [m, b, k] above [1] is a mass-spring-damper. The
+        denominator's degree is at most two lower, as the force on a mass is m s^2.
 
-        Raises:
-            TypeError: the coefficients are not numbers.
-            ValueError: a polynomial is 0, or the degrees do not fit.
-
-        Example:
-            >>> print(jaxstab.Hand.transfer_function([1.0, 5.0, 300.0], [1.0]))
-            a hand of a transfer function in s of order 0
+        Raises: see ``jaxstab.conventions``; ValueError also if a polynomial is 0, or the degrees do
+        not fit.
         """
         what = "the force on a hand grows with the acceleration at most, two degrees"
         return cls(checked_transfer_function(numerator, denominator, 2, what))
@@ -138,9 +132,8 @@ class Hand:
     def with_grip(self, *, stiffness: float, damping: float = 0.0) -> "Hand":
         """The same arm behind a grip: a massless spring and damper in parallel, in N/m and N s/m.
 
-        Raises:
-            TypeError: a value is not a real number.
-            ValueError: a value is negative, both are 0, or there is a grip already.
+        Raises: see ``jaxstab.conventions``; ValueError also if both are 0, or there is a grip
+        already.
         """
         if self.grip is not None:
             raise ValueError(f"the hand has a grip of {self.grip}; give one to a hand without.")
@@ -196,6 +189,19 @@ class Device:
         ([0.0, -0.4], 'marginal')
         >>> device.held_by(arm).one_mass()
         MassSpringDamper(mass=1.25, damping=5.1, stiffness=300.0)
+        >>> device.held_by(arm).static_stiffness()
+        300.0
+        >>> mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+        >>> print(jaxstab.Device.modes([mode], mass=0.25, damping=0.1))
+        0.25 kg, 0.1 N s/m with modes at 80 Hz
+        >>> jaxstab.Device.transfer_function([1.0], [0.25, 0.1, 0.0]).poles().tolist()
+        [0j, (-0.4+0j)]
+        >>> same = jaxstab.Device.state_space([[0, 1], [0, -0.4]], [[0], [4]], [[1, 0]])
+        >>> sorted(same.poles().real.tolist())
+        [-0.4, 0.0]
+        >>> import control
+        >>> len(jaxstab.Device.from_control(control.tf([1], [0.25, 0.1, 0.0])).poles())
+        2
     """
 
     mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace
@@ -208,8 +214,7 @@ class Device:
     ) -> "Device":
         """A device of one mass > 0 at the handle in kg, damping and stiffness >= 0 to the ground.
 
-        Raises:
-            TypeError, ValueError: a value is not a real number, or out of range.
+        Raises: see ``jaxstab.conventions``.
         """
         return cls(
             MassSpringDamper(
@@ -230,14 +235,8 @@ class Device:
             mass: of the rigid body in kg, > 0; None for a structure that is fixed to the ground.
             damping: of the rigid body in N s/m, >= 0.
 
-        Raises:
-            TypeError: a mode is not a Mode, or a value not a real number.
-            ValueError: a value is out of range, or there is neither a mode nor a mass.
-
-        Example:
-            >>> mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
-            >>> print(jaxstab.Device.modes([mode], mass=0.25, damping=0.1))
-            0.25 kg, 0.1 N s/m with modes at 80 Hz
+        Raises: see ``jaxstab.conventions``; TypeError also if a mode is not a Mode, ValueError if
+        there is neither a mode nor a mass.
         """
         for mode in modes:
             if not isinstance(mode, Mode):
@@ -255,18 +254,11 @@ class Device:
     def transfer_function(cls, numerator: Coefficients, denominator: Coefficients) -> "Device":
         """A device by its transfer function in s, position over force, in m/N.
 
-        Args:
-            numerator: coefficients in s, highest power first.
-            denominator: the same, of a higher degree, up to 40; [m, b, k] below [1] is a
-                mass-spring-damper.
+        Coefficients have the highest power first. The denominator has the higher degree, up to 40;
+        [m, b, k] below [1] is a mass-spring-damper.
 
-        Raises:
-            TypeError: the coefficients are not numbers.
-            ValueError: a polynomial is 0, or the degrees do not fit.
-
-        Example:
-            >>> jaxstab.Device.transfer_function([1.0], [0.25, 0.1, 0.0]).poles().tolist()
-            [0j, (-0.4+0j)]
+        Raises: see ``jaxstab.conventions``; ValueError also if a polynomial is 0, or the degrees do
+        not fit.
         """
         what = "position over force is strictly proper, a force moves a device, in time"
         return cls(checked_transfer_function(numerator, denominator, -1, what))._checked()
@@ -278,20 +270,10 @@ class Device:
         States that the force does not move, or that the position does not show, are removed,
         exactly for the given numbers. A device with such a state that is unstable is refused.
 
-        Args:
-            A: of shape (n, n), n from 1 to 40.
-            B: of shape (n, 1) or (n,).
-            C: of shape (1, n) or (n,).
+        A is of shape (n, n), n from 1 to 40, B of (n, 1) or (n,), C of (1, n) or (n,).
 
-        Raises:
-            TypeError: a matrix is not made of real numbers.
-            ValueError: the shapes do not fit, the position never moves, or a hidden state is
-                unstable.
-
-        Example:
-            >>> device = jaxstab.Device.state_space([[0, 1], [0, -0.4]], [[0], [4]], [[1, 0]])
-            >>> sorted(device.poles().real.tolist())
-            [-0.4, 0.0]
+        Raises: see ``jaxstab.conventions``; ValueError also if the shapes do not fit, the position
+        never moves, or a hidden state is unstable.
         """
         return cls(checked_state_space(A, B, C))._checked()
 
@@ -299,18 +281,11 @@ class Device:
     def from_control(cls, system: Any) -> "Device":
         """A device from a continuous-time system of python-control or ``scipy.signal``.
 
-        Args:
-            system: a TransferFunction, StateSpace or (scipy's) ZerosPolesGain of one force in N and
-                one position in m, in s.
+        It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain in s, of one force in N and
+        one position in m.
 
-        Raises:
-            TypeError: the system is of another kind.
-            ValueError: it is sampled (in z), not strictly proper, or has more inputs or outputs.
-
-        Example:
-            >>> import control
-            >>> len(jaxstab.Device.from_control(control.tf([1], [0.25, 0.1, 0.0])).poles())
-            2
+        Raises: TypeError if it is of another kind; ValueError if it is sampled (in z), not strictly
+        proper, or has more inputs or outputs.
         """
         matrices = matrices_of(system)
         return (
@@ -324,9 +299,8 @@ class Device:
 
         The forces of several hands add up.
 
-        Raises:
-            TypeError: the hand is not a Hand.
-            ValueError: the hand and the device cancel out, or are of an order above 40.
+        Raises: TypeError if it is not a Hand; ValueError if hand and device cancel out, or are of
+        an order above 40.
         """
         if not isinstance(hand, Hand):
             raise TypeError(f"hand is {hand!r}; give a jaxstab.Hand.")
@@ -337,16 +311,9 @@ class Device:
 
         It acts on the wall's force, not on that of a hand; several actuators follow one another.
 
-        Args:
-            bandwidth: at which the force is 3 dB too weak, in Hz, > 0.
+        At the bandwidth, in Hz and > 0, the force is 3 dB too weak.
 
-        Raises:
-            TypeError, ValueError: the bandwidth is not a real number, or out of range.
-
-        Example:
-            >>> device = jaxstab.Device.mass_spring_damper(0.25, damping=0.1).with_actuator(500.0)
-            >>> round(float(abs(device.poles()).max() / (2 * np.pi)))  # Hz
-            500
+        Raises: see ``jaxstab.conventions``.
         """
         bandwidth = checked_number("bandwidth", bandwidth, 0.0, is_open=True, unit="Hz")
         return replace(self, bandwidths=(*self.bandwidths, bandwidth))._checked()
@@ -363,10 +330,6 @@ class Device:
         """Force in N that holds the handle 1 m from its rest position, without a wall.
 
         It is 0 for a free mass, and infinite where a constant force moves nothing.
-
-        Example:
-            >>> jaxstab.Device.mass_spring_damper(0.25, stiffness=40.0).static_stiffness()
-            40.0
         """
         with working_precision(_BITS):
             above, below = (balls_of(part)[0] for part in self.handle_compliance())

@@ -28,6 +28,7 @@ from jaxstab.model.device.sampling import (
     in_fastest_time,
     in_samples,
     in_samples_over,
+    of_samples,
     position_after,
     sampled_device,
     without_force,
@@ -109,7 +110,7 @@ def has_spans(value: Any) -> bool:
 #
 # (lemma B14 of docs/proofs.md). The pieces are halved, in balls, until the polynomials are right.
 if TYPE_CHECKING:
-    from flint import acb_poly, arb, arb_mat, arb_poly
+    from flint import acb, acb_poly, arb, arb_mat, arb_poly
 
 _FIRST_BITS, _MOST_BITS = 512, 1 << 12
 _ORDER = 14  # of the polynomials, at most
@@ -273,9 +274,6 @@ def _lost(polynomial: "arb_poly") -> "arb":
     return sum((one.rad() for one in polynomial.coeffs()), flint.arb(0))
 
 
-if TYPE_CHECKING:
-    from flint import acb, acb_mat, acb_poly, arb, arb_mat
-
 _BITS = (256, 1024)
 _NODES = 22  # of a piece
 _DISC = 6.0  # half-widths: the radius of the disc in which coefficients are bounded
@@ -370,7 +368,7 @@ class LoopFamily:
             return None
         has_fraction = self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
         part = _value(self.delay, t) - whole if has_fraction else None
-        force, free = _of_samples(*parts, part)
+        force, free = of_samples(*parts, part)
         velocity, position = self.filters
         above_k, below_k = _changing(position, t, period)
         above_b, below_b = _changing(velocity.filter, t, period)
@@ -488,27 +486,6 @@ def _interpolation(bits: int) -> "tuple[list[arb], arb_mat]":
     with working_precision(bits):
         points = [flint.arb(cos(pi * (2 * k + 1) / (2 * _NODES))) for k in range(_NODES)]
         return points, flint.arb_mat([[x**j for j in range(_NODES)] for x in points]).inv()
-
-
-def _of_samples(
-    above: list["acb"], below: list["acb"], part: "acb | None"
-) -> "tuple[acb_poly, acb_poly]":
-    """Return N(z) and D(z); with a fraction of a sample, N has a sample of delay more."""
-    import flint
-
-    above, below, speed = in_fastest_time(above, below)
-    sample = held(below, speed)
-    transition = without_force(sample)
-    denominator = transition.charpoly()
-
-    def force(column: "acb_mat") -> "acb_poly":
-        return flint.acb_poly(position_after(above, transition, denominator, column))
-
-    whole = force(force_of(sample))
-    if part is None:
-        return whole, denominator
-    later = force(force_of(held(below, (1 - part) * speed)))
-    return flint.acb_poly([-1, 1]) * later + whole, denominator
 
 
 def _device_of(loop: LoopParameters) -> Device:

@@ -15,7 +15,7 @@ from jaxtyping import Float64, Int64
 
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import balls_of, exact, turn, working_precision
-from jaxstab.model.device.sampling import in_fastest_time, in_samples
+from jaxstab.model.device.sampling import are_known, in_fastest_time, in_samples
 from jaxstab.rounding import RAISED
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def mechanics(
             above, below = in_samples(device.handle_compliance(), sample_time)
             matrix = equations(device, above, below, sample_time)
             rows = [_held(matrix, fraction, offset) for offset in offsets]
-            if all(map(are_known, rows)) or bits >= _MOST_BITS:
+            if all(map(_are_known, rows)) or bits >= _MOST_BITS:
                 break
         bits *= 2
     with working_precision(bits):
@@ -140,13 +140,8 @@ def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
     return flint.arb_mat(rows)
 
 
-def are_known(matrix: "arb_mat") -> bool:
-    """Return whether entries are known to more digits than float64 has, or next to 0."""
-    entries = matrix.entries()
-    nothing = max((one.abs_lower() for one in entries), key=float) * _NOTHING
-    return all(
-        one.rel_accuracy_bits() >= _WANTED_BITS or one.abs_upper() <= nothing for one in entries
-    )
+def _are_known(matrix: "arb_mat") -> bool:
+    return are_known(matrix.entries(), _WANTED_BITS, _NOTHING)
 
 
 def _float(ball: "arb") -> float:
@@ -159,9 +154,6 @@ def _float(ball: "arb") -> float:
 # and their second derivatives are known at the ends of pieces of the sample, and their fourth
 # derivatives are bounded within the pieces. The effect of a blow at the handle on later states is
 # known likewise.
-
-if TYPE_CHECKING:
-    from flint import arb, arb_mat
 
 _MOST_PIECES = 24  # of a sample
 
@@ -215,7 +207,7 @@ def between_samples(device: Device, sample_time: float, fraction: float) -> Betw
                 [motion.rows(first, is_late), motion.rows(last % 1.0, is_late and last < 1.0)]
                 for first, last, is_late in pieces
             ]
-            if all(are_known(one) for pair in rows for one in pair) or bits >= _MOST_BITS:
+            if all(_are_known(one) for pair in rows for one in pair) or bits >= _MOST_BITS:
                 return _rounded(motion, pieces, rows)
         bits *= 2
 

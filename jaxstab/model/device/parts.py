@@ -146,9 +146,6 @@ def _ring() -> "fmpq_mpoly_ctx":
     return fmpq_mpoly_ctx.get(("s", "pi", "t"), "lex")
 
 
-if TYPE_CHECKING:
-    from flint import fmpq_mpoly
-
 HIGHEST_ORDER = 40
 
 Coefficients = Sequence[float] | Sequence[int] | np.ndarray[Any, np.dtype[Any]]
@@ -167,8 +164,7 @@ class Mode:
         damping_ratio: zeta, >= 0; 0.01 is 1 % of critical damping.
         modal_mass: m in kg; negative where the mode moves motor and encoder against each other.
 
-    Raises:
-        TypeError, ValueError: a value is not a real number, or out of range.
+    Raises: see ``jaxstab.conventions``.
 
     Example:
         >>> jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)

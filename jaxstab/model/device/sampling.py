@@ -77,10 +77,8 @@ class SampledDevice:
 def sampled_device(device: Device, sample_time: float, delay: float) -> SampledDevice:
     """A device, with its hands and actuators, behind a zero-order hold and a delay in samples.
 
-    Raises:
-        TypeError: a number is not a real number.
-        ValueError: a number is out of range, the delay's being [0, 500], or the device moves by
-            more or less within a sample than float64 can say.
+    Raises: see ``jaxstab.conventions``, the range of the delay being [0, 500]; ValueError also if
+    the device moves by more or less within a sample than float64 can say.
 
     Source: the modified z-transform; Van Loan (1978) for the exponential.
     """
@@ -131,7 +129,8 @@ def _balls(compliance: Rational, sample_time: float, fraction: float) -> _Balls:
     import flint
 
     above, below = in_samples(compliance, sample_time)
-    numerator, denominator = _of_samples(above, below, fraction)
+    part = flint.arb(exact(fraction)) if fraction else None
+    numerator, denominator = of_samples(above, below, part)
     zeros = next(power for power in range(len(below)) if below[power] != 0)
     zeros_above = 1 if above[0] == 0 else 0
     plus, minus = flint.arb_poly([1, 1]), flint.arb_poly([-1, 1])
@@ -189,27 +188,25 @@ def _speed(below: list[Ball]) -> int:
     return max((_binary_digits(one) // root for root, one in sizes), default=0)
 
 
-def _of_samples(
-    above: list["arb"], below: list["arb"], fraction: float
-) -> "tuple[arb_poly, arb_poly]":
-    """Return N(z), with a sample of delay more if there is a fraction, and D(z)."""
+def of_samples(above: list[Ball], below: list[Ball], part: Ball | None) -> tuple[Any, Any]:
+    """Return N(z) and D(z), for a fraction of a sample with one sample of delay more (B14)."""
     import flint
 
-    part = flint.arb(exact(fraction))
     above, below, speed = in_fastest_time(above, below)
-    last, first = (held(below, time * speed) for time in (1 - part, part))
-    transition, later = without_force(last), force_of(last)
-    columns = [later]
-    if fraction:
-        columns.append(transition * force_of(first))
-        transition = transition * without_force(first)
+    sample = held(below, speed)
+    transition = without_force(sample)
     denominator = transition.charpoly()
-    numerators = [
-        flint.arb_poly(position_after(above, transition, denominator, column)) for column in columns
-    ]
-    if fraction:
-        return numerators[0] * flint.arb_poly([0, 1]) + numerators[1], denominator
-    return numerators[0], denominator
+    has_complex = any(isinstance(one, flint.acb) for one in below)
+    polynomial = flint.acb_poly if has_complex else flint.arb_poly
+
+    def moved(column: Matrix) -> Any:
+        return polynomial(position_after(above, transition, denominator, column))
+
+    whole = moved(force_of(sample))
+    if part is None:
+        return whole, denominator
+    later = moved(force_of(held(below, (1 - part) * speed)))
+    return polynomial([-1, 1]) * later + whole, denominator
 
 
 def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], list[Ball], arb]":
@@ -290,11 +287,13 @@ def _without(polynomial: "arb_poly", zeros: int) -> "arb_poly":
 
 def is_known(polynomial: "arb_poly") -> bool:
     """Whether each coefficient is known to the digits that are wanted, or next to 0."""
-    coefficients = polynomial.coeffs()
-    nothing = max((c.abs_lower() for c in coefficients), key=float) * _NOTHING
-    return all(
-        c.rel_accuracy_bits() >= _WANTED_BITS or c.abs_upper() <= nothing for c in coefficients
-    )
+    return are_known(polynomial.coeffs(), _WANTED_BITS, _NOTHING)
+
+
+def are_known(balls: "list[arb]", bits: int, nothing: float) -> bool:
+    """Return whether balls are known to some bits, or next to 0 beside the largest of them."""
+    least = max((one.abs_lower() for one in balls), key=float) * nothing
+    return all(one.rel_accuracy_bits() >= bits or one.abs_upper() <= least for one in balls)
 
 
 def _binary_digits(ball: Ball) -> int:
