@@ -282,10 +282,18 @@ def _distance(root: Array, loop: Loop, *, degree: int) -> Array:
     distance = _distance_to_root(t, radius, loop, degree)
     is_real = t.im == 0.0
     rest, error = _deflated(t, is_real, radius, distance, loop, degree)
-    is_unrolled = degree <= (_SHORT_FOR_NUMPY if xp is np else _HIGHEST_UNROLLED)
-    all_inside = _all_inside if is_unrolled else _rolled_all_inside
-    is_proved = all_inside(rest, error) & (is_real | (t.im > distance))
+    longest = _SHORT_FOR_NUMPY if xp is np else _HIGHEST_UNROLLED
+    is_proved = are_all_inside(rest, error, longest) & (is_real | (t.im > distance))
     return xp.where(is_proved, distance + 4.0 * UNIT * radius, xp.inf)
+
+
+def are_all_inside(polynomial: list[Array], error: Array, longest: int) -> Array:
+    """Return True where all roots are proved to be in |z| < 1; highest power first, monic.
+
+    ``longest`` is the degree up to which the steps are unrolled.
+    """
+    all_inside = _all_inside if len(polynomial) <= longest else _rolled_all_inside
+    return all_inside(polynomial, error)
 
 
 def _distance_to_root(t: Complex, radius: Array, loop: Loop, degree: int) -> Array:
@@ -336,22 +344,25 @@ def _deflated(
     powers = [inverse]
     for _ in range(degree - 1):
         powers.append(powers[-1] * inverse)
-    rest = _divided(t, is_real, inverse, powers, loop, degree)
+    rest = divided(t.re + 1.0, is_real, powers, loop.coefficients(degree)[::-1])
     return rest, _error_of_division(rest, powers, distance, loop, degree)
 
 
-def _divided(
-    t: Complex, is_real: Array, inverse: Array, powers: list[Array], loop: Loop, degree: int
+def divided(
+    re: Array, is_real: Array, powers: list[Array], coefficients: list[Column]
 ) -> list[Array]:
-    """Return the quotient of p by the root and its conjugate, on the circle of radius 1 now."""
+    """Return the quotient of p by a root and its conjugate, on the circle of radius 1 now.
+
+    ``re`` is the real part of the root, ``powers`` are those of its inverse modulus from the first
+    on, and the coefficients those below the leading 1, highest power first.
+    """
     # With s and q their sum and product, b_j = c_j + s b_(j-1) - q b_(j-2).
-    xp = namespace(t, loop)
-    coefficients = loop.coefficients(degree)[::-1]
-    twice = xp.where(is_real, xp.sign(t.re + 1.0), 2.0 * (t.re + 1.0) * inverse)
+    xp, degree = namespace(re, coefficients), len(coefficients)
+    twice = xp.where(is_real, xp.sign(re), 2.0 * re * powers[0])
     product = xp.where(is_real, 0.0, 1.0)
     is_unrolled = xp is np or degree <= _HIGHEST_UNROLLED
-    divided = _quotient if is_unrolled else _rolled_quotient
-    rest = divided(coefficients[:-1], powers[:-1], twice, product)
+    quotient = _quotient if is_unrolled else _rolled_quotient
+    rest = quotient(coefficients[:-1], powers[:-1], twice, product)
     rest[-1] = xp.where(is_real, rest[-1], 0.0)
     return rest
 

@@ -83,7 +83,7 @@ def attributes_of(variable: Variable) -> dict[str, Any]:
     if variable.holds_verdicts:
         attributes["flag_values"] = np.array(FLAG_VALUES, np.int8)
         attributes["flag_meanings"] = FLAG_MEANINGS
-    return attributes
+    return attributes | dict(variable.attributes)
 
 
 # A digest of what an atlas holds, the same for equal values on any machine. No JAX.

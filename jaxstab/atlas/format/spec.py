@@ -18,6 +18,7 @@ from jaxstab.atlas.format.variables import (
     LEAST_SHARE,
     LEAST_SPAN,
 )
+from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.conventions import AXES
 from jaxstab.model.filters import (
@@ -98,6 +99,7 @@ FEWEST_FITTED = 8
 _DELAY_CELLS, _MOST_DELAY_CELLS = 32, 2**16  # to a sample around 1/2
 _LIMIT_CELLS = 256, 128  # at delays alone, and between them
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
+_OF_FIELDS = {"where": ("near", "all"), "method": ("fast", "companion")}
 _RANGE = ("start", "stop", "count", "spacing")
 _TOLERANT = ("start", "stop", "tolerance")
 _REACH = ("least", "most")
@@ -170,13 +172,17 @@ class AtlasSpec:
         alpha: nodes, two or more, or a FittedAxis for each delay; so is beta.
         gamma: nodes, one or more, or a ToleranceAxis; so is delta.
         delay: delays t_d/T in [0, 100], whole or fractional; each has its own grid.
-        products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "outline" and
-            "summary"; by default the first three.
+        products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "fields", "outline" and
+            "summary"; by default the first four.
         limit_cells: number of even cells along beta in which the limits of alpha are given; 0 for
             128 where they are given between delays, too, and else 256.
         delay_cells: how finely they are given between the delays, in cells (delay + 1/2) /
             delay_cells long; 0 for these delays alone. None means 32, or 0 for loops with an
             estimator or a filter. Spectral radii are given where limits are, in fewer cells.
+        where: which nodes have fields: "near" for corners of cells (in alpha and beta) with a
+            stable corner, "all" for all.
+        method: how the dominant poles of fields are found: "fast", by powers of the companion
+            matrix, or "companion", by its eigenvalues; proved alike.
 
     Nodes are finite and ascending, and stored as tuples of floats.
 
@@ -199,9 +205,11 @@ class AtlasSpec:
     gamma: Nodes | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
     delta: Nodes | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
     delay: Nodes = (0.0, 1.0, 2.0, 3.0)
-    products: Sequence[str] = ("verdict", "alpha_limits", "spectral_radius")
+    products: Sequence[str] = ("verdict", "alpha_limits", "spectral_radius", FIELDS)
     limit_cells: int = 0
     delay_cells: int | None = None
+    where: str = "near"
+    method: str = "fast"
     velocity: Velocity | None = None
     position: Filter | None = None
 
@@ -217,6 +225,9 @@ class AtlasSpec:
         if not checked_count("limit_cells", self.limit_cells, 0, LARGEST_SLICE):
             between = bool(self.delay_cells) and np.size(self.delay) > 1
             object.__setattr__(self, "limit_cells", _LIMIT_CELLS[between])
+        for name, allowed in _OF_FIELDS.items():
+            word = checked_word(name, getattr(self, name), allowed)
+            object.__setattr__(self, name, word if FIELDS in self.products else allowed[0])
         for name, value in as_keywords(known_filters(self.velocity, self.position)).items():
             object.__setattr__(self, name, _as_written(name, value))
         check_size([_least_count(getattr(self, name)) for name in AXES])
@@ -263,7 +274,8 @@ class AtlasSpec:
     def to_toml(self) -> str:
         """Return the text from which ``from_toml`` makes an equal specification."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        given = {name: value for name, value in values.items() if value is not None}
+        left_out = () if FIELDS in self.products else _OF_FIELDS
+        given = {n: value for n, value in values.items() if value is not None and n not in left_out}
         entries = (f"{name} = {_toml(value)}" for name, value in given.items())
         return "\n".join(entries) + "\n"
 

@@ -33,7 +33,8 @@ CODES: Final = (min(FLAG_VALUES), max(FLAG_VALUES))
 class Variable:
     """One dataset: its type, its dimensions (itself for an axis), what it means and its range.
 
-    ``packed`` chunks are compressed although they are not over nodes or their cells.
+    ``packed`` chunks are compressed although they are not over nodes or their cells. ``attributes``
+    are those of the dataset that are not the same for all.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Variable:
     highest: float | int = inf
     has_nan: bool = False
     packed: bool = False
+    attributes: tuple[tuple[str, str], ...] = ()
 
     @property
     def is_packed(self) -> bool:

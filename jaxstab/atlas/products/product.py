@@ -1,6 +1,6 @@
 """What a product of an atlas is to the rest of the package: one object that answers for all of it.
 
-An atlas holds products: verdicts, limits of alpha, spectral radii, outlines, summaries. All that is
+An atlas holds products: verdicts, limits of alpha, spectral radii, outlines, summaries, fields. All that is
 particular to one is in its module, as a subclass of ``Product`` beside the lookups in it:
 
 - its variables, which values of them a reader accepts, and how they fit together;
@@ -120,6 +120,10 @@ class Product:
 
     def known_before(self, grid: "Grid", filters: "Filters | None") -> dict[str, Array]:
         """Return the variables of ``known``."""
+        return {}
+
+    def attributes(self, datasets: Mapping[str, Any]) -> dict[str, Any]:
+        """Return attributes of a file with this product, from its datasets."""
         return {}
 
     def are_values(self, name: str, values: Array) -> bool:

@@ -330,6 +330,8 @@ def merge(plan: Plan, shards: Shards, path: Path, created_by: str) -> None:
             datasets = _create_variables(file, plan, shards)
             variables = list(_chunked(datasets, _copy_tiles(datasets, plan, shards, stream)))
             write_attributes(file, {"content_sha256": content_digest(variables)})
+            for product_name in plan.spec.products:
+                write_attributes(file, PRODUCTS[product_name].attributes(datasets))
             file.flush()
             places = {name: places_of(dataset) for name, dataset in datasets.items()}
         stream.check()

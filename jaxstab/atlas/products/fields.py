@@ -1,0 +1,180 @@
+"""Dense fields at all nodes: spectral radius, frequency and damping ratio, poles outside.
+
+These are plain arrays over the five axes, for pictures and for programs that know nothing of
+jaxstab; ``point.fields`` computes them. A node is *near* if it is stable, or a corner of a cell in
+the plane of alpha and beta that has a stable corner: so contours at the boundary can be drawn. With
+``where = "near"`` in the specification the other nodes have NaN in place of radius, frequency and
+damping ratio, which makes a file smaller; ``outside`` is given everywhere. The file says how many
+nodes are left out, in its attribute ``fields``.
+"""
+
+from collections.abc import Iterator, Mapping
+from math import pi, prod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxstab.atlas.format.variables import NODE, SLICE, Variable
+from jaxstab.atlas.products.product import Array, Check, Product, Stored
+
+if TYPE_CHECKING:
+    from jaxstab.atlas.compute.plan import Plan, Tile
+
+FIELDS = "fields"
+RADIUS_FIELD, RADIUS_ERROR = "spectral_radius", "spectral_radius_error"
+FREQUENCY, DAMPING_RATIO, OUTSIDE = "frequency", "damping_ratio", "outside"
+NEAR_NODES = "near_nodes"
+_LEFT_OUT = "NaN: not computed (see the attribute fields of the file)"
+_NOT_RESOLVED = "NaN also where two poles or pairs have nearly the same modulus"
+
+_VARIABLES = (
+    Variable(
+        RADIUS_FIELD,
+        "float32",
+        NODE,
+        "spectral radius, the largest modulus of a closed-loop pole",
+        f"rounded up: no pole is outside of this radius, and one is at it less the error; {_LEFT_OUT}",
+        0.0,
+        has_nan=True,
+        attributes=(("standard_name", RADIUS_FIELD), ("ancillary_variables", RADIUS_ERROR)),
+    ),
+    Variable(
+        RADIUS_ERROR,
+        "float32",
+        NODE,
+        "proved bound of the error of the spectral radius",
+        f"the true radius lies between spectral_radius less this and spectral_radius; {_LEFT_OUT}",
+        0.0,
+        has_nan=True,
+        attributes=(("standard_name", f"{RADIUS_FIELD} standard_error"),),
+    ),
+    Variable(
+        FREQUENCY,
+        "float32",
+        NODE,
+        "frequency of the dominant pole z = exp(s)",
+        "|Im s| in rad per sample, within 1e-6: 0 for a positive real pole, pi for a negative one; "
+        f"{_LEFT_OUT}. {_NOT_RESOLVED}",
+        0.0,
+        float(np.float32(pi)),
+        has_nan=True,
+        attributes=(("units", "rad"),),
+    ),
+    Variable(
+        DAMPING_RATIO,
+        "float32",
+        NODE,
+        "damping ratio of the dominant pole z = exp(s)",
+        "-Re s / |s|, within 1e-6: 1 and -1 for positive real poles inside and outside of the unit "
+        f"circle; {_LEFT_OUT}. {_NOT_RESOLVED}",
+        -1.0,
+        1.0,
+        has_nan=True,
+    ),
+    Variable(
+        OUTSIDE,
+        "int16",
+        NODE,
+        "number of poles outside of the unit circle",
+        "proved; 0 is stable, -1: a pole is too close to the circle to tell",
+        -1,
+    ),
+    Variable(
+        NEAR_NODES,
+        "int32",
+        SLICE,
+        "number of nodes with a spectral radius",
+        "the other nodes of the slice were left out",
+        0,
+    ),
+)
+
+
+class Fields(Product):
+    """Spectral radius, dominant pole and number of poles outside, at nodes."""
+
+    name = FIELDS
+    variables = _VARIABLES
+    gridded = (RADIUS_FIELD,)
+    unit = NODE
+
+    def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
+        from jaxstab.point.fields import fields_of_grid
+
+        alpha, beta, delay = plan.grid.walls(tile.delay)
+        spec = plan.spec
+        fields = fields_of_grid(
+            alpha, beta, *plan.hands(tile).T, delay, spec.filters, method=spec.method
+        )
+        left_out = ~_near(fields.outside) if spec.where == "near" else np.zeros((), bool)
+        values = [np.where(left_out, np.float32(np.nan), value) for value in fields[:-1]]
+        near = np.sum(np.broadcast_to(~left_out, fields.outside.shape), axis=(0, 1), dtype=np.int32)
+        arrays = zip(self.names, (*values, fields.outside, near), strict=True)
+        return {name: value.reshape(plan.shape(name, tile)) for name, value in arrays}
+
+    def attributes(self, datasets: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the share of nodes with fields, and what draws them in viewers of NeXus files."""
+        near, nodes = int(datasets[NEAR_NODES][()].sum()), prod(datasets[OUTSIDE].shape)
+        return {
+            "fields": f"spectral radii at {near} of {nodes} nodes; {nodes - near} are left out, "
+            "more than one cell outside of the stable set",
+            "NX_class": "NXdata",
+            "signal": RADIUS_FIELD,
+            "axes": np.array(NODE, "S"),
+            "auxiliary_signals": np.array([FREQUENCY, DAMPING_RATIO, OUTSIDE], "S"),
+        }
+
+    def checks(self, stored: Stored) -> Iterator[Check]:
+        """Compare nodes with eigenvalues of the companion matrix."""
+        places = stored.places(stored.datasets[OUTSIDE].shape[2:])
+        each, wrong = -(-stored.sample // len(places)), 0
+        for place in places:
+            here = (slice(None), slice(None), *place)
+            fields = {name: stored.datasets[name][here] for name in self.names[:-1]}
+            wrong += _wrong_nodes(stored, place, fields, each)
+            near = np.sum(~np.isnan(fields[RADIUS_ERROR]))
+            wrong += int(near != stored.datasets[NEAR_NODES][tuple(place)])
+        yield Check(FIELDS, wrong == 0, f"{wrong} of {each * len(places)} points are wrong")
+
+
+def _near(outside: Array) -> Array:
+    """Return which nodes are corners of cells along the first two axes with a stable corner."""
+    near = outside <= 0
+    for axis in (0, 1):
+        beside = np.pad(near, [(int(i == axis), int(i == axis)) for i in range(near.ndim)])
+        count = near.shape[axis]
+        near = near | beside.take(range(count), axis) | beside.take(range(2, count + 2), axis)
+    return near
+
+
+_NEAR_CIRCLE, _SAME, _APART = 1e-6, 1e-6, 1e-5  # of poles from the circle, of modes, of two moduli
+
+
+def _wrong_nodes(stored: Stored, place: Any, fields: Mapping[str, Array], count: int) -> int:
+    """Count nodes of a slice, of ``count`` at random, that differ from a new computation."""
+    from jaxstab.model import by_name
+    from jaxstab.motion.response import mode_of
+    from jaxstab.point import closed_loop_poles, spectral_radius
+
+    i, j = (stored.chance.integers(0, n, count) for n in fields[OUTSIDE].shape)
+    alpha, beta = (stored.datasets[name][:, place[-1]] for name in ("alpha", "beta"))
+    point = by_name(alpha[i], beta[j], *stored.loop(place))
+    radius = spectral_radius(**point, method="companion", **stored.filters)
+    poles = np.asarray(closed_loop_poles(**point, **stored.filters))
+    given = {name: values[i, j].astype(np.float64) for name, values in fields.items()}
+    upper, error = given[RADIUS_FIELD], given[RADIUS_ERROR]
+    off = (radius.value - radius.error > upper) | (radius.value + radius.error < upper - error)
+    moduli = np.abs(poles)
+    clear = np.min(np.abs(moduli - 1.0), axis=-1) > _NEAR_CIRCLE
+    off |= (given[OUTSIDE] == 0) & np.isnan(error)
+    off |= clear & (np.sum(moduli > 1.0, axis=-1) != given[OUTSIDE])
+    # Eigenvalues tell the dominant pole, and its frequency, where it is simple.
+    others = np.min(np.abs(poles[:, :1] - poles[:, 1:]), axis=-1)
+    is_pair = poles[:, 0].imag != 0.0
+    third = moduli[:, 2] if moduli.shape[-1] > 2 else np.zeros(count)
+    rival = np.where(is_pair, third, moduli[:, 1])
+    simple = (moduli[:, 0] - rival > _APART) & (others > _APART**0.5)
+    mode = mode_of(poles)
+    for name, value in ((FREQUENCY, mode.frequency), (DAMPING_RATIO, mode.damping_ratio)):
+        off |= simple & (np.abs(value - given[name]) > _SAME)
+    return int(np.sum(off))

@@ -1,0 +1,252 @@
+"""The dominant pole of any linear loop, and how many poles are unstable, at every point of a grid.
+
+One program for all points, on whatever device JAX has: elementwise operations on the coefficients
+of p(z) alone, with a loop's filters or without. A high power of the companion matrix guesses the
+dominant pole (``traced_radius``), or the matrix's eigenvalues do; a few steps of Newton's method
+refine it, and a proof follows that uses nothing of how it was found:
+
+- a root lies within n |p/p'| of the pole (lemma R1 of docs/proofs.md), and all others are in the
+  circle through it (lemma R2): so the spectral radius is proved;
+- the steps of Schur and Cohn down to a constant count the poles outside of the unit circle (lemma
+  R4).
+
+Results are in float32: the radius is rounded up, its bound too. Where two poles of nearly the same
+modulus compete, the dominant one is not known; there the radius is proved by a ladder of verdicts
+(lemma R3), and frequency and damping ratio are NaN.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxstab.arrays import Array, namespace, repeat, tree_map
+from jaxstab.batches import MANY, TILE, compiled, over_tiles
+from jaxstab.model.filters import Filter, Filters, Velocity
+from jaxstab.model.linear_loop import LinearLoop
+from jaxstab.point.dominance import (
+    Complex,
+    are_all_inside,
+    divided,
+    power_of_two_below_inverse,
+    reciprocal,
+)
+from jaxstab.point.poles import companion_poles
+from jaxstab.point.radius import dense_radius_error
+from jaxstab.point.schur_cohn import SAFETY, UNDERFLOW, loop_coefficients, rounded_loop
+from jaxstab.point.verdicts import Form, Points, Values, filtered_loops
+from jaxstab.rounding import UNIT
+
+UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
+_DOUBLINGS = 16  # of the power of the companion matrix, which is degree 2^16
+_LONGEST = 9  # degree up to which these doublings and the proof are compiled without loops
+_NEWTON_STEPS = 3
+_BLOCK = 2**24  # coefficients of a part of a grid, which bound the memory
+_CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
+_LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
+_DIGITS = 1  # of a bound, rounded up: a few values compress well
+
+
+class PoleFields(NamedTuple):
+    """What a grid of points holds, in float32 and int16.
+
+    Attributes:
+        radius: an upper bound of the spectral radius; NaN where none is proved.
+        error: the spectral radius is at least ``radius - error``.
+        frequency: of the dominant pole z = exp(s), |Im s| in rad per sample, from 0 for a positive
+            real pole to pi for a negative one; NaN where that pole is not resolved.
+        damping_ratio: its -Re s / |s|: 1 for a positive real pole inside of the circle, -1 outside.
+        outside: the number of poles outside of the circle; UNKNOWN where one is too close to it.
+    """
+
+    radius: Array
+    error: Array
+    frequency: Array
+    damping_ratio: Array
+    outside: Array
+
+
+class _Count(NamedTuple):
+    """A count of roots outside: those of p are count + sign times those of the polynomial left."""
+
+    lost: Array  # bound of the sum of the errors of the polynomial's coefficients
+    degree: Array  # of the polynomial that is left
+    count: Array
+    sign: Array
+
+
+def fields_of_grid(
+    alpha: Values,
+    beta: Values,
+    gamma: Values,
+    delta: Values,
+    delay: float,
+    filters: Filters | None,
+    *,
+    method: str,
+) -> PoleFields:
+    """Return the fields at all alpha and beta for each pair (gamma, delta), in NumPy.
+
+    The arrays have the shape (alpha, beta, hand). ``method`` is "fast" for powers of the companion
+    matrix, "companion" for its eigenvalues; grids of few points always take eigenvalues.
+    """
+    points = Points(alpha[:, None, None], beta[:, None], gamma, delta, np.asarray(delay))
+    form = Form.from_delay(delay)
+    loop = rounded_loop(filtered_loops(points, form, filters or (Velocity(), Filter())))
+    size = beta.size * gamma.size * (loop.degree + 1)
+    parts = []
+    for some in np.array_split(points.alpha, -(-alpha.size * size // _BLOCK)):
+        walls = some, points.beta, loop
+        parts.append(_with_ladder(_fields(*walls, method=method), *walls))
+    return tree_map(lambda *columns: np.concatenate(columns), *parts)
+
+
+@compiled(static=["method"], many=MANY, wide=True, pointwise=True)
+def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> PoleFields:
+    # Each stage is a loop over tiles of its own: XLA computes what several results share anew.
+    coefficients, error = loop_coefficients(alpha, beta, loop, UNIT)
+    xp, columns = namespace(coefficients), list(coefficients)
+    is_guessed = method == "fast" and xp is not np
+    z = over_tiles(partial(_pole, is_guessed=is_guessed), (columns,))
+    bound = over_tiles(_bound, (columns, error, z))
+    outside = over_tiles(poles_outside, (columns, error))
+    radius, frequency = abs(z), xp.arctan2(z.imag, z.real)
+    decay = -xp.log(radius)
+    size = xp.hypot(decay, frequency)
+    is_resolved = bound <= _CLOSE * xp.minimum(radius, size)
+    mode = (xp.where(is_resolved, value, xp.nan) for value in (frequency, decay / size))
+    return PoleFields(
+        *_outwards(radius, bound), *(value.astype(np.float32) for value in mode), outside
+    )
+
+
+def _pole(columns: list[Array], *, is_guessed: bool) -> Array:
+    """Return a pole that is probably dominant, its imaginary part >= 0."""
+    xp = namespace(columns)
+    if is_guessed:
+        from jaxstab.point.traced_radius import guessed_root
+
+        is_unrolled = len(columns) - 1 <= _LONGEST
+        z = Complex(*guessed_root(columns[:0:-1], _DOUBLINGS, is_unrolled=is_unrolled)).shifted(1.0)
+    else:
+        root = companion_poles(xp.stack(columns, axis=-1))[..., 0]
+        z = Complex(root.real, abs(root.imag))
+    for _ in range(_NEWTON_STEPS):
+        value, slope = _evaluated(columns, z)
+        inverse = reciprocal(slope.squared_modulus())
+        z = z.plus(value.times(Complex(slope.re, -slope.im)).scaled(-inverse))
+    return z.re + 1j * z.im
+
+
+def _bound(columns: list[Array], error: Array, pole: Array) -> Array:
+    """Return a proved bound of | |z| - spectral radius | and of the dominant pole's distance."""
+    xp, degree = namespace(columns, error), len(columns) - 1
+    z = Complex(pole.real, pole.imag)
+    radius = xp.sqrt(z.squared_modulus())
+    value, slope = _evaluated(columns, z)
+    sizes, slopes = _evaluated([abs(column) for column in columns], Complex(radius, 0.0 * radius))
+    unit, most = (4.0 * degree + 10.0) * UNIT, error * xp.maximum(radius, 1.0) ** degree
+    nearest = xp.sqrt(value.squared_modulus()) + unit * sizes.re + most + _LOST_IN_SQUARES
+    steep = xp.sqrt(slope.squared_modulus()) - unit * slopes.re - degree * most
+    distance = xp.where(steep > 0.0, SAFETY * degree * nearest / steep, xp.inf)
+    is_dominant = _is_dominant(columns, error, z, radius, distance)
+    return xp.where(is_dominant, distance + 4.0 * UNIT * radius, xp.inf)
+
+
+def _evaluated(columns: list[Array], z: Complex) -> tuple[Complex, Complex]:
+    """Return p(z) and its derivative."""
+    value, slope = Complex(columns[0], 0.0 * z.im), Complex(0.0 * z.re, 0.0 * z.im)
+    for column in columns[1:]:
+        slope = slope.times(z).plus(value)
+        value = value.times(z).shifted(column)
+    return value, slope
+
+
+def _is_dominant(
+    columns: list[Array], error: Array, z: Complex, radius: Array, distance: Array
+) -> Array:
+    """Return True where all other poles are proved to be in the circle through the root at z."""
+    xp, degree = namespace(columns, error), len(columns) - 1
+    powers = [1.0 / radius]
+    for _ in range(degree - 1):
+        powers.append(powers[-1] * powers[0])
+    is_real = z.im == 0.0
+    rest = divided(z.re, is_real, powers, columns[1:])
+    terms = sum(map(abs, [x * y for x, y in zip(columns[1:], powers, strict=True)]), 1.0)
+    moved = distance * powers[0] + 8.0 * UNIT
+    once = (2.0 * degree + 16.0) * UNIT * terms + error * xp.maximum(1.0, powers[-1])
+    once = once + 4.0 * moved * sum(map(abs, rest))
+    lost = xp.where(degree * moved < 0.5, degree * (degree + 1.0) * once, xp.inf)
+    return are_all_inside(rest, lost, _LONGEST) & (is_real | (z.im > distance))
+
+
+def poles_outside(columns: list[Array], error: Array) -> Array:
+    """Count the roots outside of the unit circle, as int16; UNKNOWN where it is not proved.
+
+    ``columns`` are the coefficients, highest power first; ``error`` bounds the sum of their errors.
+    Source: Schur (1917), Cohn (1922); lemma R4 of docs/proofs.md.
+    """
+    xp, degree = namespace(columns, error), len(columns) - 1
+    one, zero = xp.ones_like(error), xp.zeros_like(error)
+
+    def lowered(rows: Array, turned: Array, state: _Count) -> tuple[Array, Array, _Count]:
+        size, sizes = abs(rows[0]) + abs(turned[0]), sum(map(abs, rows))
+        scale = power_of_two_below_inverse(size)
+        first, last = rows[0] * scale, turned[0] * scale
+        is_turned = abs(last) > abs(first)
+        return (
+            first,
+            last,
+            _Count(
+                scale * size * (state.lost + 4.0 * UNIT * sizes) + UNDERFLOW,
+                state.degree - 1.0,
+                xp.where(is_turned, state.count + state.sign * state.degree, state.count),
+                xp.where(is_turned, -state.sign, state.sign),
+            ),
+        )
+
+    def step(state: tuple[Array, Array, _Count]) -> tuple[Array, Array, _Count]:
+        rows, turned, known = state
+        first, last, known = lowered(rows, turned, known)
+        after = xp.concatenate([(first * turned - last * rows)[1:], zero[None]])
+        return first * rows - last * turned, after, known
+
+    known = _Count(error, degree * one, zero, one)
+    if degree <= _LONGEST:
+        rows = columns
+        while len(rows) > 1:
+            first, last, known = lowered(rows, rows[::-1], known)
+            rows = [first * a - last * b for a, b in zip(rows[:-1], rows[:0:-1], strict=True)]
+    else:
+        rows = xp.stack(columns)
+        rows, _, known = repeat(degree, step, (rows, rows[::-1], known))
+    return xp.where(abs(rows[0]) > SAFETY * known.lost, known.count, UNKNOWN).astype(np.int16)
+
+
+def _outwards(radius: Array, bound: Array) -> tuple[Array, Array]:
+    """Return radii and bounds in float32: the radius rounded up, with room for it in the bound."""
+    xp = namespace(radius, bound)
+    upper = radius + bound
+    value = upper.astype(np.float32)
+    above = xp.nextafter(value, np.float32(np.inf))
+    value = xp.where(value < upper, above, value)
+    fraction, exponent = xp.frexp(2.0 * bound + 2.0**-23 * value)
+    error = xp.ldexp(xp.ceil(xp.ldexp(fraction, _DIGITS)), exponent - _DIGITS).astype(np.float32)
+    is_known = xp.isfinite(bound)
+    return tuple(xp.where(is_known, column, np.float32(np.nan)) for column in (value, error))
+
+
+def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop) -> PoleFields:
+    """Return fields with the radii of the few points of which the dominant pole is not known."""
+    still_open = np.nonzero(np.isnan(np.asarray(fields.radius)))
+    if not still_open[0].size:
+        return fields
+    radius, error = (np.array(column) for column in fields[:2])
+    listed = tree_map(lambda leaf: np.broadcast_to(leaf, radius.shape)[still_open], loop)
+    walls = (np.broadcast_to(gain, radius.shape)[still_open] for gain in (alpha, beta))
+    with np.errstate(all="ignore"):
+        coefficients, rounding = loop_coefficients(*walls, listed, UNIT)
+        value = abs(companion_poles(np.moveaxis(coefficients, 0, -1))[..., 0])
+        bound = dense_radius_error(coefficients, rounding, value, unit=UNIT)
+        radius[still_open], error[still_open] = _outwards(value, bound)
+    return fields._replace(radius=radius, error=error)
