@@ -16,7 +16,8 @@ def test_the_default_is_the_haptic_range_of_the_paper_for_delays_up_to_three() -
     assert (spec.gamma[0], spec.gamma[-1]) == (0.0, 0.001)
     assert (spec.delta[0], spec.delta[-1]) == (0.0, 0.015)
     assert spec.delay == (0.0, 1.0, 2.0, 3.0)
-    assert spec.products == ("verdict", "alpha_limits", "spectral_radius")
+    assert spec.products == ("verdict", "alpha_limits", "spectral_radius", "fields")
+    assert (spec.where, spec.method) == ("near", "fast")
 
 
 def test_the_example_specification_is_the_default() -> None:
@@ -30,7 +31,13 @@ def test_the_example_with_an_estimator_has_a_window_of_twenty_samples() -> None:
 
 @pytest.mark.parametrize(
     "spec",
-    [AtlasSpec(), SMALL, AtlasSpec(gamma=np.geomspace(1e-9, 12.3, 99), products=["verdict"])],
+    [
+        AtlasSpec(),
+        SMALL,
+        AtlasSpec(where="all", method="companion"),
+        AtlasSpec(where="all", products=["verdict"]),
+        AtlasSpec(gamma=np.geomspace(1e-9, 12.3, 99), products=["verdict"]),
+    ],
 )
 def test_a_specification_survives_its_own_toml(spec: AtlasSpec) -> None:
     assert AtlasSpec.from_toml(spec.to_toml()) == spec
@@ -84,6 +91,8 @@ def test_an_axis_can_be_written_in_several_ways() -> None:
         ("products = ['verdicts']", "products.verdicts is unknown; did you mean 'verdict'?"),
         ("products = []", "products is empty"),
         ("products = 'verdict'", "products is 'verdict'"),
+        ("where = 'far'", 'where is \'far\'; give one of "near", "all"'),
+        ("method = 'slow'", 'method is \'slow\'; give one of "fast", "companion"'),
         ("radius_rounding = 1e-7", "radius_rounding is unknown"),
         ("alpha = {fitted = 100000}\nbeta = {fitted = 100000}", "nodes; at most"),
     ],

@@ -43,6 +43,7 @@ def test_a_plan_counts_every_point_and_says_why_it_is_not_evaluated() -> None:
         "cell_verdict",
         "alpha_limits",
         "radius_kind",
+        "spectral_radius",
     }
     assert shares["verdict"].requested == 24 * 20 * 2 * 3 * 2
     assert shares["cell_verdict"].requested == 23 * 19 * 1 * 2 * 2

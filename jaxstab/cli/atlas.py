@@ -155,6 +155,7 @@ def _described(opened: "Atlas", file: Path) -> str:
     lines = [
         f"{file}: {file.stat().st_size / 1e6:.2f} MB, made by {opened.created_by}",
         f"products: {', '.join(opened.products)}",
+        *_of_fields(opened),
         opened.filters_in_words,
         *(
             f"{name}: {shape[name]} nodes from {nodes[0]:g} to {nodes[-1]:g}"
@@ -171,6 +172,16 @@ def _described(opened: "Atlas", file: Path) -> str:
     options = " ".join(f"--{name} {value:g}" for name, value in _example(opened).items())
     lines += ["", "Query it with", f"  jaxstab atlas query {shlex.quote(str(file))} {options}"]
     return "\n".join(lines)
+
+
+def _of_fields(opened: "Atlas") -> list[str]:
+    """Return how many nodes have fields, if the atlas holds them."""
+    from jaxstab.atlas.products.fields import FIELDS
+    from jaxstab.atlas.products.table import PRODUCTS
+
+    if FIELDS not in opened.products:
+        return []
+    return [f"fields: {PRODUCTS[FIELDS].attributes(opened.arrays)['fields']}"]
 
 
 def _example(opened: "Atlas") -> dict[str, float]:

@@ -128,7 +128,7 @@ def query(
 def plot(
     file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
 ) -> None:
-    """Draw verdict and spectral radius in the (alpha, beta) plane."""
+    """Draw verdicts, spectral radii and fields in the (alpha, beta) plane."""
     from jaxstab.durable import publish
     from jaxstab.pictures.atlas import draw_atlas
 

@@ -1,16 +1,18 @@
-"""Pictures of an atlas: verdicts and spectral radii in planes of (alpha, beta)."""
+"""Pictures of an atlas: verdicts, spectral radii and fields in planes of (alpha, beta)."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, PowerNorm
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from jaxstab.atlas import Atlas
+from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.pictures.style import (
@@ -29,7 +31,15 @@ _MOST_PLANES = 6
 # The rows of a picture, and the products that provide each.
 _ANSWERED_BY = {
     "verdict": {"verdict", "alpha_limits"},
-    "spectral_radius": {"spectral_radius"},
+    "spectral_radius": {"spectral_radius", FIELDS},
+    "frequency": {FIELDS},
+    "damping_ratio": {FIELDS},
+}
+
+# Fields at nodes: the words beside their colours, and which number has which.
+_FIELDS = {
+    "frequency": ("frequency of the dominant pole\n(rad per sample)", PowerNorm(0.5, 0.0, np.pi)),
+    "damping_ratio": ("damping ratio of the dominant pole", Normalize(0.0, 1.0)),
 }
 
 # Told apart with any colour vision, and in grey.
@@ -49,8 +59,8 @@ def draw_atlas(
 ) -> bytes:
     """A PNG of an atlas in planes of (alpha, beta), one for each of at most 6 of its delays.
 
-    ValueError: gamma or delta is outside of the atlas, a delay is not one of the atlas, or the
-    atlas holds neither verdicts nor spectral radii.
+    Fields are drawn at the nodes of gamma and delta that are nearest. ValueError: gamma or delta is
+    outside of the atlas, a delay is not one of the atlas, or the atlas has nothing to draw.
     """
     numbers = _numbers_of(atlas, delays)
     rows = [answer for answer, of in _ANSWERED_BY.items() if not of.isdisjoint(atlas.products)]
@@ -62,6 +72,7 @@ def draw_atlas(
     size = _WIDTH * len(numbers) + 0.9, _HEIGHT * len(rows) + 1.0
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(len(rows), len(numbers), squeeze=False)
+    filled: dict[str, ScalarMappable] = {}
     for column, number in zip(panels.T, numbers, strict=True):
         alpha, beta = _raster(atlas, number)
         answer = atlas.query(
@@ -70,17 +81,24 @@ def draw_atlas(
         for panel, row in zip(column, rows, strict=True):
             if row == "verdict":
                 _draw_verdicts(panel, alpha, beta, answer.verdict)
+            elif row in _FIELDS:
+                plane = _nodes_of(atlas, row, number, gamma, delta)
+                filled[row] = panel.pcolormesh(*plane, norm=_FIELDS[row][1])
+            elif row in atlas.products:
+                filled[row] = _draw_radii(panel, alpha, beta, answer.spectral_radius)
             else:
-                filled = _draw_radii(panel, alpha, beta, answer.spectral_radius)
+                filled[row] = _draw_radii(panel, *_nodes_of(atlas, row, number, gamma, delta))
             panel.tick_params(labelsize=8)
         column[0].set_title(f"delay {atlas.delays[number]:g} T", fontsize=10)
         column[-1].set_xlabel(ALPHA_LABEL)
     for panel in panels[:, 0]:
         panel.set_ylabel(BETA_LABEL)
-    if "spectral_radius" in rows:
-        bar = figure.colorbar(filled, ax=list(panels[-1]), pad=0.01, ticks=_RADII)
+    for row, drawn in filled.items():
+        is_radius = row == "spectral_radius"
+        ticks = _RADII if is_radius else None
+        bar = figure.colorbar(drawn, ax=list(panels[rows.index(row)]), pad=0.01, ticks=ticks)
         bar.ax.tick_params(labelsize=8)
-        bar.set_label("spectral radius (line: 1)")
+        bar.set_label("spectral radius (line: 1)" if is_radius else _FIELDS[row][0])
     if "verdict" in rows:
         figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(rf"$\gamma = {gamma:g}$,  $\delta = {delta:g}$", fontsize=11)
@@ -144,6 +162,18 @@ def _draw_radii(panel: Axes, alpha: Floats, beta: Floats, radius: Floats) -> Qua
     )
     panel.contour(alpha, beta, radius, levels=[1.0], colors="white", linewidths=1.2)
     return filled
+
+
+def _nodes_of(
+    atlas: Atlas, name: str, number: int, gamma: float, delta: float
+) -> tuple[Floats, Floats, NDArray[np.float32]]:
+    """Return alpha, beta and a field at the nodes of gamma and delta that are nearest."""
+    nodes = atlas.nodes(number)
+    i, j = (
+        int(np.argmin(np.abs(nodes[axis] - value)))
+        for axis, value in (("gamma", gamma), ("delta", delta))
+    )
+    return nodes["alpha"], nodes["beta"], atlas.arrays[name][:, :, i, j, number].T
 
 
 def _legend() -> list[Patch]:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxstab.arrays import Array, namespace, repeat, tree_map
-from jaxstab.batches import MANY, TILE, compiled, over_tiles
+from jaxstab.batches import MANY, compiled, over_tiles
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.dominance import (
@@ -52,7 +52,7 @@ class PoleFields(NamedTuple):
 
     Attributes:
         radius: an upper bound of the spectral radius; NaN where none is proved.
-        error: the spectral radius is at least ``radius - error``.
+        error: the spectral radius is at least ``radius - error``; infinite where none is proved.
         frequency: of the dominant pole z = exp(s), |Im s| in rad per sample, from 0 for a positive
             real pole to pi for a negative one; NaN where that pole is not resolved.
         damping_ratio: its -Re s / |s|: 1 for a positive real pole inside of the circle, -1 outside.
@@ -194,11 +194,12 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
         scale = power_of_two_below_inverse(size)
         first, last = rows[0] * scale, turned[0] * scale
         is_turned = abs(last) > abs(first)
+        lost = scale * size * (state.lost + 4.0 * UNIT * sizes) + UNDERFLOW
         return (
             first,
             last,
             _Count(
-                scale * size * (state.lost + 4.0 * UNIT * sizes) + UNDERFLOW,
+                xp.where(abs(last) == abs(first), xp.inf, lost),
                 state.degree - 1.0,
                 xp.where(is_turned, state.count + state.sign * state.degree, state.count),
                 xp.where(is_turned, -state.sign, state.sign),
@@ -232,8 +233,7 @@ def _outwards(radius: Array, bound: Array) -> tuple[Array, Array]:
     value = xp.where(value < upper, above, value)
     fraction, exponent = xp.frexp(2.0 * bound + 2.0**-23 * value)
     error = xp.ldexp(xp.ceil(xp.ldexp(fraction, _DIGITS)), exponent - _DIGITS).astype(np.float32)
-    is_known = xp.isfinite(bound)
-    return tuple(xp.where(is_known, column, np.float32(np.nan)) for column in (value, error))
+    return xp.where(xp.isfinite(bound), value, np.float32(np.nan)), error
 
 
 def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop) -> PoleFields:

@@ -172,8 +172,8 @@ class AtlasSpec:
         alpha: nodes, two or more, or a FittedAxis for each delay; so is beta.
         gamma: nodes, one or more, or a ToleranceAxis; so is delta.
         delay: delays t_d/T in [0, 100], whole or fractional; each has its own grid.
-        products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "fields", "outline" and
-            "summary"; by default the first four.
+        products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "fields",
+            "outline" and "summary"; by default the first four.
         limit_cells: number of even cells along beta in which the limits of alpha are given; 0 for
             128 where they are given between delays, too, and else 256.
         delay_cells: how finely they are given between the delays, in cells (delay + 1/2) /

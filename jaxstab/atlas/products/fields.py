@@ -33,7 +33,7 @@ _VARIABLES = (
         "float32",
         NODE,
         "spectral radius, the largest modulus of a closed-loop pole",
-        f"rounded up: no pole is outside of this radius, and one is at it less the error; {_LEFT_OUT}",
+        f"rounded up: no pole is outside of this radius; {_LEFT_OUT}",
         0.0,
         has_nan=True,
         attributes=(("standard_name", RADIUS_FIELD), ("ancillary_variables", RADIUS_ERROR)),
@@ -43,7 +43,8 @@ _VARIABLES = (
         "float32",
         NODE,
         "proved bound of the error of the spectral radius",
-        f"the true radius lies between spectral_radius less this and spectral_radius; {_LEFT_OUT}",
+        f"the true radius lies between spectral_radius less this and spectral_radius, "
+        f"infinite: none is proved; {_LEFT_OUT}",
         0.0,
         has_nan=True,
         attributes=(("standard_name", f"{RADIUS_FIELD} standard_error"),),
@@ -166,7 +167,7 @@ def _wrong_nodes(stored: Stored, place: Any, fields: Mapping[str, Array], count:
     off = (radius.value - radius.error > upper) | (radius.value + radius.error < upper - error)
     moduli = np.abs(poles)
     clear = np.min(np.abs(moduli - 1.0), axis=-1) > _NEAR_CIRCLE
-    off |= (given[OUTSIDE] == 0) & np.isnan(error)
+    off |= (given[OUTSIDE] == 0) & np.isnan(error) | np.isnan(upper) & np.isfinite(error)
     off |= clear & (np.sum(moduli > 1.0, axis=-1) != given[OUTSIDE])
     # Eigenvalues tell the dominant pole, and its frequency, where it is simple.
     others = np.min(np.abs(poles[:, :1] - poles[:, 1:]), axis=-1)

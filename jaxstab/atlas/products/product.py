@@ -1,7 +1,7 @@
 """What a product of an atlas is to the rest of the package: one object that answers for all of it.
 
-An atlas holds products: verdicts, limits of alpha, spectral radii, outlines, summaries, fields. All that is
-particular to one is in its module, as a subclass of ``Product`` beside the lookups in it:
+An atlas holds products: verdicts, limits of alpha, spectral radii, fields, outlines, summaries. All
+that is particular to one is in its module, as a subclass of ``Product`` beside the lookups in it:
 
 - its variables, which values of them a reader accepts, and how they fit together;
 - ``compute``: what a tile of a build holds of it, and ``known_before``: what no tile holds;

@@ -613,6 +613,8 @@ class Atlas:
             said.pop("coordinates", None)  # xarray takes it for its own
             variables[name] = VARIABLES[name].dimensions, values, said
         head = head_attributes(self.created_by, self.filters_in_words)
+        for product in self.products:
+            head |= PRODUCTS[product].attributes(self.arrays)
         return xarray.Dataset(variables, attrs=head).set_coords(["alpha", "beta"])
 
     def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
