@@ -96,8 +96,8 @@ def fields_of_grid(
     size = beta.size * gamma.size * (loop.degree + 1)
     parts = []
     for some in np.array_split(points.alpha, -(-alpha.size * size // _BLOCK)):
-        walls = some, points.beta, loop
-        parts.append(_with_ladder(_fields(*walls, method=method), *walls))
+        fields = _fields(some, points.beta, loop, method=method)
+        parts.append(_with_ladder(fields, some, points.beta, loop))
     return tree_map(lambda *columns: np.concatenate(columns), *parts)
 
 
@@ -114,10 +114,12 @@ def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> Pole
     decay = -xp.log(radius)
     size = xp.hypot(decay, frequency)
     is_resolved = bound <= _CLOSE * xp.minimum(radius, size)
-    mode = (xp.where(is_resolved, value, xp.nan) for value in (frequency, decay / size))
-    return PoleFields(
-        *_outwards(radius, bound), *(value.astype(np.float32) for value in mode), outside
+    upper, error = _outwards(radius, bound)
+    frequency, damping_ratio = (
+        xp.where(is_resolved, value, xp.nan).astype(np.float32)
+        for value in (frequency, decay / size)
     )
+    return PoleFields(upper, error, frequency, damping_ratio, outside)
 
 
 def _pole(columns: list[Array], *, is_guessed: bool) -> Array:
@@ -243,9 +245,9 @@ def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop
         return fields
     radius, error = (np.array(column) for column in fields[:2])
     listed = tree_map(lambda leaf: np.broadcast_to(leaf, radius.shape)[still_open], loop)
-    walls = (np.broadcast_to(gain, radius.shape)[still_open] for gain in (alpha, beta))
+    stiff, damp = (np.broadcast_to(gain, radius.shape)[still_open] for gain in (alpha, beta))
     with np.errstate(all="ignore"):
-        coefficients, rounding = loop_coefficients(*walls, listed, UNIT)
+        coefficients, rounding = loop_coefficients(stiff, damp, listed, UNIT)
         value = abs(companion_poles(np.moveaxis(coefficients, 0, -1))[..., 0])
         bound = dense_radius_error(coefficients, rounding, value, unit=UNIT)
         radius[still_open], error[still_open] = _outwards(value, bound)

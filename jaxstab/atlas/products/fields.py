@@ -103,14 +103,17 @@ class Fields(Product):
         from jaxstab.point.fields import fields_of_grid
 
         alpha, beta, delay = plan.grid.walls(tile.delay)
+        gamma, delta = plan.hands(tile).T
         spec = plan.spec
-        fields = fields_of_grid(
-            alpha, beta, *plan.hands(tile).T, delay, spec.filters, method=spec.method
-        )
-        left_out = ~_near(fields.outside) if spec.where == "near" else np.zeros((), bool)
-        values = [np.where(left_out, np.float32(np.nan), value) for value in fields[:-1]]
-        near = np.sum(np.broadcast_to(~left_out, fields.outside.shape), axis=(0, 1), dtype=np.int32)
-        arrays = zip(self.names, (*values, fields.outside, near), strict=True)
+        fields = fields_of_grid(alpha, beta, gamma, delta, delay, spec.filters, method=spec.method)
+        near = np.full(fields.outside.shape, spec.where == "all")
+        if spec.where == "near":
+            # Where a pole is on the circle, or too close to it to tell, the radius decides.
+            least = fields.radius - fields.error
+            near = _near((fields.outside == 0) | ((fields.outside < 0) & (least <= 1.0)))
+        values = [np.where(near, value, np.float32(np.nan)) for value in fields[:-1]]
+        count = np.sum(near, axis=(0, 1), dtype=np.int32)
+        arrays = zip(self.names, (*values, fields.outside, count), strict=True)
         return {name: value.reshape(plan.shape(name, tile)) for name, value in arrays}
 
     def attributes(self, datasets: Mapping[str, Any]) -> dict[str, Any]:
@@ -138,13 +141,14 @@ class Fields(Product):
         yield Check(FIELDS, wrong == 0, f"{wrong} of {each * len(places)} points are wrong")
 
 
-def _near(outside: Array) -> Array:
+def _near(stable: Array) -> Array:
     """Return which nodes are corners of cells along the first two axes with a stable corner."""
-    near = outside <= 0
+    near = stable.copy()
     for axis in (0, 1):
-        beside = np.pad(near, [(int(i == axis), int(i == axis)) for i in range(near.ndim)])
-        count = near.shape[axis]
-        near = near | beside.take(range(count), axis) | beside.take(range(2, count + 2), axis)
+        along = near.swapaxes(0, axis)
+        before = along.copy()
+        along[1:] |= before[:-1]
+        along[:-1] |= before[1:]
     return near
 
 
@@ -154,7 +158,7 @@ _NEAR_CIRCLE, _SAME, _APART = 1e-6, 1e-6, 1e-5  # of poles from the circle, of m
 def _wrong_nodes(stored: Stored, place: Any, fields: Mapping[str, Array], count: int) -> int:
     """Count nodes of a slice, of ``count`` at random, that differ from a new computation."""
     from jaxstab.model import by_name
-    from jaxstab.motion.response import mode_of
+    from jaxstab.motion import dominant_mode
     from jaxstab.point import closed_loop_poles, spectral_radius
 
     i, j = (stored.chance.integers(0, n, count) for n in fields[OUTSIDE].shape)
@@ -175,7 +179,7 @@ def _wrong_nodes(stored: Stored, place: Any, fields: Mapping[str, Array], count:
     third = moduli[:, 2] if moduli.shape[-1] > 2 else np.zeros(count)
     rival = np.where(is_pair, third, moduli[:, 1])
     simple = (moduli[:, 0] - rival > _APART) & (others > _APART**0.5)
-    mode = mode_of(poles)
+    mode = dominant_mode(**point, **stored.filters)
     for name, value in ((FREQUENCY, mode.frequency), (DAMPING_RATIO, mode.damping_ratio)):
         off |= simple & (np.abs(value - given[name]) > _SAME)
     return int(np.sum(off))
