@@ -81,14 +81,14 @@ def test_fields_are_those_of_the_true_roots(
     assert np.mean(arrays["outside"] == UNKNOWN) < 0.1
 
 
-@pytest.mark.parametrize("delay", [1.0, 2.5])
+@pytest.mark.parametrize(("delay", "longest"), [(0.0, 2.5), (1.0, 1.0), (2.5, 30.0)])
 def test_what_is_compiled_for_many_points_is_right_too(
-    delay: float, rng: np.random.Generator
+    delay: float, longest: float, rng: np.random.Generator
 ) -> None:
     alpha, beta = np.linspace(-0.05, 0.3, 200), np.linspace(-0.2, 1.0, 180)
     hand = np.array([0.0005]), np.array([0.01])
-    fast = fields_of_grid(alpha, beta, *hand, delay, None, method="fast")
-    slow = fields_of_grid(alpha, beta, *hand, delay, None, method="companion")
+    fast = fields_of_grid(alpha, beta, *hand, delay, None, longest=longest, method="fast")
+    slow = fields_of_grid(alpha, beta, *hand, delay, None, longest=longest, method="companion")
     for i, j in zip(rng.integers(0, 200, 60), rng.integers(0, 180, 60), strict=True):
         roots = truth.roots(alpha[i], beta[j], 0.0005, 0.01, delay)
         for fields in (fast, slow):
@@ -108,7 +108,7 @@ def test_fields_of_loops_with_an_estimator_are_right(count: int, rng: np.random.
     alpha, beta = np.linspace(0.0, 0.03, 200)[:: 200 // count], np.linspace(0.0, 0.2, 180)
     window, gamma, delta = Velocity.difference(samples=12), np.array([0.0005]), np.array([0.01])
     filters = jaxstab.AtlasSpec(velocity=window).filters
-    fields = fields_of_grid(alpha, beta, gamma, delta, 1.0, filters, method="fast")
+    fields = fields_of_grid(alpha, beta, gamma, delta, 1.0, filters, longest=1.0, method="fast")
     exact = filtered.FilteredLoop(0.0005, 0.01, 1.0, filtered.difference(12), filtered.average(1))
     balls = exact.balls(600)
     assert np.mean(fields.outside == 0) > 0.01
@@ -127,7 +127,7 @@ def test_a_double_or_triple_dominant_pole_is_bounded_but_not_resolved() -> None:
     root = 4.0 ** (1.0 / 3.0) - 1.0  # triple, at gamma = delta = delay = 0
     alpha, beta = np.array([6.0 * root**2 - 2.0]), np.array([2.0 * root**3])
     zero = np.zeros(1)
-    fields = fields_of_grid(alpha, beta, zero, zero, 0.0, None, method="fast")
+    fields = fields_of_grid(alpha, beta, zero, zero, 0.0, None, longest=0.0, method="fast")
     values = dict(zip(FIELDS, (float(column[0, 0, 0]) for column in fields), strict=True))
     assert is_right(truth.roots(alpha[0], beta[0], 0.0, 0.0, 0.0), values)
     assert values["spectral_radius_error"] < 1e-3

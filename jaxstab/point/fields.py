@@ -10,12 +10,13 @@ refine it, and a proof follows that uses nothing of how it was found:
 - the steps of Schur and Cohn down to a constant count the poles outside of the unit circle (lemma
   R4).
 
-Results are in float32: the radius is rounded up, its bound too. Where two poles of nearly the same
-modulus compete, the dominant one is not known; there the radius is proved by a ladder of verdicts
-(lemma R3), and frequency and damping ratio are NaN.
+Results are in float32: the radius is rounded up, and so is its bound. Where two poles of nearly the
+same modulus compete, the dominant one is not known; there the radius is proved by a ladder of
+verdicts (lemma R3), and frequency and damping ratio are NaN.
 """
 
 from functools import partial
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -83,16 +84,24 @@ def fields_of_grid(
     delay: float,
     filters: Filters | None,
     *,
+    longest: float,
     method: str,
 ) -> PoleFields:
     """Return the fields at all alpha and beta for each pair (gamma, delta), in NumPy.
 
-    The arrays have the shape (alpha, beta, hand). ``method`` is "fast" for powers of the companion
-    matrix, "companion" for its eigenvalues; grids of few points always take eigenvalues.
+    The arrays have the shape (alpha, beta, hand). ``longest`` is the longest delay for which others
+    will be computed: low degrees are raised to that of the longest delay, by poles at 0, so that
+    one program serves all. ``method`` is "fast" for powers of the companion matrix, "companion" for
+    its eigenvalues; grids of few points always take eigenvalues.
     """
     points = Points(alpha[:, None, None], beta[:, None], gamma, delta, np.asarray(delay))
     form = Form.from_delay(delay)
     loop = rounded_loop(filtered_loops(points, form, filters or (Velocity(), Filter())))
+    missing = ceil(longest) - ceil(delay)
+    if loop.degree + missing <= _LONGEST:
+        zeros = (0.0 * loop.base[0],) * missing
+        base, stiffness, damping = (part + zeros for part in loop[:3])
+        loop = loop._replace(base=base, stiffness=stiffness, damping=damping)
     size = beta.size * gamma.size * (loop.degree + 1)
     parts = []
     for some in np.array_split(points.alpha, -(-alpha.size * size // _BLOCK)):

@@ -104,8 +104,10 @@ class Fields(Product):
 
         alpha, beta, delay = plan.grid.walls(tile.delay)
         gamma, delta = plan.hands(tile).T
-        spec = plan.spec
-        fields = fields_of_grid(alpha, beta, gamma, delta, delay, spec.filters, method=spec.method)
+        spec, longest = plan.spec, float(plan.grid.delay[-1])
+        fields = fields_of_grid(
+            alpha, beta, gamma, delta, delay, spec.filters, longest=longest, method=spec.method
+        )
         near = np.full(fields.outside.shape, spec.where == "all")
         if spec.where == "near":
             # Where a pole is on the circle, or too close to it to tell, the radius decides.
