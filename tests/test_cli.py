@@ -118,7 +118,7 @@ def test_a_plot_is_a_picture(path: Path, tmp_path: Path) -> None:
     data = png.read_bytes()
     assert data.startswith(b"\x89PNG")
     wide, high = struct.unpack(">II", data[16:24])
-    assert wide < high < 2 * wide  # one delay, and a row each of verdicts and of radii
+    assert 2 * wide < high < 4 * wide  # one delay; rows of verdicts, radii and two fields
     answer = run("atlas", "plot", path, "-o", png, "--delay", "9")
     assert "delay 9 is not in this atlas" in answer.stderr
 
