@@ -18,6 +18,7 @@ from jaxstab.model.device.periodic import segments_of
 from jaxstab.proofs import jitter
 
 T = 1e-3
+AT = {"sample_time": T, "delay": 0.5e-3}
 LIGHT = {"device_mass": 0.1, "device_damping": 0.05, "sample_time": T}
 OMEGA = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": T}
 ARM = Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
@@ -191,6 +192,22 @@ def test_a_wall_that_grows_is_found_proved_and_replayed() -> None:
         assert np.abs(constant.position[1000:]).max() < 1e-3
 
 
+@pytest.mark.parametrize("name", ["grip and actuator", "mode"])
+def test_limits_of_general_devices_survive_attacks_and_what_is_unstable_grows(name: str) -> None:
+    loop = HapticLoop(device=DEVICES[name], velocity=Velocity.difference(samples=4), **AT)
+    above, below = tuple(_floats(DEVICES[name], True)), tuple(_floats(DEVICES[name]))
+    case = campaign.Case(loop, Moving(above, below, T, 4), 4, 12, 0)
+    limits = loop.limits(delays=case.delays)
+    wall = limits.stiffness, limits.damping
+    assert campaign.attacked(case, wall, np.random.default_rng(7))[0] < 1.0
+    wall = 1.05 * limits.unstable_stiffness, limits.damping
+    worst = loop.worst_delays(*wall, delays=case.delays)
+    assert worst.is_proved
+    grown = campaign.replayed(case, wall, worst.delays)
+    assert grown == pytest.approx(worst.growth, abs=1e-4)
+    assert grown > 1.0
+
+
 def test_attacks_notice_a_factor_that_is_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
     case = campaign.Case(HapticLoop(**LIGHT), moving(0.1, 0.05), 0, 8, 0)
     wall = 6669.1, 71.60
@@ -266,9 +283,6 @@ def test_the_margin_is_proved_and_no_larger_than_that_of_a_constant_delay() -> N
             assert proved == Verdict.STABLE
             beyond = loop.verdict(*wall, delays=(low, low + 1.01 * margin))
             assert beyond != Verdict.STABLE
-
-
-AT = {"sample_time": T, "delay": 0.5e-3}
 
 
 def test_margins_of_walls_that_are_none() -> None:

@@ -577,7 +577,7 @@ class HapticLoop(LoopParameters):
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.05, sample_time=1e-3)
             >>> loop.worst_delays(6669.1, 71.60, delays=(0.0, 1e-3)).delays
-            (0.001, 0.001, 0.001, 0.0)
+            (0.0, 0.001, 0.001, 0.001)
         """
         self._refuse_tracers("worst_delays")
         return worst_delays(self, stiffness, damping, delays, lost)

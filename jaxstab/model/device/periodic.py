@@ -196,7 +196,7 @@ def _in_lags(transfer: Transfer) -> "tuple[arb_poly, arb_poly]":
 
     def balls(falling: Polynomial, size: float) -> list[Any]:
         error = flint.arb(0, float(size) * FILTERS)
-        return [flint.arb(c.hi) + flint.arb(c.lo) + error * (c.hi != 0.0) for c in falling]
+        return [flint.arb(c.hi) + flint.arb(c.lo) + error for c in falling]
 
     above, below = (
         balls(part, size) for part, size in zip(transfer[:2], transfer.sizes, strict=True)
