@@ -61,8 +61,7 @@ def compiled(
         def program(is_wide: bool) -> Callable[..., Any]:
             import jax
 
-            is_wide = is_wide and jax.default_backend() == "cpu"
-            extra = _WIDE if is_wide else None
+            extra = _WIDE if is_wide and is_on_cpu() else None
             return jax.jit(kernel, static_argnames=tuple(static), compiler_options=extra)
 
         @wraps(kernel)
@@ -146,11 +145,16 @@ def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[
         return list(pool.map(function, items))
 
 
-def _cores() -> int:
-    """Return how many cores of the CPU this process has, if JAX computes there."""
+def is_on_cpu() -> bool:
+    """Return whether JAX computes on the CPU."""
     import jax
 
-    if jax.default_backend() != "cpu":
+    return jax.default_backend() == "cpu"
+
+
+def _cores() -> int:
+    """Return how many cores of the CPU this process has, if JAX computes there."""
+    if not is_on_cpu():
         return 1
     affinity = getattr(os, "sched_getaffinity", None)  # of Linux
     return len(affinity(0)) if affinity else os.cpu_count() or 1
@@ -193,7 +197,7 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
     leaves_of, structure = jax.tree.flatten(arguments)
     shape = xp.broadcast_shapes(*(xp.shape(leaf) for leaf in leaves_of))
     size = prod(shape)
-    if size <= tile or jax.default_backend() != "cpu":
+    if size <= tile or not is_on_cpu():
         return kernel(*arguments)
     shared = [xp.reshape(leaf, ()) if leaf.size == 1 else None for leaf in leaves_of]
     tiles = [

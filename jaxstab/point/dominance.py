@@ -27,7 +27,7 @@ from jaxstab.arrays import (
     tree_map,
     with_values,
 )
-from jaxstab.batches import MANY, compiled, lists, on_few_sizes, over_tiles
+from jaxstab.batches import MANY, compiled, is_on_cpu, lists, on_few_sizes, over_tiles
 from jaxstab.model import polynomial_degree
 from jaxstab.point.poles import looked_up
 from jaxstab.point.verdicts import Plant, float_plant
@@ -529,10 +529,11 @@ def _try_list(
     shape = answer[0].shape
     plants = prod(np.broadcast_shapes(*(hand.shape for hand in parameters[2:])))
     shared = _loop(parameters, delay) if plants <= indices.size else None
-    # An accelerator computes a long list as quickly as a short one, and compiles for each length.
-    shortest = effort.longest_list if is_any_jax(parameters) else _SHORTEST_LIST
+    longest, shortest = effort.longest_list, _SHORTEST_LIST
+    if is_any_jax(parameters):  # an accelerator computes a long list as quickly as a short one
+        longest = shortest = longest if is_on_cpu() else _LIST
     columns: list[Answer] = []
-    for part, padded in lists(indices, effort.longest_list, shortest):
+    for part, padded in lists(indices, longest, shortest):
         if shared:
             loop = Loop(*looked_up(shared, shape, padded))
         else:
