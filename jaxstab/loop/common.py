@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float64, Int8
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.loop.between import LoopsBetween, TriedLoops, common_polygon
-from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import Gains
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
@@ -23,6 +22,9 @@ from jaxstab.ranges.device_margins import is_stable_along
 from jaxstab.ranges.robust import failures
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.gains import Grid
+
+if TYPE_CHECKING:  # alone: other loops are refused by sentences, not by the types
+    from jaxstab.loop.loop import HapticLoop
 
 _WIDER = 1.0, 2.0, 4.0  # times the tolerance, by which a polygon is pulled in
 
@@ -53,7 +55,7 @@ class CommonRegion:
         69796 N/m at 82.5 N s/m
     """
 
-    loops: tuple[HapticLoop, ...]
+    loops: "tuple[HapticLoop, ...]"
     status: RobustStatus
     outline: Points = field(repr=False)
     tolerance: float
@@ -90,7 +92,7 @@ class CommonRegion:
 
 
 def common_region(
-    loops: Sequence[HapticLoop] | LoopsBetween, *, tolerance: float = 0.02
+    loops: "Sequence[HapticLoop] | LoopsBetween", *, tolerance: float = 0.02
 ) -> CommonRegion:
     """The walls that are stable in each of several loops, with a proved polygon.
 
@@ -130,14 +132,14 @@ def common_region(
     if not given:
         raise ValueError("loops is empty; give at least one HapticLoop.")
 
-    def unproved(walls: Points) -> list[HapticLoop]:
+    def unproved(walls: Points) -> "list[HapticLoop]":
         return [loop for loop in given if not _is_proved(loop.in_floats(), walls)]
 
     return _proved_region(given, unproved, lambda _: False, tolerance)
 
 
 def _proved_region(
-    loops: list[HapticLoop],
+    loops: "list[HapticLoop]",
     unproved: Unproved,
     add: Callable[[Any], bool],
     tolerance: float,
@@ -198,12 +200,12 @@ class CommonWall(NamedTuple):
     stiffness: float
     damping: float
     settling_time: float
-    slowest: HapticLoop
+    slowest: "HapticLoop"
     status: TuningStatus
 
 
 def tune_for_all(
-    loops: Sequence[HapticLoop],
+    loops: "Sequence[HapticLoop]",
     *,
     stiffness: float | None = None,
     level: float = 0.02,
@@ -267,7 +269,7 @@ def tune_for_all(
 
 
 def settling_times(
-    loops: Sequence[HapticLoop],
+    loops: "Sequence[HapticLoop]",
     stiffness: float,
     damping: float,
     level: float = 0.02,
@@ -299,13 +301,13 @@ def settling_times(
     return np.where(np.isnan(samples), np.inf, samples * first.sample_time)
 
 
-def _in_floats(loop: HapticLoop) -> Any:
+def _in_floats(loop: "HapticLoop") -> Any:
     if not isinstance(loop, LoopParameters):
         raise TypeError(f"loops has {loop!r}; give a HapticLoop for each.")
     return loop.in_floats()
 
 
-def _first_grid(loop: HapticLoop, stiffness: float | None) -> Grid | None:
+def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
     """A grid that spans the stable component that contains small gains."""
     region = loop.region()
     outline = (region.main or region).outline
@@ -319,7 +321,7 @@ def _first_grid(loop: HapticLoop, stiffness: float | None) -> Grid | None:
 
 
 def _times(
-    loops: Sequence[HapticLoop],
+    loops: "Sequence[HapticLoop]",
     walls: list[Walls],
     longest: float,
     level: float,

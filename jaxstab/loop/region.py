@@ -11,13 +11,7 @@ from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.filters import given_filters
 from jaxstab.numbers import without_noise
-from jaxstab.region import (
-    RegionStatus,
-    StableRegion,
-    measures,
-    region_outline,
-    stable_region,
-)
+from jaxstab.region import RegionStatus, StableRegion, measures, region_outline, stable_region
 from jaxstab.region.region import linear_region
 from jaxstab.region.shown import GainNames, ShownRegion, limits_text
 

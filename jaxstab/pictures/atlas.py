@@ -15,14 +15,7 @@ from jaxstab.atlas import Atlas
 from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
-from jaxstab.pictures.style import (
-    ALPHA_LABEL,
-    BETA_LABEL,
-    SKY,
-    hand_label,
-    new_axes,
-    picture,
-)
+from jaxstab.pictures.style import ALPHA_LABEL, BETA_LABEL, SKY, hand_label, new_axes, picture
 
 _RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel

@@ -10,10 +10,9 @@ from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.ranges import HandRange
 from jaxstab.scene.answers import basis_of
-from jaxstab.scene.loops import is_one_mass, loop_of, masses_of
-from jaxstab.scene.scene import Hand, Scene
+from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands
+from jaxstab.scene.scene import Scene
 
 Range = tuple[float, float]
 
@@ -43,7 +42,7 @@ def scene_guard(
     """
     _check_size(scene, delays, cells)
     loop = loop_of(scene)
-    hand, is_plain = scene.hand or Hand(), is_one_mass(scene)
+    is_plain = is_one_mass(scene)
     shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
     mass, delay, period = scene.device.effective_mass[0], loop.delay, loop.sample_time
     if masses and not (masses[0] <= _FAR * mass and mass <= _FAR * masses[1]):
@@ -55,7 +54,7 @@ def scene_guard(
         )
     return build_guard(
         loop,
-        HandRange(mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping),
+        range_of_hands(scene),
         mass=masses or masses_of(scene) or (shares[0] * mass, shares[1] * mass),
         delay=delays or (max(delay - beside * period, 0.0), delay + beside * period),
         progress=progress,
@@ -63,9 +62,7 @@ def scene_guard(
     )
 
 
-def _check_size(
-    scene: Scene, delays: Range | None, cells: tuple[int, int, int] | None = None
-) -> None:
+def _check_size(scene: Scene, delays: Range | None, cells: tuple[int, int, int] | None) -> None:
     """Refuse before the proof what would take too long, or too much memory."""
     longest = LONGEST_DELAY * scene.controller.sample_time
     if delays and not max(delays) <= longest:

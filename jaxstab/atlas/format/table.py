@@ -24,11 +24,7 @@ from typing import Any
 import numpy as np
 
 from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.schema import (
-    VARIABLES,
-    Chunked,
-    content_digest,
-)
+from jaxstab.atlas.format.schema import VARIABLES, Chunked, content_digest
 from jaxstab.atlas.format.variables import CELL, LARGEST_SLICE, NODE, Variable
 from jaxstab.atlas.products.table import PRODUCTS
 

@@ -21,12 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.schema import (
-    FOOTER,
-    VARIABLES,
-    image_size,
-    values_digest,
-)
+from jaxstab.atlas.format.schema import FOOTER, VARIABLES, image_size, values_digest
 from jaxstab.atlas.format.table import RefusalError, Stored, Table, check, read_table
 from jaxstab.atlas.format.variables import (
     LARGEST_ARRAY,

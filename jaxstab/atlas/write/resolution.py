@@ -50,9 +50,7 @@ from jaxstab.atlas.compute.layout import (
     with_known_nodes,
 )
 from jaxstab.atlas.compute.plan import Plan, compute_tile
-from jaxstab.atlas.format.schema import (
-    image_of,
-)
+from jaxstab.atlas.format.schema import image_of
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.format.variables import LARGEST_ARRAY
 from jaxstab.atlas.products.limits import ALPHA_LIMITS

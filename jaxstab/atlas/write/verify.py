@@ -12,10 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxstab.atlas.format.schema import (
-    content_digest,
-    digest_of,
-)
+from jaxstab.atlas.format.schema import content_digest, digest_of
 from jaxstab.atlas.format.spec import filters_of
 from jaxstab.atlas.format.variables import SPEC
 from jaxstab.atlas.products.product import Check, Stored

@@ -75,6 +75,14 @@ def _refuse_many(inputs: int, outputs: int) -> None:
         )
 
 
+def _one_mass(mass: float, damping: float, stiffness: float, *, is_open: bool) -> MassSpringDamper:
+    return MassSpringDamper(
+        checked_number("mass", mass, 0.0, is_open=is_open, unit="kg"),
+        checked_number("damping", damping, 0.0, unit="N s/m"),
+        checked_number("stiffness", stiffness, 0.0, unit="N/m"),
+    )
+
+
 # The hand that holds a device: its dynamic stiffness, and its grip.
 
 
@@ -108,13 +116,7 @@ class Hand:
 
         Raises: see ``jaxstab.conventions``.
         """
-        return cls(
-            MassSpringDamper(
-                checked_number("mass", mass, 0.0, unit="kg"),
-                checked_number("damping", damping, 0.0, unit="N s/m"),
-                checked_number("stiffness", stiffness, 0.0, unit="N/m"),
-            )
-        )
+        return cls(_one_mass(mass, damping, stiffness, is_open=False))
 
     @classmethod
     def transfer_function(cls, numerator: Coefficients, denominator: Coefficients) -> "Hand":
@@ -216,13 +218,7 @@ class Device:
 
         Raises: see ``jaxstab.conventions``.
         """
-        return cls(
-            MassSpringDamper(
-                checked_number("mass", mass, 0.0, is_open=True, unit="kg"),
-                checked_number("damping", damping, 0.0, unit="N s/m"),
-                checked_number("stiffness", stiffness, 0.0, unit="N/m"),
-            )
-        )
+        return cls(_one_mass(mass, damping, stiffness, is_open=True))
 
     @classmethod
     def modes(
