@@ -269,9 +269,7 @@ def simulate_moving(
 
 def _refuse_traced(*values: Any) -> None:
     if is_any_traced(*values):
-        raise TypeError(
-            "a value is traced; with delays give numbers, outside of jit and grad."
-        )
+        raise TypeError("a value is traced; with delays give numbers, outside of jit and grad.")
 
 
 def _checked_range(delays: Any) -> DelayRange:
