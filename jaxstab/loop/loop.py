@@ -535,7 +535,7 @@ class HapticLoop(LoopParameters):
 
         The delay may change from sample to sample between ``delay`` and ``delay`` plus the margin;
         the wall is stable for every such sequence. A lost sample counts as one sampling period.
-        The margin for a delay that is constant, ``margins(...).extra_delay``, is at least as large.
+        ``margins`` has the margin of a delay that is constant, which cannot be smaller.
 
         Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces the loop.
 

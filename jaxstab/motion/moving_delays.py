@@ -37,11 +37,6 @@ class Range(NamedTuple):
     high: float
     lost: int = 0
 
-    @property
-    def oldest(self) -> int:
-        """The age in samples of the oldest force that may act."""
-        return ceil(self.high) + self.lost
-
     def allows(self, turn: Turn) -> bool:
         """Whether no more samples in a row are lost, around the turn."""
         if all(map(isinf, turn)):
@@ -67,8 +62,7 @@ def growing_turn(
 ) -> tuple[Growth, bool]:
     """The turn of the fastest growth that a search found, and whether it is proved to grow."""
     exact = PeriodicLoop.of(device, filters, *wall)
-    loop = exact.rounded()
-    search = _Search(loop, delays)
+    search = _Search(exact.rounded(), delays)
     best = search.patterns(_THOROUGH if is_thorough else _QUICK)
     if is_thorough:
         best = search.climbed(best)
@@ -82,7 +76,8 @@ class _Search:
 
     def __init__(self, loop: PeriodicLoop, delays: Range) -> None:
         self.delays = delays
-        self._step = cache(lambda segments: loop.step(segments, delays.oldest))
+        oldest = ceil(delays.high) + delays.lost  # of the forces that may act, in samples
+        self._step = cache(lambda segments: loop.step(segments, oldest))
 
     def growths(self, turns: Sequence[Turn]) -> list[Growth]:
         """Return the growth of turns of one length."""
@@ -143,13 +138,11 @@ def _turns(letters: Sequence[float], length: int) -> Iterator[Turn]:
 
 
 def _changed(turn: Turn, letters: Sequence[float], random: np.random.Generator) -> Turn:
-    """Return a turn with one delay changed, added or left out, or all of it doubled."""
+    """Return a turn with one delay changed, added or left out."""
     place, kind = int(random.integers(len(turn))), random.random()
     letter = letters[int(random.integers(len(letters)))]
     if kind < 0.6:
         return (*turn[:place], letter, *turn[place + 1 :])
     if kind < 0.8:
         return (*turn[:place], letter, *turn[place:])
-    if kind < 0.95:
-        return (*turn[:place], *turn[place + 1 :]) or turn
-    return turn * 2
+    return (*turn[:place], *turn[place + 1 :]) or turn
