@@ -151,11 +151,14 @@ def verify(file: Path, sample: int) -> None:
 
 def _described(opened: "Atlas", file: Path) -> str:
     """Return what an atlas holds, ending in a line to query it."""
+    from jaxstab.atlas.products.table import PRODUCTS
+
+    attributes = {name: PRODUCTS[name].attributes(opened.arrays) for name in opened.products}
     shape = {name: nodes.size for name, nodes in opened.nodes(0).items()}
     lines = [
         f"{file}: {file.stat().st_size / 1e6:.2f} MB, made by {opened.created_by}",
         f"products: {', '.join(opened.products)}",
-        *_of_fields(opened),
+        *(f"{name}: {about[name]}" for name, about in attributes.items() if name in about),
         opened.filters_in_words,
         *(
             f"{name}: {shape[name]} nodes from {nodes[0]:g} to {nodes[-1]:g}"
@@ -172,16 +175,6 @@ def _described(opened: "Atlas", file: Path) -> str:
     options = " ".join(f"--{name} {value:g}" for name, value in _example(opened).items())
     lines += ["", "Query it with", f"  jaxstab atlas query {shlex.quote(str(file))} {options}"]
     return "\n".join(lines)
-
-
-def _of_fields(opened: "Atlas") -> list[str]:
-    """Return how many nodes have fields, if the atlas holds them."""
-    from jaxstab.atlas.products.fields import FIELDS
-    from jaxstab.atlas.products.table import PRODUCTS
-
-    if FIELDS not in opened.products:
-        return []
-    return [f"fields: {PRODUCTS[FIELDS].attributes(opened.arrays)['fields']}"]
 
 
 def _example(opened: "Atlas") -> dict[str, float]:

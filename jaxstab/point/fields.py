@@ -44,7 +44,6 @@ _LONGEST = 9  # degree up to which these doublings and the proof are compiled wi
 _NEWTON_STEPS = 3
 _BLOCK = 2**24  # coefficients of a part of a grid, which bound the memory
 _CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
-_LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _DIGITS = 1  # of a bound, rounded up: a few values compress well
 
 
@@ -157,7 +156,7 @@ def _bound(columns: list[Array], error: Array, pole: Array) -> Array:
     value, slope = _evaluated(columns, z)
     sizes, slopes = _evaluated([abs(column) for column in columns], Complex(radius, 0.0 * radius))
     unit, most = (4.0 * degree + 10.0) * UNIT, error * xp.maximum(radius, 1.0) ** degree
-    nearest = xp.sqrt(value.squared_modulus()) + unit * sizes.re + most + _LOST_IN_SQUARES
+    nearest = xp.sqrt(value.squared_modulus()) + unit * sizes.re + most + UNDERFLOW**0.5
     steep = xp.sqrt(slope.squared_modulus()) - unit * slopes.re - degree * most
     distance = xp.where(steep > 0.0, SAFETY * degree * nearest / steep, xp.inf)
     is_dominant = _is_dominant(columns, error, z, radius, distance)

@@ -24,7 +24,7 @@ FIELDS = "fields"
 RADIUS_FIELD, RADIUS_ERROR = "spectral_radius", "spectral_radius_error"
 FREQUENCY, DAMPING_RATIO, OUTSIDE = "frequency", "damping_ratio", "outside"
 NEAR_NODES = "near_nodes"
-_LEFT_OUT = "NaN: not computed (see the attribute fields of the file)"
+_LEFT_OUT = "NaN: left out (see the attribute fields of the file)"
 _NOT_RESOLVED = "NaN also where two poles or pairs have nearly the same modulus"
 
 _VARIABLES = (
@@ -177,9 +177,7 @@ def _wrong_nodes(stored: Stored, place: Any, fields: Mapping[str, Array], count:
     off |= clear & (np.sum(moduli > 1.0, axis=-1) != given[OUTSIDE])
     # Eigenvalues tell the dominant pole, and its frequency, where it is simple.
     others = np.min(np.abs(poles[:, :1] - poles[:, 1:]), axis=-1)
-    is_pair = poles[:, 0].imag != 0.0
-    third = moduli[:, 2] if moduli.shape[-1] > 2 else np.zeros(count)
-    rival = np.where(is_pair, third, moduli[:, 1])
+    rival = np.where(poles[:, 0].imag == 0.0, moduli[:, 1], moduli[:, 2])
     simple = (moduli[:, 0] - rival > _APART) & (others > _APART**0.5)
     mode = dominant_mode(**point, **stored.filters)
     for name, value in ((FREQUENCY, mode.frequency), (DAMPING_RATIO, mode.damping_ratio)):

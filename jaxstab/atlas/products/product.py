@@ -123,7 +123,7 @@ class Product:
         return {}
 
     def attributes(self, datasets: Mapping[str, Any]) -> dict[str, Any]:
-        """Return attributes of a file with this product, from its datasets."""
+        """Return attributes of a file with this product; the one of its name describes it."""
         return {}
 
     def are_values(self, name: str, values: Array) -> bool:
