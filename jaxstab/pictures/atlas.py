@@ -157,16 +157,11 @@ def _draw_radii(panel: Axes, alpha: Floats, beta: Floats, radius: Floats) -> Qua
     return filled
 
 
-def _nodes_of(
-    atlas: Atlas, name: str, number: int, gamma: float, delta: float
-) -> tuple[Floats, Floats, Floats]:
+def _nodes_of(atlas: Atlas, name: str, number: int, *hand: float) -> tuple[Floats, Floats, Floats]:
     """Return alpha, beta and a field at the nodes of gamma and delta that are nearest."""
-    nodes = atlas.nodes(number)
-    i, j = (
-        int(np.argmin(np.abs(nodes[axis] - value)))
-        for axis, value in (("gamma", gamma), ("delta", delta))
-    )
-    return nodes["alpha"], nodes["beta"], atlas.arrays[name][:, :, i, j, number].T.astype(float)
+    alpha, beta, *axes = atlas.nodes(number).values()
+    i, j = (int(np.argmin(np.abs(axis - value))) for axis, value in zip(axes, hand, strict=True))
+    return alpha, beta, atlas.arrays[name][:, :, i, j, number].T.astype(float)
 
 
 def _legend() -> list[Patch]:

@@ -44,7 +44,6 @@ _LONGEST = 9  # degree up to which these doublings and the proof are compiled wi
 _NEWTON_STEPS = 3
 _BLOCK = 2**24  # coefficients of a part of a grid, which bound the memory
 _CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
-_DIGITS = 1  # of a bound, rounded up: a few values compress well
 
 
 class PoleFields(NamedTuple):
@@ -101,9 +100,8 @@ def fields_of_grid(
         zeros = (0.0 * loop.base[0],) * missing
         base, stiffness, damping = (part + zeros for part in loop[:3])
         loop = loop._replace(base=base, stiffness=stiffness, damping=damping)
-    size = beta.size * gamma.size * (loop.degree + 1)
-    parts = []
-    for some in np.array_split(points.alpha, -(-alpha.size * size // _BLOCK)):
+    size, parts = alpha.size * beta.size * gamma.size * (loop.degree + 1), []
+    for some in np.array_split(points.alpha, -(-size // _BLOCK)):
         fields = _fields(some, points.beta, loop, method=method)
         parts.append(_with_ladder(fields, some, points.beta, loop))
     return tree_map(lambda *columns: np.concatenate(columns), *parts)
@@ -235,14 +233,14 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
 
 
 def _outwards(radius: Array, bound: Array) -> tuple[Array, Array]:
-    """Return radii and bounds in float32: the radius rounded up, with room for it in the bound."""
+    """Return radii, rounded up, and their bounds, rounded up to powers of two, in float32."""
     xp = namespace(radius, bound)
     upper = radius + bound
     value = upper.astype(np.float32)
     above = xp.nextafter(value, np.float32(np.inf))
     value = xp.where(value < upper, above, value)
     fraction, exponent = xp.frexp(2.0 * bound + 2.0**-23 * value)
-    error = xp.ldexp(xp.ceil(xp.ldexp(fraction, _DIGITS)), exponent - _DIGITS).astype(np.float32)
+    error = xp.ldexp(xp.where(fraction > 0.5, 1.0, 0.5), exponent).astype(np.float32)
     return xp.where(xp.isfinite(bound), value, np.float32(np.nan)), error
 
 

@@ -9,7 +9,7 @@ nodes are left out, in its attribute ``fields``.
 """
 
 from collections.abc import Iterator, Mapping
-from math import pi, prod
+from math import inf, pi, prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,50 +27,43 @@ NEAR_NODES = "near_nodes"
 _LEFT_OUT = "NaN: left out (see the attribute fields of the file)"
 _NOT_RESOLVED = "NaN also where two poles or pairs have nearly the same modulus"
 
+
+def _field(name: str, long_name: str, words: str, low: float, high: float, **said: str) -> Variable:
+    shown = tuple(said.items())
+    return Variable(name, "float32", NODE, long_name, words, low, high, True, attributes=shown)
+
+
 _VARIABLES = (
-    Variable(
+    _field(
         RADIUS_FIELD,
-        "float32",
-        NODE,
         "spectral radius, the largest modulus of a closed-loop pole",
         f"rounded up: no pole is outside of this radius; {_LEFT_OUT}",
-        0.0,
-        has_nan=True,
-        attributes=(("standard_name", RADIUS_FIELD), ("ancillary_variables", RADIUS_ERROR)),
+        *(0.0, inf),
+        standard_name=RADIUS_FIELD,
+        ancillary_variables=RADIUS_ERROR,
     ),
-    Variable(
+    _field(
         RADIUS_ERROR,
-        "float32",
-        NODE,
         "proved bound of the error of the spectral radius",
-        f"the true radius lies between spectral_radius less this and spectral_radius, "
-        f"infinite: none is proved; {_LEFT_OUT}",
-        0.0,
-        has_nan=True,
-        attributes=(("standard_name", f"{RADIUS_FIELD} standard_error"),),
+        "the true radius lies between spectral_radius less this and spectral_radius; infinite: "
+        f"none is proved; {_LEFT_OUT}",
+        *(0.0, inf),
+        standard_name=f"{RADIUS_FIELD} standard_error",
     ),
-    Variable(
+    _field(
         FREQUENCY,
-        "float32",
-        NODE,
         "frequency of the dominant pole z = exp(s)",
         "|Im s| in rad per sample, within 1e-6: 0 for a positive real pole, pi for a negative one; "
         f"{_LEFT_OUT}. {_NOT_RESOLVED}",
-        0.0,
-        float(np.float32(pi)),
-        has_nan=True,
-        attributes=(("units", "rad"),),
+        *(0.0, float(np.float32(pi))),
+        units="rad",
     ),
-    Variable(
+    _field(
         DAMPING_RATIO,
-        "float32",
-        NODE,
         "damping ratio of the dominant pole z = exp(s)",
         "-Re s / |s|, within 1e-6: 1 and -1 for positive real poles inside and outside of the unit "
         f"circle; {_LEFT_OUT}. {_NOT_RESOLVED}",
-        -1.0,
-        1.0,
-        has_nan=True,
+        *(-1.0, 1.0),
     ),
     Variable(
         OUTSIDE,
@@ -154,7 +147,7 @@ def _near(stable: Array) -> Array:
     return near
 
 
-_NEAR_CIRCLE, _SAME, _APART = 1e-6, 1e-6, 1e-5  # of poles from the circle, of modes, of two moduli
+_NEAR_CIRCLE, _SAME, _APART = 1e-6, 2e-6, 1e-5  # of poles from the circle, of modes, of two moduli
 
 
 def _wrong_nodes(stored: Stored, place: Any, fields: Mapping[str, Array], count: int) -> int:
@@ -172,9 +165,9 @@ def _wrong_nodes(stored: Stored, place: Any, fields: Mapping[str, Array], count:
     upper, error = given[RADIUS_FIELD], given[RADIUS_ERROR]
     off = (radius.value - radius.error > upper) | (radius.value + radius.error < upper - error)
     moduli = np.abs(poles)
-    clear = np.min(np.abs(moduli - 1.0), axis=-1) > _NEAR_CIRCLE
     off |= (given[OUTSIDE] == 0) & np.isnan(error) | np.isnan(upper) & np.isfinite(error)
-    off |= clear & (np.sum(moduli > 1.0, axis=-1) != given[OUTSIDE])
+    counted = (np.min(np.abs(moduli - 1.0), axis=-1) > _NEAR_CIRCLE) & (given[OUTSIDE] >= 0)
+    off |= counted & (np.sum(moduli > 1.0, axis=-1) != given[OUTSIDE])
     # Eigenvalues tell the dominant pole, and its frequency, where it is simple.
     others = np.min(np.abs(poles[:, :1] - poles[:, 1:]), axis=-1)
     rival = np.where(poles[:, 0].imag == 0.0, moduli[:, 1], moduli[:, 2])
