@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from jaxstab.atlas.format import schema as footer
 from jaxstab.atlas.write.build import processes, write_atlas
 from jaxstab.atlas.write.verify import verify_atlas
 from jaxstab.cli.main import main
-from jaxstab.point.fields import UNKNOWN, fields_of_grid, poles_outside
+from jaxstab.point.fields import UNKNOWN, _outwards, fields_of_grid, poles_outside
 
 FIELDS = ("spectral_radius", "spectral_radius_error", "frequency", "damping_ratio", "outside")
 DELAYS = [0.0, 0.3, 1.0, 2.0, 5.5, 12.0]
@@ -152,6 +153,20 @@ def test_poles_outside_are_counted_for_any_polynomial(
         assert count in (outside, UNKNOWN)
     assert np.mean(counts == UNKNOWN) < (0.05 if degree < 20 else 0.15)
     np.testing.assert_array_equal(poles_outside(columns, np.full(200, 1e9)), UNKNOWN)
+
+
+def test_values_and_bounds_are_rounded_outwards(rng: np.random.Generator) -> None:
+    radius = np.concatenate([rng.uniform(0.0, 2.0, 2000), [0.5, 1.0, 1.0 - 2.0**-53, 1.0, 1.0]])
+    bound = np.concatenate([10.0 ** rng.uniform(-15, 0, 2003), [np.inf, np.nan]])
+    value, error = _outwards(radius, bound)
+    for r, b, v, e in zip(*(c.tolist() for c in (radius, bound, value, error)), strict=True):
+        if math.isfinite(b):
+            exactly = [Fraction(number) for number in (r, b, v, e)]
+            assert exactly[2] >= exactly[0] + exactly[1]
+            assert exactly[2] - exactly[3] <= exactly[0] - exactly[1]
+            assert e <= 8.0 * (b + 2.0**-23 * v)
+        else:
+            assert (math.isnan(v), e) == (True, math.inf)
 
 
 def test_a_pole_on_the_circle_is_not_counted() -> None:

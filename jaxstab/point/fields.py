@@ -235,13 +235,14 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
 def _outwards(radius: Array, bound: Array) -> tuple[Array, Array]:
     """Return radii, rounded up, and their bounds, rounded up to powers of two, in float32."""
     xp = namespace(radius, bound)
-    upper = radius + bound
+    upper, is_known = (radius + bound) * (1.0 + 2.0 * UNIT), xp.isfinite(bound)
     value = upper.astype(np.float32)
     above = xp.nextafter(value, np.float32(np.inf))
     value = xp.where(value < upper, above, value)
-    fraction, exponent = xp.frexp(2.0 * bound + 2.0**-23 * value)
+    fraction, exponent = xp.frexp(3.0 * bound + 2.0**-23 * value)
     error = xp.ldexp(xp.where(fraction > 0.5, 1.0, 0.5), exponent).astype(np.float32)
-    return xp.where(xp.isfinite(bound), value, np.float32(np.nan)), error
+    unknown = np.float32(np.nan), np.float32(np.inf)
+    return xp.where(is_known, value, unknown[0]), xp.where(is_known, error, unknown[1])
 
 
 def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop) -> PoleFields:
