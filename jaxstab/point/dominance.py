@@ -25,6 +25,7 @@ from jaxstab.arrays import (
     namespace,
     repeat,
     tree_map,
+    true_indices,
     with_values,
 )
 from jaxstab.batches import MANY, compiled, is_on_cpu, lists, on_few_sizes, over_tiles
@@ -517,7 +518,7 @@ def fast_radius(parameters: list[Array], shape: tuple[int, ...], delay: float) -
         else:
             _try_list((value, error), parameters, np.arange(value.size), delay, first)
     for effort in others:
-        still_open = np.flatnonzero(~np.asarray(error <= TOLERANCE))
+        still_open = true_indices(~(error <= TOLERANCE))
         value, error = _try_list((value, error), parameters, still_open, delay, effort)
     return value, error
 

@@ -247,7 +247,8 @@ def _outwards(radius: Array, bound: Array) -> tuple[Array, Array]:
 
 def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop) -> PoleFields:
     """Return fields with the radii of the few points of which the dominant pole is not known."""
-    still_open = np.nonzero(np.isnan(np.asarray(fields.radius)))
+    is_open = np.isnan(np.asarray(fields.radius))
+    still_open = np.unravel_index(np.flatnonzero(is_open), is_open.shape)  # quicker than nonzero
     if not still_open[0].size:
         return fields
     radius, error = (np.array(column) for column in fields[:2])

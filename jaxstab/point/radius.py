@@ -36,6 +36,7 @@ from jaxstab.arrays import (
     namespace,
     repeat_while,
     tree_map,
+    true_indices,
     with_values,
 )
 from jaxstab.batches import MANY, compiled, over_tiles
@@ -428,7 +429,7 @@ def _of_delay(
         value, error = fast_radius(parameters, shape, delay)
     else:
         value, error = np.zeros(shape), np.full(shape, np.inf)
-    still_open = np.flatnonzero(~np.asarray(error <= TOLERANCE))
+    still_open = true_indices(~(error <= TOLERANCE))
     for start in range(0, still_open.size, _LIST):
         part = still_open[start : start + _LIST]
         listed = tree_map(np.asarray, looked_up(parameters, shape, part))
