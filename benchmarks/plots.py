@@ -17,6 +17,11 @@ from benchmarks.record import Record, Row
 _STYLES = {
     "jaxstab": ("#0072B2", "o"),
     "NumPy eigenvalues": ("#E69F00", "s"),
+    "Schur-Cohn, not proved": ("#999999", "^"),
+    "write int8": ("#999999", "v"),
+    "write float64": ("#999999", "o"),
+    "two cores": ("#E69F00", "s"),
+    "device": ("#0072B2", "o"),
     "eigenvalue grid": ("#E69F00", "s"),
     "numpy eigvals": ("#E69F00", "s"),
     "jax eigvals": ("#D55E00", "D"),
@@ -114,14 +119,15 @@ def _throughput(rows: list[Row]) -> Figure:
 
 
 def _accelerator(rows: list[Row]) -> Figure:
-    figure, axes = _panels(1, 2, "Dense grids that stay on the device")
+    """Draw verdicts and radii; rows come in pairs, that of two cores first."""
+    names = [("two cores", "device")[number % 2] for number in range(len(rows))]
+    shown = [row | {"method": name} for row, name in zip(rows, names, strict=True)]
+    figure, axes = _panels(1, 2, "Dense grids that stay on the device, and two cores of its host")
     for panel, section in zip(axes[0], ("verdict", "spectral_radius"), strict=True):
-        _lines(
-            panel, [row for row in rows if row["section"] == section], "delay", "seconds_per_point"
-        )
-        panel.set(
-            yscale="log", title=section, xlabel="delay in samples", ylabel="seconds per point"
-        )
+        some = [row for row in shown if row["section"] == section]
+        _lines(panel, some, "delay", "seconds_per_point")
+        panel.set(yscale="log", title=section, xlabel="delay in samples")
+    axes[0, 0].set_ylabel("seconds per point")
     return _with_legend(figure, axes)
 
 
