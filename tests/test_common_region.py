@@ -72,6 +72,10 @@ def test_loops_without_a_common_wall_are_told() -> None:
 
 
 def test_what_is_no_list_of_loops_is_refused() -> None:
+    with pytest.raises(TypeError, match="loops has 3; give a HapticLoop for each"):
+        common_region([3])  # type: ignore[list-item]
+    with pytest.raises(TypeError, match="loops is 3; give a list of HapticLoop"):
+        common_region(3)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="loops is empty"):
         common_region([])
     with pytest.raises(ValueError, match="tolerance"):

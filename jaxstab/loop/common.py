@@ -1,6 +1,6 @@
 """Walls that several loops render stably: the intersection of their exact regions, proved."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -128,12 +128,14 @@ def common_region(
     if isinstance(loops, LoopsBetween):
         tried = TriedLoops(loops)
         return _proved_region(tried.loops, tried.unproved, tried.add, tolerance, loops)
-    given = list(loops)
+    if not isinstance(loops, Iterable):
+        raise TypeError(f"loops is {loops!r}; give a list of HapticLoop, or LoopsBetween two.")
+    given = [_in_floats(loop) for loop in loops]
     if not given:
         raise ValueError("loops is empty; give at least one HapticLoop.")
 
     def unproved(walls: Points) -> "list[HapticLoop]":
-        return [loop for loop in given if not _is_proved(loop.in_floats(), walls)]
+        return [loop for loop in given if not _is_proved(loop, walls)]
 
     return _proved_region(given, unproved, lambda _: False, tolerance)
 

@@ -74,7 +74,7 @@ class MovingLimits:
         stiffness: K in N/m of the proved wall; NaN if none was found.
         damping: its B in N s/m.
         unstable_stiffness: K in N/m of a wall at the same damping that is proved unstable, the
-            lowest found; between the two nothing is known.
+            lowest found, infinite if none was; between the two nothing is known.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -90,9 +90,12 @@ class MovingLimits:
     def __repr__(self) -> str:
         if not self.stiffness > 0.0:
             return "no wall was found that is proved for every sequence of delays"
+        unstable = f"K = {self.unstable_stiffness:.5g} N/m there is unstable"
+        if isinf(self.unstable_stiffness):
+            unstable = "no unstable wall was found there"
         return (
             f"K = {self.stiffness:.5g} N/m at B = {self.damping:.4g} N s/m is proved for every "
-            f"sequence of delays; K = {self.unstable_stiffness:.5g} N/m there is unstable"
+            f"sequence of delays; {unstable}"
         )
 
 
