@@ -152,7 +152,13 @@ def _wall(loop: Triples, theta: Array) -> Array:
     return _curve(loop, theta)[0]
 
 
-def _cross(one: tuple[Array, Array], other: tuple[Array, Array]) -> Array:
+def _with_slopes(loop: Triples, theta: Array) -> tuple[Array, Array]:
+    """Return alpha and beta, and their derivatives by the angle."""
+    both: tuple[Array, Array] = jax.jvp(partial(_wall, loop), (theta,), (jnp.ones_like(theta),))
+    return both
+
+
+def _cross(one: Any, other: Any) -> Array:
     """Return the imaginary part of other times the conjugate of one."""
     return one[0] * other[1] - one[1] * other[0]
 
@@ -162,25 +168,20 @@ def _values(loop: Triples, theta: Array) -> list[tuple[Array, Array]]:
     sine, half = jnp.sin(theta), jnp.sin(0.5 * theta)
     step = -2.0 * half * half
     axes = tuple(range(1, theta.ndim + 1))
-
-    def horner(falling: Array, real: Array) -> tuple[Array, Array]:
-        """Return (part, angle) of the three."""
-
-        def next_power(
-            value: tuple[Array, Array], power: Array
-        ) -> tuple[tuple[Array, Array], None]:
-            x, y = value
-            moved = x * real - y * sine + jnp.expand_dims(power, axes)
-            return (moved, x * sine + y * real), None
-
-        zeros = jnp.zeros((3, *theta.shape))
-        return lax.scan(next_power, (zeros, zeros), falling.T)[0]
-
-    straight, shifted = horner(loop.straight, 1.0 + step), horner(loop.shifted, step)
     is_close = 2.0 * half < jnp.expand_dims(loop.close, axes)
-    real, imag = (
-        jnp.where(is_close, near, far) for near, far in zip(shifted, straight, strict=True)
-    )
+    cosine = jnp.where(is_close, step, 1.0 + step)  # of z or z - 1
+
+    def next_power(
+        value: tuple[Array, Array], power: tuple[Array, Array]
+    ) -> tuple[tuple[Array, Array], None]:
+        x, y = value
+        near, far = (jnp.expand_dims(one, axes) for one in power)
+        moved = x * cosine - y * sine + jnp.where(is_close, near, far)
+        return (moved, x * sine + y * cosine), None
+
+    zeros = jnp.zeros((3, *theta.shape))
+    falling = loop.shifted.T, loop.straight.T
+    real, imag = lax.scan(next_power, (zeros, zeros), falling)[0]
     return list(zip(real, imag, strict=True))
 
 
@@ -316,26 +317,26 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
     partner = jnp.stack([theta[1][preceding], theta[0][following]])
     is_mutual = preceding[following] == jnp.arange(SLOTS)
 
-    def mismatch(angles: Array, known: tuple[Array, ...]) -> Array:
-        start, kind, is_fixed = known
-        walls = _wall(loop, angles)
+    def newton(angles: Array, known: tuple[Array, Array]) -> Array:
+        """Return the next angles of a corner, or of an end on a line and unchanged its partner."""
+        kind, is_fixed = known
+        walls, slopes = _with_slopes(loop, angles)
+        to_line, rises = _margins(loop, walls[:, 0]), loop.ends[:, 1:] @ slopes[:, 0]
+        line = jnp.where(kind == Branch.Z_PLUS_ONE, 0, 1)
         gap = (walls[:, 0] - walls[:, 1]) / size
-        margin = _margins(loop, walls[:, 0]) / (abs(loop.ends[:, 0]) + abs(loop.ends[:, 1:]) @ size)
-        margin = jnp.where(kind == Branch.Z_PLUS_ONE, margin[0], margin[1])
-        on_line = jnp.stack(
-            [jnp.where(is_fixed, angles[0] - start[0], margin), angles[1] - start[1]]
-        )
-        return jnp.where((kind == Branch.CURVE) & ~is_fixed, gap, on_line)
+        own, other = slopes.T / size
+        on_curve = jnp.stack([_cross(gap, other), _cross(gap, own)]) / _cross(own, other)
+        on_line = jnp.stack([to_line[line] / rises[line], 0.0])
+        step = jnp.where(kind == Branch.CURVE, on_curve, on_line)
+        return angles - jnp.where(is_fixed, 0.0, step)
 
     start = jnp.stack([theta, partner], axis=-1)
     fixed = pinned | ~ends.exists
-    solution, is_solved = jax.vmap(jax.vmap(partial(_root, mismatch)))(
-        start, (start, branch, fixed)
-    )
+    solution, is_solved = jax.vmap(jax.vmap(partial(_root, newton)))(start, (branch, fixed))
     moved = abs(solution[..., 0] - theta) <= width + _SLACK
     is_solved = pinned | (is_solved & moved)
     theta = jnp.where(pinned, theta, solution[..., 0])
-    walls, slopes = jax.jvp(partial(_wall, loop), (theta,), (jnp.ones_like(theta),))
+    walls, slopes = _with_slopes(loop, theta)
     closes = (branch[1] != Branch.CURVE) | is_mutual
     return _Corners(
         exists=ends.exists,
@@ -350,11 +351,11 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
     )
 
 
-def _root(function: Any, start: Array, known: Any) -> tuple[Array, Array]:
-    """Return a root, and whether Newton's method converged to it."""
-    solver: Any = optx.Newton(rtol=_TOLERANCE, atol=_TOLERANCE)
-    found: Any = optx.root_find(
-        function, solver, start, args=known, max_steps=_NEWTON_STEPS, throw=False
+def _root(newton: Any, start: Array, known: Any) -> tuple[Array, Array]:
+    """Return the fixed point of Newton's step, and whether it was reached."""
+    solver: Any = optx.FixedPointIteration(rtol=_TOLERANCE, atol=_TOLERANCE)
+    found: Any = optx.fixed_point(
+        newton, solver, start, args=known, max_steps=_NEWTON_STEPS, throw=False
     )
     return found.value, found.result == optx.RESULTS.successful
 
@@ -597,10 +598,12 @@ def _largest(
     start = jnp.where(number < count, start, 0.5 * (lower + upper))
     start = jnp.where(exists, start, start[0])  # all wait for the slowest
 
-    def slope(theta: Array, _: None) -> Array:
-        return jax.jvp(lambda x: _wall(loop, x)[axis] / unit, (theta,), (jnp.ones_like(theta),))[1]
+    def newton(theta: Array, _: None) -> Array:
+        slopes = partial(_with_slopes, loop)
+        (_, slope), (_, bend) = jax.jvp(slopes, (theta,), (jnp.ones_like(theta),))
+        return theta - slope[axis] / bend[axis]
 
-    theta, solved = jax.vmap(lambda x: _root(slope, x, None))(start)
+    theta, solved = jax.vmap(lambda x: _root(newton, x, None))(start)
     is_between = (theta >= lower - _SLACK) & (theta <= upper + _SLACK)
     solved = exists & solved & is_between
     smooth = _wall(loop, jnp.where(solved, theta, angles[at]))
