@@ -213,7 +213,7 @@ Rows = Float64[np.ndarray, " row"]
 Intervals = Float64[np.ndarray, "row _ 2"]
 
 
-def regions_of(loops: Sequence[HapticLoop]) -> dict[HapticLoop, WallRegion]:
+def walls_of(loops: Sequence[HapticLoop]) -> dict[HapticLoop, WallRegion]:
     """The stable walls of loops: the component that contains small gains, if there is one.
 
     Regions that are UNRESOLVED are left out; a proof for the range covers these loops, too.
@@ -228,7 +228,7 @@ def regions_of(loops: Sequence[HapticLoop]) -> dict[HapticLoop, WallRegion]:
 
 def common_polygon(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
     """A polygon of walls that all of the loops have, pulled in by a share of its size."""
-    regions = regions_of(loops).values()
+    regions = walls_of(loops).values()
     if not regions:
         return None
     if any(region.is_empty for region in regions):
@@ -250,7 +250,7 @@ def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
 
 def stiffest_wall(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
     """The stiffest wall that all of the loops have, pulled down by a share of its stiffness."""
-    regions = regions_of(loops)
+    regions = walls_of(loops)
     if not regions:
         return None
     if any(region.is_empty for region in regions.values()):

@@ -80,7 +80,7 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
 
     The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
     loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
-    says, and first compiled in about half a minute (``use_compilation_cache`` keeps that). Loops
+    says, and first compiled in about 20 s (``use_compilation_cache`` keeps that). Loops
     that it does not resolve, and those of smaller batches, are answered one by one.
 
     A batch has tests in place of the audit of a single region: what none of them would notice is a

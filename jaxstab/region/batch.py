@@ -143,11 +143,6 @@ def _curve(loop: Triples, theta: Array) -> tuple[Array, Array]:
     return walls, det
 
 
-def _turned(one: Array, other: Array) -> Array:
-    """Return the cross product of walls (2, ...)."""
-    return one[0] * other[1] - one[1] * other[0]
-
-
 def _wall(loop: Triples, theta: Array) -> Array:
     return _curve(loop, theta)[0]
 
@@ -159,7 +154,7 @@ def _with_slopes(loop: Triples, theta: Array) -> tuple[Array, Array]:
 
 
 def _cross(one: Any, other: Any) -> Array:
-    """Return the imaginary part of other times the conjugate of one."""
+    """Return the cross product of vectors (2, ...), or Im of other times the conjugate of one."""
     return one[0] * other[1] - one[1] * other[0]
 
 
@@ -521,9 +516,9 @@ def _outline(loop: Triples, component: _Component) -> Outline:
 
     middle, half = 0.5 * (theta[1:] + theta[:-1]), 0.5 * jnp.diff(theta, axis=0)
     nodes = middle + half * _NODES[:, None, None]
-    at_nodes, slopes = jax.jvp(partial(_wall, loop), (nodes,), (jnp.ones_like(nodes),))
-    swept = jnp.sum(half * jnp.einsum("n,nsp->sp", _WEIGHTS, _turned(at_nodes, slopes)), axis=0)
-    swept = swept + _turned(walls[:, -1], corner) + _turned(corner, first)
+    at_nodes, slopes = _with_slopes(loop, nodes)
+    swept = jnp.sum(half * jnp.einsum("n,nsp->sp", _WEIGHTS, _cross(at_nodes, slopes)), axis=0)
+    swept = swept + _cross(walls[:, -1], corner) + _cross(corner, first)
     area = 0.5 * jnp.sum(jnp.where(exists, swept, 0.0))
 
     vertices = jnp.concatenate([walls, corner[:, None]], axis=1)
