@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float64, Int8
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
 from jaxstab.loop.between import LoopsBetween, TriedLoops, common_polygon
+from jaxstab.loop.many import in_floats
 from jaxstab.loop.region import Gains
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
@@ -130,7 +131,7 @@ def common_region(
         return _proved_region(tried.loops, tried.unproved, tried.add, tolerance, loops)
     if not isinstance(loops, Iterable):
         raise TypeError(f"loops is {loops!r}; give a list of HapticLoop, or LoopsBetween two.")
-    given = [_in_floats(loop) for loop in loops]
+    given = [in_floats(loop) for loop in loops]
     if not given:
         raise ValueError("loops is empty; give at least one HapticLoop.")
 
@@ -242,7 +243,7 @@ def tune_for_all(
     """
     if not loops:
         raise ValueError("loops is empty; give at least one loop.")
-    loops = [_in_floats(loop) for loop in loops]
+    loops = [in_floats(loop) for loop in loops]
     level = checked_level(level, excitation)
     grid = _first_grid(loops[0], stiffness)
     nothing = CommonWall(np.nan, np.nan, np.inf, loops[0], TuningStatus.NO_STABLE_GAINS)
@@ -301,12 +302,6 @@ def settling_times(
     )
     samples = np.asarray(settling.value)
     return np.where(np.isnan(samples), np.inf, samples * first.sample_time)
-
-
-def _in_floats(loop: "HapticLoop") -> Any:
-    if not isinstance(loop, LoopParameters):
-        raise TypeError(f"loops has {loop!r}; give a HapticLoop for each.")
-    return loop.in_floats()
 
 
 def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:

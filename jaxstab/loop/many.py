@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import tree_map
+from jaxstab.arrays import at
 from jaxstab.batches import alike, in_float64, lists, on_cores
 from jaxstab.model import LoopParameters
 from jaxstab.model.double_double import DoubleDouble
@@ -80,8 +80,8 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
 
     The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
     loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
-    says, and first compiled in about 20 s (``use_compilation_cache`` keeps that). Loops
-    that it does not resolve, and those of smaller batches, are answered one by one.
+    says, and first compiled in about 20 s (``use_compilation_cache`` keeps that). Loops that it
+    does not resolve, and those of smaller batches, are answered one by one.
 
     A batch has tests in place of the audit of a single region: what none of them would notice is a
     stable set that is cut or dented between two of the 548 to 1,348 angles of its scan. Of 1,197
@@ -225,20 +225,21 @@ def _varied(loops: Any, fields: dict[str, Any]) -> "tuple[list[HapticLoop], tupl
     """Return the loops, and the shape of their answers."""
     if isinstance(loops, LoopParameters):
         if not fields:
-            return [_in_floats(loops)], ()
+            return [in_floats(loops)], ()
         columns = np.broadcast_arrays(*fields.values())
         rows = zip(*(column.ravel().tolist() for column in columns), strict=True)
         varied = (replace(loops, **dict(zip(fields, row, strict=True))) for row in rows)
-        return [_in_floats(loop) for loop in varied], columns[0].shape
+        return [in_floats(loop) for loop in varied], columns[0].shape
     if not isinstance(loops, Iterable):
         raise TypeError(f"loops is {loops!r}; give a list of HapticLoop, or one.")
     if fields:
         raise TypeError(f"{next(iter(fields))} is given beside a list; give one loop that varies.")
-    many = [_in_floats(loop) for loop in loops]
+    many = [in_floats(loop) for loop in loops]
     return many, (len(many),)
 
 
-def _in_floats(loop: Any) -> "HapticLoop":
+def in_floats(loop: Any) -> "HapticLoop":
+    """Return a loop with floats; TypeError for what is no loop."""
     if not isinstance(loop, LoopParameters):
         raise TypeError(f"loops has {loop!r}; give a HapticLoop for each.")
     floats: Any = loop.in_floats()
@@ -253,15 +254,14 @@ def _resolved(
         from jaxstab.region import batch
 
         def solved(indices: Indices, triples: "Triples" = triples) -> Any:
-            own = tree_map(lambda column: column[indices], triples)
-            return in_float64(batch.components, own, outlines=outlines)
+            return in_float64(batch.components, at(triples, indices), outlines=outlines)
 
         parts = list(lists(np.arange(len(members)), _AT_ONCE))
         answers = on_cores(solved, [indices for _, indices in parts])
         for (part, _), answer in zip(parts, answers, strict=True):
             own = np.flatnonzero(answer[0].failures[: part.size] == 0)
             if own.size:
-                yield members[part[own]], tree_map(lambda column, own=own: column[own], answer)
+                yield members[part[own]], at(answer, own)
 
 
 class _Formed(NamedTuple):

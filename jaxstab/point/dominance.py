@@ -20,8 +20,10 @@ from jaxtyping import Int64
 
 from jaxstab.arrays import (
     Array,
+    at,
     is_any_jax,
     is_jax,
+    joined,
     namespace,
     repeat,
     tree_map,
@@ -539,13 +541,10 @@ def _try_list(
             loop = Loop(*looked_up(shared, shape, padded))
         else:
             loop = _loop(looked_up(parameters, shape, padded), delay)
-        value, error = _tried(loop, delay, effort)
-        columns.append((value[: part.size], error[: part.size]))
-    if columns:
-        xp = namespace(columns)
-        joined = [xp.concatenate(column) for column in zip(*columns, strict=True)]
-        answer = tree_map(lambda old, new: with_values(old, indices, new), answer, tuple(joined))
-    return answer
+        columns.append(at(_tried(loop, delay, effort), slice(part.size)))
+    if not columns:
+        return answer
+    return tree_map(lambda old, new: with_values(old, indices, new), answer, joined(columns))
 
 
 def _loop(parameters: list[Array], delay: float) -> Loop:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxstab.arrays import Array, namespace, repeat, tree_map
+from jaxstab.arrays import Array, joined, namespace, repeat
 from jaxstab.batches import MANY, compiled, over_tiles
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
@@ -35,7 +35,7 @@ from jaxstab.point.dominance import (
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius import dense_radius_error
 from jaxstab.point.schur_cohn import SAFETY, UNDERFLOW, loop_coefficients, rounded_loop
-from jaxstab.point.verdicts import Form, Points, Values, filtered_loops
+from jaxstab.point.verdicts import Form, Points, Values, filtered_loops, gathered
 from jaxstab.rounding import UNIT
 
 UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
@@ -104,7 +104,7 @@ def fields_of_grid(
     for some in np.array_split(points.alpha, -(-size // _BLOCK)):
         fields = _fields(some, points.beta, loop, method=method)
         parts.append(_with_ladder(fields, some, points.beta, loop))
-    return tree_map(lambda *columns: np.concatenate(columns), *parts)
+    return joined(parts)
 
 
 @compiled(static=["method"], many=MANY, wide=True, pointwise=True)
@@ -247,16 +247,14 @@ def _outwards(radius: Array, bound: Array) -> tuple[Array, Array]:
 
 def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop) -> PoleFields:
     """Return fields with the radii of the few points of which the dominant pole is not known."""
-    is_open = np.isnan(np.asarray(fields.radius))
-    still_open = np.unravel_index(np.flatnonzero(is_open), is_open.shape)  # quicker than nonzero
-    if not still_open[0].size:
+    still_open = np.flatnonzero(np.isnan(np.asarray(fields.radius)))
+    if not still_open.size:
         return fields
     radius, error = (np.array(column) for column in fields[:2])
-    listed = tree_map(lambda leaf: np.broadcast_to(leaf, radius.shape)[still_open], loop)
-    stiff, damp = (np.broadcast_to(gain, radius.shape)[still_open] for gain in (alpha, beta))
+    stiff, damp, listed = gathered((alpha, beta, loop), radius.shape, still_open)
     with np.errstate(all="ignore"):
         coefficients, rounding = loop_coefficients(stiff, damp, listed, UNIT)
         value = abs(companion_poles(np.moveaxis(coefficients, 0, -1))[..., 0])
         bound = dense_radius_error(coefficients, rounding, value, unit=UNIT)
-        radius[still_open], error[still_open] = _outwards(value, bound)
+        radius.flat[still_open], error.flat[still_open] = _outwards(value, bound)
     return fields._replace(radius=radius, error=error)

@@ -452,11 +452,10 @@ def verdict(
 
 def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
     """Return the codes of points; unless they are many, XLA compiles once for all long delays."""
-    shapes = (np.shape(values) for values in arguments[:3])
-    are_many = prod(np.broadcast_shapes(*shapes)) >= _PAYS_FROM
-    if degree <= (_HIGHEST_OF_MANY if are_many else HIGHEST_UNROLLED):
-        return _short_codes(arguments, degree=degree)
-    return _long_codes(arguments, degree)
+    is_short = degree <= HIGHEST_UNROLLED
+    if not is_short and degree <= _HIGHEST_OF_MANY:
+        is_short = prod(np.broadcast_shapes(*map(np.shape, arguments[:3]))) >= _PAYS_FROM
+    return _short_codes(arguments, degree=degree) if is_short else _long_codes(arguments, degree)
 
 
 @compiled(static=["degree"], many=MANY, wide=True, pointwise=True)
