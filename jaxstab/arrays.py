@@ -149,7 +149,7 @@ def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
 
 
 def at(tree: Tree, index: Any) -> Tree:
-    """Return a tree of what stands at an index of each array: ``(..., i)`` for the last axis."""
+    """Return a tree of the values at an index of each array: ``(..., i)`` for the last axis."""
     return tree_map(lambda values: values[index], tree)
 
 

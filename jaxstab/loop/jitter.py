@@ -42,7 +42,7 @@ _COARSE = 9  # of one that is unstable
 
 @dataclass(frozen=True, repr=False)
 class WorstDelays:
-    """Delays in turn under which a wall grows, or decays most slowly: the worst a search found.
+    """Delays in turn under which the motion grows, or decays most slowly: the worst found.
 
     Attributes:
         delays: one turn, in s; infinite for a sample that is lost.

@@ -556,7 +556,7 @@ class HapticLoop(LoopParameters):
     def worst_delays(
         self, stiffness: float, damping: float, *, delays: DelayRange, lost: int = 0
     ) -> WorstDelays:
-        """Search for delays in turn that make a wall grow, and prove that it does.
+        """Search for delays in turn that make the motion grow, and prove that it does.
 
         All short patterns of the shortest and the longest delay are tried, and the best changed
         delay by delay. That no other sequence is worse is not proved; ``verdict`` proves STABLE.

@@ -1,4 +1,4 @@
-"""Delays that change in turn and make a wall grow: searched for, and proved to.
+"""Delays that change in turn and make the motion grow: searched for, and proved to.
 
 A sequence of N delays that repeats moves the loop by one matrix per turn
 (``jaxstab.model.device.periodic``); the N-th root of its spectral radius is the growth per sample.

@@ -505,7 +505,7 @@ def fast_radius(parameters: list[Array], shape: tuple[int, ...], delay: float) -
     """Value and error of the spectral radius, by XLA; the error is inf if nothing is proved.
 
     ``parameters`` are alpha, beta, gamma, delta, checked; the delay is at most LONGEST_DELAY.
-    Arrays of JAX stay on their device, where only the indices of open points come from outside.
+    JAX arrays stay on their device; the host sees only the indices of points still open.
     """
     first, *others = _tries(delay)
     if is_any_jax(parameters):
