@@ -46,8 +46,25 @@ _OPTIONS: dict[str, tuple[str, str, Any, str]] = {  # table and key of a scene, 
     "hand_stiffness": ("hand", "stiffness", number_or_range, "In N/m; LOW:HIGH for a range."),
     "hand_damping": ("hand", "damping", number_or_range, "In N s/m; LOW:HIGH for a range."),
     "sample_time": ("controller", "sample_time", float, "Sampling period T in s."),
-    "delay": ("controller", "delay", float, "Time delay of the loop in s."),
-    "delay_samples": ("controller", "delay_samples", float, "The same in samples."),
+    "delay": (
+        "controller",
+        "delay",
+        number_or_range,
+        "Time delay of the loop in s; LOW:HIGH for one that moves from sample to sample.",
+    ),
+    "delay_samples": ("controller", "delay_samples", number_or_range, "The same in samples."),
+    "constant_delay": (
+        "controller",
+        "delay_is",
+        "constant",
+        "The delay of such a range is constant, but not known.",
+    ),
+    "lost_samples": (
+        "controller",
+        "lost_samples",
+        int,
+        "Samples in a row that may never arrive, with a delay that moves.",
+    ),
     "window": ("velocity", "window", float, "Velocity: difference over this window in s."),
     "window_samples": ("velocity", "window_samples", int, "The same in samples."),
     "cutoff": ("velocity", "cutoff", float, "Velocity: low pass at this cut-off in Hz."),
@@ -95,6 +112,7 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def _scene_option(name: str, kind: Any, words: str) -> Any:
     reads = {"callback": kind} if kind is number_or_range else {"type": kind}
+    reads = {"flag_value": kind} if isinstance(kind, str) else reads
     return click.option(f"--{name.replace('_', '-')}", **reads, help=words)
 
 

@@ -14,7 +14,7 @@ from functools import cache
 from math import isfinite, isinf, isnan
 from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
-from jaxstab.scene.scene import Grip, Scene, Units
+from jaxstab.scene.scene import Controller, Grip, Scene, Units
 from jaxstab.shown import rounded_text
 
 _LIMIT_DIGITS = 4
@@ -62,7 +62,9 @@ class IntervalQuantity(Quantity):
     """How an interval is printed: its ends inwards, with enough digits that they stay in order."""
 
     def words(self, value: Any, units: Units = Units.LINE) -> str:
-        """Return the two ends with their unit."""
+        """Return the two ends with their unit; one number as any other."""
+        if not isinstance(value, tuple):
+            return super().words(value, units)
         low, high = value
         for digits in range(self.digits, _MOST_DIGITS + 1):
             ends = self._text(low, ROUND_CEILING, digits), self._text(high, ROUND_FLOOR, digits)
@@ -89,6 +91,8 @@ LargestDamping = Annotated[float, Quantity("N s/m", _LIMIT_DIGITS, ROUND_FLOOR)]
 LargestTime = Annotated[float, Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR)]
 StiffnessLimits = Annotated[tuple[float, float], IntervalQuantity("N/m", _LIMIT_DIGITS)]
 DampingLimits = Annotated[tuple[float, float], IntervalQuantity("N s/m", _LIMIT_DIGITS)]
+TimeRange = Annotated[tuple[float, float], IntervalQuantity("s")]
+NumberRange = Annotated[tuple[float, float], IntervalQuantity()]
 MassRange = Annotated[tuple[float, float], IntervalQuantity("kg")]
 StiffnessRange = Annotated[tuple[float, float], IntervalQuantity("N/m")]
 DampingRange = Annotated[tuple[float, float], IntervalQuantity("N s/m")]
@@ -201,9 +205,10 @@ class Basis(Answer):
     velocity: str
     position: str | None
     sample_time: Time
-    delay: Time
-    delay_samples: Number
+    delay: Time | TimeRange
+    delay_samples: Number | NumberRange
     delay_is: str | None
+    lost_samples: Annotated[int, Quantity()] | None
     mass: MassRange
     damping: Damping
     hand_mass: MassRange | None
@@ -219,16 +224,26 @@ class Basis(Answer):
         return Units.LINE if self.motion is None else Units.ROTATION
 
     @property
+    def range_of_delays(self) -> str | None:
+        """What is said of a range of delays; None for one delay."""
+        return None if self.delay_is == _NO_DELAY else self.delay_is
+
+    @property
     def delay_in_words(self) -> str:
         """The delay with its unit and in samples, or that it is assumed."""
-        if self.delay_is is not None:
+        if self.delay_is == _NO_DELAY:
             return f"{self.delay:g} ({self.delay_is})"
-        return f"{Quantity('s').words(self.delay)}; in samples {self.delay_samples:g}"
+        words = IntervalQuantity("s").words(self.delay)
+        return f"{words}; in samples {IntervalQuantity().words(self.delay_samples)}"
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
-        """Return a line for the estimator, the filter, the delay, and what moves."""
+        """Return a line for the estimator, the filter, the delay, and what moves.
+
+        That of the estimator says for which delays a proof holds, where they are a range.
+        """
+        ranged = f"; delay {self.range_of_delays}" if self.range_of_delays else ""
         words = {
-            "velocity": self.velocity,
+            "velocity": f"{self.velocity}{ranged}",
             "position": self.position,
             "delay": self.delay_in_words,
             "mechanics": self.mechanics,
@@ -287,17 +302,31 @@ _ASSUMED = "the difference over one sample (assumed: the scene names no estimato
 _NO_DELAY = "assumed: the scene names none"
 
 
+def _delay_is(controller: Controller) -> str | None:
+    """Describe a range of delays and of which of them proofs are; None for one delay."""
+    if controller.has_one_delay:
+        is_given = controller.delay is not None or controller.delay_samples is not None
+        return None if is_given else _NO_DELAY
+    ends = IntervalQuantity("s").words(controller.delays).replace(" to ", " and ")
+    if not controller.moves:
+        return f"constant, somewhere between {ends}: proofs hold for every constant delay"
+    lost = f", up to {controller.lost_samples} in a row lost" if controller.lost_samples else ""
+    return f"moves between {ends}, newest sample wins{lost}: proofs hold for every sequence"
+
+
 def basis_of(scene: Scene) -> Basis:
     """Return what the answers hold for: estimator, filter, delay, device, hand, and what moves."""
     controller, device, hand = scene.controller, scene.device, scene.hand
-    is_given = controller.delay is not None or controller.delay_samples is not None
+    low, high = controller.delays
+    samples = low / controller.sample_time, controller.samples
     return Basis(
         velocity=_ASSUMED if controller.velocity is None else str(controller.velocity),
         position=None if controller.position is None else str(controller.position_filter),
         sample_time=controller.sample_time,
-        delay=controller.time_delay,
-        delay_samples=controller.samples,
-        delay_is=None if is_given else _NO_DELAY,
+        delay=(low, high) if low < high else low,
+        delay_samples=samples if low < high else samples[1],
+        delay_is=_delay_is(controller),
+        lost_samples=controller.lost_samples or None,
         mass=device.effective_mass,
         damping=device.damping,
         hand_mass=None if hand is None else hand.effective_mass,

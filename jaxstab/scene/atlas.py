@@ -13,7 +13,7 @@ from jaxstab.atlas.compute.layout import reach_of
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.scene.answers import basis_of
 from jaxstab.scene.loops import Member, corners_of, loop_of_member, ranges_of, walls_of
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.scene import Scene, range_in_words
 from jaxstab.shown import printable
 
 Outside = Literal["error", "undecided"]
@@ -110,9 +110,7 @@ def spec_text(scene: Scene, name: str) -> str:
     """The text of a scene's specification, which begins with a description."""
     text = atlas_spec(scene).to_toml()
     units, basis = scene.units, basis_of(scene)
-    mass, hand_mass, stiffness, damping, delay = (
-        f"{low:g} to {high:g}" if low < high else f"{low:g}" for low, high in ranges_of(scene)
-    )
+    mass, hand_mass, stiffness, damping, delay = (range_in_words(ends) for ends in ranges_of(scene))
     lines = [
         f"{name}",
         f"{units.moved} of the device: {mass} {units.kilogram}",

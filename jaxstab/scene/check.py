@@ -14,7 +14,7 @@ from jaxstab.arrays import tree_map
 from jaxstab.batches import by_kind
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.loop.between import common_walls
+from jaxstab.loop.between import LoopsBetween, common_walls
 from jaxstab.loop.together import (
     Rendered,
     amplitudes,
@@ -35,6 +35,7 @@ from jaxstab.point import SpectralRadius
 from jaxstab.ranges import Margins as LoopMargins
 from jaxstab.ranges.hands import HeldWall, worst_hands
 from jaxstab.ranges.margins import MOST_DELAY
+from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -62,6 +63,7 @@ from jaxstab.scene.loops import (
     reachable,
     wall_region,
     walls_of,
+    with_delay,
 )
 from jaxstab.scene.scene import Scene
 
@@ -71,6 +73,7 @@ from jaxstab.scene.scene import Scene
 
 _PROVED = "proved for every hand"
 _TRIED = "no hand that was tried is unstable, but not all others are proved"
+NOT_FOR_HANDS = "at its lowest values alone: hands are not proved together with ranges of delays"
 _ROWS = 400  # of B, in which walls are stable for all hands
 
 WallOfScene = tuple[Scene, Gains]
@@ -108,13 +111,14 @@ class WorstHeld(NamedTuple):
     """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
 
     ``hand`` is None where neither a hand nor the mass varies; ``tried`` describes the search where
-    the verdict is UNDECIDED.
+    the verdict is UNDECIDED, and ``delays`` those of a range with which a motion grows.
     """
 
     verdict: Verdict
     loop: HapticLoop
     hand: HeldBy | None
     tried: str | None
+    delays: str | None = None
 
 
 def worst_held(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
@@ -141,6 +145,31 @@ def _worst_of_a_kind(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
         )
         for worst, (scene, _) in zip(worsts, walls, strict=True)
     ]
+
+
+def worst_over_delays(scene: Scene, gains: Gains) -> WorstHeld:
+    """Return the verdict on a wall for a range of delays, with the hand at its lowest values.
+
+    Of a delay that moves it is for every sequence, of one that is constant for each constant one.
+    """
+    loops, controller = loops_over_delays(scene), scene.controller
+    tried = NOT_FOR_HANDS if hands_of(scene) else None
+    if controller.moves:
+        moving: Any = {"delays": controller.delays, "lost": controller.lost_samples}
+        code, words = Verdict(int(loops[0].verdict(*gains, **moving))), None
+        if code == Verdict.UNSTABLE:
+            words = str(loops[0].worst_delays(*gains, **moving))
+        return WorstHeld(code, loops[0], None, tried, words)
+    worst = LoopsBetween(*loops).worst_loop(*gains)
+    delay = Quantity("s").words(worst.loop.delay)
+    words = f"a constant delay of {delay}: a factor of {worst.radius:.6g} per sample"
+    is_unstable = worst.verdict == Verdict.UNSTABLE
+    return WorstHeld(worst.verdict, worst.loop, None, tried, words if is_unstable else None)
+
+
+def loops_over_delays(scene: Scene) -> list[HapticLoop]:
+    """Return the loops of the shortest and the longest delay of a range."""
+    return [loop_of(with_delay(scene, delay)) for delay in scene.controller.delays]
 
 
 def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
@@ -289,7 +318,7 @@ class Chatter(Answer):
 
 @dataclass(frozen=True)
 class Jitter(Answer):
-    """How far the delay may exceed that of the scene if it changes from sample to sample."""
+    """How far the delay may exceed the scene's longest if it changes from sample to sample."""
 
     is_part = True
     absent = "none is proved"
@@ -311,6 +340,8 @@ class WallCheck(Answer):
     verdict: Verdict
     hands_are: str | None
     worst_hand: HeldBy | None
+    worst_delays: str | None
+    measures_are: str | None
     margins: Margins | None = None
     distance: Distance | None = None
     radius: Radius | None = None
@@ -329,8 +360,11 @@ class Check(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether every wall is stable, by proof."""
-        return all(wall.verdict == Verdict.STABLE for wall in self.walls.values())
+        """Whether every wall is stable, by proof, with every hand."""
+        return all(
+            wall.verdict == Verdict.STABLE and wall.hands_are is None
+            for wall in self.walls.values()
+        )
 
 
 @dataclass(frozen=True)
@@ -364,7 +398,15 @@ def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
             for number, loops, answer in zip(numbers, *_over_hands(wanting, ask), strict=True):
                 measured[number][name] = summarise(walls[number], loops, answer)
     checked = (
-        WallCheck(*wall.gains, wall.known.verdict, wall.known.tried, wall.known.hand, **answers)
+        WallCheck(
+            *wall.gains,
+            wall.known.verdict,
+            wall.known.tried,
+            wall.known.hand,
+            wall.known.delays,
+            _measures_are(wall) if answers else None,
+            **answers,
+        )
         for wall, answers in zip(walls, measured, strict=True)
     )
     return [Check(basis_of(one), {name: next(checked) for name in one.walls}) for one in scenes]
@@ -374,11 +416,14 @@ def _walls_of(scenes: Sequence[Scene]) -> list[_Wall]:
     listed: list[tuple[Scene, Gains, list[HapticLoop]]] = []
     for scene in scenes:
         scene.require_walls()
-        corners = corner_loops(scene) if hands_of(scene) else []
-        loops = list(dict.fromkeys([loop_of(scene), *corners]))
+        if scene.controller.has_one_delay:
+            corners = corner_loops(scene) if hands_of(scene) else []
+            loops = list(dict.fromkeys([loop_of(scene), *corners]))
+        else:
+            loops = loops_over_delays(scene)
         listed += [(scene, gains, loops) for gains in walls_of(scene).values()]
-    has_hands = [hands_of(scene) is not None for scene, *_ in listed]
-    known = by_kind(listed, has_hands, _known)
+    kinds = [(one.controller.has_one_delay, hands_of(one) is not None) for one, *_ in listed]
+    known = by_kind(listed, kinds, _known)
     return [
         _Wall(scene, gains, list(dict.fromkeys([*loops, held.loop])), held)
         for (scene, gains, loops), held in zip(listed, known, strict=True)
@@ -386,7 +431,9 @@ def _walls_of(scenes: Sequence[Scene]) -> list[_Wall]:
 
 
 def _known(walls: Sequence[tuple[Scene, Gains, list[HapticLoop]]]) -> list[WorstHeld]:
-    """The verdict on each wall at the worst hand, or in the loop itself if none varies."""
+    """The verdict on each wall at the worst hand or delay, or in the loop if none varies."""
+    if not walls[0][0].controller.has_one_delay:
+        return [worst_over_delays(scene, gains) for scene, gains, _ in walls]
     if hands_of(walls[0][0]):
         return worst_held([(scene, gains) for scene, gains, _ in walls])
     codes = verdicts([Rendered(loops[0], gains) for _, gains, loops in walls])
@@ -401,7 +448,10 @@ def _over_hands(
 ) -> tuple[list[list[HapticLoop]], list[Any]]:
     """Return the loops of each wall, and what all of them answer, evaluated together."""
     of_worst = ask in (_radii, _jitter_margins)
-    held = [[wall.known.loop] if of_worst else wall.loops for wall in walls]
+    held = [
+        [wall.known.loop] if of_worst and not wall.scene.controller.moves else wall.loops
+        for wall in walls
+    ]
     counts = [len(loops) for loops in held]
     encoders = [wall.scene.device.encoder for wall in walls]
     steps = [encoder.resolution if encoder else nan for encoder in encoders]
@@ -416,8 +466,18 @@ def _over_hands(
 
 
 def _among(words: str, loops: list[HapticLoop]) -> str | None:
-    """Return of how many hands an answer is the worst, or None of one hand."""
-    return f"{words} of {len(loops)} hands" if len(loops) > 1 else None
+    """Return of how many hands or delays an answer is the worst, or None of one loop."""
+    what = "hands" if len({loop.delay for loop in loops}) == 1 else "constant delays"
+    return f"{words} of {len(loops)} {what}" if len(loops) > 1 else None
+
+
+def _measures_are(wall: _Wall) -> str | None:
+    """Return for which delays of a range the measures are; None for a single delay."""
+    if wall.scene.controller.has_one_delay:
+        return None
+    if wall.scene.controller.moves:
+        return "the worst of two constant delays, the shortest and the longest"
+    return "the worst of the constant delays that were tried: both ends and the worst one found"
 
 
 def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
@@ -451,7 +511,8 @@ def _radii(rendered: Sequence[Rendered], _: Floats) -> SpectralRadius:
 
 
 def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
-    return Radius(float(radius.value[0]), float(radius.error[0]))
+    worst = int(np.argmax(radius.value))
+    return Radius(float(radius.value[worst]), float(radius.error[worst]))
 
 
 def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettling]) -> Settling:
@@ -491,9 +552,8 @@ def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> Oscillat
 
 
 def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatter:
-    hands = f", the largest of {len(loops)} hands" if len(loops) > 1 else ""
-    most = float(amplitude.position.max())
-    words = None if isinf(most) else f"proved{hands}"
+    most, among = float(amplitude.position.max()), _among("the largest", loops)
+    words = None if isinf(most) else ", ".join(filter(None, ["proved", among]))
     force = float(amplitude.force.max())
     return Chatter(most, force, float(amplitude.force_per_count[0]), words)
 
@@ -504,7 +564,15 @@ def _jitter_margins(rendered: Sequence[Rendered], _: Floats) -> Floats:
 
 def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
     """Return how far the delay may move above that of the scene, with the worst hand alone."""
-    return Jitter(float(margin[0]) or nan, "for the worst hand" if wall.known.hand else None)
+    controller, extra = wall.scene.controller, float(margin[0])
+    if controller.moves:  # the margin of the shortest delay, rounded down, less the range
+        low, high = controller.delays
+        spent = high - low + controller.lost_samples * controller.sample_time
+        extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
+    words = "for the worst hand" if wall.known.hand else None
+    if not controller.has_one_delay:
+        words = "beyond the range" if controller.moves else "for the worst constant delay"
+    return Jitter(extra or nan, words)
 
 
 _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {

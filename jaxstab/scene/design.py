@@ -109,7 +109,7 @@ def design_loop(scene: Scene) -> Design:
 def sampled_loop(scene: Scene, period: float) -> HapticLoop:
     """Return the loop of a scene with another sample time; a delay in samples goes with it."""
     loop, in_samples = loop_of(scene), scene.controller.delay_samples
-    delay = loop.delay if in_samples is None else in_samples * period
+    delay = loop.delay if in_samples is None else in_samples[0] * period
     return replace(loop, sample_time=period, delay=delay)
 
 

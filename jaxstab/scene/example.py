@@ -24,7 +24,10 @@ damping = 1.0             # N s/m
 
 [controller]
 sample_time = 0.001       # s
-delay_samples = 1.5       # samples, whole or not; or: delay = 0.0015, in s
+delay_samples = 1.5       # samples, whole or not; or: delay = 0.0015, in s; [lowest, highest]
+                          # for a delay that moves from sample to sample: limits and check
+# delay_is = "constant"   # a range of delays is of one that is constant, but not known
+# lost_samples = 0        # samples in a row that never arrive, with a delay that moves
 # position.cutoff = 400.0 # Hz, a filter of the position, with the keys of velocity below
 
 [controller.velocity]     # how the velocity is estimated; without it, over one sample
@@ -83,7 +86,7 @@ _COUNTED = (
 _OUTSIDE = (
     "steps of the encoder, but for their chatter in check; steps of the amplifier",
     "Coulomb friction, saturation",
-    "a mass, hand, delay or gain that changes while the wall is touched; several axes at once",
+    "a mass, hand{} or gain that changes while the wall is touched; several axes at once",
     "bouncing off the wall, estimators that adapt, clocks that jitter",
 )
 
@@ -95,7 +98,8 @@ def explain_model(scene: Scene) -> str:
     """The loop as a diagram, the values of its blocks, and limits of the model."""
     blocks = [f"{name:{_NAME}}{words}" for name, words in _blocks(scene).items()]
     counted = [f"{'':{_NAME}}{words}" for words in _COUNTED]
-    every = [", ".join(_not_modelled(scene)), *_OUTSIDE]
+    delay = "" if scene.controller.moves else ", delay"
+    every = [", ".join(_not_modelled(scene)), *(words.format(delay) for words in _OUTSIDE)]
     outside = [f"{'' if number else 'outside':{_NAME}}{w}" for number, w in enumerate(every)]
     return "\n".join([DIAGRAM, *blocks, *counted, *outside])
 
@@ -120,7 +124,7 @@ def _blocks(scene: Scene) -> dict[str, str]:
         "T": time.words(controller.sample_time),
         "velocity V(z)": basis.velocity,
         "filter P(z)": basis.position or "none",
-        "delay": basis.delay_in_words,
+        "delay": "; ".join(filter(None, [basis.delay_in_words, basis.range_of_delays])),
     }
 
 

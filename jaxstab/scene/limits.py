@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass, replace
 from math import isfinite, nan
+from typing import Annotated
 
 import numpy as np
 
+from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
+from jaxstab.loop.between import LoopsBetween
 from jaxstab.model import Velocity
 from jaxstab.paper import linear_alpha_limit, passive_region
 from jaxstab.scene.answers import (
@@ -16,17 +19,27 @@ from jaxstab.scene.answers import (
     LargestDamping,
     LargestStiffness,
     Number,
+    Quantity,
     Stiffness,
     StiffnessLimits,
     basis_of,
 )
-from jaxstab.scene.check import AllHands, Floats, at_lowest, limit_for_all
-from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
+from jaxstab.scene.check import (
+    NOT_FOR_HANDS,
+    AllHands,
+    Floats,
+    at_lowest,
+    limit_for_all,
+    loops_over_delays,
+    worst_over_delays,
+)
+from jaxstab.scene.loops import hands_of, is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 _NOT_REACHABLE = "not reachable by turning gains up"
 _SEE_BELOW = " (all hands: see below)"
 _FAR = "small gains are not stable: no wall is reachable by turning gains up"
+_PROVED = "proved for every"
 _WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
 
 
@@ -93,6 +106,41 @@ class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
     """The stable stiffnesses at the damping of a wall, and the dampings at its stiffness."""
 
 
+UnstableStiffness = Annotated[float, Quantity("N/m", infinite="no unstable wall was found there")]
+
+
+@dataclass(frozen=True)
+class ProvedWall(StiffestWall):
+    """The stiffest wall found that is proved, and the stiffness there from which one is not."""
+
+    certainty: str
+    proved_unstable_at: UnstableStiffness | None
+
+
+@dataclass(frozen=True)
+class JudgedWall(Answer):
+    """The verdict on a wall for a range of delays, and the delays with which a motion grows."""
+
+    verdict: Verdict
+    worst_delays: str | None
+
+
+@dataclass(frozen=True)
+class LimitsOverDelays(Answer):
+    """The limits of a scene over a range of delays, with the hand at its lowest values."""
+
+    inputs: Basis | None
+    safety: Number | None
+    hand: str | None
+    best: ProvedWall
+    walls: dict[str, JudgedWall]
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether a wall is proved, and there is no other hand."""
+        return self.best.certainty.startswith(_PROVED) and self.hand is None
+
+
 @dataclass(frozen=True)
 class Limits(Answer):
     """The limits of a scene, with the hand at its lowest values."""
@@ -120,13 +168,16 @@ class Limits(Answer):
         )
 
 
-def scene_limits(scene: Scene) -> Limits:
+def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
     """The largest stiffness and damping, the linear rule, the passive limit, all hands.
 
     Where a safety is wanted, all limits are multiplied by it, towards small gains, and islands,
     which have no such side, are left out. The linear rule and the passive limit are those of the
-    difference over one sample, and left out for others.
+    difference over one sample, and left out for others. Over a range of delays they are those of
+    ``LimitsOverDelays``.
     """
+    if not scene.controller.has_one_delay:
+        return _over_delays(scene)
     loop, wanted = loop_of(scene), scene.wanted
     region, safety = wall_region(loop), scene.wanted.safety or 1.0
     limits = region.limits()
@@ -150,6 +201,37 @@ def scene_limits(scene: Scene) -> Limits:
         at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
         walls={name: rows.around(*wall) for name, wall in walls_of(scene).items()},
         all_hands=limit_for_all(scene, safety),
+    )
+
+
+def _over_delays(scene: Scene) -> LimitsOverDelays:
+    """Return the stiffest wall that is proved for a range of delays, and the verdicts on walls."""
+    wanted, loops, controller = scene.wanted, loops_over_delays(scene), scene.controller
+    for name in ("at_damping", "at_stiffness"):
+        if getattr(wanted, name) is not None:
+            raise ValueError(
+                f"wanted.{name} is {getattr(wanted, name):g} beside a range of delays; leave it "
+                "out, or give one delay."
+            )
+    unstable, every = None, "constant delay"
+    if controller.moves:
+        moving = loops[0].limits(delays=controller.delays, lost=controller.lost_samples)
+        best, is_proved = Gains(moving.stiffness, moving.damping), moving.stiffness > 0.0
+        unstable, every = moving.unstable_stiffness, "sequence of delays"
+    else:
+        found = LoopsBetween(*loops).robust_limit()
+        best, is_proved = Gains(found.stiffness, found.damping), found.is_proved
+    if is_proved and wanted.safety:
+        best = best._replace(stiffness=wanted.safety * best.stiffness)
+        is_proved = worst_over_delays(scene, best).verdict == Verdict.STABLE
+    tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
+    judged = {name: worst_over_delays(scene, wall) for name, wall in walls_of(scene).items()}
+    return LimitsOverDelays(
+        inputs=basis_of(scene),
+        safety=wanted.safety,
+        hand=NOT_FOR_HANDS if hands_of(scene) else None,
+        best=ProvedWall(*best, f"{_PROVED} {every}" if is_proved else tried, unstable),
+        walls={name: JudgedWall(one.verdict, one.delays) for name, one in judged.items()},
     )
 
 

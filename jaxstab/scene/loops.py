@@ -182,15 +182,16 @@ class Member(NamedTuple):
 
 def ranges_of(scene: Scene) -> list[tuple[float, float]]:
     """Return the ends of mass, hand (3) and delay."""
-    wanted, hand, delay = scene.wanted, scene.hand or Hand(), scene.controller.time_delay
+    wanted, hand, controller = scene.wanted, scene.hand or Hand(), scene.controller
     masses, share = scene.device.effective_mass, wanted.mass_tolerance or 0.0
     aside = wanted.delay_tolerance or 0.0
+    shortest, longest = (controller.time_delay,) * 2 if controller.moves else controller.delays
     return [
         (masses[0] * (1.0 - share), masses[1] * (1.0 + share)),
         hand.effective_mass,
         hand.stiffness,
         hand.damping,
-        (max(delay - aside, 0.0), delay + aside),
+        (max(shortest - aside, 0.0), longest + aside),
     ]
 
 
@@ -207,9 +208,14 @@ def corners_of(scene: Scene) -> list[Member]:
 
 def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
     """Return the loop of a member of the ranges."""
-    delayed = replace(scene.controller, delay=member.delay, delay_samples=None)
     hand = member.hand._replace(device_mass=member.mass)
-    return loop_of(replace(scene, controller=delayed), hand)
+    return loop_of(with_delay(scene, member.delay), hand)
+
+
+def with_delay(scene: Scene, delay: float) -> Scene:
+    """Return a scene with one constant delay in s."""
+    one: Any = {"delay_samples": None, "delay_is": None, "lost_samples": 0}
+    return replace(scene, controller=replace(scene.controller, delay=(delay, delay), **one))
 
 
 # The plan for a scene: computed and skipped steps, and why.
@@ -244,12 +250,13 @@ def plan_scene(scene: Scene) -> list[Step]:
         if name == "chatter" and scene.device.encoder is None:
             is_wanted, why = False, "device.encoder is not given"
         steps.append(Step(name, requested["check"] and is_wanted, why))
-    varies = hands_of(scene) is not None
+    varies = hands_of(scene) is not None and scene.controller.has_one_delay
     is_over = varies or bool(wanted.mass_tolerance) or bool(wanted.delay_tolerance)
     why = "neither hand nor mass nor a tolerance of mass or delay is a range"
     why = "a hand, the mass or a tolerance is a range" if is_over else why
     steps.append(Step("tune over ranges", is_over and requested["tune"], why))
     why = "the hand or the mass is a range" if varies else "there is one hand at most, and one mass"
+    why = why if scene.controller.has_one_delay else "the delay is a range"
     steps.append(Step("worst case over the hands", varies, why))
     steps.append(Step("proof for all hands", varies, why))
     return steps

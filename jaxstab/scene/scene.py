@@ -31,6 +31,7 @@ from jaxstab.tables import (
     read_table,
     share,
     tolerance,
+    whole,
 )
 
 # The units of a scene: those of motion along a line, or those of rotation.
@@ -377,23 +378,42 @@ _MOST_SAMPLES_OF_HANDS = 128  # the same for each of hundreds of hands of a rang
 MOST_WALLS = 1000
 
 
+def range_in_words(ends: tuple[float, float]) -> str:
+    """Return one number, or the two ends of a range."""
+    low, high = ends
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Controller(Table):
-    """The sampling period in s, the delay of the loop in s or in samples, and the filters."""
+    """The sampling period in s, the delay of the loop in s or in samples, and the filters.
+
+    A range of delays is of one that moves from sample to sample, the newest sample that has arrived
+    setting the force, unless ``delay_is`` says that it is constant, only unknown.
+    """
 
     sample_time: float = key(quantity("s", is_positive=True))
-    delay: float | None = key(quantity("s"), None)
-    delay_samples: float | None = key(quantity("samples"), None)
+    delay: tuple[float, float] | None = key(interval("s"), None)
+    delay_samples: tuple[float, float] | None = key(interval("samples"), None)
+    delay_is: str | None = key(one_of(("moving", "constant")), None)
+    lost_samples: int = key(whole(0, int(LONGEST_DELAY)), 0)
     velocity: VelocityTable | None = key(nested(VelocityTable), None)
     position: PositionTable | None = key(nested(PositionTable), None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.delay is not None and self.delay_samples is not None:
-            raise ValueError(f"delay is {self.delay:g} beside delay_samples; give one.")
-        if self.samples > LONGEST_DELAY:
+            words = range_in_words(self.delay)
+            raise ValueError(f"delay is {words} beside delay_samples; give one.")
+        if self.lost_samples and not self.moves:
             raise ValueError(
-                f"delay is {self.samples:g} samples of {self.sample_time:g} s; give at most "
+                f"lost_samples is {self.lost_samples} beside a delay that is constant; give delay "
+                '= [shortest, longest], or delay_is = "moving" if only samples are lost.'
+            )
+        if self.samples + self.lost_samples > LONGEST_DELAY:
+            lost = f" and {self.lost_samples} are lost" if self.lost_samples else ""
+            raise ValueError(
+                f"delay is {self.samples:g} samples of {self.sample_time:g} s{lost}; give at most "
                 f"{LONGEST_DELAY:g} samples, or a longer sample_time; one in samples is given as "
                 "delay_samples."
             )
@@ -406,14 +426,38 @@ class Controller(Table):
                     raise ValueError(f"{name}.{error}") from None
 
     @property
+    def delays(self) -> tuple[float, float]:
+        """The shortest and the longest delay in s."""
+        low, high = self.delay_samples or (0.0, 0.0)
+        return self.delay or (low * self.sample_time, high * self.sample_time)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the delay changes from sample to sample."""
+        low, high = self.delays
+        return self.delay_is != "constant" and (low < high or self.delay_is == "moving")
+
+    @property
+    def has_one_delay(self) -> bool:
+        """Whether the delay is known and constant."""
+        return not self.moves and self.delays[0] == self.delays[1]
+
+    @property
     def time_delay(self) -> float:
-        """The delay t_d in s."""
-        return self.delay or (self.delay_samples or 0.0) * self.sample_time
+        """The delay t_d in s; ValueError where it is not one that is known and constant."""
+        if not self.has_one_delay:
+            raise ValueError(
+                f"the delay is {range_in_words(self.delays)} s"
+                f"{' and moves' if self.moves else ''}, but this answer is for one constant delay; "
+                "give one, such as --delay "
+                f"{self.delays[1]:g}{' --lost-samples 0' if self.lost_samples else ''}."
+            )
+        return self.delays[0]
 
     @property
     def samples(self) -> float:
-        """The delay in samples."""
-        return self.time_delay / self.sample_time
+        """The longest delay in samples."""
+        return self.delays[1] / self.sample_time
 
     @property
     def estimator(self) -> Velocity | None:
@@ -528,7 +572,7 @@ class Scene:
             _outside("hand.stiffness", hand.stiffness[1], *usual.stiffness, stiffness),
             _outside("hand.damping", hand.damping[1], *usual.hand_damping, damping),
             _outside("controller.sample_time", controller.sample_time, 1e-5, 0.05, "s"),
-            _outside("the delay", controller.time_delay, 0.0, 2.0, "s"),
+            _outside("the delay", controller.delays[1], 0.0, 2.0, "s"),
             *_slips_of_delay(controller),
             _other_period(controller),
         ]
@@ -632,7 +676,7 @@ def _slips_of_delay(controller: Controller) -> Iterator[str]:
     words = f"the delay is {controller.samples:g} samples"
     if controller.samples >= _MANY_SAMPLES:
         yield f"{words}; one in samples is given as delay_samples"
-    if 0.0 < (controller.delay_samples or 0.0) < _FEW_SAMPLES:
+    if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < _FEW_SAMPLES:
         yield f"{words}; one in s is given as delay"
 
 

@@ -1,0 +1,338 @@
+"""Scenes whose delay is a range: one that moves, or one that is constant and not known."""
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import assert_one_sentence, run
+
+from benchmarks.truth.loop import spectral_radius
+from benchmarks.truth.moving import LOST, Moving, growth
+from jaxstab.conventions import Verdict
+from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
+from jaxstab.scene.limits import LimitsOverDelays
+
+T = 1e-3
+LIGHT = ["--mass", "0.1", "--damping", "0.05", "--sample-time", "0.001"]
+ISSUE = ["--wall", "issue", "6669.1", "71.6"]  # stable for each constant delay from 0 to 1 ms
+MOVING = [*LIGHT, "--delay", "0:0.001"]
+TRUTH = Moving((1.0,), (0.1, 0.05, 0.0), T)
+DEVICE: dict[str, Any] = {"mass": 0.1, "damping": 0.05}
+
+
+def scene(device: dict[str, Any] = DEVICE, **controller: Any) -> dict[str, Any]:
+    return {"device": device, "controller": {"sample_time": T, **controller}}
+
+
+def answered(*arguments: str | Path, code: int = 0) -> Any:
+    result = run(*arguments, "--json")
+    assert result.exit_code == code, result.stderr
+    return json.loads(result.stdout)
+
+
+def limits_of(table: dict[str, Any]) -> LimitsOverDelays:
+    answer = scene_limits(Scene.from_table(table))
+    assert isinstance(answer, LimitsOverDelays)
+    return answer
+
+
+def true_radius(stiffness: float, damping: float, samples: float) -> float:
+    """Return the certified spectral radius of the light device at a constant delay."""
+    alpha, beta, delta = stiffness * T**2 / 0.1, damping * T / 0.1, 0.05 * T / 0.1
+    return float(spectral_radius(alpha, beta, 0.0, delta, samples)[1])
+
+
+# ---------------------------------------------------------------------------- what is refused
+@pytest.mark.parametrize(
+    ("controller", "words"),
+    [
+        (
+            {"delay": [1e-3, 0.0]},
+            "delay is [0.001, 0.0]; its ends are swapped, so give [0, 0.001].",
+        ),
+        ({"delay": []}, "delay is []; give a finite number >= 0 in s, or [lowest, highest]."),
+        (
+            {"delay": [0.0, 1e-3, 2e-3]},
+            "delay is [0.0, 0.001, 0.002]; give a finite number >= 0 in s, or [lowest, highest].",
+        ),
+        (
+            {"delay_samples": [-1.0, 1.0]},
+            "delay_samples is [-1.0, 1.0]; give a finite number >= 0 in samples, or [lowest, "
+            "highest].",
+        ),
+        (
+            {"delay": [0.0, 1e-3], "delay_samples": 1.0},
+            "delay is 0 to 0.001 beside delay_samples; give one.",
+        ),
+        (
+            {"delay": [0.0, 1e-3], "delay_is": "fixed"},
+            "delay_is is 'fixed'; give moving, constant.",
+        ),
+        (
+            {"delay": [0.0, 1e-3], "lost_samples": 0.5},
+            "lost_samples is 0.5; give a whole number from 0 to 500.",
+        ),
+        (
+            {"delay": [0.0, 1e-3], "lost_samples": -1},
+            "lost_samples is -1; give a whole number from 0 to 500.",
+        ),
+        *(
+            (
+                {**delay, "lost_samples": 1},
+                "lost_samples is 1 beside a delay that is constant; give delay = [shortest, "
+                'longest], or delay_is = "moving" if only samples are lost.',
+            )
+            for delay in ({"delay": 1e-3}, {"delay": [0.0, 1e-3], "delay_is": "constant"}, {})
+        ),
+        (
+            {"delay_samples": [0.0, 499.5], "lost_samples": 1},
+            "delay is 499.5 samples of 0.001 s and 1 are lost; give at most 500 samples, or a "
+            "longer sample_time; one in samples is given as delay_samples.",
+        ),
+    ],
+)
+def test_bad_ranges_of_delays_are_refused(controller: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(f'controller.{words}')}$"):
+        Scene.from_table(scene(**controller))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["tune"],
+        ["design", "--stiffness", "1000"],
+        ["check", *ISSUE, "--plot", "picture.png"],
+    ],
+)
+def test_commands_for_one_delay_refuse_a_range(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for options in ([], ["--constant-delay"], ["--lost-samples", "2"]):
+        refused = run(*arguments, *MOVING, *options)
+        assert refused.exit_code == 2
+        assert refused.stdout == ""
+        assert_one_sentence(refused.stderr)
+        assert "this answer is for one constant delay; give one, such as --delay" in refused.stderr
+    remedy = refused.stderr.split("such as ")[1].strip().strip(".").split()
+    assert remedy == ["--delay", "0.001", "--lost-samples", "0"]
+    answer = run(*arguments, *LIGHT, *remedy)
+    assert answer.exit_code in (0, 1)
+
+
+def test_files_for_one_delay_refuse_one_that_moves(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    text = "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\nsample_time = 0.001\n"
+    for more in ("delay = [0.0, 0.001]", "delay = 0.001\ndelay_is = 'moving'\nlost_samples = 1"):
+        file.write_text(f"{text}{more}\n", encoding="utf-8")
+        page = tmp_path / "page.html"
+        for arguments in (["explore", file, "-o", page], ["atlas", "spec", "--scene", file]):
+            refused = run(*arguments)
+            assert refused.exit_code == 2
+            assert_one_sentence(refused.stderr)
+            assert "one constant delay; give one, such as --delay 0.001" in refused.stderr
+            assert not page.exists()
+
+
+def test_limits_at_given_gains_are_refused_for_a_range_of_delays() -> None:
+    for name in ("at-damping", "at-stiffness"):
+        refused = run("limits", *MOVING, f"--{name}", "10")
+        assert refused.exit_code == 2
+        key = name.replace("-", "_")
+        assert f"wanted.{key} is 10 beside a range of delays; leave it out" in refused.stderr
+
+
+# ------------------------------------------------------------------------------ what is read
+def test_a_delay_is_one_number_or_two_and_says_what_it_is() -> None:
+    def controller(**keys: Any) -> Any:
+        return Scene.from_table(scene(**keys)).controller
+
+    one = controller(delay=2e-3)
+    assert (one.has_one_delay, one.moves, one.time_delay, one.samples) == (True, False, 2e-3, 2.0)
+    assert controller(delay=2e-3, delay_is="constant").has_one_delay
+    for moving in (controller(delay=[1e-3, 2e-3]), controller(delay_samples=[1.0, 2.0])):
+        assert (moving.moves, moving.delays, moving.samples) == (True, (1e-3, 2e-3), 2.0)
+    unknown = controller(delay=[1e-3, 2e-3], delay_is="constant")
+    assert (unknown.moves, unknown.has_one_delay) == (False, False)
+    lossy = controller(delay=1e-3, delay_is="moving", lost_samples=2)
+    assert (lossy.moves, lossy.delays, lossy.lost_samples) == (True, (1e-3, 1e-3), 2)
+
+
+def test_options_replace_the_delay_of_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\nsample_time = 0.001\n"
+        "delay = [0.0, 0.001]\ndelay_is = 'constant'\n",
+        encoding="utf-8",
+    )
+    assert (
+        "constant, somewhere between 0 and 1 ms" in answered("limits", file)["inputs"]["delay_is"]
+    )
+    moving = answered("limits", file, "--delay", "0:0.0005", "--lost-samples", "1")["inputs"]
+    assert moving["delay"] == [0.0, 0.0005]
+    assert moving["lost_samples"] == 1
+    assert moving["delay_is"] == (
+        "moves between 0 and 0.5 ms, newest sample wins, up to 1 in a row lost: proofs hold for "
+        "every sequence"
+    )
+    assert "delay_is" not in answered("limits", file, "--delay", "0.001")["inputs"]
+
+
+# -------------------------------------------------------------------------------- the answers
+@pytest.mark.parametrize("command", ["limits", "check"])
+def test_the_line_of_the_estimator_says_what_is_proved(command: str) -> None:
+    wall = ["--wall", "soft", "500", "5"]
+    for options, words in (
+        (
+            [],
+            "; delay moves between 0 and 1 ms, newest sample wins: proofs hold for every sequence",
+        ),
+        (
+            ["--constant-delay"],
+            "; delay constant, somewhere between 0 and 1 ms: proofs hold for every constant delay",
+        ),
+    ):
+        first, second, *_ = run(command, *MOVING, *wall, *options).stdout.splitlines()
+        assert first.startswith("velocity ")
+        assert first.endswith(words)
+        assert re.fullmatch(r"delay +0 to 1 ms; in samples 0 to 1", second)
+
+
+def test_an_unstable_wall_names_delays_that_make_it_grow() -> None:
+    for command, code in (("limits", 0), ("check", 1)):
+        wall = answered(command, *MOVING, *ISSUE, code=code)["walls"]["issue"]
+        assert wall["verdict"] == "unstable"
+        said = re.fullmatch(
+            r"delays of ([\d., ]+) ms in turn: a factor of ([\d.]+) per sample \(growth proved\)",
+            wall["worst_delays"],
+        )
+        assert said, wall["worst_delays"]
+        turn = np.array([float(delay) for delay in said[1].split(",")])
+        parts = np.rint(turn * TRUTH.parts).astype(int)
+        assert np.array_equal(parts, turn * TRUTH.parts)
+        motion = TRUTH.positions(6669.1, 71.6, np.resize(parts, (1, 4000)))
+        assert growth(motion, len(turn))[0] == pytest.approx(float(said[2]), abs=1e-5)
+        assert growth(motion, len(turn))[0] > 1.0
+
+
+def test_the_same_wall_is_proved_for_every_constant_delay() -> None:
+    for command in ("limits", "check"):
+        answer = answered(command, *MOVING, *ISSUE, "--constant-delay")
+        assert answer["walls"]["issue"]["verdict"] == "stable"
+        assert "worst_delays" not in answer["walls"]["issue"]
+    assert all(true_radius(6669.1, 71.6, delay) < 1.0 for delay in np.linspace(0.0, 1.0, 21))
+
+
+def test_an_unstable_wall_names_the_constant_delay() -> None:
+    walls = [*ISSUE, "--wall", "hard", "16000", "40"]
+    answer = answered("limits", *MOVING, *walls, "--constant-delay")["walls"]["hard"]
+    assert answer["verdict"] == "unstable"
+    assert answer["worst_delays"].startswith("a constant delay of 1 ms: a factor of ")
+    radius = float(re.search(r"factor of ([\d.]+)", answer["worst_delays"])[1])  # type: ignore[index]
+    assert radius == pytest.approx(true_radius(16000.0, 40.0, 1.0), rel=1e-5)
+    assert true_radius(16000.0, 40.0, 0.0) < 1.0
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_no_sequence_that_is_tried_makes_the_stiffest_proved_wall_grow(lost: int) -> None:
+    best = limits_of(scene(delay=[0.0, T], lost_samples=lost)).best
+    assert best.certainty == "proved for every sequence of delays"
+    wall = best.largest_stiffness, best.at_damping
+    random, length = np.random.default_rng(3), 12
+    turns = random.integers(0, TRUTH.parts + 1, (200, length))
+    turns[:100] = np.where(turns[:100] > TRUTH.parts // 2, TRUTH.parts, 0)
+    if lost:  # never two in a row
+        turns[:, ::3] = np.where(random.random((200, length // 3)) < 0.5, LOST, turns[:, ::3])
+    motions = TRUTH.positions(*wall, np.tile(turns, (1, 100)))
+    assert np.all(growth(motions, length) < 1.0)
+    assert best.proved_unstable_at is not None
+    above = scene(delay=[0.0, T], lost_samples=lost)
+    above["walls"] = {"a": {"stiffness": best.proved_unstable_at, "damping": best.at_damping}}
+    assert limits_of(above).walls["a"].verdict == Verdict.UNSTABLE
+
+
+def test_the_stiffest_wall_for_constant_delays_is_stable_at_each_of_them() -> None:
+    moving, constant = (
+        limits_of(scene(delay=[0.0, T], delay_is=kind)).best for kind in ("moving", "constant")
+    )
+    assert constant.certainty == "proved for every constant delay"
+    assert constant.largest_stiffness > moving.largest_stiffness
+    wall = constant.largest_stiffness, constant.at_damping
+    radii = [true_radius(*wall, delay) for delay in np.linspace(0.0, 1.0, 21)]
+    assert max(radii) < 1.0
+    assert true_radius(1.05 * wall[0], wall[1], 1.0) > 1.0  # it is nearly the stiffest
+
+
+def test_a_safety_is_proved_anew() -> None:
+    for kind in ("moving", "constant"):
+        whole = limits_of(scene(delay=[0.0, T], delay_is=kind)).best
+        table = scene(delay=[0.0, T], delay_is=kind) | {"wanted": {"safety": 0.8}}
+        part = limits_of(table).best
+        assert part.largest_stiffness == 0.8 * whole.largest_stiffness
+        assert part.certainty == whole.certainty
+
+
+def test_measures_are_those_of_the_worst_constant_delay() -> None:
+    wall = answered("check", *MOVING, "--wall", "a", "5000", "20")["walls"]["a"]
+    assert wall["measures_are"] == "the worst of two constant delays, the shortest and the longest"
+    assert wall["margins_are"] == "the least of 2 constant delays"
+    radii = [true_radius(5000.0, 20.0, delay) for delay in (0.0, 1.0)]
+    assert wall["spectral_radius"] == pytest.approx(max(radii), abs=1e-12)
+
+
+def test_the_extra_delay_of_a_moving_one_is_beyond_its_range() -> None:
+    table = scene(delay=[0.0, 0.5e-3], lost_samples=1)
+    table["walls"] = {"a": {"stiffness": 2000.0, "damping": 15.0}}
+    (wall,) = check_walls(Scene.from_table(table)).walls.values()
+    assert wall.jitter is not None
+    assert wall.jitter.moving_is == "beyond the range"
+    extra, loop = wall.jitter.extra_delay_moving, loop_of(Scene.from_table(scene()))
+    alone = loop.jitter_margin(2000.0, 15.0)
+    assert extra == pytest.approx(float(alone) - 0.5e-3 - T, rel=1e-9)
+    assert 0.0 < extra < float(alone) - 0.5e-3 - T  # rounded down
+    longest = {"delays": (0.0, 0.5e-3 + 0.999 * extra), "lost": 1}
+    assert loop.verdict(2000.0, 15.0, **longest) == Verdict.STABLE  # type: ignore[arg-type]
+
+
+def test_hands_of_a_range_are_not_called_proved() -> None:
+    hands = ["--hand-mass", "0:0.2", "--wall", "soft", "500", "5"]
+    for options in ([], ["--constant-delay"]):
+        limits = answered("limits", *MOVING, *hands, *options, code=1)
+        assert limits["hand"].startswith("at its lowest values alone")
+        soft = answered("check", *MOVING, *hands, *options, code=1)["walls"]["soft"]
+        assert soft["hands_are"] == limits["hand"]
+        assert soft["verdict"] == "stable"
+
+
+def test_ranges_of_delays_are_rows_of_a_table(tmp_path: Path) -> None:
+    file = tmp_path / "rows.csv"
+    result = run("check", *MOVING, *ISSUE, "--sweep", "device.mass=0.1,0.2", "--csv", file)
+    assert result.exit_code == 1
+    rows = list(csv.DictReader(io.StringIO(file.read_text(encoding="utf-8"))))
+    assert [row["inputs.delay_high"] for row in rows] == ["0.001", "0.001"]
+    assert rows[0]["walls.issue.verdict"] == "unstable"
+    assert rows[0]["refusal"] == ""
+
+
+def test_a_constant_range_gives_an_atlas_its_corners() -> None:
+    from jaxstab.scene.atlas import atlas_spec
+
+    spec = atlas_spec(Scene.from_table(scene(delay=[0.8e-3, 1.2e-3], delay_is="constant")))
+    assert [float(node) for node in spec.delay] == [0.8, 1.0, 1.2]
+
+
+def test_a_model_with_a_moving_delay_is_explained(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\nsample_time = 0.001\n"
+        "delay_samples = [0.0, 1.0]\n",
+        encoding="utf-8",
+    )
+    text = run("scene", file, "--explain").stdout
+    assert re.search(r"(?m)^delay +0 to 1 ms; in samples 0 to 1; moves between 0 and 1 ms", text)
+    assert "a mass, hand or gain that changes while the wall is touched" in text
