@@ -77,7 +77,7 @@ class MovingLimits:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> loop.limits(delays=(0.0, 0.2e-3))
-        K = 28878 N/m at B = 51.69 N s/m is proved for every sequence of delays; K = 43091 N/m
+        K = 43665 N/m at B = 62.34 N s/m is proved for every sequence of delays; K = 44859 N/m
         there is unstable
     """
 
